@@ -16,7 +16,9 @@ import numpy as np
 
 from impact_rs_sim.robot import Array
 
-ROUNDING = 1e-9  # of the trace of S, by which an eigenvalue may lie below 0 [-]; bodies are sums of 10 terms of 1e-16
+EIGENVALUE_ROUNDING = (
+    1e-9  # share of tr(S) by which an eigenvalue may be below 0 [-]; a body is a sum of 10 terms of 1e-16
+)
 
 
 def second_moments(inertia: Array) -> Array:
@@ -32,7 +34,7 @@ def inertia_of(moments: Array) -> Array:
 def is_body(mass: float, inertia: Array) -> bool:
     """Whether a rigid body can have this mass [kg] and inertia about its centre of mass, ``(3, 3)`` [kg m^2]."""
     moments = second_moments(inertia)
-    return mass > 0.0 and bool(np.linalg.eigvalsh(moments)[0] >= -ROUNDING * abs(float(np.trace(moments))))
+    return mass > 0.0 and bool(np.linalg.eigvalsh(moments)[0] >= -EIGENVALUE_ROUNDING * abs(float(np.trace(moments))))
 
 
 def reaches(mass: float, com: Array, inertia: Array, place: Array) -> bool:

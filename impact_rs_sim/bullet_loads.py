@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from impact_rs_sim.bullet_world import BulletWorld
-from impact_rs_sim.effects.formula import AXES, SLOW
+from impact_rs_sim.effects.formula import AXES, MIN_SLIDING_SPEED_M_S
 from impact_rs_sim.memory import Memory
 from impact_rs_sim.physics import LoadState, Physics
 from impact_rs_sim.robot import Array
@@ -50,7 +50,9 @@ class Touching:
     def load(self, parts: float, against: float) -> Array:
         """Force on the object of one that parts both and one against sliding [N], in A, ``(3,)`` [N]."""
         sliding = self.sliding
-        return parts * self.normal - against * sliding / math.hypot(float(np.linalg.norm(sliding)), SLOW)
+        return parts * self.normal - against * sliding / math.hypot(
+            float(np.linalg.norm(sliding)), MIN_SLIDING_SPEED_M_S
+        )
 
 
 class BulletLoads:

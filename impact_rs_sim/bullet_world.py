@@ -60,8 +60,8 @@ with _quiet():
 
 FACE_CONTACT_POINTS = 4  # Bullet keeps four points of a face contact; each gets a quarter of the face's stiffness
 SUPPORT_DAMPING_RATIO = 0.5  # of the object on a compliant support
-MOST_SUBSTEPS = 8
-SLOWEST_SLIDING = 2e-3  # m/s; what slides more slowly stops within a few steps, in a direction of no consequence
+MAX_SUBSTEPS = 8  # Bullet steps per step of a world
+MIN_SLIDING_SPEED_M_S = 2e-3  # below, sliding stops within a few steps, so its direction does not matter
 
 
 class BulletWorld:
@@ -302,7 +302,7 @@ class BulletWorld:
         In plain numbers, along z of A, the normal of every support: with arrays it would cost more than Bullet's step.
         """
         (vx, vy, _), (wx, wy, wz) = self._get_velocity(self.object)
-        if max(abs(vx), abs(vy), abs(wz)) < SLOWEST_SLIDING:
+        if max(abs(vx), abs(vy), abs(wz)) < MIN_SLIDING_SPEED_M_S:
             return
         cx, cy, cz = self._get_pose(self.object)[0]
         for point in self._get_contacts(self.object, self.support):
@@ -312,7 +312,7 @@ class BulletWorld:
             speed, radius = math.hypot(ux, uy), self._support_friction * point[9]
             given_x = point[10] * first[0] + point[12] * second[0]
             given_y = point[10] * first[1] + point[12] * second[1]
-            if speed > SLOWEST_SLIDING and math.hypot(given_x, given_y) > 0.99 * radius:
+            if speed > MIN_SLIDING_SPEED_M_S and math.hypot(given_x, given_y) > 0.99 * radius:
                 force = (-radius * ux / speed - given_x, -radius * uy / speed - given_y, 0.0)
                 self._push(self.object, -1, force, place, pybullet.WORLD_FRAME)
 
@@ -360,7 +360,7 @@ class BulletWorld:
 
 
 _idle: list[BulletClient] = []
-_IDLE = 4  # connections kept; to make one takes as long as half a window of a replay
+_MAX_IDLE_CONNECTIONS = 4  # kept for reuse; a new connection takes as long as half a window of a replay
 
 
 def _connected() -> BulletClient:
@@ -374,7 +374,7 @@ def _connected() -> BulletClient:
 
 
 def _give_back(client: BulletClient) -> None:
-    if len(_idle) < _IDLE:
+    if len(_idle) < _MAX_IDLE_CONNECTIONS:
         _idle.append(client)
         return
     client.disconnect()
@@ -417,7 +417,7 @@ def _substeps(physics: Physics, period: float) -> int:
         for arm in physics.arms.values()
         if arm.pad_stiffness is not None
     ]
-    return min(math.ceil(max(wanted, default=1.0)), MOST_SUBSTEPS)
+    return min(math.ceil(max(wanted, default=1.0)), MAX_SUBSTEPS)
 
 
 def _compliance(stiffness: float, damping: float, step: float) -> dict[str, float]:

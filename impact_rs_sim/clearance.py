@@ -25,16 +25,16 @@ import pinocchio as pin
 
 from impact_rs_sim.errors import Infeasible
 from impact_rs_sim.impact_map.contacts import SUPPORT_THICKNESS
-from impact_rs_sim.link_shapes import TOOL_RADIUS, Shape, link_shapes
+from impact_rs_sim.link_shapes import TOOL_RADIUS_M, Shape, link_shapes
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import TIP, RobotModel
 from impact_rs_sim.scene import BodyState
 
-RADIUS = 0.06  # m, of a link of the arm
-SHORTEST = 1e-6  # m; joints that share an origin have no link between them
-TOUCHES = 1e-6  # m; an overlap below it is rounding
-RIM = 0.02  # m, by which a table reaches at least beyond what stands on it; assumed, as thick as the pads
+LINK_RADIUS_M = 0.06  # of the capsule around a link; coarse, on the safe side of the shipped arms
+MIN_LINK_LENGTH_M = 1e-6  # joints with a common origin have no link between them
+MAX_ROUNDING_OVERLAP_M = 1e-6  # a smaller overlap is rounding
+SUPPORT_RIM_M = 0.02  # by which a table at least extends beyond the object on it; assumed, as thick as the pads
 
 Capsule = tuple[str, coal.Capsule, coal.Transform3s]
 
@@ -49,16 +49,16 @@ def capsules(model: RobotModel, q: Array) -> list[Capsule]:
     places = model.link_placements(q)
     names = ["base", *(f"link{index + 1}" for index in range(model.joint_count))]
     pad = model.placement(q)
-    origins = [places[name].translation for name in names] + [pad.translation - RADIUS * pad.rotation[:, 2]]
+    origins = [places[name].translation for name in names] + [pad.translation - LINK_RADIUS_M * pad.rotation[:, 2]]
     hull = []
     for name, start, end in zip(names, origins, origins[1:], strict=False):
         length = float(np.linalg.norm(end - start))
-        if length < SHORTEST:
+        if length < MIN_LINK_LENGTH_M:
             continue
         along = (end - start) / length
         across = np.linalg.svd(along[None])[2][1:]
         rotation = np.column_stack((across[0], np.cross(along, across[0]), along))
-        hull.append((name, coal.Capsule(RADIUS, length), coal.Transform3s(rotation, 0.5 * (start + end))))
+        hull.append((name, coal.Capsule(LINK_RADIUS_M, length), coal.Transform3s(rotation, 0.5 * (start + end))))
     return hull
 
 
@@ -126,10 +126,12 @@ def deepest_penetration(
         for number, part in enumerate(parts):
             for which, partner in enumerate(surroundings):
                 depths[which, index, number] = partner.depth(part, links[part.link])
-    mounting = np.minimum.accumulate((depths[-1] > TOUCHES).all(axis=0)) & [part.link != TIP for part in parts]
+    mounting = np.minimum.accumulate((depths[-1] > MAX_ROUNDING_OVERLAP_M).all(axis=0)) & [
+        part.link != TIP for part in parts
+    ]
     depths[-1][:, mounting] = 0.0
     at = tuple(int(place) for place in np.unravel_index(np.argmax(depths), depths.shape))
-    if depths[at] <= TOUCHES:
+    if depths[at] <= MAX_ROUNDING_OVERLAP_M:
         return None
     part, partner = parts[at[2]], surroundings[at[0]]
     return Penetration(part.name, partner.name, partner.top, float(depths[at]), at[1])
@@ -185,7 +187,7 @@ def _surroundings(physics: Physics, object_: BodyState, way: Array) -> list[_Sur
     ground = min(0.0, *(float(arm.base.translation[2]) for arm in physics.arms.values()))
     if height is not None:
         ground, middle = min(ground, height), height - SUPPORT_THICKNESS / 2.0
-        reach = np.abs(object_.rotation[:2]) @ physics.object.size / 2.0 + RIM
+        reach = np.abs(object_.rotation[:2]) @ physics.object.size / 2.0 + SUPPORT_RIM_M
         low, high = (ends(np.zeros(2), way[:2]) for ends in (np.minimum, np.maximum))
         certain = coal.Box(*(high - low + 2.0 * reach), SUPPORT_THICKNESS)
         below = np.append(object_.position[:2] + (low + high) / 2.0, middle)
@@ -200,7 +202,7 @@ def _parts(model: RobotModel) -> list[_Moving]:
     """Links from the base on without it, end effector and pad."""
     effector = model.end_effector
     links = link_shapes(model.facts)[1:]
-    tube = Shape(np.array([0.0, 0.0, -effector.length]), np.array([0.0, 0.0, -effector.pad_size[2]]), TOOL_RADIUS)
+    tube = Shape(np.array([0.0, 0.0, -effector.length]), np.array([0.0, 0.0, -effector.pad_size[2]]), TOOL_RADIUS_M)
     return [
         *(
             _Moving(f"link {number}", f"link{number}", [_collider(one) for one in shapes])
@@ -214,7 +216,7 @@ def _parts(model: RobotModel) -> list[_Moving]:
 def _collider(shape: Shape) -> tuple[coal.CollisionGeometry, pin.SE3]:
     """A simple shape and its placement in the link."""
     length = float(np.linalg.norm(shape.end - shape.start))
-    if length < SHORTEST:
+    if length < MIN_LINK_LENGTH_M:
         return coal.Sphere(shape.radius), pin.SE3(np.eye(3), shape.start)
     axis = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), (shape.end - shape.start) / length)
     return coal.Cylinder(shape.radius, length), pin.SE3(axis.matrix(), (shape.start + shape.end) / 2.0)

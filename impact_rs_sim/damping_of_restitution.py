@@ -20,7 +20,7 @@ import math
 
 import scipy
 
-LEAST = 1e-3  # the smallest restitution that damping is chosen for; 0 would need an infinite one
+MIN_RESTITUTION = 1e-3  # smallest restitution that gets a damping of its own; 0 would need an infinite one
 
 
 def restitution_of(damping_ratio: float) -> float:
@@ -39,22 +39,22 @@ def restitution_of(damping_ratio: float) -> float:
 def damping_ratio_of(restitution: float) -> float:
     """Damping ratio zeta of a spring with a damper that returns ``restitution`` in [0, 1] [-].
 
-    Below :data:`LEAST` it is that of :data:`LEAST`.
+    Below :data:`MIN_RESTITUTION` it is that of :data:`MIN_RESTITUTION`.
     """
     if restitution >= 1.0:
         return 0.0
-    e = max(restitution, LEAST)
+    e = max(restitution, MIN_RESTITUTION)
     return float(scipy.optimize.brentq(lambda zeta: restitution_of(zeta) - e, 1e-9, 1e3, xtol=1e-12))
 
 
 def dissipation_of(restitution: float, speed: float) -> float:
     """Hunt-Crossley dissipation d with ``restitution`` in [0, 1] at a closing ``speed`` > 0 [m/s]; d is in s/m.
 
-    Below :data:`LEAST` it is that of :data:`LEAST`.
+    Below :data:`MIN_RESTITUTION` it is that of :data:`MIN_RESTITUTION`.
     """
     if restitution >= 1.0:
         return 0.0
-    e = max(restitution, LEAST)
+    e = max(restitution, MIN_RESTITUTION)
 
     def missing(product: float) -> float:
         return product * (1.0 + e) - math.log((1.0 + product) / (1.0 - product * e))

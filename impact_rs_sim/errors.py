@@ -18,7 +18,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Self
 
-LONGEST_ECHO = 200  # characters of a value that an error repeats
+MAX_ECHO_LENGTH = 200  # characters of a value that an error message repeats
 
 
 class InputError(ValueError):
@@ -72,7 +72,7 @@ class MissingPackage(InputError):
     """A Python package that only some files need is not installed; the message has the command that installs it."""
 
 
-def shortened(text: str, most: int = LONGEST_ECHO) -> str:
+def shortened(text: str, most: int = MAX_ECHO_LENGTH) -> str:
     """Foreign text in one line, cut with ``...`` after so many characters."""
     line = " ".join(text[: 2 * most].split())
     return line if len(text) <= most else f"{line[: most - 3]}..."

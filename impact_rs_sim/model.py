@@ -23,7 +23,7 @@ import yaml
 from pydantic import Field
 
 from impact_rs_sim.effects import Effect, library
-from impact_rs_sim.effects.base import SLIDING, Joints, Parameter
+from impact_rs_sim.effects.base import PRISMATIC_UNITS, Joints, Parameter
 from impact_rs_sim.effects.contact import FORMER
 from impact_rs_sim.effects.each_arm import EachArm, of_each
 from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
@@ -34,7 +34,9 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array, JointType
 from impact_rs_sim.schema import Schema, load, parse_yaml, validate
 
-OF_SLIDING = {unit for unit, _ in SLIDING.values()}  # no parameter of a joint that turns has one of these units
+PRISMATIC_ONLY_UNITS = {
+    unit for unit, _ in PRISMATIC_UNITS.values()
+}  # no parameter of a revolute joint has one of these units
 
 
 class ParameterValue(Schema):
@@ -160,7 +162,7 @@ def _joints(effect: Effect, item: ModelEffect) -> Joints:
     slides = {
         scalar.joint
         for scalar in effect.scalars((sliding,) * count)
-        if scalar.unit in OF_SLIDING and scalar.name in item.parameters
+        if scalar.unit in PRISMATIC_ONLY_UNITS and scalar.name in item.parameters
         if item.parameters[scalar.name].unit == scalar.unit
     }
     return tuple("prismatic" if joint in slides else "revolute" for joint in range(count))

@@ -7,10 +7,12 @@ import math
 import sys
 
 NORMAL_95 = 1.959964  # half the width of a 95 % interval over the standard deviation, normal distribution
-PLAIN = (1e-4, 1e6)  # sizes that are written without an exponent
-MOST_DIGITS = 15  # a float has no more
-ROUNDING = 4.0 * sys.float_info.epsilon  # half a width over the estimate that rounding errors alone make
-LEAST_DECIMALS = 3  # of a speed with its half interval, m/s
+PLAIN_NOTATION_RANGE = (1e-4, 1e6)  # numbers written without an exponent
+MAX_DIGITS = 15  # significant decimal digits of a float
+MAX_ROUNDING_RATIO = (
+    4.0 * sys.float_info.epsilon
+)  # half width of an interval over the estimate that rounding errors alone produce
+MIN_SPEED_DECIMALS = 3  # of a speed with its half interval [m/s]
 
 
 def estimate_text(estimate: float, ci95: tuple[float, float] | None, least: int = 0) -> tuple[str, ...]:
@@ -26,13 +28,13 @@ def estimate_text(estimate: float, ci95: tuple[float, float] | None, least: int 
     numbers = (estimate, *(ci95 or ()))
     half = (ci95[1] - ci95[0]) / 2.0 if ci95 is not None else 0.0
     largest = max(abs(number) for number in numbers)
-    plain = PLAIN[0] <= largest < PLAIN[1]
-    if not ROUNDING * largest < half < math.inf:
+    plain = PLAIN_NOTATION_RANGE[0] <= largest < PLAIN_NOTATION_RANGE[1]
+    if not MAX_ROUNDING_RATIO * largest < half < math.inf:
         return tuple(
             f"{number:.{least}f}" if least and (plain or not largest) else f"{number:.3g}" for number in numbers
         )
     exponent = _exponent(largest)
-    decimals = min(1 - _exponent(half), MOST_DIGITS - exponent)
+    decimals = min(1 - _exponent(half), MAX_DIGITS - exponent)
     if plain:
         return tuple(f"{number:.{max(decimals, least, 0)}f}" for number in numbers)
     return tuple(f"{number:.{max(exponent + decimals + 1, 3)}g}" for number in numbers)
@@ -47,9 +49,9 @@ def estimate_in_line(estimate: float, ci95: tuple[float, float] | None, least: i
 def speed_text(speed: float, half: float | None) -> tuple[str, ...]:
     """A speed and half its interval [m/s], to the millimetre per second, or as finely as the half interval needs."""
     if half is None or not math.isfinite(half):
-        return (f"{speed:.{LEAST_DECIMALS}f}",)
-    needed = -_exponent(half) if half > 0.0 else LEAST_DECIMALS
-    decimals = min(max(LEAST_DECIMALS, needed), MOST_DIGITS)
+        return (f"{speed:.{MIN_SPEED_DECIMALS}f}",)
+    needed = -_exponent(half) if half > 0.0 else MIN_SPEED_DECIMALS
+    decimals = min(max(MIN_SPEED_DECIMALS, needed), MAX_DIGITS)
     return f"{speed:.{decimals}f}", f"{half:.{decimals}f}"
 
 

@@ -11,7 +11,7 @@ contact point i, with its share w_i = N_i / N of the normal load and its place r
 so that all points together give F = -s / C at rest and v = -c F as steady creep; beyond its cone a point slips, and s
 is what its friction can hold (return mapping, as in elastoplasticity: Simo and Hughes 1998, ch. 1). Shares of the load
 make all points reach their cones together when the face is sheared without a twist. C is the compliance [m/N], c the
-creep [m/(s N)] and tau the time constant of a damper that a mass of ``REDUCED_MASS`` on the spring meets with
+creep [m/(s N)] and tau the time constant of a damper that a mass of ``REDUCED_MASS_KG`` on the spring meets with
 ``DAMPING_RATIO``.
 
 Bullet has one regularisation of friction (``frictionERP``, ``frictionCFM``) for all contacts of a world, the support's
@@ -28,9 +28,9 @@ import numpy as np
 
 from impact_rs_sim.robot import Array
 
-REDUCED_MASS = 1.0  # kg, of arm and object together
+REDUCED_MASS_KG = 1.0  # of arm and object against each other; sets the damper below
 DAMPING_RATIO = 0.5  # of that mass on the spring
-SMALLEST_TURN = 1e-6  # m; contact points closer to each other than this resist no twist
+MIN_TWIST_LEVER_M = 1e-6  # contact points closer to each other resist no twist
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class PadShear:
     def __init__(self, compliance: float, creep: float, friction: float, period: float, pads: int = 1) -> None:
         self._compliance, self._creep, self._friction = compliance, creep, friction
         self._period, self._pads = period, pads
-        self._time_constant = 2.0 * DAMPING_RATIO * float(np.sqrt(compliance * REDUCED_MASS))
+        self._time_constant = 2.0 * DAMPING_RATIO * float(np.sqrt(compliance * REDUCED_MASS_KG))
         self.release()
 
     def release(self) -> None:
@@ -103,7 +103,7 @@ class PadShear:
         across = _skew(normal)
         turning = (touch.points - centre) @ across.T  # n x r_i
         radius = float(np.sqrt(share @ np.sum(np.square(turning), axis=1)))
-        turns = radius > SMALLEST_TURN
+        turns = radius > MIN_TWIST_LEVER_M
         along = _AXES - normal[:, None] * normal
         of_thing, of_pad = (_rows(along, normal, radius, centre - side.position) for side in (object_, pad))
         # Three shears in axes of A and the twist as a length (phi times the radius of gyration of the load).

@@ -23,11 +23,11 @@ from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robot import Array, RobotFacts
 from impact_rs_sim.units import dimension_of
 
-FRANKA_MASS = 16.062132  # kg, links 1 to 7
-FRANKA_REACH = 0.98626233  # m, from joint 2 along all joints to the flange
-FRANKA_TORQUE = 87.0  # N m, limit of its strongest joints
-GRAVITY = 9.81  # m/s^2
-GYRATION = 0.1 / 6.0**0.5  # m, of the cube
+FRANKA_MASS_KG = 16.062132  # links 1 to 7
+FRANKA_REACH_M = 0.98626233  # from joint 2 along all joints to the flange
+FRANKA_TORQUE_NM = 87.0  # limit of its strongest joints
+GRAVITY_M_S2 = 9.81  # m/s^2
+CUBE_GYRATION_RADIUS_M = 0.1 / 6.0**0.5  # of the cube of 0.1 m
 
 
 @dataclass(frozen=True)
@@ -54,20 +54,20 @@ class Proportion:
     @staticmethod
     def of_robots(robots: Sequence[RobotFacts], gravity: Array) -> Proportion:
         """Mean proportion of robots (at least one) under a gravity, ``(3,)`` [m/s^2]."""
-        mass = float(np.mean([_mass(facts) for facts in robots])) / FRANKA_MASS
-        length = float(np.mean([reach_of(facts) for facts in robots])) / FRANKA_REACH
-        size = float(np.linalg.norm(gravity)) or GRAVITY
-        return Proportion(mass, length, float(np.sqrt(length * GRAVITY / size)))
+        mass = float(np.mean([_mass(facts) for facts in robots])) / FRANKA_MASS_KG
+        length = float(np.mean([reach_of(facts) for facts in robots])) / FRANKA_REACH_M
+        size = float(np.linalg.norm(gravity)) or GRAVITY_M_S2
+        return Proportion(mass, length, float(np.sqrt(length * GRAVITY_M_S2 / size)))
 
     @staticmethod
     def of_body(body: ObjectPhysics, speed: float) -> Proportion:
         """Proportion of a free body that comes at some speed [m/s]."""
-        length = gyration_of(body) / GYRATION
+        length = gyration_of(body) / CUBE_GYRATION_RADIUS_M
         return Proportion(body.mass, length, length / speed)
 
     def driven_by(self, torque: float) -> Proportion:
         """The robot, as heavy as its largest torque [N m] says where the limits in proportion are below that."""
-        limit = FRANKA_TORQUE * self.factor("N m")
+        limit = FRANKA_TORQUE_NM * self.factor("N m")
         return replace(self, mass=self.mass * max(1.0, torque / limit))
 
     def factor(self, unit: str) -> float:

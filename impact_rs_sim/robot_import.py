@@ -29,18 +29,20 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.mesh_files import FILE, PACKAGE, mesh_address, mesh_path
 from impact_rs_sim.robot import UNITS, Array, Flange, JointOrigin, JointType, Limits, Link, Mesh, RobotFacts
 from impact_rs_sim.schema import parse_yaml, validate
-from impact_rs_sim.urdf_chain import MOVES_AS, Chain, UrdfTree, child_of
+from impact_rs_sim.urdf_chain import MOVABLE_JOINT_TYPES, Chain, UrdfTree, child_of
 from impact_rs_sim.urdf_repairs import Limits as GivenLimits
 from impact_rs_sim.urdf_repairs import about_centre, given_limits, locked_joints, looks_about_joint
 
-FULL_TURN = 2.0 * math.pi  # rad; what a joint without position limits gets to either side
-TYPED: dict[JointType, str] = {"revolute": "", "prismatic": "type: prismatic, "}  # as a file of facts says it
-UNSAID = (
+FULL_TURN_RAD = 2.0 * math.pi  # to either side; the range of a joint without position limits
+TYPE_ENTRY: dict[JointType, str] = {"revolute": "", "prismatic": "type: prismatic, "}  # in the file of robot facts
+NOT_IN_URDF_NOTE = (
     "A URDF does not say whether joints measure their torque behind the gears. Most do not, so joint_torque_loop is "
     "false: torques are taken for those of the motors. Arms that do, as Franka, KUKA LBR and Kinova Gen3, need true."
 )
-NEGATIVE = 1e-6  # of the largest moment: digits of a URDF leave a principal moment of a flat body as far below 0
-INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+NEGATIVE_MOMENT_TOLERANCE = (
+    1e-6  # over the largest moment [-]; rounding of a URDF puts a principal moment of a flat body below 0
+)
+INERTIA_ATTRIBUTES = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,7 @@ def import_urdf(
         joint_torque_loop=False,
     )
     joint_names = tuple(joint.get("name", "") for joint in chain.joints)
-    return ImportedRobot(facts, joint_names, (*_notes(chain), *notes, *_missing_meshes(facts), UNSAID))
+    return ImportedRobot(facts, joint_names, (*_notes(chain), *notes, *_missing_meshes(facts), NOT_IN_URDF_NOTE))
 
 
 def frame_of_axis(axis: Array) -> Array:
@@ -168,7 +170,7 @@ def facts_text(robot: ImportedRobot, title: str) -> str:
         "joints:   # origin of joint i in link i-1 [m], roll-pitch-yaw [rad]; every axis is +z",
     ]
     lines += [
-        f"  - {{{TYPED[origin.type]}xyz: {_row(origin.xyz)}, rpy: {_row(origin.rpy)}}}  # {name}"
+        f"  - {{{TYPE_ENTRY[origin.type]}xyz: {_row(origin.xyz)}, rpy: {_row(origin.rpy)}}}  # {name}"
         for origin, name in zip(facts.joints, robot.joints, strict=True)
     ]
     rpy = f", rpy: {_row(facts.flange.rpy)}" if any(facts.flange.rpy) else ""
@@ -233,7 +235,7 @@ def _check_inertials(tree: UrdfTree, chain: Chain) -> None:
         if mass[0] < 0.0:
             raise InputError(f"expected >= 0 [kg], found {mass[0]:g}", file=tree.file, key=f"{key}: inertial mass")
         tensor = inertial.find("inertia")
-        entries = [tree.numbers(tensor, entry, 1, None, f"{key}: inertia {entry}")[0] for entry in INERTIA]
+        entries = [tree.numbers(tensor, entry, 1, None, f"{key}: inertia {entry}")[0] for entry in INERTIA_ATTRIBUTES]
         wrong += [f"{key} has {moment}" for moment in _negative_moments(entries)]
     if wrong:
         raise InputError(f"moments of inertia of bodies are positive, but {'; '.join(wrong)}", file=tree.file)
@@ -251,7 +253,7 @@ def _negative_moments(entries: Sequence[float]) -> list[str]:
     upper = np.zeros((3, 3))
     upper[np.triu_indices(3)] = entries
     moments, axes = np.linalg.eigh(upper + np.triu(upper, 1).T)
-    if not found and moments[0] < -NEGATIVE * moments[2]:
+    if not found and moments[0] < -NEGATIVE_MOMENT_TOLERANCE * moments[2]:
         axis = ", ".join(f"{value:.2f}" for value in axes[:, 0])
         found.append(f"a principal moment of {moments[0]:.3g} kg m^2 about ({axis})")
     return found
@@ -272,7 +274,7 @@ def _origin(tree: UrdfTree, joint: Xml.Element) -> list[float]:
 
 
 def _type(joint: Xml.Element) -> JointType:
-    return MOVES_AS[joint.get("type", "")]
+    return MOVABLE_JOINT_TYPES[joint.get("type", "")]
 
 
 def _limits(
@@ -286,7 +288,7 @@ def _limits(
         lower, upper = given[name, "position"]
         notes.append(f"Limits of joint {name} as given: {lower:g} to {upper:g} {units.position}.")
     elif joint.get("type") == "continuous":
-        lower, upper = -FULL_TURN, FULL_TURN
+        lower, upper = -FULL_TURN_RAD, FULL_TURN_RAD
     else:
         (lower,), (upper,) = (tree.numbers(limit, end, 1, "0", f"{key} {end}") for end in ("lower", "upper"))
         if lower == upper == 0.0 and (name, "position") in shown:
@@ -319,7 +321,7 @@ def _limits(
 
 def _locked(tree: UrdfTree, texts: Sequence[str]) -> list[str]:
     """Joints fixed where the user says that they were held; notes on them."""
-    moving = {joint.get("name", ""): joint for joint in tree.above.values() if joint.get("type") in MOVES_AS}
+    moving = {joint.get("name", ""): joint for joint in tree.above.values() if joint.get("type") in MOVABLE_JOINT_TYPES}
     notes = []
     for name, place in locked_joints(texts, list(moving), tree.file).items():
         joint, origin = moving[name], moving[name].find("origin")
@@ -353,7 +355,7 @@ def _moved_inertias(tree: UrdfTree, chain: Chain, inertia_at: str) -> list[str]:
         turn = pin.rpy.rpyToMatrix(*tree.numbers(origin, "rpy", 3, "0 0 0", f"{key}: origin rpy"))
         tensor = inertial.find("inertia")
         assert tensor is not None  # it was checked
-        numbers = [tree.numbers(tensor, entry, 1, None, f"{key}: inertia {entry}")[0] for entry in INERTIA]
+        numbers = [tree.numbers(tensor, entry, 1, None, f"{key}: inertia {entry}")[0] for entry in INERTIA_ATTRIBUTES]
         upper = np.zeros((3, 3))
         upper[np.triu_indices(3)] = numbers
         stated = turn @ (upper + np.triu(upper, 1).T) @ turn.T
@@ -368,7 +370,7 @@ def _moved_inertias(tree: UrdfTree, chain: Chain, inertia_at: str) -> list[str]:
                 "no body has these moments about its joint: less than m r^2 are left about the centre of mass; leave "
                 "--inertia-at joint out", file=tree.file, key=f"{key}: inertia",
             )  # fmt: skip
-        for entry, value in zip(INERTIA, (turn.T @ moved @ turn)[np.triu_indices(3)], strict=True):
+        for entry, value in zip(INERTIA_ATTRIBUTES, (turn.T @ moved @ turn)[np.triu_indices(3)], strict=True):
             tensor.set(entry, repr(float(value)))
         notes.append(f"Moments of inertia of {name} were moved from the joint to the centre of mass (Steiner).")
     if suspects:

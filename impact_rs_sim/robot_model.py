@@ -25,9 +25,9 @@ from impact_rs_sim.urdf import write_urdf
 
 TIP = "end_effector"
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)  # m/s^2
-FURTHER_STARTS = 30  # of inverse kinematics, where the guess leads nowhere
-NEWTON_STEPS = 30  # of inverse kinematics; from a guess within a radian six to ten do
-LONGEST_STEP = 0.5  # rad or m, of any joint in one of them
+MAX_IK_RESTARTS = 30  # of inverse kinematics, where the guess leads nowhere
+MAX_IK_NEWTON_STEPS = 30  # of inverse kinematics; from a guess within a radian it takes six to ten
+MAX_IK_STEP = 0.5  # of any joint in one Newton step [rad or m]
 
 
 _SKELETONS: Recent[tuple[object, pin.Model]] = Recent(64)
@@ -180,7 +180,7 @@ class RobotModel:
         held: Mapping[int, float],
         guess: Array,
         tolerance: float = 1e-9,
-        further_starts: int = FURTHER_STARTS,
+        further_starts: int = MAX_IK_RESTARTS,
     ) -> Array:
         """Joint positions that reach ``target`` with frame E while some joints are held.
 
@@ -241,7 +241,7 @@ class RobotModel:
     def _newton(self, target: pin.SE3, q: Array, free: Array) -> Array | None:
         """Joint positions that reach ``target`` up to rounding by six joints; None: not converged or outside limits."""
         least = np.inf
-        for _ in range(NEWTON_STEPS):
+        for _ in range(MAX_IK_NEWTON_STEPS):
             placement = self.placement(q)
             error = _missing(target, placement)
             size = float(np.abs(error).max())
@@ -254,7 +254,7 @@ class RobotModel:
                 step = np.linalg.solve(jacobian, error)
             except np.linalg.LinAlgError:
                 return None
-            q[free] += step * min(1.0, LONGEST_STEP / float(np.abs(step).max()))
+            q[free] += step * min(1.0, MAX_IK_STEP / float(np.abs(step).max()))
         return None
 
     def mobility(self, q: Array, direction: Array, motor_inertia: Array) -> float:

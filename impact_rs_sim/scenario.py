@@ -161,7 +161,7 @@ class DriveSettings(Schema):
         return self.motor_inertia_rotor if self.motor_inertia_reduced is None else self.motor_inertia_reduced
 
 
-POSE = ("position", "pad_normal", "pad_up", "joint_guess")
+POSE_KEYS = ("position", "pad_normal", "pad_up", "joint_guess")
 
 
 class ImpactPose(Schema):
@@ -188,13 +188,14 @@ class ImpactPose(Schema):
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Self:
-        missing = [name for name in POSE if getattr(self, name) is None]
+        missing = [name for name in POSE_KEYS if getattr(self, name) is None]
         if self.joint_position is None and missing:
             raise ValueError(
-                f"expected joint_position, or {', '.join(POSE[:-1])} and {POSE[-1]}; missing: {', '.join(missing)}"
+                f"expected joint_position, or {', '.join(POSE_KEYS[:-1])} and {POSE_KEYS[-1]}; "
+                f"missing: {', '.join(missing)}"
             )
-        if self.joint_position is not None and len(missing) < len(POSE):
-            given = next(name for name in POSE if name not in missing)
+        if self.joint_position is not None and len(missing) < len(POSE_KEYS):
+            given = next(name for name in POSE_KEYS if name not in missing)
             raise ValueError(f"joint_position stands beside {given}, expected one of both: it says where E is")
         return self
 

@@ -34,8 +34,8 @@ Made from `impact_rs_sim/scenario.py` by `python -m impact_rs_sim.scenario_docs 
 `NAME` stands for a name that you choose; a list per joint has one entry per joint, base to tip.
 """
 
-LIMITS = {Gt: ("gt", ">"), Ge: ("ge", ">="), Le: ("le", "<=")}
-UNIT = re.compile(r" ?\[([^\]]+)\]")
+LIMIT_SYMBOLS = {Gt: ("gt", ">"), Ge: ("ge", ">="), Le: ("le", "<=")}
+UNIT_PATTERN = re.compile(r" ?\[([^\]]+)\]")
 
 
 def _key(name: str, annotation: Any) -> tuple[str, type[Schema] | None]:
@@ -87,7 +87,7 @@ def _limits(schema: type[Schema], name: str, field: FieldInfo) -> str:
     found = [
         f"{sign} {getattr(part, attribute):g}"
         for part in _annotations(field)
-        for kind, (attribute, sign) in LIMITS.items()
+        for kind, (attribute, sign) in LIMIT_SYMBOLS.items()
         if isinstance(part, kind)
     ]
     declared = str(schema.__annotations__.get(name, ""))
@@ -118,8 +118,8 @@ def _rows(schema: type[Schema]) -> Iterator[tuple[str, ...]]:
         if _key(name, field.annotation)[1] is not None:
             continue
         description = field.description or ""
-        unit = UNIT.search(description)
-        meaning = UNIT.sub("", description, count=1)
+        unit = UNIT_PATTERN.search(description)
+        meaning = UNIT_PATTERN.sub("", description, count=1)
         yield (
             f"`{name}`",
             _kind(field),

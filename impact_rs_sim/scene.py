@@ -15,8 +15,8 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario
 
-SINGULAR = 1e-9  # of the largest singular value of a Jacobian; smaller ones are 0
-LEVEL = 0.95  # cosine; a pad further from looking sideways hits no face
+SINGULAR_VALUE_TOLERANCE = 1e-9  # over the largest singular value of a Jacobian [-]; smaller ones are rounding
+MIN_HORIZONTAL_COSINE = 0.95  # between pad normal and horizontal; a steeper pad meets no side face
 
 
 @dataclass(frozen=True)
@@ -185,14 +185,14 @@ def _velocity_of_given_joints(model: RobotModel, q: Array, linear: Array) -> Arr
         UnreachablePose: There is none with that velocity.
     """
     jacobian = model.jacobian(q)
-    dq = np.linalg.pinv(jacobian[:3], rcond=SINGULAR) @ linear
+    dq = np.linalg.pinv(jacobian[:3], rcond=SINGULAR_VALUE_TOLERANCE) @ linear
     missed = float(np.abs(jacobian[:3] @ dq - linear).max())
     if missed > 1e-6 * max(1.0, float(np.abs(linear).max())):
         raise UnreachablePose(
             f"ante_velocity {linear.tolist()} m/s is beyond these joints there: the nearest is off by {missed:.3g} m/s"
         )
-    still = scipy.linalg.null_space(jacobian[:3], rcond=SINGULAR)
-    back = np.linalg.pinv(jacobian[3:] @ still, rcond=SINGULAR) @ (jacobian[3:] @ dq)
+    still = scipy.linalg.null_space(jacobian[:3], rcond=SINGULAR_VALUE_TOLERANCE)
+    back = np.linalg.pinv(jacobian[3:] @ still, rcond=SINGULAR_VALUE_TOLERANCE) @ (jacobian[3:] @ dq)
     return np.asarray(dq - still @ back)
 
 
@@ -227,11 +227,11 @@ def _before_given_pad(scenario: Scenario, name: str, pad: pin.SE3, size: Array, 
     key = f"robots.{name}.impact.joint_position"
     normal, extent = pad.rotation[:, 2], np.array(scenario.robots[name].end_effector.pad.size)
     level = np.append(normal[:2], 0.0)
-    if (share := float(np.linalg.norm(level))) < LEVEL:
+    if (share := float(np.linalg.norm(level))) < MIN_HORIZONTAL_COSINE:
         way = "up" if normal[2] > 0.0 else "down"
         raise InputError(
             f"the pad looks {way} there, by {np.degrees(np.arccos(share)):.0f} degrees; objects are hit from the side, "
-            f"expected at most {np.degrees(np.arccos(LEVEL)):.0f}",
+            f"expected at most {np.degrees(np.arccos(MIN_HORIZONTAL_COSINE)):.0f}",
             key=key,
         )
     level /= share

@@ -35,9 +35,9 @@ from impact_rs_sim.scene import ArmMotion, ArmState, BodyState
 
 # What formulas beyond those of joints and end effector act on: `Acts` in src/twin_formula.hpp.
 ON_PAD, ALONG_PAD, ON_OBJECT, TURNING_OBJECT, ON_SUPPORT, ALONG_SUPPORT = range(3, 9)
-LAG_FROM = "lag_from"  # a lag with a start, in `Formula::NAMES` of src/twin_formula.hpp
-REFINEMENT = 2  # steps in a period of the torque loop in which a pad meets the object
-BEFORE_ALL = -1e9  # s, since when a command without a time was desired
+LAG_WITH_START = "lag_from"  # its name in `Formula::NAMES` of src/twin_formula.hpp
+CONTACT_REFINEMENT = 2  # time steps per period of the torque loop during pad contact
+DISTANT_PAST_S = -1e9  # time from which a command without a time has been held
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class TwinJob:
     period: float
     object: BodyState | None = None
     joint_torque: bool = False
-    refinement: int = REFINEMENT
+    refinement: int = CONTACT_REFINEMENT
     before: Mapping[str, Array] = field(default_factory=dict)
 
 
@@ -145,7 +145,7 @@ def _prepared(model: _kernel.Twin, job: TwinJob) -> _kernel.TwinTask:
 
 def arm_start(state: ArmState, drive: DriveStart, before: Array | None = None) -> _kernel.TwinArmStart:
     """Initial state of an arm in the form of the kernel; ``before`` as in :attr:`TwinJob.before`."""
-    earlier = drive.earlier or ((BEFORE_ALL, drive.torque),)
+    earlier = drive.earlier or ((DISTANT_PAST_S, drive.torque),)
     times, values = np.array([time for time, _ in earlier]), np.array([torque for _, torque in earlier])
     samples = np.zeros((0, 1 + 3 * state.position.size)) if before is None else before
     return state.position, state.velocity, drive.torque, drive.torque_rate, times, values, samples
@@ -353,7 +353,7 @@ def _postfix(text: str, joints: int) -> tuple[list[int], list[float | str]]:
         elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
             for argument in node.args:
                 visit(argument)
-            put(LAG_FROM if node.func.id == LAG and len(node.args) > 2 else node.func.id)
+            put(LAG_WITH_START if node.func.id == LAG and len(node.args) > 2 else node.func.id)
 
     def symbol(name: str) -> None:
         joint = JOINT_SYMBOL.fullmatch(name)

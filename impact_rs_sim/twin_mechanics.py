@@ -16,7 +16,7 @@ from impact_rs_sim.mechanics import Mechanics
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState
-from impact_rs_sim.twin import REFINEMENT, arm_start, box_start, kernel_twin, motions
+from impact_rs_sim.twin import CONTACT_REFINEMENT, arm_start, box_start, kernel_twin, motions
 
 
 class TwinMechanics(Mechanics):
@@ -34,7 +34,7 @@ class TwinMechanics(Mechanics):
     @classmethod
     def load(cls, physics: Physics, period: float) -> Self:
         """See :meth:`Mechanics.load`."""
-        return cls(physics, kernel_twin(physics, period, joint_torque=False, refinement=REFINEMENT))
+        return cls(physics, kernel_twin(physics, period, joint_torque=False, refinement=CONTACT_REFINEMENT))
 
     def start(self, arms: Mapping[str, ArmState], drives: Mapping[str, DriveStart], object_: BodyState) -> None:
         """See :meth:`Mechanics.start`."""

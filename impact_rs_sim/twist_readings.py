@@ -21,7 +21,7 @@ import pinocchio as pin
 from impact_rs_sim.robot import Array
 
 Three = tuple[float, float, float]
-NOWHERE = (0.0, 0.0, 0.0)
+ZERO_VECTOR = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -35,10 +35,10 @@ class TwistReadings:
         point: c, tracked point from the geometric centre, axes of the body [m].
     """
 
-    spin_axes: Three = NOWHERE
+    spin_axes: Three = ZERO_VECTOR
     spin_factor: float = 1.0
-    axes: Three = NOWHERE
-    point: Three = NOWHERE
+    axes: Three = ZERO_VECTOR
+    point: Three = ZERO_VECTOR
 
     @property
     def exact(self) -> bool:

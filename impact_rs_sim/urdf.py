@@ -16,11 +16,15 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 import pinocchio as pin
 
-from impact_rs_sim.link_shapes import TOOL_RADIUS, Shape, link_shapes
+from impact_rs_sim.link_shapes import TOOL_RADIUS_M, Shape, link_shapes
 from impact_rs_sim.robot import Array, Colours, EndEffector, Mesh, RobotFacts
 
 WORLD = "world"  # the inertial frame A
-_FIXED = (1.0, np.zeros(3), 0.01 * np.eye(3))  # of links fixed to the world; Bullet warns where an inertial is absent
+_FIXED_LINK_INERTIAL = (
+    1.0,
+    np.zeros(3),
+    0.01 * np.eye(3),
+)  # mass, centre of mass, inertia of links fixed to the world; Bullet warns without them
 
 
 def joint_names(facts: RobotFacts) -> list[str]:
@@ -101,7 +105,7 @@ def write_urdf(
     """
     robot = Xml.Element("robot", name=name)
     base = Xml.SubElement(robot, "link", name=f"{prefix}base")
-    _inertial(base, *_FIXED)
+    _inertial(base, *_FIXED_LINK_INERTIAL)
     shapes, colours = link_shapes(facts), facts.colours
     if not (meshes and _meshes(base, facts.base_meshes)):
         _simple(base, shapes[0], colours)
@@ -146,7 +150,7 @@ def write_urdf(
         link,
         np.array([0.0, 0.0, -end_effector.length]),
         np.array([0.0, 0.0, -thickness]),
-        TOOL_RADIUS,
+        TOOL_RADIUS_M,
         "0.25 0.27 0.30 1",
     )
     for kind in ("visual", "collision"):
@@ -183,7 +187,7 @@ def write_description(
     if support is not None:
         height, (x, y) = support
         link = Xml.SubElement(scene, "link", name="support")
-        _inertial(link, *_FIXED)
+        _inertial(link, *_FIXED_LINK_INERTIAL)
         _box(link, np.array([x, y, 0.02]), np.array([0.0, 0.0, height - 0.01]), "support", "0.55 0.6 0.65 1")
         _fix(scene, "support_mount", "support", pin.SE3.Identity())
     return _document(scene)

@@ -20,13 +20,13 @@ from impact_rs_sim.decimals import decimal
 from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.robot import JointType
 
-MOVES_AS: dict[str, JointType] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
-TYPES = (*MOVES_AS, "fixed", "planar", "floating")
-XACRO = "xacro {file} > robot.urdf"
+MOVABLE_JOINT_TYPES: dict[str, JointType] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
+URDF_JOINT_TYPES = (*MOVABLE_JOINT_TYPES, "fixed", "planar", "floating")
+XACRO_COMMAND = "xacro {file} > robot.urdf"
 WORLD = "world"  # link that simulators know without its being in the file
-KEPT = ("origin", "parent", "child", "axis", "inertial")  # what rigid-body dynamics need; no meshes
-LONGEST_MESSAGE = 1000  # characters; of a large arm all links are listed
-ONCE = {  # elements that may stand once in an element; of two a reader would take either
+KEPT_ELEMENTS = ("origin", "parent", "child", "axis", "inertial")  # those that rigid-body dynamics need; no meshes
+MAX_MESSAGE_LENGTH = 1000  # characters; a large arm has many links to list
+UNIQUE_ELEMENTS = {  # elements that may stand once in an element; of two a reader would take either
     "link": ("inertial",),
     "inertial": ("origin", "mass", "inertia"),
     "visual": ("origin", "geometry"),
@@ -95,8 +95,11 @@ class UrdfTree:
         self.above: dict[str, Xml.Element] = {}  # the joint that carries a link
         self.below: dict[str, list[Xml.Element]] = {name: [] for name in self.links}
         for name, joint in joints.items():
-            if joint.get("type") not in TYPES:
-                self._fail(f"unknown type {joint.get('type')!r}; expected one of {', '.join(TYPES)}", f"joint {name}")
+            if joint.get("type") not in URDF_JOINT_TYPES:
+                self._fail(
+                    f"unknown type {joint.get('type')!r}; expected one of {', '.join(URDF_JOINT_TYPES)}",
+                    f"joint {name}",
+                )
             parent, child = self._end(joint, "parent"), self._end(joint, "child")
             if child in self.above:
                 self._fail(f"link {child!r} hangs on joint {self.above[child].get('name')!r} as well", f"joint {name}")
@@ -165,7 +168,7 @@ class UrdfTree:
         return values
 
     def _fail(self, message: str, key: str | None = None) -> NoReturn:
-        raise InputError(shortened(message, LONGEST_MESSAGE), file=self.file, key=key)
+        raise InputError(shortened(message, MAX_MESSAGE_LENGTH), file=self.file, key=key)
 
     def _named(self, robot: Xml.Element, kind: str) -> dict[str, Xml.Element]:
         found: dict[str, Xml.Element] = {}
@@ -182,7 +185,7 @@ class UrdfTree:
         """No element stands twice where one is read."""
         for part in element:
             self._check_once(part, key)
-        for tag in ONCE.get(element.tag, ()):
+        for tag in UNIQUE_ELEMENTS.get(element.tag, ()):
             if len(element.findall(tag)) > 1:
                 self._fail(f"<{element.tag}> has {len(element.findall(tag))} <{tag}>, expected one", key)
 
@@ -227,8 +230,8 @@ class UrdfTree:
     def _check(self, joint: Xml.Element) -> None:
         key = f"joint {_name(joint)}"
         kind = joint.get("type")
-        if kind not in MOVES_AS:
-            self._fail(f"this joint of the chain is {kind}; expected one of {', '.join(MOVES_AS)}", key)
+        if kind not in MOVABLE_JOINT_TYPES:
+            self._fail(f"this joint of the chain is {kind}; expected one of {', '.join(MOVABLE_JOINT_TYPES)}", key)
         if joint.find("mimic") is not None:
             self._fail("this joint of the chain mimics another; expected joints that move by themselves", key)
 
@@ -255,11 +258,11 @@ class UrdfTree:
         robot = Xml.Element("robot", name="arm")
         for name in (base, *(child_of(joint) for joint in joints)):
             link = Xml.SubElement(robot, "link", name=name)
-            link.extend(copy.deepcopy(part) for part in self.links[name] if part.tag in KEPT)
+            link.extend(copy.deepcopy(part) for part in self.links[name] if part.tag in KEPT_ELEMENTS)
         for joint in joints:
             kind = joint.get("type", "")
-            kept = Xml.SubElement(robot, "joint", name=_name(joint), type=MOVES_AS.get(kind, kind))
-            kept.extend(copy.deepcopy(part) for part in joint if part.tag in KEPT)
+            kept = Xml.SubElement(robot, "joint", name=_name(joint), type=MOVABLE_JOINT_TYPES.get(kind, kind))
+            kept.extend(copy.deepcopy(part) for part in joint if part.tag in KEPT_ELEMENTS)
             if kind != "fixed":  # the real limits are read elsewhere; without any the joint would have two coordinates
                 Xml.SubElement(kept, "limit", lower="-1", upper="1", velocity="1", effort="1")
         return Xml.tostring(robot, encoding="unicode")
@@ -270,7 +273,9 @@ def _parse(file: Path) -> Xml.Element:
         text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot be read: {error}", file=file) from None
-    xacro = InputError(f"this is xacro, expected URDF; expand it first: {XACRO.format(file=file.name)}", file=file)
+    xacro = InputError(
+        f"this is xacro, expected URDF; expand it first: {XACRO_COMMAND.format(file=file.name)}", file=file
+    )
     if file.suffix == ".xacro" or "<xacro:" in text:
         raise xacro
     try:

@@ -28,10 +28,12 @@ from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.robot import Array
 
 QUANTITIES = ("position", "velocity", "effort")
-GIVEN = re.compile(r"(?P<joint>.+)\.(?P<quantity>position|velocity|effort)=(?P<value>.+)")
-SUSPECTED = 1.0  # moment across r over m r^2, from which moments are taken for those about a joint
-LONG = 0.12  # of the arm's length, distance of the centre of mass from the joint axis from which a link is long
-EVERY = "*"
+LIMIT_PATTERN = re.compile(r"(?P<joint>.+)\.(?P<quantity>position|velocity|effort)=(?P<value>.+)")
+MIN_STEINER_RATIO = 1.0  # moment across r over m r^2 from which it is taken for a moment about the joint [-]
+MIN_LONG_LINK_RATIO = (
+    0.12  # distance of centre of mass and joint axis over the length of the arm; a longer link is long [-]
+)
+ALL_JOINTS = "*"
 
 Limits = Mapping[tuple[str, str], tuple[float, ...]]
 
@@ -49,7 +51,7 @@ def given_limits(texts: Sequence[str], joints: Sequence[str], file: Path) -> Lim
     """
     found: dict[tuple[str, str], tuple[float, ...]] = {}
     for text in texts:
-        match = GIVEN.fullmatch(text)
+        match = LIMIT_PATTERN.fullmatch(text)
         try:
             numbers = tuple(decimal(part) for part in match["value"].split(":")) if match else ()
         except ValueError:
@@ -61,13 +63,13 @@ def given_limits(texts: Sequence[str], joints: Sequence[str], file: Path) -> Lim
         ):
             expected = "expected JOINT.position=LOW:HIGH, JOINT.velocity=MOST or JOINT.effort=MOST; * is every joint"
             raise InputError(expected, key="--limits", value=text)
-        if match["joint"] not in (EVERY, *joints):
+        if match["joint"] not in (ALL_JOINTS, *joints):
             near = did_you_mean(match["joint"], joints)
             raise InputError(
                 f"no joint {match['joint']!r}{near}; it has: {', '.join(joints)}", file=file, key="--limits"
             )
-        for joint in joints if match["joint"] == EVERY else (match["joint"],):
-            if match["joint"] != EVERY or (joint, match["quantity"]) not in found:
+        for joint in joints if match["joint"] == ALL_JOINTS else (match["joint"],):
+            if match["joint"] != ALL_JOINTS or (joint, match["quantity"]) not in found:
                 found[joint, match["quantity"]] = numbers
     return found
 
@@ -84,7 +86,7 @@ def locked_joints(texts: Sequence[str], joints: Sequence[str], file: Path) -> di
         InputError: A text says something else, or no joint is called so.
     """
     found: dict[str, float] = {}
-    for text in sorted(texts, key=lambda text: EVERY in text):
+    for text in sorted(texts, key=lambda text: ALL_JOINTS in text):
         name, _, value = text.rpartition("=")
         try:
             place = decimal(value)
@@ -111,14 +113,14 @@ def looks_about_joint(mass: float, centre: Array, inertia: Array, axis: Array, l
         length: Of the arm along its joints [m].
     """
     distance = float(np.linalg.norm(np.cross(axis, centre)))
-    if distance < max(LONG * length, 1e-9) or mass <= 0.0:
+    if distance < max(MIN_LONG_LINK_RATIO * length, 1e-9) or mass <= 0.0:
         return None
     across = np.linalg.svd(centre[None])[2][1:]  # two directions perpendicular to r
     ratio = max(
         float(np.linalg.eigvalsh(across @ inertia @ across.T)[0]) / (mass * float(centre @ centre)),
         float(np.linalg.eigvalsh(inertia)[0]) / (mass * distance**2),
     )
-    return ratio if ratio >= SUSPECTED else None
+    return ratio if ratio >= MIN_STEINER_RATIO else None
 
 
 def about_centre(mass: float, centre: Array, inertia: Array, axis: Array) -> Array | None:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scene and its model as files of other simulators: a format is one module that writes one file.
 
-A module has ``HELD``, the quantities that its format can hold, and ``write(scene)``, which returns the file and how its
-numbers follow from those of the scene. Both, and what the format cannot hold, stand in comments at its head.
+A module has ``SUPPORTED_QUANTITIES``, the quantities that its format can hold, and ``write(scene)``, which returns the
+file and notes on how its numbers follow from those of the scene. The notes and the list of quantities left out are
+comments at the head of the file.
 """
 
 from __future__ import annotations
@@ -74,8 +75,10 @@ class DescriptionFormat:
 
 
 FORMATS: dict[str, DescriptionFormat] = {
-    "mjcf": DescriptionFormat("MuJoCo model", (".xml", ".mjcf"), mjcf.HELD, mjcf.write),
-    "drake": DescriptionFormat("SDFormat world for Drake", (".sdf",), drake.HELD, drake.write),
-    "urdf": DescriptionFormat("URDF", (".urdf",), urdf_scene.HELD, urdf_scene.write),
-    "usd_params": DescriptionFormat("USD layer", (".usda",), usd_physics.HELD, usd_physics.write, xml=False),
+    "mjcf": DescriptionFormat("MuJoCo model", (".xml", ".mjcf"), mjcf.SUPPORTED_QUANTITIES, mjcf.write),
+    "drake": DescriptionFormat("SDFormat world for Drake", (".sdf",), drake.SUPPORTED_QUANTITIES, drake.write),
+    "urdf": DescriptionFormat("URDF", (".urdf",), urdf_scene.SUPPORTED_QUANTITIES, urdf_scene.write),
+    "usd_params": DescriptionFormat(
+        "USD layer", (".usda",), usd_physics.SUPPORTED_QUANTITIES, usd_physics.write, xml=False
+    ),
 }

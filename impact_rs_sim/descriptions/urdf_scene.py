@@ -15,7 +15,9 @@ import pinocchio as pin
 from impact_rs_sim.descriptions.exported_scene import ExportedQuantity, ExportedScene
 from impact_rs_sim.urdf import WORLD, write_description, write_object_description
 
-HELD = frozenset({ExportedQuantity.COULOMB_FRICTION, ExportedQuantity.VISCOUS_FRICTION, ExportedQuantity.PAD_TILT})
+SUPPORTED_QUANTITIES = frozenset(
+    {ExportedQuantity.COULOMB_FRICTION, ExportedQuantity.VISCOUS_FRICTION, ExportedQuantity.PAD_TILT}
+)
 
 
 def write(scene: ExportedScene) -> tuple[str, list[str]]:

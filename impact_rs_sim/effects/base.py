@@ -32,15 +32,15 @@ if TYPE_CHECKING:
 
 # Parameters per joint have the units and ranges of a joint that turns. One that slides has those of a joint behind a
 # pinion of this radius: by the unit that turns, the unit that slides, and the factor of the range.
-PINION = 0.05  # m
-SLIDING = {
-    "N m": ("N", 1.0 / PINION),
-    "N m s/rad": ("N s/m", 1.0 / PINION**2),
-    "N m/rad": ("N/m", 1.0 / PINION**2),
-    "rad/s": ("m/s", PINION),
-    "rad": ("m", PINION),
-    "kg m^2": ("kg", 1.0 / PINION**2),
-    "rad/(N m)": ("m/N", PINION**2),
+PINION_RADIUS_M = 0.05  # m
+PRISMATIC_UNITS = {
+    "N m": ("N", 1.0 / PINION_RADIUS_M),
+    "N m s/rad": ("N s/m", 1.0 / PINION_RADIUS_M**2),
+    "N m/rad": ("N/m", 1.0 / PINION_RADIUS_M**2),
+    "rad/s": ("m/s", PINION_RADIUS_M),
+    "rad": ("m", PINION_RADIUS_M),
+    "kg m^2": ("kg", 1.0 / PINION_RADIUS_M**2),
+    "rad/(N m)": ("m/N", PINION_RADIUS_M**2),
 }
 
 SINGLE_IMPACT = ("impact",)  # phases of effects that only tables of impacts have
@@ -167,9 +167,9 @@ class Parameter:
 
     def _of(self, kind: JointType) -> Parameter:
         """The parameter of a joint that moves so."""
-        if kind == "revolute" or self.unit not in SLIDING:
+        if kind == "revolute" or self.unit not in PRISMATIC_UNITS:
             return self
-        unit, factor = SLIDING[self.unit]
+        unit, factor = PRISMATIC_UNITS[self.unit]
         return replace(self.times(factor), unit=unit)
 
 

@@ -20,7 +20,9 @@ from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.robot import Array, Link
 from impact_rs_sim.robot_model import mounted_inertia
 
-MOST_VALUES = 8  # of a circumstance, which may be names of levels with parameters of their own
+MAX_COVARIATE_VALUES = (
+    8  # of a covariate whose values may be levels with parameters of their own; with more it is taken as linear
+)
 
 
 class InertialBody(NamedTuple):
@@ -95,7 +97,7 @@ def of_other_bodies(worlds: Sequence[Physics]) -> list[Physics]:
         for name in next(iter(alike.values())).circumstances or ("",):
             by_value = {physics.circumstances.get(name, ""): physics for physics in alike.values()}
             numbers = sorted(value for value in by_value if isinstance(value, float))
-            chosen = [numbers[0], numbers[-1]] if len(numbers) > MOST_VALUES else list(by_value)
+            chosen = [numbers[0], numbers[-1]] if len(numbers) > MAX_COVARIATE_VALUES else list(by_value)
             kept |= {id(by_value[value]): by_value[value] for value in chosen}
     return list(kept.values())
 

@@ -25,7 +25,7 @@ from impact_rs_sim.effects.base import (
 from impact_rs_sim.physics import ArmPhysics, ContactCondition, ContactLaw, Physics
 from impact_rs_sim.robot import Array
 
-TO_SLIP = -0.4  # of a friction coefficient
+SLIP_FRICTION_STEP = -0.4  # finite-difference step of a friction coefficient, from sticking to slipping [-]
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class FrictionEffect(SceneEffect):
 
     def steps(self, joints: Joints, at: Array) -> Array:
         """See :meth:`Effect.steps`; of a free body that hits once they reach from where it sticks to where it slips."""
-        return super().steps(joints, at) if types_of(joints) else np.array([TO_SLIP])
+        return super().steps(joints, at) if types_of(joints) else np.array([SLIP_FRICTION_STEP])
 
 
 @dataclass(frozen=True)

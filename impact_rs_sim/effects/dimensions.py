@@ -16,8 +16,8 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.units import BASE, FORCE, NUMBER, TORQUE, Dimension, dimension_of, of, text_of, times
 
 Unit = Dimension | None  # None: not known
-OF_JOINT = {"q": NUMBER, "dq": BASE["Hz"], "tau": TORQUE}  # joints turn: rad, rad/s, N m
-SAME = ("abs", "min", "max")  # functions that give what they are given
+JOINT_SYMBOL_UNITS = {"q": NUMBER, "dq": BASE["Hz"], "tau": TORQUE}  # of a revolute joint: rad, rad/s, N m
+UNIT_PRESERVING_FUNCTIONS = ("abs", "min", "max")  # functions that give what they are given
 
 
 def check_units(spec: FormulaSpec) -> dict[str, str]:
@@ -58,7 +58,7 @@ def check_units(spec: FormulaSpec) -> dict[str, str]:
 def _unit(node: ast.AST, known: dict[str, Dimension], text: str) -> Unit:
     if isinstance(node, ast.Name):
         joint = JOINT_SYMBOL.fullmatch(node.id)
-        return OF_JOINT[joint[1]] if joint else known.get(node.id)
+        return JOINT_SYMBOL_UNITS[joint[1]] if joint else known.get(node.id)
     if isinstance(node, ast.UnaryOp):
         return _unit(node.operand, known, text)
     if isinstance(node, ast.BinOp):
@@ -84,7 +84,7 @@ def _combined(node: ast.BinOp, known: dict[str, Dimension], text: str) -> Unit:
 
 
 def _given_to(function: str, given: list[Unit], text: str) -> Unit:
-    if function in SAME:
+    if function in UNIT_PRESERVING_FUNCTIONS:
         return _alike(given[0], given[-1], text)
     if function == LAG:
         if given[1] not in (None, BASE["s"]):

@@ -108,23 +108,28 @@ SYMBOLS = {
     "support_force": "N",  # normal, between support and object
     "support_slip": "m/s",
 }
-OF_SCENE = frozenset(SYMBOLS) - {"t", *AXES, *(f"v{axis}" for axis in AXES), "speed"}  # beyond the arm
-OF_OBJECT = frozenset(
+SCENE_SYMBOLS = frozenset(SYMBOLS) - {
+    "t",
+    *AXES,
+    *(f"v{axis}" for axis in AXES),
+    "speed",
+}  # of object and contact, without those of the arm
+OBJECT_SYMBOLS = frozenset(
     name for name in SYMBOLS if name in ("t", "normal_force", "since_contact") or name.startswith(("object", "support"))
 )
-SLOW = 2e-3  # m/s; sliding below it is opposed by less than the formula says, so that rest is a state
+MIN_SLIDING_SPEED_M_S = 2e-3  # below, the force against sliding falls to 0 with the speed, so that rest is a state
 Coefficient = Literal["restitution", "tangential_restitution", "friction"]
 """Coefficients of a contact point of a single impact, to which formulas add."""
 
 COEFFICIENTS = get_args(Coefficient)
 CONTACT_SYMBOLS = ("v", "slip")
-JOINT = re.compile(r"joint([1-9][0-9]{0,2})")
+JOINT_KEY = re.compile(r"joint([1-9][0-9]{0,2})")
 JOINT_SYMBOL = re.compile(r"\b(q|dq|tau)([1-9][0-9]{0,2})\b")
 PLACES = (
     "joint_torque", "motor_torque", "end_effector_force", "object_force", "object_moment", "contact_normal",
     "contact_tangential", "support_normal", "support_tangential", "contact",
 )  # fmt: skip
-LONGEST = 1000  # characters; a physical law is shorter, a curve of nine knots takes 600
+MAX_FORMULA_LENGTH = 1000  # characters; a physical law is shorter, a curve of nine knots has 600
 
 Symbols = Mapping[str, Value]
 Expression = Callable[[Symbols, Memory | None], Value]
@@ -172,8 +177,8 @@ class Formula:
 
 def _parse(text: str, symbols: frozenset[str]) -> Expression:
     """See :class:`Formula`."""
-    if len(text) > LONGEST:
-        raise InputError(f"formula is longer than {LONGEST} characters")
+    if len(text) > MAX_FORMULA_LENGTH:
+        raise InputError(f"formula is longer than {MAX_FORMULA_LENGTH} characters")
     try:
         tree = ast.parse(text.strip(), mode="eval").body
         return _compile(tree, symbols, text)
@@ -340,7 +345,7 @@ class FormulaEffect(Effect):
             self.phases = ("contact",) if touching else SINGLE_IMPACT
 
     def _joint(self, key: str) -> int:
-        found = JOINT.fullmatch(key)
+        found = JOINT_KEY.fullmatch(key)
         if found is None:
             raise InputError(f"effect {self.name!r}: unknown {key!r}; expected joint1, joint2, ...")
         return int(found[1]) - 1
@@ -375,7 +380,7 @@ class FormulaEffect(Effect):
         return formula
 
     def _parse_object(self, text: str) -> Formula:
-        return Formula(text, {*OF_OBJECT, *self.spec.parameters})
+        return Formula(text, {*OBJECT_SYMBOLS, *self.spec.parameters})
 
     def _parse(self, text: str) -> Formula:
         named = {found[0] for found in JOINT_SYMBOL.finditer(text)}
@@ -509,7 +514,7 @@ class FormulaLoad(Load):
     def reads_scene(self) -> bool:
         """See :class:`Load`."""
         tables = (self.torque, self.motor, self.force)
-        return any(OF_SCENE & formula.names for table in tables for formula in table.values())
+        return any(SCENE_SYMBOLS & formula.names for table in tables for formula in table.values())
 
     @property
     def vectorised(self) -> bool:
@@ -570,7 +575,7 @@ class FormulaObjectLoad(ObjectLoad):
         return normal, against
 
     def _evaluate(self, table: dict[int, Formula], size: int, scene: Symbols, memory: Memory) -> Array:
-        symbols = {**dict.fromkeys(OF_OBJECT, 0.0), **scene, **self.numbers}
+        symbols = {**dict.fromkeys(OBJECT_SYMBOLS, 0.0), **scene, **self.numbers}
         return _evaluated(self.name, table, size, symbols, memory.part(id(self)))
 
 

@@ -36,8 +36,8 @@ from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.robot import Array, Link
 from impact_rs_sim.robot_model import mounted_inertia
 
-REMOVABLE_MOMENT = 0.99  # share of a link's moment of inertia about its axis, which may be that of a rod [-]
-LEAST_MASS = 1e-6  # kg; nearer 0 a mass that balances another one has its centre at infinity
+MAX_REMOVABLE_MOMENT_SHARE = 0.99  # share of a link's moment of inertia about its axis, which may be that of a rod [-]
+MIN_MASS_KG = 1e-6  # for a nearly cancelled mass the centre of mass goes to infinity
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def _payload(arm: ArmPhysics, values: Values) -> ArmPhysics:
         _check_there(arm, added, place)
     before, own = arm.end_effector, added * number(values, "gyration") ** 2 * np.eye(3)
     mass = before.mass + added
-    mass = mass if abs(mass) > LEAST_MASS else LEAST_MASS
+    mass = mass if abs(mass) > MIN_MASS_KG else MIN_MASS_KG
     com = (before.mass * before.com + added * place) / mass
     inertia = before.inertia + before.mass * _steiner(before.com - com) + own + added * _steiner(place - com)
     return replace(arm, end_effector=replace(before, mass=mass, com=com, inertia=inertia))
@@ -183,7 +183,7 @@ class LinkInertiaEffect(ArmEffect):
         """See :meth:`Effect.bounds`; only part of the least moment of inertia among the arms is removable."""
         lower, upper = super().bounds(physics)
         moments = [[link.inertia[5] for link in arm.facts.links] for arm in physics.arms.values()]
-        return np.maximum(lower, -REMOVABLE_MOMENT * np.min(moments, axis=0)), upper
+        return np.maximum(lower, -MAX_REMOVABLE_MOMENT_SHARE * np.min(moments, axis=0)), upper
 
 
 LINK_MASS = ArmEffect(

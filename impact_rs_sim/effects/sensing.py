@@ -27,7 +27,7 @@ from impact_rs_sim.twist_readings import Three, TwistReadings
 
 SENSING = "sensing"
 AXES = ("x", "y", "z")
-CONTACT = ("contact",)
+CONTACT_PHASES = ("contact",)
 # Ranges of encoders are firm: a zero 6 degrees off and a gear ratio 10 % off are seen by eye; zeros of industrial arms
 # are known to some mrad.
 
@@ -306,7 +306,7 @@ TRACKER_FRAME = SceneEffect(
         Parameter("yaw", "rad", 0.0, -0.3, 0.3, 0.005, "rotation of readings about z of A"),
     ),
     law=_tracker_frame,
-    phases=CONTACT,
+    phases=CONTACT_PHASES,
     lasting=True,
     reading="the frame of the object tracker is off by {size}",
     calibration="touch the object from three sides, or push it straight along two directions",
@@ -327,7 +327,7 @@ TRACKED_POINT = SceneEffect(
         Parameter("y", "m", 0.0, -0.2, 0.2, 0.002, "tracked point from the centre, along y of the object"),
     ),
     law=_tracked_point,
-    phases=CONTACT,
+    phases=CONTACT_PHASES,
     lasting=True,
     reading="the tracked point is off the centre of the object by {size}",
     calibration="turn the object in place by quarters",
@@ -345,7 +345,7 @@ TRACKER_DELAY = SceneEffect(
     sentence="Poses of the object carry stamps that are later than those of the joints.",
     parameters=(Parameter("delay", "s", 0.0, -0.1, 0.1, 0.002, "delay of the poses after the joints"),),
     law=_tracker_delay,
-    phases=CONTACT,
+    phases=CONTACT_PHASES,
     lasting=True,
     reading="poses of the object are recorded {size} {late}",
     calibration="push the object there and back, fast",
@@ -363,7 +363,7 @@ TRACKER_LAG = SceneEffect(
     sentence="Poses of the object passed a low-pass filter before they were recorded.",
     parameters=(Parameter("lag", "s", 0.0, 0.0, 0.2, 0.002, "time constant of the filter of first order"),),
     law=_tracker_lag,
-    phases=CONTACT,
+    phases=CONTACT_PHASES,
     lasting=True,
     reading="poses of the object pass a filter of {size}",
     calibration="push the object there and back, fast",
@@ -469,9 +469,9 @@ TRACKED_POINT_OF_IMPACT = SceneEffect(
     calibration="spin the body about three axes in free flight, in which its centre moves straight on",
 )
 
-OF_TWISTS = (SPIN_AXES, MIRRORED_SPINS, TWIST_AXES, TRACKED_POINT_OF_IMPACT)
+TWIST_EFFECTS = (SPIN_AXES, MIRRORED_SPINS, TWIST_AXES, TRACKED_POINT_OF_IMPACT)
 
-OF_SENSORS = (
+SENSOR_EFFECTS = (
     ENCODER_OFFSET,
     ENCODER_SCALE,
     MOTOR_ENCODER_OFFSET,

@@ -24,7 +24,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import JointFriction
 from impact_rs_sim.robot import EndEffector, load_facts
-from impact_rs_sim.robot_import import FULL_TURN, facts_text, import_urdf, save_facts
+from impact_rs_sim.robot_import import FULL_TURN_RAD, facts_text, import_urdf, save_facts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.urdf import write_description
@@ -192,8 +192,8 @@ def test_an_arm_that_turns_about_z_keeps_its_numbers(tmp_path: Path) -> None:
 def test_a_continuous_joint_gets_a_full_turn_to_either_side(tmp_path: Path) -> None:
     endless = joint("elbow", "upper", "fore", "continuous", '<limit velocity="3" effort="40"/>')
     robot = import_urdf(write(tmp_path, *ARM[:4], endless))
-    assert robot.facts.limits.position_min_rad == (-2.0, -FULL_TURN)
-    assert robot.facts.limits.position_max_rad == (1.5, FULL_TURN)
+    assert robot.facts.limits.position_min_rad == (-2.0, -FULL_TURN_RAD)
+    assert robot.facts.limits.position_max_rad == (1.5, FULL_TURN_RAD)
     assert any("elbow" in note and "full turn" in note for note in robot.notes)
     assert "elbow" in facts_text(robot, "An arm.").split("source:")[0]
 

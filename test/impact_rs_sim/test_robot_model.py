@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from trials import nominal_physics
 
-from impact_rs_sim.assumed_drive import SPEED, assumed_drive
+from impact_rs_sim.assumed_drive import FRANKA_SPEED_LIMIT_RAD_S, assumed_drive
 from impact_rs_sim.bodies import inertia_of, is_body, reaches, second_moments
 from impact_rs_sim.bullet_mechanics import BulletMechanics
 from impact_rs_sim.bullet_world import BulletWorld, mass_matrices
@@ -375,7 +375,7 @@ def test_a_check_tells_what_slides_in_metres_and_newtons() -> None:
 
 def test_the_drive_assumed_of_a_rail_is_that_behind_a_pinion() -> None:
     """r = 3 / 2.175 m: the torque limit r F, and B, K and D of that joint over r^2."""
-    radius = 3.0 / SPEED
+    radius = 3.0 / FRANKA_SPEED_LIMIT_RAD_S
     turns = chain(("revolute", "x", CART * radius**2, (0.0, 0.0, 0.0), CART * radius**2))
     limits = turns.limits.model_copy(update={"torque_Nm": (200.0 * radius,)})
     theirs = assumed_drive(turns.model_copy(update={"limits": limits}), NOTHING, PERIOD)
