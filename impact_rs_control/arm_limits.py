@@ -17,8 +17,8 @@ import numpy as np
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 
-ROUNDING = 1e-6  # N m, that a torque at its limit may be beyond it
-MEASURED = 5.0  # torque limits, that a joint may measure: sensors on the link side see the peak of an impact
+TORQUE_ROUNDING_NM = 1e-6  # by which a torque at its limit may exceed it
+MAX_MEASURED_TORQUE_RATIO = 5.0  # measured torque over torque limit; link-side sensors see the peak of an impact
 
 
 def state_complaint(model: RobotModel, joints: Sequence[str], position: Array, velocity: Array, torque: Array) -> str:
@@ -39,9 +39,9 @@ def state_complaint(model: RobotModel, joints: Sequence[str], position: Array, v
     for index in np.flatnonzero(~(np.abs(velocity) <= model.velocity_max)).tolist():
         unit = model.facts.units[index].velocity
         return f"{joints[index]} at {velocity[index]:.4g} {unit}, limit {model.velocity_max[index]:.4g} {unit}"
-    for index in np.flatnonzero(~(np.abs(torque) <= MEASURED * model.torque_max)).tolist():
+    for index in np.flatnonzero(~(np.abs(torque) <= MAX_MEASURED_TORQUE_RATIO * model.torque_max)).tolist():
         unit, limit = model.facts.units[index].effort, model.torque_max[index]
-        most = f"more than {MEASURED:g} times its limit of {limit:.4g} {unit}"
+        most = f"more than {MAX_MEASURED_TORQUE_RATIO:g} times its limit of {limit:.4g} {unit}"
         return f"{joints[index]} measures {torque[index]:.4g} {unit}, {most}"
     return ""
 
@@ -54,7 +54,7 @@ def torque_complaint(model: RobotModel, joints: Sequence[str], torque: Array) ->
         joints: Names of its joints.
         torque: With gravity, ``(n,)`` [N m].
     """
-    for index in np.flatnonzero(~(np.abs(torque) <= model.torque_max + ROUNDING)).tolist():
+    for index in np.flatnonzero(~(np.abs(torque) <= model.torque_max + TORQUE_ROUNDING_NM)).tolist():
         unit = model.facts.units[index].effort
         return f"torque of {torque[index]:.4g} {unit} for {joints[index]}, limit {model.torque_max[index]:.4g} {unit}"
     return ""

@@ -61,7 +61,7 @@ from impact_rs_sim.robot_model import RigidTerms, RobotModel
 from impact_rs_sim.scenario import Gains, Scenario
 from impact_rs_sim.sensors import ArmMeasurement
 
-IDLE_WEIGHT = 1e-4  # of standing still, in joints that no task needs, against that of the tasks
+IDLE_TASK_WEIGHT = 1e-4  # of standing still over the weight of a task, for joints that no task needs [-]
 
 
 class Mode(IntEnum):
@@ -168,7 +168,7 @@ class ArmController:
         # Where joints are left over, nothing but this keeps them from drifting.
         idle = 6 + held < model.joint_count
         sizes = (3, 3, held, model.joint_count if idle else 0)
-        weights = (gains.position_weight, gains.orientation_weight, gains.posture_weight, IDLE_WEIGHT)
+        weights = (gains.position_weight, gains.orientation_weight, gains.posture_weight, IDLE_TASK_WEIGHT)
         self._weights = np.repeat(weights, sizes)
         self._law = _kernel.TaskLaw(
             motor_inertia,

@@ -33,7 +33,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RigidTerms, RobotModel
 from impact_rs_sim.scenario import Detection
 
-BASELINE_TIME = 0.05  # s, time constant of the slow part of the residual
+BASELINE_TIME_S = 0.05  # time constant of the slow part of the residual
 
 
 def separable_wrench(jacobians: Array, masses: Array, torques: Array) -> Array:
@@ -87,7 +87,7 @@ class ImpactDetector:
             settings.observer_gain,
             period,
             settings.threshold,
-            period / BASELINE_TIME,
+            period / BASELINE_TIME_S,
             direction,
         )
 

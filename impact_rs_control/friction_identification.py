@@ -35,10 +35,10 @@ from impact_rs_sim.seeds import seed_of
 
 Phase = Literal["ante", "post"]
 
-PERIOD = 0.01  # s; feedback of a loop with k_p = 200 / s^2 follows nothing faster than some 70 ms
-TURNS = 3  # of identification, each with the feedforward of those before; see docs/physics.md
-OUT_OF_REACH = np.array([100.0, 0.0, 0.0])  # m
-RESOLUTION = 5  # digits behind the point [m/s^2, rad/s^2], far below the noise
+SAMPLE_PERIOD_S = 0.01  # feedback with k_p = 200 / s^2 follows nothing faster than some 70 ms
+IDENTIFICATION_ROUNDS = 3  # each with the feedforward of those before; see docs/physics.md
+OUT_OF_REACH_M = np.array([100.0, 0.0, 0.0])  # position of an object that no arm meets
+ACCELERATION_DECIMALS = 5  # digits after the point [m/s^2, rad/s^2], far below the noise
 
 
 def identify_arm(scene: Scene, arm: str, runs: int, seed: int, effects: Model | None = None) -> ArmFriction:
@@ -72,19 +72,19 @@ def identify_arm(scene: Scene, arm: str, runs: int, seed: int, effects: Model | 
     for phase in get_args(Phase):
         motion = _free_motion(plan, arm, phase)
         total: Array | float = 0.0
-        for turn in range(TURNS):
+        for turn in range(IDENTIFICATION_ROUNDS):
             name = f"{scene.object_name}__{scene.case_name}__{arm}__{phase}__t{turn}"
             seeds = [seed_of(seed, f"{name}__r{run}") for run in range(runs)]
             feedback = np.mean([run_free_motion(motion, arm, phase, physics, each) for each in seeds], axis=0)
             total = total + _binned(feedback, sample_every(scene.scenario))
-            found[phase] = AccelerationSamples.of(np.round(total, RESOLUTION))
+            found[phase] = AccelerationSamples.of(np.round(total, ACCELERATION_DECIMALS))
             motion = _fed_forward(motion, arm, phase, found[phase])
     return ArmFriction(**found)
 
 
 def sample_every(scenario: Scenario) -> int:
     """Control periods in one period of the identified samples."""
-    return max(1, round(PERIOD / scenario.timing.control_period))
+    return max(1, round(SAMPLE_PERIOD_S / scenario.timing.control_period))
 
 
 def sample_period(scenario: Scenario) -> float:
@@ -136,7 +136,7 @@ def _free_motion(plan: TrialPlan, arm: str, phase: Phase) -> TrialPlan:
             wrench=np.zeros_like(own.wrench),
             initial=initial_position(scene, arm, own.orientation[0], position, own.posture, posture),
         )
-    away = replace(scene.object, position=scene.object.position + OUT_OF_REACH)
+    away = replace(scene.object, position=scene.object.position + OUT_OF_REACH_M)
     return replace(plan, scene=replace(scene, object=away), arms={arm: own})
 
 

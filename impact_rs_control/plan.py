@@ -27,9 +27,9 @@ from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import Scene
 
 POSE_TASKS = 6  # position and orientation of E
-SAMPLED = 0.01  # m, of the way of E between two poses that are checked against support and ground
-SINGULAR = 1e-3  # of the largest singular value of the tasks; along smaller ones an arm cannot follow
-STANDS = 1e-3  # m/s; what is referred to move more slowly than this is about to stand
+MAX_POSE_SPACING_M = 0.01  # displacement of E between two poses that are checked against support and ground
+TASK_SINGULAR_VALUE_TOLERANCE = 1e-3  # over the largest singular value of the tasks [-]; below, an arm cannot follow
+MIN_REFERENCE_SPEED_M_S = 1e-3  # a slower reference is about to come to rest
 RESTITUTION_TOLERANCE = 0.05  # [-], between impact map and pad; a third of what a damped pad has anyway
 LARGEST_SCALE = 3.0  # a reference far beyond the prediction is no test of it, and soon beyond the arm
 
@@ -201,7 +201,8 @@ def _reference_poses(scene: Scene, name: str, arm: ArmPlan) -> tuple[Array, Arra
     """Joint positions along both references, the ante-impact one to its end and the other from T_nom on.
 
     Returns:
-        Times ``(k,)`` [s] and joint positions ``(k, n)`` [rad] of samples between which E moves by ``SAMPLED`` at most.
+        Times ``(k,)`` [s] and joint positions ``(k, n)`` [rad] of samples; E moves at most ``MAX_POSE_SPACING_M``
+        between two.
     """
     model, timing = scene.models[name], scene.scenario.timing
     impact = round(timing.nominal_impact / timing.control_period)
@@ -211,7 +212,7 @@ def _reference_poses(scene: Scene, name: str, arm: ArmPlan) -> tuple[Array, Arra
         (arm.post_position, arm.post_posture, impact, scene.arms[name].position),
     ):
         way = np.linalg.norm(np.diff(path.position[first:], axis=0), axis=1)
-        cells = np.floor(np.cumsum(way) / SAMPLED)
+        cells = np.floor(np.cumsum(way) / MAX_POSE_SPACING_M)
         ticks = first + np.concatenate(([0], 1 + np.flatnonzero(np.diff(cells)), [len(way)])).astype(int)
         for tick in dict.fromkeys(ticks.tolist()):
             q = _followed(model, q, pin.SE3(arm.orientation[tick], path.position[tick]), arm, posture.position[tick])
@@ -231,7 +232,7 @@ def _followed(model: RobotModel, q: Array, target: pin.SE3, arm: ArmPlan, postur
         turn = place.rotation @ pin.log3(place.rotation.T @ target.rotation)
         missing = np.concatenate((target.translation - place.translation, turn, posture - q[held]))
         tasks = np.vstack((model.jacobian(q), np.eye(model.joint_count)[held]))
-        q = q + np.linalg.lstsq(tasks, missing, rcond=SINGULAR)[0]
+        q = q + np.linalg.lstsq(tasks, missing, rcond=TASK_SINGULAR_VALUE_TOLERANCE)[0]
     return q
 
 
@@ -423,7 +424,7 @@ def _pushing_wrench(scene: Scene, name: str, post: SampledPath) -> Array:
     level = np.eye(3) - np.outer(up, up)
     friction = physics.support_friction * weight if physics.support_height is not None else 0.0
     speed = np.linalg.norm(post.velocity @ level, axis=1, keepdims=True)
-    force = (mass * post.acceleration + friction * post.velocity / np.maximum(speed, STANDS)) @ level
+    force = (mass * post.acceleration + friction * post.velocity / np.maximum(speed, MIN_REFERENCE_SPEED_M_S)) @ level
     pressing = np.maximum(force @ normal, 0.0)
     across = force - np.outer(force @ normal, normal)
     size = np.linalg.norm(across, axis=1)

@@ -16,9 +16,8 @@ import numpy as np
 
 from impact_rs_sim.robot import Array
 
-EIGENVALUE_ROUNDING = (
-    1e-9  # share of tr(S) by which an eigenvalue may be below 0 [-]; a body is a sum of 10 terms of 1e-16
-)
+# Share of tr(S) by which an eigenvalue may be below 0 [-]; a body is a sum of 10 terms of 1e-16
+EIGENVALUE_ROUNDING = 1e-9
 
 
 def second_moments(inertia: Array) -> Array:

@@ -9,9 +9,8 @@ import sys
 NORMAL_95 = 1.959964  # half the width of a 95 % interval over the standard deviation, normal distribution
 PLAIN_NOTATION_RANGE = (1e-4, 1e6)  # numbers written without an exponent
 MAX_DIGITS = 15  # significant decimal digits of a float
-MAX_ROUNDING_RATIO = (
-    4.0 * sys.float_info.epsilon
-)  # half width of an interval over the estimate that rounding errors alone produce
+# Half width of an interval over the estimate that rounding errors alone produce
+MAX_ROUNDING_RATIO = 4.0 * sys.float_info.epsilon
 MIN_SPEED_DECIMALS = 3  # of a speed with its half interval [m/s]
 
 

@@ -27,9 +27,8 @@ SEED = 0
 MAX_ENGINE_DIFFERENCE = 1e-6  # over the largest entry of M [-]; Bullet reads parts of a URDF in single precision
 TRIANGLE_INEQUALITY_TOLERANCE = 1e-3  # by which published, rounded moments may miss the triangle inequality [-]
 MOMENT_ACCURACY = 0.02  # of published moments, over the largest one [-]: rounded, or identified
-MAX_DENSITY_KG_M3 = (
-    5000.0  # of a motor of steel and copper without a gap. Shipped arms: 1,100 in the median, at most 4,540
-)
+# Of a motor of steel and copper without a gap. Shipped arms: 1,100 in the median, at most 4,540
+MAX_DENSITY_KG_M3 = 5000.0
 MIN_DENSITY_KG_M3 = 50.0  # of a hollow link: a ball of this density bounds the size of a link
 MAX_GYRATION_RATIO = 2.0  # radius of gyration over the length of a link; a rod has 0.29, shipped arms at most 1.2
 MAX_MASS_RATIO = 4.0  # mass of a link over the heaviest of the four next to it; shipped arms at most 2.1

@@ -39,9 +39,8 @@ NOT_IN_URDF_NOTE = (
     "A URDF does not say whether joints measure their torque behind the gears. Most do not, so joint_torque_loop is "
     "false: torques are taken for those of the motors. Arms that do, as Franka, KUKA LBR and Kinova Gen3, need true."
 )
-NEGATIVE_MOMENT_TOLERANCE = (
-    1e-6  # over the largest moment [-]; rounding of a URDF puts a principal moment of a flat body below 0
-)
+# Over the largest moment [-]; rounding of a URDF puts a principal moment of a flat body below 0
+NEGATIVE_MOMENT_TOLERANCE = 1e-6
 INERTIA_ATTRIBUTES = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 

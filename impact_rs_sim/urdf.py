@@ -20,11 +20,8 @@ from impact_rs_sim.link_shapes import TOOL_RADIUS_M, Shape, link_shapes
 from impact_rs_sim.robot import Array, Colours, EndEffector, Mesh, RobotFacts
 
 WORLD = "world"  # the inertial frame A
-_FIXED_LINK_INERTIAL = (
-    1.0,
-    np.zeros(3),
-    0.01 * np.eye(3),
-)  # mass, centre of mass, inertia of links fixed to the world; Bullet warns without them
+# Mass, centre of mass, inertia of links fixed to the world; Bullet warns without them
+_FIXED_LINK_INERTIAL = (1.0, np.zeros(3), 0.01 * np.eye(3))
 
 
 def joint_names(facts: RobotFacts) -> list[str]:

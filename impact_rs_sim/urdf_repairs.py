@@ -30,9 +30,8 @@ from impact_rs_sim.robot import Array
 QUANTITIES = ("position", "velocity", "effort")
 LIMIT_PATTERN = re.compile(r"(?P<joint>.+)\.(?P<quantity>position|velocity|effort)=(?P<value>.+)")
 MIN_STEINER_RATIO = 1.0  # moment across r over m r^2 from which it is taken for a moment about the joint [-]
-MIN_LONG_LINK_RATIO = (
-    0.12  # distance of centre of mass and joint axis over the length of the arm; a longer link is long [-]
-)
+# Distance of centre of mass and joint axis over the length of the arm; a longer link is long [-]
+MIN_LONG_LINK_RATIO = 0.12
 ALL_JOINTS = "*"
 
 Limits = Mapping[tuple[str, str], tuple[float, ...]]

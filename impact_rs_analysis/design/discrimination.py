@@ -40,8 +40,8 @@ from impact_rs_analysis.inference.ahead import distance, probability
 from impact_rs_analysis.inference.belief import Belief, Observation, fitted_out, observation_of
 from impact_rs_sim.robot import Array
 
-WIDE = 10.0  # scales w, as far as a fit may go: the largest that blind campaigns hide
-TIES = 1e-3  # weight of the second term of the utility, which chooses where the first one is decided
+RIVAL_RANGE_SCALES = 10.0  # w, range of a fit in parameter scales: the largest that blind campaigns hide
+TIE_BREAK_WEIGHT = 1e-3  # of the second term of the utility, which decides where the first is saturated
 
 
 class Discrimination:
@@ -106,7 +106,7 @@ class Discrimination:
         if not self.decision.pairs:
             return []
         inner, _ = total.of_parameters()
-        left = [np.diag(fitted_out(inner, rows, WIDE)) for rows in self._spreads]
+        left = [np.diag(fitted_out(inner, rows, RIVAL_RANGE_SCALES)) for rows in self._spreads]
         found = []
         for i, j in self.decision.pairs:
             first, second = self.decision.explanations[i], self.decision.explanations[j]
@@ -149,7 +149,7 @@ class Discrimination:
         gains = self.gains(total)
         first = _means(gains, lambda cases: probability(cases, freedom))
         second = _means(gains, lambda cases: np.log1p(np.maximum(cases, 0.0)))
-        return float(np.mean(first) + TIES * np.mean(second))
+        return float(np.mean(first) + TIE_BREAK_WEIGHT * np.mean(second))
 
     def _observation(self, name: str, repeats: int) -> Observation:
         """One condition with so many repeats."""

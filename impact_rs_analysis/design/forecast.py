@@ -32,7 +32,7 @@ from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
 
 NOISY_TRIALS, NOISY_REPEATS = 3, 3  # per family of trials: six degrees of freedom of the scatter
-PROPER = ("OK", "DROPPED")  # a forecast ends before an object is lifted
+ACCEPTED_OUTCOMES = ("OK", "DROPPED")  # a forecast ends before the object is lifted
 
 
 @dataclass(frozen=True)
@@ -194,7 +194,7 @@ def _simulated(task: _Task) -> MeasuredRun | tuple[str, str]:
     try:
         physics = with_effects(task.model, task.spec.scene.physics, ())
         run, verdict = simulated_and_judged(task.spec, physics, seed=task.seed)
-        if verdict.outcome not in PROPER:
+        if verdict.outcome not in ACCEPTED_OUTCOMES:
             return name, f"{verdict.outcome}: {verdict.reason}"
         found = MeasuredRun.of(run)
     except InputError as error:  # out of reach, or no contact

@@ -20,11 +20,11 @@ from impact_rs_trials.envelope import CellEnvelope
 from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
 
-SLOWER = 0.5  # of the slowest case: sticking and Stribeck friction show there
-BESIDE = 0.15  # of the width of the narrowest object, from its centre: it turns, and the pad still hits a face
-HORIZONTAL = 1e-6  # of a pad's normal along z; steeper pads have no side
-BEYOND = 2.0  # times the friction coefficient, of sliding over closing speed: the pad slips, and friction shows
-STEEPEST = np.radians(45.0)  # rad from the normal, of an approach
+SLOW_CASE_RATIO = 0.5  # speed over that of the slowest case: sticking and Stribeck friction show there
+OFF_CENTRE_RATIO = 0.15  # of the width of the narrowest object: it turns, and the pad still hits a face
+MAX_VERTICAL_NORMAL = 1e-6  # z component of a pad's unit normal; a steeper pad has no side [-]
+SLIP_FRICTION_RATIO = 2.0  # sliding over closing speed, in friction coefficients: the pad slips, and friction shows
+MAX_APPROACH_ANGLE_RAD = np.radians(45.0)  # from the normal
 
 
 @dataclass(frozen=True)
@@ -196,12 +196,12 @@ def _side(scenario: Scenario) -> Array | None:
     if robot.impact.joint_position is not None:
         return None
     normal = scenario.impact_placement(name, next(iter(scenario.objects))).rotation[:, 2]
-    return None if abs(normal[2]) > HORIZONTAL else np.cross([0.0, 0.0, 1.0], normal)
+    return None if abs(normal[2]) > MAX_VERTICAL_NORMAL else np.cross([0.0, 0.0, 1.0], normal)
 
 
 def _slanted(cases: Mapping[str, Case], friction: float) -> Iterator[tuple[str, str, dict[str, Case]]]:
     """The fastest case of every pose from the left and from the right, so far from the normal that the pad slips."""
-    angle = min(float(np.arctan(BEYOND * friction)), STEEPEST)
+    angle = min(float(np.arctan(SLIP_FRICTION_RATIO * friction)), MAX_APPROACH_ANGLE_RAD)
     poses: dict[str, tuple[str, Case]] = {}
     for name, case in cases.items():
         if (pose := _pose(case)) not in poses or _speed(case) > _speed(poses[pose][1]):
@@ -229,7 +229,7 @@ def _beside(scenario: Scenario) -> tuple[list[float], float] | None:
     placement = scenario.impact_placement(next(iter(scenario.robots)), next(iter(scenario.objects)))
     normal = placement.rotation[:, 2]
     sizes = [np.array(item.size) for item in scenario.objects.values()]
-    distance = BESIDE * min(float(np.abs(side) @ size) for size in sizes)
+    distance = OFF_CENTRE_RATIO * min(float(np.abs(side) @ size) for size in sizes)
     depth = float(np.mean([np.abs(normal) @ size for size in sizes])) / 2.0
     centre = placement.translation + depth * normal + distance * side
     return _rounded(centre[:2]), distance
@@ -241,7 +241,7 @@ def _cases(scenario: Scenario, fastest: float) -> dict[str, Case]:
     if scenario.friction_compensation is not None:  # identified for these cases alone
         return _not_faster(found, fastest)
     speeds = sorted({round(_speed(case), 4) for case in scenario.cases.values()})
-    wanted = [SLOWER * speeds[0], *speeds]
+    wanted = [SLOW_CASE_RATIO * speeds[0], *speeds]
     if fastest > speeds[-1]:
         wanted.append(fastest)
     poses: dict[str, tuple[str, Case, set[float]]] = {}

@@ -13,8 +13,8 @@ from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.robot import Array
 
-MOST_NAMED = 3  # parameters of an effect in a sentence, those that are surest
-LEAST = 1e-9  # of a value of which a share is given, and of a change
+MAX_NAMED_PARAMETERS = 3  # of an effect in a sentence, the most certain ones
+MIN_RELATIVE_BASE = 1e-9  # smallest value that a relative change refers to, and smallest change
 
 
 class EverydayQuantity(NamedTuple):
@@ -77,8 +77,8 @@ def in_words(effect: str, parameters: Sequence[Followed], scenes: Iterable[tuple
         scenes: Physics of the hits since then, before and after the change; their objects may differ.
     """
     sure = [p for p in parameters if not p.ci95[0] <= p.estimate - p.change <= p.ci95[1]]
-    more = f" and {len(sure) - MOST_NAMED} more" if len(sure) > MOST_NAMED else ""
-    sure = sorted(sure, key=_surely)[:MOST_NAMED]
+    more = f" and {len(sure) - MAX_NAMED_PARAMETERS} more" if len(sure) > MAX_NAMED_PARAMETERS else ""
+    sure = sorted(sure, key=_surely)[:MAX_NAMED_PARAMETERS]
     shown = sure or sorted(parameters, key=_surely)[:1]
     texts = ", ".join(_text(one) for one in shown)
     scenes = list(scenes)
@@ -103,14 +103,14 @@ def _text(one: Followed) -> str:
 def _plain(quantity: EverydayQuantity, scenes: Sequence[tuple[Physics, Physics]]) -> str:
     """How a quantity changed, over all scenes; empty where it did not, or in no single direction."""
     unit = quantity.unit
-    if unit == "%" and any(abs(quantity.of(before)) < LEAST for before, _ in scenes):
+    if unit == "%" and any(abs(quantity.of(before)) < MIN_RELATIVE_BASE for before, _ in scenes):
         unit = quantity.own_unit  # there is no share of nothing
     changes = []
     for before, after in scenes:
         old, change = quantity.of(before), quantity.of(after) - quantity.of(before)
         changes.append(change * 100.0 / old if unit == "%" else change)
     low, high = min(changes, default=0.0), max(changes, default=0.0)
-    if low < LEAST and high > -LEAST:
+    if low < MIN_RELATIVE_BASE and high > -MIN_RELATIVE_BASE:
         return ""
     sizes = dict.fromkeys(f"{size:.2g}" for size in sorted((abs(low), abs(high))))
     size = " ".join(filter(None, (" to ".join(sizes), unit)))

@@ -17,16 +17,16 @@ import numpy as np
 from impact_rs_analysis.following.change import ChangeExplanation, ChangeTest, support
 from impact_rs_analysis.following.hit_model import HitModel, Hypothesis, Origin
 from impact_rs_analysis.following.hits import Hit
-from impact_rs_analysis.following.posterior import WIDE, WIDTH, Posterior, weight_of
+from impact_rs_analysis.following.posterior import CHANGE_PRIOR_SCALES, FOUND_CHANGE_PRIOR_SCALES, Posterior, weight_of
 from impact_rs_analysis.inference.student import DECISIVE, log_ratio, squared_distance
 from impact_rs_sim.robot import Array
 
-MOST = 4  # hypotheses at a time
-TRIED = 5  # explanations that are linearised anew at a hit
-STEPS = 4  # of Gauss-Newton about an explanation
-KEPT = 0.5  # of the promised fall of the residuals; an explanation that keeps less is dropped
-LEAST_GAIN = 4.0  # fall of the squares of the others, of one parameter two standard deviations
-NEAR = 0.1  # parameter scales; a shorter step ends it
+MAX_HYPOTHESES = 4  # at a time
+MAX_LINEARISED_EXPLANATIONS = 5  # per hit
+MAX_GAUSS_NEWTON_STEPS = 4  # per explanation
+MIN_KEPT_GAIN_SHARE = 0.5  # of the promised fall of the squared residuals; an explanation that keeps less is dropped
+MIN_OTHER_HITS_GAIN = 4.0  # fall of the squared residuals of the other hits; two standard deviations of one parameter
+MIN_STEP_SCALES = 0.1  # in parameter scales; a shorter Gauss-Newton step ends the search
 
 Held = list[tuple[ChangeExplanation, Hypothesis]]
 
@@ -43,7 +43,7 @@ class Causes:
 
     def of(self, before: Hypothesis, test: ChangeTest, statistics: dict[str, Array]) -> Held:
         """Explanations of a change that hold once they are linearised anew, the likeliest first."""
-        tried = test.explanations(statistics)[:TRIED]
+        tried = test.explanations(statistics)[:MAX_LINEARISED_EXPLANATIONS]
         held = [found for one in tried if (found := self._held(before, one)) is not None]
         held.sort(key=lambda pair: -pair[0].log_ratio)
         tie = math.log(DECISIVE)
@@ -51,7 +51,7 @@ class Causes:
         # What promises most may hold at a later hit: the others need more evidence than it.
         if not held or held[0][0].log_ratio < test.threshold + (0.0 if promising else tie):
             return []
-        return [pair for pair in held if pair[0].log_ratio > held[0][0].log_ratio - tie][:MOST]
+        return [pair for pair in held if pair[0].log_ratio > held[0][0].log_ratio - tie][:MAX_HYPOTHESES]
 
     def instead_of(self, best: Hypothesis) -> tuple[Hypothesis, Held, float] | None:
         """What explains the hits since the last change better than the effect that was named then.
@@ -87,9 +87,9 @@ class Causes:
         since = before.posterior.since(one.start)
         if sum(gain > inflation for gain in gains) < self._calibration.least_hits(self._hits.mean_time, since):
             return None
-        if sum(gains) <= KEPT * one.gain or support(gains) <= LEAST_GAIN * inflation:
+        if sum(gains) <= MIN_KEPT_GAIN_SHARE * one.gain or support(gains) <= MIN_OTHER_HITS_GAIN * inflation:
             return None
-        promised = one.gain / inflation - float(one.change @ one.change) / WIDTH**2
+        promised = one.gain / inflation - float(one.change @ one.change) / CHANGE_PRIOR_SCALES**2
         first = log_ratio(promised, one.determinant, one.change.size, self._calibration.freedom)
         return replace(one, log_ratio=one.log_ratio + self._ratio(before, fitted) - first), fitted
 
@@ -99,10 +99,10 @@ class Causes:
         numbers, inflation = list(fitted.origin.numbers), self._calibration.of(fitted.effect)
         place, unit = [fitted.posterior.followed.index(number) for number in numbers], np.eye(len(numbers))
         covariance = inflation * fitted.posterior.now.covariance[np.ix_(place, place)]
-        known = np.linalg.inv(covariance) - unit / (inflation * WIDE**2)
+        known = np.linalg.inv(covariance) - unit / (inflation * FOUND_CHANGE_PRIOR_SCALES**2)
         moved = (self._hits.values(fitted)[numbers] - fitted.origin.old) / self._own.scale[numbers]
-        prior = float(moved @ np.linalg.solve(covariance + WIDTH**2 * unit, moved))
-        determinant = float(np.linalg.slogdet(unit + WIDTH**2 * known)[1])
+        prior = float(moved @ np.linalg.solve(covariance + CHANGE_PRIOR_SCALES**2 * unit, moved))
+        determinant = float(np.linalg.slogdet(unit + CHANGE_PRIOR_SCALES**2 * known)[1])
         explained = sum(_gains(before, fitted)) / inflation - prior
         return log_ratio(explained, determinant, len(place), self._calibration.freedom)
 
@@ -131,12 +131,12 @@ class Causes:
         point = point.copy()
         point[numbers] = np.clip(point[numbers], lower, upper)
         point = own.possible(point)
-        for step in range(STEPS):
+        for step in range(MAX_GAUSS_NEWTON_STEPS):
             posterior = self._since(origin, followed, hits, point, followed)
             there = point.copy()
             there[numbers] = np.clip(point[numbers] + scale * posterior.now.mean[place], lower, upper)
             there = own.possible(there)
-            if step == STEPS - 1 or np.all(np.abs(there - point)[numbers] < NEAR * scale):
+            if step == MAX_GAUSS_NEWTON_STEPS - 1 or np.all(np.abs(there - point)[numbers] < MIN_STEP_SCALES * scale):
                 break
             point = there
         return Hypothesis(point, posterior, effect=effect, origin=origin)
@@ -162,7 +162,7 @@ class Causes:
         """Posterior of what was known before a change and the hits since then, linearised about a point."""
         numbers = list(origin.numbers)
         shift = (origin.old - point[numbers]) / self._own.scale[numbers]
-        posterior = Posterior(origin.past.with_parameters(followed, numbers, shift, WIDE))
+        posterior = Posterior(origin.past.with_parameters(followed, numbers, shift, FOUND_CHANGE_PRIOR_SCALES))
         for instant in hits:
             found = [e for hit in instant if (e := self._hits.evidence(hit, point, parameters)) is not None]
             weights = []

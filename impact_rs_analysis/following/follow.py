@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 
-from impact_rs_analysis.design.selection import CONDITIONS, REPEATS
-from impact_rs_analysis.following.change import MEAN_TIME
+from impact_rs_analysis.design.selection import MIN_CONDITIONS, MIN_REPEATS
+from impact_rs_analysis.following.change import MEAN_TIME_TO_FALSE_ALARM
 from impact_rs_analysis.following.hits import Door, Hit
 from impact_rs_analysis.following.learning import Learning
 from impact_rs_analysis.following.lessons import Followed, HitDocument, NextHit
@@ -20,7 +20,7 @@ from impact_rs_analysis.following.watch import HitWatch
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
 
-LEARNT = 20  # hits that teach the scatter
+LEARNING_HITS = 20  # from which the scatter is estimated
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ class HitsSince:
         known = len(set(filter(None, self.conditions)))
         count = len(self.conditions)
         if not known:  # rows that repeat nothing
-            return count >= CONDITIONS * REPEATS
-        return known >= CONDITIONS and count - known >= (REPEATS - 1) * CONDITIONS
+            return count >= MIN_CONDITIONS * MIN_REPEATS
+        return known >= MIN_CONDITIONS and count - known >= (MIN_REPEATS - 1) * MIN_CONDITIONS
 
 
 class Follower:
@@ -68,8 +68,8 @@ class Follower:
         door: Door,
         model: Model,
         only: Sequence[str] | None = None,
-        learnt: int = LEARNT,
-        mean_time: float = MEAN_TIME,
+        learnt: int = LEARNING_HITS,
+        mean_time: float = MEAN_TIME_TO_FALSE_ALARM,
     ) -> None:
         self.door, self.model = door, model
         self.learning = Learning(door, model, only, learnt, mean_time)

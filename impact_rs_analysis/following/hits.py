@@ -36,7 +36,7 @@ from impact_rs_trials.recordings.impact_table import ImpactRow, ImpactTable, nam
 from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
 
-SPEEDS = ((2.0, "at twice the speed"), (0.5, "at half the speed"))  # of hits that were measured
+PROPOSED_SPEED_FACTORS = ((2.0, "at twice the speed"), (0.5, "at half the speed"))  # of measured hits
 
 
 @dataclass(frozen=True)
@@ -223,7 +223,7 @@ class TableDoor(Door):
         assert self._table is not None
         rows = {name_of_row(row.number): row for row in self._table.rows}
         for hit in measured:
-            for factor, words in SPEEDS:
+            for factor, words in PROPOSED_SPEED_FACTORS:
                 one = replace(self._table, rows=(_at_speed(rows[hit.name], factor),), noise=None, variants=())
                 with suppress(InputError):  # the map has no solution
                     source = ImpactTableSource(one, self.model, discrepancy=self._discrepancy, remarks=False)

@@ -23,7 +23,7 @@ from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array
 
-LEAST_FREEDOM = 10  # of the scatter: its standard deviations are known to 22 % then
+MIN_SCATTER_FREEDOM = 10  # degrees of freedom; standard deviations are then known to 22 %
 
 
 class Learning:
@@ -55,7 +55,7 @@ class Learning:
         if count < self.learnt or len(own) < self.learnt // 2:
             return False
         _, freedom = deviations_of([hit.measured for hit in own], [hit.condition for hit in own])
-        return freedom >= min(LEAST_FREEDOM, self.learnt // 2 - 1)
+        return freedom >= min(MIN_SCATTER_FREEDOM, self.learnt // 2 - 1)
 
     def begin(self, layout: str, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
         """Learn the scatter of a layout from its first hits; the hypotheses with what these say.

@@ -5,9 +5,9 @@ The last hits are kept one by one (the *window*): a change is looked for among t
 in the window does not matter. A hit that the posterior finds beyond the quantile q of chi square weighs w = q / d^2
 with d its Mahalanobis distance, else 1 (Huber 1964), so that one odd hit moves nothing far.
 
-Before the window the misfit of a model may wander, as where joints warm up or a sensor drifts: from one instant of its
-group to the next ``DRIFT`` of the variance of every amplitude is renewed. What goes slowly is then no change of a
-parameter.
+Before the window the model discrepancy follows a random walk (joints that warm up, a drifting sensor): from one instant
+of its group to the next, the share ``DISCREPANCY_RENEWAL`` of the variance of every amplitude is renewed. A slow drift
+is therefore not announced as a change of a parameter.
 """
 
 from __future__ import annotations
@@ -23,11 +23,13 @@ from impact_rs_analysis.inference.belief import Belief, Observation
 from impact_rs_analysis.inference.student import log_density
 from impact_rs_sim.robot import Array
 
-WINDOW = 48  # instants; a change older than that is believed
-WIDTH = 3.0  # parameter scales; changes that are looked for are about as large
-WIDE = 10.0  # parameter scales; prior of a parameter whose change was found, which hits then determine
-DRIFT = 0.003  # of the variance of an amplitude, renewed from one instant of its group to the next
-ODD = 1e-3  # share of hits beyond the quantile at which they lose weight
+WINDOW_INSTANTS = 48  # an older change is accepted
+CHANGE_PRIOR_SCALES = 3.0  # prior standard deviation of a change that is looked for, in parameter scales
+# Prior standard deviation after a change was found, in parameter scales; hits then determine it
+FOUND_CHANGE_PRIOR_SCALES = 10.0
+# Share of an amplitude's variance that is renewed from one instant of its group to the next
+DISCREPANCY_RENEWAL = 0.003
+ODD_HIT_PROBABILITY = 1e-3  # share of hits beyond the quantile at which Huber weights set in
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +84,7 @@ class Posterior:
         for one in instant:
             self.before.columns(one)
         self.window.append(tuple(instant))
-        self.believe_before(len(self.window) - WINDOW)
+        self.believe_before(len(self.window) - WINDOW_INSTANTS)
         self._now = None
 
     def believe(self, evidence: Iterable[HitEvidence]) -> None:
@@ -97,7 +99,7 @@ class Posterior:
             instant = self.window.pop(0)
             self.believe(instant)
             for group in sorted({one.group for one in instant}):
-                self.before.drift(group, DRIFT)
+                self.before.drift(group, DISCREPANCY_RENEWAL)
 
     def copy(self) -> Posterior:
         """A copy that can be changed."""
@@ -132,7 +134,7 @@ class Posterior:
 
 def weight_of(distance: float, size: int) -> float:
     """Weight of a hit with a squared distance and so many features [-]."""
-    return min(1.0, float(scipy.special.chdtri(size, ODD)) / max(distance, 1e-300))
+    return min(1.0, float(scipy.special.chdtri(size, ODD_HIT_PROBABILITY)) / max(distance, 1e-300))
 
 
 def unpredicted_log_density(size: int, freedom: float) -> float:
@@ -142,4 +144,4 @@ def unpredicted_log_density(size: int, freedom: float) -> float:
         size: Number of features of the hit.
         freedom: Degrees of freedom of the scatter.
     """
-    return log_density(float(scipy.special.chdtri(size, ODD)), 0.0, size, freedom)
+    return log_density(float(scipy.special.chdtri(size, ODD_HIT_PROBABILITY)), 0.0, size, freedom)

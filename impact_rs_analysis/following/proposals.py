@@ -17,8 +17,9 @@ from impact_rs_analysis.following.hits import Hit
 from impact_rs_analysis.inference.student import squared_distance
 from impact_rs_sim.physics import Physics
 
-APART = 2.0  # standard deviations between what two causes predict; one measurement then decides
-SAME = 0.02  # difference between probabilities that is none
+# Between the predictions of two causes, in standard deviations; one measurement then decides
+MIN_DECISIVE_DISTANCE = 2.0
+MAX_EQUAL_DIFFERENCE = 0.02  # between probabilities that are equal in practice
 
 
 class HitlessCheck(NamedTuple):
@@ -42,7 +43,7 @@ def _weight(physics: Physics) -> float:
     return float(np.linalg.norm(physics.gravity)) * physics.object.mass
 
 
-CHECKS = (
+HITLESS_CHECKS = (
     HitlessCheck("lift the object", "N", _weight, 0.5),
     HitlessCheck(
         "pull the object slowly over its support", "N", lambda physics: _weight(physics) * physics.support_friction, 0.5
@@ -75,14 +76,17 @@ def most_decisive(found: Iterable[ProposedMeasurement], shares: Sequence[float])
         found: Measurements, those that take least effort first; of some that are as good, the first is taken.
         shares: Probability of each of the others.
     """
-    found = [one for one in found if max(one.distances) > APART]
+    found = [one for one in found if max(one.distances) > MIN_DECISIVE_DISTANCE]
     right = [float(scipy.special.ndtr(0.5 * np.array(one.distances)) @ np.array(shares)) for one in found]
-    return next((one for one, own in zip(found, right, strict=True) if own > max(right) - SAME * sum(shares)), None)
+    return next(
+        (one for one, own in zip(found, right, strict=True) if own > max(right) - MAX_EQUAL_DIFFERENCE * sum(shares)),
+        None,
+    )
 
 
 def measurement_words(one: ProposedMeasurement, likeliest: str, others: Sequence[str]) -> str:
     """What to do, and which causes it distinguishes."""
-    parted = [other for other, distance in zip(others, one.distances, strict=True) if distance > APART]
+    parted = [other for other, distance in zip(others, one.distances, strict=True) if distance > MIN_DECISIVE_DISTANCE]
     between = "them" if len(parted) == len(others) else f"{likeliest} from {' and '.join(parted)}"
     return f"{one.words} distinguishes {between} ({one.what})"
 
@@ -102,7 +106,7 @@ def distinguishing(
     measured = [(name, hit) for name, hit in last.items() if name]
     measured = measured or [(f"the kind of {hit.name}", hit) for hit in last.values()]
     found = [_hit(own, hypotheses, f"one hit of {name}", hit) for name, hit in measured]
-    found += [_check(own, hypotheses, check, last[""].physics) for check in CHECKS]
+    found += [_check(own, hypotheses, check, last[""].physics) for check in HITLESS_CHECKS]
     seen = {effect.name for effect in own.candidate.effects if effect.seen_in(contact=False)}
     free = [name in seen for name in names]
     if any(free) and last[""].physics.arms:
@@ -110,7 +114,7 @@ def distinguishing(
         showing = " and ".join(name for name in names if name in seen)
         found.append(ProposedMeasurement("a free motion", apart, f"{showing} would show there"))
     best = most_decisive(found, shares)
-    if best is None or min(best.distances) <= APART:
+    if best is None or min(best.distances) <= MIN_DECISIVE_DISTANCE:
         hits = own.door.unmeasured([hit for _, hit in measured])
         found += [_hit(own, hypotheses, f"a hit of {hit.condition}, not measured yet,", hit) for hit in hits]
         best = most_decisive(found, shares)
@@ -138,7 +142,7 @@ def _check(
     """How well a measurement without a hit distinguishes the likeliest explanation from the others."""
     read = [_read(own, check, one, physics) for one in hypotheses]
     (first, width), *others = read
-    noise = check.least / APART
+    noise = check.least / MIN_DECISIVE_DISTANCE
     distances = tuple(abs(first - value) / math.sqrt(noise**2 + width**2 + wide**2) for value, wide in others)
     unit = f" {check.unit}" if check.unit else ""
     expected = (f"{value:.3g}{unit} if {one.effect}" for (value, _), one in zip(read, hypotheses, strict=True))

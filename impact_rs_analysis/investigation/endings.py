@@ -16,7 +16,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.schema import Schema, load_mapping, validate
 from impact_rs_trials.blind import KINDS
 
-ENDING = "ending.json"
+ENDING_FILE = "ending.json"
 EXPLAINED, LAW, MISSES_NOTHING, UNDECIDED = "EXPLAINED", "LAW-HOLDS", str(NOTHING), "UNDECIDED"
 
 
@@ -47,9 +47,9 @@ def read_ending(directory: Path) -> Ending:
     Raises:
         InputError: It has not ended.
     """
-    path = directory / ENDING
+    path = directory / ENDING_FILE
     if not path.exists():
-        raise InputError(f"this investigation has not ended: there is no {ENDING}", file=directory)
+        raise InputError(f"this investigation has not ended: there is no {ENDING_FILE}", file=directory)
     return validate(Ending, load_mapping(path), path)
 
 

@@ -39,7 +39,7 @@ from impact_rs_analysis.diagnosis.thresholds import LEAST_P
 from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_sim.robot import Array
 
-MOST_FREEDOM = 1e9  # in the place of infinitely many degrees of freedom
+MAX_FREEDOM = 1e9  # degrees of freedom that stand for infinitely many
 
 
 def p_of_error(clusters: Sequence[Cluster], tested: Sequence[Sequence[int]]) -> float | None:
@@ -77,7 +77,7 @@ def p_of_error(clusters: Sequence[Cluster], tested: Sequence[Sequence[int]]) -> 
         variance += sum(2.0 * float(np.sum(a * b)) for a, b in itertools.combinations(group, 2))
     if not expected:
         return None
-    freedom = [min(expected**2 / max(value, 1e-300), MOST_FREEDOM) for value in (variance, uncertain)]
+    freedom = [min(expected**2 / max(value, 1e-300), MAX_FREEDOM) for value in (variance, uncertain)]
     return float(scipy.special.fdtrc(*freedom, error / expected))
 
 

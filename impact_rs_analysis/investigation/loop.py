@@ -17,10 +17,10 @@ from impact_rs_analysis.diagnosis.document import DiagnosisDocument, ModelIdenti
 from impact_rs_analysis.diagnosis.grammar import load_grammar
 from impact_rs_analysis.diagnosis.search import ProgressCallback
 from impact_rs_analysis.evidence.source import Source
-from impact_rs_analysis.investigation.endings import ENDING, UNDECIDED, Ending, ending_of, read_ending
-from impact_rs_analysis.investigation.policy import MOST_DISCOVERIES, decide
+from impact_rs_analysis.investigation.endings import ENDING_FILE, UNDECIDED, Ending, ending_of, read_ending
+from impact_rs_analysis.investigation.policy import MAX_VAIN_DISCOVERIES, decide
 from impact_rs_analysis.investigation.prediction_check import Predictions, predicted, prediction_error
-from impact_rs_analysis.investigation.promise import WORTHWHILE, promise
+from impact_rs_analysis.investigation.promise import MIN_WORTHWHILE_PROBABILITY, promise
 from impact_rs_analysis.investigation.round_state import stands
 from impact_rs_analysis.investigation.rounds import (
     PlannedTrial,
@@ -44,7 +44,7 @@ from impact_rs_trials.experiment_plan import ExperimentPlan, write_plan
 from impact_rs_trials.runs import label_of
 
 FIRST, FEW, MORE = 6, 2, 4  # trials of the first round, of one with little to decide, and of any other
-FALL = 0.7  # of the held-out error of the round before, below which trials and no law are missing
+FALLING_ERROR_RATIO = 0.7  # held-out error over that of the round before; below, trials are missing and not a law
 
 Against = Callable[[Model], Source]
 Say = Callable[[str], None]
@@ -115,14 +115,14 @@ class Investigation:
         last = rounds[-1] if rounds else None
         if last is not None and (done := last.decision) is not None:
             if done.action == "end" and done.spent and self.budget > done.budget:
-                (self.directory / ENDING).unlink(missing_ok=True)
+                (self.directory / ENDING_FILE).unlink(missing_ok=True)
                 (last.directory / "decision.json").unlink()  # there are trials again
                 return False
             if missing := [name for name in done.models if not (self.directory / name).exists()]:
                 self._add(last, missing[0])
                 return False
             if done.action == "end":
-                write_whole(self.directory / ENDING, _json(ending_of(self.settings, rounds)))
+                write_whole(self.directory / ENDING_FILE, _json(ending_of(self.settings, rounds)))
                 return True
             last = None
         if last is None:
@@ -162,7 +162,7 @@ class Investigation:
             show,
         )
         plan = self._bench.design(wanted)
-        if rounds and (promised := promise(plan, left)) < WORTHWHILE:
+        if rounds and (promised := promise(plan, left)) < MIN_WORTHWHILE_PROBABILITY:
             self._give_up(rounds[-1], promised, left)
         else:
             write_plan(plan, here / "plan.yaml")
@@ -246,7 +246,7 @@ class Investigation:
         now = rounds[-1].basis
         if now is None or not now.calls_for_a_law or stands(self.settings, rounds[-1]):
             return False
-        if searches_in_vain(rounds) >= MOST_DISCOVERIES:
+        if searches_in_vain(rounds) >= MAX_VAIN_DISCOVERIES:
             return False
         before = rounds[-2].basis if len(rounds) > 1 else None
         again = before is not None and before.calls_for_a_law and not _falls(before, now)
@@ -277,7 +277,7 @@ def size_of_round(last: Round | None) -> int:
 
 def _falls(before: DiagnosisDocument, now: DiagnosisDocument) -> bool:
     """Whether more trials leave clearly less unexplained: then estimates are short of trials, and no law is missing."""
-    return bool(now.named) and now.held_out_error_after < FALL * before.held_out_error_after
+    return bool(now.named) and now.held_out_error_after < FALLING_ERROR_RATIO * before.held_out_error_after
 
 
 def _identity(model: Model) -> ModelIdentity:

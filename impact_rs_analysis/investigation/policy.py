@@ -18,7 +18,7 @@ from impact_rs_analysis.investigation.round_state import RoundState, p_alone
 from impact_rs_analysis.investigation.rounds import Round, RoundDecision
 from impact_rs_analysis.investigation.settings import Settings
 
-MOST_DISCOVERIES = 2  # that find no law; each takes minutes
+MAX_VAIN_DISCOVERIES = 2  # that find no law; each takes minutes
 
 Groups = tuple[tuple[str, ...], ...]
 
@@ -102,7 +102,7 @@ def _unexplained(state: RoundState) -> RoundDecision:
     if discovery is None:
         return _measure(state, reason, tied)
     reason += f" {discovery.verdict}: {discovery.summary}"
-    if state.in_vain < MOST_DISCOVERIES:
+    if state.in_vain < MAX_VAIN_DISCOVERIES:
         return _measure(state, reason, tied)
     return _undecided(state, f"{reason} And {state.in_vain} discoveries have found no law.", tied)
 

@@ -32,7 +32,7 @@ from impact_rs_sim.schema import Schema
 from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
 
-MOMENTS = 21  # at which the velocity of the end effector is looked at, a millisecond apart
+VELOCITY_SAMPLES = 21  # of the end effector's velocity, a millisecond apart
 
 
 class ImpactPrediction(Schema):
@@ -146,7 +146,7 @@ def _arm_velocity(run: MeasuredRun) -> float:
     found = []
     for name, begin in run.impacts.items():
         arm, model = run.signals.arms[name], run.setup.physics.robot_model(name)
-        moments = begin + np.linspace(*JUMP_WINDOWS[SETTLED], MOMENTS)
+        moments = begin + np.linspace(*JUMP_WINDOWS[SETTLED], VELOCITY_SAMPLES)
         rows = scipy.interpolate.make_interp_spline(run.signals.time, np.hstack([arm.position, arm.velocity]), 1)(
             moments
         )

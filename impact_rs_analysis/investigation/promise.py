@@ -13,8 +13,8 @@ import math
 from impact_rs_analysis.inference.ahead import promised
 from impact_rs_trials.experiment_plan import ExperimentPlan
 
-WORTHWHILE = 0.5  # probability, with all trials that are left, below which they are not measured
-CERTAIN = 0.9999  # the largest probability of a plan that is extrapolated
+MIN_WORTHWHILE_PROBABILITY = 0.5  # with all trials left; below, they are not measured
+MAX_EXTRAPOLATED_PROBABILITY = 0.9999  # of a plan
 
 
 def promise(plan: ExperimentPlan, left: int) -> float:
@@ -28,5 +28,5 @@ def promise(plan: ExperimentPlan, left: int) -> float:
     """
     if plan.aim != "rivals" or not plan.pairs:
         return 1.0
-    best = min(max(pair.after for pair in plan.pairs), CERTAIN)
+    best = min(max(pair.after for pair in plan.pairs), MAX_EXTRAPOLATED_PROBABILITY)
     return promised(best, plan.freedom or math.inf, left / plan.trials, left - plan.trials)  # 0: the scatter is known

@@ -26,7 +26,7 @@ from impact_rs_trials.campaign import Trial
 from impact_rs_trials.experiment_plan import ExperimentPlan, read_plan
 from impact_rs_trials.spec import TrialSpec
 
-ROUNDS = "rounds"
+ROUNDS_FOLDER = "rounds"
 
 
 class RoundDecision(Schema):
@@ -250,7 +250,7 @@ def read_rounds(directory: Path, settings: Settings) -> list[Round]:
 
 def folder_of(directory: Path, number: int) -> Path:
     """Folder of the files of a round."""
-    return directory / ROUNDS / f"{number:02d}"
+    return directory / ROUNDS_FOLDER / f"{number:02d}"
 
 
 def _read(kind: type[SchemaType], path: Path) -> SchemaType | None:

@@ -14,7 +14,7 @@ from impact_rs_sim.files import write_whole
 from impact_rs_sim.schema import Schema, load
 from impact_rs_trials.envelope import CellEnvelope
 
-SETTINGS = "investigation.yaml"
+SETTINGS_FILE = "investigation.yaml"
 
 
 class BlindChoice(Schema):
@@ -50,7 +50,7 @@ def begin(directory: Path, settings: Settings) -> Settings:
     Raises:
         InputError: It holds another investigation.
     """
-    path = directory / SETTINGS
+    path = directory / SETTINGS_FILE
     if path.exists():
         present = load(Settings, path)
         if present != settings:
@@ -71,7 +71,7 @@ def read_settings(directory: Path) -> Settings:
     Raises:
         InputError: There is no investigation in the folder.
     """
-    path = directory / SETTINGS
+    path = directory / SETTINGS_FILE
     if not path.exists():
-        raise InputError(f"no investigation here: there is no {SETTINGS}", file=directory)
+        raise InputError(f"no investigation here: there is no {SETTINGS_FILE}", file=directory)
     return load(Settings, path)

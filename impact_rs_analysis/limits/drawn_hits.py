@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a hit does to an arm, for many draws of what is not known exactly.
+"""Loads of a hit on an arm: Monte Carlo simulation over the uncertain parameters.
 
 Everything comes from the compiled twin (:mod:`impact_rs_sim.twin`): drives with springs and a pad that yields. It runs
-from the touch of the pads on, with the torque that carries the arms there, for ``WINDOW``; feedback of a controller
-hardly acts in that time. The rigid impact map is not asked: a pad that bounces adds up to a quarter to the largest
-joint velocity jump.
+from the touch of the pads on, with the torque that carries the arms there, for ``HIT_WINDOW_S``; feedback of a
+controller hardly acts in that time. The rigid impact map is not asked: a pad that bounces adds up to a quarter to the
+largest joint velocity jump.
 
 A draw changes everything that the scenario states as uncertain, the stiffness of joints and pads, and what the twin is
 known to differ by from another simulator:
@@ -40,12 +40,12 @@ from impact_rs_sim.scenario import Uncertainties
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState, Scene
 from impact_rs_sim.twin import TwinJob, simulate
 
-DRAWS = 200  # of a speed limit: two of them may lie above it
-WINDOW = 0.035  # s, from the touch on; a spring of a joint swings back within it
-GAP = 1e-4  # m, between pad and object at the start
-STIFFNESS = 0.2  # of joints and pads, relative: half the width of a 95 % interval; assumed
-DAMPING = 0.3  # likewise
-JUMP_MEAN = (0.005, 0.015)  # s after the touch, over which the velocity after the hit is taken
+DEFAULT_DRAWS = 200  # of a speed limit: two of them may exceed it
+HIT_WINDOW_S = 0.035  # from the touch on; a joint's spring swings back within it
+INITIAL_GAP_M = 1e-4  # between pad and object
+STIFFNESS_HALF_WIDTH = 0.2  # of joints and pads, relative: half the width of a 95 % interval; assumed
+DAMPING_HALF_WIDTH = 0.3  # of joints and pads, likewise
+JUMP_WINDOW_S = (0.005, 0.015)  # after the touch, over which the post-impact velocity is averaged
 # How far MuJoCo is from the twin with the same parameters, in 18 pushes: benchmarks/accuracy/limits.py --calibrate. Of
 # jumps the rms difference times l / v_n, of largest values the standard deviation of the logarithm of their ratio.
 JUMP_SHARES: Mapping[HitKind, float] = {"square": 0.005, "oblique": 0.02}
@@ -158,7 +158,7 @@ def quantities(scene: Scene, time: Array, arms: Mapping[str, ArmMotion]) -> Arra
         arms: Signals by arm, ``(m, n)``.
     """
     found: list[Array] = []
-    after = (time >= JUMP_MEAN[0]) & (time <= JUMP_MEAN[1])
+    after = (time >= JUMP_WINDOW_S[0]) & (time <= JUMP_WINDOW_S[1])
     for name, arm in arms.items():
         model, facts = scene.models[name], scene.physics.arms[name].facts
         gain = (facts.reflexes or Reflexes()).observer_gain
@@ -262,7 +262,7 @@ def drawn(
             motor_inertia_rotor=share * arm.motor_inertia_rotor,
         )
     physics, body = replace(changed.problem.physics, arms=made), changed.problem.object
-    states = _moved(changed.problem.arms, _approach(physics, changed.problem.arms, body, models), GAP)
+    states = _moved(changed.problem.arms, _approach(physics, changed.problem.arms, body, models), INITIAL_GAP_M)
     return physics, states, body
 
 
@@ -275,7 +275,7 @@ def twin_job(physics: Physics, arms: Mapping[str, ArmState], body: BodyState, pe
         body: State of the object.
         period: Of the torque loop [s].
     """
-    ticks = round(WINDOW / period)
+    ticks = round(HIT_WINDOW_S / period)
     torque, starts = {}, {}
     for name, arm in arms.items():
         bias = physics.robot_model(name).terms(arm.position, arm.velocity).bias.copy()
@@ -304,9 +304,9 @@ def drawn_springs(arm: ArmPhysics, rng: np.random.Generator) -> ArmPhysics:
         return np.maximum(1.0 + width / NORMAL_95 * rng.standard_normal(size), 0.1)
 
     joints = arm.stiffness.size
-    stiffness = arm.stiffness * factor(STIFFNESS, joints)
-    damping = arm.damping * factor(DAMPING, joints)
-    pad, pad_damping = float(factor(STIFFNESS)[0]), float(factor(DAMPING)[0])
+    stiffness = arm.stiffness * factor(STIFFNESS_HALF_WIDTH, joints)
+    damping = arm.damping * factor(DAMPING_HALF_WIDTH, joints)
+    pad, pad_damping = float(factor(STIFFNESS_HALF_WIDTH)[0]), float(factor(DAMPING_HALF_WIDTH)[0])
     return replace(
         arm,
         stiffness=stiffness,

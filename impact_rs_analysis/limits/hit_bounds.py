@@ -54,7 +54,7 @@ class Thresholds:
     external_force: float | None = None
 
 
-OF_THE_FACTS = Thresholds()
+NO_THRESHOLDS = Thresholds()
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Bounds:
         return tuple(kind for kind in KINDS if kind not in known)
 
 
-def bounds_of(physics: Physics, thresholds: Thresholds = OF_THE_FACTS) -> Bounds:
+def bounds_of(physics: Physics, thresholds: Thresholds = NO_THRESHOLDS) -> Bounds:
     """Bounds of the arms of a scene."""
     names: list[str] = []
     kinds: list[str] = []

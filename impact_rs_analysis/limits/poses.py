@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from impact_rs_analysis.limits.drawn_hits import DRAWS, Hits
-from impact_rs_analysis.limits.hit_bounds import OF_THE_FACTS, Thresholds
+from impact_rs_analysis.limits.drawn_hits import DEFAULT_DRAWS, Hits
+from impact_rs_analysis.limits.hit_bounds import NO_THRESHOLDS, Thresholds
 from impact_rs_analysis.limits.speed import SpeedLimit, speed_limit
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.scenario import Scenario
@@ -63,8 +63,8 @@ class LimitTask:
     case_name: str
     x: float = 0.0
     z: float = 0.0
-    thresholds: Thresholds = OF_THE_FACTS
-    draws: int = DRAWS
+    thresholds: Thresholds = NO_THRESHOLDS
+    draws: int = DEFAULT_DRAWS
 
 
 @dataclass(frozen=True)

@@ -23,10 +23,10 @@ from impact_rs_sim.errors import Infeasible
 from impact_rs_sim.robot import Array
 
 LEVEL = 0.99
-CLOSE = 0.01  # relative change of the speed that ends the search
-ROUNDS = 5  # speeds that are simulated at most
-LEAST_STABLE = 0.9  # share of the draws
-HIGHEST = 20.0  # times the speed of the scene; no bound was found that matters
+SPEED_TOLERANCE = 0.01  # relative change of the speed that ends the search
+MAX_SIMULATED_SPEEDS = 5  # speeds that are simulated at most
+MIN_STABLE_SHARE = 0.9  # of the draws
+MAX_SPEED_RATIO = 20.0  # over the speed of the scene; no relevant bound lies beyond
 
 
 @dataclass(frozen=True)
@@ -86,10 +86,10 @@ def speed_limit(hits: Hits) -> SpeedLimit:
     curve = _Curve(hits)
     everything = tuple(range(len(hits.bounds.names)))
     scale = 1.0
-    for _ in range(ROUNDS):
+    for _ in range(MAX_SIMULATED_SPEEDS):
         curve.add(scale)
         found = curve.limit(everything, LEVEL)
-        if found in (0.0, HIGHEST) or abs(found - scale) <= CLOSE * scale:
+        if found in (0.0, MAX_SPEED_RATIO) or abs(found - scale) <= SPEED_TOLERANCE * scale:
             break
         scale = found
     of_kind = {
@@ -100,7 +100,7 @@ def speed_limit(hits: Hits) -> SpeedLimit:
     scene = hits.scene
 
     def speed(scale: float) -> float:
-        return float("inf") if scale >= HIGHEST else scale * hits.speed
+        return float("inf") if scale >= MAX_SPEED_RATIO else scale * hits.speed
 
     return SpeedLimit(
         object_name=scene.object_name,
@@ -126,7 +126,7 @@ class _Curve:
         """Simulate one more speed."""
         self._known[scale] = self._hits.ratios(scale)
         self._usable = np.all([np.isfinite(rows).all(axis=1) for rows in self._known.values()], axis=0)
-        if self.draws < LEAST_STABLE * self._usable.size:
+        if self.draws < MIN_STABLE_SHARE * self._usable.size:
             raise Infeasible(
                 f"only {self.draws} of {self._usable.size} draws of the hit are stable; expected more damping in joints"
                 " or pads, or a shorter timing.drive_period (impact-rs robot check says which)"
@@ -153,9 +153,9 @@ class _Curve:
         """Largest scale at which the quantile is at most 1, by bisection; 0: not even at rest; HIGHEST: beyond."""
         if self.quantile(0.0, which, level) > 1.0:
             return 0.0
-        if self.quantile(HIGHEST, which, level) <= 1.0:
-            return HIGHEST
-        low, high = 0.0, HIGHEST
+        if self.quantile(MAX_SPEED_RATIO, which, level) <= 1.0:
+            return MAX_SPEED_RATIO
+        low, high = 0.0, MAX_SPEED_RATIO
         while high - low > 1e-4 * high:
             middle = 0.5 * (low + high)
             low, high = (middle, high) if self.quantile(middle, which, level) <= 1.0 else (low, middle)
@@ -163,7 +163,7 @@ class _Curve:
 
     def worst(self, scale: float) -> int:
         """Number of the quantity whose quantile is largest."""
-        return int(np.argmax(np.quantile(self.at(min(scale, HIGHEST)), LEVEL, axis=0)))
+        return int(np.argmax(np.quantile(self.at(min(scale, MAX_SPEED_RATIO)), LEVEL, axis=0)))
 
 
 def _finite(value: float) -> float | None:

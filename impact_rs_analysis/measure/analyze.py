@@ -37,8 +37,8 @@ from impact_rs_trials.spec import recorded_scenario
 from impact_rs_trials.varied_settings import varied_folders
 from impact_rs_trials.workers import Map
 
-MANY = 100  # bags; fewer are read faster in one process
-LARGEST_SPREAD = 0.05  # s between the impacts of two arms; later, velocity feedback disturbs the second one
+MIN_PARALLEL_BAGS = 100  # fewer are read faster in one process
+MAX_IMPACT_SPREAD_S = 0.05  # between the impacts of two arms; later, velocity feedback disturbs the second one
 
 
 @dataclass(frozen=True)
@@ -244,8 +244,8 @@ class Analysis:
         skipped: Bags that could not be used.
         missing: Trials of the manifest that do not exist.
         no_impact: Trials without impact.
-        apart: Trials in which one arm hit long before another, with the time between [s] (``LARGEST_SPREAD``); they
-            stay in the fit.
+        apart: Trials whose arms hit far apart in time, with the time between [s] (``MAX_IMPACT_SPREAD_S``); they stay
+            in the fit.
         limited: Trials with a joint at its torque limit in the window, with its name and duration [s]; they stay in the
             fit.
         left: Sets whose object left the pad after the hit, which no prediction knows; they stay in the fit.
@@ -396,7 +396,7 @@ def analyze_campaign(
     def read(paths: Sequence[Path], prefix: str = "") -> list[TrialFeedback]:
         nonlocal count
         found = []
-        spread = map_tasks if len(paths) > MANY else map
+        spread = map_tasks if len(paths) > MIN_PARALLEL_BAGS else map
         for path, (feedback, sealed) in zip(paths, spread(feedback_of, paths), strict=True):
             if isinstance(feedback, str):
                 skipped.append(SkippedBag(f"{prefix}{path.name}", feedback))
@@ -435,7 +435,9 @@ def analyze_campaign(
         unsealed=tuple(unsealed),
         missing=tuple(missing),
         no_impact=tuple(trial.name for trial in measured if not trial.impact),
-        apart=tuple((trial.name, trial.spread) for trial in measured if trial.impact and trial.spread > LARGEST_SPREAD),
+        apart=tuple(
+            (trial.name, trial.spread) for trial in measured if trial.impact and trial.spread > MAX_IMPACT_SPREAD_S
+        ),
         limited=tuple(
             (prefix + trial.name, *entry)
             for prefix, trials in [("", measured), *((f"{folders[key]}/", found) for key, found in others.items())]

@@ -39,10 +39,10 @@ from impact_rs_trials.workers import Map
 
 ROBOTS = ("franka_fer", "franka_fr3", "kinova_gen3", "kuka_iiwa7", "ur5e", "ur10e")
 MOTOR_INERTIAS = ("reduced", "rotor")
-STEP = 0.05  # of B, relative
+MOTOR_INERTIA_STEP = 0.05  # of B, relative
 LEVEL = 0.95
-ARM = "arm"
-MOST_TRIES = 60  # random places per pose that is wanted
+ARM_NAME = "arm"
+MAX_TRIES_PER_POSE = 60  # random positions
 
 
 @dataclass(frozen=True)
@@ -250,7 +250,7 @@ def stances_of(robot: str, question: DesignQuestion, poses: int) -> tuple[list[S
             found.append(Stance(robot, len(found) + 1, pose.q))
         if len(found) == poses:
             return found, tried
-        if tried >= MOST_TRIES * poses:
+        if tried >= MAX_TRIES_PER_POSE * poses:
             break
     raise InputError(
         f"{robot} reaches {question.speed:g} m/s in {len(found)} of {tried} random places, expected {poses}; give a "
@@ -307,7 +307,7 @@ def problems_of(question: DesignQuestion, stance: Stance) -> Iterator[tuple[str,
         )
         physics = replace(
             template,
-            arms={ARM: own},
+            arms={ARM_NAME: own},
             support_height=None,
             pad_friction=pad.friction,
             restitution=pad.restitution,
@@ -322,9 +322,9 @@ def problems_of(question: DesignQuestion, stance: Stance) -> Iterator[tuple[str,
                 pad_name,
                 ImpactProblem(
                     physics=physics,
-                    arms={ARM: state},
+                    arms={ARM_NAME: state},
                     object=BodyState(middle, np.eye(3), np.zeros(6)),
-                    motor_inertia={ARM: own.motor_inertia(motor_inertia)},
+                    motor_inertia={ARM_NAME: own.motor_inertia(motor_inertia)},
                     restitution=pad.restitution,
                 ),
             )
@@ -349,7 +349,7 @@ def values_by(engine_name: str, problem: ImpactProblem) -> dict[str, float]:
         return np.concatenate((*answer.joint_velocity.values(), answer.object_twist))
 
     try:
-        return _values(problem, *(solve(scale) for scale in (1.0, 1.0 + STEP, 1.0 - STEP)))
+        return _values(problem, *(solve(scale) for scale in (1.0, 1.0 + MOTOR_INERTIA_STEP, 1.0 - MOTOR_INERTIA_STEP)))
     finally:
         engine.close()
 
@@ -408,8 +408,8 @@ def _drawn(
     problem: ImpactProblem, models: Mapping[str, RobotModel], pads: frozenset[str], amounts: dict[str, float]
 ) -> dict[str, float]:
     """The measures with parameters changed."""
-    motors = problem.motor_inertia[ARM]
-    names = [f"{ARM}.motor_inertia.{joint + 1}" for joint in range(motors.size)]
+    motors = problem.motor_inertia[ARM_NAME]
+    names = [f"{ARM_NAME}.motor_inertia.{joint + 1}" for joint in range(motors.size)]
 
     def solve(step: float) -> Array:
         moved = {
@@ -419,23 +419,23 @@ def _drawn(
         velocities, _ = answer_of(problem, models, {**amounts, **moved}, pads)
         return np.concatenate((velocities[: motors.size], velocities[-6:]))
 
-    more, less = solve(STEP), solve(-STEP)
+    more, less = solve(MOTOR_INERTIA_STEP), solve(-MOTOR_INERTIA_STEP)
     return _values(change(problem, amounts).problem, 0.5 * (more + less), more, less)
 
 
 def _values(problem: ImpactProblem, answer: Array, more: Array, less: Array) -> dict[str, float]:
     """The measures from velocities of joints and object, ``(n + 6,)``, with B, with more and with less."""
-    state, object_ = problem.arms[ARM], problem.physics.object
+    state, object_ = problem.arms[ARM_NAME], problem.physics.object
     offset = problem.object.rotation @ object_.com_offset
 
     def speed(velocities: Array) -> float:
         return float(NORMAL @ (velocities[-6:-3] + np.cross(velocities[-3:], offset)))
 
-    limits = np.array(problem.physics.arms[ARM].facts.limits.velocity_rad_s)
+    limits = np.array(problem.physics.arms[ARM_NAME].facts.limits.velocity_rad_s)
     return {
         "impulse": object_.mass * speed(answer),
         "joint_jump": float(np.max(np.abs(answer[:-6] - state.velocity) / limits)),
-        "sensitivity": (speed(more) - speed(less)) / (2.0 * STEP * speed(answer)),
+        "sensitivity": (speed(more) - speed(less)) / (2.0 * MOTOR_INERTIA_STEP * speed(answer)),
     }
 
 

@@ -16,7 +16,7 @@ from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.plots import TEMPLATE
 
 COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
-SHOWN = 15  # designs of a table
+MAX_TABLE_DESIGNS = 15  # designs of a table
 SYMBOLS = ("circle", "diamond", "square", "cross", "x")
 
 
@@ -73,7 +73,7 @@ def write_design_study(study: DesignStudy, directory: Path) -> Path:
         tables={
             f"{measure.label} [{measure.unit}]": [
                 (design.name, *_texts(design, name), f"{best} to {worst}")
-                for design, best, worst in study.ranked(name)[:SHOWN]
+                for design, best, worst in study.ranked(name)[:MAX_TABLE_DESIGNS]
             ]
             for name, measure in MEASURES.items()
         },

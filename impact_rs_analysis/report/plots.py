@@ -28,8 +28,8 @@ GREY, GRID, ZERO = "#BBBBBB", "#E6E6E6", "#999999"
 TAG_COLOURS = {Tag.GOOD: GREEN, Tag.MAYBE: ORANGE, Tag.NO: GREY}
 DASHES = {"solid": "solid", "dashed": "dash", "none": "solid"}
 # Of heat maps, over the same range in every report: 2 times repeatability is nearly white, 10 dark, more the darkest.
-DARKEST = 10.0  # times the larger of repeatability and relevance limit
-SIGNED = [
+DARKEST_RATIO = 10.0  # in multiples of the larger of repeatability and relevance limit
+DIVERGING_COLOURS = [
     [0.0, "#B2182B"],
     [0.2, "#EF8A62"],
     [0.4, "#F7EFEC"],
@@ -38,9 +38,9 @@ SIGNED = [
     [0.8, "#67A9CF"],
     [1.0, "#2166AC"],
 ]
-MOST_EFFECTS = 12
-DECADE = 10.0  # ratio of largest to smallest, from which an axis is logarithmic
-NOTICEABLE = 2.0  # times repeatability, from which a place is shown, where it is above its relevance limit
+MAX_SHOWN_EFFECTS = 12
+MIN_LOG_AXIS_RATIO = 10.0  # largest over smallest value, from which an axis is logarithmic
+MIN_SHOWN_RATIO = 2.0  # residual over repeatability, from which a cell above its relevance limit is shown
 
 _AXIS = {
     "automargin": True,
@@ -161,7 +161,7 @@ def effects_plot(document: DiagnosisDocument) -> go.Figure | None:
     """Held-out error of the best effects, alone and added to the chosen ones; None if none was measured."""
     shown = [
         (effect, effect.held_out_error_after) for effect in document.effects if effect.held_out_error_after is not None
-    ][:MOST_EFFECTS]
+    ][:MAX_SHOWN_EFFECTS]
     if not shown:
         return None
     names = [_plain(effect.name) for effect, _ in shown]
@@ -214,7 +214,7 @@ def effects_plot(document: DiagnosisDocument) -> go.Figure | None:
 def _range(numbers: Sequence[float]) -> dict[str, Any]:
     """An axis from zero, or a logarithmic one if the smallest number would be invisible."""
     smallest, largest = min(numbers), max(numbers)
-    if smallest <= 0.0 or largest < DECADE * smallest:
+    if smallest <= 0.0 or largest < MIN_LOG_AXIS_RATIO * smallest:
         return {"range": [0.0, 1.05 * largest]}
     low, high = math.log10(smallest), math.log10(largest)
     margin = 0.05 * (high - low)
@@ -252,7 +252,7 @@ def _joint_bars(
 
 def noticeable(cell: Cell) -> bool:
     """Whether a residual is clear of noise and above its relevance limit."""
-    return cell.times_noise > NOTICEABLE and cell.matters
+    return cell.times_noise > MIN_SHOWN_RATIO and cell.matters
 
 
 def where_plots(cells: Sequence[Cell], by_phase: bool, yardstick: str) -> list[tuple[str, go.Figure]]:
@@ -306,9 +306,9 @@ def _heat_map(cells: Sequence[Cell], columns: Sequence[tuple[str, Cell]], yardst
             y=[_plain(f"{signal} {index}") for signal, index in rows],
             text=[["" if c is None else quantity_text(c.error, c.unit) for c in row] for row in found],
             hovertemplate=f"%{{y}}<br>%{{x}}<br>%{{z:.1f}} × {yardstick}<br>%{{text}}<extra></extra>",
-            zmin=-DARKEST,
-            zmax=DARKEST,
-            colorscale=SIGNED,
+            zmin=-DARKEST_RATIO,
+            zmax=DARKEST_RATIO,
+            colorscale=DIVERGING_COLOURS,
             colorbar={"orientation": "h", "thickness": 8, "y": 0, "yanchor": "top", "ypad": 6, "outlinewidth": 0},
             xgap=1,
             ygap=1,

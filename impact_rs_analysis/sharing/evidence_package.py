@@ -26,7 +26,7 @@ from impact_rs_sim.schema import Schema, read_json, validate
 from impact_rs_sim.version import git_revision, package_version
 
 LIBRARIES = ("numpy", "scipy", "pin")
-BLOCK = 1 << 20  # bytes that are read at a time
+READ_BLOCK_BYTES = 1 << 20  # bytes that are read at a time
 
 
 class FileDigest(Schema):
@@ -171,7 +171,7 @@ def digests_of(data: Path, progress: Callable[[int, int], None] = lambda *_: Non
         digest = hashlib.sha256()
         try:
             with path.open("rb") as file:
-                while block := file.read(BLOCK):
+                while block := file.read(READ_BLOCK_BYTES):
                     digest.update(block)
             size = path.stat().st_size
         except OSError as error:

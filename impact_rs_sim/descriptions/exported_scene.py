@@ -31,9 +31,8 @@ from impact_rs_sim.version import package_version
 
 PADS = ("rigid", "compliant")
 FACE_CORNERS = 4  # contact points of a face, which share its stiffness and damping
-RIGID_SUPPORT_STIFFNESS_OVER_MASS_PER_S2 = (
-    1.5e6  # of a rigid support, over the mass of the object; the object sinks in by g over it, 6.5 micrometres
-)
+# Of a rigid support, over the mass of the object; the object sinks in by g over it, 6.5 micrometres
+RIGID_SUPPORT_STIFFNESS_OVER_MASS_PER_S2 = 1.5e6
 
 
 class ExportedQuantity(Enum):

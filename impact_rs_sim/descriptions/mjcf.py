@@ -31,15 +31,13 @@ from impact_rs_sim.rotations import quaternion_of
 SUPPORTED_QUANTITIES = frozenset(ExportedQuantity)
 TIME_STEP_S = 5e-5  # of MuJoCo's integrator
 CONTACT_MARGIN_M = 1e-5  # distance below which points touch
-MIN_STEPS_PER_BOUNCE_RADIAN = (
-    10.0  # time steps over the phase angle of a bouncing rigid contact; MuJoCo needs at least 2
-)
+# Time steps over the phase angle of a bouncing rigid contact; MuJoCo needs at least 2
+MIN_STEPS_PER_BOUNCE_RADIAN = 10.0
 MIN_DAMPING_RATIO = 1e-3  # of a contact with restitution 1; MuJoCo does not accept 0
 MAX_IMPEDANCE = 0.9999  # of a rigid contact; MuJoCo's largest
 PAD_VIRTUAL_MASS_RATIO = 0.005  # mass that a corner of a compliant pad adds, over the mass of the impact [-]
-SUPPORT_VIRTUAL_MASS_RATIO = (
-    0.02  # mass that a corner of the object on its support adds, over the mass of the object [-]
-)
+# Mass that a corner of the object on its support adds, over the mass of the object [-]
+SUPPORT_VIRTUAL_MASS_RATIO = 0.02
 PAD_FRICTION_RATE_PER_S = 1e4  # of the friction of a compliant pad
 SUPPORT_FRICTION_RATE_PER_S = 300.0  # of the friction of the support
 NORMAL_OVER_FRICTION_REGULARISATION = 1e4  # MuJoCo's impratio [-]

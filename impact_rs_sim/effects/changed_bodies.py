@@ -20,9 +20,8 @@ from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.robot import Array, Link
 from impact_rs_sim.robot_model import mounted_inertia
 
-MAX_COVARIATE_VALUES = (
-    8  # of a covariate whose values may be levels with parameters of their own; with more it is taken as linear
-)
+# Of a covariate whose values may be levels with parameters of their own; with more it is taken as linear
+MAX_COVARIATE_VALUES = 8
 
 
 class InertialBody(NamedTuple):

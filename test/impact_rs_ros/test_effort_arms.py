@@ -22,7 +22,7 @@ from robot_bench import (
     state_message,
 )
 
-from impact_rs_control.fallback import FRESH, SETTLE, holding_torque
+from impact_rs_control.fallback import FRESH, SETTLING_TIME_S, holding_torque
 from impact_rs_ros.effort_arms import EffortArms, rest_until
 from impact_rs_ros.robot_states import STATES, RobotStates, joint_names
 
@@ -190,7 +190,7 @@ def test_an_arm_whose_weight_is_assumed_wrongly_creeps_instead_of_falling() -> N
         arm.step()
         robot.states.read(state_message(*arm.past[-1]))
         robot.arms.rest()
-    np.testing.assert_allclose(arm.velocity, -SETTLE, atol=SETTLE)
+    np.testing.assert_allclose(arm.velocity, -SETTLING_TIME_S, atol=SETTLING_TIME_S)
     assert not robot.arms.held
 
 

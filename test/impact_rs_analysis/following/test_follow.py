@@ -295,7 +295,7 @@ def test_a_sensor_that_drifts_slowly_is_no_change(tmp_path: Path, monkeypatch: p
             row[place] = float(str(row[place])) * (1.0 + 0.02 * number / len(rows))
     path = write(tmp_path / "hits.csv", rows)
     assert not changes(list(following(path, only=None).arrived()))
-    monkeypatch.setattr(posterior, "DRIFT", 1e-9)
+    monkeypatch.setattr(posterior, "DISCREPANCY_RENEWAL", 1e-9)
     assert changes(list(following(path, only=None).arrived()))
 
 
@@ -313,7 +313,7 @@ def test_a_misfit_that_wears_in_and_no_effect_explains_is_predicted_from_recent_
         return float(np.sqrt(np.mean([one.error**2 for one in documents[-20:] if one.error is not None])))
 
     corrected = late()
-    monkeypatch.setattr(recent_residuals, "LEAD", 1e9)
+    monkeypatch.setattr(recent_residuals, "MIN_LEAD", 1e9)
     assert corrected < 0.85 * late()
 
 
@@ -424,8 +424,8 @@ def test_mass_and_motors_that_hits_do_not_tell_apart_are_distinguished_by_a_lift
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Kills a check without its own uncertainty, and one that is proposed where both read the same."""
-    lift = proposals.CHECKS[0]
-    monkeypatch.setattr(proposals, "CHECKS", (lift,))
+    lift = proposals.HITLESS_CHECKS[0]
+    monkeypatch.setattr(proposals, "HITLESS_CHECKS", (lift,))
     change = apart(tmp_path, {"object_mass": [1.1]}, ["object_mass", "motor_inertia_scale"])
     mass = change.causes[0].parameters[0]
     assert (change.causes[0].effect, mass.parameter) == ("object_mass", "object_mass.scale")
@@ -434,7 +434,7 @@ def test_mass_and_motors_that_hits_do_not_tell_apart_are_distinguished_by_a_lift
     assert min(abs(as_before - 9.81 * item.mass) for item in PUSH.objects.values()) < 0.05  # N
     assert heavier == pytest.approx(mass.estimate * as_before, rel=0.01)
     blunt = lift._replace(least=10.0 * lift.least)
-    monkeypatch.setattr(proposals, "CHECKS", (blunt,))
+    monkeypatch.setattr(proposals, "HITLESS_CHECKS", (blunt,))
     change = apart(tmp_path, {"object_mass": [1.1]}, ["object_mass", "motor_inertia_scale"])
     assert change.apart == "a free motion distinguishes them (motor_inertia_scale would show there)"
 
@@ -447,7 +447,7 @@ def test_one_more_hit_of_a_kind_that_was_measured_is_proposed_where_it_decides(t
 def test_hits_at_other_speeds_are_proposed_where_those_at_hand_do_not_decide(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(proposals, "APART", 10.0)
+    monkeypatch.setattr(proposals, "MIN_DECISIVE_DISTANCE", 10.0)
     change = apart(tmp_path, {"restitution": [0.06]}, ["object_mass", "restitution"], seed=5)
     assert " at twice the speed, not measured yet, distinguishes them (" in change.apart
     door = following(write(tmp_path / "hits.csv", QUIET)).door
@@ -457,7 +457,7 @@ def test_hits_at_other_speeds_are_proposed_where_those_at_hand_do_not_decide(
 
 def test_where_nothing_tells_causes_apart_it_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Both show in a free motion, and neither in what one reads."""
-    monkeypatch.setattr(proposals, "CHECKS", ())
+    monkeypatch.setattr(proposals, "HITLESS_CHECKS", ())
     change = apart(tmp_path, {"motor_inertia_scale": [1.2]}, ["motor_inertia_scale", "end_effector_payload"])
     assert change.apart.startswith("no hit of these kinds and nothing")
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from impact_rs_analysis.inference.ahead import probability
-from impact_rs_analysis.investigation.promise import WORTHWHILE, promise
+from impact_rs_analysis.investigation.promise import MIN_WORTHWHILE_PROBABILITY, promise
 from impact_rs_trials.campaign import PlannedTrials
 from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign, PlannedPair
 
@@ -35,7 +35,7 @@ def distinguished(root: float, freedom: int) -> float:
 
 
 def test_half_the_decisions_are_made_where_the_mean_log_ratio_is_that_of_twenty() -> None:
-    assert distinguished(np.sqrt(2.0 * np.log(20.0)), 0) == pytest.approx(WORTHWHILE, abs=0.01)
+    assert distinguished(np.sqrt(2.0 * np.log(20.0)), 0) == pytest.approx(MIN_WORTHWHILE_PROBABILITY, abs=0.01)
 
 
 @pytest.mark.parametrize("freedom", [0, 2, 9])

@@ -110,8 +110,8 @@ def test_draws_scatter_by_the_discrepancy_of_the_twin_and_by_springs_as_stated(m
     scene = scene_of()
     (arm,), rng = scene.physics.arms.values(), np.random.default_rng(0)
     springs = np.array([drawn_springs(arm, rng).stiffness / arm.stiffness for _ in range(200)])
-    assert springs.std() == pytest.approx(drawn_hits.STIFFNESS / 1.96, rel=0.1)
-    for name in ("STIFFNESS", "DAMPING"):
+    assert springs.std() == pytest.approx(drawn_hits.STIFFNESS_HALF_WIDTH / 1.96, rel=0.1)
+    for name in ("STIFFNESS_HALF_WIDTH", "DAMPING_HALF_WIDTH"):
         monkeypatch.setattr(drawn_hits, name, 0.0)
     hits = Hits(scene, Thresholds(velocity_jump=0.3), EXACT, 60)
     values, kinds = hits.values(1.0), np.array(hits.bounds.kinds)
