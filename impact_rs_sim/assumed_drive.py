@@ -2,12 +2,12 @@
 """Assumed drive parameters of an arm with known links and unknown drives.
 
 Motor inertia and stiffness are scaled from a Franka arm by the torque limits. The damping meets two conditions: the
-torque loop must stay stable with the lightest link at its period, and the controller must not excite the resonance of
-the joint. A velocity feedback d on the link side has the loop gain d m / D there, m the inertia that the spring sees;
-with a gain above 1 the joint swings until the torque is at its limit.
+torque loop is stable with the lightest link at its period, and the controller does not excite the resonance of the
+joint. At resonance a link-side velocity feedback d has the loop gain d m / D, with m the inertia at the spring; a gain
+above 1 is a limit cycle at the torque limit.
 
-A prismatic joint gets the drive of one that turns, behind a pinion of the radius r that makes a Franka joint's speed
-limit its own: its force F is the torque r F, and inertia, stiffness and damping are those of that joint over r^2.
+A prismatic joint gets the drive of a revolute joint behind a pinion. Its radius r converts the speed limit of a Franka
+joint to that of the prismatic joint: a force F is the torque r F; inertia, stiffness and damping are divided by r^2.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ MAX_DAMPING_RATE_PER_S = 80.0
 
 
 def assumed_numbers(facts: RobotFacts) -> tuple[DriveNumber, ...]:
-    """Which numbers of :func:`assumed_drive` are assumptions: all but a rotor inertia that the facts have."""
+    """Names of the numbers of :func:`assumed_drive` that are assumed; a rotor inertia in the robot facts is not."""
     published = facts.reflected_rotor_inertia_other_source_kg_m2 is not None
     rotor: tuple[DriveNumber, ...] = () if published else ("motor_inertia_rotor",)
     reduced: tuple[DriveNumber, ...] = ("motor_inertia_reduced",) if facts.joint_torque_loop else ()
@@ -42,7 +42,7 @@ def assumed_numbers(facts: RobotFacts) -> tuple[DriveNumber, ...]:
 
 
 def assumed_drive(facts: RobotFacts, end_effector: EndEffector, period: float) -> dict[str, list[float]]:
-    """Motor inertia, stiffness and damping per joint: as published, else scaled from a Franka arm, and stable.
+    """Motor inertia, stiffness and damping per joint: published values, else scaled from a Franka arm to a stable loop.
 
     Args:
         facts: The robot.

@@ -83,8 +83,8 @@ class BulletMechanics(Mechanics):
 
         Args:
             desired: Desired torque by arm, ``(n,)`` [N m].
-            periods: How many.
-            time: Time now, for loads that depend on it [s].
+            periods: Number of periods.
+            time: Present time, for time-dependent loads [s].
             further: By arm, an additional torque on the links, ``(n,)`` [N m].
             after_sense: Called with the name of an arm whenever its drive has sensed the links.
         """

@@ -128,7 +128,7 @@ class BulletWorld:
         contact_erp: float = 0.2,
         small_steps: bool = True,
     ) -> BulletWorld:
-        """A world with arms, object and support.
+        """Load arms, object and support into a new world.
 
         Args:
             physics: Parameters of the scene.
@@ -201,9 +201,9 @@ class BulletWorld:
             shear.release()
 
     def rest_object(self) -> None:
-        """Let the object sleep until a body comes near it; simulating it at rest costs as much as an arm.
+        """Put the object to sleep until a body comes near; simulating it at rest costs as much as an arm.
 
-        Bullet wakes it when its bounding box meets that of a moving body, which is before any contact.
+        Bullet wakes it when its bounding box overlaps that of a moving body, which is before any contact.
         """
         for state in (pybullet.ACTIVATION_STATE_ENABLE_SLEEPING, pybullet.ACTIVATION_STATE_SLEEP):
             self.client.changeDynamics(self.object, -1, activationState=state)
@@ -224,7 +224,7 @@ class BulletWorld:
         return position + quaternion
 
     def tracked(self, poses: Array) -> Array:
-        """Pose of the object along its motion, as a tracker measures it.
+        """Trajectory of the object as a tracker measures it: geometric centre instead of centre of mass.
 
         Args:
             poses: Rows of :meth:`object_pose`, ``(k, 7)``.
@@ -257,7 +257,7 @@ class BulletWorld:
         self._torques[name] = torque.tolist()
 
     def push(self, arm: str | None, place: Array, force: Array, moment: Array | None = None) -> None:
-        """Add a force at a place, and a moment, over the next step; in A.
+        """Apply a force at a point, and a moment, over the next step; in A.
 
         Args:
             arm: The arm whose end effector it acts on; None: the object.
@@ -268,7 +268,7 @@ class BulletWorld:
         self._pushes.append((arm, place, force, np.zeros(3) if moment is None else moment))
 
     def contact_points(self, arm: str | None) -> tuple[tuple[Any, ...], ...]:
-        """Points of the last step between an arm and the object, or without an arm between object and support."""
+        """Contact points of the last step between object and arm (None: support)."""
         if arm is None:
             return self._get_contacts(self.object, self.support) if self.support is not None else ()
         return self._get_contacts(self.arms[arm], self.object)
@@ -411,7 +411,7 @@ def _load_urdf(client: BulletClient, facts: RobotFacts, end_effector: EndEffecto
 
 
 def _substeps(physics: Physics, period: float) -> int:
-    """Steps in a period for which Bullet's spring alone damps no pad more than it should (:func:`_compliance`)."""
+    """Number of Bullet steps per period, so that the implicit spring does not overdamp a pad (:func:`_compliance`)."""
     wanted = [
         period * arm.pad_stiffness / max(arm.pad_damping, 1e-9)
         for arm in physics.arms.values()
@@ -421,9 +421,9 @@ def _substeps(physics: Physics, period: float) -> int:
 
 
 def _compliance(stiffness: float, damping: float, step: float) -> dict[str, float]:
-    """Spring and damper of one of the contact points that share those of a face.
+    """Stiffness and damping of one of the contact points that share those of a face.
 
-    Bullet's spring is that of the depth after the step, k (d - h u): it damps by h k, which the damper is given less.
+    Bullet's spring is implicit in the depth, k (d - h u): this adds the damping h k, which is subtracted here.
     """
     own = max(damping - step * stiffness, 0.0)
     return {"contactStiffness": stiffness / FACE_CONTACT_POINTS, "contactDamping": own / FACE_CONTACT_POINTS}
@@ -481,7 +481,7 @@ def _make_object(client: BulletClient, object_: ObjectPhysics) -> int:
 
 
 def _shears(physics: Physics, period: float) -> dict[str, PadShear]:
-    """Shear of every pad that is compliant along its face."""
+    """Shear models of the pads with shear compliance or creep."""
     yielding = {name: arm for name, arm in physics.arms.items() if arm.pad_shear_compliance or arm.pad_creep}
     return {
         name: PadShear(arm.pad_shear_compliance, arm.pad_creep, physics.pad_friction, period, pads=len(yielding))
@@ -524,7 +524,7 @@ def _make_support(
 
 
 def check_body(name: str, end_effector: EndEffector) -> None:
-    """Refuse an end effector that is no rigid body.
+    """Refuse an end effector without a physically consistent inertia.
 
     Raises:
         NotABody: Its mass is not positive, or its moments of inertia are those of no body.

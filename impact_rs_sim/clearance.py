@@ -40,7 +40,7 @@ Capsule = tuple[str, coal.Capsule, coal.Transform3s]
 
 
 def capsules(model: RobotModel, q: Array) -> list[Capsule]:
-    """Hull of an arm: name, shape and placement of every link that has a length.
+    """Capsules around an arm: name, shape and placement of every link with a length.
 
     Args:
         model: The arm.
@@ -63,12 +63,12 @@ def capsules(model: RobotModel, q: Array) -> list[Capsule]:
 
 
 def check_clearance(models: dict[str, RobotModel], positions: dict[str, Array], when: str) -> None:
-    """Check that no two arms touch.
+    """Check that the arms do not collide with each other.
 
     Args:
         models: Arms by name.
         positions: Joint positions by arm, ``(n,)`` [rad].
-        when: What moment this is, for the message.
+        when: Name of the moment, for the message.
 
     Raises:
         Infeasible: Two arms touch; names their links and by how much they overlap.
@@ -89,14 +89,14 @@ def check_clearance(models: dict[str, RobotModel], positions: dict[str, Array], 
 
 @dataclass(frozen=True)
 class Penetration:
-    """The deepest overlap of an arm with support or ground along a path.
+    """Maximum penetration of an arm into support or ground along a path.
 
     Attributes:
         part: The link, the end effector or the pad, in words.
         partner: ``support`` or ``ground``.
         surface: Height of its surface [m].
-        depth: How deep [m].
-        index: In which sample of the path.
+        depth: Penetration depth [m].
+        index: Sample of the path.
     """
 
     part: str
@@ -109,14 +109,14 @@ class Penetration:
 def deepest_penetration(
     physics: Physics, name: str, positions: Array, object_: BodyState, way: Array
 ) -> Penetration | None:
-    """The deepest overlap of an arm with support or ground along a path; None: it keeps clear.
+    """Maximum penetration of an arm into support or ground along a path; None without a collision.
 
     Args:
         physics: Parameters of the scene.
         name: The arm.
         positions: Joint positions along the path, ``(k, n)`` [rad].
         object_: Where the object stands.
-        way: How far it is pushed across its support, in A, ``(3,)`` [m].
+        way: Displacement of the object on its support, in A, ``(3,)`` [m].
     """
     model, surroundings = physics.robot_model(name), _surroundings(physics, object_, way)
     parts = _parts(model)
@@ -158,14 +158,14 @@ class _Moving:
 
 @dataclass(frozen=True)
 class _Surrounding:
-    """What an arm must keep clear of: the common part of some solids, of which nothing is above ``top`` [m]."""
+    """An obstacle: the intersection of convex solids; its highest point is ``top`` [m]."""
 
     name: str
     solids: tuple[Solid, ...]
     top: float
 
     def depth(self, part: _Moving, link: pin.SE3) -> float:
-        """How deep a part overlaps [m]; 0: it keeps clear."""
+        """Penetration depth of a part [m]; 0 without a collision."""
         centres, radii = part.spheres
         deepest, low = 0.0, centres @ link.rotation[2] + link.translation[2] - radii
         for index in np.flatnonzero(low < self.top):
@@ -177,12 +177,12 @@ class _Surrounding:
 
 
 def _overlap(one: Solid, other: Solid) -> float:
-    """How deep two convex solids overlap; negative: their distance [m]."""
+    """Penetration depth of two convex solids by GJK/EPA; negative: their distance [m]."""
     return -float(coal.distance(*one, *other, coal.DistanceRequest(), coal.DistanceResult()))
 
 
 def _surroundings(physics: Physics, object_: BodyState, way: Array) -> list[_Surrounding]:
-    """The certain part of the support, where there is one, and the ground."""
+    """Obstacles: the known part of the support, if there is one, and the ground."""
     height, found = physics.support_height, []
     ground = min(0.0, *(float(arm.base.translation[2]) for arm in physics.arms.values()))
     if height is not None:
@@ -199,7 +199,7 @@ def _surroundings(physics: Physics, object_: BodyState, way: Array) -> list[_Sur
 
 
 def _parts(model: RobotModel) -> list[_Moving]:
-    """Links from the base on without it, end effector and pad."""
+    """Collision bodies of the links (without the base), the end effector and the pad."""
     effector = model.end_effector
     links = link_shapes(model.facts)[1:]
     tube = Shape(np.array([0.0, 0.0, -effector.length]), np.array([0.0, 0.0, -effector.pad_size[2]]), TOOL_RADIUS_M)

@@ -84,7 +84,7 @@ def _tubes(start: Array, end: Array, axis: Array, com: Array, radius: float) -> 
 
 
 def _corners(end: Array, axis: Array, com: Array) -> list[Array]:
-    """Where a link turns on its way from its own axis z to the next one."""
+    """Corners of the common-normal path of a link from its own axis z to the next axis."""
     own = np.array([0.0, 0.0, 1.0])
     if abs(float(own @ axis)) > MIN_PARALLEL_COSINE:
         beside = float(com[2]) * own

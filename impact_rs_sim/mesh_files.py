@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the mesh that a URDF names lies on this machine."""
+"""Resolve the mesh addresses of a URDF to files."""
 
 from __future__ import annotations
 

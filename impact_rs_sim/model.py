@@ -83,7 +83,7 @@ class Model(Schema):
         return {**library(), **{spec.name: FormulaEffect(spec) for spec in self.formulas}}
 
     def effect_of(self, item: ModelEffect) -> Effect:
-        """The effect of an entry; its parameters belong to one arm each where it names none that arms share."""
+        """Effect of an entry, with parameters per arm unless the entry names shared parameters."""
         if item.name in FORMER and "scale" in item.parameters:
             return FORMER[item.name]
         shared = self._shared_effects[item.name]
@@ -92,7 +92,7 @@ class Model(Schema):
         return each if own & item.parameters.keys() else shared
 
     def containing(self, names: Iterable[str]) -> Model:
-        """The model with those of its formulas alone that are named or switched on: what a simulation needs of it."""
+        """The model reduced to its active or named formulas: the part that a simulation needs."""
         wanted = {*names, *(item.name for item in self.effects)}
         kept = tuple(spec for spec in self.formulas if spec.name in wanted)
         return self if len(kept) == len(self.formulas) else self.model_copy(update={"formulas": kept})
@@ -130,7 +130,7 @@ class Model(Schema):
         return physics
 
     def with_effect(self, item: ModelEffect, name: str, parent: str, formulas: tuple[FormulaSpec, ...] = ()) -> Model:
-        """A child model with one more effect, or with another estimate of one it has."""
+        """Child model with one more effect, or with a new estimate of an existing effect."""
         kept = tuple(effect for effect in self.effects if effect.name != item.name)
         own = {spec.name: spec for spec in (*self.formulas, *formulas)}
         return Model(
@@ -145,7 +145,7 @@ class Model(Schema):
 
 
 def _joint_count(effect: Effect, item: ModelEffect) -> int | None:
-    """Largest joint that the parameters of an effect name, 1 where they name none; None: arms share none per joint."""
+    """Largest joint number in the parameters of an effect, 1 without any; None without shared parameters per joint."""
     if isinstance(effect, EachArm):
         return None
     names = [re.escape(parameter.name) for parameter in effect.parameters if parameter.per_joint]
@@ -247,7 +247,7 @@ def parse_model(text: str, source: str) -> Model:
     """A model from the text of a model file.
 
     Raises:
-        InputError: It is none; the error names ``source``.
+        InputError: The text is not a model; the error names ``source``.
     """
     return check_model(validate(Model, parse_yaml(text, source), source), source)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates with intervals, and their text: as many digits as the width of the interval justifies."""
+"""Text of estimates and intervals, with the number of digits that the width of the interval justifies."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MIN_SPEED_DECIMALS = 3  # of a speed with its half interval [m/s]
 def estimate_text(estimate: float, ci95: tuple[float, float] | None, least: int = 0) -> tuple[str, ...]:
     """An estimate and the ends of its interval, with two digits of the half width; without interval three digits.
 
-    An interval no wider than rounding errors is none.
+    An interval as narrow as rounding errors is treated as missing.
 
     Args:
         estimate: The estimate.
@@ -55,5 +55,5 @@ def speed_text(speed: float, half: float | None) -> tuple[str, ...]:
 
 
 def _exponent(number: float) -> int:
-    """Power of ten of the first digit; 0.1 less a rounding error counts as 0.1."""
+    """Decimal exponent of a number; 0.1 less a rounding error is treated as 0.1."""
     return math.floor(math.log10(number) + 1e-9)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A pad that is compliant along its face, which Bullet's rigid sticking friction leaves out.
+"""Tangential compliance and creep of a pad (Maxwell element), which Bullet's rigid stiction lacks.
 
 The face of the pad is sheared against the flange by s and twisted about the contact normal by phi. Between face and
 flange sits a Maxwell element with a damper across its spring; between face and object Coulomb friction. At every
@@ -81,7 +81,7 @@ class PadShear:
         self.release()
 
     def release(self) -> None:
-        """The pad lets go, and springs back."""
+        """Release: reset the deformation to zero."""
         self.force = np.zeros(3)  # on the object in the step to come, axes of A [N]
         self._shift = np.zeros(3)  # s at the pad's origin, axes of E [m]
         self._twist = 0.0  # phi [rad]
@@ -150,7 +150,7 @@ def _shears(along: Array, twist: float) -> Array:
 
 
 def _rows(along: Array, normal: Array, radius: float, lever: Array) -> Array:
-    """What a twist does to shear and twist at a place ``lever`` from its reference point, ``(4, 6)``."""
+    """Jacobian from the twist of a body to shear and twist rates at ``lever`` from its reference point, ``(4, 6)``."""
     rows = np.zeros((4, 6))
     rows[:3, :3] = along
     rows[:3, 3:] = -along @ _skew(lever)

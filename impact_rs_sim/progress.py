@@ -23,7 +23,7 @@ MIN_WRITE_PERIOD_S = 0.1  # between two writes of one stage
 
 
 class ProgressFile:
-    """The file named by the environment variable; without one nothing is written."""
+    """The progress file; without the environment variable nothing is written."""
 
     def __init__(self) -> None:
         name = os.environ.get(VARIABLE)
@@ -64,5 +64,5 @@ class ProgressFile:
             write_whole(self._path, json.dumps(document))
 
     def _seconds(self, now: float) -> float:
-        """Seconds of the stage, those of earlier times included."""
+        """Duration of the stage, earlier visits included [s]."""
         return self._stages.get(self._what or "", 0.0) + now - self._since

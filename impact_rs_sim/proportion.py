@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Size of a robot beside the arm for which absolute limits were chosen.
+"""Scaling of absolute limits to the size of a robot, by dimensional analysis.
 
 Ranges of parameters, noticeable changes and relevance limits are stated for a Franka arm. Another robot has them in
 proportion: by dimensional analysis (Buckingham 1914), with the mass of its links, its reach and the time in which a
@@ -7,9 +7,9 @@ body falls as far,
 
     m,    l,    t = sqrt(l / |g|);    a quantity in kg^a m^b s^c is larger by m^a l^b t^c
 
-so that a torque is judged by the torque of the robot's own weight, and verdicts do not depend on the units of mass.
-Drives may be large beside a light arm: one whose torques exceed the limits of such an arm counts as a heavier one.
-Of a free body they are stated for a cube of 1 kg and 0.1 m that comes at 1 m/s.
+so that torques are relative to the robot's gravity torque, and verdicts do not depend on the units of mass. If the
+drives are strong for the mass of the arm, the arm is scaled as a heavier one. For free bodies the limits are stated for
+a cube of 1 kg and 0.1 m at 1 m/s.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ CUBE_GYRATION_RADIUS_M = 0.1 / 6.0**0.5  # of the cube of 0.1 m
 
 @dataclass(frozen=True)
 class Proportion:
-    """A robot over the Franka arm, or a free body over the one above.
+    """Scale of a robot relative to the Franka arm, or of a free body relative to the cube above.
 
     Attributes:
         mass: Of its links, or of the body [-].
@@ -46,7 +46,7 @@ class Proportion:
 
     @staticmethod
     def of(physics: Physics) -> Proportion:
-        """Proportion of the arms of a scene, of several their mean; 1 without an arm."""
+        """Proportion of the arms of a scene (mean over arms); 1 without an arm."""
         if not physics.arms:
             return Proportion()
         return Proportion.of_robots([arm.facts for arm in physics.arms.values()], np.asarray(physics.gravity))
@@ -61,7 +61,7 @@ class Proportion:
 
     @staticmethod
     def of_body(body: ObjectPhysics, speed: float) -> Proportion:
-        """Proportion of a free body that comes at some speed [m/s]."""
+        """Proportion of a free body with a closing speed [m/s]."""
         length = gyration_of(body) / CUBE_GYRATION_RADIUS_M
         return Proportion(body.mass, length, length / speed)
 

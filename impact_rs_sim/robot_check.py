@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks of robot facts before anything is simulated with them.
 
-Each check is one line: what was looked at, whether it is in order, and the number behind it. What would make a
-simulation wrong fails; what is only unusual is a warning.
+Each check is one line: subject, outcome and the number behind it. An error that would falsify a simulation fails; an
+unusual number is a warning.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ class Check:
     """One check.
 
     Attributes:
-        name: What was looked at.
-        outcome: Whether it is in order.
-        found: What was found, with units.
+        name: Subject of the check.
+        outcome: Passed, warning or failed.
+        found: Finding with units.
     """
 
     name: str
@@ -96,7 +96,7 @@ def failures_of_facts(facts: RobotFacts) -> list[Check]:
 
 
 def empty_flange() -> EndEffector:
-    """A milligram on the flange, because a body needs a mass."""
+    """End effector of a milligram: a body needs a mass."""
     return EndEffector(
         mass=1e-6,
         com=np.zeros(3),
@@ -119,7 +119,7 @@ def inverse_mass_matrices(model: RobotModel) -> Array:
 
 
 def link_inertias(inverse_mass_matrices: Array) -> Array:
-    """Inertia of the links about a joint while all others are free, 1 / (M^-1)_ii, ``(k, n)`` [kg m^2]."""
+    """Articulated-body inertia about each joint (all other joints free), 1 / (M^-1)_ii, ``(k, n)`` [kg m^2]."""
     return 1.0 / np.diagonal(inverse_mass_matrices, axis1=1, axis2=2)
 
 
@@ -155,12 +155,12 @@ def _check_inertias(facts: RobotFacts) -> Check:
 
 
 def _direction(axis: Array) -> str:
-    """The axis of the link that a principal axis ``(3,)`` is nearest to."""
+    """Name of the link axis nearest to a principal axis ``(3,)``."""
     return AXES[int(np.argmax(np.abs(axis)))]
 
 
 def _check_bodies(facts: RobotFacts) -> Check:
-    """Masses, sizes and densities of links are those of machines, all links that are not at once."""
+    """Check masses, sizes and densities of the links for plausibility; all findings in one check."""
     name, wrong, densities = "links are like those of arms", [], []
     masses = [link.mass for link in facts.links]
     steps = [*(float(np.linalg.norm(joint.xyz)) for joint in facts.joints), float(np.linalg.norm(facts.flange.xyz))]
@@ -202,11 +202,11 @@ def _check_bodies(facts: RobotFacts) -> Check:
 
 
 def least_density(mass: float, moments: Array) -> float:
-    """Density that a body exceeds somewhere, whatever its shape [kg/m^3].
+    """Lower bound of the largest density of a body, for any shape [kg/m^3].
 
-    Of all bodies that are nowhere denser, the solid ellipsoid is the most compact: the determinant of second moments of
-    mass is the least. One with principal moments I has the half axes a_i^2 = 5 (I_1 + I_2 + I_3 - 2 I_i) / (2 m), and
-    its density m / (4/3 pi a_1 a_2 a_3) is therefore the least that any body with these moments can do with.
+    Among all bodies of bounded density the homogeneous ellipsoid has the smallest determinant of the second moments of
+    mass. One with principal moments I has the half axes a_i^2 = 5 (I_1 + I_2 + I_3 - 2 I_i) / (2 m), and its density m
+    / (4/3 pi a_1 a_2 a_3) is therefore the lower bound for all bodies with these moments.
 
     Args:
         mass: Its mass [kg].
@@ -271,7 +271,7 @@ def _check_gravity(model: RobotModel, positions: Array) -> Check:
 
 
 def _placeholders(model: RobotModel, positions: Array) -> list[str]:
-    """What makes limits look as if someone had to write some: all alike, or far beyond what the arm could need."""
+    """Warnings about limits that look like placeholders: all equal, or far beyond the needs of the arm."""
     limits, found = model.facts.limits, []
     if model.joint_count < MIN_EQUAL_LIMITS:
         return []  # a motor that is much too strong is usual there

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Robot facts from a URDF.
 
-Our facts say that every joint turns about its own +z, or slides along it. A URDF says it of any axis a_i, in the frame
-of the link that the joint carries. With a rotation R_i that takes z to a_i, the frame of that link is written anew:
+In robot facts every joint rotates about its own +z or translates along it. A URDF allows any axis a_i in the frame of
+the child link. With a rotation R_i that maps z to a_i, the frame of that link is changed:
 
     T'_i = (R_{i-1}^T, 0) T_i (R_i, 0)          Rot(a_i, q) R_i = R_i Rot(z, q),  Trans(a_i q) R_i = R_i Trans(z q)
     c'_i = R_i^T c_i                            I'_i = R_i^T I_i R_i
 
-so that every point of the arm moves as it did, and the dynamics are exactly those of the URDF. R_i is the smallest such
-rotation, and none where the axis is z. Pinocchio reads placements and inertias, and merges what is fixed.
+so that kinematics and dynamics are exactly those of the URDF. R_i is the smallest such rotation, and the identity where
+the axis is z. Pinocchio reads placements and inertias, and merges fixed links.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class ImportedRobot:
     Attributes:
         facts: The facts.
         joints: Names of the joints in the URDF, base to tip.
-        notes: What a reader should know: links that were merged or left out, limits that were made up.
+        notes: Notes for the user: merged and omitted links, assumed limits.
     """
 
     facts: RobotFacts
@@ -79,7 +79,7 @@ def import_urdf(
         source: Where the numbers come from; None: the file's name.
         limits: Limits in place of those of the URDF (:func:`~impact_rs_sim.urdf_repairs.given_limits`).
         inertia_at: Where its moments of inertia are about: the centre of mass, as the format says, or the joint.
-        lock: Places in which joints are held (:func:`~impact_rs_sim.urdf_repairs.locked_joints`).
+        lock: Positions at which joints are locked (:func:`~impact_rs_sim.urdf_repairs.locked_joints`).
         measured: Limits that a recording shows, for the joints of the chain, in place of those that are missing or 0.
         packages: Where packages of its meshes are (:func:`~impact_rs_sim.mesh_files.mesh_address`).
 
@@ -133,7 +133,7 @@ def import_urdf(
 
 
 def frame_of_axis(axis: Array) -> Array:
-    """Smallest rotation that takes z to the unit vector ``axis`` ``(3,)``; half a turn about x for -z, ``(3, 3)``."""
+    """Smallest rotation that maps z to the unit vector ``axis`` ``(3,)``; pi about x for -z, ``(3, 3)``."""
     half_turn = np.diag([1.0, -1.0, -1.0])
     if axis[2] < 0.0:  # from -z, because from z the formula ends there
         return _smallest_rotation(np.array([0.0, 0.0, -1.0]), axis) @ half_turn
@@ -222,7 +222,7 @@ def save_facts(robot: ImportedRobot, title: str, path: Path) -> None:
 
 
 def _check_inertials(tree: UrdfTree, chain: Chain) -> None:
-    """Refuse what Pinocchio would misread: an incomplete <inertial>, invalid numbers, negative moments."""
+    """Refuse an <inertial> that Pinocchio would misread: incomplete, invalid numbers, negative moments."""
     robot = Xml.fromstring(chain.urdf)
     wrong = []
     for link in robot.findall("link"):
@@ -319,7 +319,7 @@ def _limits(
 
 
 def _locked(tree: UrdfTree, texts: Sequence[str]) -> list[str]:
-    """Joints fixed where the user says that they were held; notes on them."""
+    """Joints locked at positions given by the user; notes on them."""
     moving = {joint.get("name", ""): joint for joint in tree.above.values() if joint.get("type") in MOVABLE_JOINT_TYPES}
     notes = []
     for name, place in locked_joints(texts, list(moving), tree.file).items():
@@ -413,7 +413,7 @@ def _meshes(
 
 
 def _missing_meshes(facts: RobotFacts) -> Iterable[str]:
-    """Notes on meshes that are not there, with what would help."""
+    """Notes on missing meshes, with remedies."""
     meshes = [*facts.base_meshes, *(mesh for link in facts.links for mesh in link.meshes)]
     missing = [one for one in dict.fromkeys(mesh.file for mesh in meshes) if mesh_path(one) is None]
     for kind, remedy in (
@@ -438,14 +438,14 @@ def _link(body: pin.Inertia, turn: Array, meshes: Iterable[tuple[str, pin.SE3, l
 
 
 def _clean(values: Iterable[float]) -> tuple[float, ...]:
-    """The numbers without rounding noise: 0.3 for 0.30000000000000004, and no -0."""
+    """Numbers without floating-point noise: 0.3 for 0.30000000000000004, 0 for -0."""
     short = [(float(value), round(float(value), 12) + 0.0) for value in values]
     return tuple(brief if abs(brief - value) <= 1e-15 * max(1.0, abs(value)) else value for value, brief in short)
 
 
 def _number(value: float) -> str:
     text = repr(int(value)) if value == int(value) else repr(value)
-    return text if "e" not in text or "." in text else text.replace("e", ".0e")  # YAML takes 1e-05 for a word
+    return text if "e" not in text or "." in text else text.replace("e", ".0e")  # YAML reads 1e-05 as a string
 
 
 def _row(values: Sequence[float]) -> str:

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenario files: the scene, the motion of the robots, and the measurement.
 
-A scenario (``config/scenarios/*.yaml``) is the human-readable scene language. It says nothing about what
-we *believe* of the physics beyond nominal values; beliefs that change live in model files.
+A scenario (``config/scenarios/*.yaml``) holds nominal values. Estimated physics is in model files.
 
-A name that is not there raises an :class:`InputError` that lists those that are, a file that cannot be used one that
-names file and key.
+An unknown name raises an :class:`InputError` that lists the known ones; an invalid file raises one with file and key.
 """
 
 from __future__ import annotations
@@ -251,7 +249,7 @@ class Robot(Schema):
 
     @model_validator(mode="after")
     def _facts_of_a_robot_that_can_be(self) -> Self:
-        """Refuse facts that no body has; ``robot check`` reads such facts and reports what is wrong with them."""
+        """Refuse physically inconsistent inertias; ``robot check`` reads such facts and reports the errors."""
         for number, link in enumerate(self.robot_facts.links):
             least = float(np.linalg.eigvalsh(link.inertia_matrix)[0])
             if least < 0.0:
@@ -281,7 +279,7 @@ class Robot(Schema):
 
     @property
     def assumed(self) -> tuple[str, ...]:
-        """What is assumed of the arm, neither measured nor published: keys of its drive, and what its facts say."""
+        """Assumptions about the arm, neither measured nor published: keys of its drive, and those in its facts."""
         return (*(f"drive.{name}" for name in self.drive.assumed), *self.robot_facts.assumed)
 
     @property
@@ -635,7 +633,7 @@ class Scenario(Schema):
         return placement
 
     def excursion_leg(self, robot: CaseRobot) -> float:
-        """Duration of one way of the excursion [s]; a quintic from rest to rest peaks at 15/8 of its mean speed."""
+        """Duration of one leg of the excursion [s]; a quintic from rest to rest peaks at 15/8 of its mean speed."""
         assert self.excursion is not None
         way = np.linalg.norm(np.array(self.excursion.end) - np.array(self.excursion.start))
         return float(15.0 / 8.0 * way / np.linalg.norm(robot.ante_velocity))

@@ -93,7 +93,7 @@ class Scene:
     object: BodyState
 
     def under(self, physics: Physics) -> Scene:
-        """The same moment under other physics, for example those of a model: pose and velocities stay."""
+        """The same state with other physics, for example of a model."""
         return replace(self, physics=physics, models=physics.robot_models())
 
     @staticmethod
@@ -148,7 +148,7 @@ def _impact_velocity(model: RobotModel, q: Array, linear: Array, joint_1: float 
     """Smallest joint velocity with the desired end-effector velocity, no rotation, and the given joint 1.
 
     Raises:
-        UnreachablePose: There is none: too few joints, or a singular pose.
+        UnreachablePose: No solution: too few joints, or a singular pose.
     """
     tasks, wanted = model.jacobian(q), np.concatenate((linear, np.zeros(3)))
     if joint_1 is not None:
@@ -182,7 +182,7 @@ def _velocity_of_given_joints(model: RobotModel, q: Array, linear: Array) -> Arr
     """Smallest joint velocity with the desired velocity of E and the least rotation of E, ``(n,)``.
 
     Raises:
-        UnreachablePose: There is none with that velocity.
+        UnreachablePose: No joint velocity gives the desired velocity.
     """
     jacobian = model.jacobian(q)
     dq = np.linalg.pinv(jacobian[:3], rcond=SINGULAR_VALUE_TOLERANCE) @ linear
@@ -217,9 +217,9 @@ def resting_pose(scenario: Scenario, object_name: str) -> BodyState:
 
 
 def _before_given_pad(scenario: Scenario, name: str, pad: pin.SE3, size: Array, height: float) -> BodyState:
-    """On its support, with the face that is turned least to get there square before a pad where the joints hold it.
+    """Object on its support with the nearest face square to a pad whose pose given joints fix.
 
-    A pad that looks a little up or down touches with an edge: the object stands where the first of pad and face does.
+    A slightly tilted pad touches with an edge: the object is placed at first contact of pad and face.
 
     Raises:
         InputError: The pad looks up or down, or past the object.

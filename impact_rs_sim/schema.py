@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Validated YAML: all files of users are read through :func:`load`.
+"""Validated YAML; all user files are read through :func:`load`.
 
 A schema is a frozen pydantic model whose fields carry a description that ends in the unit, so that an error
 can say what was expected, and in which unit.
@@ -35,10 +35,9 @@ SchemaType = TypeVar("SchemaType", bound=Schema)
 
 
 def omitted(default: Any, *, description: str) -> Any:
-    """Field that is written only where it differs from its default.
+    """Field that is written only if it differs from its default.
 
-    A key that a later version adds is such a field: what is written without it stays as it was, byte by byte, and with
-    it every digest.
+    Keys added by later versions are such fields: files without them stay byte-identical, and so do their digests.
     """
     return Field(default, exclude_if=lambda value: value == default, description=description)
 
@@ -243,7 +242,7 @@ def validate(schema: type[SchemaType], data: Any, file: str | Path | None, conte
         raise InputError(shortened(f"cannot be used ({type(error).__name__}: {error})"), file=file) from None
 
 
-# Mistakes that pydantic explains in the terms of a programmer, by its name for them.
+# Texts for errors that pydantic explains in programmer terms, by pydantic error type.
 MISTAKE_TEXTS = {
     "too_short": "expected at least {min_length} of them, found {actual_length}",
     "too_long": "expected at most {max_length} of them, found {actual_length}",

@@ -47,7 +47,7 @@ class TwistReadings:
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """All numbers."""
+        """All parameters as one tuple."""
         return (*self.spin_axes, self.spin_factor, *self.axes, *self.point)
 
     def lever(self, rotation: Array) -> Array:

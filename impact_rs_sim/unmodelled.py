@@ -22,7 +22,7 @@ from impact_rs_sim.robot_model import RobotModel
 
 
 class LooseContents(PlantExtension):
-    """A slab that slides on top of the object: part of its mass moves with a delay."""
+    """Slab sliding on top of the object: part of its mass moves with a delay."""
 
     def __init__(self, magnitude: float, repeat: int) -> None:
         self._share = min(0.2 * magnitude, 0.8)

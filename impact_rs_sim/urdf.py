@@ -71,7 +71,7 @@ def _simple(link: Xml.Element, shapes: Iterable[Shape], colours: Colours) -> Non
 
 
 def _meshes(link: Xml.Element, meshes: tuple[Mesh, ...]) -> bool:
-    """Whether there are meshes, which are added then."""
+    """Add the meshes, if any; returns whether there are some."""
     for mesh in meshes:
         visual = Xml.SubElement(link, "visual")
         Xml.SubElement(visual, "origin", xyz=_text(mesh.xyz), rpy=_text(mesh.rpy))
@@ -82,7 +82,7 @@ def _meshes(link: Xml.Element, meshes: tuple[Mesh, ...]) -> bool:
 def _mount_rpy(facts: RobotFacts, end_effector: EndEffector) -> Array:
     """Roll, pitch, yaw of E in the last link, ``(3,)`` [rad]."""
     if not any(facts.flange.rpy):
-        return np.array([0.0, 0.0, end_effector.mount_yaw])  # to the last bit, which a matrix would not keep
+        return np.array([0.0, 0.0, end_effector.mount_yaw])  # exact to the last bit, unlike through a matrix
     yaw = pin.rpy.rpyToMatrix(0.0, 0.0, end_effector.mount_yaw)
     return np.asarray(pin.rpy.matrixToRpy(facts.flange.rotation @ yaw))
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The serial chain of any URDF: which joints move, what is fixed to which link, and what is left out.
+"""Serial chain from base to tip of a URDF: moving joints, merged fixed links, and omitted links.
 
-A URDF is a tree of links. An arm is the way from its base to its tip. Links that are fixed beside this way ride on it
-and belong to it; links beyond the tip do not, for they are what a scenario calls the end effector. Nothing is locked in
-silence: a joint that moves beside the way is refused, unless the user says where it stands.
+A URDF is a tree of links. An arm is the path from its base to its tip. Side branches fixed to this path are merged into
+it; links beyond the tip are omitted: they are the end effector of a scenario. No joint is locked silently: a moving
+joint in a side branch is refused unless the user gives its position.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ class Chain:
         base: Link that the arm is mounted with.
         tip: Link that the flange is the frame of.
         joints: Joints that move, base to tip, as in the file.
-        merged: Links with a mass that are fixed to a moving link, on the way or beside it.
+        merged: Links with mass that are fixed to a moving link, on the path or in a side branch.
         left_out: Links beyond the tip.
         dynamics: Joints that the file says damping or friction of.
-        urdf: A URDF of base, way and merged links, without shapes; every joint that moves is revolute or prismatic.
+        urdf: A URDF of base, path and merged links, without shapes; every moving joint is revolute or prismatic.
     """
 
     file: Path
@@ -69,7 +69,7 @@ class UrdfTree:
         above: The joint that carries a link, by the link's name.
         below: Joints that a link carries.
         root: The link that no joint carries.
-        notes: What was taken for granted.
+        notes: Assumptions made while reading.
 
     Args:
         file: The URDF.
@@ -114,10 +114,11 @@ class UrdfTree:
             self._fail(f"expected one tree of links; these hang on each other in a ring: {', '.join(astray)}")
 
     def chain(self, base: str | None = None, tip: str | None = None) -> Chain:
-        """The way from ``base`` (default: the root) to ``tip`` (default: the only one there is).
+        """The path from ``base`` (default: the root) to ``tip`` (default: the only one).
 
         Raises:
-            InputError: There is no such way, several tips, or a joint on it that neither turns nor slides by itself.
+            InputError: No such path, several tips, or a joint that is neither revolute nor prismatic, or mimics
+                another.
         """
         start = self.root if base is None else self._link(base, "--base")
         end = self._only_tip(start) if tip is None else self._link(tip, "--tip")
@@ -182,7 +183,7 @@ class UrdfTree:
         return found
 
     def _check_once(self, element: Xml.Element, key: str) -> None:
-        """No element stands twice where one is read."""
+        """Check that unique elements occur once."""
         for part in element:
             self._check_once(part, key)
         for tag in UNIQUE_ELEMENTS.get(element.tag, ()):
@@ -211,7 +212,7 @@ class UrdfTree:
         return tips[0]
 
     def _tips(self, link: str, moves: bool) -> Iterator[str]:
-        """Links without further ones below them that move against ``link``."""
+        """Leaf links that move relative to ``link``."""
         if moves and not self.below[link]:
             yield link
         for joint in self.below[link]:
@@ -236,7 +237,7 @@ class UrdfTree:
             self._fail("this joint of the chain mimics another; expected joints that move by themselves", key)
 
     def _beside(self, link: str, way: list[Xml.Element]) -> Iterator[Xml.Element]:
-        """Fixed joints of ``link`` and of the links fixed to it, beside the chain."""
+        """Fixed joints of the side branches of ``link``."""
         for joint in self.below[link]:
             if joint in way:
                 continue

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a URDF lacks or has wrong, and how the user puts it right: limits, moments of inertia about joints, held joints.
+"""User corrections of a URDF: missing limits, moments of inertia about joints, locked joints.
 
-A URDF states moments of inertia about the centre of mass. Some are written about the joint instead, which is too much
-by Steiner's term,
+A URDF states moments of inertia about the centre of mass. Some files have them about the joint instead, too large by
+the Steiner term (parallel-axis theorem),
 
     I_joint = I_centre + m (r^2 1 - r r^T),        r from the joint to the centre of mass.
 
@@ -74,7 +74,7 @@ def given_limits(texts: Sequence[str], joints: Sequence[str], file: Path) -> Lim
 
 
 def locked_joints(texts: Sequence[str], joints: Sequence[str], file: Path) -> dict[str, float]:
-    """Places in which joints are held, by joint [rad or m].
+    """Positions of locked joints by joint [rad or m].
 
     Args:
         texts: ``head_1=0.2``, ``head_*=0``; ``*`` matches any text, and a joint by its name goes first.
@@ -102,7 +102,7 @@ def locked_joints(texts: Sequence[str], joints: Sequence[str], file: Path) -> di
 
 
 def looks_about_joint(mass: float, centre: Array, inertia: Array, axis: Array, length: float) -> float | None:
-    """Least moment across r over m r^2, or of all over m d^2, where it looks as if it were about the joint; else None.
+    """Ratio of moment and Steiner term (m r^2 or m d^2) if the inertia looks as if about the joint; else None.
 
     Args:
         mass: Of the link [kg].

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which version of the software this is."""
+"""Version and git revision of the software."""
 
 from __future__ import annotations
 

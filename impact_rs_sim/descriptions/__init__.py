@@ -24,8 +24,8 @@ class Written:
 
     Attributes:
         text: The file, comments included.
-        remarks: How its numbers follow from those of the scene.
-        left_out: What it does not hold.
+        remarks: Notes: how its numbers follow from those of the scene.
+        left_out: Physics of the scene that the format cannot represent.
     """
 
     text: str
@@ -38,9 +38,9 @@ class DescriptionFormat:
     """A format.
 
     Attributes:
-        label: What it is called.
-        suffixes: How names of its files end.
-        held: Quantities that it can hold.
+        label: Name for the user.
+        suffixes: File suffixes.
+        held: Quantities that it can represent.
         body: Writes the file without comments.
         xml: Whether it is XML; else its comments begin with ``#``.
     """

@@ -46,7 +46,7 @@ RIGID_RATE_PER_S = 1e6  # sqrt(K / m) of a compliant contact that stands for a r
 
 
 def write(scene: ExportedScene) -> tuple[str, list[str]]:
-    """The file, and how its numbers follow from those of the scene.
+    """The file, and notes on how its numbers follow from those of the scene.
 
     Models are the arms by name, ``object`` and ``support``; the links and joints of an arm are ``base``, ``link1`` ...,
     ``end_effector``, and ``joint1`` ....
@@ -134,7 +134,7 @@ def _arm(world: Xml.Element, scene: ExportedScene, name: str, arm: ArmPhysics) -
 
 
 def _pad_law(scene: ExportedScene, name: str, arm: ArmPhysics) -> tuple[float, float, float, list[str]]:
-    """Stiffness of the whole pad [N/m], dissipation [s/m], relaxation time [s], and how they came about."""
+    """Stiffness of the whole pad [N/m], Hunt-Crossley dissipation [s/m], relaxation time [s], and notes on them."""
     mass, speed = scene.impact_mass(name), max(scene.closing_speed(name), 1e-3)
     e = scene.restitution_of_pad(name)
     dissipation = dissipation_of(e, speed)

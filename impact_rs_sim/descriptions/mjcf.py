@@ -44,7 +44,7 @@ NORMAL_OVER_FRICTION_REGULARISATION = 1e4  # MuJoCo's impratio [-]
 
 
 def write(scene: ExportedScene) -> tuple[str, list[str]]:
-    """The model, and how its numbers follow from those of the scene.
+    """The model, and notes on how its numbers follow from those of the scene.
 
     Bodies, joints and actuators are ``ARM_link1`` ..., ``ARM_joint1`` ...; the free body is ``object``; the keyframe
     ``impact`` is the state just before the impact.
@@ -145,7 +145,7 @@ def _object(world: Xml.Element, scene: ExportedScene) -> None:
 
 
 def _contacts(root: Xml.Element, scene: ExportedScene) -> list[str]:
-    """Contact pairs; returns how their numbers came about."""
+    """Add the contact pairs; returns notes on their numbers."""
     physics, contact, said = scene.physics, Xml.SubElement(root, "contact"), []
     lightness = 1.0 / physics.object.mass
     ratio = max(damping_ratio_of(scene.restitution), MIN_DAMPING_RATIO)

@@ -29,7 +29,7 @@ OBJECT_FRICTION = 1e3  # larger than any pair's coefficient: a pair takes the sm
 
 
 def write(scene: ExportedScene) -> tuple[str, list[str]]:
-    """The layer, and how its numbers follow from those of the scene."""
+    """The layer, and notes on how its numbers follow from those of the scene."""
     physics, object_ = scene.physics, scene.physics.object
     name = "_".join(physics.arms)
     lines = [

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects leave rigid bodies (:mod:`impact_rs_sim.bodies`) behind.
+"""Physical consistency of the inertial parameters after an effect (:mod:`impact_rs_sim.bodies`).
 
 Effects change masses and moments by parameters of their own (mass of a payload, density of a link), and several of them
 may change one body, so no parametrisation of the inertia (log-Cholesky: Rucker and Wensing 2022, IEEE RA-L 7(2)) covers
-all of them, nor those of users. Instead every effect is refused where it leaves the set of bodies, and fits end at the
-edge of that set.
+all of them, nor those of users. Instead an effect that leaves the set of physically consistent bodies is refused, and
+fits stop at the boundary of that set.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ class InertialBody(NamedTuple):
 
 
 def check_bodies(before: Physics, after: Physics, effect: str) -> None:
-    """Refuse a change of the physics that turns a body into something that cannot exist.
+    """Refuse a change that makes a body physically inconsistent.
 
-    The last link is taken with everything that is mounted on it, for dynamics depend on their sum. A body that was
-    none before is left to those who check models: the change is not at fault.
+    The last link includes everything mounted on it, because the dynamics depend on the sum. A body that was
+    inconsistent before the change is not attributed to the effect.
 
     Args:
         before: Physics without the effect.
@@ -78,12 +78,12 @@ def check_bodies(before: Physics, after: Physics, effect: str) -> None:
 
 
 def differ(one: Physics, other: Physics) -> bool:
-    """Whether inertial parameters of arms or object are other ones."""
+    """Whether inertial parameters of arms or object differ."""
     return _numbers(one) != _numbers(other)
 
 
 def of_other_bodies(worlds: Sequence[Physics]) -> list[Physics]:
-    """Those of several physics that differ in bodies, or in circumstances on which bodies may depend.
+    """Representatives of several physics: one for each set of bodies, and of circumstances that bodies may depend on.
 
     A circumstance with many different numbers, on which parameters depend linearly, is kept at its smallest and
     largest.
@@ -112,7 +112,7 @@ def _numbers(physics: Physics) -> list[object]:
 
 
 def _check(before: InertialBody, after: InertialBody, effect: str) -> None:
-    """Refuse that a body becomes none."""
+    """Refuse if a body becomes physically inconsistent."""
     if not after.exists and before.exists:
         moments = ", ".join(f"{value:.3g}" for value in np.linalg.eigvalsh(second_moments(after.inertia)))
         raise NotABody(

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects at the contacts: restitution, stiffness, friction, mounting of pads; friction, stiffness of the support.
 
-Those of a single impact act in tables of impacts alone (:mod:`impact_rs_sim.impact_map.contact_laws`). In a trial the
-pad has a stiffness and a damping of its own, and what an impact does follows from them.
+Effects of a single impact act in impact tables alone (:mod:`impact_rs_sim.impact_map.contact_laws`). In a trial the
+restitution results from stiffness and damping of the pad.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class FrictionEffect(SceneEffect):
 
 @dataclass(frozen=True)
 class ReturningEffect(SceneEffect):
-    """An effect with a share of some velocity that comes back: never more than all of it, however wide the range."""
+    """Effect with a coefficient of restitution of some velocity, which never exceeds 1, however wide the range."""
 
     def bounds(self, physics: Physics) -> tuple[Array, Array]:
         """See :meth:`Effect.bounds`."""
@@ -152,7 +152,7 @@ class RestitutionFall(ContactLaw):
 
 @dataclass(frozen=True)
 class TangentialRestitution(ContactLaw):
-    """A contact that grips throws its slip s back, u_t^+ = -beta u_t^- with beta = beta_0 - k s, not below 0.
+    """Tangential restitution of a sticking contact, u_t^+ = -beta u_t^- with beta = beta_0 - k s >= 0, s the slip.
 
     (Garwin 1969; Walton 1993; Cross 2002.) Where friction is too weak for that it slides, by Coulomb's law.
 

@@ -102,7 +102,7 @@ class Knots:
 
     @property
     def way(self) -> str:
-        """The dependence in words."""
+        """Description of the dependence."""
         return f"as a curve of {len(self.knots)} values over"
 
     @property
@@ -217,7 +217,7 @@ class Depending(Effect):
         return digest(super().identity, self.effect.identity, repr(self.terms))
 
     def _shapes(self, joints: Joints) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-        """Which scalars of the effect are shapes."""
+        """Mask of the shape parameters among the scalars."""
         return np.array([scalar.shape for scalar in self.effect.scalars(joints)], dtype=bool)
 
     def _joints(self, physics: Physics) -> Joints:

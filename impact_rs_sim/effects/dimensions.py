@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Units of a formula effect: whether a formula yields a torque or a force, where the units of its symbols are known.
+"""Dimensional analysis of formula effects: does a formula yield a torque or a force?
 
 A unit is a product of powers of kg, m and s (rad is a number). A number in a formula may carry an unwritten
-unit, ``tanh(dq2 / 0.02)`` for example, so a product with a number has an unknown unit. A formula is refused only where
-two known units disagree.
+unit, ``tanh(dq2 / 0.02)`` for example, so a product with a number has an unknown unit. A formula is refused only if two
+known units disagree.
 """
 
 from __future__ import annotations

@@ -138,15 +138,15 @@ Expression = Callable[[Symbols, Memory | None], Value]
 class Formula:
     """Arithmetic text as a function of its symbols.
 
-    It is pickled as its text, which worker processes parse again: functions made at run time cannot be pickled.
+    It is pickled as text and parsed again in worker processes: functions made at run time cannot be pickled.
 
     Args:
         text: The formula.
         symbols: Names that it may use.
 
     Attributes:
-        names: Symbols that stand in it.
-        remembers: Whether it depends on what was before.
+        names: Symbols in the formula.
+        remembers: Whether it has memory (a lag).
 
     Raises:
         InputError: The text does not parse, names an unknown symbol or function, or is no arithmetic.
@@ -163,10 +163,10 @@ class Formula:
 
         Args:
             values: Of its symbols: numbers, or arrays of samples in the order of time.
-            memory: What its lags remember; of samples they need none.
+            memory: State of its lags; not needed for samples along time.
 
         Raises:
-            InputError: It remembers, and there is a single state without a memory.
+            InputError: It has memory, and there is a single state without one.
         """
         return self._function(values, memory)
 
@@ -224,7 +224,7 @@ def _compile(node: ast.AST, symbols: frozenset[str], text: str) -> Expression:
 
 
 def _lag(arguments: Sequence[Expression], text: str) -> Expression:
-    """The lag of a quantity, with a memory of its own."""
+    """A lag node with its own state."""
     if len(arguments) not in (2, 3):
         raise InputError(f"formula {text!r}: {LAG} takes a quantity, a time constant and, if it has one, a start")
     key = object()
@@ -362,7 +362,7 @@ class FormulaEffect(Effect):
 
     @staticmethod
     def _at_surface(normal: str, tangential: str, parse: Callable[[str], Formula]) -> dict[int, Formula]:
-        """Formulas of the normal force (0) and of the one against sliding (1)."""
+        """Formulas of the normal force (0) and of the force against sliding (1)."""
         return {index: parse(text) for index, text in enumerate((normal, tangential)) if text}
 
     def _parse_contact(self, text: str) -> Formula:
@@ -425,7 +425,7 @@ class FormulaEffect(Effect):
                     )
 
     def with_parameters(self, change: Callable[[Parameter], Parameter]) -> Effect:
-        """Itself, for its author states the ranges; a law that is looked for with other ranges of its amplitudes."""
+        """The effect itself, whose author states the ranges; a candidate law with new ranges of its amplitudes."""
         if not self.family:
             return self
         return super().with_parameters(lambda parameter: parameter if parameter.shape else change(parameter))
@@ -507,7 +507,7 @@ class FormulaLoad(Load):
 
     @property
     def remembers(self) -> bool:
-        """See :class:`Load`; of what acts between pad and object."""
+        """See :class:`Load`; for the load between pad and object."""
         return any(formula.remembers for formula in self.pad.values())
 
     @property

@@ -7,9 +7,9 @@ A payload of mass m with centre p and radius of gyration r on the end effector o
 
 with S(d) = |d|^2 1 - d d^T.
 
-m below zero takes mass away: no more than leaves a body, and from a place that a homogeneous ellipsoid with the inertia
-of last link and end effector reaches. r is the same about all axes: one number for the own inertia of the payload,
-which slow motions hardly show.
+m < 0 removes mass: the remainder must be physically consistent, and the position must lie in the homogeneous ellipsoid
+of last link and end effector. r is the same about all axes: one number for the rotational inertia of the payload, which
+slow motions hardly excite.
 
 A link whose moment about its joint axis z changes is stretched across z, by D = diag(s, s, 1) with s^2 = I'_zz / I_zz:
 its second moments of mass become D (tr(I)/2 1 - I) D, those of a body for any I'_zz > 0.
@@ -61,7 +61,7 @@ class PayloadEffect(ArmEffect):
 
 
 def _reach(arm: ArmPhysics) -> float:
-    """Length of the tool and of the longest link [m]."""
+    """Length of the tool plus the longest link [m]."""
     places = [joint.xyz for joint in arm.facts.joints[1:]] + [arm.facts.flange.xyz]
     return arm.end_effector.length + max(float(np.linalg.norm(place)) for place in places)
 
@@ -81,7 +81,7 @@ def _payload(arm: ArmPhysics, values: Values) -> ArmPhysics:
 
 
 def _check_there(arm: ArmPhysics, added: float, place: Array) -> None:
-    """Refuse to take mass away from where neither last link nor end effector has any."""
+    """Refuse to remove mass at a position outside last link and end effector."""
     body = mounted_inertia(arm.facts, arm.end_effector)
     if body.mass > 0.0 and not reaches(body.mass, body.lever, body.inertia, place):
         raise NotABody(
@@ -132,7 +132,7 @@ def _with_links(arm: ArmPhysics, links: Sequence[Link]) -> ArmPhysics:
 
 
 def _link_mass(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    """A body of the same shape and another density."""
+    """Effect law: a link of the same shape and another density."""
     pairs = zip(arm.facts.links, values["scale"].tolist(), strict=True)
     return _with_links(
         arm,

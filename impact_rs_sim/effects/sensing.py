@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects of sensors: encoders, torque sensors, velocities, object tracker, clocks (:mod:`impact_rs_sim.readings`).
 
-They change what is read of a motion, and not its physics; in a closed loop the controller acts on the readings.
-Twists of a single impact: :mod:`impact_rs_sim.twist_readings`.
+They change the readings of a motion, not its physics; in closed loop the controller acts on the readings. Twists of a
+single impact: :mod:`impact_rs_sim.twist_readings`.
 """
 
 from __future__ import annotations
@@ -371,7 +371,7 @@ TRACKER_LAG = SceneEffect(
 
 
 def _added(before: Three, values: Values) -> Three:
-    """Three numbers with those of an effect added."""
+    """Sum of three numbers and those of an effect."""
     x, y, z = (own + number(values, axis) for own, axis in zip(before, AXES, strict=True))
     return x, y, z
 
@@ -387,10 +387,10 @@ def _of_twist(change: Callable[[TwistReadings, Values], TwistReadings]) -> Calla
 
 
 def _turned(what: str) -> tuple[Parameter, ...]:
-    """A rotation vector: every turn has one whose length is at most pi, and beyond is room for a fit of a half turn.
+    """Parameters of a rotation vector: its length is at most pi, with room beyond for a fit near half a revolution.
 
-    A turn of 0.01 rad (0.6 deg) is seen as 1 % of a velocity in another component; trackers are calibrated about as
-    well.
+    A rotation of 0.01 rad (0.6 deg) shows as 1 % of a velocity in another component, about the calibration error of
+    trackers.
     """
     meaning = f"of the rotation vector from {what}"
     return tuple(Parameter(axis, "rad", 0.0, -4.0, 4.0, 0.01, f"component {axis} {meaning}") for axis in AXES)
