@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits of a real arm: is a measured state possible, and may a torque be sent?
+"""Limits of a real arm: plausibility of measured states, and limits and rate of commanded torques.
 
-A state or torque beyond a limit is named, and the caller stops the arm. The rate of a torque is limited instead:
+A state or torque beyond a limit is reported, and the caller stops the arm. The torque rate is limited instead:
 
     |tau_k - tau_(k-1)| <= rate (t_k - t_(k-1))
 
@@ -22,7 +22,7 @@ MAX_MEASURED_TORQUE_RATIO = 5.0  # measured torque over torque limit; link-side 
 
 
 def state_complaint(model: RobotModel, joints: Sequence[str], position: Array, velocity: Array, torque: Array) -> str:
-    """Which joint is beyond its limits, and how far; empty: none.
+    """Joint beyond its limits, and by how much; empty if all are within.
 
     Args:
         model: The arm.
@@ -47,7 +47,7 @@ def state_complaint(model: RobotModel, joints: Sequence[str], position: Array, v
 
 
 def torque_complaint(model: RobotModel, joints: Sequence[str], torque: Array) -> str:
-    """Which joint is asked for more than it may give; empty: none.
+    """Joint whose commanded torque exceeds its limit; empty if all are within.
 
     Args:
         model: The arm.
@@ -61,10 +61,10 @@ def torque_complaint(model: RobotModel, joints: Sequence[str], torque: Array) ->
 
 
 def rate_limited(torque: Array, before: Array, largest_change: float) -> Array:
-    """The torque nearest to the wanted one that may follow the last one, ``(n,)`` [N m].
+    """Rate-limited torque: the nearest to ``torque`` within the rate, ``(n,)`` [N m].
 
     Args:
-        torque: Wanted, ``(n,)`` [N m].
+        torque: Desired, ``(n,)`` [N m].
         before: Commanded last, ``(n,)`` [N m].
         largest_change: Rate times the time since then [N m].
     """

@@ -74,7 +74,7 @@ def make_plant(
         seed: Seed of scatter and noise.
         physics: True physics; None: the scenario's.
         extension: Effects of the plant beyond its physics; of Bullet only.
-        simulator: Which one moves it.
+        simulator: Simulator of its mechanics.
     """
     scene = plan.scene
     return Plant.for_trial(

@@ -31,11 +31,11 @@ another sign before k_theta, which would turn the pad away from R_d.
     H = A^T W A + eps 1,      g = -A^T W b
 
 within the limits of position, velocity and torque (paper eqs. const_q, const_dq, const_tau). The last rows of A and b
-slow down all joints, and are there only where the tasks leave joints over, 6 + k < n.
+damp all joints; they exist only for a redundant arm, 6 + k < n.
 
-**5. Torque** (paper eq. eom_ante): tau_d = (M + B_theta) ddq + h. Where the QP has failed, because a number is not
-finite, the arm is braked on its state (:mod:`impact_rs_control.fallback`); a state that is not finite leaves the weight
-of the arm at the last position that was.
+**5. Torque** (paper eq. eom_ante): tau_d = (M + B_theta) ddq + h. If the QP has failed, because a number is not finite,
+the arm is braked from its state (:mod:`impact_rs_control.fallback`); with a state that is not finite, the gravity
+torque at the last finite position is commanded.
 
 **6. Measure** (paper eq. a_fb_net): the net feedback is the integral of a_fb from t_1 to t_2.
 
@@ -106,7 +106,7 @@ class Watched:
 
 @dataclass(frozen=True)
 class ArmCommand:
-    """Output of the controller for one arm in one tick.
+    """Command of the controller to one arm in one tick.
 
     Attributes:
         torque: Desired torque tau_d, ``(n,)`` [N m].
@@ -165,7 +165,7 @@ class ArmController:
         self._interim_ticks = control.interim_duration / timing.control_period
         self._interim_from: int | None = None
         held = len(plan.posture)
-        # Where joints are left over, nothing but this keeps them from drifting.
+        # Redundant joints would drift without this.
         idle = 6 + held < model.joint_count
         sizes = (3, 3, held, model.joint_count if idle else 0)
         weights = (gains.position_weight, gains.orientation_weight, gains.posture_weight, IDLE_TASK_WEIGHT)
@@ -202,7 +202,7 @@ class ArmController:
             self._interim_from = tick
 
     def command(self, tick: int, measured: ArmMeasurement, watched: Watched) -> ArmCommand:
-        """Second half of a control tick: decide; arguments as for :meth:`watch`, and what it answered."""
+        """Second half of a control tick: compute the command; arguments as for :meth:`watch`, and its result."""
         now = tick * self._period
         q, dq, terms = measured.position, measured.velocity, watched.terms
         mode, gamma = self._mode(tick)
@@ -235,7 +235,7 @@ class ArmController:
         )
 
     def _brake(self, q: Array, dq: Array) -> Array:
-        """Torque without an answer of the QP."""
+        """Fallback torque if the QP failed."""
         if np.isfinite(q).all() and np.isfinite(dq).all():
             return holding_torque(self._model, self._motor_inertia, q, dq)
         return self._model.gravity_torque(self._position)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the controller shall do in one trial: references, predicted jump, feedforward wrench."""
+"""Plan of one trial: references, predicted velocity jump, feedforward wrench."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ LARGEST_SCALE = 3.0  # a reference far beyond the prediction is no test of it, a
 
 @dataclass(frozen=True)
 class ArmPlan:
-    """What one arm shall do; paths are sampled at the control ticks.
+    """Plan of one arm; paths are sampled at the control ticks.
 
     Attributes:
         ante_position: Ante-impact position reference of E.
@@ -96,7 +96,7 @@ class TrialPlan:
 
     @property
     def expected_lift(self) -> float:
-        """How far the arms shall lift the object they clamp [m]; 0 where it is pushed."""
+        """Planned lift of a clamped object [m]; 0 if it is pushed."""
         if self.scene.scenario.control.clamp_force == 0.0:
             return 0.0
         at_impact = round(self.scene.scenario.timing.nominal_impact / self.scene.scenario.timing.control_period)
@@ -192,7 +192,7 @@ def _check_surroundings(scene: Scene, arms: Mapping[str, ArmPlan]) -> None:
 
 
 def _at_impact(scene: Scene, arm: ArmPlan) -> Array:
-    """Where the post-impact reference is at T_nom, ``(3,)`` [m]."""
+    """Position of the post-impact reference at T_nom, ``(3,)`` [m]."""
     timing = scene.scenario.timing
     return np.asarray(arm.post_position.position[round(timing.nominal_impact / timing.control_period)])
 
@@ -222,9 +222,9 @@ def _reference_poses(scene: Scene, name: str, arm: ArmPlan) -> tuple[Array, Arra
 
 
 def _followed(model: RobotModel, q: Array, target: pin.SE3, arm: ArmPlan, posture: Array) -> Array:
-    """Joint positions near ``q`` with E at a target and the joints of the posture task where they shall be, ``(n,)``.
+    """Joint positions near ``q`` with E and the posture joints at their targets, ``(n,)``.
 
-    Two steps of the Gauss-Newton method; where the tasks leave joints over, or cannot be met, the shortest.
+    Two Gauss-Newton steps of least norm (pseudo-inverse) for redundant or infeasible tasks.
     """
     held = list(arm.posture)
     for _ in range(2):
@@ -237,10 +237,10 @@ def _followed(model: RobotModel, q: Array, target: pin.SE3, arm: ArmPlan, postur
 
 
 def check_restitution(scene: Scene) -> None:
-    """Check that the pads of a trial have the restitution that its references are made from.
+    """Check that pads and impact map of a trial have the same coefficient of restitution.
 
-    A restitution of 0 fits every pad: one that goes on pushing ends a series of bounces where a single inelastic impact
-    ends (paper sec. Single-arm hit-and-push scenario).
+    A restitution of 0 fits every pad: under a continued push a series of bounces ends in the state of a single
+    inelastic impact (paper sec. Single-arm hit-and-push scenario).
 
     Raises:
         InputError: A restitution that a pad does not have; says what would give it.
@@ -264,7 +264,7 @@ def check_restitution(scene: Scene) -> None:
 
 
 def check_joint_counts(scenario: Scenario) -> None:
-    """Refuse arms that the controller cannot lead.
+    """Refuse arms with too few joints for the tasks.
 
     Raises:
         InputError: An arm has fewer joints than the pose of its pad has components.
@@ -317,7 +317,7 @@ def _plan_hit(scene: Scene, name: str, impact: ImpactResult, scale: float) -> Ar
 
 
 def _plan_excursion(scene: Scene, name: str) -> ArmPlan:
-    """There and back through free space; ante- and post-impact references are the same."""
+    """Plan of an excursion through free space; ante- and post-impact references are equal."""
     scenario, state = scene.scenario, scene.arms[name]
     excursion, times = scenario.excursion, tick_times(scene)
     assert excursion is not None
@@ -411,10 +411,10 @@ def _wrench(scene: Scene, name: str, post: SampledPath) -> Array:
 def _pushing_wrench(scene: Scene, name: str, post: SampledPath) -> Array:
     """Wrench that a pushed object needs to follow the reference across its support.
 
-    In the plane of the support m a_d + mu m g v_d / |v_d|: the object slides where the reference goes, also across n,
-    and friction opposes that. Across n no more than the pad's friction can pass on; nothing where the object would have
-    to be pulled. The force acts at E and the object does not turn, so its moment about the object's centre of mass is
-    made up for, as far as it is one about the vertical: tipping is kept by the support.
+    In the plane of the support f = m a_d + mu m g v_d / |v_d|: the object slides along the reference against friction.
+    The component across n is limited by the friction cone of the pad; a pulling force is 0. The force acts at E and the
+    object shall not rotate, so the vertical moment about its centre of mass is compensated; the support carries the
+    tipping moment.
     """
     physics, mass = scene.physics, scene.physics.object.mass
     normal = scene.scenario.robots[name].impact_placement.rotation[:, 2]

@@ -40,7 +40,7 @@ class QpStatus(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class AccelerationProblem:
-    """What one control tick asks: k tasks of n joints, and the state that the limits are reckoned from.
+    """Inputs of one control tick: k tasks of n joints, and the state from which the limits follow.
 
     Attributes:
         tasks: A, ``(k, n)``.
@@ -85,7 +85,7 @@ class QuadraticProgram:
 
     @property
     def is_finite(self) -> bool:
-        """Whether all its numbers are; those of a measurement gone wrong are not."""
+        """Whether all numbers are finite; after an invalid measurement they may not be."""
         parts = (
             self.hessian,
             self.gradient,
@@ -117,7 +117,7 @@ class QpSolution:
 
 @dataclass(frozen=True)
 class JointLimits:
-    """What the joints of an arm can do.
+    """Limits of the joints of an arm.
 
     Attributes:
         position_min: Lower joint limits, ``(n,)`` [rad].

@@ -11,7 +11,7 @@ Rigid motion and gravity do not matter to it. For a single joint, W = 1 / m, the
 
     D > 0   and   h^2 K + 2 h D < 4 m.
 
-The smallest link inertia at joint i, with all other joints free, is the articulated-body inertia 1 / (M^-1)_ii.
+The smallest link inertia at joint i is its effective inertia with all other joints free, 1 / (M^-1)_ii.
 """
 
 from __future__ import annotations

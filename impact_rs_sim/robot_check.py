@@ -119,7 +119,7 @@ def inverse_mass_matrices(model: RobotModel) -> Array:
 
 
 def link_inertias(inverse_mass_matrices: Array) -> Array:
-    """Articulated-body inertia about each joint (all other joints free), 1 / (M^-1)_ii, ``(k, n)`` [kg m^2]."""
+    """Effective inertia about each joint with all others free, 1 / (M^-1)_ii, ``(k, n)`` [kg m^2]."""
     return 1.0 / np.diagonal(inverse_mass_matrices, axis1=1, axis2=2)
 
 

@@ -127,8 +127,8 @@ def simulate(jobs: Sequence[TwinJob], threads: int = 1) -> list[Result]:
 def rests(physics: Physics, state: BodyState) -> bool:
     """Whether the object is in stable static equilibrium on its support.
 
-    That is: zero velocity, gravity inside the friction cone, and the line of gravity through the centre of mass inside
-        the support polygon; corners within 2 mm of the surface belong to it.
+    It is if its velocity is zero, gravity lies in the friction cone, and the line of gravity through the centre of mass
+    lies in the support polygon; corners within 2 mm of the surface belong to the polygon.
     """
     alone = kernel_twin(replace(physics, arms={}, object_loads=()), period=1.0, joint_torque=False, refinement=1)
     return _kernel.TwinRun(alone, [], box_start(state)).asleep
