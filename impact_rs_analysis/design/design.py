@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Design: from a model and a budget to a plan of trials, with what it buys."""
+"""Experiment design: from a model and a budget to a plan of trials with its expected information."""
 
 from __future__ import annotations
 
@@ -170,7 +170,7 @@ def _campaigns(trials: dict[str, ForecastTrial], picked: Counts, words: dict[str
 
 
 def _buys(counts: Discrimination, decision: Decision, total: Belief, picked: Counts, name: str) -> str:
-    """What the trials of one condition add to all others of the plan."""
+    """Marginal gain of the trials of one condition, given all others of the plan."""
     there, repeats = counts.counted.get(name, 0), picked[name]
     without = counts.added(total, name, there + repeats, there)
     trial = counts.trial(name)
@@ -188,7 +188,7 @@ def _buys(counts: Discrimination, decision: Decision, total: Belief, picked: Cou
 
 
 def _summary(decision: Decision, pairs: Sequence[PlannedPair], picked: Counts, information: float) -> str:
-    """What the plan buys, in a sentence."""
+    """Expected information of the plan in a sentence."""
     trials = f"{sum(picked.values())} trials of {len(picked)} condition{'s' if len(picked) > 1 else ''}"
     if decision.aim == "parameters":
         return f"{trials}: {information:.2g} nat of information on the parameters of {decision.explanations[0].name}"
@@ -208,5 +208,5 @@ def _summary(decision: Decision, pairs: Sequence[PlannedPair], picked: Counts, i
 
 
 def _percent(value: float) -> str:
-    """A probability in percent, never said to be certain."""
+    """A probability in percent, never rounded to certainty."""
     return f"{min(100.0 * value, 99.9):.3g} %"

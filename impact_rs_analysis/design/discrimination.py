@@ -84,7 +84,7 @@ class Discrimination:
         return float(sum(max(self.measured.get(name, 0) + picked.get(name, 0) - 1, 0) for name in names))
 
     def total(self, counts: Mapping[str, int]) -> Belief:
-        """All that conditions with so many repeats say of the centres and parameters."""
+        """Information of conditions with given repeats about centres and parameters."""
         count = sum(1 + len(rows) for rows in self._spreads)
         found = Belief.of(range(count), np.full(count, np.inf))
         for name in sorted(counts):  # so that a sum does not depend on the order of the choice
@@ -134,7 +134,7 @@ class Discrimination:
         return 0.5 * float(np.linalg.slogdet(np.eye(len(rows)) + inner[np.ix_(rows, rows)])[1])
 
     def utility(self, total: Belief, freedom: float = np.inf) -> float:
-        """What the choice of trials maximises: it never falls with a further trial.
+        """Utility that the choice of trials maximises; monotone in the trials.
 
         The mean over the pairs of the probability that the next diagnosis distinguishes them, and to a small part the
         mean of log(1 + g), which chooses between trials where everything is decided, or nothing; for parameters their
@@ -163,7 +163,7 @@ class Discrimination:
 
 
 def _means(gains: Sequence[Sequence[Array]], of: Callable[[Array], Array]) -> Array:
-    """Of every pair the mean over the cases, in the direction in which it is less, ``(pairs,)``."""
+    """Mean over the cases for every pair, the smaller of both directions, ``(pairs,)``."""
     if not gains:
         return np.zeros(0)
     every = [cases for ways in gains for cases in ways]

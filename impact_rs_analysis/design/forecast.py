@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forecast: possible trials run on the twin, their scatter, and their features under every explanation.
+"""Forecast: simulated candidate trials, their scatter, and their features under every explanation.
 
-A trial is simulated in closed loop with the model, once as planned, and judged as a measured one: what exceeds a limit
-of joints or torques, misses or tips over is no proposal. Its replays under the explanations are what the diagnosis
-would look at. Scatter is that of the trials measured so far, else that of trials simulated with the scenario's noise.
+A trial is simulated once in closed loop with the model and judged as a measured one: it is rejected if it exceeds a
+limit of joints or torques, misses, or tips over. Its replays under the explanations are the features of a diagnosis.
+The scatter is that of the trials measured so far, else of trials simulated with the scenario's noise.
 """
 
 from __future__ import annotations
@@ -189,7 +189,7 @@ class _Task:
 
 
 def _simulated(task: _Task) -> MeasuredRun | tuple[str, str]:
-    """The trial as if measured; its name and why it is no proposal, where it is none."""
+    """The simulated trial, or its name and the reason of its rejection."""
     name = label_of(task.spec)
     try:
         physics = with_effects(task.model, task.spec.scene.physics, ())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trials that a cell can run: cases of scenarios at further speeds, beside the centre, at an angle, on other ways.
+"""Candidate trials of a cell: cases at other speeds, off-centre, oblique, and along other directions.
 
 A variant of a scenario is the scenario with some settings, as in ``impact-rs campaign --set``. What is beyond reach or
 limits is found out by a forecast (:mod:`impact_rs_analysis.design.forecast`).
@@ -29,7 +29,7 @@ MAX_APPROACH_ANGLE_RAD = np.radians(45.0)  # from the normal
 
 @dataclass(frozen=True)
 class Envelope:
-    """What the cell allows beyond the limits of the robot's facts, which always hold.
+    """Limits of the cell, in addition to those of the robot facts.
 
     Attributes:
         speed: Largest approach speed [m/s]; None: that of the fastest case of each scenario.
@@ -63,8 +63,8 @@ class PossibleTrial:
 
     Attributes:
         scenario: Name or path of the scenario file.
-        settings: What the variant has instead of the file's values, without the case.
-        own_case: The case, where the file does not have it.
+        settings: Settings of the variant that replace values of the file, without the case.
+        own_case: The case if it is not in the file.
         spec: The trial.
         what: The trial in words.
     """
@@ -200,7 +200,7 @@ def _side(scenario: Scenario) -> Array | None:
 
 
 def _slanted(cases: Mapping[str, Case], friction: float) -> Iterator[tuple[str, str, dict[str, Case]]]:
-    """The fastest case of every pose from the left and from the right, so far from the normal that the pad slips."""
+    """Oblique cases: the fastest of every pose from left and right, outside the friction cone."""
     angle = min(float(np.arctan(SLIP_FRICTION_RATIO * friction)), MAX_APPROACH_ANGLE_RAD)
     poses: dict[str, tuple[str, Case]] = {}
     for name, case in cases.items():
@@ -212,7 +212,7 @@ def _slanted(cases: Mapping[str, Case], friction: float) -> Iterator[tuple[str, 
 
 
 def _turned(case: Case, angle: float) -> Case:
-    """The case with all velocities turned about the vertical [rad]."""
+    """The case with all velocities rotated about the vertical [rad]."""
     turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
     robots = {}
     for name, robot in case.robots.items():
@@ -222,7 +222,7 @@ def _turned(case: Case, angle: float) -> Case:
 
 
 def _beside(scenario: Scenario) -> tuple[list[float], float] | None:
-    """Where the object stands for a hit beside its centre, and how far that is [m]; None where it cannot be set."""
+    """Object position for an off-centre hit, and its offset [m]; None if it cannot be set."""
     side = _side(scenario)
     if side is None or scenario.object_position is not None:
         return None
@@ -275,7 +275,7 @@ def _suffix(speed: float) -> str:
 
 
 def _in_time(scenario: Scenario, case: Case) -> bool:
-    """Whether a way there and back ends within the trial."""
+    """Whether an excursion ends within the trial."""
     ends = [scenario.excursion_end(robot) for robot in case.robots.values()] if scenario.excursion is not None else []
     return all(end <= scenario.timing.duration for end in ends)
 
@@ -286,7 +286,7 @@ def _speed(case: Case) -> float:
 
 
 def _pose(case: Case) -> str:
-    """What two cases have in common that differ in speed alone."""
+    """Key of the cases that differ in speed alone."""
     speed = _speed(case) or 1.0
     return repr(
         [

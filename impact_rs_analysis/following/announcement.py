@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A change in words: kilograms and percent as a person would measure them."""
+"""Text of a change in everyday quantities: kilograms and percent."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MIN_RELATIVE_BASE = 1e-9  # smallest value that a relative change refers to, and
 
 
 class EverydayQuantity(NamedTuple):
-    """What a person would measure of a scene.
+    """An everyday quantity of a scene.
 
     Attributes:
         noun: What it belongs to.
@@ -69,7 +69,7 @@ QUANTITIES = (
 
 
 def in_words(effect: str, parameters: Sequence[Followed], scenes: Iterable[tuple[Physics, Physics]]) -> str:
-    """A change of an effect's parameters: those that moved for certain, else the one that moved most.
+    """Text of a change of an effect: its significantly changed parameters, else the most changed one.
 
     Args:
         effect: Name.
@@ -87,7 +87,7 @@ def in_words(effect: str, parameters: Sequence[Followed], scenes: Iterable[tuple
 
 
 def _surely(one: Followed) -> float:
-    """Sorts what moved most, in multiples of its interval, to the front."""
+    """Sort key: largest change over interval width first."""
     return -abs(one.change) / max(one.ci95[1] - one.ci95[0], 1e-300)
 
 
@@ -101,7 +101,7 @@ def _text(one: Followed) -> str:
 
 
 def _plain(quantity: EverydayQuantity, scenes: Sequence[tuple[Physics, Physics]]) -> str:
-    """How a quantity changed, over all scenes; empty where it did not, or in no single direction."""
+    """Change of a quantity over all scenes; empty without a change, or if its sign differs between scenes."""
     unit = quantity.unit
     if unit == "%" and any(abs(quantity.of(before)) < MIN_RELATIVE_BASE for before, _ in scenes):
         unit = quantity.own_unit  # there is no share of nothing

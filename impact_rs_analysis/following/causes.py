@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Causes of a change: explanations of the hits since then, each linearised anew about its estimate.
+"""Causes of a change: candidate effects, each refitted by Gauss-Newton to the hits since the change.
 
-The parameters of one effect are free: Gauss-Newton on the hits since the change, from what was believed before. A
-contact that grips does not change with more friction, though it does with much less, so that an explanation is one only
-if it keeps what it promised by the sensitivities before.
+The parameters of one effect are free: Gauss-Newton on the hits since the change, with the posterior before it as prior.
+Some sensitivities are local (a sticking contact is insensitive to more friction and sensitive to much less), so a
+candidate is kept only if the refit achieves the improvement that its linearisation predicted.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Held = list[tuple[ChangeExplanation, Hypothesis]]
 
 
 class Causes:
-    """Looks for causes.
+    """Finds the causes of a change.
 
     Args:
         hits: Predicts hits.
@@ -42,19 +42,19 @@ class Causes:
         self._hits, self._own, self._calibration = hits, hits.candidate, hits.calibration
 
     def of(self, before: Hypothesis, test: ChangeTest, statistics: dict[str, Array]) -> Held:
-        """Explanations of a change that hold once they are linearised anew, the likeliest first."""
+        """Explanations of a change that hold after relinearisation, by falling likelihood."""
         tried = test.explanations(statistics)[:MAX_LINEARISED_EXPLANATIONS]
         held = [found for one in tried if (found := self._held(before, one)) is not None]
         held.sort(key=lambda pair: -pair[0].log_ratio)
         tie = math.log(DECISIVE)
         promising = any(one.effect == tried[0].effect for one, _ in held)
-        # What promises most may hold at a later hit: the others need more evidence than it.
+        # The best linear prediction may hold only at a later hit: the others need more evidence.
         if not held or held[0][0].log_ratio < test.threshold + (0.0 if promising else tie):
             return []
         return [pair for pair in held if pair[0].log_ratio > held[0][0].log_ratio - tie][:MAX_HYPOTHESES]
 
     def instead_of(self, best: Hypothesis) -> tuple[Hypothesis, Held, float] | None:
-        """What explains the hits since the last change better than the effect that was named then.
+        """Better explanation of the hits since the last change than the effect named then.
 
         Returns:
             The hypothesis before that change, the explanations of all hits since, and by how much the logarithm of the
@@ -75,11 +75,11 @@ class Causes:
         return None if lead <= 0.0 else (before, held, lead)
 
     def _held(self, before: Hypothesis, one: ChangeExplanation) -> tuple[ChangeExplanation, Hypothesis] | None:
-        """An explanation, linearised anew; None where it does not keep what it promised, or few hits speak for it.
+        """A relinearised explanation; None if it misses its predicted improvement, or too few hits support it.
 
-        Of hits that are odd now and then, in the same way, two make no change: without the quarter that speaks for it
-        most, the other hits must still speak for it. Its likelihood ratio is corrected by what it explains more or less
-        than promised, and by the information about its parameters there (Laplace).
+        Robustness against outliers: without the quarter of the hits that supports it most, the others must still
+        support it. The likelihood ratio is corrected for the actual improvement and for the information at the new
+        point (Laplace approximation).
         """
         fitted = self.about(before, one)
         gains = _gains(before, fitted)
@@ -94,7 +94,7 @@ class Causes:
         return replace(one, log_ratio=one.log_ratio + self._ratio(before, fitted) - first), fitted
 
     def _ratio(self, before: Hypothesis, fitted: Hypothesis) -> float:
-        """Logarithm of the likelihood ratio of an explanation about its estimate, by the hits since then."""
+        """Log likelihood ratio of an explanation at its estimate, from the hits since the change."""
         assert fitted.origin is not None
         numbers, inflation = list(fitted.origin.numbers), self._calibration.of(fitted.effect)
         place, unit = [fitted.posterior.followed.index(number) for number in numbers], np.eye(len(numbers))
@@ -107,7 +107,7 @@ class Causes:
         return log_ratio(explained, determinant, len(place), self._calibration.freedom)
 
     def about(self, before: Hypothesis, one: ChangeExplanation) -> Hypothesis:
-        """An explanation, linearised about its estimate."""
+        """Hypothesis of an explanation, linearised at its estimate."""
         part = self._own.part(one.effect)
         numbers = list(range(part.start, part.stop))
         seen = [n for n in numbers if n in self._hits.active]
@@ -117,7 +117,7 @@ class Causes:
         point[seen] += self._own.scale[seen] * one.change
         past = before.posterior.copy()
         past.believe_before(one.start)
-        if len(seen) < len(numbers):  # what changed shows shapes that nothing depended on before
+        if len(seen) < len(numbers):  # the change makes shape parameters observable
             self._hits.look_at(sorted({*self._hits.active, *numbers}))
         origin = Origin(before.point, past.before, tuple(numbers), old)
         return self._fitted(origin, past.hits, point, one.effect)
@@ -142,14 +142,14 @@ class Causes:
         return Hypothesis(point, posterior, effect=effect, origin=origin)
 
     def complete(self, fitted: Hypothesis) -> Hypothesis:
-        """The same with sensitivities to all parameters, for the test of the next hits."""
+        """The hypothesis with sensitivities to all parameters, for the test at the next hits."""
         assert fitted.origin is not None
         posterior, active = fitted.posterior, self._hits.active
         whole = self._since(fitted.origin, posterior.followed, posterior.hits, fitted.point, active)
         return replace(fitted, posterior=whole)
 
     def refined(self, one: Hypothesis) -> Hypothesis:
-        """A hypothesis, linearised about what the hits since its change say by now."""
+        """The hypothesis, relinearised at its present posterior mean."""
         assert one.origin is not None
         found = self.complete(self._fitted(one.origin, one.posterior.hits, self._hits.values(one), one.effect))
         found.log_weight, found.recent = one.log_weight, one.recent
@@ -159,7 +159,7 @@ class Causes:
         self, origin: Origin, followed: tuple[int, ...], hits: Sequence[Sequence[Hit]], point: Array,
         parameters: Sequence[int],
     ) -> Posterior:  # fmt: skip
-        """Posterior of what was known before a change and the hits since then, linearised about a point."""
+        """Posterior from the belief before a change and the hits since, linearised at a point."""
         numbers = list(origin.numbers)
         shift = (origin.old - point[numbers]) / self._own.scale[numbers]
         posterior = Posterior(origin.past.with_parameters(followed, numbers, shift, FOUND_CHANGE_PRIOR_SCALES))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether something has changed: a sequential test over effects and moments of change.
+"""Change-point detection: a Shiryaev-Roberts test over effects and moments of change.
 
 Under the hypothesis (e, s) the parameters of effect e moved by eta at instant s, and stayed. With the normal equations
 of the posterior (:mod:`.posterior`), which holds all hits, and sums over the hits from s on
@@ -18,10 +18,10 @@ is a Shiryaev-Roberts statistic: R - (number of instants) is a martingale, and t
 alarm at R >= A is at least A (Pollak 1985; 1987). It needs no table of thresholds, reacts within the delay of Page's
 CUSUM (1954) to first order (Lorden 1971), and takes many effects with unequal numbers of parameters without favour.
 
-The variance of each effect's score is checked by what quiet hits say: where they scatter more along an effect than R
-expects, its score counts so much less (:class:`Calibration`). A change needs two instants, the later of which confirms
-what the earlier ones say; a single odd hit is none. Where a share p of the quiet hits is odd, tails are heavier than
-those of R: k odd hits in turn have the probability p^k, and a change needs so many hits that p^k <= 1 / A.
+The variance of each effect's score is calibrated on quiet hits: an excess variance deflates the score
+(:class:`Calibration`). A change needs two instants, the later confirming the earlier; a single outlier is not a change.
+If a share p of the quiet hits are outliers, tails are heavier than R assumes: k outliers in a row have the probability
+p^k, and a change needs so many hits that p^k <= 1 / A.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class ChangeExplanation:
 
 @dataclass
 class Calibration:
-    """Variance of every effect's score over what is expected of it, and of whole hits, from quiet hits.
+    """Variance inflation of every effect's score, and of whole hits, estimated from quiet hits.
 
     Attributes:
         squares: Sum of T_0 of single hits, by effect.
@@ -159,9 +159,9 @@ class ChangeTest:
         return float(scipy.special.logsumexp(every)) - math.log(len(found)), found
 
     def explanations(self, statistics: dict[str, Array]) -> list[ChangeExplanation]:
-        """Explanations of a change that the last instant confirms and that hits support, the likeliest first.
+        """Explanations of a change that the last instant confirms and the hits support, by falling likelihood.
 
-        They are those of the sensitivities at hand: one that bends more may turn out likelier, or not to hold.
+        They use the present linearisation: a nonlinear one may turn out likelier, or fail.
 
         Args:
             statistics: Of :meth:`statistics`.
@@ -210,7 +210,7 @@ class ChangeTest:
         return information, score - np.einsum("snp,n->sp", cross, now.mean)
 
     def _log_ratios(self, information: Array, score: Array, name: str) -> Array:
-        """Logarithm of LR of one effect, ``(s,)``; its score counts as much less as quiet hits scatter more."""
+        """Log LR of one effect by moment of change, ``(s,)``, deflated by the calibration."""
         inflation = self.calibration.of(name)
         return log_ratios(information / inflation, score / inflation, CHANGE_PRIOR_SCALES, self.calibration.freedom)
 
@@ -260,7 +260,7 @@ class ChangeTest:
 
 
 def support(gains: Sequence[float]) -> float:
-    """What the hits since a change say for an explanation without the quarter that says most.
+    """Support of an explanation without the quarter of the hits that supports it most (trimmed sum).
 
     Args:
         gains: Fall of the sum of squared whitened residuals of each hit.
@@ -270,6 +270,6 @@ def support(gains: Sequence[float]) -> float:
 
 
 def _positive(matrix: Array) -> Array:
-    """The nearest symmetric matrix without negative eigenvalues: differences of informations may have some."""
+    """Nearest positive semidefinite matrix; a difference of informations may be indefinite."""
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)

@@ -37,7 +37,7 @@ class HitsSince:
 
     @property
     def diagnosable(self) -> bool:
-        """Whether they are enough for a full diagnosis: three conditions, and three more hits than conditions."""
+        """Whether they suffice for a full diagnosis: three conditions, and three more hits than conditions."""
         known = len(set(filter(None, self.conditions)))
         count = len(self.conditions)
         if not known:  # rows that repeat nothing
@@ -84,7 +84,7 @@ class Follower:
         return self.watch is not None
 
     def arrived(self, handled: Callable[[], None] = lambda: None) -> Iterator[HitDocument]:
-        """Take the hits that have arrived since the last call, in time order.
+        """Process the hits that have arrived since the last call, in time order.
 
         Args:
             handled: Called after each instant, once the caller has taken all of its documents: what is saved then
@@ -98,7 +98,7 @@ class Follower:
             handled()
 
     def take(self, instant: Sequence[Hit]) -> list[HitDocument]:
-        """Take simultaneous hits, whose order does not matter.
+        """Process simultaneous hits, whose order does not matter.
 
         Args:
             instant: Hits with one stamp.
@@ -142,7 +142,7 @@ class Follower:
         return hits.followed(best, best.posterior.followed, hits.start)
 
     def prediction(self, condition: str = "") -> NextHit | None:
-        """What the next hit of a condition will measure, if it starts as the last one did; None while learning.
+        """Prediction of the next hit of a condition from the initial state of the last one; None while learning.
 
         Args:
             condition: The condition; empty: that of the last trial that hit something, else of the last free motion.
@@ -151,7 +151,7 @@ class Follower:
         return None if hit is None or self.watch is None or not self._knows(hit) else self.watch.prediction(hit)
 
     def model_now(self, name: str, parent: str) -> Model:
-        """The model with the parameters that are believed now, by the likeliest hypothesis.
+        """Model with the present estimates of the likeliest hypothesis.
 
         Args:
             name: Its name.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What hits say about points of the parameters that are followed, and what a hypothesis predicts of them."""
+"""Linearised likelihood of hits about a parameter vector, and predictions of a hypothesis."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from impact_rs_sim.robot import Array
 
 @dataclass(frozen=True)
 class Origin:
-    """What was known when an effect changed.
+    """Belief at the moment when an effect changed.
 
     Attributes:
         point: Point of the linearisation before, ``(p,)``.
@@ -43,7 +43,7 @@ class Origin:
 
 @dataclass(eq=False)
 class Hypothesis:
-    """One belief about what the cell is.
+    """One hypothesis: parameters with their posterior, and its probability.
 
     Attributes:
         point: Values of all parameters about which it is linearised, ``(p,)``.
@@ -92,7 +92,7 @@ class HitModel:
         self.look_at(range(candidate.point.size))
 
     def look_at(self, parameters: Sequence[int]) -> None:
-        """Take sensitivities to these parameters alone from now on."""
+        """Restrict the sensitivities to these parameters."""
         self.active = tuple(parameters)
         self._plans.clear()
         self._jacobians.clear()
@@ -108,7 +108,7 @@ class HitModel:
         return ChangeTest(hypothesis.posterior, there, self.active, self.calibration, self.mean_time)
 
     def evidence(self, hit: Hit, point: Array, parameters: Sequence[int] | None = None) -> HitEvidence | None:
-        """What a hit says about a point and parameters around it (None: all active ones); None without a contact."""
+        """Evidence of a hit, linearised at a point (None: all active parameters); None without a contact."""
         found = self.linearised(hit, point, self.active if parameters is None else parameters)
         if found is None:
             return None
@@ -188,7 +188,7 @@ class HitModel:
         return (*hypothesis.posterior.now.predictive(evidence), self.whiten[hit.layout])
 
     def predicted(self, hypothesis: Hypothesis, hit: Hit) -> tuple[Array, Array] | None:
-        """Mean and variance of what a hit like this one measures, ``(F,)`` each, in its units; None: no contact."""
+        """Predictive mean and variance of the features of such a hit, ``(F,)`` each; None: no contact."""
         if (found := self.forecast(hypothesis, hit)) is None:
             return None
         innovation, covariance, whiten = found

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hits in time order: what was measured of each, and what a model with effects predicts of it.
+"""Sources of hits in time order: measured features, and predictions of a model with effects.
 
-A *hit* is one finished trial (a bag) or one impact (a row of a table). Both doors give the same: features, their model
-discrepancy, and predictions under effects that are added to the model.
+A *hit* is one finished trial (a bag) or one impact (a row of a table). Both sources give features, their model
+discrepancy, and predictions under effects added to the model.
 """
 
 from __future__ import annotations
@@ -77,12 +77,12 @@ class Hit:
 
     @property
     def shared(self) -> str:
-        """Hits with this in common start alike, so that sensitivities of one serve all; empty: none does."""
+        """Key of hits with equal initial states, which share sensitivities; empty: not shared."""
         return ""
 
 
 class Door(ABC):
-    """Hits that come one after the other, and the model that predicts them.
+    """Source of hits in time order, and the model that predicts them.
 
     Attributes:
         model: The model.
@@ -97,7 +97,7 @@ class Door(ABC):
 
     @abstractmethod
     def arrived(self) -> Iterator[Hit]:
-        """Hits that were not given before, in time order.
+        """New hits since the last call, in time order.
 
         Raises:
             InputError: The measurements cannot be read.
@@ -105,7 +105,7 @@ class Door(ABC):
 
     @abstractmethod
     def recalled(self, names: Sequence[str], known: Sequence[str]) -> dict[str, Hit]:
-        """Some hits by name, after a restart.
+        """Hits read again by name, after a restart.
 
         Args:
             names: Hits to read again.
@@ -116,7 +116,7 @@ class Door(ABC):
         """
 
     def newly_skipped(self) -> dict[str, str]:
-        """Of ``skipped`` what came since the last call."""
+        """Entries of ``skipped`` since the last call."""
         found = dict(itertools.islice(self.skipped.items(), self._told, None))
         self._told = len(self.skipped)
         return found
@@ -132,7 +132,7 @@ class Door(ABC):
         return np.array([feature.relevance_limit for feature in features])
 
     def unmeasured(self, measured: Sequence[Hit]) -> Iterator[Hit]:
-        """Hits that were not measured yet, as the model predicts them; their condition is what to do.
+        """Candidate hits not measured yet, as predicted by the model; the condition describes them.
 
         Args:
             measured: The last hit of every condition.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the first hits teach: which effects they show, the scatter of hits, and how far it can be relied on."""
+"""Start-up: observable effects, the scatter of hits, and its degrees of freedom from the first hits."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MIN_SCATTER_FREEDOM = 10  # degrees of freedom; standard deviations are then kno
 
 
 class Learning:
-    """Hits of layouts whose scatter is not known yet.
+    """Collects the first hits of each layout until its scatter is known.
 
     Args:
         door: Gives hits and predictions; its model is replaced by one without the effects that are followed.
@@ -127,7 +127,7 @@ class Learning:
         self, own: HitModel, hypothesis: Hypothesis, residuals: Sequence[tuple[Hit, Array]],
         jacobians: Sequence[Array], limits: Array,
     ) -> None:  # fmt: skip
-        """Variance of the scores: of every first hit by the scatter of the others."""
+        """Calibrate the score variance by cross-validation: every first hit with the scatter of the others."""
         test, calibration = own.test(hypothesis), own.calibration
         square, expected = calibration.whole
         for left, (hit, residual) in enumerate(residuals):
@@ -146,12 +146,12 @@ class Learning:
 
 
 def _scatter(residuals: Sequence[tuple[Hit, Array]], limits: Array) -> tuple[Array, int]:
-    """What whitens the hits of one layout, ``(F, F)``, and the degrees of freedom of their scatter."""
+    """Whitening matrix of the hits of one layout, ``(F, F)``, and the degrees of freedom of their scatter."""
     deviations, freedom = deviations_of([value for _, value in residuals], [hit.condition for hit, _ in residuals])
     stated = np.max([hit.noise for hit, _ in residuals], axis=0)
     return Noise(repeats_of(deviations, freedom, stated), np.square(limits / 2.0)).whitening(), freedom
 
 
 def _same(model: Model, item: ModelEffect) -> bool:
-    """Whether an entry has the parameters that the effect of its name has now; older files may have others."""
+    """Whether an entry has the parameters of the present effect; older files may differ."""
     return model.effect_of(item).parameters == model.known_effects[item.name].parameters

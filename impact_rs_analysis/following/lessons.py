@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of every hit and of every change: typed documents."""
+"""Typed documents about hits and changes, for output."""
 
 from __future__ import annotations
 

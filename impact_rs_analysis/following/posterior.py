@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Posterior of one hypothesis: a belief (:mod:`impact_rs_analysis.inference.belief`) that learns hit by hit.
 
-The last hits are kept one by one (the *window*): a change is looked for among them (:mod:`.change`). The order of hits
-in the window does not matter. A hit that the posterior finds beyond the quantile q of chi square weighs w = q / d^2
-with d its Mahalanobis distance, else 1 (Huber 1964), so that one odd hit moves nothing far.
+The last hits are kept individually (the *window*): change points are sought among them (:mod:`.change`). The order of
+hits in the window does not matter. A hit that the posterior finds beyond the quantile q of chi square weighs w = q /
+d^2 with d its Mahalanobis distance, else 1 (Huber 1964), so that an outlier has a bounded influence.
 
 Before the window the model discrepancy follows a random walk (joints that warm up, a drifting sensor): from one instant
 of its group to the next, the share ``DISCREPANCY_RENEWAL`` of the variance of every amplitude is renewed. A slow drift
@@ -34,7 +34,7 @@ ODD_HIT_PROBABILITY = 1e-3  # share of hits beyond the quantile at which Huber w
 
 @dataclass(frozen=True, eq=False)
 class HitEvidence(Observation):
-    """What one hit says.
+    """Evidence of one hit: linearised observation.
 
     Attributes:
         hit: The hit.
@@ -48,7 +48,7 @@ class Posterior:
     """State of one hypothesis.
 
     Attributes:
-        before: What is believed of the hits before the window.
+        before: Belief from the hits before the window.
         window: Evidence by instant, oldest first.
     """
 
@@ -58,7 +58,7 @@ class Posterior:
 
     @property
     def now(self) -> Belief:
-        """What is believed of all hits; not to be changed."""
+        """Belief from all hits; read-only."""
         if self._now is None:
             self._now = self.before.copy()
             for one in self.since():
@@ -80,7 +80,7 @@ class Posterior:
         return [one for instant in self.window[start:] for one in instant]
 
     def add(self, instant: Sequence[HitEvidence]) -> None:
-        """Take an instant into the window, and believe the oldest of a full one."""
+        """Add an instant to the window; the oldest of a full window is absorbed into the belief."""
         for one in instant:
             self.before.columns(one)
         self.window.append(tuple(instant))
@@ -88,13 +88,13 @@ class Posterior:
         self._now = None
 
     def believe(self, evidence: Iterable[HitEvidence]) -> None:
-        """Take hits that are older than the window."""
+        """Absorb hits older than the window."""
         for one in evidence:
             self.before.add(one)
         self._now = None
 
     def believe_before(self, start: int) -> None:
-        """Believe the instants of the window before one of them."""
+        """Absorb the instants of the window before ``start``."""
         for _ in range(start):
             instant = self.window.pop(0)
             self.believe(instant)
@@ -133,7 +133,7 @@ class Posterior:
 
 
 def weight_of(distance: float, size: int) -> float:
-    """Weight of a hit with a squared distance and so many features [-]."""
+    """Huber weight of a hit from its squared Mahalanobis distance and number of features [-]."""
     return min(1.0, float(scipy.special.chdtri(size, ODD_HIT_PROBABILITY)) / max(distance, 1e-300))
 
 

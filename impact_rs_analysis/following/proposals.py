@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What distinguishes the causes of a change: a hit that was measured, a check without one, or a new trial."""
+"""Proposals to discriminate between causes of a change: a repeated hit, a check without a hit, a new trial."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class ProposedMeasurement:
 
 
 def most_decisive(found: Iterable[ProposedMeasurement], shares: Sequence[float]) -> ProposedMeasurement | None:
-    """What decides rightly between the likeliest cause and each of the others with the largest probability.
+    """Measurement with the largest probability of a correct decision between the likeliest cause and the others.
 
     Args:
         found: Measurements, those that take least effort first; of some that are as good, the first is taken.
@@ -85,7 +85,7 @@ def most_decisive(found: Iterable[ProposedMeasurement], shares: Sequence[float])
 
 
 def measurement_words(one: ProposedMeasurement, likeliest: str, others: Sequence[str]) -> str:
-    """What to do, and which causes it distinguishes."""
+    """Text of a proposal, and the causes that it distinguishes."""
     parted = [other for other, distance in zip(others, one.distances, strict=True) if distance > MIN_DECISIVE_DISTANCE]
     between = "them" if len(parted) == len(others) else f"{likeliest} from {' and '.join(parted)}"
     return f"{one.words} distinguishes {between} ({one.what})"
@@ -94,7 +94,7 @@ def measurement_words(one: ProposedMeasurement, likeliest: str, others: Sequence
 def distinguishing(
     own: HitModel, hypotheses: Sequence[Hypothesis], shares: Sequence[float], last: Mapping[str, Hit]
 ) -> str:
-    """What distinguishes explanations best, in words.
+    """Text of the measurement that discriminates best between explanations.
 
     Args:
         own: Predicts hits.

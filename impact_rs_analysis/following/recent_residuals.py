@@ -34,7 +34,7 @@ class RecentResiduals:
         self._squares = np.zeros(EWMA_GAINS.size)  # of the errors of each gain
 
     def expected(self, group: str, size: int) -> Array:
-        """What the next hit of a group will leave, ``(size,)``, whitened [-].
+        """Predicted residual of the next hit of a group, ``(size,)``, whitened [-].
 
         Args:
             group: The group.
@@ -44,7 +44,7 @@ class RecentResiduals:
         return np.zeros(size) if known is None else np.asarray(known[self._best])
 
     def take(self, group: str, residual: Array, weight: float) -> None:
-        """Take what a hit left.
+        """Update with the residual of a hit.
 
         Args:
             group: Its group.
@@ -58,7 +58,7 @@ class RecentResiduals:
 
     @property
     def _best(self) -> int:
-        """The gain that did best, with a lead over none."""
+        """Gain with the smallest recent error, if it leads over no correction."""
         return int(np.argmin(self._squares + MIN_LEAD * (EWMA_GAINS > 0.0)))
 
     def saved(self) -> dict[str, Any]:

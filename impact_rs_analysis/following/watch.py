@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hypotheses about the cell: each predicts a hit before it is looked at, learns from it, and is tested for a change.
+"""Multiple-model estimation: every hypothesis predicts a hit, is updated with it, and is tested for a change.
 
-A change replaces the hypotheses by its causes (:mod:`.causes`). Later hits raise or lower them, as in multiple-model
-estimation (Magill 1965), and predictions are their mixture.
+A change replaces the hypotheses by its causes (:mod:`.causes`). Later hits update their probabilities (Magill 1965),
+and predictions are their mixture.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ class HitWatch:
         return errors
 
     def _weigh(self) -> str:
-        """Drop hypotheses that are ruled out; what is now known for certain."""
+        """Drop improbable hypotheses; returns the cause that has become certain."""
         several, shares = len(self.hypotheses) > 1, self.probabilities()
         self.hypotheses = [
             h for h, share in zip(self.hypotheses, shares, strict=True) if share > MIN_HYPOTHESIS_PROBABILITY
@@ -172,7 +172,7 @@ class HitWatch:
         if statistic < test.threshold:
             best.tried = -math.inf
         elif statistic > best.tried + RETRY_LOG_GROWTH:
-            if best.origin is not None:  # or is it its linearisation?
+            if best.origin is not None:  # or a linearisation error?
                 refined = causes.refined(best)
                 self.hypotheses[self.hypotheses.index(best)] = best = refined
                 test = self.hits.test(best)
@@ -242,7 +242,7 @@ class HitWatch:
 
 
 def _when(hit: Hit) -> str:
-    """When a hit was, for the reader: the wall clock, or its name."""
+    """Time of a hit for the reader: wall clock, or its name."""
     if not hit.timed or hit.stamp < MIN_WALL_CLOCK_S:
         return hit.name
     return f"{time.strftime('%Y-%m-%d %H:%M:%S', time.localtime(hit.stamp))} ({hit.name})"

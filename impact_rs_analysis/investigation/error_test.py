@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the error of a model is as large as that of a right one can be.
+"""Goodness-of-fit test: is the error of a model consistent with a right model?
 
-The error is the sum over conditions c of the mean square of their mean residuals,
+The statistic is the sum over conditions c of the mean square of their mean residuals,
 
     Q = sum_c |r_c|^2 / F_c
 

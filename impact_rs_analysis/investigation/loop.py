@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Steps of an investigation: the next one follows from the files of its folder."""
+"""Steps of an investigation, a state machine on the files of its folder."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ class Investigation:
             write_plan(plan, here / "plan.yaml")
 
     def _give_up(self, last: Round, promised: float, left: int) -> None:
-        """Let a round end the investigation whose open decision no trial would make."""
+        """End the investigation if the remaining trials cannot decide what is open."""
         done = last.decision
         assert done is not None
         reason = (
@@ -242,7 +242,7 @@ class Investigation:
         return made or (here.model != self.settings.model and not here.fails(self.settings))
 
     def _wants_a_law(self, rounds: Sequence[Round]) -> bool:
-        """Whether it is time for a law: what remains has no name, again or for good."""
+        """Whether to search for a law: the residual has no known effect, repeatedly or finally."""
         now = rounds[-1].basis
         if now is None or not now.calls_for_a_law or stands(self.settings, rounds[-1]):
             return False
@@ -262,8 +262,8 @@ class Investigation:
 def size_of_round(last: Round | None) -> int:
     """Trials of the next round, unless it tries a model.
 
-    Few between effects that have names: a diagnosis is cheaper than trials that were not needed. That nothing is
-    missing, that no effect explains what is, and which law does, takes more.
+    Few trials between known effects: a diagnosis is cheaper than unnecessary trials. More trials to show that nothing
+    is missing, that no effect explains the residual, or which law does.
 
     Args:
         last: The round before; None: nothing was measured yet.
@@ -276,7 +276,7 @@ def size_of_round(last: Round | None) -> int:
 
 
 def _falls(before: DiagnosisDocument, now: DiagnosisDocument) -> bool:
-    """Whether more trials leave clearly less unexplained: then estimates are short of trials, and no law is missing."""
+    """Whether the error falls clearly with more trials: then trials are missing, not a law."""
     return bool(now.named) and now.held_out_error_after < FALLING_ERROR_RATIO * before.held_out_error_after
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What to do after a round: a list of rules, of which the first that applies decides.
+"""Policy after a round: an ordered list of rules; the first applicable one decides.
 
 The manual (``docs/investigation.md``) has the same list in the same order, under the same names. A decision to measure
-or to add becomes an end without a verdict where no trial is left for it.
+or to add becomes an end without a verdict if no trials are left.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Predictions of a round's trials, written before these are measured, and what they turned out to be.
+"""Preregistered predictions of a round's trials, and their comparison with the measurements.
 
 Two numbers are predicted for an impact along the axis: velocity of the end effector and of the object just after it, by
 the impact map (:func:`predict_impact`). Measured, these are means over the time from 20 to 40 ms after the impact and

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the trials that are left can decide at best.
+"""Upper bound on what the remaining trials can decide.
 
 The squared distance of two explanations grows at most in proportion to the trials, and the degrees of freedom of the
 scatter by one with each of them. :mod:`impact_rs_analysis.inference.ahead` says how probably a diagnosis then

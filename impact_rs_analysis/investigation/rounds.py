@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rounds of an investigation as they are on disk, and the models that their decisions made."""
+"""Rounds of an investigation on disk, and the models made by their decisions."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class PlannedTrial:
 
 @dataclass(frozen=True)
 class Round:
-    """What is on disk of one round; None: that step is still to be done.
+    """Files of one round; None: that step is pending.
 
     Attributes:
         number: From 1.
@@ -103,7 +103,7 @@ class Round:
 
     @property
     def open(self) -> DiagnosisDocument | None:
-        """What the next trials shall decide: laws or effects found, and what a model that did not hold may lack."""
+        """Open decisions for the next trials: found laws or effects, and candidates for a rejected model."""
         found = self.laws or self.basis
         if found is None or self.again is None or self.laws is not None:
             return found
@@ -163,7 +163,7 @@ class Round:
 
 @dataclass(frozen=True)
 class WantedTrials:
-    """What the next trials are for: they decide what a document leaves open.
+    """Purpose of the next trials: the open decision of a document.
 
     Attributes:
         model: The model that they are planned with.

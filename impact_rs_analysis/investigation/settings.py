@@ -18,7 +18,7 @@ SETTINGS_FILE = "investigation.yaml"
 
 
 class BlindChoice(Schema):
-    """What the plant hides, as ``blind make`` draws it."""
+    """Hidden effects of the plant, as drawn by ``blind make``."""
 
     seed: int = Field(ge=0, description="seed that draws effect and size")
     kind: Literal["single", "pair", "null", "outside"] = Field("single", description="what is hidden")
@@ -66,7 +66,7 @@ def begin(directory: Path, settings: Settings) -> Settings:
 
 
 def read_settings(directory: Path) -> Settings:
-    """What was asked.
+    """The settings.
 
     Raises:
         InputError: There is no investigation in the folder.

@@ -126,7 +126,7 @@ class Hits:
 
     @property
     def rest(self) -> Array:
-        """Quantities over their bounds at speed 0, ``(draws, k)`` [-]: torques that carry the arms, else 0."""
+        """Quantities over their bounds at speed 0, ``(draws, k)`` [-]: gravity torques, else 0."""
         found = np.zeros((len(self._draws), len(self.bounds.names)))
         for row, one in enumerate(self._draws):
             weights = [one.physics.robot_model(name).gravity_torque(arm.position) for name, arm in one.arms.items()]
@@ -172,9 +172,9 @@ def quantities(scene: Scene, time: Array, arms: Mapping[str, ArmMotion]) -> Arra
 
 
 def observed(model: RobotModel, position: Array, time: Array, arm: ArmMotion, gain: float) -> Array:
-    """External joint torques by a momentum observer that was settled at the first sample, ``(m, n)`` [N m].
+    """External joint torques by a momentum observer in steady state at the first sample, ``(m, n)`` [N m].
 
-    The configuration hardly changes during a hit: M and the weight are those of its begin.
+    The configuration hardly changes during a hit: M and gravity torque are those at its start.
     """
     period = float(time[1] - time[0])
     momentum = (arm.velocity - arm.velocity[0]) @ model.mass_matrix(position)
@@ -186,12 +186,12 @@ def observed(model: RobotModel, position: Array, time: Array, arm: ArmMotion, ga
 def closing_speeds(
     physics: Physics, arms: Mapping[str, ArmState], body: BodyState, models: Mapping[str, RobotModel]
 ) -> dict[str, float]:
-    """Speed at which every pad comes to the object along the normal [m/s]."""
+    """Closing speed of every pad along its normal [m/s]."""
     return {name: speed for name, (_, speed) in _approach(physics, arms, body, models).items()}
 
 
 def touching(scene: Scene) -> ImpactProblem:
-    """The nominal impact with every pad moved along its way until it touches the object, as a tilted one needs."""
+    """The nominal impact with every pad moved along its velocity into contact; needed for tilted pads."""
     problem = ImpactProblem.at_nominal_impact(scene)
     arms = _moved(problem.arms, _approach(scene.physics, problem.arms, problem.object, scene.models), 0.0)
     return replace(problem, arms=arms)
@@ -200,7 +200,7 @@ def touching(scene: Scene) -> ImpactProblem:
 def _moved(
     arms: Mapping[str, ArmState], approach: Mapping[str, tuple[float, float]], gap: float
 ) -> dict[str, ArmState]:
-    """Arms on their way at a distance of their pads from the object [m]."""
+    """Arms moved back along their velocity to a distance ``gap`` between pad and object [m]."""
     return {
         name: replace(arms[name], position=arms[name].position + (separation - gap) / speed * arms[name].velocity)
         for name, (separation, speed) in approach.items()
@@ -236,7 +236,7 @@ def drawn(
     amounts: Mapping[str, float],
     arms: Mapping[str, ArmPhysics],
 ) -> tuple[Physics, dict[str, ArmState], BodyState]:
-    """Physics and states of a drawn hit, for a simulator; pads are moved along their way until they touch.
+    """Physics and states of a drawn hit for a simulator; pads are moved along their velocity into contact.
 
     Args:
         problem: The hit of the scene.

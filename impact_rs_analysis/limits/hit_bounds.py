@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a robot bears at a hit: bounds of its facts, in one vector with the names of their quantities.
+"""Load limits of a robot at a hit: bounds from the robot facts as a vector with names.
 
 ========== ================================================= =========================================
 kind       quantity                                          bound
@@ -65,7 +65,7 @@ class Bounds:
         names: ``arm joint 2 torque`` ..., in the order of :func:`impact_rs_analysis.limits.drawn_hits.peaks`.
         kinds: Kind of each, of ``KINDS``.
         units: Unit of each.
-        values: Largest value that is borne, ``(k,)``; inf: none is known.
+        values: Upper bound, ``(k,)``; inf: unknown.
     """
 
     names: tuple[str, ...]
@@ -75,7 +75,7 @@ class Bounds:
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Kinds without any bound, which a speed limit does not see."""
+        """Kinds without a bound, which the speed limit ignores."""
         known = {kind for kind, value in zip(self.kinds, self.values, strict=True) if np.isfinite(value)}
         return tuple(kind for kind in KINDS if kind not in known)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Speed limits of a scenario: of its objects and cases, and of other places of the same hit."""
+"""Speed limits of a scenario: for its objects and cases, and for other positions of the hit."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def moved(scenario: Scenario, x: float, z: float) -> Scenario:
         z: Upwards [m].
 
     Raises:
-        InputError: Joints say where an arm hits, and no place.
+        InputError: The impact pose of an arm is given by joint positions.
     """
     robots = {}
     for name, robot in scenario.robots.items():
@@ -85,7 +85,7 @@ class PlacedLimit:
 
 
 def limit_of(task: LimitTask) -> PlacedLimit:
-    """The speed limit of a task; a place that the arm does not reach has none."""
+    """The speed limit of a task; none for an unreachable position."""
     scenario = moved(task.scenario, task.x, task.z) if task.x or task.z else task.scenario
     try:
         scene = Scene.resolve(scenario, task.object_name, task.case_name)

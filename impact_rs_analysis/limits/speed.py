@@ -31,7 +31,7 @@ MAX_SPEED_RATIO = 20.0  # over the speed of the scene; no relevant bound lies be
 
 @dataclass(frozen=True)
 class SpeedLimit:
-    """How fast an arm may hit in one scene.
+    """Speed limit of an arm in one scene.
 
     Attributes:
         object_name: Object.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the object stays at the pad after the hit, which the prediction of a trial assumes.
+"""Separation of object and pad after the hit; predictions of a trial assume lasting contact.
 
 With the pose of the object (p_o, R) and of frame E (p_E, normal n out of the pad), the middle of a box of the sides s
 is c from the plane of the pad, and its nearest corner d:
@@ -55,7 +55,7 @@ class Departure:
 
 @dataclass(frozen=True)
 class ObjectLeft:
-    """The trials of a set whose object left a pad.
+    """Trials of a set whose object separated from a pad.
 
     Attributes:
         scenario: Name of the scenario.
@@ -98,7 +98,7 @@ class ObjectLeft:
 
 
 def departures(bag: TrialBag, columns: Mapping[str, ControllerColumns]) -> tuple[Departure, ...]:
-    """How object and pads part after the hit; none where no hit or no object was recorded.
+    """Separation of object and pads after the hit; empty without a recorded hit or object.
 
     Args:
         bag: The trial.
@@ -114,7 +114,7 @@ def departures(bag: TrialBag, columns: Mapping[str, ControllerColumns]) -> tuple
 def _departure(
     scenario: Scenario, bag: TrialBag, arm: str, state: ControllerColumns, pose: PoseColumns
 ) -> Departure | None:
-    """How object and pad of one arm part."""
+    """Separation of object and pad of one arm."""
     hit = bag.impact_time(arm)
     after = pose.time - hit
     first = (after >= SEPARATION_WINDOW_S[0]) & (after <= SEPARATION_WINDOW_S[1])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Design study: which robot, pose, motor inertia and pad hits how (outlook of the paper).
+"""Design study over robots, poses, motor inertias and pads (outlook of the paper).
 
 Every design is one impact problem: an arm in a random pose, its pad square before a box that stands free, at the same
 ante-impact speed along the pad's normal n, with the smallest joint velocity. Its answer by the impact map gives
@@ -69,7 +69,7 @@ PADS = {
 
 @dataclass(frozen=True)
 class Measure:
-    """What designs are ranked by.
+    """A measure by which designs are ranked.
 
     Attributes:
         label: What it is called.
@@ -132,7 +132,7 @@ class Design:
 
 @dataclass(frozen=True)
 class DesignQuestion:
-    """What is asked of every design.
+    """Conditions common to all designs.
 
     Attributes:
         scenario: Its end effector, object and uncertainties.
@@ -204,7 +204,7 @@ def study_designs(
     map_tasks: Map = map,
     report: Callable[[str, int, int], None] = lambda *_: None,
 ) -> DesignStudy:
-    """Ask every robot in every pose.
+    """Evaluate every robot in every pose.
 
     Args:
         question: What is asked.
@@ -465,7 +465,7 @@ def _scaled_drive(robot: str, effector: EndEffector, period: float) -> dict[str,
 
 
 def _velocity(model: RobotModel, q: Array, speed: float) -> Array:
-    """Smallest joint velocity with which the pad comes along its normal without turning, ``(n,)`` [rad/s]."""
+    """Least-norm joint velocity for a pad velocity along its normal without rotation, ``(n,)`` [rad/s]."""
     return np.asarray(np.linalg.pinv(model.jacobian(q)) @ np.append(speed * NORMAL, np.zeros(3)))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Predictions that lie far from the measurement.
+"""Gross errors: predictions far from the measurement.
 
 A missing effect changes a prediction by some percent. A much larger error usually means that another robot, object or
 speed was measured than predicted. The statistic is

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Systematic band of an estimate: its change with settings on which it should not depend.
+"""Systematic uncertainty of an estimate: its change with settings on which it should not depend.
 
 With x0 the zero crossing of some trials of a campaign, and x0(k) that of the same trials with setting k put to another
 value (:mod:`impact_rs_trials.varied_settings`, same seeds; the window is varied in the trials as they are),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Graph of who agrees with whom: readings on the left, relations between them on the right."""
+"""Bipartite graph of consistency: readings on the left, relations between them on the right."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class AgreementNode:
 
 @dataclass(frozen=True)
 class AgreementLine:
-    """That a reading takes part in a relation.
+    """Edge: a reading takes part in a relation.
 
     Attributes:
         start: Height at the reading [px].

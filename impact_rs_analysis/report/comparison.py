@@ -255,7 +255,7 @@ def yardstick_of_places(document: ComparisonDocument) -> str:
 
 
 def yardstick_of_rest(document: DiagnosisDocument) -> str:
-    """The same of what a diagnosis leaves unexplained."""
+    """Reference of the residuals that a diagnosis leaves unexplained."""
     if document.source == "trials":
         return REPEATABILITY if document.design.freedom else RELEVANCE_LIMIT
     if document.error_unit == TIMES:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Page and table of a design study: what every design does, and which are ahead."""
+"""Page and table of a design study: measures and ranks of all designs."""
 
 from __future__ import annotations
 

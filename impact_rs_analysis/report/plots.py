@@ -19,7 +19,7 @@ from impact_rs_analysis.report.labels import Tag, phase_text, place_text, tag_of
 from impact_rs_analysis.report.page import quantity_text
 from impact_rs_sim.robot import Array, joined_units
 
-if TYPE_CHECKING:  # the figures of an analysis need nothing of a diagnosis
+if TYPE_CHECKING:  # figures of an analysis do not need the diagnosis package
     from impact_rs_analysis.diagnosis.document import DiagnosisDocument, JointError
     from impact_rs_analysis.diagnosis.history import VersionError
     from impact_rs_analysis.evidence.levels import Cell, SignalLevel
@@ -109,7 +109,7 @@ def curves_plot(figure: Figure, most: int | None = None) -> go.Figure:
 
 
 def _thinned(panel: Panel, most: int) -> Panel:
-    """Every so many of the points of every curve."""
+    """Decimated points of every curve."""
     strides = [max(1, math.ceil(curve.x.size / most)) for curve in panel.curves]
     curves = [
         replace(curve, x=curve.x[::stride], y=curve.y[::stride])
@@ -148,7 +148,7 @@ def _curve(curve: Curve, axis: str, shared: bool) -> go.Scatter:
 
 
 def _places(x: Array) -> dict[str, Any]:
-    """Where the points of a curve are along x; of even steps begin and step alone, which keeps pages small."""
+    """x coordinates of a curve; start and step alone if evenly spaced, which keeps pages small."""
     if not x.size:  # a curve without points keeps its legend entry only with one invisible point
         return {"x": [None]}
     steps = np.diff(x)
@@ -251,7 +251,7 @@ def _joint_bars(
 
 
 def noticeable(cell: Cell) -> bool:
-    """Whether a residual is clear of noise and above its relevance limit."""
+    """Whether a residual exceeds noise and its relevance limit."""
     return cell.times_noise > MIN_SHOWN_RATIO and cell.matters
 
 

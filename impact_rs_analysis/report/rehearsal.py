@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Page of a rehearsal: its verdict, how near everything came to its bound, and what was not checked."""
+"""Page of a rehearsal: verdict, margins to all bounds, and omitted checks."""
 
 from __future__ import annotations
 

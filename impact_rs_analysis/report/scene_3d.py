@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scene as ``replay.js`` reads it: joints and links of a URDF with their shapes, and the object's box.
 
-The page gets joint positions and does the forward kinematics itself: a joint frame in its parent, then the joint's turn
-about, or way along, its axis.
+The page receives joint positions and computes the forward kinematics: joint frame in its parent, then rotation about,
+or translation along, the joint axis.
 """
 
 from __future__ import annotations

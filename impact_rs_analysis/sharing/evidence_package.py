@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A package of evidence: what one laboratory found in one set of measurements, for others to check and to merge.
+"""Evidence package: the diagnosis of one laboratory on one data set, for others to verify and merge.
 
 One JSON file holds the model that was diagnosed, the diagnosis, the digest of every file of the measurements, versions,
 and who measured what. Measurements stay where they are. A seal, the digest of everything else, reveals changes by

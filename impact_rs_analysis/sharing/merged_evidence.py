@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What several packages of evidence say together, parameter by parameter.
+"""Meta-analysis of several evidence packages, parameter by parameter.
 
 Packages of the same measurements are one piece of evidence, whatever laboratories they name: they are refused, by the
 digests of their files. Packages that have less than half of their measurements in common are named.
@@ -54,7 +54,7 @@ class MergedEstimate(Schema):
 
 
 class Contribution(Schema):
-    """What one package says of a parameter."""
+    """Estimate of one package."""
 
     laboratory: str = Field(description="who measured")
     robot: str = Field(description="which robot")
@@ -148,7 +148,7 @@ def merge_packages(packages: Sequence[EvidencePackage]) -> MergedEvidence:
 
 
 def _check_mergeable(packages: Sequence[EvidencePackage]) -> tuple[str, ...]:
-    """Packages that have some files in common, in words."""
+    """Check that packages can be merged; returns warnings about common files."""
     if len(packages) < 2:
         raise InputError(f"{len(packages)} package of evidence; expected two or more")
     for package in packages:
@@ -216,7 +216,7 @@ def _studies(
 def _without_odd(
     studies: Mapping[tuple[str, str], list[_Study]],
 ) -> tuple[dict[tuple[str, str], list[int]], dict[tuple[str, str], dict[int, float]]]:
-    """Indices of studies that agree, and of odd ones with their residuals, by parameter."""
+    """Indices of consistent studies, and of outliers with their studentised residuals, by parameter."""
     kept = {key: list(range(len(own))) for key, own in studies.items()}
     looked_at = sum(len(own) for own in studies.values() if len(own) > MIN_STUDIES)
     odd: dict[tuple[str, str], dict[int, float]] = defaultdict(dict)
@@ -266,7 +266,7 @@ def _residual(own: Sequence[_Study], kept: Sequence[int], index: int, dispersion
 
 
 def _alone(own: Sequence[_Study], kept: Sequence[int], worst: int) -> bool:
-    """Whether nothing but the laboratory sets a study apart: another one has its robot, and its object."""
+    """Whether only the laboratory distinguishes a study: others share its robot and its object."""
     study = own[worst]
     others = [own[index] for index in kept if own[index].package.laboratory != study.package.laboratory]
     return all(any(other.label(factor) == study.label(factor) for other in others) for factor in ("robot", "object"))
@@ -315,7 +315,7 @@ def _merged(own: Sequence[_Study], kept: Sequence[int], odd: Mapping[int, float]
 
 
 def _belongs_to(own: Sequence[_Study], kept: Sequence[int], q: float) -> tuple[str, ...]:
-    """What the packages differ by."""
+    """Factors that explain the heterogeneity of the packages."""
     values, errors = _numbers(own, kept)
     found = []
     for factor in FACTORS:

@@ -40,7 +40,7 @@ MAX_HETEROGENEITY_P = 0.05  # up to this p of Q, a residual uses tau of the othe
 
 @dataclass(frozen=True)
 class Pooled:
-    """What studies say together.
+    """Pooled estimate of several studies.
 
     Attributes:
         mean: mu.
