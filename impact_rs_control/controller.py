@@ -92,7 +92,7 @@ class ImpactDetection:
 
 
 @dataclass(frozen=True)
-class Watched:
+class TickObservation:
     """Result of the first half of a control tick.
 
     Attributes:
@@ -186,7 +186,7 @@ class ArmController:
         self._net = np.zeros(3)
         self.detection: ImpactDetection | None = None
 
-    def watch(self, tick: int, measured: ArmMeasurement) -> Watched:
+    def watch(self, tick: int, measured: ArmMeasurement) -> TickObservation:
         """First half of a control tick: look for the impact of this arm.
 
         Args:
@@ -194,14 +194,14 @@ class ArmController:
             measured: Measured state of the arm.
         """
         terms = self._model.terms(measured.position, measured.velocity)
-        return Watched(terms, self._detect(tick * self._period, measured, terms))
+        return TickObservation(terms, self._detect(tick * self._period, measured, terms))
 
     def begin_interim(self, tick: int) -> None:
         """Leave the ante mode: some arm has hit; later calls change nothing."""
         if self._interim_from is None:
             self._interim_from = tick
 
-    def command(self, tick: int, measured: ArmMeasurement, watched: Watched) -> ArmCommand:
+    def command(self, tick: int, measured: ArmMeasurement, watched: TickObservation) -> ArmCommand:
         """Second half of a control tick: compute the command; arguments as for :meth:`watch`, and its result."""
         now = tick * self._period
         q, dq, terms = measured.position, measured.velocity, watched.terms

@@ -77,7 +77,7 @@ def identify_arm(scene: Scene, arm: str, runs: int, seed: int, effects: Model | 
             name = f"{scene.object_name}__{scene.case_name}__{arm}__{phase}__t{turn}"
             seeds = [seed_of(seed, f"{name}__r{run}") for run in range(runs)]
             feedback = np.mean([run_free_motion(motion, arm, phase, physics, each) for each in seeds], axis=0)
-            total = total + _binned(feedback, sample_every(scene.scenario))
+            total = total + _decimated(feedback, sample_every(scene.scenario))
             found[phase] = AccelerationSamples.of(np.round(total, ACCELERATION_DECIMALS))
             motion = _fed_forward(motion, arm, phase, found[phase])
     return ArmFriction(**found)
@@ -148,7 +148,7 @@ def _fed_forward(plan: TrialPlan, arm: str, phase: Phase, samples: AccelerationS
     return replace(plan, arms={arm: own})
 
 
-def _binned(signal: Array, every: int) -> Array:
+def _decimated(signal: Array, every: int) -> Array:
     """Moving average and decimation by ``every``, ``(k, 7)``; removes noise and keeps friction."""
     half = every // 2
     return np.array([signal[max(0, at - half) : at + half + 1].mean(axis=0) for at in range(0, len(signal), every)])

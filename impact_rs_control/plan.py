@@ -13,8 +13,8 @@ from impact_rs_control.references import (
     SampledPath,
     ante_impact_path,
     carry_path,
+    excursion_path,
     post_impact_path,
-    there_and_back_path,
 )
 from impact_rs_sim.clearance import check_clearance, deepest_penetration
 from impact_rs_sim.errors import Infeasible, InputError, UnreachablePose
@@ -156,7 +156,7 @@ def plan_trial(
     check_joint_counts(scene.scenario)
     if scene.scenario.excursion is not None:
         arms = {name: _plan_excursion(scene, name) for name in scene.arms}
-        _check_surroundings(scene, arms)
+        _check_collisions(scene, arms)
         return TrialPlan(scene, velocity_scale, motor_inertia, None, arms)
     check_restitution(scene)
     check_clearance(scene.models, {name: state.position for name, state in scene.arms.items()}, "at the impact")
@@ -164,11 +164,11 @@ def plan_trial(
     impact = predict_impact(problem, scene.scenario.control.reference_contact, engine)
     arms = {name: _plan_hit(scene, name, impact, velocity_scale) for name in scene.arms}
     check_clearance(scene.models, {name: arm.initial for name, arm in arms.items()}, "at the start")
-    _check_surroundings(scene, arms)
+    _check_collisions(scene, arms)
     return TrialPlan(scene, velocity_scale, motor_inertia, impact, arms)
 
 
-def _check_surroundings(scene: Scene, arms: Mapping[str, ArmPlan]) -> None:
+def _check_collisions(scene: Scene, arms: Mapping[str, ArmPlan]) -> None:
     """Check that no arm touches support or ground on its references, the object's own contacts aside.
 
     Raises:
@@ -176,10 +176,10 @@ def _check_surroundings(scene: Scene, arms: Mapping[str, ArmPlan]) -> None:
     """
     scenario, physics = scene.scenario, scene.physics
     pushed = scenario.excursion is None and scenario.control.clamp_force == 0.0
-    way = np.mean([arm.post_position.position[-1] - _at_impact(scene, arm) for arm in arms.values()], axis=0)
+    displacement = np.mean([arm.post_position.position[-1] - _at_impact(scene, arm) for arm in arms.values()], axis=0)
     for name, arm in arms.items():
         times, positions = _reference_poses(scene, name, arm)
-        found = deepest_penetration(physics, name, positions, scene.object, way if pushed else np.zeros(3))
+        found = deepest_penetration(physics, name, positions, scene.object, displacement if pushed else np.zeros(3))
         if found is None:
             continue
         remedy = f"raise robots.{name}.impact.position, or choose another pose there (pad_normal, pad_up, joint_guess)"
@@ -211,17 +211,19 @@ def _reference_poses(scene: Scene, name: str, arm: ArmPlan) -> tuple[Array, Arra
         (arm.ante_position, arm.ante_posture, 0, arm.initial),
         (arm.post_position, arm.post_posture, impact, scene.arms[name].position),
     ):
-        way = np.linalg.norm(np.diff(path.position[first:], axis=0), axis=1)
-        cells = np.floor(np.cumsum(way) / MAX_POSE_SPACING_M)
-        ticks = first + np.concatenate(([0], 1 + np.flatnonzero(np.diff(cells)), [len(way)])).astype(int)
+        displacement = np.linalg.norm(np.diff(path.position[first:], axis=0), axis=1)
+        cells = np.floor(np.cumsum(displacement) / MAX_POSE_SPACING_M)
+        ticks = first + np.concatenate(([0], 1 + np.flatnonzero(np.diff(cells)), [len(displacement)])).astype(int)
         for tick in dict.fromkeys(ticks.tolist()):
-            q = _followed(model, q, pin.SE3(arm.orientation[tick], path.position[tick]), arm, posture.position[tick])
+            q = _inverse_kinematics_step(
+                model, q, pin.SE3(arm.orientation[tick], path.position[tick]), arm, posture.position[tick]
+            )
             times.append(tick * timing.control_period)
             rows.append(q)
     return np.array(times), np.array(rows)
 
 
-def _followed(model: RobotModel, q: Array, target: pin.SE3, arm: ArmPlan, posture: Array) -> Array:
+def _inverse_kinematics_step(model: RobotModel, q: Array, target: pin.SE3, arm: ArmPlan, posture: Array) -> Array:
     """Joint positions near ``q`` with E and the posture joints at their targets, ``(n,)``.
 
     Two Gauss-Newton steps of least norm (pseudo-inverse) for redundant or infeasible tasks.
@@ -327,7 +329,7 @@ def _plan_excursion(scene: Scene, name: str) -> ArmPlan:
     leg = scenario.excursion_leg(robot)
 
     def path(start: Array, end: Array) -> SampledPath:
-        return there_and_back_path(excursion.begin, leg, excursion.rest, start, end, times)
+        return excursion_path(excursion.begin, leg, excursion.rest, start, end, times)
 
     position = path(pose.translation + np.array(excursion.start), pose.translation + np.array(excursion.end))
     held = posture_of(scene, name)

@@ -75,7 +75,7 @@ def _quintic(before: ViaPoint, after: ViaPoint) -> Array:
     In the normalised time s in [0, 1]. Position, velocity and acceleration match both via points.
     """
     duration = after.time - before.time
-    way = after.position - before.position
+    displacement = after.position - before.position
     start, end = before.velocity * duration, after.velocity * duration
     bend, last = before.acceleration * duration**2, after.acceleration * duration**2
     return np.stack(
@@ -83,9 +83,9 @@ def _quintic(before: ViaPoint, after: ViaPoint) -> Array:
             before.position,
             start,
             bend / 2.0,
-            10.0 * way - 6.0 * start - 4.0 * end - 1.5 * bend + 0.5 * last,
-            -15.0 * way + 8.0 * start + 7.0 * end + 1.5 * bend - last,
-            6.0 * way - 3.0 * start - 3.0 * end - 0.5 * bend + 0.5 * last,
+            10.0 * displacement - 6.0 * start - 4.0 * end - 1.5 * bend + 0.5 * last,
+            -15.0 * displacement + 8.0 * start + 7.0 * end + 1.5 * bend - last,
+            6.0 * displacement - 3.0 * start - 3.0 * end - 0.5 * bend + 0.5 * last,
         ]
     )
 
@@ -194,7 +194,7 @@ def run_up_path(timing: Timing, post: SampledPath, times: Array) -> SampledPath:
     )
 
 
-def there_and_back_path(begin: float, leg: float, rest: float, start: Array, end: Array, times: Array) -> SampledPath:
+def excursion_path(begin: float, leg: float, rest: float, start: Array, end: Array, times: Array) -> SampledPath:
     """From rest at ``start`` to rest at ``end`` and back again.
 
     Args:

@@ -31,13 +31,13 @@ def inertia_of(moments: Array) -> Array:
     return np.asarray(np.trace(moments) * np.eye(3) - moments)
 
 
-def is_body(mass: float, inertia: Array) -> bool:
+def is_physically_consistent(mass: float, inertia: Array) -> bool:
     """Whether mass [kg] and inertia about the centre of mass ``(3, 3)`` [kg m^2] are physically consistent."""
     moments = second_moments(inertia)
     return mass > 0.0 and bool(np.linalg.eigvalsh(moments)[0] >= -EIGENVALUE_ROUNDING * abs(float(np.trace(moments))))
 
 
-def reaches(mass: float, com: Array, inertia: Array, place: Array) -> bool:
+def ellipsoid_contains(mass: float, com: Array, inertia: Array, point: Array) -> bool:
     """Whether a point lies in the homogeneous ellipsoid with these inertial parameters.
 
     With semi-axes a_i along its principal axes it has the second moments m a_i^2 / 5, so d = place - com lies in it
@@ -47,10 +47,10 @@ def reaches(mass: float, com: Array, inertia: Array, place: Array) -> bool:
         mass: m [kg].
         com: Centre of mass, ``(3,)`` [m].
         inertia: About the centre of mass, ``(3, 3)`` [kg m^2].
-        place: In the same axes, ``(3,)`` [m].
+        point: In the same axes, ``(3,)`` [m].
     """
     moments, axes = np.linalg.eigh(second_moments(inertia))
-    along = axes.T @ (place - com)
+    along = axes.T @ (point - com)
     semi = np.sqrt(5.0 * np.maximum(moments, 0.0) / mass)
     within = np.abs(along) <= semi  # an axis without extent has no quotient
     return bool(np.all(within)) and float(np.sum(np.square(along[semi > 0.0] / semi[semi > 0.0]))) <= 1.0

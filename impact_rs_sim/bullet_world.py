@@ -28,7 +28,7 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.errors import NotABody
-from impact_rs_sim.pad_shear import PadShear, Side, Touch
+from impact_rs_sim.pad_shear import ContactBody, PadContacts, PadShear
 from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts
 from impact_rs_sim.rotations import continuous, quaternion_of
@@ -291,12 +291,12 @@ class BulletWorld:
                 if np.any(moment):
                     self.client.applyExternalTorque(body, link, moment.tolist(), pybullet.WORLD_FRAME)
             if self._turns:
-                self._turn_friction()
+                self._correct_friction_direction()
             self._step()
         self._torques.clear()
         self._pushes.clear()
 
-    def _turn_friction(self) -> None:
+    def _correct_friction_direction(self) -> None:
         """Correct the direction of the support's friction on the sliding object, over the next step.
 
         In plain numbers, along z of A, the normal of every support: with arrays it would cost more than Bullet's step.
@@ -319,7 +319,7 @@ class BulletWorld:
     def _shear(self, name: str, shear: PadShear) -> None:
         """Friction of a pad that is compliant along its face, over the next step."""
         points = self._get_contacts(self.arms[name], self.object)
-        touch = Touch(
+        touch = PadContacts(
             points=np.array([point[6] for point in points]).reshape(-1, 3),
             loads=np.array([max(point[9], 0.0) for point in points]),
             normal=np.array(points[0][7] if points else np.zeros(3)),
@@ -331,14 +331,14 @@ class BulletWorld:
         upper, jacobian, placement = self._models[name].at_impact(np.array(position))
         root = np.linalg.cholesky(upper.T)  # of which the lower triangle counts
         moved = np.linalg.solve(root, jacobian.T)
-        pad = Side(placement.translation, jacobian @ np.array(velocity), moved.T @ moved)
+        pad = ContactBody(placement.translation, jacobian @ np.array(velocity), moved.T @ moved)
         forces = shear.step(touch, self._object_side(), pad, placement.rotation)
         arm, link = self.arms[name], self.end_effector_link[name]
         for point, (x, y, z) in zip(touch.points.tolist(), forces.tolist(), strict=True):
             self._push(self.object, -1, (x, y, z), point, pybullet.WORLD_FRAME)
             self._push(arm, link, (-x, -y, -z), point, pybullet.WORLD_FRAME)
 
-    def _object_side(self) -> Side:
+    def _object_side(self) -> ContactBody:
         """The object at its centre of mass."""
         position, quaternion = self._get_pose(self.object)
         linear, angular = self._get_velocity(self.object)
@@ -346,7 +346,7 @@ class BulletWorld:
         object_, mobility = self.physics.object, np.zeros((6, 6))
         mobility[:3, :3] = np.eye(3) / object_.mass
         mobility[3:, 3:] = rotation / object_.inertia @ rotation.T
-        return Side(np.array(position), np.array(linear + angular), mobility)
+        return ContactBody(np.array(position), np.array(linear + angular), mobility)
 
     def pad_force(self, name: str) -> Array:
         """Force of the object on an arm's pad in the last step, in A, ``(3,)`` [N]."""

@@ -46,10 +46,10 @@ def capsules(model: RobotModel, q: Array) -> list[Capsule]:
         model: The arm.
         q: Joint positions, ``(n,)`` [rad].
     """
-    places = model.link_placements(q)
+    placements = model.link_placements(q)
     names = ["base", *(f"link{index + 1}" for index in range(model.joint_count))]
     pad = model.placement(q)
-    origins = [places[name].translation for name in names] + [pad.translation - LINK_RADIUS_M * pad.rotation[:, 2]]
+    origins = [placements[name].translation for name in names] + [pad.translation - LINK_RADIUS_M * pad.rotation[:, 2]]
     hull = []
     for name, start, end in zip(names, origins, origins[1:], strict=False):
         length = float(np.linalg.norm(end - start))
@@ -75,10 +75,10 @@ def check_clearance(models: dict[str, RobotModel], positions: dict[str, Array], 
     """
     hulls = {name: capsules(model, positions[name]) for name, model in models.items()}
     for first, second in combinations(hulls, 2):
-        for name, shape, place in hulls[first]:
-            for other, other_shape, other_place in hulls[second]:
+        for name, shape, pose in hulls[first]:
+            for other, other_shape, other_placement in hulls[second]:
                 gap = coal.distance(
-                    shape, place, other_shape, other_place, coal.DistanceRequest(), coal.DistanceResult()
+                    shape, pose, other_shape, other_placement, coal.DistanceRequest(), coal.DistanceResult()
                 )
                 if gap < 0.0:
                     raise Infeasible(
@@ -107,7 +107,7 @@ class Penetration:
 
 
 def deepest_penetration(
-    physics: Physics, name: str, positions: Array, object_: BodyState, way: Array
+    physics: Physics, name: str, positions: Array, object_: BodyState, displacement: Array
 ) -> Penetration | None:
     """Maximum penetration of an arm into support or ground along a path; None without a collision.
 
@@ -116,10 +116,10 @@ def deepest_penetration(
         name: The arm.
         positions: Joint positions along the path, ``(k, n)`` [rad].
         object_: Where the object stands.
-        way: Displacement of the object on its support, in A, ``(3,)`` [m].
+        displacement: Displacement of the object on its support, in A, ``(3,)`` [m].
     """
-    model, surroundings = physics.robot_model(name), _surroundings(physics, object_, way)
-    parts = _parts(model)
+    model, surroundings = physics.robot_model(name), _obstacles(physics, object_, displacement)
+    parts = _collision_bodies(model)
     depths = np.zeros((len(surroundings), len(positions), len(parts)))
     for index, q in enumerate(positions):
         links = model.link_placements(q)
@@ -130,7 +130,7 @@ def deepest_penetration(
         part.link != TIP for part in parts
     ]
     depths[-1][:, mounting] = 0.0
-    at = tuple(int(place) for place in np.unravel_index(np.argmax(depths), depths.shape))
+    at = tuple(int(pose) for pose in np.unravel_index(np.argmax(depths), depths.shape))
     if depths[at] <= MAX_ROUNDING_OVERLAP_M:
         return None
     part, partner = parts[at[2]], surroundings[at[0]]
@@ -141,7 +141,7 @@ Solid = tuple[coal.CollisionGeometry, coal.Transform3s]
 
 
 @dataclass(frozen=True)
-class _Moving:
+class _MovingBody:
     """Convex shapes that move with a link: placements in it, and bounding spheres, ``(m, 3)`` and ``(m,)`` [m]."""
 
     name: str
@@ -152,64 +152,64 @@ class _Moving:
     def spheres(self) -> tuple[Array, Array]:
         for shape, _ in self.shapes:
             shape.computeLocalAABB()
-        centres = np.array([place.act(shape.aabb_center) for shape, place in self.shapes])
+        centres = np.array([pose.act(shape.aabb_center) for shape, pose in self.shapes])
         return centres, np.array([shape.aabb_radius for shape, _ in self.shapes])
 
 
 @dataclass(frozen=True)
-class _Surrounding:
+class _Obstacle:
     """An obstacle: the intersection of convex solids; its highest point is ``top`` [m]."""
 
     name: str
     solids: tuple[Solid, ...]
     top: float
 
-    def depth(self, part: _Moving, link: pin.SE3) -> float:
+    def depth(self, part: _MovingBody, link: pin.SE3) -> float:
         """Penetration depth of a part [m]; 0 without a collision."""
         centres, radii = part.spheres
         deepest, low = 0.0, centres @ link.rotation[2] + link.translation[2] - radii
         for index in np.flatnonzero(low < self.top):
             shape, own = part.shapes[index]
             at = link * own
-            place = coal.Transform3s(at.rotation, at.translation)
-            deepest = max(deepest, min(_overlap((shape, place), solid) for solid in self.solids))
+            pose = coal.Transform3s(at.rotation, at.translation)
+            deepest = max(deepest, min(_penetration_depth((shape, pose), solid) for solid in self.solids))
         return deepest
 
 
-def _overlap(one: Solid, other: Solid) -> float:
+def _penetration_depth(one: Solid, other: Solid) -> float:
     """Penetration depth of two convex solids by GJK/EPA; negative: their distance [m]."""
     return -float(coal.distance(*one, *other, coal.DistanceRequest(), coal.DistanceResult()))
 
 
-def _surroundings(physics: Physics, object_: BodyState, way: Array) -> list[_Surrounding]:
+def _obstacles(physics: Physics, object_: BodyState, displacement: Array) -> list[_Obstacle]:
     """Obstacles: the known part of the support, if there is one, and the ground."""
     height, found = physics.support_height, []
     ground = min(0.0, *(float(arm.base.translation[2]) for arm in physics.arms.values()))
     if height is not None:
         ground, middle = min(ground, height), height - SUPPORT_THICKNESS / 2.0
         reach = np.abs(object_.rotation[:2]) @ physics.object.size / 2.0 + SUPPORT_RIM_M
-        low, high = (ends(np.zeros(2), way[:2]) for ends in (np.minimum, np.maximum))
+        low, high = (ends(np.zeros(2), displacement[:2]) for ends in (np.minimum, np.maximum))
         certain = coal.Box(*(high - low + 2.0 * reach), SUPPORT_THICKNESS)
         below = np.append(object_.position[:2] + (low + high) / 2.0, middle)
         table = coal.Box(*physics.support_size, SUPPORT_THICKNESS)
-        places = (coal.Transform3s(np.eye(3), place) for place in (below, np.array([0.0, 0.0, middle])))
-        found.append(_Surrounding("support", tuple(zip((certain, table), places, strict=True)), height))
+        placements = (coal.Transform3s(np.eye(3), pose) for pose in (below, np.array([0.0, 0.0, middle])))
+        found.append(_Obstacle("support", tuple(zip((certain, table), placements, strict=True)), height))
     plane = coal.Halfspace(np.array([0.0, 0.0, 1.0]), ground)
-    return [*found, _Surrounding("ground", ((plane, coal.Transform3s.Identity()),), ground)]
+    return [*found, _Obstacle("ground", ((plane, coal.Transform3s.Identity()),), ground)]
 
 
-def _parts(model: RobotModel) -> list[_Moving]:
+def _collision_bodies(model: RobotModel) -> list[_MovingBody]:
     """Collision bodies of the links (without the base), the end effector and the pad."""
     effector = model.end_effector
     links = link_shapes(model.facts)[1:]
     tube = Shape(np.array([0.0, 0.0, -effector.length]), np.array([0.0, 0.0, -effector.pad_size[2]]), TOOL_RADIUS_M)
     return [
         *(
-            _Moving(f"link {number}", f"link{number}", [_collider(one) for one in shapes])
+            _MovingBody(f"link {number}", f"link{number}", [_collider(one) for one in shapes])
             for number, shapes in enumerate(links, start=1)
         ),
-        _Moving("its end effector", TIP, [_collider(tube)]),
-        _Moving("its pad", TIP, [(coal.Box(*effector.pad_size), effector.pad_placement)]),
+        _MovingBody("its end effector", TIP, [_collider(tube)]),
+        _MovingBody("its pad", TIP, [(coal.Box(*effector.pad_size), effector.pad_placement)]),
     ]
 
 

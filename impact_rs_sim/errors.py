@@ -46,10 +46,10 @@ class InputError(ValueError):
         self.file = None if file is None else str(file)
         self.key = key
         self.value = value
-        place = [] if self.file is None else [self.file]
+        location = [] if self.file is None else [self.file]
         if key is not None:
-            place.append(shortened(key) + ("" if value is None else f" = {_echo(value)}"))
-        super().__init__(": ".join([*place, message]))
+            location.append(shortened(key) + ("" if value is None else f" = {_echo(value)}"))
+        super().__init__(": ".join([*location, message]))
 
     def in_file(self, file: str | Path) -> Self:
         """The same error with the name of its file."""

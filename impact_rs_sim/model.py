@@ -200,22 +200,26 @@ def check_model(model: Model, file: str | Path) -> Model:
                     key=f"{key}.parameters.{name}",
                 )
         for name, scalar in scalars.items():
-            place = f"{key}.parameters.{name}"
+            key_path = f"{key}.parameters.{name}"
             if name not in item.parameters and scalar.prior is not None:
                 continue
             if name not in item.parameters:
                 fewer = scalar.joint is not None and count not in (None, scalar.joint + 1)
                 last = f"; joint {count} is here" if fewer else ""
-                raise InputError(f"this key is missing ({scalar.meaning} [{scalar.unit}]){last}", file=file, key=place)
+                raise InputError(
+                    f"this key is missing ({scalar.meaning} [{scalar.unit}]){last}", file=file, key=key_path
+                )
             value = item.parameters[name]
             if value.unit != scalar.unit:
-                raise InputError(f"expected the unit {scalar.unit!r}", file=file, key=f"{place}.unit", value=value.unit)
+                raise InputError(
+                    f"expected the unit {scalar.unit!r}", file=file, key=f"{key_path}.unit", value=value.unit
+                )
             lower, upper = scalar.possible if effect.name in library() else (scalar.lower, scalar.upper)
             if not lower <= value.estimate <= upper:
                 raise InputError(
                     f"expected {lower:g} ... {upper:g} {scalar.unit} ({scalar.meaning})",
                     file=file,
-                    key=f"{place}.estimate",
+                    key=f"{key_path}.estimate",
                     value=value.estimate,
                 )
         if count is not None:

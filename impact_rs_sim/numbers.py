@@ -32,8 +32,8 @@ def estimate_text(estimate: float, ci95: tuple[float, float] | None, least: int 
         return tuple(
             f"{number:.{least}f}" if least and (plain or not largest) else f"{number:.3g}" for number in numbers
         )
-    exponent = _exponent(largest)
-    decimals = min(1 - _exponent(half), MAX_DIGITS - exponent)
+    exponent = _decimal_exponent(largest)
+    decimals = min(1 - _decimal_exponent(half), MAX_DIGITS - exponent)
     if plain:
         return tuple(f"{number:.{max(decimals, least, 0)}f}" for number in numbers)
     return tuple(f"{number:.{max(exponent + decimals + 1, 3)}g}" for number in numbers)
@@ -49,11 +49,11 @@ def speed_text(speed: float, half: float | None) -> tuple[str, ...]:
     """A speed and half its interval [m/s], to the millimetre per second, or as finely as the half interval needs."""
     if half is None or not math.isfinite(half):
         return (f"{speed:.{MIN_SPEED_DECIMALS}f}",)
-    needed = -_exponent(half) if half > 0.0 else MIN_SPEED_DECIMALS
+    needed = -_decimal_exponent(half) if half > 0.0 else MIN_SPEED_DECIMALS
     decimals = min(max(MIN_SPEED_DECIMALS, needed), MAX_DIGITS)
     return f"{speed:.{decimals}f}", f"{half:.{decimals}f}"
 
 
-def _exponent(number: float) -> int:
+def _decimal_exponent(number: float) -> int:
     """Decimal exponent of a number; 0.1 less a rounding error is treated as 0.1."""
     return math.floor(math.log10(number) + 1e-9)

@@ -34,7 +34,7 @@ MIN_TWIST_LEVER_M = 1e-6  # contact points closer to each other resist no twist
 
 
 @dataclass(frozen=True)
-class Touch:
+class PadContacts:
     """Contact points of a pad after a step.
 
     Attributes:
@@ -49,7 +49,7 @@ class Touch:
 
 
 @dataclass(frozen=True)
-class Side:
+class ContactBody:
     """A body at a contact.
 
     Attributes:
@@ -88,7 +88,7 @@ class PadShear:
         self._pull = np.zeros(3)  # F of the last step, axes of E [N]
         self._torque = 0.0  # about the normal, of the last step [N m]
 
-    def step(self, touch: Touch, object_: Side, pad: Side, rotation: Array) -> Array:
+    def step(self, touch: PadContacts, object_: ContactBody, pad: ContactBody, rotation: Array) -> Array:
         """Forces on the object over the next step, axes of A, ``(m, 3)`` [N].
 
         Args:
@@ -110,8 +110,8 @@ class PadShear:
         velocity = of_thing @ object_.twist - of_pad @ pad.twist
         mobility = of_thing @ object_.mobility @ of_thing.T + of_pad @ pad.mobility @ of_pad.T
         lever = across @ (centre - pad.position)
-        deflection = _shears(along @ (rotation @ self._shift + self._twist * lever), radius * self._twist)
-        last = _shears(along @ (rotation @ self._pull), self._torque / radius if turns else 0.0)
+        deflection = _shear_and_twist(along @ (rotation @ self._shift + self._twist * lever), radius * self._twist)
+        last = _shear_and_twist(along @ (rotation @ self._pull), self._torque / radius if turns else 0.0)
 
         theta = lag + period
         compliance = max(self._compliance, self._pads * theta * period * float(np.linalg.eigvalsh(mobility)[-1]))
@@ -125,7 +125,7 @@ class PadShear:
             forces *= np.where(slips, limit / np.maximum(size, 1e-300), 1.0)[:, None]
         self.force, self._torque = forces.sum(axis=0), float(np.sum(turning * forces))
         if np.any(slips):
-            held = _shears(self.force, self._torque / radius if turns else 0.0)
+            held = _shear_and_twist(self.force, self._torque / radius if turns else 0.0)
             stuck = (lag * deflection - period * compliance * held) / theta
         self._twist = float(stuck[3]) / radius if turns else 0.0
         self._shift = rotation.T @ (stuck[:3] - self._twist * lever)
@@ -142,7 +142,7 @@ def _skew(a: Array) -> Array:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-def _shears(along: Array, twist: float) -> Array:
+def _shear_and_twist(along: Array, twist: float) -> Array:
     """Shears in axes of A, and the twist as a length, ``(4,)``."""
     found = np.empty(4)
     found[:3], found[3] = along, twist

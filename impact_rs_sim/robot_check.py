@@ -168,7 +168,7 @@ def _check_bodies(facts: RobotFacts) -> Check:
         label, moments = _label(facts, number), np.asarray(np.linalg.eigvalsh(link.inertia_matrix), dtype=float)
         if moments[0] <= 0.0:
             continue  # no body at all
-        density = least_density(link.mass, moments)
+        density = density_lower_bound(link.mass, moments)
         densities.append(density)
         if density > MAX_DENSITY_KG_M3:
             wrong.append(
@@ -201,7 +201,7 @@ def _check_bodies(facts: RobotFacts) -> Check:
     )
 
 
-def least_density(mass: float, moments: Array) -> float:
+def density_lower_bound(mass: float, moments: Array) -> float:
     """Lower bound of the largest density of a body, for any shape [kg/m^3].
 
     Among all bodies of bounded density the homogeneous ellipsoid has the smallest determinant of the second moments of
@@ -305,7 +305,7 @@ def _check_drive(arm: str, robot: Robot, period: float) -> list[Check]:
         found = joint_stability(float(link_inertia), *values, period)
         if found.spectral_radius >= 1.0 - SPECTRAL_RADIUS_ROUNDING:
             units = robot.robot_facts.units[joint]
-            checks.append(_unstable(arm, joint, units, found, drive.damping[joint], period))
+            checks.append(_instability_text(arm, joint, units, found, drive.damping[joint], period))
     motors, stiffness, damping = (
         np.array(values) for values in (drive.reflected_inertia, drive.stiffness, drive.damping)
     )
@@ -321,7 +321,9 @@ def _check_drive(arm: str, robot: Robot, period: float) -> list[Check]:
     return [*checks, Check(f"drive of {arm} is stable", outcome, found_all)]
 
 
-def _unstable(arm: str, joint: int, units: JointUnits, found: JointStability, damping: float, period: float) -> Check:
+def _instability_text(
+    arm: str, joint: int, units: JointUnits, found: JointStability, damping: float, period: float
+) -> Check:
     """Description of an unstable joint, and remedies."""
     name = f"drive of {arm}, joint {joint + 1}"
     radius = f"spectral radius {found.spectral_radius:.6g} with {found.link_inertia:.3g} {units.inertia} on the link"

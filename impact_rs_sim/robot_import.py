@@ -31,7 +31,7 @@ from impact_rs_sim.robot import UNITS, Array, Flange, JointOrigin, JointType, Li
 from impact_rs_sim.schema import parse_yaml, validate
 from impact_rs_sim.urdf_chain import MOVABLE_JOINT_TYPES, Chain, UrdfTree, child_of
 from impact_rs_sim.urdf_repairs import Limits as GivenLimits
-from impact_rs_sim.urdf_repairs import about_centre, given_limits, locked_joints, looks_about_joint
+from impact_rs_sim.urdf_repairs import about_centre, given_limits, locked_joints, suspected_steiner_ratio
 
 FULL_TURN_RAD = 2.0 * math.pi  # to either side; the range of a joint without position limits
 TYPE_ENTRY: dict[JointType, str] = {"revolute": "", "prismatic": "type: prismatic, "}  # in the file of robot facts
@@ -90,7 +90,7 @@ def import_urdf(
     held = _locked(tree, lock)
     chain = tree.chain(base, tip)
     _check_inertials(tree, chain)
-    notes = [*tree.notes, *held, *_moved_inertias(tree, chain, inertia_at)]
+    notes = [*tree.notes, *held, *_recentred_inertias(tree, chain, inertia_at)]
     chain = tree.chain(base, tip)
     names = [joint.get("name", "") for joint in chain.joints]
     given, shown = given_limits(limits, names, file), measured(names)
@@ -322,24 +322,24 @@ def _locked(tree: UrdfTree, texts: Sequence[str]) -> list[str]:
     """Joints locked at positions given by the user; notes on them."""
     moving = {joint.get("name", ""): joint for joint in tree.above.values() if joint.get("type") in MOVABLE_JOINT_TYPES}
     notes = []
-    for name, place in locked_joints(texts, list(moving), tree.file).items():
+    for name, position in locked_joints(texts, list(moving), tree.file).items():
         joint, origin = moving[name], moving[name].find("origin")
         turn = pin.rpy.rpyToMatrix(*tree.numbers(origin, "rpy", 3, "0 0 0", f"joint {name}: origin rpy"))
         axis, shift = _axis(tree, joint), np.zeros(3)
         if _type(joint) == "prismatic":
-            shift = turn @ axis * place
+            shift = turn @ axis * position
         else:
-            turn = turn @ pin.exp3(axis * place)
+            turn = turn @ pin.exp3(axis * position)
         placed = _placement(np.array(_origin(tree, joint)) + shift, turn)
         origin = Xml.SubElement(joint, "origin") if origin is None else origin
         for attribute, values in placed.items():
             origin.set(attribute, " ".join(repr(value) for value in values))
-        notes.append(f"Joint {name} is held at {place:g} {UNITS[_type(joint)].position}, as given.")
+        notes.append(f"Joint {name} is held at {position:g} {UNITS[_type(joint)].position}, as given.")
         joint.set("type", "fixed")
     return notes
 
 
-def _moved_inertias(tree: UrdfTree, chain: Chain, inertia_at: str) -> list[str]:
+def _recentred_inertias(tree: UrdfTree, chain: Chain, inertia_at: str) -> list[str]:
     """Notes on moments that look as if they were about joints, which are moved to the centres of mass if asked for."""
     notes, suspects = [], []
     length = sum(float(np.linalg.norm(_origin(tree, joint))) for joint in chain.joints)
@@ -360,7 +360,7 @@ def _moved_inertias(tree: UrdfTree, chain: Chain, inertia_at: str) -> list[str]:
         stated = turn @ (upper + np.triu(upper, 1).T) @ turn.T
         axis = _axis(tree, joint)
         if inertia_at == "centre":
-            ratio = looks_about_joint(mass, centre, stated, axis, length)
+            ratio = suspected_steiner_ratio(mass, centre, stated, axis, length)
             suspects += [] if ratio is None else [f"{name} ({ratio:.2f} m r^2)"]
             continue
         moved = about_centre(mass, centre, stated, axis)

@@ -218,7 +218,7 @@ class RobotModel:
 
         def error(angles: Array) -> Array:
             q[free] = angles
-            return _missing(target, self.placement(q))
+            return _pose_error(target, self.placement(q))
 
         best = _least(error, inside, bounds)
         if np.max(np.abs(best.fun)) > tolerance:
@@ -243,7 +243,7 @@ class RobotModel:
         least = np.inf
         for _ in range(MAX_IK_NEWTON_STEPS):
             placement = self.placement(q)
-            error = _missing(target, placement)
+            error = _pose_error(target, placement)
             size = float(np.abs(error).max())
             if size < 1e-12 or (size < 1e-10 and size >= least):
                 return q if np.all((self.position_min <= q) & (q <= self.position_max)) else None
@@ -314,7 +314,7 @@ def _inertia(mass: float, com: Array, inertia: Array) -> pin.Inertia:
     return found
 
 
-def _missing(target: pin.SE3, placement: pin.SE3) -> Array:
+def _pose_error(target: pin.SE3, placement: pin.SE3) -> Array:
     """Pose error, ``(6,)``: translation in A [m], then the rotation vector in its own axes [rad]."""
     return np.concatenate(
         (target.translation - placement.translation, pin.log3(placement.rotation.T @ target.rotation))

@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field, field_validator, model_validator
 
-from impact_rs_sim.bodies import is_body
+from impact_rs_sim.bodies import is_physically_consistent
 from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.files import is_file
 from impact_rs_sim.friction_compensation import FrictionCompensation
@@ -85,7 +85,7 @@ class EndEffectorSpec(Schema):
     @field_validator("inertia")
     @classmethod
     def _of_a_body(cls, inertia: tuple[float, float, float]) -> tuple[float, float, float]:
-        if not is_body(1.0, np.diag(inertia)):
+        if not is_physically_consistent(1.0, np.diag(inertia)):
             raise ValueError("no rigid body has these moments; expected none larger than the sum of the other two")
         return inertia
 
@@ -635,8 +635,8 @@ class Scenario(Schema):
     def excursion_leg(self, robot: CaseRobot) -> float:
         """Duration of one leg of the excursion [s]; a quintic from rest to rest peaks at 15/8 of its mean speed."""
         assert self.excursion is not None
-        way = np.linalg.norm(np.array(self.excursion.end) - np.array(self.excursion.start))
-        return float(15.0 / 8.0 * way / np.linalg.norm(robot.ante_velocity))
+        distance = np.linalg.norm(np.array(self.excursion.end) - np.array(self.excursion.start))
+        return float(15.0 / 8.0 * distance / np.linalg.norm(robot.ante_velocity))
 
     def excursion_end(self, robot: CaseRobot) -> float:
         """End of the excursion [s]."""

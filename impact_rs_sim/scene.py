@@ -209,14 +209,14 @@ def resting_pose(scenario: Scenario, object_name: str) -> BodyState:
     name, robot = next(iter(scenario.robots.items()))
     pad = robot.impact_placement
     if robot.impact.joint_position is not None:
-        return _before_given_pad(scenario, name, pad, size, height)
+        return _square_to_given_pad(scenario, name, pad, size, height)
     normal = pad.rotation[:, 2]
     position = pad.translation + normal * ((np.abs(normal) @ size) / 2.0 + scenario.object_gap)
     position[2] = height
     return BodyState(position, np.eye(3), np.zeros(6))
 
 
-def _before_given_pad(scenario: Scenario, name: str, pad: pin.SE3, size: Array, height: float) -> BodyState:
+def _square_to_given_pad(scenario: Scenario, name: str, pad: pin.SE3, size: Array, height: float) -> BodyState:
     """Object on its support with the nearest face square to a pad whose pose given joints fix.
 
     A slightly tilted pad touches with an edge: the object is placed at first contact of pad and face.

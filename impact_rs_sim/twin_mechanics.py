@@ -40,7 +40,7 @@ class TwinMechanics(Mechanics):
         """See :meth:`Mechanics.start`."""
         starts = [arm_start(arms[name], drives[name]) for name in self._numbers]
         self._run = _kernel.TwinRun(self._twin, starts, box_start(object_))
-        self._see(self._run.state)
+        self._update(self._run.state)
 
     def step(self, desired: Mapping[str, Array], periods: int, time: float) -> None:
         """See :meth:`Mechanics.step`.
@@ -52,13 +52,13 @@ class TwinMechanics(Mechanics):
             state = self._run.step(time, periods, [desired[name] for name in self._numbers])
         except RuntimeError as error:
             raise InputError(str(error)) from None
-        self._see(state)
+        self._update(state)
         if self._run.failed and np.isfinite(state[0]):  # what is not finite is seen in the measurement
             raise InputError(
                 f"the twin left its step at t = {self._run.failed[0]:.5f} s unsolved; trials also run on --plant bullet"
             )
 
-    def _see(self, state: Array) -> None:
+    def _update(self, state: Array) -> None:
         """Take the parts of a state."""
         self._arms, self._body = motions(self.physics, state)
 

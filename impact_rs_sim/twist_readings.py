@@ -65,17 +65,17 @@ class TwistReadings:
             true: v and omega.
             rotation: R, rotation matrix of the body.
         """
-        own, spins = self._turns
+        own, spins = self._rotations
         velocity = true[:3] + np.cross(true[3:], self.lever(rotation))
         return np.concatenate((own @ velocity, own @ (self.spin_factor * (spins @ true[3:]))))
 
     def twist_of(self, reading: Array, rotation: Array) -> Array:
         """Twist of the centre for a reading: the inverse of :meth:`twist`, ``(6,)`` [m/s, rad/s]."""
-        own, spins = self._turns
+        own, spins = self._rotations
         turning = spins.T @ (own.T @ reading[3:]) / self.spin_factor
         return np.concatenate((own.T @ reading[:3] - np.cross(turning, self.lever(rotation)), turning))
 
     @property
-    def _turns(self) -> tuple[Array, Array]:
+    def _rotations(self) -> tuple[Array, Array]:
         """Q and S."""
         return np.asarray(pin.exp3(np.array(self.axes))), np.asarray(pin.exp3(np.array(self.spin_axes)))

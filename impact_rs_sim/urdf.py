@@ -47,7 +47,7 @@ def _visual(link: Xml.Element, start: Array, end: Array, radius: float, colour: 
     span = end - start
     length = float(np.linalg.norm(span))
     visual = Xml.SubElement(link, "visual")
-    rotation = np.eye(3) if length == 0.0 else _turn(span / length)
+    rotation = np.eye(3) if length == 0.0 else _rotation_to(span / length)
     rpy = pin.rpy.matrixToRpy(rotation)
     Xml.SubElement(visual, "origin", xyz=_text((start + end) / 2.0), rpy=_text(rpy))
     geometry = Xml.SubElement(visual, "geometry")
@@ -59,7 +59,7 @@ def _visual(link: Xml.Element, start: Array, end: Array, radius: float, colour: 
     Xml.SubElement(material, "color", rgba=colour)
 
 
-def _turn(axis: Array) -> Array:
+def _rotation_to(axis: Array) -> Array:
     """Rotation of z to an axis, ``(3, 3)``."""
     return np.asarray(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix())
 

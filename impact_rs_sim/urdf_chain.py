@@ -122,14 +122,14 @@ class UrdfTree:
         """
         start = self.root if base is None else self._link(base, "--base")
         end = self._only_tip(start) if tip is None else self._link(tip, "--tip")
-        way = self._way(start, end)
-        joints = tuple(joint for joint in way if joint.get("type") != "fixed")
+        path = self._path(start, end)
+        joints = tuple(joint for joint in path if joint.get("type") != "fixed")
         for joint in joints:
             self._check(joint)
         if not joints:
             self._fail(f"no joint moves between {start!r} and {end!r}; expected at least one that turns or slides")
-        moved = way[way.index(joints[0]) :]
-        beside = [joint for carrier in moved[:-1] for joint in self._beside(child_of(carrier), way)]
+        moved = path[path.index(joints[0]) :]
+        beside = [joint for carrier in moved[:-1] for joint in self._side_branches(child_of(carrier), path)]
         fixed = (child_of(joint) for joint in (*moved, *beside) if joint.get("type") == "fixed")
         return Chain(
             file=self.file,
@@ -139,7 +139,7 @@ class UrdfTree:
             merged=tuple(link for link in fixed if self.links[link].find("inertial") is not None),
             left_out=tuple(self._everything_below(end)),
             dynamics=tuple(_name(joint) for joint in joints if _has_losses(joint)),
-            urdf=self._pruned(start, [*way, *beside]),
+            urdf=self._pruned(start, [*path, *beside]),
         )
 
     def numbers(
@@ -218,15 +218,15 @@ class UrdfTree:
         for joint in self.below[link]:
             yield from self._tips(child_of(joint), moves or joint.get("type") != "fixed")
 
-    def _way(self, base: str, tip: str) -> list[Xml.Element]:
-        way: list[Xml.Element] = []
+    def _path(self, base: str, tip: str) -> list[Xml.Element]:
+        path: list[Xml.Element] = []
         link = tip
         while link != base:
             if link not in self.above:
                 self._fail(f"no way leads from {base!r} out to {tip!r}; expected a tip that hangs on the base")
-            way.insert(0, self.above[link])
+            path.insert(0, self.above[link])
             link = self._end(self.above[link], "parent")
-        return way
+        return path
 
     def _check(self, joint: Xml.Element) -> None:
         key = f"joint {_name(joint)}"
@@ -236,10 +236,10 @@ class UrdfTree:
         if joint.find("mimic") is not None:
             self._fail("this joint of the chain mimics another; expected joints that move by themselves", key)
 
-    def _beside(self, link: str, way: list[Xml.Element]) -> Iterator[Xml.Element]:
+    def _side_branches(self, link: str, path: list[Xml.Element]) -> Iterator[Xml.Element]:
         """Fixed joints of the side branches of ``link``."""
         for joint in self.below[link]:
-            if joint in way:
+            if joint in path:
                 continue
             if joint.get("type") != "fixed":
                 self._fail(
@@ -248,7 +248,7 @@ class UrdfTree:
                     f"joint {_name(joint)}",
                 )
             yield joint
-            yield from self._beside(child_of(joint), way)
+            yield from self._side_branches(child_of(joint), path)
 
     def _everything_below(self, link: str) -> Iterator[str]:
         for joint in self.below[link]:

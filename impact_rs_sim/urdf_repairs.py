@@ -88,20 +88,20 @@ def locked_joints(texts: Sequence[str], joints: Sequence[str], file: Path) -> di
     for text in sorted(texts, key=lambda text: ALL_JOINTS in text):
         name, _, value = text.rpartition("=")
         try:
-            place = decimal(value)
+            position = decimal(value)
         except ValueError:
-            place = math.nan
-        if not name or not math.isfinite(place):
+            position = math.nan
+        if not name or not math.isfinite(position):
             raise InputError("expected JOINT=PLACE, a number in rad or m; * matches any text", key="--lock", value=text)
         matching = fnmatch.filter(joints, name)
         if not matching:
             near = did_you_mean(name, joints)
             raise InputError(f"no joint {name!r} moves{near}; it has: {', '.join(joints)}", file=file, key="--lock")
-        found = dict.fromkeys(matching, place) | found
+        found = dict.fromkeys(matching, position) | found
     return found
 
 
-def looks_about_joint(mass: float, centre: Array, inertia: Array, axis: Array, length: float) -> float | None:
+def suspected_steiner_ratio(mass: float, centre: Array, inertia: Array, axis: Array, length: float) -> float | None:
     """Ratio of moment and Steiner term (m r^2 or m d^2) if the inertia looks as if about the joint; else None.
 
     Args:

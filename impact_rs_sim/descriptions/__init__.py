@@ -19,7 +19,7 @@ __all__ = ["FORMATS", "PADS", "DescriptionFormat", "ExportedScene", "ExportedQua
 
 
 @dataclass(frozen=True)
-class Written:
+class ExportedFile:
     """A file.
 
     Attributes:
@@ -51,7 +51,7 @@ class DescriptionFormat:
     body: Callable[[ExportedScene], tuple[str, list[str]]]
     xml: bool = True
 
-    def write(self, scene: ExportedScene) -> Written:
+    def write(self, scene: ExportedScene) -> ExportedFile:
         """A scene in this format."""
         body, remarks = self.body(scene)
         left_out = scene.left_out(self.held)
@@ -71,7 +71,7 @@ class DescriptionFormat:
             text = f'<?xml version="1.0"?>\n<!--\n{comment}\n-->\n{body}\n'
         else:
             text = "#usda 1.0\n" + "".join(f"# {line}".rstrip() + "\n" for line in said) + body
-        return Written(text, tuple(remarks), tuple(left_out))
+        return ExportedFile(text, tuple(remarks), tuple(left_out))
 
 
 FORMATS: dict[str, DescriptionFormat] = {

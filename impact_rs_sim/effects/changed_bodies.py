@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_rs_sim.bodies import is_body, second_moments
+from impact_rs_sim.bodies import is_physically_consistent, second_moments
 from impact_rs_sim.errors import NotABody
 from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.robot import Array, Link
@@ -40,7 +40,7 @@ class InertialBody(NamedTuple):
     @property
     def exists(self) -> bool:
         """Whether a rigid body can have this mass and inertia."""
-        return is_body(self.mass, self.inertia)
+        return is_physically_consistent(self.mass, self.inertia)
 
 
 def check_bodies(before: Physics, after: Physics, effect: str) -> None:

@@ -78,19 +78,19 @@ def _support_friction(physics: Physics, values: Values) -> Physics:
 def _restitution(physics: Physics, values: Values) -> Physics:
     """Bounce of a single rigid impact, and damping of compliant pads.
 
-    One impact that is looked at by itself leaves with e = restitution + bounce. A plant has compliant pads and no e;
-    there the damping changes (:func:`_less_damping`), and restitution comes out of it. The impact map of a whole push
-    keeps its e: a series of bounces under a constant push ends where a single inelastic impact ends (paper sec.
-    Single-arm hit-and-push scenario).
+    A single isolated impact has e = restitution + bounce. A plant has compliant pads and no e: the damping changes
+    (:func:`_with_restitution_added`), and the restitution results from it. The impact map of a whole push keeps its e:
+    a series of bounces under a constant push ends where a single inelastic impact ends (paper sec. Single-arm
+    hit-and-push scenario).
     """
     more = number(values, "restitution")
     if more == 0.0:
         return physics
-    arms = {name: _less_damping(arm, more, physics.object.mass) for name, arm in physics.arms.items()}
+    arms = {name: _with_restitution_added(arm, more, physics.object.mass) for name, arm in physics.arms.items()}
     return replace(physics, arms=arms, bounce=physics.bounce + more)
 
 
-def _less_damping(arm: ArmPhysics, more: float, object_mass: float) -> ArmPhysics:
+def _with_restitution_added(arm: ArmPhysics, more: float, object_mass: float) -> ArmPhysics:
     """The pad with less damping, for more restitution; e stays between 0 and 1."""
     if arm.pad_stiffness is None:
         return arm

@@ -46,12 +46,14 @@ def check_units(spec: FormulaSpec) -> dict[str, str]:
         for key, text in formulas.items():
             if not text:
                 continue
-            place = f"{table}.{key}".removesuffix(".")
+            formula_key = f"{table}.{key}".removesuffix(".")
             symbols = of_contact if table == "contact" else known
             found = _unit(ast.parse(text.strip(), mode="eval").body, symbols, text)
             if found is not None and found != wanted:
-                raise InputError(f"formula {text!r} gives {text_of(found)}, expected {text_of(wanted)}", key=place)
-            units[place] = "" if found is None else text_of(found)
+                raise InputError(
+                    f"formula {text!r} gives {text_of(found)}, expected {text_of(wanted)}", key=formula_key
+                )
+            units[formula_key] = "" if found is None else text_of(found)
     return units
 
 
