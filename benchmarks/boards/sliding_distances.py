@@ -23,7 +23,7 @@ import numpy as np
 from benchmarks.harness import Case, Row, Work
 from benchmarks.results import Table
 from impact_rs_analysis.following.follow import LEARNING_HITS, Follower
-from impact_rs_analysis.following.hits import TableDoor
+from impact_rs_analysis.following.hits import TableHitSource
 from impact_rs_sim.model import load_model
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.impact_table import read_impact_table
@@ -68,11 +68,11 @@ def write_table(path: Path, flux: Array, distance: Array) -> Array:
 def errors_of(path: Path, flux: Array, after: Array, distance: Array) -> tuple[Array, Array, list[str]]:
     """Errors of the distance of the followed and of the frozen model [m], and the changes that were announced."""
     model = load_model("nominal")
-    door = TableDoor(lambda: read_impact_table(path, None), model)
-    follower, frozen = Follower(door, model), None
+    hit_source = TableHitSource(lambda: read_impact_table(path, None), model)
+    follower, frozen = Follower(hit_source, model), None
     errors: list[tuple[float, float]] = []
     changes = []
-    for hit, phi, own, true in zip(list(door.arrived()), flux, after, distance, strict=True):
+    for hit, phi, own, true in zip(list(hit_source.arrived()), flux, after, distance, strict=True):
         if follower.watching:
             frozen = copy.deepcopy(follower.watch.likeliest) if frozen is None else frozen
             place = int(np.argmin(np.abs(hit.measured - own)))

@@ -140,7 +140,7 @@ def trials_of(path: str, scenario: Scenario, envelope: Envelope = NO_ENVELOPE) -
     for settings, aside in _variants(scenario):
         yield from _of_variant(path, scenario, settings, aside, cases)
     if _side(scenario) is not None:
-        for where, aside, slanted in _slanted(cases, scenario.contact.friction):
+        for where, aside, slanted in _oblique(cases, scenario.contact.friction):
             yield from _of_variant(path, scenario, {"name": f"{scenario.name}_from_{where}"}, aside, slanted)
 
 
@@ -166,9 +166,9 @@ def _variants(scenario: Scenario) -> Iterator[tuple[dict[str, Any], str]]:
         return
     if scenario.excursion is not None:
         start, end = np.array(scenario.excursion.start), np.array(scenario.excursion.end)
-        way = end - start
+        displacement = end - start
         along = np.eye(3)[scenario.axis_index]
-        mirrored = start + 2.0 * (way @ along) * along - way
+        mirrored = start + 2.0 * (displacement @ along) * along - displacement
         if not np.allclose(mirrored, end):
             yield (
                 {
@@ -179,7 +179,7 @@ def _variants(scenario: Scenario) -> Iterator[tuple[dict[str, Any], str]]:
                 ", mirrored",
             )
         return
-    side = _beside(scenario)
+    side = _off_centre(scenario)
     if side is not None:
         place, distance = side
         yield (
@@ -199,7 +199,7 @@ def _side(scenario: Scenario) -> Array | None:
     return None if abs(normal[2]) > MAX_VERTICAL_NORMAL else np.cross([0.0, 0.0, 1.0], normal)
 
 
-def _slanted(cases: Mapping[str, Case], friction: float) -> Iterator[tuple[str, str, dict[str, Case]]]:
+def _oblique(cases: Mapping[str, Case], friction: float) -> Iterator[tuple[str, str, dict[str, Case]]]:
     """Oblique cases: the fastest of every pose from left and right, outside the friction cone."""
     angle = min(float(np.arctan(SLIP_FRICTION_RATIO * friction)), MAX_APPROACH_ANGLE_RAD)
     poses: dict[str, tuple[str, Case]] = {}
@@ -208,10 +208,10 @@ def _slanted(cases: Mapping[str, Case], friction: float) -> Iterator[tuple[str, 
             poses[pose] = name, case
     for where, turned in (("left", -angle), ("right", angle)):  # as seen along the approach
         words = f" from the {where}, {np.degrees(angle):.0f} degrees off the normal"
-        yield where, words, {f"{name}_{where}": _turned(case, turned) for name, case in poses.values()}
+        yield where, words, {f"{name}_{where}": _rotated(case, turned) for name, case in poses.values()}
 
 
-def _turned(case: Case, angle: float) -> Case:
+def _rotated(case: Case, angle: float) -> Case:
     """The case with all velocities rotated about the vertical [rad]."""
     turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
     robots = {}
@@ -221,7 +221,7 @@ def _turned(case: Case, angle: float) -> Case:
     return case.model_copy(update={"label": f"{case.label}, at an angle", "robots": robots})
 
 
-def _beside(scenario: Scenario) -> tuple[list[float], float] | None:
+def _off_centre(scenario: Scenario) -> tuple[list[float], float] | None:
     """Object position for an off-centre hit, and its offset [m]; None if it cannot be set."""
     side = _side(scenario)
     if side is None or scenario.object_position is not None:

@@ -78,15 +78,15 @@ def in_words(effect: str, parameters: Sequence[Followed], scenes: Iterable[tuple
     """
     sure = [p for p in parameters if not p.ci95[0] <= p.estimate - p.change <= p.ci95[1]]
     more = f" and {len(sure) - MAX_NAMED_PARAMETERS} more" if len(sure) > MAX_NAMED_PARAMETERS else ""
-    sure = sorted(sure, key=_surely)[:MAX_NAMED_PARAMETERS]
-    shown = sure or sorted(parameters, key=_surely)[:1]
+    sure = sorted(sure, key=_by_significance)[:MAX_NAMED_PARAMETERS]
+    shown = sure or sorted(parameters, key=_by_significance)[:1]
     texts = ", ".join(_text(one) for one in shown)
     scenes = list(scenes)
     plain = " and ".join(filter(None, (_plain(one, scenes) for one in QUANTITIES)))
     return f"{plain} ({effect}: {texts}{more})" if plain else f"{effect}: {texts}{more}"
 
 
-def _surely(one: Followed) -> float:
+def _by_significance(one: Followed) -> float:
     """Sort key: largest change over interval width first."""
     return -abs(one.change) / max(one.ci95[1] - one.ci95[0], 1e-300)
 

@@ -17,7 +17,12 @@ import numpy as np
 from impact_rs_analysis.following.change import ChangeExplanation, ChangeTest, support
 from impact_rs_analysis.following.hit_model import HitModel, Hypothesis, Origin
 from impact_rs_analysis.following.hits import Hit
-from impact_rs_analysis.following.posterior import CHANGE_PRIOR_SCALES, FOUND_CHANGE_PRIOR_SCALES, Posterior, weight_of
+from impact_rs_analysis.following.posterior import (
+    CHANGE_PRIOR_SCALES,
+    FOUND_CHANGE_PRIOR_SCALES,
+    Posterior,
+    huber_weight,
+)
 from impact_rs_analysis.inference.student import DECISIVE, log_ratio, squared_distance
 from impact_rs_sim.robot import Array
 
@@ -116,7 +121,7 @@ class Causes:
         point[numbers] = old
         point[seen] += self._own.scale[seen] * one.change
         past = before.posterior.copy()
-        past.believe_before(one.start)
+        past.absorb_before(one.start)
         if len(seen) < len(numbers):  # the change makes shape parameters observable
             self._hits.look_at(sorted({*self._hits.active, *numbers}))
         origin = Origin(before.point, past.before, tuple(numbers), old)
@@ -169,7 +174,7 @@ class Causes:
             for one in found:
                 innovation, covariance = posterior.now.predictive(one)
                 distance = squared_distance(innovation, covariance, self._calibration.of_hits)
-                weights.append(weight_of(distance, innovation.size))
+                weights.append(huber_weight(distance, innovation.size))
             if found:
                 posterior.add([replace(one, weight=weight) for one, weight in zip(found, weights, strict=True)])
         return posterior

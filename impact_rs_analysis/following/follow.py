@@ -13,7 +13,7 @@ from itertools import groupby
 
 from impact_rs_analysis.design.selection import MIN_CONDITIONS, MIN_REPEATS
 from impact_rs_analysis.following.change import MEAN_TIME_TO_FALSE_ALARM
-from impact_rs_analysis.following.hits import Door, Hit
+from impact_rs_analysis.following.hits import Hit, HitSource
 from impact_rs_analysis.following.learning import Learning
 from impact_rs_analysis.following.lessons import Followed, HitDocument, NextHit
 from impact_rs_analysis.following.watch import HitWatch
@@ -49,7 +49,7 @@ class Follower:
     """Follows a model through hits.
 
     Args:
-        door: Gives hits and predictions; its model is replaced by one without the effects that are followed.
+        hit_source: Gives hits and predictions; its model is replaced by one without the effects that are followed.
         model: What is believed at the start.
         only: Effects to look at beside those of the model; None: all that hits can show.
         learnt: Hits that teach the scatter.
@@ -65,14 +65,14 @@ class Follower:
 
     def __init__(
         self,
-        door: Door,
+        hit_source: HitSource,
         model: Model,
         only: Sequence[str] | None = None,
         learnt: int = LEARNING_HITS,
         mean_time: float = MEAN_TIME_TO_FALSE_ALARM,
     ) -> None:
-        self.door, self.model = door, model
-        self.learning = Learning(door, model, only, learnt, mean_time)
+        self.hit_source, self.model = hit_source, model
+        self.learning = Learning(hit_source, model, only, learnt, mean_time)
         self.watch: HitWatch | None = None
         self.names: list[str] = []
         self.last: dict[str, Hit] = {}
@@ -93,7 +93,7 @@ class Follower:
         Raises:
             InputError: The measurements cannot be read, or the model predicts none of the first hits.
         """
-        for _, together in groupby(self.door.arrived(), key=lambda hit: hit.stamp):
+        for _, together in groupby(self.hit_source.arrived(), key=lambda hit: hit.stamp):
             yield from self.take(list(together))
             handled()
 

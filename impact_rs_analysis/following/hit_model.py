@@ -13,7 +13,7 @@ import scipy
 from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.following.change import Calibration, ChangeTest
-from impact_rs_analysis.following.hits import Door, Hit
+from impact_rs_analysis.following.hits import Hit, HitSource
 from impact_rs_analysis.following.lessons import Followed
 from impact_rs_analysis.following.posterior import HitEvidence, Posterior
 from impact_rs_analysis.following.recent_residuals import RecentResiduals
@@ -68,7 +68,7 @@ class HitModel:
     """Predictions of hits under effects, with their sensitivities and scatter.
 
     Args:
-        door: Predicts hits.
+        hit_source: Predicts hits.
         candidate: The effects, at what is believed at the start.
         joints: Of the arms.
         proportion: Size of what was measured, to which ranges and scales are in proportion.
@@ -81,9 +81,9 @@ class HitModel:
     """
 
     def __init__(
-        self, door: Door, candidate: Candidate, joints: Joints, proportion: Proportion, mean_time: float
+        self, hit_source: HitSource, candidate: Candidate, joints: Joints, proportion: Proportion, mean_time: float
     ) -> None:
-        self.door, self.candidate, self.joints, self.proportion = door, candidate, joints, proportion
+        self.hit_source, self.candidate, self.joints, self.proportion = hit_source, candidate, joints, proportion
         self.mean_time = mean_time
         self.whiten: dict[str, Array] = {}
         self.calibration = Calibration()
@@ -126,14 +126,14 @@ class HitModel:
         own, numbers = replace(self.candidate, point=point), tuple(parameters)
         key = (hit.shared, point.tobytes(), numbers)
         if hit.shared and key in self._jacobians:
-            (predicted,) = self.door.predict(hit, [own.split(point)])
+            (predicted,) = self.hit_source.predict(hit, [own.split(point)])
             return None if predicted is None else (predicted, self._jacobians[key])
         if (plan := self._plans.get(key[1:])) is None:
             steps = own.steps(self.joints)
             moved = [point + steps[number] * (np.arange(point.size) == number) for number in numbers]
             plan = self._plans[key[1:]] = steps, [own.split(one) for one in (point, *moved)]
         steps, points = plan
-        predicted, *others = self.door.predict(hit, points)
+        predicted, *others = self.hit_source.predict(hit, points)
         if predicted is None:
             return None
         jacobian = np.zeros((predicted.size, point.size))
@@ -148,7 +148,7 @@ class HitModel:
         """Error of the model as it was given, in standard deviations of a hit, rms over the features."""
         off, hit = evidence.residual, evidence.hit
         if not np.array_equal(point, self.start):
-            (given,) = self.door.predict(hit, [self.candidate.split(self.start)])
+            (given,) = self.hit_source.predict(hit, [self.candidate.split(self.start)])
             off = off if given is None else self.whiten[hit.layout] @ (hit.measured - given)
         return math.sqrt(float(np.mean(np.square(off))))
 

@@ -81,7 +81,7 @@ class Hit:
         return ""
 
 
-class Door(ABC):
+class HitSource(ABC):
     """Source of hits in time order, and the model that predicts them.
 
     Attributes:
@@ -161,7 +161,7 @@ class RowHit(Hit):
     place: int
 
 
-class TableDoor(Door):
+class TableHitSource(HitSource):
     """Impacts of a table, in the order of its column ``time``, or of its rows.
 
     Args:
@@ -179,7 +179,7 @@ class TableDoor(Door):
         self.model, self.skipped = model, {}
 
     def arrived(self) -> Iterator[Hit]:
-        """See :meth:`Door.arrived`."""
+        """See :meth:`HitSource.arrived`."""
         table = self._reread()
         fresh = [place for place, row in enumerate(table.rows) if row.number not in self._known]
         self._known |= {table.rows[place].number for place in fresh}
@@ -189,7 +189,7 @@ class TableDoor(Door):
             yield hit
 
     def recalled(self, names: Sequence[str], known: Sequence[str]) -> dict[str, Hit]:
-        """See :meth:`Door.recalled`."""
+        """See :meth:`HitSource.recalled`."""
         table = self._reread()
         places = {name_of_row(row.number): place for place, row in enumerate(table.rows)}
         if missing := [name for name in (*names, *known) if name not in places]:
@@ -199,13 +199,13 @@ class TableDoor(Door):
         return {hit.name: hit for hit in self._hits(table, [places[name] for name in dict.fromkeys(names)])}
 
     def limits(self, first: Sequence[Hit], layout: str) -> Array:
-        """See :meth:`Door.limits`; they are shares of the closing speed of all first hits."""
+        """See :meth:`HitSource.limits`; they are shares of the closing speed of all first hits."""
         source = self.source(first)
         assert isinstance(source, ImpactTableSource)
         return np.array([feature.relevance_limit for feature in source.signals])
 
     def source(self, hits: Sequence[Hit]) -> Source:
-        """See :meth:`Door.source`."""
+        """See :meth:`HitSource.source`."""
         table = self._table
         assert table is not None
         wanted = {hit.name for hit in hits}
@@ -214,12 +214,12 @@ class TableDoor(Door):
         return ImpactTableSource(table.part(places), self.model, discrepancy=self._discrepancy)
 
     def predict(self, hit: Hit, added: Sequence[Added]) -> list[Array | None]:
-        """See :meth:`Door.predict`."""
+        """See :meth:`HitSource.predict`."""
         assert isinstance(hit, RowHit)
         return hit.source.predict_row(hit.place, added)
 
     def unmeasured(self, measured: Sequence[Hit]) -> Iterator[Hit]:
-        """See :meth:`Door.unmeasured`: the same hits at other speeds."""
+        """See :meth:`HitSource.unmeasured`: the same hits at other speeds."""
         assert self._table is not None
         rows = {name_of_row(row.number): row for row in self._table.rows}
         for hit in measured:
@@ -295,7 +295,7 @@ class BagHit(Hit):
         return self.group
 
 
-class BagDoor(Door):
+class BagHitSource(HitSource):
     """Finished trials of a folder, in the order in which they were recorded.
 
     Args:
@@ -319,7 +319,7 @@ class BagDoor(Door):
         self.model, self.skipped = model, {}
 
     def arrived(self) -> Iterator[Hit]:
-        """See :meth:`Door.arrived`; each bag is read when it is due, and what is no trial is named in ``skipped``."""
+        """See :meth:`HitSource.arrived`; each bag is read when it is due; ``skipped`` names the others."""
         if not self._directory.is_dir():
             raise InputError("no such folder of trials", file=self._directory)
         fresh = [path for path in find_bags(self._directory) if path not in self._known]
@@ -334,7 +334,7 @@ class BagDoor(Door):
                 self.skipped[str(path.relative_to(self._directory))] = hit
 
     def recalled(self, names: Sequence[str], known: Sequence[str]) -> dict[str, Hit]:
-        """See :meth:`Door.recalled`."""
+        """See :meth:`HitSource.recalled`."""
         self._known = {self._directory / name for name in known}
         found: dict[str, Hit] = {}
         for name in dict.fromkeys(names):
@@ -345,7 +345,7 @@ class BagDoor(Door):
         return found
 
     def unmeasured(self, measured: Sequence[Hit]) -> Iterator[Hit]:
-        """See :meth:`Door.unmeasured`: every object and case, simulated by the twin; what fails is left out."""
+        """See :meth:`HitSource.unmeasured`: every object and case, simulated by the twin; what fails is left out."""
         del measured
         for scenario in list(self._scenarios.values()):
             for item, case in itertools.product(scenario.objects, scenario.cases):
@@ -358,12 +358,12 @@ class BagDoor(Door):
                         yield self._hit(MeasuredRun.of(run), self._directory / label_of(spec), 0.0)
 
     def source(self, hits: Sequence[Hit]) -> Source:
-        """See :meth:`Door.source`."""
+        """See :meth:`HitSource.source`."""
         runs = Runs.of(self._directory, [hit.run for hit in hits if isinstance(hit, BagHit)])
         return ReplaySource.of(runs, self.model, self._store, self._discrepancy)
 
     def predict(self, hit: Hit, added: Sequence[Added]) -> list[Array | None]:
-        """See :meth:`Door.predict`."""
+        """See :meth:`HitSource.predict`."""
         assert isinstance(hit, BagHit)
         return self._store([Replay(hit.run.setup, self.model, one) for one in added])
 

@@ -13,7 +13,7 @@ from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.diagnose import effects_for
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.following.hit_model import HitModel, Hypothesis
-from impact_rs_analysis.following.hits import Door, Hit
+from impact_rs_analysis.following.hits import Hit, HitSource
 from impact_rs_analysis.following.posterior import Posterior
 from impact_rs_analysis.inference.belief import Belief
 from impact_rs_analysis.inference.noise import Noise, deviations_of, repeats_of
@@ -30,7 +30,7 @@ class Learning:
     """Collects the first hits of each layout until its scatter is known.
 
     Args:
-        door: Gives hits and predictions; its model is replaced by one without the effects that are followed.
+        hit_source: Gives hits and predictions; its model is replaced by one without the effects that are followed.
         model: What is believed at the start.
         only: Effects to look at beside those of the model; None: all that hits can show.
         learnt: Hits that teach the scatter.
@@ -41,11 +41,19 @@ class Learning:
         hits: What predicts hits; None: too few were seen.
     """
 
-    def __init__(self, door: Door, model: Model, only: Sequence[str] | None, learnt: int, mean_time: float) -> None:
-        self.door, self.model, self._only, self.learnt, self._mean_time = door, model, only, learnt, mean_time
+    def __init__(
+        self, hit_source: HitSource, model: Model, only: Sequence[str] | None, learnt: int, mean_time: float
+    ) -> None:
+        self.hit_source, self.model, self._only, self.learnt, self._mean_time = (
+            hit_source,
+            model,
+            only,
+            learnt,
+            mean_time,
+        )
         self._believed = [item for item in model.effects if _same(model, item)]
         kept = tuple(item for item in model.effects if item not in self._believed)
-        door.model = model.model_copy(update={"effects": kept})
+        hit_source.model = model.model_copy(update={"effects": kept})
         self.first: list[Hit] = []
         self.hits: HitModel | None = None
 
@@ -66,7 +74,7 @@ class Learning:
         first = [hit for hit in self.first if hit.layout == layout]
         self.first = [hit for hit in self.first if hit.layout != layout]
         if self.hits is None:
-            source = self.door.source(first)
+            source = self.hit_source.source(first)
             self.hits, self._stated = self.consider(source, source.proportion)
         own = self.hits
         known = own.active if hypotheses else ()
@@ -76,7 +84,7 @@ class Learning:
             raise InputError(f"model {self.model.name!r} predicts {len(found)} of the first {len(first)} hits")
         residuals = [(hit, hit.measured - predicted) for hit, (predicted, _) in found]
         jacobians = [jacobian for _, (_, jacobian) in found]
-        limits = self.door.limits(first, layout)
+        limits = self.hit_source.limits(first, layout)
         own.whiten[layout], freedom = _scatter(residuals, limits)
         calibration, freedom = own.calibration, max(freedom, 2)
         calibration.freedom = float(freedom) if not hypotheses else min(calibration.freedom, float(freedom))
@@ -88,7 +96,7 @@ class Learning:
             hypotheses = [Hypothesis(own.start, Posterior(belief))]
         for hypothesis in hypotheses:
             evidence = [e for hit, _ in found if (e := own.evidence(hit, hypothesis.point)) is not None]
-            hypothesis.posterior.believe(evidence)
+            hypothesis.posterior.absorb(evidence)
         self._calibrate(own, hypotheses[0], residuals, jacobians, limits)
         return hypotheses
 
@@ -121,7 +129,7 @@ class Learning:
                     width = (value.ci95[1] - value.ci95[0]) / (2.0 * NORMAL_95)
                     stated[number] = max(width / candidate.scale[number], 1e-6)
         candidate = replace(candidate, point=point)
-        return HitModel(self.door, candidate, source.joints, proportion, self._mean_time), stated
+        return HitModel(self.hit_source, candidate, source.joints, proportion, self._mean_time), stated
 
     def _calibrate(
         self, own: HitModel, hypothesis: Hypothesis, residuals: Sequence[tuple[Hit, Array]],

@@ -84,20 +84,20 @@ class Posterior:
         for one in instant:
             self.before.columns(one)
         self.window.append(tuple(instant))
-        self.believe_before(len(self.window) - WINDOW_INSTANTS)
+        self.absorb_before(len(self.window) - WINDOW_INSTANTS)
         self._now = None
 
-    def believe(self, evidence: Iterable[HitEvidence]) -> None:
+    def absorb(self, evidence: Iterable[HitEvidence]) -> None:
         """Absorb hits older than the window."""
         for one in evidence:
             self.before.add(one)
         self._now = None
 
-    def believe_before(self, start: int) -> None:
+    def absorb_before(self, start: int) -> None:
         """Absorb the instants of the window before ``start``."""
         for _ in range(start):
             instant = self.window.pop(0)
-            self.believe(instant)
+            self.absorb(instant)
             for group in sorted({one.group for one in instant}):
                 self.before.drift(group, DISCREPANCY_RENEWAL)
 
@@ -132,7 +132,7 @@ class Posterior:
         return both[:, :size], both[:, size:], np.array([own for _, own in found])
 
 
-def weight_of(distance: float, size: int) -> float:
+def huber_weight(distance: float, size: int) -> float:
     """Huber weight of a hit from its squared Mahalanobis distance and number of features [-]."""
     return min(1.0, float(scipy.special.chdtri(size, ODD_HIT_PROBABILITY)) / max(distance, 1e-300))
 

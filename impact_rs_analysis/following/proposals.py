@@ -115,7 +115,7 @@ def distinguishing(
         found.append(ProposedMeasurement("a free motion", apart, f"{showing} would show there"))
     best = most_decisive(found, shares)
     if best is None or min(best.distances) <= MIN_DECISIVE_DISTANCE:
-        hits = own.door.unmeasured([hit for _, hit in measured])
+        hits = own.hit_source.unmeasured([hit for _, hit in measured])
         found += [_hit(own, hypotheses, f"a hit of {hit.condition}, not measured yet,", hit) for hit in hits]
         best = most_decisive(found, shares)
     if best is not None:

@@ -119,7 +119,7 @@ def _restore(follower: Follower, document: Mapping[str, Any], arrays: Mapping[st
     """Go on where the document was made."""
     windows = [name for h in document["hypotheses"] for instant in h["window"] for name, _ in instant]
     needed = [*document["first"], *document["last"].values(), *windows]
-    known = follower.door.recalled(needed, document["names"])
+    known = follower.hit_source.recalled(needed, document["names"])
     follower.names = list(document["names"])
     if (changed := document.get("changed")) is not None:
         follower.changed = HitsSince(changed[0], tuple(changed[1]))
@@ -127,7 +127,7 @@ def _restore(follower: Follower, document: Mapping[str, Any], arrays: Mapping[st
     follower.last = {condition: known[name] for condition, name in document["last"].items()}
     if document["proportion"] is None:
         return
-    source = follower.door.source(list(known.values()))
+    source = follower.hit_source.source(list(known.values()))
     hits, _ = follower.learning.consider(source, Proportion(**document["proportion"]))
     hits.look_at(document["active"])
     hits.whiten = {layout: arrays[f"whiten{n}"] for n, layout in enumerate(document["layouts"])}

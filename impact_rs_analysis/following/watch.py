@@ -20,7 +20,7 @@ from impact_rs_analysis.following.causes import Causes, Held
 from impact_rs_analysis.following.hit_model import HitModel, Hypothesis
 from impact_rs_analysis.following.hits import Hit
 from impact_rs_analysis.following.lessons import Cause, Change, HitDocument, NextHit, Predicted
-from impact_rs_analysis.following.posterior import WINDOW_INSTANTS, unpredicted_log_density, weight_of
+from impact_rs_analysis.following.posterior import WINDOW_INSTANTS, huber_weight, unpredicted_log_density
 from impact_rs_analysis.following.proposals import distinguishing
 from impact_rs_analysis.inference.student import log_density, squared_distance
 from impact_rs_sim.robot import Array
@@ -126,11 +126,11 @@ class HitWatch:
                 if evidence is None:
                     one.log_weight += unpredicted_log_density(len(hit.features), calibration.freedom)
                     if one is best:
-                        own.door.skipped[hit.name] = UNPREDICTED_REASON
+                        own.hit_source.skipped[hit.name] = UNPREDICTED_REASON
                     continue
                 innovation, covariance = one.posterior.now.predictive(evidence)
                 distance = squared_distance(innovation, covariance, calibration.of_hits)
-                weight = weight_of(distance, innovation.size)
+                weight = huber_weight(distance, innovation.size)
                 volume = float(np.linalg.slogdet(covariance)[1])
                 one.log_weight += log_density(distance, volume, innovation.size, calibration.freedom)
                 taken.append(replace(evidence, weight=weight))

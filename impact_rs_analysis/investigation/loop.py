@@ -20,7 +20,7 @@ from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.investigation.endings import ENDING_FILE, UNDECIDED, Ending, ending_of, read_ending
 from impact_rs_analysis.investigation.policy import MAX_VAIN_DISCOVERIES, decide
 from impact_rs_analysis.investigation.prediction_check import Predictions, predicted, prediction_error
-from impact_rs_analysis.investigation.promise import MIN_WORTHWHILE_PROBABILITY, promise
+from impact_rs_analysis.investigation.promise import MIN_WORTHWHILE_PROBABILITY, best_decision_probability
 from impact_rs_analysis.investigation.round_state import stands
 from impact_rs_analysis.investigation.rounds import (
     PlannedTrial,
@@ -162,7 +162,7 @@ class Investigation:
             show,
         )
         plan = self._bench.design(wanted)
-        if rounds and (promised := promise(plan, left)) < MIN_WORTHWHILE_PROBABILITY:
+        if rounds and (promised := best_decision_probability(plan, left)) < MIN_WORTHWHILE_PROBABILITY:
             self._give_up(rounds[-1], promised, left)
         else:
             write_plan(plan, here / "plan.yaml")

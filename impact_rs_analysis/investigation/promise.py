@@ -17,7 +17,7 @@ MIN_WORTHWHILE_PROBABILITY = 0.5  # with all trials left; below, they are not me
 MAX_EXTRAPOLATED_PROBABILITY = 0.9999  # of a plan
 
 
-def promise(plan: ExperimentPlan, left: int) -> float:
+def best_decision_probability(plan: ExperimentPlan, left: int) -> float:
     """Probability that a diagnosis of all trials left distinguishes what the plan distinguishes best [-].
 
     1: the plan is not for rivals.

@@ -154,7 +154,7 @@ class DesignQuestion:
 
 
 @dataclass(frozen=True)
-class Stance:
+class RobotPose:
     """A pose of a robot.
 
     Attributes:
@@ -217,10 +217,12 @@ def study_designs(
         InputError: No such robot or object, or too few poses that the robot reaches fast enough.
     """
     question.scenario.object(question.object_name)
-    stances: list[Stance] = []
+    stances: list[RobotPose] = []
     places = {}
     wanted = [(robot, question, poses) for robot in robots]
-    for number, (robot, (own, tried)) in enumerate(zip(robots, map_tasks(_stand, wanted), strict=True), start=1):
+    for number, (robot, (own, tried)) in enumerate(
+        zip(robots, map_tasks(_random_poses_of, wanted), strict=True), start=1
+    ):
         places[robot] = tried
         stances += own
         report("poses", number, len(robots))
@@ -234,7 +236,7 @@ def study_designs(
     return DesignStudy(question, tuple(designs), failed, places)
 
 
-def stances_of(robot: str, question: DesignQuestion, poses: int) -> tuple[list[Stance], int]:
+def random_poses(robot: str, question: DesignQuestion, poses: int) -> tuple[list[RobotPose], int]:
     """Random poses in which a robot reaches the speed, and the number of places that were tried.
 
     Raises:
@@ -244,10 +246,10 @@ def stances_of(robot: str, question: DesignQuestion, poses: int) -> tuple[list[S
     if facts.joint_count < 6:
         raise InputError(f"{robot} has {facts.joint_count} joints; a pad that is held upright needs six")
     model = RobotModel(facts, replace(_effector(question, "wide"), mount_yaw=0.0))
-    found: list[Stance] = []
+    found: list[RobotPose] = []
     for tried, pose in enumerate(upright_poses(model, question.seed), start=1):
         if pose is not None and np.all(np.abs(_velocity(model, pose.q, question.speed)) <= model.velocity_max):
-            found.append(Stance(robot, len(found) + 1, pose.q))
+            found.append(RobotPose(robot, len(found) + 1, pose.q))
         if len(found) == poses:
             return found, tried
         if tried >= MAX_TRIES_PER_POSE * poses:
@@ -258,12 +260,12 @@ def stances_of(robot: str, question: DesignQuestion, poses: int) -> tuple[list[S
     )
 
 
-def _stand(task: tuple[str, DesignQuestion, int]) -> tuple[list[Stance], int]:
-    """:func:`stances_of`, for a parallel map."""
-    return stances_of(*task)
+def _random_poses_of(task: tuple[str, DesignQuestion, int]) -> tuple[list[RobotPose], int]:
+    """:func:`random_poses`, for a parallel map."""
+    return random_poses(*task)
 
 
-def ask(task: tuple[DesignQuestion, Stance]) -> tuple[list[Design], dict[str, str]]:
+def ask(task: tuple[DesignQuestion, RobotPose]) -> tuple[list[Design], dict[str, str]]:
     """All designs of one robot in one pose, and why some have no answer."""
     question, stance = task
     designs, failed = [], {}
@@ -279,7 +281,7 @@ def ask(task: tuple[DesignQuestion, Stance]) -> tuple[list[Design], dict[str, st
     return designs, failed
 
 
-def problems_of(question: DesignQuestion, stance: Stance) -> Iterator[tuple[str, str, ImpactProblem]]:
+def problems_of(question: DesignQuestion, stance: RobotPose) -> Iterator[tuple[str, str, ImpactProblem]]:
     """Motor inertia, pad and impact problem of every design of one robot in one pose."""
     facts = load_facts(stance.robot)
     template = Physics.nominal(question.scenario, question.object_name)

@@ -204,14 +204,14 @@ def _predicted(run: MeasuredRun, ante: dict[str, Array], motor_inertia: str, con
     return float(
         np.mean(
             [
-                result.end_effector_twist[name][:3] @ way + _pushed_on(run, name, way, motor_inertia)
+                result.end_effector_twist[name][:3] @ way + _velocity_change_after(run, name, way, motor_inertia)
                 for name, way in _directions(ante).items()
             ]
         )
     )
 
 
-def _pushed_on(run: MeasuredRun, name: str, way: Array, motor_inertia: str) -> float:
+def _velocity_change_after(run: MeasuredRun, name: str, way: Array, motor_inertia: str) -> float:
     """Change of the speed along ``way`` by the recorded torque until 20 to 40 ms after the impact [m/s].
 
     The object moves with the pad in the plane of the support, with its full mass for every arm. Without recorded

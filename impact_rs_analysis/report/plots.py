@@ -77,7 +77,7 @@ def curves_plot(figure: Figure, most: int | None = None) -> go.Figure:
         most: Points of a curve over time, at most; None: all.
     """
     if most is not None and figure.over_time:
-        figure = replace(figure, panels=tuple(_thinned(panel, most) for panel in figure.panels))
+        figure = replace(figure, panels=tuple(_decimated(panel, most) for panel in figure.panels))
     panels = len(figure.panels)
     drawn = _figure()
     gap = 0.045
@@ -108,7 +108,7 @@ def curves_plot(figure: Figure, most: int | None = None) -> go.Figure:
     )
 
 
-def _thinned(panel: Panel, most: int) -> Panel:
+def _decimated(panel: Panel, most: int) -> Panel:
     """Decimated points of every curve."""
     strides = [max(1, math.ceil(curve.x.size / most)) for curve in panel.curves]
     curves = [
@@ -126,7 +126,7 @@ def _curve(curve: Curve, axis: str, shared: bool) -> go.Scatter:
         low, high = curve.error
         error = {"type": "data", "symmetric": False, "array": [high], "arrayminus": [low], "thickness": 2}
     return go.Scatter(
-        **_places(curve.x),
+        **_x_coordinates(curve.x),
         y=curve.y.astype(np.float32) if curve.y.size else [None],
         name=curve.label,
         showlegend=bool(curve.label),
@@ -147,7 +147,7 @@ def _curve(curve: Curve, axis: str, shared: bool) -> go.Scatter:
     )
 
 
-def _places(x: Array) -> dict[str, Any]:
+def _x_coordinates(x: Array) -> dict[str, Any]:
     """x coordinates of a curve; start and step alone if evenly spaced, which keeps pages small."""
     if not x.size:  # a curve without points keeps its legend entry only with one invisible point
         return {"x": [None]}
