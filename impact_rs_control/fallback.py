@@ -20,7 +20,7 @@ from impact_rs_sim.robot_model import RobotModel
 
 SETTLING_TIME_S = 0.1  # time constant T
 MAX_BRAKE_SHARE = 0.5  # of the torque limits; the other half carries the gravity torque
-FRESH = 0.03  # s, that the state of a brake may be old; below T / e
+MAX_STATE_AGE_S = 0.03  # of the state that a brake acts on; below T / e
 
 
 def holding_torque(model: RobotModel, motor_inertia: Array, position: Array, velocity: Array) -> Array:

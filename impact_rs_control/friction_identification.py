@@ -57,7 +57,7 @@ def identify_arm(scene: Scene, arm: str, runs: int, seed: int, effects: Model | 
     """
     if scene.scenario.excursion is not None:
         raise InputError(
-            f"scenario {scene.scenario.name!r} hits nothing: it has no net feedback that friction could spoil"
+            f"scenario {scene.scenario.name!r} hits nothing: it has no net feedback that friction could bias"
         )
     if posture_of(scene, arm) != [0]:
         raise InputError(

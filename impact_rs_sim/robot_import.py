@@ -295,7 +295,7 @@ def _limits(
             notes.append(f"Limits of joint {name} as measured: {lower:g} to {upper:g} {units.position}.")
     if lower >= upper:
         message = f"expected lower < upper [{units.position}], found {lower:g} and {upper:g}; {remedy}position=LOW:HIGH"
-        raise InputError(f"{message} says it, or --measured RECORDING", file=tree.file, key=key)
+        raise InputError(f"{message} gives it, or --measured RECORDING", file=tree.file, key=key)
     most = []
     for quantity, unit in (("velocity", units.velocity), ("effort", units.effort)):
         missing = limit is None or limit.get(quantity) is None
@@ -312,7 +312,7 @@ def _limits(
                 if missing
                 else f"expected > 0 [{unit}], found {value:g}"
             )
-            said = f"{found}; {remedy}{quantity}=MOST says it, or --measured RECORDING"
+            said = f"{found}; {remedy}{quantity}=MOST gives it, or --measured RECORDING"
             raise InputError(said, file=tree.file, key=f"{key} {quantity}")
         most.append(value)
     return lower, upper, most[0], most[1]

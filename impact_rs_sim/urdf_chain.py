@@ -223,7 +223,9 @@ class UrdfTree:
         link = tip
         while link != base:
             if link not in self.above:
-                self._fail(f"no way leads from {base!r} out to {tip!r}; expected a tip that hangs on the base")
+                self._fail(
+                    f"no chain leads from {base!r} to {tip!r}; expected a tip below the base in the tree of links"
+                )
             path.insert(0, self.above[link])
             link = self._end(self.above[link], "parent")
         return path

@@ -34,7 +34,7 @@ from impact_rs_analysis.investigation.rounds import (
     searches_in_vain,
 )
 from impact_rs_analysis.investigation.settings import Settings
-from impact_rs_analysis.investigation.story import LOG, log_of
+from impact_rs_analysis.investigation.story import LOG_FILE, log_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.model import Model, load_model, save_model
@@ -105,7 +105,7 @@ class Investigation:
         while True:
             rounds = read_rounds(self.directory, self.settings)
             ended = self._step(rounds)
-            write_whole(self.directory / LOG, log_of(self.settings, read_rounds(self.directory, self.settings)))
+            write_whole(self.directory / LOG_FILE, log_of(self.settings, read_rounds(self.directory, self.settings)))
             self._after()
             if ended:
                 return read_ending(self.directory)

@@ -260,7 +260,7 @@ def _read(kind: type[SchemaType], path: Path) -> SchemaType | None:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
-        raise InputError(f"not whole ({error}); remove it, and the step is done again", file=path) from None
+        raise InputError(f"incomplete or damaged ({error}); remove it, and the step is done again", file=path) from None
     return validate(kind, content, path)
 
 

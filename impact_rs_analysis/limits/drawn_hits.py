@@ -213,7 +213,7 @@ def _approach(
     """Distance [m] and closing speed [m/s] of every pad.
 
     Raises:
-        InputError: A pad does not come to the object.
+        InputError: A pad does not approach the object.
     """
     placements = {name: models[name].placement(state.position) for name, state in arms.items()}
     found = {}
@@ -224,7 +224,7 @@ def _approach(
         speed = float(one.normal @ models[one.partner].jacobian(state.position)[:3] @ state.velocity)
         if speed <= 0.0:
             raise InputError(
-                f"arm {one.partner!r} does not come to the object; expected a case in which the pad hits it"
+                f"arm {one.partner!r} does not approach the object; expected a case in which its pad hits the object"
             )
         found[one.partner] = (one.separation, speed)
     return found

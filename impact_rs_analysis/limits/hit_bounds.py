@@ -30,7 +30,7 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array, Reflexes, RobotFacts
 
 KINDS = ("jump", "speed", "torque", "reflex", "force")
-WORDS = {
+KIND_WORDS = {
     "jump": "joint velocity jump",
     "speed": "joint velocity",
     "torque": "joint torque",
@@ -92,11 +92,11 @@ def bounds_of(physics: Physics, thresholds: Thresholds = NO_THRESHOLDS) -> Bound
         unit = {"jump": "velocity", "speed": "velocity", "torque": "effort", "reflex": "effort"}
         for kind in KINDS[:-1]:
             for number, own in enumerate(joints, start=1):
-                names.append(f"{arm} joint {number} {WORDS[kind]}")
+                names.append(f"{arm} joint {number} {KIND_WORDS[kind]}")
                 units.append(str(getattr(own, unit[kind])))
             kinds += [kind] * len(joints)
             values += of_kind[kind]
-        names.append(f"{arm} {WORDS['force']}")
+        names.append(f"{arm} {KIND_WORDS['force']}")
         kinds.append("force")
         units.append("N")
         values += of_kind["force"]

@@ -22,7 +22,7 @@ from impact_rs_analysis.limits.hit_bounds import KINDS
 from impact_rs_sim.errors import Infeasible
 from impact_rs_sim.robot import Array
 
-LEVEL = 0.99
+HOLD_PROBABILITY = 0.99
 SPEED_TOLERANCE = 0.01  # relative change of the speed that ends the search
 MAX_SIMULATED_SPEEDS = 5  # speeds that are simulated at most
 MIN_STABLE_SHARE = 0.9  # of the draws
@@ -37,7 +37,7 @@ class SpeedLimit:
         object_name: Object.
         case_name: Case.
         planned: Closing speed of the scenario [m/s].
-        speed: Highest closing speed at which all bounds hold with ``LEVEL`` [m/s]; 0: they do not hold at rest.
+        speed: Highest closing speed at which all bounds hold with ``HOLD_PROBABILITY`` [m/s]; 0: not even at rest.
         middle: Highest speed at which they hold in half of the draws [m/s].
         by_kind: The same as ``speed`` for each kind of quantities alone [m/s]; inf: beyond every speed of interest.
         binding: Quantity that is nearest to its bound there.
@@ -73,7 +73,7 @@ class SpeedLimit:
             "allowed": self.allowed,
             "without_bound": list(self.unknown),
             "draws": self.draws,
-            "level": LEVEL,
+            "level": HOLD_PROBABILITY,
         }
 
 
@@ -88,12 +88,12 @@ def speed_limit(hits: Hits) -> SpeedLimit:
     scale = 1.0
     for _ in range(MAX_SIMULATED_SPEEDS):
         curve.add(scale)
-        found = curve.limit(everything, LEVEL)
+        found = curve.limit(everything, HOLD_PROBABILITY)
         if found in (0.0, MAX_SPEED_RATIO) or abs(found - scale) <= SPEED_TOLERANCE * scale:
             break
         scale = found
     of_kind = {
-        kind: curve.limit(tuple(k for k in everything if hits.bounds.kinds[k] == kind), LEVEL)
+        kind: curve.limit(tuple(k for k in everything if hits.bounds.kinds[k] == kind), HOLD_PROBABILITY)
         for kind in KINDS
         if kind not in hits.bounds.unknown
     }
@@ -163,7 +163,7 @@ class _Curve:
 
     def worst(self, scale: float) -> int:
         """Number of the quantity whose quantile is largest."""
-        return int(np.argmax(np.quantile(self.at(min(scale, MAX_SPEED_RATIO)), LEVEL, axis=0)))
+        return int(np.argmax(np.quantile(self.at(min(scale, MAX_SPEED_RATIO)), HOLD_PROBABILITY, axis=0)))
 
 
 def _finite(value: float) -> float | None:

@@ -117,7 +117,7 @@ def _check(folder: Path) -> None:
         raise InputError("this is a file; expected the name of a folder", file=folder)
     foreign = {path.name for path in folder.glob("[!.]*") if not PART_NAME.fullmatch(path.name)}
     if foreign:
-        raise InputError(f"is no data set, for it holds {min(foreign)}; choose an empty or a new folder", file=folder)
+        raise InputError(f"is not a data set: it holds {min(foreign)}; choose an empty or a new folder", file=folder)
 
 
 class _Parts:
@@ -181,7 +181,7 @@ class _Parts:
             schema = part.schema_arrow
         theirs, ours = (schema.metadata or {}).get(CAMPAIGN_KEY), self._metadata[CAMPAIGN_KEY]
         if theirs is None:
-            raise InputError("is no part of a data set of impact-rs; choose another folder", file=path)
+            raise InputError("is not part of a data set of impact-rs; choose another folder", file=path)
         if theirs != ours:
             raise InputError(
                 f"holds the trials of {theirs.decode()}; choose another folder for those of {ours.decode()}",

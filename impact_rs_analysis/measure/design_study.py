@@ -40,7 +40,7 @@ from impact_rs_trials.workers import Map
 ROBOTS = ("franka_fer", "franka_fr3", "kinova_gen3", "kuka_iiwa7", "ur5e", "ur10e")
 MOTOR_INERTIAS = ("reduced", "rotor")
 MOTOR_INERTIA_STEP = 0.05  # of B, relative
-LEVEL = 0.95
+CONFIDENCE_LEVEL = 0.95
 ARM_NAME = "arm"
 MAX_TRIES_PER_POSE = 60  # random positions
 
@@ -93,7 +93,7 @@ class Estimate:
 
     Attributes:
         value: Of the nominal design.
-        low: Lower end at ``LEVEL``.
+        low: Lower end at ``CONFIDENCE_LEVEL``.
         high: Upper end.
         draws: Values of the draws; nan where one has no answer.
     """
@@ -185,13 +185,13 @@ class DesignStudy:
     places: Mapping[str, int]
 
     def ranked(self, measure: str) -> list[tuple[Design, int, int]]:
-        """Designs by falling value, each with the ends of its rank at ``LEVEL`` over the draws."""
+        """Designs by falling value, each with the ends of its rank at ``CONFIDENCE_LEVEL`` over the draws."""
         found = [design.measures[measure] for design in self.designs]
         values = np.array([one.value for one in found])
         draws = np.array([one.draws for one in found])
         drawn = np.where(np.isnan(draws), values[:, None], draws)
         ranks = scipy.stats.rankdata(-drawn, method="min", axis=0)
-        tails = ((1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0)
+        tails = ((1.0 - CONFIDENCE_LEVEL) / 2.0, (1.0 + CONFIDENCE_LEVEL) / 2.0)
         best, worst = np.quantile(ranks, tails, axis=1, method="nearest").astype(int)
         order = np.argsort(-values, kind="stable")
         return [(self.designs[index], int(best[index]), int(worst[index])) for index in order]
@@ -398,7 +398,7 @@ def _measured(problem: ImpactProblem, question: DesignQuestion, uncertain: Uncer
 
 def _estimate(value: float, answered: Array, draws: tuple[float, ...]) -> Estimate:
     """Student's t times the deviation of the draws about a value; of their logarithms where all are above 0."""
-    quantile = float(scipy.stats.t.ppf(0.5 + LEVEL / 2.0, answered.size - 1))
+    quantile = float(scipy.stats.t.ppf(0.5 + CONFIDENCE_LEVEL / 2.0, answered.size - 1))
     if value > 0.0 and np.all(answered > 0.0):
         factor = float(np.exp(quantile * np.std(np.log(answered), ddof=1)))
         return Estimate(value, value / factor, value * factor, draws)

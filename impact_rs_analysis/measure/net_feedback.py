@@ -27,7 +27,7 @@ from impact_rs_trials.spec import recorded_scenario
 TORQUE_LIMIT_TOLERANCE = 1e-3  # relative; a torque this close to its limit counts as limited
 MIN_LIMITED_TIME_S = 0.005  # at a torque limit; shorter times change the feedback by less than its noise
 # Outcomes that are analysed; a bag of a real robot may have none, and trials without impact are not fitted.
-MEASURES = ("OK", "NO-IMPACT", "EARLY")
+ANALYSED_OUTCOMES = ("OK", "NO-IMPACT", "EARLY")
 MAX_GAP_S = 0.02  # the feedback in a longer gap exceeds the resolution of the measure
 
 
@@ -109,7 +109,7 @@ def net_feedback(bag: TrialBag) -> TrialFeedback:
         BagError: The trial went wrong, the bag is damaged, has holes, or does not cover the window from t1 to t2.
     """
     info = bag.info
-    if bag.metadata.get("outcome", "OK") not in MEASURES:
+    if bag.metadata.get("outcome", "OK") not in ANALYSED_OUTCOMES:
         raise BagError(bag.path, f"{bag.outcome}: {bag.reason}")
     axis = AXES.get(info.axis)
     if axis is None or not info.robots:

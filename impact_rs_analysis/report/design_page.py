@@ -10,7 +10,7 @@ from pathlib import Path
 
 import plotly.graph_objects as go
 
-from impact_rs_analysis.measure.design_study import LEVEL, MEASURES, Design, DesignStudy
+from impact_rs_analysis.measure.design_study import CONFIDENCE_LEVEL, MEASURES, Design, DesignStudy
 from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, PURPLE, RED, SKY
 from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.plots import TEMPLATE
@@ -53,7 +53,8 @@ def write_design_study(study: DesignStudy, directory: Path) -> Path:
     page = DesignPage(
         title="Design study",
         summary=f"{len(study.designs)} designs of {len(robots)} robots hit {question.object_name} of "
-        f"{question.scenario.name} at {question.speed:g} m/s, square and free of support. Intervals of {LEVEL:.0%}: "
+        f"{question.scenario.name} at {question.speed:g} m/s, square and free of support. "
+        f"Intervals of {CONFIDENCE_LEVEL:.0%}: "
         f"{question.draws} draws from the uncertainties of the scenario. Poses are random.",
         plots=(
             Plot(

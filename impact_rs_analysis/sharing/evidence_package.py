@@ -198,7 +198,7 @@ def read_package(path: Path) -> EvidencePackage:
     """
     data = read_json(path, "a package of evidence", LARGEST)
     if not isinstance(data, dict) or "seal" not in data:
-        raise InputError("no package of evidence; expected one that impact-rs evidence pack has written", file=path)
+        raise InputError("not an evidence package; expected a file written by impact-rs evidence pack", file=path)
     package = validate(EvidencePackage, data, path)
     check_model(package.model, path)
     return package

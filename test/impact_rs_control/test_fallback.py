@@ -10,7 +10,7 @@ import pytest
 from trials import scene_of
 
 from impact_rs_control.controller import fallback_command
-from impact_rs_control.fallback import FRESH, MAX_BRAKE_SHARE, SETTLING_TIME_S, holding_torque
+from impact_rs_control.fallback import MAX_BRAKE_SHARE, MAX_STATE_AGE_S, SETTLING_TIME_S, holding_torque
 from impact_rs_control.motion_monitor import FROZEN_TORQUE_RATIO, MAX_VELOCITY_LAG_S, WINDOW_S, MotionMonitor
 from impact_rs_control.qp import QpStatus
 
@@ -60,7 +60,7 @@ def test_the_brake_never_drives_the_arm() -> None:
 
 
 @pytest.mark.parametrize(
-    ("delay", "oscillates", "diverges"), [(FRESH, False, False), (0.1, True, False), (0.2, True, True)]
+    ("delay", "oscillates", "diverges"), [(MAX_STATE_AGE_S, False, False), (0.1, True, False), (0.2, True, True)]
 )
 def test_a_brake_on_old_states_oscillates_then_diverges(delay: float, oscillates: bool, diverges: bool) -> None:
     """dq' = -dq(t - d) / T (Hayes 1950): no sign change for d <= T / e = 0.037 s, stable for d < pi T / 2 = 0.157 s."""

@@ -294,7 +294,7 @@ REFUSED: list[tuple[list[str], dict[str, Any], str]] = [  # parts, arguments, wh
     ([], {}, "no link"),
     (list(ARM), {"tip": "for"}, "no link 'for' for --tip; did you mean 'fore'"),
     (list(ARM), {"base": "bas"}, "no link 'bas' for --base; did you mean 'base'"),
-    (list(ARM), {"base": "fore", "tip": "upper"}, "no way leads from 'fore' out to 'upper'"),
+    (list(ARM), {"base": "fore", "tip": "upper"}, "no chain leads from 'fore' to 'upper'"),
     (list(ARM), {"base": "base", "tip": "base"}, "no joint moves between"),
     (GRIP, {"tip": "fore"}, "grip: this prismatic joint moves beside the chain, on link 'upper'.*--lock grip=0"),
     (GRIP, {"tip": "fore", "lock": ["grap=0"]}, "no joint 'grap' moves; did you mean 'grip'"),

@@ -801,7 +801,9 @@ def test_a_damaged_file_of_a_step_is_named_with_the_remedy(start: Start) -> None
     investigation_.run()
     damaged = investigation_.directory / "rounds" / "02" / "decision.json"
     damaged.write_text(damaged.read_text()[:40])
-    with pytest.raises(InputError, match="decision.json: not whole .* remove it, and the step is done again"):
+    with pytest.raises(
+        InputError, match="decision.json: incomplete or damaged .* remove it, and the step is done again"
+    ):
         investigation_.run()
     damaged.unlink()
     assert investigation_.run().effects == (FRICTION,)

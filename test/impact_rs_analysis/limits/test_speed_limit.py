@@ -232,5 +232,5 @@ def test_a_mistake_is_one_line(line: list[str], said: str, capsys: pytest.Captur
 
 def test_a_pad_that_goes_away_from_the_object_is_refused() -> None:
     scenario = load_scenario("push").with_settings({"cases.case_1.robots.arm.ante_velocity": [0.0, 0.3, 0.0]})
-    with pytest.raises(InputError, match="arm 'arm' does not come to the object"):
+    with pytest.raises(InputError, match="arm 'arm' does not approach the object"):
         Hits(Scene.resolve(scenario, "juice", "1"), Thresholds())
