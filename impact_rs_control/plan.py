@@ -30,7 +30,7 @@ POSE_TASKS = 6  # position and orientation of E
 MAX_POSE_SPACING_M = 0.01  # displacement of E between two poses that are checked against support and ground
 TASK_SINGULAR_VALUE_TOLERANCE = 1e-3  # over the largest singular value of the tasks [-]; below, an arm cannot follow
 MIN_REFERENCE_SPEED_M_S = 1e-3  # a slower reference is about to come to rest
-RESTITUTION_TOLERANCE = 0.05  # [-], between impact map and pad; a third of what a damped pad has anyway
+RESTITUTION_TOLERANCE = 0.05  # [-], between impact map and pad; a third of a damped pad's restitution
 LARGEST_SCALE = 3.0  # a reference far beyond the prediction is no test of it, and soon beyond the arm
 
 
@@ -146,8 +146,8 @@ def plan_trial(
         engine: Engine of the impact map; the settled contact has one solver.
 
     Raises:
-        InputError: A scale or motor-inertia model that is none, an arm with fewer than six joints, a restitution that
-            no pad has, or a friction compensation that was not identified for this object and case.
+        InputError: An invalid scale or motor-inertia model, an arm with fewer than six joints, a restitution that
+            differs from the pad's, or a friction compensation not identified for this object and case.
         Infeasible: A start that cannot be reached, or arms that collide with each other, support or ground.
     """
     check_scale(velocity_scale)

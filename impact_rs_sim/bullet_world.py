@@ -2,14 +2,14 @@
 """One Bullet world: arms, object and support, with explicit values for every setting that affects the result.
 
 Shared by the plant (many small steps with compliant pads) and the ``bullet`` impact map (single rigid steps). Bullet
-multiplies the friction coefficients of two bodies, so the object carries 1 and its partners the pair's value. Of two
-rolling frictions it takes the sum, each times the other body's friction coefficient: a lever that a partner alone
-carries is that of the pair. Of two compliances it takes the sum.
+multiplies the friction coefficients of two bodies, so the object has 1 and its partner the coefficient of the pair. It
+adds rolling frictions, each times the other body's friction coefficient, so only the partner has the lever of the pair.
+It adds compliances.
 
-Its friction cone weighs each of two fixed axes with the inverse mass along it, so that the friction of a box that
-slides on its support has Coulomb's size but not his direction: it opposes ``D^-1 v_t`` instead of the sliding velocity
-``v_t``, 13 degrees off at most for the boxes of the paper. A world that is stepped in small steps turns it back: at
-every corner that slid in the step before, an external force makes ``-mu N v_t / |v_t|`` of what Bullet gave there.
+Its friction cone weights two fixed axes with the inverse mass along them, so that the friction of a sliding box has the
+magnitude of Coulomb's law but not the direction: it opposes ``D^-1 v_t`` instead of the sliding velocity ``v_t``, at
+most 13 degrees off for the boxes of the paper. A world with small steps corrects the direction: at every corner that
+slid in the previous step, an external force replaces Bullet's friction by ``-mu N v_t / |v_t|``.
 """
 
 from __future__ import annotations
@@ -143,8 +143,8 @@ class BulletWorld:
                 the next.
 
         Raises:
-            NotABody: Mass and inertia of an end effector are those of no body; Bullet would go on with an inertia of
-                zero.
+            NotABody: Mass and inertia of an end effector are physically inconsistent; Bullet would continue with zero
+                inertia.
         """
         for name, arm in physics.arms.items():
             check_body(name, arm.end_effector)
@@ -527,7 +527,7 @@ def check_body(name: str, end_effector: EndEffector) -> None:
     """Refuse an end effector without a physically consistent inertia.
 
     Raises:
-        NotABody: Its mass is not positive, or its moments of inertia are those of no body.
+        NotABody: Its mass is not positive, or its moments of inertia are physically inconsistent.
     """
     smallest, middle, largest = np.linalg.eigvalsh(end_effector.inertia)
     if end_effector.mass <= 0.0 or smallest <= 0.0 or largest > (1.0 + 1e-6) * (smallest + middle):

@@ -39,7 +39,7 @@ def restitution_of(damping_ratio: float) -> float:
 def damping_ratio_of(restitution: float) -> float:
     """Damping ratio zeta of spring and damper with the coefficient of restitution ``restitution`` in [0, 1] [-].
 
-    Below :data:`MIN_RESTITUTION` it is that of :data:`MIN_RESTITUTION`.
+    A smaller restitution is replaced by :data:`MIN_RESTITUTION`.
     """
     if restitution >= 1.0:
         return 0.0
@@ -50,7 +50,7 @@ def damping_ratio_of(restitution: float) -> float:
 def dissipation_of(restitution: float, speed: float) -> float:
     """Hunt-Crossley dissipation d with ``restitution`` in [0, 1] at a closing ``speed`` > 0 [m/s]; d is in s/m.
 
-    Below :data:`MIN_RESTITUTION` it is that of :data:`MIN_RESTITUTION`.
+    A smaller restitution is replaced by :data:`MIN_RESTITUTION`.
     """
     if restitution >= 1.0:
         return 0.0

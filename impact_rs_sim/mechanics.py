@@ -39,7 +39,7 @@ class Mechanics(ABC):
             period: Period of the torque loop [s].
 
         Raises:
-            NotABody: Mass and inertia of an end effector are those of no body.
+            NotABody: Mass and inertia of an end effector are physically inconsistent.
         """
 
     @abstractmethod

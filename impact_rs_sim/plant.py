@@ -145,7 +145,7 @@ class Plant:
             simulator: Simulator of its mechanics.
 
         Raises:
-            NotABody: Mass and inertia of an end effector are those of no body.
+            NotABody: Mass and inertia of an end effector are physically inconsistent.
             InputError: There is an extension, and the simulator is not Bullet.
         """
         timing, samples = scenario.timing, scenario.timing.ticks + 1

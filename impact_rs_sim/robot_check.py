@@ -59,7 +59,7 @@ def check_facts(facts: RobotFacts) -> list[Check]:
     """Checks of a robot with an empty flange."""
     checks = [_check_inertias(facts), _check_bodies(facts), _check_limits(facts), *_assumed_facts(facts)]
     if any(check.outcome == "failed" for check in checks):
-        return checks  # engines make something of their own of what is no body
+        return checks  # engines treat an inconsistent body in their own ways
     model = RobotModel(facts, empty_flange())
     positions = random_positions(model)
     return [*checks, _check_engines(model, positions), _check_gravity(model, positions)]

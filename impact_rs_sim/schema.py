@@ -133,7 +133,7 @@ class _Loader(yaml.SafeLoader):
             raise _Mistake(f"{found}, expected at most {MAX_NUMBER_LENGTH} for a {kind}", node.start_mark, path)
         try:
             return self.construct_object(node)
-        except Exception:  # whatever a constructor makes of what it cannot take: int('x'), a date that there is not
+        except Exception:  # any error of a constructor: int('x'), an invalid date
             raise _Mistake(f"{node.value!r} is no {kind}", node.start_mark, path) from None
 
     def _key(self, node: yaml.Node, path: tuple[str, ...]) -> Any:

@@ -57,7 +57,7 @@ class ArmSensors:
         joint_count: Number of joints.
         samples: Number of control ticks.
         rng: Draws the noise.
-        readings: Sensor models; a delay below 0 cannot be had before the end of a trial, and is none here.
+        readings: Sensor models; a negative delay is not causal and is treated as 0.
         period: Control period [s].
     """
 

@@ -157,7 +157,7 @@ def box_start(state: BodyState) -> _kernel.TwinBoxStart:
 
 
 def motions(physics: Physics, rows: Array) -> tuple[dict[str, ArmMotion], Array]:
-    """States of the kernel, ``(row,)`` or ``(k, row)``: motion of the arms, and what is left, that of the object."""
+    """Split states of the kernel, ``(row,)`` or ``(k, row)``: motion of the arms, and columns of the object."""
     arms, at = {}, 0
     for name, arm in physics.arms.items():
         n = arm.facts.joint_count

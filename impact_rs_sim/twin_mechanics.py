@@ -53,7 +53,7 @@ class TwinMechanics(Mechanics):
         except RuntimeError as error:
             raise InputError(str(error)) from None
         self._update(state)
-        if self._run.failed and np.isfinite(state[0]):  # what is not finite is seen in the measurement
+        if self._run.failed and np.isfinite(state[0]):  # non-finite values are detected in the measurement
             raise InputError(
                 f"the twin left its step at t = {self._run.failed[0]:.5f} s unsolved; trials also run on --plant bullet"
             )

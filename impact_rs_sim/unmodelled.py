@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects that are *not* in the library: the diagnosis must report that no effect of the library explains them.
 
-Each acts inside the plant and is parametrised by a magnitude (1: noticeable) and the number of the repeat. Those of
-:data:`OUTSIDE` are whole mechanisms; those of :data:`LAWS` are a force as a function of the state, written here in
-Python and found, if at all, by ``impact-rs discover``.
+Each acts inside the plant and is parametrised by a magnitude (1: noticeable) and the number of the repeat.
+:data:`OUTSIDE` has whole mechanisms; :data:`LAWS` has forces as functions of the state, which ``impact-rs discover``
+may find.
 """
 
 from __future__ import annotations

@@ -125,8 +125,8 @@ def suspected_steiner_ratio(mass: float, centre: Array, inertia: Array, axis: Ar
 def about_centre(mass: float, centre: Array, inertia: Array, axis: Array) -> Array | None:
     """Inertia about the centre of mass of a link that is stated about its joint, ``(3, 3)``; None: none is left.
 
-    By Steiner's theorem; where no body has what is left (one number was written three times) its part about the joint
-    axis is taken from every moment.
+    By the parallel-axis theorem; if the remainder is physically inconsistent (one number was written three times), the
+    Steiner term about the joint axis is subtracted from every moment.
 
     Args:
         mass: Of the link [kg].

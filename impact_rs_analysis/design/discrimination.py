@@ -8,7 +8,7 @@ Scaled features y of all trials are, under an explanation h with n repeats of co
 with the centre m_h of the explanation, its parameters a_h in standard deviations, the discrepancy d of the simulation
 along patterns P that conditions share (a share u of it feature by feature), the scatter s and the relevance limit l.
 Columns of a belief (:mod:`impact_rs_analysis.inference.belief`) are P, and of every explanation m_h and S_h; conditions
-are its observations. The expected squared distance of two explanations, in units of what blurs it, is
+are its observations. The expected squared (Mahalanobis) distance of two explanations is
 
     g_ij = (m_i - m_j)^T V_ij^-1 (m_i - m_j),    V_ij = var(e) + P^T P + S_i^T S_i + S_j^T S_j
 
@@ -102,7 +102,7 @@ class Discrimination:
         return found
 
     def gains(self, total: Belief) -> list[list[Array]]:
-        """Squared distances of every pair: for each direction those of all cases, ``(cases,)`` [-]."""
+        """Squared distances of every pair, by direction and case, ``(cases,)`` [-]."""
         if not self.decision.pairs:
             return []
         inner, _ = total.of_parameters()

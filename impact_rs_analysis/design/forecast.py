@@ -45,7 +45,7 @@ class ForecastTrial:
         cluster: Scale, scatter and discrepancy of its features.
         centres: Change of the features by each explanation's centre, scaled, ``(h, F)`` [-].
         spreads: The same by one standard deviation of each parameter, ``(p, F)`` by explanation [-].
-        repeats: How often it was measured.
+        repeats: Number of repeats measured.
     """
 
     name: str

@@ -236,7 +236,7 @@ def _off_centre(scenario: Scenario) -> tuple[list[float], float] | None:
 
 
 def _cases(scenario: Scenario, fastest: float) -> dict[str, Case]:
-    """The cases of a scenario, and each of its poses at further speeds: slower than all, those of others, the limit."""
+    """Cases of a scenario, and its poses at other speeds: slower than all, speeds of other cases, the limit."""
     found = dict(scenario.cases)
     if scenario.friction_compensation is not None:  # identified for these cases alone
         return _not_faster(found, fastest)

@@ -142,7 +142,7 @@ class ChangeTest:
 
     @property
     def threshold(self) -> float:
-        """Of the logarithm of R."""
+        """Threshold of log R."""
         return math.log(self.mean_time)
 
     def statistics(self) -> tuple[float, dict[str, Array]]:

@@ -51,15 +51,15 @@ class Follower:
     Args:
         hit_source: Gives hits and predictions; its model is replaced by one without the effects that are followed.
         model: What is believed at the start.
-        only: Effects to look at beside those of the model; None: all that hits can show.
-        learnt: Hits that teach the scatter.
+        only: Effects to follow in addition to those of the model; None: all observable ones.
+        learnt: Number of hits from which the scatter is estimated.
         mean_time: Mean number of hits to a false alarm, at least.
 
     Attributes:
         learning: Hits of layouts whose scatter is not known yet.
         watch: What is believed since then; None: no scatter is known.
         names: All hits, in time order.
-        last: The last hit of every condition; of none: that of the last trial that hit something.
+        last: Last hit of every condition; empty condition: last trial with a contact.
         changed: The hits since the last change; None: there was none.
     """
 
@@ -145,7 +145,7 @@ class Follower:
         """Prediction of the next hit of a condition from the initial state of the last one; None while learning.
 
         Args:
-            condition: The condition; empty: that of the last trial that hit something, else of the last free motion.
+            condition: The condition; empty: of the last trial with a contact, else of the last free motion.
         """
         hit = self.last.get(condition)
         return None if hit is None or self.watch is None or not self._knows(hit) else self.watch.prediction(hit)

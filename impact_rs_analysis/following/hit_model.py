@@ -71,7 +71,7 @@ class HitModel:
         hit_source: Predicts hits.
         candidate: The effects, at what is believed at the start.
         joints: Of the arms.
-        proportion: Size of what was measured, to which ranges and scales are in proportion.
+        proportion: Size of the measured system, for ranges and scales.
         mean_time: Mean number of hits to a false alarm, at least.
 
     Attributes:

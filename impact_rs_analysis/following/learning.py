@@ -32,8 +32,8 @@ class Learning:
     Args:
         hit_source: Gives hits and predictions; its model is replaced by one without the effects that are followed.
         model: What is believed at the start.
-        only: Effects to look at beside those of the model; None: all that hits can show.
-        learnt: Hits that teach the scatter.
+        only: Effects to follow in addition to those of the model; None: all observable ones.
+        learnt: Number of hits from which the scatter is estimated.
         mean_time: Mean number of hits to a false alarm, at least.
 
     Attributes:
@@ -105,7 +105,7 @@ class Learning:
 
         Args:
             source: Some hits.
-            proportion: Size of what was measured, to which ranges and scales are in proportion.
+            proportion: Size of the measured system, for ranges and scales.
 
         Returns:
             What predicts hits, and the standard deviations, in scales, of the parameters that the model states with an

@@ -60,7 +60,7 @@ class ProposedMeasurement:
 
     Attributes:
         words: What to do.
-        distances: Of what is expected from both, in standard deviations of their difference, by cause.
+        distances: Distance of the expected readings, in standard deviations of their difference, by cause.
         what: What is expected, in words.
     """
 
@@ -100,7 +100,7 @@ def distinguishing(
         own: Predicts hits.
         hypotheses: The explanations, the likeliest first.
         shares: Probability of each of the others.
-        last: The last hit of every condition; of none: that of the last trial that hit something.
+        last: Last hit of every condition; empty condition: last trial with a contact.
     """
     names = [one.effect for one in hypotheses]
     measured = [(name, hit) for name, hit in last.items() if name]
@@ -124,7 +124,7 @@ def distinguishing(
 
 
 def _hit(own: HitModel, hypotheses: Sequence[Hypothesis], words: str, hit: Hit) -> ProposedMeasurement:
-    """How well a hit distinguishes the likeliest explanation from the others."""
+    """Discrimination of a hit between the likeliest explanation and the others."""
     first, *others = (own.forecast(one, hit) for one in hypotheses)
     distances = []
     for other in others:
@@ -139,7 +139,7 @@ def _hit(own: HitModel, hypotheses: Sequence[Hypothesis], words: str, hit: Hit) 
 def _check(
     own: HitModel, hypotheses: Sequence[Hypothesis], check: HitlessCheck, physics: Physics
 ) -> ProposedMeasurement:
-    """How well a measurement without a hit distinguishes the likeliest explanation from the others."""
+    """Discrimination of a check without a hit between the likeliest explanation and the others."""
     read = [_read(own, check, one, physics) for one in hypotheses]
     (first, width), *others = read
     noise = check.least / MIN_DECISIVE_DISTANCE
@@ -150,7 +150,7 @@ def _check(
 
 
 def _read(own: HitModel, check: HitlessCheck, hypothesis: Hypothesis, physics: Physics) -> tuple[float, float]:
-    """What a measurement without a hit reads, and its standard deviation for the parameters are uncertain."""
+    """Predicted reading of a check without a hit, and its standard deviation from the parameter uncertainty."""
     candidate, values = own.candidate, own.values(hypothesis)
     centre = check.of(own.scene(values, physics))
     slopes = []

@@ -56,7 +56,7 @@ class HitWatch:
         return np.asarray(scipy.special.softmax([one.log_weight for one in self.hypotheses]))
 
     def prediction(self, hit: Hit) -> NextHit | None:
-        """What a hit like this one will measure; None: no hypothesis predicts a contact."""
+        """Prediction for such a hit; None: no hypothesis predicts a contact."""
         found = [self.hits.predicted(one, hit) for one in self.hypotheses]
         known = [(share, *one) for share, one in zip(self.probabilities(), found, strict=True) if one is not None]
         if not known:

@@ -5,9 +5,9 @@ The statistic is the sum over conditions c of the mean square of their mean resi
 
     Q = sum_c |r_c|^2 / F_c
 
-with each of the F_c features in units of what a model need not explain: u^2 = (l / 2)^2 + d^2, with the relevance limit
-l and the discrepancy d. No scatter enters the unit, for a scatter from few repeats is often far too small. Under a
-right model the mean of n_c repeats has the covariance
+with each of the F_c features in units of its tolerance u^2 = (l / 2)^2 + d^2, with the relevance limit l and the
+discrepancy d. The unit excludes the scatter, whose estimate from few repeats is often far too small. Under a right
+model the mean of n_c repeats has the covariance
 
     V_c = S / n_c + P_c^T P_c + diag(l^2 / 4 u^2)
 

@@ -36,7 +36,7 @@ VELOCITY_SAMPLES = 21  # of the end effector's velocity, a millisecond apart
 
 
 class ImpactPrediction(Schema):
-    """What a model predicts for a condition before it is measured."""
+    """Prediction of a model for a condition before its measurement."""
 
     condition: str = Field(description="scenario, object and case")
     arm: float = Field(description="velocity of the end effector just after the impact along the axis [m/s]")

@@ -133,7 +133,7 @@ def _worth_a_look(before: Round | None, found: DiagnosisDocument) -> tuple[str, 
 
 
 def _unsure(document: DiagnosisDocument) -> tuple[str, ...]:
-    """Effects that a diagnosis names, and that are not confirmed."""
+    """Named but unconfirmed effects of a diagnosis."""
     named = filter(None, map(document.effect, document.named))
     return tuple(effect.name for effect in named if effect.verdict != CONFIRMED)
 

@@ -183,7 +183,7 @@ class WantedTrials:
 
 
 def _lacks_nothing(document: DiagnosisDocument, p_value: float | None) -> bool:
-    """Whether no effect is suspected, and the error, of this p-value, is that of a right model."""
+    """Whether no effect is suspected and the error is consistent with a right model."""
     if document.verdict == SMALL:
         return True
     return document.verdict == NOTHING and not document.suspected and (p_value is None or p_value >= SIGNIFICANT)
@@ -295,7 +295,7 @@ def added(rounds: Sequence[Round]) -> set[str]:
 
 
 def laws_added(rounds: Sequence[Round]) -> tuple[str, ...]:
-    """Those of them that a discovery proposed."""
+    """Added laws that a discovery proposed."""
     laws = {law.name for one in rounds if one.discovery is not None for law in one.discovery.laws}
     proposed = (one for one in reversed(_additions(rounds)) if one.source == "discovery.json")
     return tuple(name for one in proposed for name in one.add if name in laws)

@@ -41,7 +41,7 @@ KIND_WORDS = {
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Values in the place of those of the robot facts.
+    """User thresholds that replace those of the robot facts.
 
     Attributes:
         velocity_jump: Of every joint [rad/s]; None: that of the facts.

@@ -55,7 +55,7 @@ class LimitTask:
         x: How far the hit is moved along x [m].
         z: How far it is moved upwards [m].
         thresholds: In the place of those of the robot facts.
-        draws: Of what is not known exactly.
+        draws: Draws of the uncertain parameters.
     """
 
     scenario: Scenario

@@ -95,7 +95,7 @@ class ArmSet:
 
     @property
     def half_interval(self) -> float | None:
-        """Larger half of its 95 % interval [m/s]; None where there is none."""
+        """Larger half of its 95 % interval [m/s]; None if unavailable."""
         interval = self.fit.interval
         return None if interval is None else max(abs(bound - self.fit.estimate) for bound in interval)
 
@@ -128,7 +128,7 @@ class ExperimentSet:
         predictions: Predictions by motor-inertia model for the first contact, signed along the axis.
         predictions_settled: The same for the settled contact.
         prediction_interval: 95 % interval of the nominal prediction (B_theta, first contact) from the uncertainties
-            that the scenario states, signed along the axis, low then high [m/s]; None where there is none.
+            that the scenario states, signed along the axis, low then high [m/s]; None if unavailable.
         ante_velocity: Ante-impact velocity, signed along the axis [m/s]; NaN where it is not known.
         published: Row of the paper with the same robot, object and velocity; None if there is none.
         arms: Results by arm, if there are several.

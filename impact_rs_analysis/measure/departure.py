@@ -83,7 +83,7 @@ class ObjectLeft:
 
     @property
     def words(self) -> str:
-        """What the trials show, and what the prediction assumes."""
+        """Text of the observation and of the assumption of the prediction."""
         known = "goes on together" if self.predicted == 0.0 else f"parts with a restitution of {self.predicted:g}"
         return (
             f"the object leaves the pad of {self.arm} in {self.trials} of {self.of} trials: up to "

@@ -82,7 +82,7 @@ class ExportedScene:
 
         Raises:
             InputError: The model does not fit the arms, there is no such motor inertia, an arm has no compliant pad,
-                or the physics are those of no body.
+                or a body is physically inconsistent.
         """
         physics = model.apply(scene.physics)
         check_physics(physics)

@@ -30,8 +30,8 @@ from impact_rs_sim.robot import Array, JointType
 if TYPE_CHECKING:
     from impact_rs_sim.proportion import Proportion
 
-# Parameters per joint have the units and ranges of a joint that turns. One that slides has those of a joint behind a
-# pinion of this radius: by the unit that turns, the unit that slides, and the factor of the range.
+# Parameters per joint have units and ranges of a revolute joint. A prismatic joint has those behind a
+# pinion of this radius: revolute unit -> prismatic unit, and the factor of the range.
 PINION_RADIUS_M = 0.05  # m
 PRISMATIC_UNITS = {
     "N m": ("N", 1.0 / PINION_RADIUS_M),
@@ -75,8 +75,8 @@ class Parameter:
         grid: Starting values of a shape parameter.
         far: Starting values for a second fit after a poor one, where the contact state changes on the way.
         hidden: Range of values in blind campaigns; None: some scales away from nominal.
-        prior: Standard deviation of what is known before the data, about nominal; None: next to nothing. A parameter
-            with a prior may be missing in a model: it is nominal then.
+        prior: Prior standard deviation about nominal; None: weakly informative. A parameter with a prior may be missing
+            in a model: it is nominal then.
         joint: Joint of a scalar, counted from 0; None: the effect as a whole.
         arm: Arm that it belongs to; empty: all arms share it.
     """
@@ -315,7 +315,7 @@ class Effect(ABC):
 
     @property
     def identity(self) -> str:
-        """Digest of what the effect computes: its class, name, parameters and the source of its module.
+        """Digest of class, name, parameters and module source of the effect.
 
         Cached results of twin runs depend on it, because a user-defined effect changes during its development.
         """
@@ -358,7 +358,7 @@ class ArmEffect(Effect):
 
 @dataclass(frozen=True)
 class SceneEffect(Effect):
-    """An effect that changes what is around the arms; attributes as in :class:`Effect`.
+    """An effect on the surroundings of the arms; attributes as in :class:`Effect`.
 
     Attributes:
         law: The physics with the effect, from the physics without it and the values as in :meth:`Effect.apply`.

@@ -144,7 +144,7 @@ class Depending(Effect):
 
     @property
     def shown_name(self) -> str:
-        """See :attr:`Effect.shown_name`: that of the effect; how it depends is shown apart."""
+        """See :attr:`Effect.shown_name`: name of the effect; the dependence is shown separately."""
         return self.effect.shown_name
 
     def apply(self, physics: Physics, values: Values) -> Physics:

@@ -16,9 +16,9 @@ its second moments of mass become D (tr(I)/2 1 - I) D, those of a body for any I
 
 Torque is linear in the inertial parameters of the links, and depends on combinations of them only. Of link i behind a
 joint that turns about its z, the mass, m z and the moment about y can be moved into link i-1 (Gautier and Khalil 1990,
-direct calculation of minimum inertial parameters, eq. 21). So what is fitted of a link is where its centre lies across
-the axis (:data:`LINK_COM`) and the moment of inertia about the axis (:data:`LINK_INERTIA`), or else its mass with the
-centre as it is (:data:`LINK_MASS`), which stands for the same combinations with fewer numbers.
+direct calculation of minimum inertial parameters, eq. 21). Fitted are therefore the base parameters of a link: its
+centre of mass across the axis (:data:`LINK_COM`) and the moment of inertia about the axis (:data:`LINK_INERTIA`), or
+else its mass with a fixed centre (:data:`LINK_MASS`), which changes the same combinations with fewer numbers.
 """
 
 from __future__ import annotations
