@@ -27,6 +27,7 @@ from impact_rs_sim.robot import Array
 
 SLACK_WEIGHT = 1e6  # cost of a squared violation, relative to that of a squared task error
 QP_ACCURACY = 1e-9  # ProxQP's eps_abs, absolute tolerance of its residuals
+# Of the program with slack: at most 25 were observed in fast motion; far outside the bounds there is no limit.
 MAX_RELAXED_ITERATIONS = 50
 
 

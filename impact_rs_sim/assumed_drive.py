@@ -23,7 +23,7 @@ from impact_rs_sim.scenario import DriveNumber
 # Of a Franka arm: B_rho and K over the torque limit of its large joints, B_theta over B_rho.
 ROTOR_INERTIA = 0.6 / 87.0  # kg m^2 / (N m)
 STIFFNESS_PER_TORQUE = 14000.0 / 87.0  # N m/rad / (N m)
-REDUCED = 1.0 / 3.0
+REDUCED = 1.0 / 3.0  # [-]
 MAX_STIFFNESS_NM_RAD = 14000.0  # N m/rad, of a Franka arm's large joints; gears of stronger joints are not much stiffer
 DAMPING_OVER_STIFFNESS_S = 12.0 / 14000.0  # s
 FRANKA_SPEED_LIMIT_RAD_S = 2.175  # rad/s, of the joint whose drive is scaled

@@ -18,7 +18,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState
 from impact_rs_sim.twin import rests
 
-MAX_SOLVER_ITERATIONS = 60
+MAX_SOLVER_ITERATIONS = 60  # per step of Bullet
 MAX_SOLVER_RESIDUAL = 1e-9  # largest squared change of a constraint row at which Bullet's solver stops
 
 

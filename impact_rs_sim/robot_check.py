@@ -22,7 +22,7 @@ from impact_rs_sim.scenario import ASSUMED_MOTOR_INERTIA, Robot, Scenario
 
 Outcome = Literal["ok", "warning", "failed"]
 
-SAMPLED_CONFIGURATIONS = 100
+SAMPLED_CONFIGURATIONS = 100  # uniform within the joint limits
 SEED = 0
 MAX_ENGINE_DIFFERENCE = 1e-6  # over the largest entry of M [-]; Bullet reads parts of a URDF in single precision
 TRIANGLE_INEQUALITY_TOLERANCE = 1e-3  # by which published, rounded moments may miss the triangle inequality [-]

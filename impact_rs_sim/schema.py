@@ -76,10 +76,10 @@ PositiveVector3 = Annotated[Vector3, _check(lambda value: value > 0.0, "> 0")]
 
 
 MAX_TEXT_LENGTH = 2_000_000  # characters; a friction compensation, the largest file, has 200,000
-MAX_NODES = 200_000
-MAX_DEPTH = 40
+MAX_NODES = 200_000  # scalars, lists and mappings of a file
+MAX_DEPTH = 40  # levels of nesting; a scenario has fewer than ten
 MAX_NUMBER_LENGTH = 100  # characters of a number, and of every other value that is not text
-MAX_KEY_LENGTH = 200
+MAX_KEY_LENGTH = 200  # characters
 _MAPPING, _SEQUENCE = yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, yaml.resolver.BaseResolver.DEFAULT_SEQUENCE_TAG
 _TEXT = yaml.resolver.BaseResolver.DEFAULT_SCALAR_TAG
 

@@ -22,7 +22,7 @@ from impact_rs_analysis.limits.hit_bounds import KINDS
 from impact_rs_sim.errors import Infeasible
 from impact_rs_sim.robot import Array
 
-HOLD_PROBABILITY = 0.99
+HOLD_PROBABILITY = 0.99  # share of the draws in which all bounds hold
 SPEED_TOLERANCE = 0.01  # relative change of the speed that ends the search
 MAX_SIMULATED_SPEEDS = 5  # speeds that are simulated at most
 MIN_STABLE_SHARE = 0.9  # of the draws

@@ -40,7 +40,7 @@ from impact_rs_trials.workers import Map
 ROBOTS = ("franka_fer", "franka_fr3", "kinova_gen3", "kuka_iiwa7", "ur5e", "ur10e")
 MOTOR_INERTIAS = ("reduced", "rotor")
 MOTOR_INERTIA_STEP = 0.05  # of B, relative
-CONFIDENCE_LEVEL = 0.95
+CONFIDENCE_LEVEL = 0.95  # of intervals and ranks
 ARM_NAME = "arm"
 MAX_TRIES_PER_POSE = 60  # random positions
 

@@ -25,8 +25,8 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.schema import parse_yaml
 
 ROTOR_SCALE = 3.0  # B_rho / B_theta, paper sec. Experimental setup; 2.99 for joints 5 to 7
-SCALE_GRID = np.linspace(0.0, ROTOR_SCALE, 3001)
-BOOTSTRAP_RESAMPLES = 2000
+SCALE_GRID = np.linspace(0.0, ROTOR_SCALE, 3001)  # s of the search, in steps of 0.001
+BOOTSTRAP_RESAMPLES = 2000  # of rows
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ from impact_rs_analysis.report.page import (
 from impact_rs_analysis.report.plots import scatter_plot, signals_plot, tracks_plot, where_plots
 
 MIN_NAMED_SCORE = 1.3  # in multiples of noise; below this score no label is named
-MAX_LISTED_PLACES = 8
+MAX_LISTED_PLACES = 8  # rows of the table of worst residuals
 
 
 @dataclass(frozen=True)

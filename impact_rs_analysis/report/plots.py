@@ -38,7 +38,7 @@ DIVERGING_COLOURS = [
     [0.8, "#67A9CF"],
     [1.0, "#2166AC"],
 ]
-MAX_SHOWN_EFFECTS = 12
+MAX_SHOWN_EFFECTS = 12  # bars of the figure
 MIN_LOG_AXIS_RATIO = 10.0  # largest over smallest value, from which an axis is logarithmic
 MIN_SHOWN_RATIO = 2.0  # residual over repeatability, from which a cell above its relevance limit is shown
 

@@ -34,7 +34,7 @@ import scipy
 
 from impact_rs_sim.robot import Array
 
-CONFIDENCE_LEVEL = 0.95
+CONFIDENCE_LEVEL = 0.95  # of pooled intervals
 MAX_HETEROGENEITY_P = 0.05  # up to this p of Q, a residual uses tau of the others
 
 
