@@ -12,7 +12,7 @@ from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY
 from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.following.follow import Follower
-from impact_rs_analysis.following.hits import BagDoor, Door, TableDoor
+from impact_rs_analysis.following.hits import BagHitSource, HitSource, TableHitSource
 from impact_rs_analysis.following.lessons import HitDocument
 from impact_rs_analysis.following.state import restore_state, save_state
 from impact_rs_cli.full_diagnosis import FullDiagnosis
@@ -70,8 +70,8 @@ def calibration_of_hits(hits: HitsArguments) -> LaboratoryCalibration:
     return calibration_of(hits.where, hits.calibration)
 
 
-def door_of(hits: HitsArguments, model: Model) -> Door:
-    """The door through which hits come.
+def hit_source_of(hits: HitsArguments, model: Model) -> HitSource:
+    """Source of hits.
 
     Args:
         hits: Where they come from.
@@ -86,13 +86,13 @@ def door_of(hits: HitsArguments, model: Model) -> Door:
             option = "--scenario" if hits.scenario is not None else "--contact-tolerance"
             raise InputError(f"{option} goes with --impacts only: trials contain their scenario")
         store = ReplayCache(map)
-        return BagDoor(hits.where.absolute(), model, store, NO_DISCREPANCY if hits.exact else None)
+        return BagHitSource(hits.where.absolute(), model, store, NO_DISCREPANCY if hits.exact else None)
     if hits.tolerance is not None and not hits.tolerance >= 0.0:
         raise InputError("expected a distance >= 0 m", key="--contact-tolerance", value=hits.tolerance)
     scenario = None if hits.scenario is None else load_scenario(hits.scenario)
     tolerance = GAP_TOLERANCE if hits.tolerance is None else hits.tolerance
     discrepancy = NO_MAP_DISCREPANCY if hits.exact else None
-    return TableDoor(lambda: read_impact_table(table, scenario, tolerance=tolerance), model, discrepancy)
+    return TableHitSource(lambda: read_impact_table(table, scenario, tolerance=tolerance), model, discrepancy)
 
 
 class FollowedHits:
@@ -161,7 +161,7 @@ class FollowedHits:
 
     def _handled(self) -> None:
         self._taken += 1
-        if self._taken % SAVED == 0 or not self.follower.door.waiting:
+        if self._taken % SAVED == 0 or not self.follower.hit_source.waiting:
             self.save()
 
 

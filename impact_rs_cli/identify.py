@@ -14,8 +14,8 @@ from impact_rs_cli.following import (
     HitsArguments,
     calibration_of_hits,
     diagnose_options,
-    door_of,
     folder_of_diagnoses,
+    hit_source_of,
 )
 from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_ros.identify_node import Identifier, IdentifyNode, Lesson
@@ -72,7 +72,7 @@ class Lessons:
 
     def _refusals(self) -> Iterator[Lesson]:
         """What gave no hit since the last call."""
-        for name, reason in self._followed.follower.door.newly_skipped().items():
+        for name, reason in self._followed.follower.hit_source.newly_skipped().items():
             document = RefusedHit(hit=name, reason=reason).model_dump_json()
             yield Lesson(f"{name}: {reason}", refused=document, hit=False)
 
@@ -105,7 +105,7 @@ class Identify(IdentifyNode):
         folder = self.parameter("diagnoses")
         state = Path(state) if state else None
         diagnosis = FullDiagnosis(diagnose_options(hits), folder_of_diagnoses(Path(folder) if folder else None, state))
-        follower = Follower(door_of(hits, model), model)
+        follower = Follower(hit_source_of(hits, model), model)
         return Lessons(
             FollowedHits(hits, follower, state, diagnosis if self.parameter("diagnose") else None), diagnosis
         )

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits of a real arm: is a measured state possible, and may a torque be sent?
+"""Limits of a real arm: plausibility of measured states, and limits and rate of commanded torques.
 
-A state or torque beyond a limit is named, and the caller stops the arm. The rate of a torque is limited instead:
+A state or torque beyond a limit is reported, and the caller stops the arm. The torque rate is limited instead:
 
     |tau_k - tau_(k-1)| <= rate (t_k - t_(k-1))
 
@@ -17,12 +17,12 @@ import numpy as np
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 
-ROUNDING = 1e-6  # N m, that a torque at its limit may be beyond it
-MEASURED = 5.0  # torque limits, that a joint may measure: sensors on the link side see the peak of an impact
+TORQUE_ROUNDING_NM = 1e-6  # by which a torque at its limit may exceed it
+MAX_MEASURED_TORQUE_RATIO = 5.0  # measured torque over torque limit; link-side sensors see the peak of an impact
 
 
 def state_complaint(model: RobotModel, joints: Sequence[str], position: Array, velocity: Array, torque: Array) -> str:
-    """Which joint is beyond its limits, and how far; empty: none.
+    """Joint beyond its limits, and by how much; empty if all are within.
 
     Args:
         model: The arm.
@@ -39,32 +39,32 @@ def state_complaint(model: RobotModel, joints: Sequence[str], position: Array, v
     for index in np.flatnonzero(~(np.abs(velocity) <= model.velocity_max)).tolist():
         unit = model.facts.units[index].velocity
         return f"{joints[index]} at {velocity[index]:.4g} {unit}, limit {model.velocity_max[index]:.4g} {unit}"
-    for index in np.flatnonzero(~(np.abs(torque) <= MEASURED * model.torque_max)).tolist():
+    for index in np.flatnonzero(~(np.abs(torque) <= MAX_MEASURED_TORQUE_RATIO * model.torque_max)).tolist():
         unit, limit = model.facts.units[index].effort, model.torque_max[index]
-        most = f"more than {MEASURED:g} times its limit of {limit:.4g} {unit}"
+        most = f"more than {MAX_MEASURED_TORQUE_RATIO:g} times its limit of {limit:.4g} {unit}"
         return f"{joints[index]} measures {torque[index]:.4g} {unit}, {most}"
     return ""
 
 
 def torque_complaint(model: RobotModel, joints: Sequence[str], torque: Array) -> str:
-    """Which joint is asked for more than it may give; empty: none.
+    """Joint whose commanded torque exceeds its limit; empty if all are within.
 
     Args:
         model: The arm.
         joints: Names of its joints.
         torque: With gravity, ``(n,)`` [N m].
     """
-    for index in np.flatnonzero(~(np.abs(torque) <= model.torque_max + ROUNDING)).tolist():
+    for index in np.flatnonzero(~(np.abs(torque) <= model.torque_max + TORQUE_ROUNDING_NM)).tolist():
         unit = model.facts.units[index].effort
         return f"torque of {torque[index]:.4g} {unit} for {joints[index]}, limit {model.torque_max[index]:.4g} {unit}"
     return ""
 
 
 def rate_limited(torque: Array, before: Array, largest_change: float) -> Array:
-    """The torque nearest to the wanted one that may follow the last one, ``(n,)`` [N m].
+    """Rate-limited torque: the nearest to ``torque`` within the rate, ``(n,)`` [N m].
 
     Args:
-        torque: Wanted, ``(n,)`` [N m].
+        torque: Desired, ``(n,)`` [N m].
         before: Commanded last, ``(n,)`` [N m].
         largest_change: Rate times the time since then [N m].
     """

@@ -74,7 +74,7 @@ def make_plant(
         seed: Seed of scatter and noise.
         physics: True physics; None: the scenario's.
         extension: Effects of the plant beyond its physics; of Bullet only.
-        simulator: Which one moves it.
+        simulator: Simulator of its mechanics.
     """
     scene = plan.scene
     return Plant.for_trial(
@@ -89,7 +89,7 @@ def make_plant(
 
 
 def ran_away(plan: TrialPlan, measured: Mapping[str, ArmMeasurement], torques: Mapping[str, Array]) -> bool:
-    """Whether a trial has to end: a joint beyond ``RUNAWAY`` times its speed limit, or a value that is not finite.
+    """Whether the trial must stop: a joint beyond ``RUNAWAY`` times its speed limit, or a value that is not finite.
 
     Args:
         plan: The trial.

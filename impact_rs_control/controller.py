@@ -31,11 +31,11 @@ another sign before k_theta, which would turn the pad away from R_d.
     H = A^T W A + eps 1,      g = -A^T W b
 
 within the limits of position, velocity and torque (paper eqs. const_q, const_dq, const_tau). The last rows of A and b
-slow down all joints, and are there only where the tasks leave joints over, 6 + k < n.
+damp all joints; they exist only for a redundant arm, 6 + k < n.
 
-**5. Torque** (paper eq. eom_ante): tau_d = (M + B_theta) ddq + h. Where the QP has failed, because a number is not
-finite, the arm is braked on its state (:mod:`impact_rs_control.fallback`); a state that is not finite leaves the weight
-of the arm at the last position that was.
+**5. Torque** (paper eq. eom_ante): tau_d = (M + B_theta) ddq + h. If the QP has failed, because a number is not finite,
+the arm is braked from its state (:mod:`impact_rs_control.fallback`); with a state that is not finite, the gravity
+torque at the last finite position is commanded.
 
 **6. Measure** (paper eq. a_fb_net): the net feedback is the integral of a_fb from t_1 to t_2.
 
@@ -61,7 +61,7 @@ from impact_rs_sim.robot_model import RigidTerms, RobotModel
 from impact_rs_sim.scenario import Gains, Scenario
 from impact_rs_sim.sensors import ArmMeasurement
 
-IDLE_WEIGHT = 1e-4  # of standing still, in joints that no task needs, against that of the tasks
+IDLE_TASK_WEIGHT = 1e-4  # of standing still over the weight of a task, for joints that no task needs [-]
 
 
 class Mode(IntEnum):
@@ -92,7 +92,7 @@ class ImpactDetection:
 
 
 @dataclass(frozen=True)
-class Watched:
+class TickObservation:
     """Result of the first half of a control tick.
 
     Attributes:
@@ -106,7 +106,7 @@ class Watched:
 
 @dataclass(frozen=True)
 class ArmCommand:
-    """Output of the controller for one arm in one tick.
+    """Command of the controller to one arm in one tick.
 
     Attributes:
         torque: Desired torque tau_d, ``(n,)`` [N m].
@@ -165,10 +165,10 @@ class ArmController:
         self._interim_ticks = control.interim_duration / timing.control_period
         self._interim_from: int | None = None
         held = len(plan.posture)
-        # Where joints are left over, nothing but this keeps them from drifting.
+        # Redundant joints would drift without this.
         idle = 6 + held < model.joint_count
         sizes = (3, 3, held, model.joint_count if idle else 0)
-        weights = (gains.position_weight, gains.orientation_weight, gains.posture_weight, IDLE_WEIGHT)
+        weights = (gains.position_weight, gains.orientation_weight, gains.posture_weight, IDLE_TASK_WEIGHT)
         self._weights = np.repeat(weights, sizes)
         self._law = _kernel.TaskLaw(
             motor_inertia,
@@ -186,7 +186,7 @@ class ArmController:
         self._net = np.zeros(3)
         self.detection: ImpactDetection | None = None
 
-    def watch(self, tick: int, measured: ArmMeasurement) -> Watched:
+    def watch(self, tick: int, measured: ArmMeasurement) -> TickObservation:
         """First half of a control tick: look for the impact of this arm.
 
         Args:
@@ -194,15 +194,15 @@ class ArmController:
             measured: Measured state of the arm.
         """
         terms = self._model.terms(measured.position, measured.velocity)
-        return Watched(terms, self._detect(tick * self._period, measured, terms))
+        return TickObservation(terms, self._detect(tick * self._period, measured, terms))
 
     def begin_interim(self, tick: int) -> None:
         """Leave the ante mode: some arm has hit; later calls change nothing."""
         if self._interim_from is None:
             self._interim_from = tick
 
-    def command(self, tick: int, measured: ArmMeasurement, watched: Watched) -> ArmCommand:
-        """Second half of a control tick: decide; arguments as for :meth:`watch`, and what it answered."""
+    def command(self, tick: int, measured: ArmMeasurement, watched: TickObservation) -> ArmCommand:
+        """Second half of a control tick: compute the command; arguments as for :meth:`watch`, and its result."""
         now = tick * self._period
         q, dq, terms = measured.position, measured.velocity, watched.terms
         mode, gamma = self._mode(tick)
@@ -235,7 +235,7 @@ class ArmController:
         )
 
     def _brake(self, q: Array, dq: Array) -> Array:
-        """Torque without an answer of the QP."""
+        """Fallback torque if the QP failed."""
         if np.isfinite(q).all() and np.isfinite(dq).all():
             return holding_torque(self._model, self._motor_inertia, q, dq)
         return self._model.gravity_torque(self._position)

@@ -10,16 +10,16 @@ the residual to a wrench at the end effector,
 
     w = (J M^-1 J^T)^-1 J M^-1 r,      F = -n . w_lin - F_slow,      dF_slow/dt = F / T while F is below the threshold
 
-with n the direction of the ante-impact velocity. A slow force, as a wrong payload causes, is thus taken out with the
-time constant T, and an impact is detected when F exceeds the threshold. The integral and F_slow advance by the control
-period (explicit Euler) in ``src/control.cpp``.
+with n the direction of the ante-impact velocity. A slow force, as from a wrong payload, is thus removed by a high-pass
+filter with the time constant T; an impact is detected when F exceeds the threshold. The integral and F_slow advance by
+the control period (explicit Euler) in ``src/control.cpp``.
 
-Near a singular pose this inverse turns noise of the residual into hundreds of newtons. So the rows of J are taken in
-turn, the force along n first, then the forces across it, then the moments, and a row that those before it explain is
-left out (:func:`separable_wrench`). A contact force f against the approach, r = -J_lin^T n f, is then f in every pose
-in which E can move along n. Where nothing else can be separated, F is the scalar projection with the effective mass
-along n, (n^T J M^-1 r) / (n^T J M^-1 J^T n). Alone, that projection would take a force across n for an impact: 40 N
-along x for 28 N in the pose of ``push``. Where E cannot move along n (n^T J_lin = 0), bearings carry the force, no
+Near a singular pose this inverse amplifies noise of the residual to hundreds of newtons. The rows of J are therefore
+orthogonalised in order, the force along n first, then the forces across it, then the moments, and a linearly dependent
+row is dropped (:func:`separable_wrench`). A contact force f against the approach, r = -J_lin^T n f, is then f in every
+pose in which E can move along n. Where nothing else can be separated, F is the scalar projection with the effective
+mass along n, (n^T J M^-1 r) / (n^T J M^-1 J^T n). Alone, that projection would take a force across n for an impact: 40
+N along x for 28 N in the pose of ``push``. Where E cannot move along n (n^T J_lin = 0), bearings carry the force, no
 joint feels it, and F is 0; nor can the arm approach along n there.
 """
 
@@ -33,15 +33,15 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RigidTerms, RobotModel
 from impact_rs_sim.scenario import Detection
 
-BASELINE_TIME = 0.05  # s, time constant of the slow part of the residual
+BASELINE_TIME_S = 0.05  # time constant of the slow part of the residual
 
 
 def separable_wrench(jacobians: Array, masses: Array, torques: Array) -> Array:
     """Wrench at E from external joint torques, (J M^-1 J^T)^-1 J M^-1 tau, also in and near singular poses.
 
-    Rows of J are taken in turn. A row of which those before it explain all but 2 % (``SEPARABLE``), or that has no
-    leverage (``MOVABLE``, both in ``src/control.hpp``), cannot be separated: its component is 0, and the others explain
-    the torques.
+    Rows of J are orthogonalised in order (Gram-Schmidt in the metric M^-1). A row that is linearly dependent on the
+    rows before it up to 2 % (``SEPARABLE``), or without leverage (``MOVABLE``, both in ``src/control.hpp``), is not
+    separable: its component is 0, and the other components explain the torques.
 
     Args:
         jacobians: J of frame E, ``(k, 6, n)``: three orthonormal linear rows, then three of moments.
@@ -76,7 +76,7 @@ class ImpactDetector:
         period: Control period [s].
 
     Attributes:
-        threshold: What the sudden force has to exceed [N].
+        threshold: Threshold of the sudden force [N].
     """
 
     def __init__(self, model: RobotModel, settings: Detection, direction: Array, period: float) -> None:
@@ -87,7 +87,7 @@ class ImpactDetector:
             settings.observer_gain,
             period,
             settings.threshold,
-            period / BASELINE_TIME,
+            period / BASELINE_TIME_S,
             direction,
         )
 

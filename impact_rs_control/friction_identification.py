@@ -5,11 +5,12 @@
 
 and likewise for orientation and joint 1, which the paper leaves to feedback. Seven tasks move seven joints, so all of
 the friction is fed forward, and the pad has the orientation at impact that the impact map assumes. Feedback lags behind
-the friction that it compensates; the remainder is therefore identified again with the first result fed forward.
+the friction that it compensates; the remainder is therefore identified in further rounds, with the earlier result fed
+forward.
 
 A run has one arm and no object, and stays in one mode. The post-impact controller starts from rest on its own
-reference: in a run with impact, the error of the predicted velocity jump would be identified as friction and removed
-from the net feedback, which is to measure it.
+reference: a run with impact would identify the error of the predicted velocity jump as friction, and remove it from the
+net feedback that measures this error.
 """
 
 from __future__ import annotations
@@ -35,10 +36,10 @@ from impact_rs_sim.seeds import seed_of
 
 Phase = Literal["ante", "post"]
 
-PERIOD = 0.01  # s; feedback of a loop with k_p = 200 / s^2 follows nothing faster than some 70 ms
-TURNS = 3  # of identification, each with the feedforward of those before; see docs/physics.md
-OUT_OF_REACH = np.array([100.0, 0.0, 0.0])  # m
-RESOLUTION = 5  # digits behind the point [m/s^2, rad/s^2], far below the noise
+SAMPLE_PERIOD_S = 0.01  # feedback with k_p = 200 / s^2 follows nothing faster than some 70 ms
+IDENTIFICATION_ROUNDS = 3  # each with the feedforward of those before; see docs/physics.md
+OUT_OF_REACH_M = np.array([100.0, 0.0, 0.0])  # position of an object that no arm meets
+ACCELERATION_DECIMALS = 5  # digits after the point [m/s^2, rad/s^2], far below the noise
 
 
 def identify_arm(scene: Scene, arm: str, runs: int, seed: int, effects: Model | None = None) -> ArmFriction:
@@ -47,7 +48,7 @@ def identify_arm(scene: Scene, arm: str, runs: int, seed: int, effects: Model | 
     Args:
         scene: Scenario, object and case; a friction compensation of the scenario is ignored.
         arm: Name of the arm.
-        runs: Runs to average, for each controller and turn.
+        runs: Runs to average, for each controller and round.
         seed: Seed of scatter and noise; the same seed gives the same result.
         effects: Effects of the plant beyond the scenario; None: none.
 
@@ -56,7 +57,7 @@ def identify_arm(scene: Scene, arm: str, runs: int, seed: int, effects: Model | 
     """
     if scene.scenario.excursion is not None:
         raise InputError(
-            f"scenario {scene.scenario.name!r} hits nothing: it has no net feedback that friction could spoil"
+            f"scenario {scene.scenario.name!r} hits nothing: it has no net feedback that friction could bias"
         )
     if posture_of(scene, arm) != [0]:
         raise InputError(
@@ -72,19 +73,19 @@ def identify_arm(scene: Scene, arm: str, runs: int, seed: int, effects: Model | 
     for phase in get_args(Phase):
         motion = _free_motion(plan, arm, phase)
         total: Array | float = 0.0
-        for turn in range(TURNS):
+        for turn in range(IDENTIFICATION_ROUNDS):
             name = f"{scene.object_name}__{scene.case_name}__{arm}__{phase}__t{turn}"
             seeds = [seed_of(seed, f"{name}__r{run}") for run in range(runs)]
             feedback = np.mean([run_free_motion(motion, arm, phase, physics, each) for each in seeds], axis=0)
-            total = total + _binned(feedback, sample_every(scene.scenario))
-            found[phase] = AccelerationSamples.of(np.round(total, RESOLUTION))
+            total = total + _decimated(feedback, sample_every(scene.scenario))
+            found[phase] = AccelerationSamples.of(np.round(total, ACCELERATION_DECIMALS))
             motion = _fed_forward(motion, arm, phase, found[phase])
     return ArmFriction(**found)
 
 
 def sample_every(scenario: Scenario) -> int:
     """Control periods in one period of the identified samples."""
-    return max(1, round(PERIOD / scenario.timing.control_period))
+    return max(1, round(SAMPLE_PERIOD_S / scenario.timing.control_period))
 
 
 def sample_period(scenario: Scenario) -> float:
@@ -106,7 +107,7 @@ def run_free_motion(plan: TrialPlan, arm: str, phase: Phase, physics: Physics, s
     controller = Controller(plan).arms[arm]
     if phase == "post":
         interim = math.ceil(scenario.control.interim_duration / scenario.timing.control_period)
-        controller.begin_interim(-interim)  # an impact so long ago that the interim mode is over
+        controller.begin_interim(-interim)  # impact long ago: the interim mode is over
     alone = replace(physics, arms={arm: physics.arms[arm]})
     plant = make_plant(plan, seed, alone, simulator="twin")  # in free motion both simulators are equal
     feedback = np.empty((scenario.timing.ticks + 1, len(TASKS)))
@@ -124,7 +125,7 @@ def run_free_motion(plan: TrialPlan, arm: str, phase: Phase, physics: Physics, s
 
 
 def _free_motion(plan: TrialPlan, arm: str, phase: Phase) -> TrialPlan:
-    """The part of a trial's plan that one arm runs alone: two would meet where the object was."""
+    """Plan of one arm alone: two arms would collide where the object was."""
     scene, own = plan.scene, plan.arms[arm]
     if phase == "post":
         timing, times = scene.scenario.timing, tick_times(scene)
@@ -136,18 +137,18 @@ def _free_motion(plan: TrialPlan, arm: str, phase: Phase) -> TrialPlan:
             wrench=np.zeros_like(own.wrench),
             initial=initial_position(scene, arm, own.orientation[0], position, own.posture, posture),
         )
-    away = replace(scene.object, position=scene.object.position + OUT_OF_REACH)
+    away = replace(scene.object, position=scene.object.position + OUT_OF_REACH_M)
     return replace(plan, scene=replace(scene, object=away), arms={arm: own})
 
 
 def _fed_forward(plan: TrialPlan, arm: str, phase: Phase, samples: AccelerationSamples) -> TrialPlan:
-    """A plan with what has been identified so far."""
+    """Plan with the feedforward identified so far."""
     rows, own = samples.at(tick_times(plan.scene), sample_period(plan.scene.scenario)), plan.arms[arm]
     own = replace(own, ante_friction=rows) if phase == "ante" else replace(own, post_friction=rows)
     return replace(plan, arms={arm: own})
 
 
-def _binned(signal: Array, every: int) -> Array:
-    """Means around every ``every``-th sample, ``(k, 7)``; noise goes, friction stays."""
+def _decimated(signal: Array, every: int) -> Array:
+    """Moving average and decimation by ``every``, ``(k, 7)``; removes noise and keeps friction."""
     half = every // 2
     return np.array([signal[max(0, at - half) : at + half + 1].mean(axis=0) for at in range(0, len(signal), every)])

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Do position and velocity that an arm reports belong to one motion?
+"""Consistency check of the positions and velocities that an arm reports.
 
-Two checks over the last WINDOW of states, made for every joint:
+Two checks per joint over the window w = ``WINDOW_S``:
 
-    |q(t) - q(t - WINDOW) - integral of dq| <= LAG dq_max             position and velocity agree
-    q and dq unchanged for WINDOW  =>  torque varied <= STIR tau_max    a sensor that stands still is not driven
+    |q(t) - q(t - w) - integral of dq| <= T_lag dq_max     position and velocity agree
+    q and dq unchanged for w  =>  torque varies <= r tau_max   a frozen sensor of a joint that is not driven
 
-The first finds positions that jump and sensors of velocity that are stuck; it allows for a velocity that is filtered
-or differentiated and so late by LAG. The second finds encoders that are frozen although messages keep coming. Both
-scale with the limits of the joint, not with an absolute angle.
+The first finds position jumps and stuck velocity sensors; it allows for a filtered or differentiated velocity, delayed
+by T_lag = ``MAX_VELOCITY_LAG_S``. The second finds frozen encoders behind live messages, r = ``FROZEN_TORQUE_RATIO``.
+Both scale with the limits of the joint, not with an absolute angle.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ import numpy as np
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 
-WINDOW = 0.1  # s
-LAG = 0.01  # s
-STIR = 0.05  # of the torque limit
+WINDOW_S = 0.1  # s
+MAX_VELOCITY_LAG_S = 0.01  # s
+FROZEN_TORQUE_RATIO = 0.05  # variation of the torque over the torque limit [-]
 
 
 class MotionMonitor:
-    """Watches the states of one arm.
+    """Checks the reported states of one arm.
 
     Args:
         model: The arm.
@@ -38,8 +38,8 @@ class MotionMonitor:
         self._joints = joints
         self._units = [unit.position for unit in model.facts.units]
         self._efforts = [unit.effort for unit in model.facts.units]
-        self._largest_gap = LAG * model.velocity_max
-        self._largest_range = STIR * model.torque_max
+        self._largest_gap = MAX_VELOCITY_LAG_S * model.velocity_max
+        self._largest_range = FROZEN_TORQUE_RATIO * model.torque_max
         self._offsets: deque[tuple[float, Array]] = deque()  # time, position less the integral of velocity
         self._last: tuple[float, Array, Array] | None = None
         self._integral = np.zeros(model.joint_count)
@@ -48,7 +48,7 @@ class MotionMonitor:
         self._least = self._greatest = np.zeros(model.joint_count)
 
     def complaint(self, time: float, position: Array, velocity: Array, torque: Array | None) -> str:
-        """Which joint's signals do not belong together; empty: none. A time that goes back begins anew.
+        """Joint whose signals are inconsistent; empty if all are consistent. A decreasing time resets the monitor.
 
         Args:
             time: When the state was measured [s].
@@ -67,12 +67,12 @@ class MotionMonitor:
         return disagreement or frozen
 
     def _disagreement(self, time: float, position: Array, velocity: Array) -> str:
-        """Position against the integral of velocity (trapezoidal rule)."""
+        """Compare the position with the integral of velocity (trapezoidal rule)."""
         if self._last is not None:
             self._integral = self._integral + 0.5 * (time - self._last[0]) * (velocity + self._last[2])
         offset = position - self._integral
         self._offsets.append((time, offset))
-        while self._offsets[0][0] < time - WINDOW:
+        while self._offsets[0][0] < time - WINDOW_S:
             self._offsets.popleft()
         began, first = self._offsets[0]
         gap = offset - first
@@ -85,7 +85,7 @@ class MotionMonitor:
         return ""
 
     def _frozen(self, time: float, position: Array, velocity: Array, torque: Array | None) -> str:
-        """A joint whose signals stay the same to the last bit while its torque varies."""
+        """Joint with bitwise constant signals under a varying torque."""
         last, led, self._led = self._last, self._led, torque is not None
         if torque is None:
             return ""
@@ -96,7 +96,7 @@ class MotionMonitor:
         self._least = np.where(changed, torque, np.minimum(self._least, torque))
         self._greatest = np.where(changed, torque, np.maximum(self._greatest, torque))
         varied = self._greatest - self._least
-        frozen = (time - self._unchanged_since >= WINDOW) & (varied > self._largest_range)
+        frozen = (time - self._unchanged_since >= WINDOW_S) & (varied > self._largest_range)
         for index in np.flatnonzero(frozen).tolist():
             return (
                 f"{self._joints[index]} reports the same position and velocity for "

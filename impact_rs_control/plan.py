@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the controller shall do in one trial: references, predicted jump, feedforward wrench."""
+"""Plan of one trial: references, predicted velocity jump, feedforward wrench."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from impact_rs_control.references import (
     SampledPath,
     ante_impact_path,
     carry_path,
+    excursion_path,
     post_impact_path,
-    there_and_back_path,
 )
 from impact_rs_sim.clearance import check_clearance, deepest_penetration
 from impact_rs_sim.errors import Infeasible, InputError, UnreachablePose
@@ -27,16 +27,16 @@ from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import Scene
 
 POSE_TASKS = 6  # position and orientation of E
-SAMPLED = 0.01  # m, of the way of E between two poses that are checked against support and ground
-SINGULAR = 1e-3  # of the largest singular value of the tasks; along smaller ones an arm cannot follow
-STANDS = 1e-3  # m/s; what is referred to move more slowly than this is about to stand
-RESTITUTION_TOLERANCE = 0.05  # [-], between impact map and pad; a third of what a damped pad has anyway
+MAX_POSE_SPACING_M = 0.01  # displacement of E between two poses that are checked against support and ground
+TASK_SINGULAR_VALUE_TOLERANCE = 1e-3  # over the largest singular value of the tasks [-]; below, an arm cannot follow
+MIN_REFERENCE_SPEED_M_S = 1e-3  # a slower reference is about to come to rest
+RESTITUTION_TOLERANCE = 0.05  # [-], between impact map and pad; a third of a damped pad's restitution
 LARGEST_SCALE = 3.0  # a reference far beyond the prediction is no test of it, and soon beyond the arm
 
 
 @dataclass(frozen=True)
 class ArmPlan:
-    """What one arm shall do; paths are sampled at the control ticks.
+    """Plan of one arm; paths are sampled at the control ticks.
 
     Attributes:
         ante_position: Ante-impact position reference of E.
@@ -96,7 +96,7 @@ class TrialPlan:
 
     @property
     def expected_lift(self) -> float:
-        """How far the arms shall lift the object they clamp [m]; 0 where it is pushed."""
+        """Planned lift of a clamped object [m]; 0 if it is pushed."""
         if self.scene.scenario.control.clamp_force == 0.0:
             return 0.0
         at_impact = round(self.scene.scenario.timing.nominal_impact / self.scene.scenario.timing.control_period)
@@ -146,8 +146,8 @@ def plan_trial(
         engine: Engine of the impact map; the settled contact has one solver.
 
     Raises:
-        InputError: A scale or motor-inertia model that is none, an arm with fewer than six joints, a restitution that
-            no pad has, or a friction compensation that was not identified for this object and case.
+        InputError: An invalid scale or motor-inertia model, an arm with fewer than six joints, a restitution that
+            differs from the pad's, or a friction compensation not identified for this object and case.
         Infeasible: A start that cannot be reached, or arms that collide with each other, support or ground.
     """
     check_scale(velocity_scale)
@@ -156,7 +156,7 @@ def plan_trial(
     check_joint_counts(scene.scenario)
     if scene.scenario.excursion is not None:
         arms = {name: _plan_excursion(scene, name) for name in scene.arms}
-        _check_surroundings(scene, arms)
+        _check_collisions(scene, arms)
         return TrialPlan(scene, velocity_scale, motor_inertia, None, arms)
     check_restitution(scene)
     check_clearance(scene.models, {name: state.position for name, state in scene.arms.items()}, "at the impact")
@@ -164,11 +164,11 @@ def plan_trial(
     impact = predict_impact(problem, scene.scenario.control.reference_contact, engine)
     arms = {name: _plan_hit(scene, name, impact, velocity_scale) for name in scene.arms}
     check_clearance(scene.models, {name: arm.initial for name, arm in arms.items()}, "at the start")
-    _check_surroundings(scene, arms)
+    _check_collisions(scene, arms)
     return TrialPlan(scene, velocity_scale, motor_inertia, impact, arms)
 
 
-def _check_surroundings(scene: Scene, arms: Mapping[str, ArmPlan]) -> None:
+def _check_collisions(scene: Scene, arms: Mapping[str, ArmPlan]) -> None:
     """Check that no arm touches support or ground on its references, the object's own contacts aside.
 
     Raises:
@@ -176,10 +176,10 @@ def _check_surroundings(scene: Scene, arms: Mapping[str, ArmPlan]) -> None:
     """
     scenario, physics = scene.scenario, scene.physics
     pushed = scenario.excursion is None and scenario.control.clamp_force == 0.0
-    way = np.mean([arm.post_position.position[-1] - _at_impact(scene, arm) for arm in arms.values()], axis=0)
+    displacement = np.mean([arm.post_position.position[-1] - _at_impact(scene, arm) for arm in arms.values()], axis=0)
     for name, arm in arms.items():
         times, positions = _reference_poses(scene, name, arm)
-        found = deepest_penetration(physics, name, positions, scene.object, way if pushed else np.zeros(3))
+        found = deepest_penetration(physics, name, positions, scene.object, displacement if pushed else np.zeros(3))
         if found is None:
             continue
         remedy = f"raise robots.{name}.impact.position, or choose another pose there (pad_normal, pad_up, joint_guess)"
@@ -192,7 +192,7 @@ def _check_surroundings(scene: Scene, arms: Mapping[str, ArmPlan]) -> None:
 
 
 def _at_impact(scene: Scene, arm: ArmPlan) -> Array:
-    """Where the post-impact reference is at T_nom, ``(3,)`` [m]."""
+    """Position of the post-impact reference at T_nom, ``(3,)`` [m]."""
     timing = scene.scenario.timing
     return np.asarray(arm.post_position.position[round(timing.nominal_impact / timing.control_period)])
 
@@ -201,7 +201,8 @@ def _reference_poses(scene: Scene, name: str, arm: ArmPlan) -> tuple[Array, Arra
     """Joint positions along both references, the ante-impact one to its end and the other from T_nom on.
 
     Returns:
-        Times ``(k,)`` [s] and joint positions ``(k, n)`` [rad] of samples between which E moves by ``SAMPLED`` at most.
+        Times ``(k,)`` [s] and joint positions ``(k, n)`` [rad] of samples; E moves at most ``MAX_POSE_SPACING_M``
+        between two.
     """
     model, timing = scene.models[name], scene.scenario.timing
     impact = round(timing.nominal_impact / timing.control_period)
@@ -210,20 +211,22 @@ def _reference_poses(scene: Scene, name: str, arm: ArmPlan) -> tuple[Array, Arra
         (arm.ante_position, arm.ante_posture, 0, arm.initial),
         (arm.post_position, arm.post_posture, impact, scene.arms[name].position),
     ):
-        way = np.linalg.norm(np.diff(path.position[first:], axis=0), axis=1)
-        cells = np.floor(np.cumsum(way) / SAMPLED)
-        ticks = first + np.concatenate(([0], 1 + np.flatnonzero(np.diff(cells)), [len(way)])).astype(int)
+        displacement = np.linalg.norm(np.diff(path.position[first:], axis=0), axis=1)
+        cells = np.floor(np.cumsum(displacement) / MAX_POSE_SPACING_M)
+        ticks = first + np.concatenate(([0], 1 + np.flatnonzero(np.diff(cells)), [len(displacement)])).astype(int)
         for tick in dict.fromkeys(ticks.tolist()):
-            q = _followed(model, q, pin.SE3(arm.orientation[tick], path.position[tick]), arm, posture.position[tick])
+            q = _inverse_kinematics_step(
+                model, q, pin.SE3(arm.orientation[tick], path.position[tick]), arm, posture.position[tick]
+            )
             times.append(tick * timing.control_period)
             rows.append(q)
     return np.array(times), np.array(rows)
 
 
-def _followed(model: RobotModel, q: Array, target: pin.SE3, arm: ArmPlan, posture: Array) -> Array:
-    """Joint positions near ``q`` with E at a target and the joints of the posture task where they shall be, ``(n,)``.
+def _inverse_kinematics_step(model: RobotModel, q: Array, target: pin.SE3, arm: ArmPlan, posture: Array) -> Array:
+    """Joint positions near ``q`` with E and the posture joints at their targets, ``(n,)``.
 
-    Two steps of the Gauss-Newton method; where the tasks leave joints over, or cannot be met, the shortest.
+    Two Gauss-Newton steps of least norm (pseudo-inverse) for redundant or infeasible tasks.
     """
     held = list(arm.posture)
     for _ in range(2):
@@ -231,15 +234,15 @@ def _followed(model: RobotModel, q: Array, target: pin.SE3, arm: ArmPlan, postur
         turn = place.rotation @ pin.log3(place.rotation.T @ target.rotation)
         missing = np.concatenate((target.translation - place.translation, turn, posture - q[held]))
         tasks = np.vstack((model.jacobian(q), np.eye(model.joint_count)[held]))
-        q = q + np.linalg.lstsq(tasks, missing, rcond=SINGULAR)[0]
+        q = q + np.linalg.lstsq(tasks, missing, rcond=TASK_SINGULAR_VALUE_TOLERANCE)[0]
     return q
 
 
 def check_restitution(scene: Scene) -> None:
-    """Check that the pads of a trial have the restitution that its references are made from.
+    """Check that pads and impact map of a trial have the same coefficient of restitution.
 
-    A restitution of 0 fits every pad: one that goes on pushing ends a series of bounces where a single inelastic impact
-    ends (paper sec. Single-arm hit-and-push scenario).
+    A restitution of 0 fits every pad: under a continued push a series of bounces ends in the state of a single
+    inelastic impact (paper sec. Single-arm hit-and-push scenario).
 
     Raises:
         InputError: A restitution that a pad does not have; says what would give it.
@@ -263,7 +266,7 @@ def check_restitution(scene: Scene) -> None:
 
 
 def check_joint_counts(scenario: Scenario) -> None:
-    """Refuse arms that the controller cannot lead.
+    """Refuse arms with too few joints for the tasks.
 
     Raises:
         InputError: An arm has fewer joints than the pose of its pad has components.
@@ -316,7 +319,7 @@ def _plan_hit(scene: Scene, name: str, impact: ImpactResult, scale: float) -> Ar
 
 
 def _plan_excursion(scene: Scene, name: str) -> ArmPlan:
-    """There and back through free space; ante- and post-impact references are the same."""
+    """Plan of an excursion through free space; ante- and post-impact references are equal."""
     scenario, state = scene.scenario, scene.arms[name]
     excursion, times = scenario.excursion, tick_times(scene)
     assert excursion is not None
@@ -326,7 +329,7 @@ def _plan_excursion(scene: Scene, name: str) -> ArmPlan:
     leg = scenario.excursion_leg(robot)
 
     def path(start: Array, end: Array) -> SampledPath:
-        return there_and_back_path(excursion.begin, leg, excursion.rest, start, end, times)
+        return excursion_path(excursion.begin, leg, excursion.rest, start, end, times)
 
     position = path(pose.translation + np.array(excursion.start), pose.translation + np.array(excursion.end))
     held = posture_of(scene, name)
@@ -410,10 +413,10 @@ def _wrench(scene: Scene, name: str, post: SampledPath) -> Array:
 def _pushing_wrench(scene: Scene, name: str, post: SampledPath) -> Array:
     """Wrench that a pushed object needs to follow the reference across its support.
 
-    In the plane of the support m a_d + mu m g v_d / |v_d|: the object slides where the reference goes, also across n,
-    and friction opposes that. Across n no more than the pad's friction can pass on; nothing where the object would have
-    to be pulled. The force acts at E and the object does not turn, so its moment about the object's centre of mass is
-    made up for, as far as it is one about the vertical: tipping is kept by the support.
+    In the plane of the support f = m a_d + mu m g v_d / |v_d|: the object slides along the reference against friction.
+    The component across n is limited by the friction cone of the pad; a pulling force is 0. The force acts at E and the
+    object shall not rotate, so the vertical moment about its centre of mass is compensated; the support carries the
+    tipping moment.
     """
     physics, mass = scene.physics, scene.physics.object.mass
     normal = scene.scenario.robots[name].impact_placement.rotation[:, 2]
@@ -423,7 +426,7 @@ def _pushing_wrench(scene: Scene, name: str, post: SampledPath) -> Array:
     level = np.eye(3) - np.outer(up, up)
     friction = physics.support_friction * weight if physics.support_height is not None else 0.0
     speed = np.linalg.norm(post.velocity @ level, axis=1, keepdims=True)
-    force = (mass * post.acceleration + friction * post.velocity / np.maximum(speed, STANDS)) @ level
+    force = (mass * post.acceleration + friction * post.velocity / np.maximum(speed, MIN_REFERENCE_SPEED_M_S)) @ level
     pressing = np.maximum(force @ normal, 0.0)
     across = force - np.outer(force @ normal, normal)
     size = np.linalg.norm(across, axis=1)

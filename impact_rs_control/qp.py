@@ -26,9 +26,9 @@ from impact_rs_sim import _kernel
 from impact_rs_sim.robot import Array
 
 SLACK_WEIGHT = 1e6  # cost of a squared violation, relative to that of a squared task error
-ACCURACY = 1e-9
-# Iterations with slack: at most 25 were seen for an arm in fast motion; far beyond all bounds there is no limit.
-MOST_RELAXED = 50
+QP_ACCURACY = 1e-9  # ProxQP's eps_abs, absolute tolerance of its residuals
+# Of the program with slack: at most 25 were observed in fast motion; far outside the bounds there is no limit.
+MAX_RELAXED_ITERATIONS = 50
 
 
 class QpStatus(IntEnum):
@@ -41,7 +41,7 @@ class QpStatus(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class AccelerationProblem:
-    """What one control tick asks: k tasks of n joints, and the state that the limits are reckoned from.
+    """Inputs of one control tick: k tasks of n joints, and the state from which the limits follow.
 
     Attributes:
         tasks: A, ``(k, n)``.
@@ -86,7 +86,7 @@ class QuadraticProgram:
 
     @property
     def is_finite(self) -> bool:
-        """Whether all its numbers are; those of a measurement gone wrong are not."""
+        """Whether all numbers are finite; after an invalid measurement they may not be."""
         parts = (
             self.hessian,
             self.gradient,
@@ -118,7 +118,7 @@ class QpSolution:
 
 @dataclass(frozen=True)
 class JointLimits:
-    """What the joints of an arm can do.
+    """Limits of the joints of an arm.
 
     Attributes:
         position_min: Lower joint limits, ``(n,)`` [rad].
@@ -150,7 +150,7 @@ class AccelerationQp:
             limits.position_min, limits.position_max, limits.velocity_max, limits.torque_max, period, regularisation
         )
         self._qp = proxqp.dense.QP(joint_count, 0, joint_count, True)
-        self._qp.settings.eps_abs = ACCURACY
+        self._qp.settings.eps_abs = QP_ACCURACY
         self._qp.settings.max_iter = 200
         self._qp.settings.initial_guess = proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
         self._qp.settings.compute_timings = False
@@ -210,7 +210,7 @@ class AccelerationQp:
         row_upper = np.concatenate((box_upper * period, program.torque_upper / self._torque_max))
         qp = proxqp.dense.QP(3 * count, 0, 2 * count)
         qp.settings.eps_abs = 1e-7
-        qp.settings.max_iter = qp.settings.max_iter_in = MOST_RELAXED
+        qp.settings.max_iter = qp.settings.max_iter_in = MAX_RELAXED_ITERATIONS
         cost = np.zeros((3 * count, 3 * count))
         cost[:count, :count] = program.hessian
         cost[count:, count:] = SLACK_WEIGHT * np.eye(2 * count)

@@ -2,8 +2,8 @@
 """Reference generation: quintic via points, extended past the nominal impact (paper sec. Reference generation).
 
 Ante- and post-impact references coincide in position at T_nom (paper eq. pos_refs_imp), their velocities there differ
-by the impact map, and each goes on where the other is nominally active, so that a reference that fits the
-contact state is there even if the impact comes early or late.
+by the impact map, and each is extended beyond T_nom, so that a reference for the contact state exists even if the
+impact comes early or late.
 """
 
 from __future__ import annotations
@@ -47,8 +47,7 @@ class SampledPath:
 def sample_path(points: list[ViaPoint], times: Array) -> SampledPath:
     """Quintic polynomials between via points, at rest relative to the end points outside of them.
 
-    Before the first and after the last via point the path goes on with the velocity it has there, so a path that starts
-    or ends at rest stays at rest.
+    Before the first and after the last via point the path continues at constant velocity.
 
     Args:
         points: At least two via points in order of time.
@@ -73,10 +72,10 @@ def sample_path(points: list[ViaPoint], times: Array) -> SampledPath:
 def _quintic(before: ViaPoint, after: ViaPoint) -> Array:
     """Coefficients of the quintic from one via point to the next, constant term first, ``(6, d)``.
 
-    In the share of the duration that is over. It has position, velocity and acceleration of both ends.
+    In the normalised time s in [0, 1]. Position, velocity and acceleration match both via points.
     """
     duration = after.time - before.time
-    way = after.position - before.position
+    displacement = after.position - before.position
     start, end = before.velocity * duration, after.velocity * duration
     bend, last = before.acceleration * duration**2, after.acceleration * duration**2
     return np.stack(
@@ -84,9 +83,9 @@ def _quintic(before: ViaPoint, after: ViaPoint) -> Array:
             before.position,
             start,
             bend / 2.0,
-            10.0 * way - 6.0 * start - 4.0 * end - 1.5 * bend + 0.5 * last,
-            -15.0 * way + 8.0 * start + 7.0 * end + 1.5 * bend - last,
-            6.0 * way - 3.0 * start - 3.0 * end - 0.5 * bend + 0.5 * last,
+            10.0 * displacement - 6.0 * start - 4.0 * end - 1.5 * bend + 0.5 * last,
+            -15.0 * displacement + 8.0 * start + 7.0 * end + 1.5 * bend - last,
+            6.0 * displacement - 3.0 * start - 3.0 * end - 0.5 * bend + 0.5 * last,
         ]
     )
 
@@ -94,8 +93,8 @@ def _quintic(before: ViaPoint, after: ViaPoint) -> Array:
 def ante_impact_path(timing: Timing, position: Array, velocity: Array, times: Array) -> SampledPath:
     """From rest to ``position`` with ``velocity`` at T_nom; keeps that velocity for a while, then stops.
 
-    The way from rest is half of velocity times duration: the quintic is then a smooth step in velocity. It stops by
-    itself because an arm that hits nothing must not run away.
+    The displacement from rest is half of velocity times duration: the quintic is then a smooth step in velocity. The
+    path stops at the end, so that an arm without contact does not run away.
 
     Args:
         timing: Times of the scenario.
@@ -131,7 +130,7 @@ def post_impact_path(timing: Timing, position: Array, velocity: Array, times: Ar
 def carry_path(
     timing: Timing, position: Array, velocity: Array, common: Array, axis: Array, normal: Array, times: Array
 ) -> SampledPath:
-    """Post-impact path of a pad: goes on along ``axis`` with the object, and soon stops moving across it.
+    """Post-impact path of a pad: continues along ``axis`` with the object; the velocity across decays soon.
 
     At T_nom the whole predicted velocity is there, as the impact map demands. What is not along the axis of the task,
     such as sliding along the object's face, is no part of it, and as long as it lasts pad friction loads object and
@@ -164,10 +163,10 @@ def carry_path(
 
 
 def run_up_path(timing: Timing, post: SampledPath, times: Array) -> SampledPath:
-    """The post-impact path with a start from rest in the place of the impact.
+    """Post-impact path with a run-up from rest instead of an impact.
 
-    The run-up takes as long as the approach does. It has reached the velocity of the post-impact path when the net
-    feedback would begin to count, so that at T_nom the tracking has settled and nothing jumps.
+    The run-up takes as long as the approach. It reaches the velocity of the post-impact path at t1, so that the
+    tracking error has settled at T_nom and no velocity jumps.
 
     Args:
         timing: Times of the scenario.
@@ -195,12 +194,12 @@ def run_up_path(timing: Timing, post: SampledPath, times: Array) -> SampledPath:
     )
 
 
-def there_and_back_path(begin: float, leg: float, rest: float, start: Array, end: Array, times: Array) -> SampledPath:
+def excursion_path(begin: float, leg: float, rest: float, start: Array, end: Array, times: Array) -> SampledPath:
     """From rest at ``start`` to rest at ``end`` and back again.
 
     Args:
         begin: When the motion begins [s].
-        leg: Duration of one way [s].
+        leg: Duration of one leg [s].
         rest: Rest at ``end`` [s].
         start: ``(d,)`` [m or rad].
         end: ``(d,)`` [m or rad].

@@ -16,7 +16,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray
 
 from impact_rs_control.arm_limits import rate_limited
-from impact_rs_control.fallback import FRESH, holding_torque
+from impact_rs_control.fallback import MAX_STATE_AGE_S, holding_torque
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.robot_states import STATES, ArmStates, Clock, RobotStates, joint_names
@@ -106,7 +106,7 @@ class EffortArms:
         latest = self.states.latest
         if latest is None:
             return
-        fresh = 0.0 <= self.states.age <= FRESH
+        fresh = 0.0 <= self.states.age <= MAX_STATE_AGE_S
         if fresh and latest is self._braked:
             return
         self._braked = latest if fresh else None

@@ -2,12 +2,12 @@
 """Assumed drive parameters of an arm with known links and unknown drives.
 
 Motor inertia and stiffness are scaled from a Franka arm by the torque limits. The damping meets two conditions: the
-torque loop must stay stable with the lightest link at its period, and the controller must not excite the resonance of
-the joint. A velocity feedback d on the link side has the loop gain d m / D there, m the inertia that the spring sees;
-with a gain above 1 the joint swings until the torque is at its limit.
+torque loop is stable with the lightest link at its period, and the controller does not excite the resonance of the
+joint. At resonance a link-side velocity feedback d has the loop gain d m / D, with m the inertia at the spring; a gain
+above 1 is a limit cycle at the torque limit.
 
-A prismatic joint gets the drive of one that turns, behind a pinion of the radius r that makes a Franka joint's speed
-limit its own: its force F is the torque r F, and inertia, stiffness and damping are those of that joint over r^2.
+A prismatic joint gets the drive of a revolute joint behind a pinion. Its radius r converts the speed limit of a Franka
+joint to that of the prismatic joint: a force F is the torque r F; inertia, stiffness and damping are divided by r^2.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from impact_rs_sim.scenario import DriveNumber
 
 # Of a Franka arm: B_rho and K over the torque limit of its large joints, B_theta over B_rho.
 ROTOR_INERTIA = 0.6 / 87.0  # kg m^2 / (N m)
-STIFFNESS = 14000.0 / 87.0  # N m/rad / (N m)
-REDUCED = 1.0 / 3.0
-STIFFEST = 14000.0  # N m/rad; gears of stronger joints are not much stiffer
-DAMPING = 12.0 / 14000.0  # s, of the stiffness
-SPEED = 2.175  # rad/s, its speed limit
-STABLE = 0.25  # of the damping with which the torque loop would lose its stability
+STIFFNESS_PER_TORQUE = 14000.0 / 87.0  # N m/rad / (N m)
+REDUCED = 1.0 / 3.0  # [-]
+MAX_STIFFNESS_NM_RAD = 14000.0  # N m/rad, of a Franka arm's large joints; gears of stronger joints are not much stiffer
+DAMPING_OVER_STIFFNESS_S = 12.0 / 14000.0  # s
+FRANKA_SPEED_LIMIT_RAD_S = 2.175  # rad/s, of the joint whose drive is scaled
+MAX_SHARE_OF_UNSTABLE_DAMPING = 0.25  # of the damping at which the torque loop loses its stability [-]; assumed
 # 1/s, damping over the inertia that the spring sees. At the joint's resonance the velocity feedback 2 sqrt(400 / s^2)
 # has the gain 40 m / D: twice as much damping as would just do, and as much as a Franka arm has.
-RESONANCE = 80.0
+MAX_DAMPING_RATE_PER_S = 80.0
 
 
 def assumed_numbers(facts: RobotFacts) -> tuple[DriveNumber, ...]:
-    """Which numbers of :func:`assumed_drive` are assumptions: all but a rotor inertia that the facts have."""
+    """Names of the numbers of :func:`assumed_drive` that are assumed; a rotor inertia in the robot facts is not."""
     published = facts.reflected_rotor_inertia_other_source_kg_m2 is not None
     rotor: tuple[DriveNumber, ...] = () if published else ("motor_inertia_rotor",)
     reduced: tuple[DriveNumber, ...] = ("motor_inertia_reduced",) if facts.joint_torque_loop else ()
@@ -42,7 +42,7 @@ def assumed_numbers(facts: RobotFacts) -> tuple[DriveNumber, ...]:
 
 
 def assumed_drive(facts: RobotFacts, end_effector: EndEffector, period: float) -> dict[str, list[float]]:
-    """Motor inertia, stiffness and damping per joint: as published, else scaled from a Franka arm, and stable.
+    """Motor inertia, stiffness and damping per joint: published values, else scaled from a Franka arm to a stable loop.
 
     Args:
         facts: The robot.
@@ -50,20 +50,20 @@ def assumed_drive(facts: RobotFacts, end_effector: EndEffector, period: float) -
         period: Of the torque loop [s].
     """
     slides = np.array(facts.joint_types) == "prismatic"
-    radius = np.where(slides, np.array(facts.limits.velocity_rad_s) / SPEED, 1.0)
+    radius = np.where(slides, np.array(facts.limits.velocity_rad_s) / FRANKA_SPEED_LIMIT_RAD_S, 1.0)
     torque = radius * np.array(facts.limits.torque_Nm)
     usual_rotor = np.maximum(ROTOR_INERTIA * torque, 0.05) / np.square(radius)
     rotor = np.array(facts.reflected_rotor_inertia_other_source_kg_m2 or usual_rotor)
     reduced = REDUCED * rotor if facts.joint_torque_loop else rotor
-    stiffness = np.minimum(STIFFNESS * torque, STIFFEST) / np.square(radius)
+    stiffness = np.minimum(STIFFNESS_PER_TORQUE * torque, MAX_STIFFNESS_NM_RAD) / np.square(radius)
     links = link_inertias(inverse_mass_matrices(RobotModel(facts, end_effector)))
     lightest, usual = links.min(axis=0), np.median(links, axis=0)
-    damping = np.maximum(DAMPING * stiffness, RESONANCE / (1.0 / usual + 1.0 / reduced))
+    damping = np.maximum(DAMPING_OVER_STIFFNESS_S * stiffness, MAX_DAMPING_RATE_PER_S / (1.0 / usual + 1.0 / reduced))
     for joint, inertia in enumerate(lightest):
         limits = joint_stability(float(inertia), float(reduced[joint]), 1.0, 0.0, period)
-        stiffness[joint] = min(stiffness[joint], STABLE * limits.stiffness_below)
+        stiffness[joint] = min(stiffness[joint], MAX_SHARE_OF_UNSTABLE_DAMPING * limits.stiffness_below)
         limits = joint_stability(float(inertia), float(reduced[joint]), float(stiffness[joint]), 1.0, period)
-        damping[joint] = min(damping[joint], STABLE * limits.damping_below)
+        damping[joint] = min(damping[joint], MAX_SHARE_OF_UNSTABLE_DAMPING * limits.damping_below)
     values = {
         "motor_inertia_rotor": rotor,
         "motor_inertia_reduced": reduced,

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Loads of formulas on the object of a Bullet world, and between it and what it touches.
+"""Formula loads on the object of a Bullet world, and contact loads between object and pad or support.
 
-Every period of the torque loop starts with the forces of the contacts in the step before, as in the twin
-(``Twin::push`` in src/twin.cpp).
+Every period of the torque loop starts with the contact forces of the previous step, as in the twin (``Twin::push`` in
+src/twin.cpp).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from impact_rs_sim.bullet_world import BulletWorld
-from impact_rs_sim.effects.formula import AXES, SLOW
+from impact_rs_sim.effects.formula import AXES, MIN_SLIDING_SPEED_M_S
 from impact_rs_sim.memory import Memory
 from impact_rs_sim.physics import LoadState, Physics
 from impact_rs_sim.robot import Array
@@ -25,15 +25,15 @@ Scene = dict[str, float]
 
 
 @dataclass(frozen=True)
-class Touching:
-    """How the object touches a partner.
+class ContactPair:
+    """Contact of the object with a partner, reduced to one point.
 
     Attributes:
         force: Normal force on the object [N].
-        penetration: Mean over the points, weighted with their forces [m].
+        penetration: Mean over the contact points, weighted with their forces [m].
         place: Of the force, in A, ``(3,)`` [m].
         normal: Into the object, ``(3,)``.
-        velocity: Of the object against its partner there, ``(3,)`` [m/s].
+        velocity: Relative velocity of the object to the partner at that point, ``(3,)`` [m/s].
     """
 
     force: float
@@ -44,13 +44,15 @@ class Touching:
 
     @property
     def sliding(self) -> Array:
-        """Tangential part of the velocity, ``(3,)`` [m/s]."""
+        """Sliding velocity: tangential part of the relative velocity, ``(3,)`` [m/s]."""
         return self.velocity - (self.velocity @ self.normal) * self.normal
 
     def load(self, parts: float, against: float) -> Array:
-        """Force on the object of one that parts both and one against sliding [N], in A, ``(3,)`` [N]."""
+        """Force on the object in A from a repulsive normal force and a force against sliding [N], ``(3,)`` [N]."""
         sliding = self.sliding
-        return parts * self.normal - against * sliding / math.hypot(float(np.linalg.norm(sliding)), SLOW)
+        return parts * self.normal - against * sliding / math.hypot(
+            float(np.linalg.norm(sliding)), MIN_SLIDING_SPEED_M_S
+        )
 
 
 class BulletLoads:
@@ -62,7 +64,7 @@ class BulletLoads:
         models: Rigid-body models by arm.
 
     Attributes:
-        any: Whether something acts on the object or between it and what it touches.
+        any: Whether there is a load on the object or at one of its contacts.
     """
 
     def __init__(self, physics: Physics, world: BulletWorld, models: Mapping[str, RobotModel]) -> None:
@@ -70,10 +72,10 @@ class BulletLoads:
         self._first: dict[str, float] = {}  # s, when a pad first touched the object
         arms = [load for arm in physics.arms.values() for load in arm.loads]
         self.any = bool(physics.object_loads) or any(load.touches for load in arms)
-        self._touching: dict[str | None, Touching | None] = {}
+        self._touching: dict[str | None, ContactPair | None] = {}
 
     def scene(self, time: float, arm: str | None, links: Mapping[str, ArmState]) -> Scene:
-        """Symbols of formulas: of time, of the object, and of its contacts with an arm or, without one, with all.
+        """Values of formula symbols: time, object, and its contacts with one arm (None: with all arms).
 
         Args:
             time: Since the start of the trial [s].
@@ -142,8 +144,8 @@ class BulletLoads:
                     self._world.push(None, pad.place, pad.load(*forces))
                     self._world.push(name, pad.place, -pad.load(*forces))
 
-    def _touch(self, arm: str | None, links: Mapping[str, ArmState]) -> Touching | None:
-        """How the object touches an arm, or without one its support; None: it does not."""
+    def _touch(self, arm: str | None, links: Mapping[str, ArmState]) -> ContactPair | None:
+        """Contact of the object with an arm (None: its support); None without contact."""
         points = self._world.contact_points(arm)
         loads = np.array([max(point[9], 0.0) for point in points])
         force = float(loads.sum())
@@ -159,4 +161,4 @@ class BulletLoads:
             velocity = velocity - twist[:3] - np.cross(twist[3:], place - model.placement(link.position).translation)
         # Bullet's normal points out of its second body: of the object, or of the support.
         normal = np.array(points[0][7]) * (1.0 if arm is None else -1.0)
-        return Touching(force, -float(share @ [point[8] for point in points]), place, normal, velocity)
+        return ContactPair(force, -float(share @ [point[8] for point in points]), place, normal, velocity)

@@ -18,8 +18,8 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState
 from impact_rs_sim.twin import rests
 
-SOLVER_ITERATIONS = 60
-SOLVER_RESIDUAL = 1e-9
+MAX_SOLVER_ITERATIONS = 60  # per step of Bullet
+MAX_SOLVER_RESIDUAL = 1e-9  # largest squared change of a constraint row at which Bullet's solver stops
 
 
 class BulletMechanics(Mechanics):
@@ -55,8 +55,8 @@ class BulletMechanics(Mechanics):
             time_step=period,
             gravity=True,
             compliant_pads=True,
-            iterations=SOLVER_ITERATIONS,
-            residual_threshold=SOLVER_RESIDUAL,
+            iterations=MAX_SOLVER_ITERATIONS,
+            residual_threshold=MAX_SOLVER_RESIDUAL,
         )
         return cls(physics, world, {name: Drive(arm, period) for name, arm in physics.arms.items()}, may_sleep)
 
@@ -83,8 +83,8 @@ class BulletMechanics(Mechanics):
 
         Args:
             desired: Desired torque by arm, ``(n,)`` [N m].
-            periods: How many.
-            time: Time now, for loads that depend on it [s].
+            periods: Number of periods.
+            time: Present time, for time-dependent loads [s].
             further: By arm, an additional torque on the links, ``(n,)`` [N m].
             after_sense: Called with the name of an arm whenever its drive has sensed the links.
         """

@@ -2,14 +2,14 @@
 """One Bullet world: arms, object and support, with explicit values for every setting that affects the result.
 
 Shared by the plant (many small steps with compliant pads) and the ``bullet`` impact map (single rigid steps). Bullet
-multiplies the friction coefficients of two bodies, so the object carries 1 and its partners the pair's value. Of two
-rolling frictions it takes the sum, each times the other body's friction coefficient: a lever that a partner alone
-carries is that of the pair. Of two compliances it takes the sum.
+multiplies the friction coefficients of two bodies, so the object has 1 and its partner the coefficient of the pair. It
+adds rolling frictions, each times the other body's friction coefficient, so only the partner has the lever of the pair.
+It adds compliances.
 
-Its friction cone weighs each of two fixed axes with the inverse mass along it, so that the friction of a box that
-slides on its support has Coulomb's size but not his direction: it opposes ``D^-1 v_t`` instead of the sliding velocity
-``v_t``, 13 degrees off at most for the boxes of the paper. A world that is stepped in small steps turns it back: at
-every corner that slid in the step before, an external force makes ``-mu N v_t / |v_t|`` of what Bullet gave there.
+Its friction cone weights two fixed axes with the inverse mass along them, so that the friction of a sliding box has the
+magnitude of Coulomb's law but not the direction: it opposes ``D^-1 v_t`` instead of the sliding velocity ``v_t``, at
+most 13 degrees off for the boxes of the paper. A world with small steps corrects the direction: at every corner that
+slid in the previous step, an external force replaces Bullet's friction by ``-mu N v_t / |v_t|``.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.errors import NotABody
-from impact_rs_sim.pad_shear import PadShear, Side, Touch
+from impact_rs_sim.pad_shear import ContactBody, PadContacts, PadShear
 from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts
 from impact_rs_sim.rotations import continuous, quaternion_of
@@ -60,8 +60,8 @@ with _quiet():
 
 FACE_CONTACT_POINTS = 4  # Bullet keeps four points of a face contact; each gets a quarter of the face's stiffness
 SUPPORT_DAMPING_RATIO = 0.5  # of the object on a compliant support
-MOST_SUBSTEPS = 8
-SLOWEST_SLIDING = 2e-3  # m/s; what slides more slowly stops within a few steps, in a direction of no consequence
+MAX_SUBSTEPS = 8  # Bullet steps per step of a world
+MIN_SLIDING_SPEED_M_S = 2e-3  # below, sliding stops within a few steps, so its direction does not matter
 
 
 class BulletWorld:
@@ -128,7 +128,7 @@ class BulletWorld:
         contact_erp: float = 0.2,
         small_steps: bool = True,
     ) -> BulletWorld:
-        """A world with arms, object and support.
+        """Load arms, object and support into a new world.
 
         Args:
             physics: Parameters of the scene.
@@ -143,8 +143,8 @@ class BulletWorld:
                 the next.
 
         Raises:
-            NotABody: Mass and inertia of an end effector are those of no body; Bullet would go on with an inertia of
-                zero.
+            NotABody: Mass and inertia of an end effector are physically inconsistent; Bullet would continue with zero
+                inertia.
         """
         for name, arm in physics.arms.items():
             check_body(name, arm.end_effector)
@@ -201,9 +201,9 @@ class BulletWorld:
             shear.release()
 
     def rest_object(self) -> None:
-        """Let the object sleep until a body comes near it; simulating it at rest costs as much as an arm.
+        """Put the object to sleep until a body comes near; simulating it at rest costs as much as an arm.
 
-        Bullet wakes it when its bounding box meets that of a moving body, which is before any contact.
+        Bullet wakes it when its bounding box overlaps that of a moving body, which is before any contact.
         """
         for state in (pybullet.ACTIVATION_STATE_ENABLE_SLEEPING, pybullet.ACTIVATION_STATE_SLEEP):
             self.client.changeDynamics(self.object, -1, activationState=state)
@@ -224,7 +224,7 @@ class BulletWorld:
         return position + quaternion
 
     def tracked(self, poses: Array) -> Array:
-        """Pose of the object along its motion, as a tracker measures it.
+        """Trajectory of the object as a tracker measures it: geometric centre instead of centre of mass.
 
         Args:
             poses: Rows of :meth:`object_pose`, ``(k, 7)``.
@@ -257,7 +257,7 @@ class BulletWorld:
         self._torques[name] = torque.tolist()
 
     def push(self, arm: str | None, place: Array, force: Array, moment: Array | None = None) -> None:
-        """Add a force at a place, and a moment, over the next step; in A.
+        """Apply a force at a point, and a moment, over the next step; in A.
 
         Args:
             arm: The arm whose end effector it acts on; None: the object.
@@ -268,7 +268,7 @@ class BulletWorld:
         self._pushes.append((arm, place, force, np.zeros(3) if moment is None else moment))
 
     def contact_points(self, arm: str | None) -> tuple[tuple[Any, ...], ...]:
-        """Points of the last step between an arm and the object, or without an arm between object and support."""
+        """Contact points of the last step between object and arm (None: support)."""
         if arm is None:
             return self._get_contacts(self.object, self.support) if self.support is not None else ()
         return self._get_contacts(self.arms[arm], self.object)
@@ -291,18 +291,18 @@ class BulletWorld:
                 if np.any(moment):
                     self.client.applyExternalTorque(body, link, moment.tolist(), pybullet.WORLD_FRAME)
             if self._turns:
-                self._turn_friction()
+                self._correct_friction_direction()
             self._step()
         self._torques.clear()
         self._pushes.clear()
 
-    def _turn_friction(self) -> None:
+    def _correct_friction_direction(self) -> None:
         """Correct the direction of the support's friction on the sliding object, over the next step.
 
         In plain numbers, along z of A, the normal of every support: with arrays it would cost more than Bullet's step.
         """
         (vx, vy, _), (wx, wy, wz) = self._get_velocity(self.object)
-        if max(abs(vx), abs(vy), abs(wz)) < SLOWEST_SLIDING:
+        if max(abs(vx), abs(vy), abs(wz)) < MIN_SLIDING_SPEED_M_S:
             return
         cx, cy, cz = self._get_pose(self.object)[0]
         for point in self._get_contacts(self.object, self.support):
@@ -312,14 +312,14 @@ class BulletWorld:
             speed, radius = math.hypot(ux, uy), self._support_friction * point[9]
             given_x = point[10] * first[0] + point[12] * second[0]
             given_y = point[10] * first[1] + point[12] * second[1]
-            if speed > SLOWEST_SLIDING and math.hypot(given_x, given_y) > 0.99 * radius:
+            if speed > MIN_SLIDING_SPEED_M_S and math.hypot(given_x, given_y) > 0.99 * radius:
                 force = (-radius * ux / speed - given_x, -radius * uy / speed - given_y, 0.0)
                 self._push(self.object, -1, force, place, pybullet.WORLD_FRAME)
 
     def _shear(self, name: str, shear: PadShear) -> None:
         """Friction of a pad that is compliant along its face, over the next step."""
         points = self._get_contacts(self.arms[name], self.object)
-        touch = Touch(
+        touch = PadContacts(
             points=np.array([point[6] for point in points]).reshape(-1, 3),
             loads=np.array([max(point[9], 0.0) for point in points]),
             normal=np.array(points[0][7] if points else np.zeros(3)),
@@ -331,14 +331,14 @@ class BulletWorld:
         upper, jacobian, placement = self._models[name].at_impact(np.array(position))
         root = np.linalg.cholesky(upper.T)  # of which the lower triangle counts
         moved = np.linalg.solve(root, jacobian.T)
-        pad = Side(placement.translation, jacobian @ np.array(velocity), moved.T @ moved)
+        pad = ContactBody(placement.translation, jacobian @ np.array(velocity), moved.T @ moved)
         forces = shear.step(touch, self._object_side(), pad, placement.rotation)
         arm, link = self.arms[name], self.end_effector_link[name]
         for point, (x, y, z) in zip(touch.points.tolist(), forces.tolist(), strict=True):
             self._push(self.object, -1, (x, y, z), point, pybullet.WORLD_FRAME)
             self._push(arm, link, (-x, -y, -z), point, pybullet.WORLD_FRAME)
 
-    def _object_side(self) -> Side:
+    def _object_side(self) -> ContactBody:
         """The object at its centre of mass."""
         position, quaternion = self._get_pose(self.object)
         linear, angular = self._get_velocity(self.object)
@@ -346,7 +346,7 @@ class BulletWorld:
         object_, mobility = self.physics.object, np.zeros((6, 6))
         mobility[:3, :3] = np.eye(3) / object_.mass
         mobility[3:, 3:] = rotation / object_.inertia @ rotation.T
-        return Side(np.array(position), np.array(linear + angular), mobility)
+        return ContactBody(np.array(position), np.array(linear + angular), mobility)
 
     def pad_force(self, name: str) -> Array:
         """Force of the object on an arm's pad in the last step, in A, ``(3,)`` [N]."""
@@ -360,7 +360,7 @@ class BulletWorld:
 
 
 _idle: list[BulletClient] = []
-_IDLE = 4  # connections kept; to make one takes as long as half a window of a replay
+_MAX_IDLE_CONNECTIONS = 4  # kept for reuse; a new connection takes as long as half a window of a replay
 
 
 def _connected() -> BulletClient:
@@ -374,7 +374,7 @@ def _connected() -> BulletClient:
 
 
 def _give_back(client: BulletClient) -> None:
-    if len(_idle) < _IDLE:
+    if len(_idle) < _MAX_IDLE_CONNECTIONS:
         _idle.append(client)
         return
     client.disconnect()
@@ -411,19 +411,19 @@ def _load_urdf(client: BulletClient, facts: RobotFacts, end_effector: EndEffecto
 
 
 def _substeps(physics: Physics, period: float) -> int:
-    """Steps in a period for which Bullet's spring alone damps no pad more than it should (:func:`_compliance`)."""
+    """Number of Bullet steps per period, so that the implicit spring does not overdamp a pad (:func:`_compliance`)."""
     wanted = [
         period * arm.pad_stiffness / max(arm.pad_damping, 1e-9)
         for arm in physics.arms.values()
         if arm.pad_stiffness is not None
     ]
-    return min(math.ceil(max(wanted, default=1.0)), MOST_SUBSTEPS)
+    return min(math.ceil(max(wanted, default=1.0)), MAX_SUBSTEPS)
 
 
 def _compliance(stiffness: float, damping: float, step: float) -> dict[str, float]:
-    """Spring and damper of one of the contact points that share those of a face.
+    """Stiffness and damping of one of the contact points that share those of a face.
 
-    Bullet's spring is that of the depth after the step, k (d - h u): it damps by h k, which the damper is given less.
+    Bullet's spring is implicit in the depth, k (d - h u): this adds the damping h k, which is subtracted here.
     """
     own = max(damping - step * stiffness, 0.0)
     return {"contactStiffness": stiffness / FACE_CONTACT_POINTS, "contactDamping": own / FACE_CONTACT_POINTS}
@@ -481,7 +481,7 @@ def _make_object(client: BulletClient, object_: ObjectPhysics) -> int:
 
 
 def _shears(physics: Physics, period: float) -> dict[str, PadShear]:
-    """Shear of every pad that is compliant along its face."""
+    """Shear models of the pads with shear compliance or creep."""
     yielding = {name: arm for name, arm in physics.arms.items() if arm.pad_shear_compliance or arm.pad_creep}
     return {
         name: PadShear(arm.pad_shear_compliance, arm.pad_creep, physics.pad_friction, period, pads=len(yielding))
@@ -524,10 +524,10 @@ def _make_support(
 
 
 def check_body(name: str, end_effector: EndEffector) -> None:
-    """Refuse an end effector that is no rigid body.
+    """Refuse an end effector without a physically consistent inertia.
 
     Raises:
-        NotABody: Its mass is not positive, or its moments of inertia are those of no body.
+        NotABody: Its mass is not positive, or its moments of inertia are physically inconsistent.
     """
     smallest, middle, largest = np.linalg.eigvalsh(end_effector.inertia)
     if end_effector.mass <= 0.0 or smallest <= 0.0 or largest > (1.0 + 1e-6) * (smallest + middle):

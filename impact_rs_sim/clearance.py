@@ -25,60 +25,60 @@ import pinocchio as pin
 
 from impact_rs_sim.errors import Infeasible
 from impact_rs_sim.impact_map.contacts import SUPPORT_THICKNESS
-from impact_rs_sim.link_shapes import TOOL_RADIUS, Shape, link_shapes
+from impact_rs_sim.link_shapes import TOOL_RADIUS_M, Shape, link_shapes
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import TIP, RobotModel
 from impact_rs_sim.scene import BodyState
 
-RADIUS = 0.06  # m, of a link of the arm
-SHORTEST = 1e-6  # m; joints that share an origin have no link between them
-TOUCHES = 1e-6  # m; an overlap below it is rounding
-RIM = 0.02  # m, by which a table reaches at least beyond what stands on it; assumed, as thick as the pads
+LINK_RADIUS_M = 0.06  # of the capsule around a link; coarse, on the safe side of the shipped arms
+MIN_LINK_LENGTH_M = 1e-6  # joints with a common origin have no link between them
+MAX_ROUNDING_OVERLAP_M = 1e-6  # a smaller overlap is rounding
+SUPPORT_RIM_M = 0.02  # by which a table at least extends beyond the object on it; assumed, as thick as the pads
 
 Capsule = tuple[str, coal.Capsule, coal.Transform3s]
 
 
 def capsules(model: RobotModel, q: Array) -> list[Capsule]:
-    """Hull of an arm: name, shape and placement of every link that has a length.
+    """Capsules around an arm: name, shape and placement of every link with a length.
 
     Args:
         model: The arm.
         q: Joint positions, ``(n,)`` [rad].
     """
-    places = model.link_placements(q)
+    placements = model.link_placements(q)
     names = ["base", *(f"link{index + 1}" for index in range(model.joint_count))]
     pad = model.placement(q)
-    origins = [places[name].translation for name in names] + [pad.translation - RADIUS * pad.rotation[:, 2]]
+    origins = [placements[name].translation for name in names] + [pad.translation - LINK_RADIUS_M * pad.rotation[:, 2]]
     hull = []
     for name, start, end in zip(names, origins, origins[1:], strict=False):
         length = float(np.linalg.norm(end - start))
-        if length < SHORTEST:
+        if length < MIN_LINK_LENGTH_M:
             continue
         along = (end - start) / length
         across = np.linalg.svd(along[None])[2][1:]
         rotation = np.column_stack((across[0], np.cross(along, across[0]), along))
-        hull.append((name, coal.Capsule(RADIUS, length), coal.Transform3s(rotation, 0.5 * (start + end))))
+        hull.append((name, coal.Capsule(LINK_RADIUS_M, length), coal.Transform3s(rotation, 0.5 * (start + end))))
     return hull
 
 
 def check_clearance(models: dict[str, RobotModel], positions: dict[str, Array], when: str) -> None:
-    """Check that no two arms touch.
+    """Check that the arms do not collide with each other.
 
     Args:
         models: Arms by name.
         positions: Joint positions by arm, ``(n,)`` [rad].
-        when: What moment this is, for the message.
+        when: Name of the moment, for the message.
 
     Raises:
         Infeasible: Two arms touch; names their links and by how much they overlap.
     """
     hulls = {name: capsules(model, positions[name]) for name, model in models.items()}
     for first, second in combinations(hulls, 2):
-        for name, shape, place in hulls[first]:
-            for other, other_shape, other_place in hulls[second]:
+        for name, shape, pose in hulls[first]:
+            for other, other_shape, other_placement in hulls[second]:
                 gap = coal.distance(
-                    shape, place, other_shape, other_place, coal.DistanceRequest(), coal.DistanceResult()
+                    shape, pose, other_shape, other_placement, coal.DistanceRequest(), coal.DistanceResult()
                 )
                 if gap < 0.0:
                     raise Infeasible(
@@ -89,14 +89,14 @@ def check_clearance(models: dict[str, RobotModel], positions: dict[str, Array], 
 
 @dataclass(frozen=True)
 class Penetration:
-    """The deepest overlap of an arm with support or ground along a path.
+    """Maximum penetration of an arm into support or ground along a path.
 
     Attributes:
         part: The link, the end effector or the pad, in words.
         partner: ``support`` or ``ground``.
         surface: Height of its surface [m].
-        depth: How deep [m].
-        index: In which sample of the path.
+        depth: Penetration depth [m].
+        index: Sample of the path.
     """
 
     part: str
@@ -107,29 +107,31 @@ class Penetration:
 
 
 def deepest_penetration(
-    physics: Physics, name: str, positions: Array, object_: BodyState, way: Array
+    physics: Physics, name: str, positions: Array, object_: BodyState, displacement: Array
 ) -> Penetration | None:
-    """The deepest overlap of an arm with support or ground along a path; None: it keeps clear.
+    """Maximum penetration of an arm into support or ground along a path; None without a collision.
 
     Args:
         physics: Parameters of the scene.
         name: The arm.
         positions: Joint positions along the path, ``(k, n)`` [rad].
         object_: Where the object stands.
-        way: How far it is pushed across its support, in A, ``(3,)`` [m].
+        displacement: Displacement of the object on its support, in A, ``(3,)`` [m].
     """
-    model, surroundings = physics.robot_model(name), _surroundings(physics, object_, way)
-    parts = _parts(model)
+    model, surroundings = physics.robot_model(name), _obstacles(physics, object_, displacement)
+    parts = _collision_bodies(model)
     depths = np.zeros((len(surroundings), len(positions), len(parts)))
     for index, q in enumerate(positions):
         links = model.link_placements(q)
         for number, part in enumerate(parts):
             for which, partner in enumerate(surroundings):
                 depths[which, index, number] = partner.depth(part, links[part.link])
-    mounting = np.minimum.accumulate((depths[-1] > TOUCHES).all(axis=0)) & [part.link != TIP for part in parts]
+    mounting = np.minimum.accumulate((depths[-1] > MAX_ROUNDING_OVERLAP_M).all(axis=0)) & [
+        part.link != TIP for part in parts
+    ]
     depths[-1][:, mounting] = 0.0
-    at = tuple(int(place) for place in np.unravel_index(np.argmax(depths), depths.shape))
-    if depths[at] <= TOUCHES:
+    at = tuple(int(pose) for pose in np.unravel_index(np.argmax(depths), depths.shape))
+    if depths[at] <= MAX_ROUNDING_OVERLAP_M:
         return None
     part, partner = parts[at[2]], surroundings[at[0]]
     return Penetration(part.name, partner.name, partner.top, float(depths[at]), at[1])
@@ -139,7 +141,7 @@ Solid = tuple[coal.CollisionGeometry, coal.Transform3s]
 
 
 @dataclass(frozen=True)
-class _Moving:
+class _MovingBody:
     """Convex shapes that move with a link: placements in it, and bounding spheres, ``(m, 3)`` and ``(m,)`` [m]."""
 
     name: str
@@ -150,71 +152,71 @@ class _Moving:
     def spheres(self) -> tuple[Array, Array]:
         for shape, _ in self.shapes:
             shape.computeLocalAABB()
-        centres = np.array([place.act(shape.aabb_center) for shape, place in self.shapes])
+        centres = np.array([pose.act(shape.aabb_center) for shape, pose in self.shapes])
         return centres, np.array([shape.aabb_radius for shape, _ in self.shapes])
 
 
 @dataclass(frozen=True)
-class _Surrounding:
-    """What an arm must keep clear of: the common part of some solids, of which nothing is above ``top`` [m]."""
+class _Obstacle:
+    """An obstacle: the intersection of convex solids; its highest point is ``top`` [m]."""
 
     name: str
     solids: tuple[Solid, ...]
     top: float
 
-    def depth(self, part: _Moving, link: pin.SE3) -> float:
-        """How deep a part overlaps [m]; 0: it keeps clear."""
+    def depth(self, part: _MovingBody, link: pin.SE3) -> float:
+        """Penetration depth of a part [m]; 0 without a collision."""
         centres, radii = part.spheres
         deepest, low = 0.0, centres @ link.rotation[2] + link.translation[2] - radii
         for index in np.flatnonzero(low < self.top):
             shape, own = part.shapes[index]
             at = link * own
-            place = coal.Transform3s(at.rotation, at.translation)
-            deepest = max(deepest, min(_overlap((shape, place), solid) for solid in self.solids))
+            pose = coal.Transform3s(at.rotation, at.translation)
+            deepest = max(deepest, min(_penetration_depth((shape, pose), solid) for solid in self.solids))
         return deepest
 
 
-def _overlap(one: Solid, other: Solid) -> float:
-    """How deep two convex solids overlap; negative: their distance [m]."""
+def _penetration_depth(one: Solid, other: Solid) -> float:
+    """Penetration depth of two convex solids by GJK/EPA; negative: their distance [m]."""
     return -float(coal.distance(*one, *other, coal.DistanceRequest(), coal.DistanceResult()))
 
 
-def _surroundings(physics: Physics, object_: BodyState, way: Array) -> list[_Surrounding]:
-    """The certain part of the support, where there is one, and the ground."""
+def _obstacles(physics: Physics, object_: BodyState, displacement: Array) -> list[_Obstacle]:
+    """Obstacles: the known part of the support, if there is one, and the ground."""
     height, found = physics.support_height, []
     ground = min(0.0, *(float(arm.base.translation[2]) for arm in physics.arms.values()))
     if height is not None:
         ground, middle = min(ground, height), height - SUPPORT_THICKNESS / 2.0
-        reach = np.abs(object_.rotation[:2]) @ physics.object.size / 2.0 + RIM
-        low, high = (ends(np.zeros(2), way[:2]) for ends in (np.minimum, np.maximum))
+        reach = np.abs(object_.rotation[:2]) @ physics.object.size / 2.0 + SUPPORT_RIM_M
+        low, high = (ends(np.zeros(2), displacement[:2]) for ends in (np.minimum, np.maximum))
         certain = coal.Box(*(high - low + 2.0 * reach), SUPPORT_THICKNESS)
         below = np.append(object_.position[:2] + (low + high) / 2.0, middle)
         table = coal.Box(*physics.support_size, SUPPORT_THICKNESS)
-        places = (coal.Transform3s(np.eye(3), place) for place in (below, np.array([0.0, 0.0, middle])))
-        found.append(_Surrounding("support", tuple(zip((certain, table), places, strict=True)), height))
+        placements = (coal.Transform3s(np.eye(3), pose) for pose in (below, np.array([0.0, 0.0, middle])))
+        found.append(_Obstacle("support", tuple(zip((certain, table), placements, strict=True)), height))
     plane = coal.Halfspace(np.array([0.0, 0.0, 1.0]), ground)
-    return [*found, _Surrounding("ground", ((plane, coal.Transform3s.Identity()),), ground)]
+    return [*found, _Obstacle("ground", ((plane, coal.Transform3s.Identity()),), ground)]
 
 
-def _parts(model: RobotModel) -> list[_Moving]:
-    """Links from the base on without it, end effector and pad."""
+def _collision_bodies(model: RobotModel) -> list[_MovingBody]:
+    """Collision bodies of the links (without the base), the end effector and the pad."""
     effector = model.end_effector
     links = link_shapes(model.facts)[1:]
-    tube = Shape(np.array([0.0, 0.0, -effector.length]), np.array([0.0, 0.0, -effector.pad_size[2]]), TOOL_RADIUS)
+    tube = Shape(np.array([0.0, 0.0, -effector.length]), np.array([0.0, 0.0, -effector.pad_size[2]]), TOOL_RADIUS_M)
     return [
         *(
-            _Moving(f"link {number}", f"link{number}", [_collider(one) for one in shapes])
+            _MovingBody(f"link {number}", f"link{number}", [_collider(one) for one in shapes])
             for number, shapes in enumerate(links, start=1)
         ),
-        _Moving("its end effector", TIP, [_collider(tube)]),
-        _Moving("its pad", TIP, [(coal.Box(*effector.pad_size), effector.pad_placement)]),
+        _MovingBody("its end effector", TIP, [_collider(tube)]),
+        _MovingBody("its pad", TIP, [(coal.Box(*effector.pad_size), effector.pad_placement)]),
     ]
 
 
 def _collider(shape: Shape) -> tuple[coal.CollisionGeometry, pin.SE3]:
     """A simple shape and its placement in the link."""
     length = float(np.linalg.norm(shape.end - shape.start))
-    if length < SHORTEST:
+    if length < MIN_LINK_LENGTH_M:
         return coal.Sphere(shape.radius), pin.SE3(np.eye(3), shape.start)
     axis = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), (shape.end - shape.start) / length)
     return coal.Cylinder(shape.radius, length), pin.SE3(axis.matrix(), (shape.start + shape.end) / 2.0)

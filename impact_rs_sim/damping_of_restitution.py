@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Damping with which a compliant contact has a given restitution.
+"""Coefficient of restitution of a compliant contact, and its inverse: damping from restitution.
 
 Spring and damper ``m x'' = -k x - c x'``, which part when the force is 0 (Schwager and Pöschel 2007), with
 ``zeta = c / (2 sqrt(k m))`` and ``s = sqrt(|1 - zeta^2|)``:
@@ -20,11 +20,11 @@ import math
 
 import scipy
 
-LEAST = 1e-3  # the smallest restitution that damping is chosen for; 0 would need an infinite one
+MIN_RESTITUTION = 1e-3  # smallest restitution that gets a damping of its own; 0 would need an infinite one
 
 
 def restitution_of(damping_ratio: float) -> float:
-    """Restitution of spring and damper with ``damping_ratio`` zeta >= 0 [-]."""
+    """Coefficient of restitution of spring and damper with the damping ratio zeta >= 0 [-]."""
     zeta = damping_ratio
     if zeta == 0.0:
         return 1.0
@@ -37,29 +37,32 @@ def restitution_of(damping_ratio: float) -> float:
 
 
 def damping_ratio_of(restitution: float) -> float:
-    """Damping ratio zeta of a spring with a damper that returns ``restitution`` in [0, 1] [-].
+    """Damping ratio zeta of spring and damper with the coefficient of restitution ``restitution`` in [0, 1] [-].
 
-    Below :data:`LEAST` it is that of :data:`LEAST`.
+    A smaller restitution is replaced by :data:`MIN_RESTITUTION`.
     """
     if restitution >= 1.0:
         return 0.0
-    e = max(restitution, LEAST)
+    e = max(restitution, MIN_RESTITUTION)
     return float(scipy.optimize.brentq(lambda zeta: restitution_of(zeta) - e, 1e-9, 1e3, xtol=1e-12))
 
 
 def dissipation_of(restitution: float, speed: float) -> float:
     """Hunt-Crossley dissipation d with ``restitution`` in [0, 1] at a closing ``speed`` > 0 [m/s]; d is in s/m.
 
-    Below :data:`LEAST` it is that of :data:`LEAST`.
+    A smaller restitution is replaced by :data:`MIN_RESTITUTION`.
     """
     if restitution >= 1.0:
         return 0.0
-    e = max(restitution, LEAST)
+    e = max(restitution, MIN_RESTITUTION)
 
     def missing(product: float) -> float:
         return product * (1.0 + e) - math.log((1.0 + product) / (1.0 - product * e))
 
-    low, high = 1.0 - e, (1.0 - 1e-12) / e  # missing is positive behind 0, its other root, and falls to -inf at 1 / e
+    low, high = (
+        1.0 - e,
+        (1.0 - 1e-12) / e,
+    )  # positive after its trivial root 0, falls to -inf at 1 / e
     if missing(high) > 0.0:
         return high / speed
     return float(scipy.optimize.brentq(missing, low, high, xtol=1e-13)) / speed

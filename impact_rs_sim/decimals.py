@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers in text files: decimal notation only, where Python's own ``float`` reads more than people write."""
+"""Decimal numbers in text files, more strictly than Python's ``float``."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ _DECIMAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?|[+
 def decimal(text: str) -> float:
     """The number that a cell or attribute holds.
 
-    ``float`` also takes ``3_7`` for 37 and digits of other scripts; here both are mistakes, as is a comma.
+    ``float`` also accepts ``3_7`` for 37 and digits of other scripts; here both are errors, as is a comma.
 
     Args:
         text: Digits 0 to 9 with sign, point and exponent; ``nan`` or ``inf``; blanks around it.
 
     Raises:
-        ValueError: It is no such number.
+        ValueError: The text is not such a number.
     """
     word = text.strip(" \t\r\n")
     if _DECIMAL.fullmatch(word) is None:

@@ -33,8 +33,8 @@ class DriveStart:
     Attributes:
         torque: tau_J, ``(n,)`` [N m].
         torque_rate: dtau_J, ``(n,)`` [N m/s].
-        earlier: Desired torques that were sent before, each with its time after the start (negative) [s]; a delayed
-            actuation still delivers them. Without any, ``torque`` was desired for ever.
+        earlier: Previously commanded torques, each with its time relative to the start (negative) [s]; a delayed
+            actuation still delivers them. If empty, ``torque`` was commanded at all earlier times.
     """
 
     torque: Array
@@ -83,12 +83,12 @@ class Drive(_kernel.Motors):
         self._shaped = self._load = np.zeros_like(physics.stiffness)
 
     def reset(self, link_position: Array, load: Array) -> None:
-        """Rest in equilibrium: the spring carries ``load`` ``(n,)`` [N m] at link position ``(n,)`` [rad]."""
+        """Reset to static equilibrium: the spring carries ``load`` ``(n,)`` [N m] at link position ``(n,)`` [rad]."""
         still = np.zeros_like(load)
         self.start(ArmState(link_position, still), DriveStart(load, still))
 
     def start(self, link: ArmState, drive: DriveStart) -> None:
-        """Start with a spring that carries ``drive.torque``, stretched at ``drive.torque_rate``."""
+        """Set the initial state: spring torque ``drive.torque`` and its rate ``drive.torque_rate``."""
         self.place(
             link.position + drive.torque / self._stiffness,
             link.velocity + drive.torque_rate / self._stiffness,

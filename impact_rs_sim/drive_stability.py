@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a flexible joint is stable at the period of the torque loop.
+"""Stability of a flexible joint in discrete time, at the period of the torque loop.
 
 The loop (:mod:`impact_rs_sim.drive`) makes a motor of inertia B_theta out of one of B_rho. With the stretch
 s = theta - q, links of mass matrix M and the period h, one step of motors and links, both semi-implicit Euler, is
@@ -11,7 +11,7 @@ Rigid motion and gravity do not matter to it. For a single joint, W = 1 / m, the
 
     D > 0   and   h^2 K + 2 h D < 4 m.
 
-The lightest inertia that a link can have on joint i, with all other joints free, is 1 / (M^-1)_ii.
+The smallest link inertia at joint i is its effective inertia with all other joints free, 1 / (M^-1)_ii.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from impact_rs_sim.robot import Array
 
 @dataclass(frozen=True)
 class JointStability:
-    """One joint with the lightest link.
+    """Stability margins of one joint at its smallest link inertia.
 
     Attributes:
-        link_inertia: Lightest inertia of the link [kg m^2].
+        link_inertia: Smallest inertia of the link [kg m^2].
         spectral_radius: Largest magnitude of the two eigenvalues; below 1: stable.
-        damping_below: Damping at which it would lose its stability [N m s/rad]; <= 0: at none is it stable.
-        stiffness_below: Stiffness at which it would [N m/rad]; <= 0: at none is it stable.
-        period_below: Period at which it would [s].
+        damping_below: Largest stable damping [N m s/rad]; <= 0: unstable at any damping.
+        stiffness_below: Largest stable stiffness [N m/rad]; <= 0: unstable at any stiffness.
+        period_below: Largest stable period [s].
     """
 
     link_inertia: float

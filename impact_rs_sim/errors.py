@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exception for mistakes of the user; its message says what to change.
+"""Exceptions for user errors; the message says what to change.
 
     InputError
     +-- NotABody              mass and inertia of no body; a fit then tries a smaller step
@@ -7,7 +7,7 @@
     |   +-- UnreachablePose   no joint positions within the limits lead there
     +-- MissingPackage        a package that few files need is not installed; the command line offers to install it
 
-There is a class for every case that some caller treats in its own way, and for no other.
+A class exists exactly where some caller handles the case separately.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Self
 
-LONGEST_ECHO = 200  # characters of a value that an error repeats
+MAX_ECHO_LENGTH = 200  # characters of a value that an error message repeats
 
 
 class InputError(ValueError):
@@ -46,18 +46,18 @@ class InputError(ValueError):
         self.file = None if file is None else str(file)
         self.key = key
         self.value = value
-        place = [] if self.file is None else [self.file]
+        location = [] if self.file is None else [self.file]
         if key is not None:
-            place.append(shortened(key) + ("" if value is None else f" = {_echo(value)}"))
-        super().__init__(": ".join([*place, message]))
+            location.append(shortened(key) + ("" if value is None else f" = {_echo(value)}"))
+        super().__init__(": ".join([*location, message]))
 
     def in_file(self, file: str | Path) -> Self:
-        """The same mistake, with the file it is in."""
+        """The same error with the name of its file."""
         return type(self)(self.message, file=file, key=self.key, value=self.value)
 
 
 class NotABody(InputError):
-    """Mass and inertia that no rigid body has, for example after a subtraction."""
+    """Mass and inertia that are not physically consistent, for example after a subtraction."""
 
 
 class Infeasible(InputError):
@@ -72,8 +72,8 @@ class MissingPackage(InputError):
     """A Python package that only some files need is not installed; the message has the command that installs it."""
 
 
-def shortened(text: str, most: int = LONGEST_ECHO) -> str:
-    """Foreign text in one line, cut with ``...`` after so many characters."""
+def shortened(text: str, most: int = MAX_ECHO_LENGTH) -> str:
+    """Foreign text in one line, truncated with ``...`` after ``most`` characters."""
     line = " ".join(text[: 2 * most].split())
     return line if len(text) <= most else f"{line[: most - 3]}..."
 
@@ -86,7 +86,7 @@ def _echo(value: object) -> str:
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """``; did you mean 'x'?`` where ``name`` looks like a slip of the pen, else nothing."""
+    """``; did you mean 'x'?`` where ``name`` looks like a typing error, else nothing."""
     close = get_close_matches(name, list(known), n=1)
     return f"; did you mean {close[0]!r}?" if close else ""
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Results are written to a temporary file and renamed: a file is complete, and an earlier one stays until then.
+"""Atomic file writing: a temporary file is renamed when complete, and the earlier file stays until then.
 
 An ``OSError`` on the way, a full disk for example, becomes an :class:`InputError` that names the file.
 """
@@ -25,7 +25,7 @@ def is_file(path: str | Path) -> bool:
 
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """Where to write a file, which gets its name when the context ends well; an earlier one is replaced.
+    """Temporary path for a file; renamed on success at the end of the context, replacing an earlier file.
 
     Args:
         path: The file; its folder is made.
@@ -43,14 +43,14 @@ def whole(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text file, completely or not at all."""
+    """Write a text file atomically."""
     with whole(path) as aside:
         aside.write_text(text, encoding="utf-8")
 
 
 @contextmanager
 def whole_folder(directory: Path) -> Iterator[Path]:
-    """Where to write files that belong together, which come into their folder when the context ends well.
+    """Temporary folder for files that belong together; moved into their folder on success at the end of the context.
 
     Args:
         directory: Their folder; it is made, and what else is in there stays.

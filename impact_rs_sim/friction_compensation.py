@@ -96,15 +96,15 @@ class FrictionCompensation(Schema):
         for object_name, cases in self.sets.items():
             self._known(f"sets.{object_name}", object_name, "object", set(sets))
             for case_name, arms in cases.items():
-                place = f"sets.{object_name}.{case_name}"
-                self._known(place, case_name, "case", set(sets[object_name]))
+                key_path = f"sets.{object_name}.{case_name}"
+                self._known(key_path, case_name, "case", set(sets[object_name]))
                 expected = sets[object_name][case_name]
                 for arm in arms:
-                    self._known(f"{place}.{arm}", arm, "arm", expected)
+                    self._known(f"{key_path}.{arm}", arm, "arm", expected)
                 if missing := expected - set(arms):
-                    raise InputError(f"arm {min(missing)!r} is missing", key=place)
+                    raise InputError(f"arm {min(missing)!r} is missing", key=key_path)
                 for arm, friction in arms.items():
-                    self._count(f"{place}.{arm}", friction, count, duration)
+                    self._count(f"{key_path}.{arm}", friction, count, duration)
         if self.scenario_digest != digest:
             raise InputError(
                 f"identified on another version of scenario {self.scenario!r} than this {name!r} (digest {digest}); "
@@ -114,19 +114,19 @@ class FrictionCompensation(Schema):
             )
 
     @staticmethod
-    def _known(place: str, name: str, kind: str, known: set[str]) -> None:
+    def _known(key_path: str, name: str, kind: str, known: set[str]) -> None:
         if name not in known:
             raise InputError(
                 f"the scenario has no such {kind}; it has: {', '.join(sorted(known))}{did_you_mean(name, known)}",
-                key=place,
+                key=key_path,
             )
 
-    def _count(self, place: str, friction: ArmFriction, count: int, duration: float) -> None:
+    def _count(self, key_path: str, friction: ArmFriction, count: int, duration: float) -> None:
         for phase in ("ante", "post"):
             for task in TASKS:
                 found = len(getattr(getattr(friction, phase), task))
                 if found != count:
                     raise InputError(
                         f"{found} samples, expected {count}: one per {self.period:g} s of the trial's {duration:g} s",
-                        key=f"{place}.{phase}.{task}",
+                        key=f"{key_path}.{phase}.{task}",
                     )

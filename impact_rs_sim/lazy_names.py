@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names of a package that are imported when they are first used (PEP 562).
+"""Lazy imports of a package: names are imported at first use (PEP 562).
 
 Importing the physics takes seconds on a cold machine. A command that needs none of it should start at once.
 """

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Contract of what moves a plant: arms with their drives, object and support, without sensors, scatter and clock.
+"""Interface of the mechanics of a plant: arms with drives, object and support, without sensors, scatter and clock.
 
-Two simulators keep it: Bullet, with drives of its own (:mod:`impact_rs_sim.bullet_mechanics`), and the compiled twin
-(:mod:`impact_rs_sim.twin_mechanics`). They share the parameters (:class:`~impact_rs_sim.physics.Physics`), and solve
-contacts by methods of their own.
+Two simulators implement it: Bullet, with drives of its own (:mod:`impact_rs_sim.bullet_mechanics`), and the compiled
+twin (:mod:`impact_rs_sim.twin_mechanics`). They share the parameters (:class:`~impact_rs_sim.physics.Physics`), and
+solve contacts by methods of their own.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Mechanics(ABC):
             period: Period of the torque loop [s].
 
         Raises:
-            NotABody: Mass and inertia of an end effector are those of no body.
+            NotABody: Mass and inertia of an end effector are physically inconsistent.
         """
 
     @abstractmethod
@@ -58,8 +58,8 @@ class Mechanics(ABC):
 
         Args:
             desired: Desired torque by arm, ``(n,)`` [N m].
-            periods: How many.
-            time: Time now, for loads that depend on it [s].
+            periods: Number of periods.
+            time: Present time, for time-dependent loads [s].
 
         Raises:
             InputError: A load is not finite.
@@ -67,7 +67,7 @@ class Mechanics(ABC):
 
     @abstractmethod
     def arm(self, name: str) -> ArmMotion:
-        """Motion of an arm now."""
+        """Present motion of an arm."""
 
     @abstractmethod
     def object_state(self) -> BodyState:

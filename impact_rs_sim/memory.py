@@ -1,18 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory of formulas: first-order lags.
+"""First-order lags (low-pass filters) of formulas.
 
 A lag z of a quantity u with a time constant T obeys
 
     T dz/dt = u - z.
 
-From one evaluation to the next u counts as linear in time, and 1/T as its mean. For a constant T the step is exact at
-any length h:
+Between evaluations u is linear in time (first-order hold) and 1/T takes its mean. For a constant T the step is exact
+for any h:
 
     z_1 = u_1 - (u_1 - u_0) (1 - exp(-r)) / r + (z_0 - u_0) exp(-r),    r = h (1/T_0 + 1/T_1) / 2
 
-so that z lags by T whatever the sampling, is u for T = 0, and stays where it was for an infinite T. The first
-evaluation has z = u, as if what was before had been steady, or a start that is given. ``src/twin_formula.cpp`` takes
-the same step.
+so that z lags by T at any sampling, equals u for T = 0, and is constant for an infinite T. The first evaluation has z =
+u (steady state before the start), or a given initial value. ``src/twin_formula.cpp`` takes the same step.
 """
 
 from __future__ import annotations
@@ -26,18 +25,18 @@ from impact_rs_sim.robot import Array
 
 
 class Memory:
-    """What the lags of one simulation remember; a new one knows nothing, as at the start of a trial."""
+    """State of the lags of one simulation; a new one is empty, as at the start of a trial."""
 
     def __init__(self) -> None:
         self._known: dict[object, tuple[float, float, float, float]] = {}
         self._parts: dict[object, Memory] = {}
 
     def part(self, owner: object) -> Memory:
-        """The memory of one of several owners: of an arm, or of an effect."""
+        """Separate state of one owner, an arm or an effect."""
         return self._parts.setdefault(owner, Memory())
 
     def lag(self, key: object, time: float, value: float, constant: float, start: float | None = None) -> float:
-        """A lag after a step to ``time`` [s]; asked again at the same time, what it was.
+        """Output of a lag after a step to ``time`` [s]; a repeated call at the same time returns the same value.
 
         Args:
             key: Which one.
@@ -57,7 +56,7 @@ class Memory:
 
 
 def lag_along(time: Array, value: Any, constant: Any, start: Any = None) -> Array:
-    """A lag over samples in the order of time, ``(k,)``.
+    """Output of a lag along increasing times, ``(k,)``.
 
     Args:
         time: When they are, ``(k,)`` [s].

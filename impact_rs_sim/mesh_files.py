@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the mesh that a URDF names lies on this machine."""
+"""Resolve the mesh addresses of a URDF to files."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ def mesh_path(address: str) -> Path | None:
     Packages are looked for where ROS 2 installs them, by ``AMENT_PREFIX_PATH``.
     """
     if address.startswith(FILE):
-        places = [Path(unquote(urlparse(address).path))]
+        candidates = [Path(unquote(urlparse(address).path))]
     else:
         package, inside = _package(address)
         prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-        places = [Path(prefix) / "share" / package / inside for prefix in prefixes if prefix]
-    return next((place for place in places if place.is_file()), None)
+        candidates = [Path(prefix) / "share" / package / inside for prefix in prefixes if prefix]
+    return next((candidate for candidate in candidates if candidate.is_file()), None)
 
 
 def mesh_address(name: str, urdf: Path, packages: Iterable[Path] = ()) -> str | None:
@@ -44,9 +44,9 @@ def mesh_address(name: str, urdf: Path, packages: Iterable[Path] = ()) -> str | 
         return name
     package, inside = _package(name)
     for folder in (*packages, *urdf.resolve().parents):
-        for place in _inside(folder, package):
-            if (place / inside).is_file():
-                return (place / inside).resolve().as_uri()
+        for candidate in _inside(folder, package):
+            if (candidate / inside).is_file():
+                return (candidate / inside).resolve().as_uri()
     return name
 
 

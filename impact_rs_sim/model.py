@@ -23,7 +23,7 @@ import yaml
 from pydantic import Field
 
 from impact_rs_sim.effects import Effect, library
-from impact_rs_sim.effects.base import SLIDING, Joints, Parameter
+from impact_rs_sim.effects.base import PRISMATIC_UNITS, Joints, Parameter
 from impact_rs_sim.effects.contact import FORMER
 from impact_rs_sim.effects.each_arm import EachArm, of_each
 from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
@@ -34,7 +34,9 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array, JointType
 from impact_rs_sim.schema import Schema, load, parse_yaml, validate
 
-OF_SLIDING = {unit for unit, _ in SLIDING.values()}  # no parameter of a joint that turns has one of these units
+PRISMATIC_ONLY_UNITS = {
+    unit for unit, _ in PRISMATIC_UNITS.values()
+}  # no parameter of a revolute joint has one of these units
 
 
 class ParameterValue(Schema):
@@ -81,7 +83,7 @@ class Model(Schema):
         return {**library(), **{spec.name: FormulaEffect(spec) for spec in self.formulas}}
 
     def effect_of(self, item: ModelEffect) -> Effect:
-        """The effect of an entry; its parameters belong to one arm each where it names none that arms share."""
+        """Effect of an entry, with parameters per arm unless the entry names shared parameters."""
         if item.name in FORMER and "scale" in item.parameters:
             return FORMER[item.name]
         shared = self._shared_effects[item.name]
@@ -90,7 +92,7 @@ class Model(Schema):
         return each if own & item.parameters.keys() else shared
 
     def containing(self, names: Iterable[str]) -> Model:
-        """The model with those of its formulas alone that are named or switched on: what a simulation needs of it."""
+        """The model reduced to its active or named formulas: the part that a simulation needs."""
         wanted = {*names, *(item.name for item in self.effects)}
         kept = tuple(spec for spec in self.formulas if spec.name in wanted)
         return self if len(kept) == len(self.formulas) else self.model_copy(update={"formulas": kept})
@@ -128,7 +130,7 @@ class Model(Schema):
         return physics
 
     def with_effect(self, item: ModelEffect, name: str, parent: str, formulas: tuple[FormulaSpec, ...] = ()) -> Model:
-        """A child model with one more effect, or with another estimate of one it has."""
+        """Child model with one more effect, or with a new estimate of an existing effect."""
         kept = tuple(effect for effect in self.effects if effect.name != item.name)
         own = {spec.name: spec for spec in (*self.formulas, *formulas)}
         return Model(
@@ -143,7 +145,7 @@ class Model(Schema):
 
 
 def _joint_count(effect: Effect, item: ModelEffect) -> int | None:
-    """Largest joint that the parameters of an effect name, 1 where they name none; None: arms share none per joint."""
+    """Largest joint number in the parameters of an effect, 1 without any; None without shared parameters per joint."""
     if isinstance(effect, EachArm):
         return None
     names = [re.escape(parameter.name) for parameter in effect.parameters if parameter.per_joint]
@@ -160,7 +162,7 @@ def _joints(effect: Effect, item: ModelEffect) -> Joints:
     slides = {
         scalar.joint
         for scalar in effect.scalars((sliding,) * count)
-        if scalar.unit in OF_SLIDING and scalar.name in item.parameters
+        if scalar.unit in PRISMATIC_ONLY_UNITS and scalar.name in item.parameters
         if item.parameters[scalar.name].unit == scalar.unit
     }
     return tuple("prismatic" if joint in slides else "revolute" for joint in range(count))
@@ -198,22 +200,26 @@ def check_model(model: Model, file: str | Path) -> Model:
                     key=f"{key}.parameters.{name}",
                 )
         for name, scalar in scalars.items():
-            place = f"{key}.parameters.{name}"
+            key_path = f"{key}.parameters.{name}"
             if name not in item.parameters and scalar.prior is not None:
                 continue
             if name not in item.parameters:
                 fewer = scalar.joint is not None and count not in (None, scalar.joint + 1)
                 last = f"; joint {count} is here" if fewer else ""
-                raise InputError(f"this key is missing ({scalar.meaning} [{scalar.unit}]){last}", file=file, key=place)
+                raise InputError(
+                    f"this key is missing ({scalar.meaning} [{scalar.unit}]){last}", file=file, key=key_path
+                )
             value = item.parameters[name]
             if value.unit != scalar.unit:
-                raise InputError(f"expected the unit {scalar.unit!r}", file=file, key=f"{place}.unit", value=value.unit)
+                raise InputError(
+                    f"expected the unit {scalar.unit!r}", file=file, key=f"{key_path}.unit", value=value.unit
+                )
             lower, upper = scalar.possible if effect.name in library() else (scalar.lower, scalar.upper)
             if not lower <= value.estimate <= upper:
                 raise InputError(
                     f"expected {lower:g} ... {upper:g} {scalar.unit} ({scalar.meaning})",
                     file=file,
-                    key=f"{place}.estimate",
+                    key=f"{key_path}.estimate",
                     value=value.estimate,
                 )
         if count is not None:
@@ -245,7 +251,7 @@ def parse_model(text: str, source: str) -> Model:
     """A model from the text of a model file.
 
     Raises:
-        InputError: It is none; the error names ``source``.
+        InputError: The text is not a model; the error names ``source``.
     """
     return check_model(validate(Model, parse_yaml(text, source), source), source)
 

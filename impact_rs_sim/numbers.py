@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates with intervals, and their text: as many digits as the width of the interval justifies."""
+"""Text of estimates and intervals, with the number of digits that the width of the interval justifies."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ import math
 import sys
 
 NORMAL_95 = 1.959964  # half the width of a 95 % interval over the standard deviation, normal distribution
-PLAIN = (1e-4, 1e6)  # sizes that are written without an exponent
-MOST_DIGITS = 15  # a float has no more
-ROUNDING = 4.0 * sys.float_info.epsilon  # half a width over the estimate that rounding errors alone make
-LEAST_DECIMALS = 3  # of a speed with its half interval, m/s
+PLAIN_NOTATION_RANGE = (1e-4, 1e6)  # numbers written without an exponent
+MAX_DIGITS = 15  # significant decimal digits of a float
+# Half width of an interval over the estimate that rounding errors alone produce
+MAX_ROUNDING_RATIO = 4.0 * sys.float_info.epsilon
+MIN_SPEED_DECIMALS = 3  # of a speed with its half interval [m/s]
 
 
 def estimate_text(estimate: float, ci95: tuple[float, float] | None, least: int = 0) -> tuple[str, ...]:
     """An estimate and the ends of its interval, with two digits of the half width; without interval three digits.
 
-    An interval no wider than rounding errors is none.
+    An interval as narrow as rounding errors is treated as missing.
 
     Args:
         estimate: The estimate.
@@ -26,13 +27,13 @@ def estimate_text(estimate: float, ci95: tuple[float, float] | None, least: int 
     numbers = (estimate, *(ci95 or ()))
     half = (ci95[1] - ci95[0]) / 2.0 if ci95 is not None else 0.0
     largest = max(abs(number) for number in numbers)
-    plain = PLAIN[0] <= largest < PLAIN[1]
-    if not ROUNDING * largest < half < math.inf:
+    plain = PLAIN_NOTATION_RANGE[0] <= largest < PLAIN_NOTATION_RANGE[1]
+    if not MAX_ROUNDING_RATIO * largest < half < math.inf:
         return tuple(
             f"{number:.{least}f}" if least and (plain or not largest) else f"{number:.3g}" for number in numbers
         )
-    exponent = _exponent(largest)
-    decimals = min(1 - _exponent(half), MOST_DIGITS - exponent)
+    exponent = _decimal_exponent(largest)
+    decimals = min(1 - _decimal_exponent(half), MAX_DIGITS - exponent)
     if plain:
         return tuple(f"{number:.{max(decimals, least, 0)}f}" for number in numbers)
     return tuple(f"{number:.{max(exponent + decimals + 1, 3)}g}" for number in numbers)
@@ -47,12 +48,12 @@ def estimate_in_line(estimate: float, ci95: tuple[float, float] | None, least: i
 def speed_text(speed: float, half: float | None) -> tuple[str, ...]:
     """A speed and half its interval [m/s], to the millimetre per second, or as finely as the half interval needs."""
     if half is None or not math.isfinite(half):
-        return (f"{speed:.{LEAST_DECIMALS}f}",)
-    needed = -_exponent(half) if half > 0.0 else LEAST_DECIMALS
-    decimals = min(max(LEAST_DECIMALS, needed), MOST_DIGITS)
+        return (f"{speed:.{MIN_SPEED_DECIMALS}f}",)
+    needed = -_decimal_exponent(half) if half > 0.0 else MIN_SPEED_DECIMALS
+    decimals = min(max(MIN_SPEED_DECIMALS, needed), MAX_DIGITS)
     return f"{speed:.{decimals}f}", f"{half:.{decimals}f}"
 
 
-def _exponent(number: float) -> int:
-    """Power of ten of the first digit; 0.1 less a rounding error counts as 0.1."""
+def _decimal_exponent(number: float) -> int:
+    """Decimal exponent of a number; 0.1 less a rounding error is treated as 0.1."""
     return math.floor(math.log10(number) + 1e-9)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from impact_rs_sim.errors import MissingPackage
 
-SIZE = "0.2 GB on disk"  # of both of them
+EXPORT_EXTRA_SIZE = "0.2 GB on disk"  # of pyarrow and h5py together
 
 
 def require(package: str, path: Path) -> None:
@@ -25,7 +25,9 @@ def require(package: str, path: Path) -> None:
     """
     if find_spec(package) is None:
         command = shlex.join(installer() or ["pip", "install", package])
-        raise MissingPackage(f"this needs {package}, which is not installed; {command} does it ({SIZE})", file=path)
+        raise MissingPackage(
+            f"this needs {package}, which is not installed; {command} does it ({EXPORT_EXTRA_SIZE})", file=path
+        )
 
 
 def installer() -> list[str] | None:

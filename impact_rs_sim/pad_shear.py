@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A pad that is compliant along its face, which Bullet's rigid sticking friction leaves out.
+"""Tangential compliance and creep of a pad (Maxwell element), which Bullet's rigid stiction lacks.
 
 The face of the pad is sheared against the flange by s and twisted about the contact normal by phi. Between face and
 flange sits a Maxwell element with a damper across its spring; between face and object Coulomb friction. At every
@@ -11,7 +11,7 @@ contact point i, with its share w_i = N_i / N of the normal load and its place r
 so that all points together give F = -s / C at rest and v = -c F as steady creep; beyond its cone a point slips, and s
 is what its friction can hold (return mapping, as in elastoplasticity: Simo and Hughes 1998, ch. 1). Shares of the load
 make all points reach their cones together when the face is sheared without a twist. C is the compliance [m/N], c the
-creep [m/(s N)] and tau the time constant of a damper that a mass of ``REDUCED_MASS`` on the spring meets with
+creep [m/(s N)] and tau the time constant of a damper that a mass of ``REDUCED_MASS_KG`` on the spring meets with
 ``DAMPING_RATIO``.
 
 Bullet has one regularisation of friction (``frictionERP``, ``frictionCFM``) for all contacts of a world, the support's
@@ -28,13 +28,13 @@ import numpy as np
 
 from impact_rs_sim.robot import Array
 
-REDUCED_MASS = 1.0  # kg, of arm and object together
+REDUCED_MASS_KG = 1.0  # of arm and object against each other; sets the damper below
 DAMPING_RATIO = 0.5  # of that mass on the spring
-SMALLEST_TURN = 1e-6  # m; contact points closer to each other than this resist no twist
+MIN_TWIST_LEVER_M = 1e-6  # contact points closer to each other resist no twist
 
 
 @dataclass(frozen=True)
-class Touch:
+class PadContacts:
     """Contact points of a pad after a step.
 
     Attributes:
@@ -49,7 +49,7 @@ class Touch:
 
 
 @dataclass(frozen=True)
-class Side:
+class ContactBody:
     """A body at a contact.
 
     Attributes:
@@ -77,18 +77,18 @@ class PadShear:
     def __init__(self, compliance: float, creep: float, friction: float, period: float, pads: int = 1) -> None:
         self._compliance, self._creep, self._friction = compliance, creep, friction
         self._period, self._pads = period, pads
-        self._time_constant = 2.0 * DAMPING_RATIO * float(np.sqrt(compliance * REDUCED_MASS))
+        self._time_constant = 2.0 * DAMPING_RATIO * float(np.sqrt(compliance * REDUCED_MASS_KG))
         self.release()
 
     def release(self) -> None:
-        """The pad lets go, and springs back."""
+        """Release: reset the deformation to zero."""
         self.force = np.zeros(3)  # on the object in the step to come, axes of A [N]
         self._shift = np.zeros(3)  # s at the pad's origin, axes of E [m]
         self._twist = 0.0  # phi [rad]
         self._pull = np.zeros(3)  # F of the last step, axes of E [N]
         self._torque = 0.0  # about the normal, of the last step [N m]
 
-    def step(self, touch: Touch, object_: Side, pad: Side, rotation: Array) -> Array:
+    def step(self, touch: PadContacts, object_: ContactBody, pad: ContactBody, rotation: Array) -> Array:
         """Forces on the object over the next step, axes of A, ``(m, 3)`` [N].
 
         Args:
@@ -103,15 +103,15 @@ class PadShear:
         across = _skew(normal)
         turning = (touch.points - centre) @ across.T  # n x r_i
         radius = float(np.sqrt(share @ np.sum(np.square(turning), axis=1)))
-        turns = radius > SMALLEST_TURN
+        turns = radius > MIN_TWIST_LEVER_M
         along = _AXES - normal[:, None] * normal
         of_thing, of_pad = (_rows(along, normal, radius, centre - side.position) for side in (object_, pad))
         # Three shears in axes of A and the twist as a length (phi times the radius of gyration of the load).
         velocity = of_thing @ object_.twist - of_pad @ pad.twist
         mobility = of_thing @ object_.mobility @ of_thing.T + of_pad @ pad.mobility @ of_pad.T
         lever = across @ (centre - pad.position)
-        deflection = _shears(along @ (rotation @ self._shift + self._twist * lever), radius * self._twist)
-        last = _shears(along @ (rotation @ self._pull), self._torque / radius if turns else 0.0)
+        deflection = _shear_and_twist(along @ (rotation @ self._shift + self._twist * lever), radius * self._twist)
+        last = _shear_and_twist(along @ (rotation @ self._pull), self._torque / radius if turns else 0.0)
 
         theta = lag + period
         compliance = max(self._compliance, self._pads * theta * period * float(np.linalg.eigvalsh(mobility)[-1]))
@@ -125,7 +125,7 @@ class PadShear:
             forces *= np.where(slips, limit / np.maximum(size, 1e-300), 1.0)[:, None]
         self.force, self._torque = forces.sum(axis=0), float(np.sum(turning * forces))
         if np.any(slips):
-            held = _shears(self.force, self._torque / radius if turns else 0.0)
+            held = _shear_and_twist(self.force, self._torque / radius if turns else 0.0)
             stuck = (lag * deflection - period * compliance * held) / theta
         self._twist = float(stuck[3]) / radius if turns else 0.0
         self._shift = rotation.T @ (stuck[:3] - self._twist * lever)
@@ -142,7 +142,7 @@ def _skew(a: Array) -> Array:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-def _shears(along: Array, twist: float) -> Array:
+def _shear_and_twist(along: Array, twist: float) -> Array:
     """Shears in axes of A, and the twist as a length, ``(4,)``."""
     found = np.empty(4)
     found[:3], found[3] = along, twist
@@ -150,7 +150,7 @@ def _shears(along: Array, twist: float) -> Array:
 
 
 def _rows(along: Array, normal: Array, radius: float, lever: Array) -> Array:
-    """What a twist does to shear and twist at a place ``lever`` from its reference point, ``(4, 6)``."""
+    """Jacobian from the twist of a body to shear and twist rates at ``lever`` from its reference point, ``(4, 6)``."""
     rows = np.zeros((4, 6))
     rows[:3, :3] = along
     rows[:3, 3:] = -along @ _skew(lever)

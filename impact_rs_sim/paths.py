@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the package finds its configuration files, installed or not."""
+"""Location of the configuration files, installed or not."""
 
 import os
 import sys

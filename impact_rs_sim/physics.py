@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Physical parameters of a plant, a twin or an impact map.
 
-A :class:`Physics` is one complete belief about the scene. The nominal one follows from scenario and object; an
-effect turns one into another. Nothing else carries physical parameters, so what one side can hide the other can
-model.
+A :class:`Physics` holds all physical parameters of a scene. The nominal one follows from scenario and object; an effect
+maps one to another. Nothing else carries physical parameters, so every effect that a plant can hide can be modelled.
 """
 
 from __future__ import annotations
@@ -104,7 +103,7 @@ class LoadState:
 
     @property
     def samples(self) -> Iterator[LoadState]:
-        """Each of many samples without contact."""
+        """The samples one by one, without contact."""
         torques = np.zeros_like(self.joint_position) if self.joint_torque is None else self.joint_torque
         rows = zip(
             np.asarray(self.time).tolist(),
@@ -124,7 +123,7 @@ class ObjectLoad(ABC):
 
     @property
     def remembers(self) -> bool:
-        """Whether what acts at the support depends on what was before: it is evaluated without touch as well."""
+        """Whether the support load has memory; it is then evaluated without contact as well."""
         return False
 
     @abstractmethod
@@ -138,7 +137,7 @@ class ObjectLoad(ABC):
 
     @abstractmethod
     def support_force(self, scene: Mapping[str, float], memory: Memory) -> tuple[float, float]:
-        """Normal force on the object away from the support, and force against its sliding [N]."""
+        """Normal force on the object (positive: repulsive) and force against its sliding [N]."""
 
 
 class Load:
@@ -146,7 +145,7 @@ class Load:
 
     Attributes:
         touches: Whether it acts between pad and object.
-        remembers: Whether what acts there depends on what was before: it is evaluated without touch as well.
+        remembers: Whether that load has memory; it is then evaluated without contact as well.
         reads_scene: Whether it depends on :attr:`LoadState.scene`.
         vectorised: Whether it takes many samples at once; if not, it is called for each.
     """
@@ -184,7 +183,7 @@ class Load:
         return None
 
     def pad_force(self, state: LoadState) -> tuple[float, float] | None:
-        """Between pad and object while they touch: force that parts them, and force against sliding [N], or None."""
+        """Load at a closed pad contact: repulsive normal force and force against sliding [N], or None."""
         return None
 
 
@@ -193,8 +192,8 @@ class ContactCondition:
     """State and laws of m contact points just before an impact (:mod:`impact_rs_sim.impact_map.contact_laws`).
 
     Attributes:
-        closing: Speed at which a point comes, ``(m,)`` [m/s].
-        slip: Speed at which it slides, ``(m,)`` [m/s].
+        closing: Closing speed of the points, ``(m,)`` [m/s].
+        slip: Sliding speed of the points, ``(m,)`` [m/s].
         friction: Coulomb coefficient, ``(m,)`` [-].
         restitution: Of the normal velocity, ``(m,)`` [-].
         tangential_restitution: Of the sliding velocity, ``(m,)`` [-].
@@ -279,7 +278,7 @@ class ArmPhysics:
         }[model]
 
     def pad_restitution(self, object_mass: float) -> float:
-        """Restitution of a square impact of the pad on an object of that mass [kg]; 0 for a rigid pad [-].
+        """Coefficient of restitution of a central pad impact on a mass [kg]; 0 for a rigid pad [-].
 
         Spring and damper of the pad part when their force is 0 (:mod:`impact_rs_sim.damping_of_restitution`).
         """
@@ -291,7 +290,7 @@ class ArmPhysics:
         return self._critical_damping(object_mass) * damping_ratio_of(restitution)
 
     def _critical_damping(self, object_mass: float) -> float:
-        """2 sqrt(k m) of the mass m with which arm and object meet [N s/m]; 0 for a rigid pad."""
+        """Critical damping 2 sqrt(k m) with the reduced mass m of arm and object [N s/m]; 0 for a rigid pad."""
         return 2.0 * math.sqrt((self.pad_stiffness or 0.0) / (self.pad_mobility + 1.0 / object_mass))
 
     def load_torques(self, state: LoadState, jacobian: Array) -> tuple[Array, Array]:
@@ -342,10 +341,10 @@ class ObjectPhysics:
 
 
 def assumed_words(by_arm: Mapping[str, Sequence[str]]) -> str:
-    """What of the arms is assumed, neither measured nor published, as a sentence; empty: nothing.
+    """Assumptions about the arms (neither measured nor published) as a sentence; empty without any.
 
     Args:
-        by_arm: What of each arm, in words, by the name of the arm.
+        by_arm: Assumptions in words by name of the arm.
     """
     arms: dict[tuple[str, ...], list[str]] = {}
     for name, assumed in by_arm.items():
@@ -458,7 +457,7 @@ class Physics:
 
     @property
     def assumed(self) -> str:
-        """What of the arms is assumed, as a sentence; empty: nothing."""
+        """Assumptions about the arms as a sentence; empty without any."""
         return assumed_words({name: arm.assumed for name, arm in self.arms.items()})
 
     @property
@@ -468,7 +467,7 @@ class Physics:
 
     @property
     def joints(self) -> tuple[JointType, ...]:
-        """Joint types of an arm, base to tip; empty where there is no arm.
+        """Joint types that all arms share, base to tip; empty without an arm.
 
         Raises:
             InputError: The arms have unequal numbers of joints, or joints that move otherwise.

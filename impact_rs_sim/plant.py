@@ -72,9 +72,9 @@ class Truth:
 
 
 class PlantExtension:
-    """Behaviour of a Bullet plant outside :class:`Physics`; subclasses override what they need.
+    """Hooks for behaviour of a Bullet plant that :class:`Physics` cannot express; subclasses override what they need.
 
-    For tests of the diagnosis: what it must not find in its library has to live somewhere.
+    For tests of the diagnosis with mechanisms that its library lacks.
     """
 
     def begin(self, plant: Plant) -> None:
@@ -142,10 +142,10 @@ class Plant:
             object_state: Nominal pose of the object; the scatter comes on top.
             seed: Seed of scatter and noise. Same seed, same trial, bit by bit.
             extension: Behaviour outside the physics; of Bullet only.
-            simulator: Which one moves it.
+            simulator: Simulator of its mechanics.
 
         Raises:
-            NotABody: Mass and inertia of an end effector are those of no body.
+            NotABody: Mass and inertia of an end effector are physically inconsistent.
             InputError: There is an extension, and the simulator is not Bullet.
         """
         timing, samples = scenario.timing, scenario.timing.ticks + 1
@@ -285,7 +285,7 @@ def _scatter(
     object_state: BodyState,
     rng: np.random.Generator,
 ) -> tuple[Physics, dict[str, Array], BodyState]:
-    """Scatter from trial to trial; the object stays on its support."""
+    """Draw the scatter from trial to trial; the object stays on its support."""
     shift = scatter.object_position * rng.standard_normal(2)
     yaw = scatter.object_yaw * rng.standard_normal()
     friction = physics.support_friction * (1.0 + scatter.support_friction * rng.standard_normal())

@@ -19,11 +19,11 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 
 VARIABLE = "IMPACT_RS_PROGRESS"
-PERIOD = 0.1  # s, between two writes of one stage
+MIN_WRITE_PERIOD_S = 0.1  # between two writes of one stage
 
 
 class ProgressFile:
-    """The file named by the environment variable; without one nothing is written."""
+    """The progress file; without the environment variable nothing is written."""
 
     def __init__(self) -> None:
         name = os.environ.get(VARIABLE)
@@ -53,7 +53,7 @@ class ProgressFile:
             if self._what is not None:
                 self._stages[self._what] = self._seconds(now)
             self._what, self._since, self._first = what, now, done
-        elif done != total and now - self._at < PERIOD:
+        elif done != total and now - self._at < MIN_WRITE_PERIOD_S:
             return
         self._at = now
         ranking = sorted(self._ranking.items(), key=lambda entry: entry[1])
@@ -64,5 +64,5 @@ class ProgressFile:
             write_whole(self._path, json.dumps(document))
 
     def _seconds(self, now: float) -> float:
-        """Seconds of the stage, those of earlier times included."""
+        """Duration of the stage, earlier visits included [s]."""
         return self._stages.get(self._what or "", 0.0) + now - self._since

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Size of a robot beside the arm for which absolute limits were chosen.
+"""Scaling of absolute limits to the size of a robot, by dimensional analysis.
 
 Ranges of parameters, noticeable changes and relevance limits are stated for a Franka arm. Another robot has them in
 proportion: by dimensional analysis (Buckingham 1914), with the mass of its links, its reach and the time in which a
@@ -7,9 +7,9 @@ body falls as far,
 
     m,    l,    t = sqrt(l / |g|);    a quantity in kg^a m^b s^c is larger by m^a l^b t^c
 
-so that a torque is judged by the torque of the robot's own weight, and verdicts do not depend on the units of mass.
-Drives may be large beside a light arm: one whose torques exceed the limits of such an arm counts as a heavier one.
-Of a free body they are stated for a cube of 1 kg and 0.1 m that comes at 1 m/s.
+so that torques are relative to the robot's gravity torque, and verdicts do not depend on the units of mass. If the
+drives are strong for the mass of the arm, the arm is scaled as a heavier one. For free bodies the limits are stated for
+a cube of 1 kg and 0.1 m at 1 m/s.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robot import Array, RobotFacts
 from impact_rs_sim.units import dimension_of
 
-FRANKA_MASS = 16.062132  # kg, links 1 to 7
-FRANKA_REACH = 0.98626233  # m, from joint 2 along all joints to the flange
-FRANKA_TORQUE = 87.0  # N m, limit of its strongest joints
-GRAVITY = 9.81  # m/s^2
-GYRATION = 0.1 / 6.0**0.5  # m, of the cube
+FRANKA_MASS_KG = 16.062132  # links 1 to 7
+FRANKA_REACH_M = 0.98626233  # from joint 2 along all joints to the flange
+FRANKA_TORQUE_NM = 87.0  # limit of its strongest joints
+GRAVITY_M_S2 = 9.81  # m/s^2
+CUBE_GYRATION_RADIUS_M = 0.1 / 6.0**0.5  # of the cube of 0.1 m
 
 
 @dataclass(frozen=True)
 class Proportion:
-    """A robot over the Franka arm, or a free body over the one above.
+    """Scale of a robot relative to the Franka arm, or of a free body relative to the cube above.
 
     Attributes:
         mass: Of its links, or of the body [-].
@@ -46,7 +46,7 @@ class Proportion:
 
     @staticmethod
     def of(physics: Physics) -> Proportion:
-        """Proportion of the arms of a scene, of several their mean; 1 without an arm."""
+        """Proportion of the arms of a scene (mean over arms); 1 without an arm."""
         if not physics.arms:
             return Proportion()
         return Proportion.of_robots([arm.facts for arm in physics.arms.values()], np.asarray(physics.gravity))
@@ -54,20 +54,20 @@ class Proportion:
     @staticmethod
     def of_robots(robots: Sequence[RobotFacts], gravity: Array) -> Proportion:
         """Mean proportion of robots (at least one) under a gravity, ``(3,)`` [m/s^2]."""
-        mass = float(np.mean([_mass(facts) for facts in robots])) / FRANKA_MASS
-        length = float(np.mean([reach_of(facts) for facts in robots])) / FRANKA_REACH
-        size = float(np.linalg.norm(gravity)) or GRAVITY
-        return Proportion(mass, length, float(np.sqrt(length * GRAVITY / size)))
+        mass = float(np.mean([_mass(facts) for facts in robots])) / FRANKA_MASS_KG
+        length = float(np.mean([reach_of(facts) for facts in robots])) / FRANKA_REACH_M
+        size = float(np.linalg.norm(gravity)) or GRAVITY_M_S2
+        return Proportion(mass, length, float(np.sqrt(length * GRAVITY_M_S2 / size)))
 
     @staticmethod
     def of_body(body: ObjectPhysics, speed: float) -> Proportion:
-        """Proportion of a free body that comes at some speed [m/s]."""
-        length = gyration_of(body) / GYRATION
+        """Proportion of a free body with a closing speed [m/s]."""
+        length = gyration_of(body) / CUBE_GYRATION_RADIUS_M
         return Proportion(body.mass, length, length / speed)
 
     def driven_by(self, torque: float) -> Proportion:
         """The robot, as heavy as its largest torque [N m] says where the limits in proportion are below that."""
-        limit = FRANKA_TORQUE * self.factor("N m")
+        limit = FRANKA_TORQUE_NM * self.factor("N m")
         return replace(self, mass=self.mass * max(1.0, torque / limit))
 
     def factor(self, unit: str) -> float:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Questions of a command to the person at the page that started it, over a socket that only the two have.
+"""Yes/no questions of a command to the user of the page that started it, over a private socket.
 
 With ``IMPACT_RS_QUESTIONS=N`` in its environment a command has an end of that socket as file descriptor N. A question
 is one line of JSON, ``{"number": 1, "text": "May it run?"}``, and so is its answer, ``{"number": 1, "yes": true}``.
-Whatever else comes is no yes: another number, another text, or the end of the other process.
+Anything else counts as no: another number, another text, or the end of the other process.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class PageQuestions:
 
     @classmethod
     def of_environment(cls) -> PageQuestions | None:
-        """That of this process; None: no page has started it."""
+        """The question channel of this process; None if no page has started it."""
         given = os.environ.pop(VARIABLE, "")
         try:
             return cls(int(given)) if given else None
@@ -50,7 +50,7 @@ class PageQuestions:
 
 
 def said(line: str) -> dict[str, Any] | None:
-    """What a line says; None: nothing."""
+    """Content of a line; None if it is invalid."""
     try:
         found = json.loads(line)
     except (ValueError, RecursionError):

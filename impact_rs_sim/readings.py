@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Readings: what sensors make of the true signals, and which start of a motion their readings stand for.
+"""Sensor models: readings from true signals, and the initial state of a motion from its readings.
 
 A prediction passes forward through the sensor models; the measured start of a replay is corrected by their inverse:
 
@@ -69,7 +69,7 @@ class ArmReadings:
         return self.same_as(EXACT)
 
     def same_as(self, other: ArmReadings) -> bool:
-        """Whether both make the same readings."""
+        """Whether both sensor models are equal."""
         return all(np.all(value == getattr(other, name)) for name, value in vars(self).items())
 
     @property
@@ -79,7 +79,7 @@ class ArmReadings:
 
     @property
     def in_words(self) -> str:
-        """What is not exact, as a list of names and values."""
+        """Names and values of the parameters that are not nominal."""
         changed = {name: value for name, value in vars(self).items() if np.any(value != getattr(EXACT, name))}
         return ", ".join(f"{name.replace('_', ' ')} {np.asarray(value).tolist()}" for name, value in changed.items())
 
@@ -250,13 +250,13 @@ def lagged(time: Array, values: Array, lag: float, first: Array | None = None) -
 
 
 def _slope(time: Array, values: Array) -> Array:
-    """Slope of the line through a few samples, ``(m,)``."""
+    """Slope of the regression line through some samples, ``(m,)``."""
     t = time - time.mean()
     return np.asarray(t @ values / (t @ t))
 
 
 class Filter:
-    """Delay, then filter of first order, sample by sample, as :func:`delayed` and :func:`lagged` of a whole signal.
+    """Delay and first-order low-pass filter, sample by sample; :func:`delayed` and :func:`lagged` filter whole signals.
 
     Args:
         delay: d [s]; below 0 there is none.

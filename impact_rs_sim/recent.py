@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cache of what was asked for last."""
+"""Least-recently-used (LRU) cache."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ Made = TypeVar("Made")
 
 
 class Recent(Generic[Made]):
-    """The results that were asked for last, by key.
+    """The most recently used results by key.
 
     Args:
-        most: Number of results that are kept.
+        most: Capacity.
     """
 
     def __init__(self, most: int) -> None:

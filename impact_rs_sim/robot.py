@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Robot facts and end effector: the data a URDF is written from, without derived values.
 
-A joint turns about the z of its own frame (``revolute``) or slides along it (``prismatic``). Values per joint have
-the units of its coordinate, :data:`UNITS`; where a docstring says rad, N m, kg m^2, one that slides has m, N, kg.
+A joint rotates about the z axis of its frame (``revolute``) or translates along it (``prismatic``). Values per joint
+have the units of its coordinate, :data:`UNITS`; docstrings say rad, N m, kg m^2 for a prismatic joint's m, N, kg.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ class JointUnits:
         position: Of q.
         velocity: Of dq.
         acceleration: Of ddq.
-        effort: Of what drives it.
-        inertia: Of what it moves.
+        effort: Of its force or torque.
+        inertia: Of the inertia that it moves.
         stiffness: Of its spring.
         damping: Of its damper.
     """
@@ -135,7 +135,7 @@ class SigmoidFriction(Schema):
 
 
 class Reflexes(Schema):
-    """What stops the robot by itself at a hit, or shall not be exceeded there; what is absent is not known."""
+    """Thresholds of the robot's own collision reflexes; a missing one is unknown."""
 
     source: str = Field("", description="where the thresholds come from, and how they are changed")
     external_torque_Nm: PositiveVector | None = Field(

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks of robot facts before anything is simulated with them.
 
-Each check is one line: what was looked at, whether it is in order, and the number behind it. What would make a
-simulation wrong fails; what is only unusual is a warning.
+Each check is one line: subject, outcome and the number behind it. An error that would falsify a simulation fails; an
+unusual number is a warning.
 """
 
 from __future__ import annotations
@@ -15,28 +15,29 @@ import numpy as np
 from impact_rs_sim.bullet_world import mass_matrices
 from impact_rs_sim.drive_stability import JointStability, joint_stability, spectral_radius
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.proportion import GRAVITY, reach_of
+from impact_rs_sim.proportion import GRAVITY_M_S2, reach_of
 from impact_rs_sim.robot import UNITS, Array, EndEffector, JointType, JointUnits, RobotFacts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import ASSUMED_MOTOR_INERTIA, Robot, Scenario
 
 Outcome = Literal["ok", "warning", "failed"]
 
-CONFIGURATIONS = 100
+SAMPLED_CONFIGURATIONS = 100  # uniform within the joint limits
 SEED = 0
-ENGINES_AGREE = 1e-6  # of the largest entry of M; Bullet reads a URDF in single precision here and there
-ROUNDING = 1e-3  # by which published, rounded moments may miss the triangle inequality
-ACCURACY = 0.02  # of the largest moment, to which published moments are known: rounded, or identified
-DENSEST = 5000.0  # kg/m^3: a motor of steel and copper without a gap. Shipped arms: 1,100 in the median, 4,540 at most
-LIGHTEST = 50.0  # kg/m^3, of a hollow link: a ball of its mass is the least size that a link is taken to have
-LONGEST = 2.0  # radius of gyration over the length of a link; a rod has 0.29, shipped arms 1.2 at most
-HEAVIEST = 4.0  # mass of a link over the heaviest of the four next to it; shipped arms 2.1 at most
-STRONGEST = 3.0  # load that torque limits carry at full reach over the mass of the arm; shipped arms 0.2 to 1.3
-FEWEST_ALIKE = 3  # joints of an arm; equal limits of fewer are no surprise
+MAX_ENGINE_DIFFERENCE = 1e-6  # over the largest entry of M [-]; Bullet reads parts of a URDF in single precision
+TRIANGLE_INEQUALITY_TOLERANCE = 1e-3  # by which published, rounded moments may miss the triangle inequality [-]
+MOMENT_ACCURACY = 0.02  # of published moments, over the largest one [-]: rounded, or identified
+# Of a motor of steel and copper without a gap. Shipped arms: 1,100 in the median, at most 4,540
+MAX_DENSITY_KG_M3 = 5000.0
+MIN_DENSITY_KG_M3 = 50.0  # of a hollow link: a ball of this density bounds the size of a link
+MAX_GYRATION_RATIO = 2.0  # radius of gyration over the length of a link; a rod has 0.29, shipped arms at most 1.2
+MAX_MASS_RATIO = 4.0  # mass of a link over the heaviest of the four next to it; shipped arms at most 2.1
+MAX_LOAD_RATIO = 3.0  # load at full reach by the torque limits over the mass of the arm; shipped arms 0.2 to 1.3
+MIN_EQUAL_LIMITS = 3  # joints of an arm; equal limits of fewer are no surprise
 AXES = "xyz"
-MOVE: dict[JointType, str] = {"revolute": "turn", "prismatic": "slide"}
-EFFORT: dict[JointType, str] = {"revolute": "torque", "prismatic": "force"}
-MARGINAL = 1e-9  # of a spectral radius: without damping it is 1 up to rounding
+MOTION_VERB: dict[JointType, str] = {"revolute": "turn", "prismatic": "slide"}
+EFFORT_NOUN: dict[JointType, str] = {"revolute": "torque", "prismatic": "force"}
+SPECTRAL_RADIUS_ROUNDING = 1e-9  # without damping the spectral radius is 1 up to rounding
 
 
 @dataclass(frozen=True)
@@ -44,9 +45,9 @@ class Check:
     """One check.
 
     Attributes:
-        name: What was looked at.
-        outcome: Whether it is in order.
-        found: What was found, with units.
+        name: Subject of the check.
+        outcome: Passed, warning or failed.
+        found: Finding with units.
     """
 
     name: str
@@ -58,7 +59,7 @@ def check_facts(facts: RobotFacts) -> list[Check]:
     """Checks of a robot with an empty flange."""
     checks = [_check_inertias(facts), _check_bodies(facts), _check_limits(facts), *_assumed_facts(facts)]
     if any(check.outcome == "failed" for check in checks):
-        return checks  # engines make something of their own of what is no body
+        return checks  # engines treat an inconsistent body in their own ways
     model = RobotModel(facts, empty_flange())
     positions = random_positions(model)
     return [*checks, _check_engines(model, positions), _check_gravity(model, positions)]
@@ -95,7 +96,7 @@ def failures_of_facts(facts: RobotFacts) -> list[Check]:
 
 
 def empty_flange() -> EndEffector:
-    """A milligram on the flange, because a body needs a mass."""
+    """End effector of a milligram: a body needs a mass."""
     return EndEffector(
         mass=1e-6,
         com=np.zeros(3),
@@ -109,7 +110,7 @@ def empty_flange() -> EndEffector:
 def random_positions(model: RobotModel) -> Array:
     """Joint positions within the limits, the same at every call, ``(k, n)`` [rad]."""
     rng = np.random.default_rng(SEED)
-    return rng.uniform(model.position_min, model.position_max, (CONFIGURATIONS, model.joint_count))
+    return rng.uniform(model.position_min, model.position_max, (SAMPLED_CONFIGURATIONS, model.joint_count))
 
 
 def inverse_mass_matrices(model: RobotModel) -> Array:
@@ -118,7 +119,7 @@ def inverse_mass_matrices(model: RobotModel) -> Array:
 
 
 def link_inertias(inverse_mass_matrices: Array) -> Array:
-    """Inertia of the links about a joint while all others are free, 1 / (M^-1)_ii, ``(k, n)`` [kg m^2]."""
+    """Effective inertia about each joint with all others free, 1 / (M^-1)_ii, ``(k, n)`` [kg m^2]."""
     return 1.0 / np.diagonal(inverse_mass_matrices, axis1=1, axis2=2)
 
 
@@ -142,7 +143,7 @@ def _check_inertias(facts: RobotFacts) -> Check:
         if negative:
             continue
         ratio = moments[2] / (moments[0] + moments[1])
-        if ratio > 1.0 + ROUNDING:
+        if ratio > 1.0 + TRIANGLE_INEQUALITY_TOLERANCE:
             wrong.append(
                 f"{_label(facts, number)}: largest principal moment is {ratio:.3g} of the sum of the others "
                 f"({moments[2]:.3g} kg m^2 {about[2]}), expected <= 1"
@@ -154,12 +155,12 @@ def _check_inertias(facts: RobotFacts) -> Check:
 
 
 def _direction(axis: Array) -> str:
-    """The axis of the link that a principal axis ``(3,)`` is nearest to."""
+    """Name of the link axis nearest to a principal axis ``(3,)``."""
     return AXES[int(np.argmax(np.abs(axis)))]
 
 
 def _check_bodies(facts: RobotFacts) -> Check:
-    """Masses, sizes and densities of links are those of machines, all links that are not at once."""
+    """Check masses, sizes and densities of the links for plausibility; all findings in one check."""
     name, wrong, densities = "links are like those of arms", [], []
     masses = [link.mass for link in facts.links]
     steps = [*(float(np.linalg.norm(joint.xyz)) for joint in facts.joints), float(np.linalg.norm(facts.flange.xyz))]
@@ -167,30 +168,31 @@ def _check_bodies(facts: RobotFacts) -> Check:
         label, moments = _label(facts, number), np.asarray(np.linalg.eigvalsh(link.inertia_matrix), dtype=float)
         if moments[0] <= 0.0:
             continue  # no body at all
-        density = least_density(link.mass, moments)
+        density = density_lower_bound(link.mass, moments)
         densities.append(density)
-        if density > DENSEST:
+        if density > MAX_DENSITY_KG_M3:
             wrong.append(
                 f"{label}: a body of {link.mass:.3g} kg with principal moments of "
                 f"{', '.join(f'{moment:.2g}' for moment in moments)} kg m^2 is denser than {density:.2g} kg/m^3 "
-                f"somewhere, expected at most {DENSEST:g}: moments too small?"
+                f"somewhere, expected at most {MAX_DENSITY_KG_M3:g}: moments too small?"
             )
-        ball = float((3.0 * link.mass / (4.0 * np.pi * LIGHTEST)) ** (1.0 / 3.0))
+        ball = float((3.0 * link.mass / (4.0 * np.pi * MIN_DENSITY_KG_M3)) ** (1.0 / 3.0))
         length = max(steps[number - 1], steps[number], float(np.linalg.norm(link.com)), ball)
         long = [
             f"{moment:.3g} kg m^2 about {axis} (radius of gyration {np.sqrt(moment / link.mass):.2g} m)"
             for axis, moment in zip(AXES, np.diag(link.inertia_matrix), strict=True)
-            if moment > link.mass * (LONGEST * length) ** 2
+            if moment > link.mass * (MAX_GYRATION_RATIO * length) ** 2
         ]
         if long:
             wrong.append(
-                f"{label}: {', '.join(long)}, expected at most {LONGEST:g} times the {length:.2g} m of the link"
+                f"{label}: {', '.join(long)}, "
+                f"expected at most {MAX_GYRATION_RATIO:g} times the {length:.2g} m of the link"
             )
         near = [*masses[max(0, number - 3) : number - 1], *masses[number : number + 2]]
-        if near and link.mass > HEAVIEST * max(near):
+        if near and link.mass > MAX_MASS_RATIO * max(near):
             wrong.append(
                 f"{label}: {link.mass:.3g} kg beside neighbours of {', '.join(f'{mass:.3g}' for mass in near)} kg, "
-                f"expected at most {HEAVIEST:g} times the heaviest of them"
+                f"expected at most {MAX_MASS_RATIO:g} times the heaviest of them"
             )
     if wrong:
         return Check(name, "warning", "; ".join(wrong))
@@ -199,18 +201,18 @@ def _check_bodies(facts: RobotFacts) -> Check:
     )
 
 
-def least_density(mass: float, moments: Array) -> float:
-    """Density that a body exceeds somewhere, whatever its shape [kg/m^3].
+def density_lower_bound(mass: float, moments: Array) -> float:
+    """Lower bound of the largest density of a body, for any shape [kg/m^3].
 
-    Of all bodies that are nowhere denser, the solid ellipsoid is the most compact: the determinant of second moments of
-    mass is the least. One with principal moments I has the half axes a_i^2 = 5 (I_1 + I_2 + I_3 - 2 I_i) / (2 m), and
-    its density m / (4/3 pi a_1 a_2 a_3) is therefore the least that any body with these moments can do with.
+    Among all bodies of bounded density the homogeneous ellipsoid has the smallest determinant of the second moments of
+    mass. One with principal moments I has the half axes a_i^2 = 5 (I_1 + I_2 + I_3 - 2 I_i) / (2 m), and its density m
+    / (4/3 pi a_1 a_2 a_3) is therefore the lower bound for all bodies with these moments.
 
     Args:
         mass: Its mass [kg].
         moments: Its principal moments, ``(3,)``, taken as accurate to 2 % of the largest [kg m^2].
     """
-    second = np.maximum(np.sum(moments) / 2.0 - moments, ACCURACY * np.max(moments))
+    second = np.maximum(np.sum(moments) / 2.0 - moments, MOMENT_ACCURACY * np.max(moments))
     return float(mass / (4.0 / 3.0 * np.pi * np.sqrt(np.prod(5.0 * second / mass))))
 
 
@@ -223,7 +225,9 @@ def _check_limits(facts: RobotFacts) -> Check:
             found = f"joint {number}: position from {lower:g} to {upper:g} {joint.units.position}"
             return Check(name, "failed", f"{found}, expected lower < upper")
         spans.setdefault(joint.type, []).append(upper - lower)
-    texts = (f"{MOVE[kind]} by {min(of):.3g} to {max(of):.3g} {UNITS[kind].position}" for kind, of in spans.items())
+    texts = (
+        f"{MOTION_VERB[kind]} by {min(of):.3g} to {max(of):.3g} {UNITS[kind].position}" for kind, of in spans.items()
+    )
     return Check(name, "ok", f"joints {', '.join(texts)}")
 
 
@@ -252,7 +256,7 @@ def _check_engines(model: RobotModel, positions: Array) -> Check:
     theirs = mass_matrices(model.facts, model.end_effector, positions)
     scale = np.abs(ours).max(axis=(1, 2))
     worst = float((np.abs(ours - theirs).max(axis=(1, 2)) / scale).max())
-    outcome: Outcome = "ok" if worst <= ENGINES_AGREE else "failed"
+    outcome: Outcome = "ok" if worst <= MAX_ENGINE_DIFFERENCE else "failed"
     return Check("Pinocchio and Bullet see the same arm", outcome, f"mass matrices differ by {worst:.1e} of M")
 
 
@@ -260,16 +264,16 @@ def _check_gravity(model: RobotModel, positions: Array) -> Check:
     name = "the joints carry the arm"
     share = np.abs([model.gravity_torque(q) for q in positions]) / model.torque_max
     joint = int(share.max(axis=0).argmax())
-    kind = EFFORT[model.facts.joints[joint].type]
+    kind = EFFORT_NOUN[model.facts.joints[joint].type]
     found = f"joint {joint + 1}: gravity takes up to {100.0 * share.max():.3g} % of the {kind} limit"
     unlikely = _placeholders(model, positions)
     return Check(name, "warning" if share.max() > 1.0 or unlikely else "ok", "; ".join([found, *unlikely]))
 
 
 def _placeholders(model: RobotModel, positions: Array) -> list[str]:
-    """What makes limits look as if someone had to write some: all alike, or far beyond what the arm could need."""
+    """Warnings about limits that look like placeholders: all equal, or far beyond the needs of the arm."""
     limits, found = model.facts.limits, []
-    if model.joint_count < FEWEST_ALIKE:
+    if model.joint_count < MIN_EQUAL_LIMITS:
         return []  # a motor that is much too strong is usual there
     if len(set(limits.torque_Nm)) == len(set(limits.velocity_rad_s)) == 1:
         units = model.facts.units[0]
@@ -281,11 +285,11 @@ def _placeholders(model: RobotModel, positions: Array) -> list[str]:
     lever = np.max(np.abs([model.jacobian(q)[2] for q in positions]), axis=0)
     carries = lever > 0.01 * reach_of(model.facts)
     mass = sum(link.mass for link in model.facts.links)
-    load = (model.torque_max[carries] - weight[carries]) / (GRAVITY * lever[carries])
-    if load.size and np.min(load) > STRONGEST * mass:
+    load = (model.torque_max[carries] - weight[carries]) / (GRAVITY_M_S2 * lever[carries])
+    if load.size and np.min(load) > MAX_LOAD_RATIO * mass:
         found.append(
             f"torque limits carry {np.min(load):.3g} kg at full reach, {np.min(load) / mass:.2g} times the {mass:.3g} "
-            f"kg of the arm, expected at most {STRONGEST:g} times: placeholders of a URDF, or masses too small?"
+            f"kg of the arm, expected at most {MAX_LOAD_RATIO:g} times: placeholders of a URDF, or masses too small?"
         )
     return found
 
@@ -299,24 +303,36 @@ def _check_drive(arm: str, robot: Robot, period: float) -> list[Check]:
     for joint, link_inertia in enumerate(lightest):
         values = drive.reflected_inertia[joint], drive.stiffness[joint], drive.damping[joint]
         found = joint_stability(float(link_inertia), *values, period)
-        if found.spectral_radius >= 1.0 - MARGINAL:
+        if found.spectral_radius >= 1.0 - SPECTRAL_RADIUS_ROUNDING:
             units = robot.robot_facts.units[joint]
-            checks.append(_unstable(arm, joint, units, found, drive.damping[joint], period))
+            checks.append(_instability_text(arm, joint, units, found, drive.damping[joint], period))
     motors, stiffness, damping = (
         np.array(values) for values in (drive.reflected_inertia, drive.stiffness, drive.damping)
     )
     radius = max(spectral_radius(inverse + np.diag(1.0 / motors), stiffness, damping, period) for inverse in inverses)
-    outcome: Outcome = "ok" if radius < 1.0 - MARGINAL else "warning" if radius <= 1.0 + MARGINAL else "failed"
+    outcome: Outcome = (
+        "ok"
+        if radius < 1.0 - SPECTRAL_RADIUS_ROUNDING
+        else "warning"
+        if radius <= 1.0 + SPECTRAL_RADIUS_ROUNDING
+        else "failed"
+    )
     found_all = f"spectral radius of all joints together {radius:.6g} at {1e3 * period:g} ms, expected < 1"
     return [*checks, Check(f"drive of {arm} is stable", outcome, found_all)]
 
 
-def _unstable(arm: str, joint: int, units: JointUnits, found: JointStability, damping: float, period: float) -> Check:
+def _instability_text(
+    arm: str, joint: int, units: JointUnits, found: JointStability, damping: float, period: float
+) -> Check:
     """Description of an unstable joint, and remedies."""
     name = f"drive of {arm}, joint {joint + 1}"
     radius = f"spectral radius {found.spectral_radius:.6g} with {found.link_inertia:.3g} {units.inertia} on the link"
     if damping == 0.0:
-        return Check(name, "failed" if found.spectral_radius > 1.0 + MARGINAL else "warning", f"{radius}: no damping")
+        return Check(
+            name,
+            "failed" if found.spectral_radius > 1.0 + SPECTRAL_RADIUS_ROUNDING else "warning",
+            f"{radius}: no damping",
+        )
     remedies = [f"timing.drive_period < {found.period_below:.3g} s (now {period:g})"]
     if found.damping_below > 0.0:
         remedies.insert(0, f"drive.damping < {found.damping_below:.3g} {units.damping} (now {damping:g})")

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Robot facts from a URDF.
 
-Our facts say that every joint turns about its own +z, or slides along it. A URDF says it of any axis a_i, in the frame
-of the link that the joint carries. With a rotation R_i that takes z to a_i, the frame of that link is written anew:
+In robot facts every joint rotates about its own +z or translates along it. A URDF allows any axis a_i in the frame of
+the child link. With a rotation R_i that maps z to a_i, the frame of that link is changed:
 
     T'_i = (R_{i-1}^T, 0) T_i (R_i, 0)          Rot(a_i, q) R_i = R_i Rot(z, q),  Trans(a_i q) R_i = R_i Trans(z q)
     c'_i = R_i^T c_i                            I'_i = R_i^T I_i R_i
 
-so that every point of the arm moves as it did, and the dynamics are exactly those of the URDF. R_i is the smallest such
-rotation, and none where the axis is z. Pinocchio reads placements and inertias, and merges what is fixed.
+so that kinematics and dynamics are exactly those of the URDF. R_i is the smallest such rotation, and the identity where
+the axis is z. Pinocchio reads placements and inertias, and merges fixed links.
 """
 
 from __future__ import annotations
@@ -29,18 +29,19 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.mesh_files import FILE, PACKAGE, mesh_address, mesh_path
 from impact_rs_sim.robot import UNITS, Array, Flange, JointOrigin, JointType, Limits, Link, Mesh, RobotFacts
 from impact_rs_sim.schema import parse_yaml, validate
-from impact_rs_sim.urdf_chain import MOVES_AS, Chain, UrdfTree, child_of
+from impact_rs_sim.urdf_chain import MOVABLE_JOINT_TYPES, Chain, UrdfTree, child_of
 from impact_rs_sim.urdf_repairs import Limits as GivenLimits
-from impact_rs_sim.urdf_repairs import about_centre, given_limits, locked_joints, looks_about_joint
+from impact_rs_sim.urdf_repairs import about_centre, given_limits, locked_joints, suspected_steiner_ratio
 
-FULL_TURN = 2.0 * math.pi  # rad; what a joint without position limits gets to either side
-TYPED: dict[JointType, str] = {"revolute": "", "prismatic": "type: prismatic, "}  # as a file of facts says it
-UNSAID = (
+FULL_TURN_RAD = 2.0 * math.pi  # to either side; the range of a joint without position limits
+TYPE_ENTRY: dict[JointType, str] = {"revolute": "", "prismatic": "type: prismatic, "}  # in the file of robot facts
+NOT_IN_URDF_NOTE = (
     "A URDF does not say whether joints measure their torque behind the gears. Most do not, so joint_torque_loop is "
     "false: torques are taken for those of the motors. Arms that do, as Franka, KUKA LBR and Kinova Gen3, need true."
 )
-NEGATIVE = 1e-6  # of the largest moment: digits of a URDF leave a principal moment of a flat body as far below 0
-INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+# Over the largest moment [-]; rounding of a URDF puts a principal moment of a flat body below 0
+NEGATIVE_MOMENT_TOLERANCE = 1e-6
+INERTIA_ATTRIBUTES = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class ImportedRobot:
     Attributes:
         facts: The facts.
         joints: Names of the joints in the URDF, base to tip.
-        notes: What a reader should know: links that were merged or left out, limits that were made up.
+        notes: Notes for the user: merged and omitted links, assumed limits.
     """
 
     facts: RobotFacts
@@ -78,7 +79,7 @@ def import_urdf(
         source: Where the numbers come from; None: the file's name.
         limits: Limits in place of those of the URDF (:func:`~impact_rs_sim.urdf_repairs.given_limits`).
         inertia_at: Where its moments of inertia are about: the centre of mass, as the format says, or the joint.
-        lock: Places in which joints are held (:func:`~impact_rs_sim.urdf_repairs.locked_joints`).
+        lock: Positions at which joints are locked (:func:`~impact_rs_sim.urdf_repairs.locked_joints`).
         measured: Limits that a recording shows, for the joints of the chain, in place of those that are missing or 0.
         packages: Where packages of its meshes are (:func:`~impact_rs_sim.mesh_files.mesh_address`).
 
@@ -89,7 +90,7 @@ def import_urdf(
     held = _locked(tree, lock)
     chain = tree.chain(base, tip)
     _check_inertials(tree, chain)
-    notes = [*tree.notes, *held, *_moved_inertias(tree, chain, inertia_at)]
+    notes = [*tree.notes, *held, *_recentred_inertias(tree, chain, inertia_at)]
     chain = tree.chain(base, tip)
     names = [joint.get("name", "") for joint in chain.joints]
     given, shown = given_limits(limits, names, file), measured(names)
@@ -128,11 +129,11 @@ def import_urdf(
         joint_torque_loop=False,
     )
     joint_names = tuple(joint.get("name", "") for joint in chain.joints)
-    return ImportedRobot(facts, joint_names, (*_notes(chain), *notes, *_missing_meshes(facts), UNSAID))
+    return ImportedRobot(facts, joint_names, (*_notes(chain), *notes, *_missing_meshes(facts), NOT_IN_URDF_NOTE))
 
 
 def frame_of_axis(axis: Array) -> Array:
-    """Smallest rotation that takes z to the unit vector ``axis`` ``(3,)``; half a turn about x for -z, ``(3, 3)``."""
+    """Smallest rotation that maps z to the unit vector ``axis`` ``(3,)``; pi about x for -z, ``(3, 3)``."""
     half_turn = np.diag([1.0, -1.0, -1.0])
     if axis[2] < 0.0:  # from -z, because from z the formula ends there
         return _smallest_rotation(np.array([0.0, 0.0, -1.0]), axis) @ half_turn
@@ -168,7 +169,7 @@ def facts_text(robot: ImportedRobot, title: str) -> str:
         "joints:   # origin of joint i in link i-1 [m], roll-pitch-yaw [rad]; every axis is +z",
     ]
     lines += [
-        f"  - {{{TYPED[origin.type]}xyz: {_row(origin.xyz)}, rpy: {_row(origin.rpy)}}}  # {name}"
+        f"  - {{{TYPE_ENTRY[origin.type]}xyz: {_row(origin.xyz)}, rpy: {_row(origin.rpy)}}}  # {name}"
         for origin, name in zip(facts.joints, robot.joints, strict=True)
     ]
     rpy = f", rpy: {_row(facts.flange.rpy)}" if any(facts.flange.rpy) else ""
@@ -221,7 +222,7 @@ def save_facts(robot: ImportedRobot, title: str, path: Path) -> None:
 
 
 def _check_inertials(tree: UrdfTree, chain: Chain) -> None:
-    """Refuse what Pinocchio would misread: an incomplete <inertial>, invalid numbers, negative moments."""
+    """Refuse an <inertial> that Pinocchio would misread: incomplete, invalid numbers, negative moments."""
     robot = Xml.fromstring(chain.urdf)
     wrong = []
     for link in robot.findall("link"):
@@ -233,7 +234,7 @@ def _check_inertials(tree: UrdfTree, chain: Chain) -> None:
         if mass[0] < 0.0:
             raise InputError(f"expected >= 0 [kg], found {mass[0]:g}", file=tree.file, key=f"{key}: inertial mass")
         tensor = inertial.find("inertia")
-        entries = [tree.numbers(tensor, entry, 1, None, f"{key}: inertia {entry}")[0] for entry in INERTIA]
+        entries = [tree.numbers(tensor, entry, 1, None, f"{key}: inertia {entry}")[0] for entry in INERTIA_ATTRIBUTES]
         wrong += [f"{key} has {moment}" for moment in _negative_moments(entries)]
     if wrong:
         raise InputError(f"moments of inertia of bodies are positive, but {'; '.join(wrong)}", file=tree.file)
@@ -251,7 +252,7 @@ def _negative_moments(entries: Sequence[float]) -> list[str]:
     upper = np.zeros((3, 3))
     upper[np.triu_indices(3)] = entries
     moments, axes = np.linalg.eigh(upper + np.triu(upper, 1).T)
-    if not found and moments[0] < -NEGATIVE * moments[2]:
+    if not found and moments[0] < -NEGATIVE_MOMENT_TOLERANCE * moments[2]:
         axis = ", ".join(f"{value:.2f}" for value in axes[:, 0])
         found.append(f"a principal moment of {moments[0]:.3g} kg m^2 about ({axis})")
     return found
@@ -272,7 +273,7 @@ def _origin(tree: UrdfTree, joint: Xml.Element) -> list[float]:
 
 
 def _type(joint: Xml.Element) -> JointType:
-    return MOVES_AS[joint.get("type", "")]
+    return MOVABLE_JOINT_TYPES[joint.get("type", "")]
 
 
 def _limits(
@@ -286,7 +287,7 @@ def _limits(
         lower, upper = given[name, "position"]
         notes.append(f"Limits of joint {name} as given: {lower:g} to {upper:g} {units.position}.")
     elif joint.get("type") == "continuous":
-        lower, upper = -FULL_TURN, FULL_TURN
+        lower, upper = -FULL_TURN_RAD, FULL_TURN_RAD
     else:
         (lower,), (upper,) = (tree.numbers(limit, end, 1, "0", f"{key} {end}") for end in ("lower", "upper"))
         if lower == upper == 0.0 and (name, "position") in shown:
@@ -294,7 +295,7 @@ def _limits(
             notes.append(f"Limits of joint {name} as measured: {lower:g} to {upper:g} {units.position}.")
     if lower >= upper:
         message = f"expected lower < upper [{units.position}], found {lower:g} and {upper:g}; {remedy}position=LOW:HIGH"
-        raise InputError(f"{message} says it, or --measured RECORDING", file=tree.file, key=key)
+        raise InputError(f"{message} gives it, or --measured RECORDING", file=tree.file, key=key)
     most = []
     for quantity, unit in (("velocity", units.velocity), ("effort", units.effort)):
         missing = limit is None or limit.get(quantity) is None
@@ -311,34 +312,34 @@ def _limits(
                 if missing
                 else f"expected > 0 [{unit}], found {value:g}"
             )
-            said = f"{found}; {remedy}{quantity}=MOST says it, or --measured RECORDING"
+            said = f"{found}; {remedy}{quantity}=MOST gives it, or --measured RECORDING"
             raise InputError(said, file=tree.file, key=f"{key} {quantity}")
         most.append(value)
     return lower, upper, most[0], most[1]
 
 
 def _locked(tree: UrdfTree, texts: Sequence[str]) -> list[str]:
-    """Joints fixed where the user says that they were held; notes on them."""
-    moving = {joint.get("name", ""): joint for joint in tree.above.values() if joint.get("type") in MOVES_AS}
+    """Joints locked at positions given by the user; notes on them."""
+    moving = {joint.get("name", ""): joint for joint in tree.above.values() if joint.get("type") in MOVABLE_JOINT_TYPES}
     notes = []
-    for name, place in locked_joints(texts, list(moving), tree.file).items():
+    for name, position in locked_joints(texts, list(moving), tree.file).items():
         joint, origin = moving[name], moving[name].find("origin")
         turn = pin.rpy.rpyToMatrix(*tree.numbers(origin, "rpy", 3, "0 0 0", f"joint {name}: origin rpy"))
         axis, shift = _axis(tree, joint), np.zeros(3)
         if _type(joint) == "prismatic":
-            shift = turn @ axis * place
+            shift = turn @ axis * position
         else:
-            turn = turn @ pin.exp3(axis * place)
+            turn = turn @ pin.exp3(axis * position)
         placed = _placement(np.array(_origin(tree, joint)) + shift, turn)
         origin = Xml.SubElement(joint, "origin") if origin is None else origin
         for attribute, values in placed.items():
             origin.set(attribute, " ".join(repr(value) for value in values))
-        notes.append(f"Joint {name} is held at {place:g} {UNITS[_type(joint)].position}, as given.")
+        notes.append(f"Joint {name} is held at {position:g} {UNITS[_type(joint)].position}, as given.")
         joint.set("type", "fixed")
     return notes
 
 
-def _moved_inertias(tree: UrdfTree, chain: Chain, inertia_at: str) -> list[str]:
+def _recentred_inertias(tree: UrdfTree, chain: Chain, inertia_at: str) -> list[str]:
     """Notes on moments that look as if they were about joints, which are moved to the centres of mass if asked for."""
     notes, suspects = [], []
     length = sum(float(np.linalg.norm(_origin(tree, joint))) for joint in chain.joints)
@@ -353,13 +354,13 @@ def _moved_inertias(tree: UrdfTree, chain: Chain, inertia_at: str) -> list[str]:
         turn = pin.rpy.rpyToMatrix(*tree.numbers(origin, "rpy", 3, "0 0 0", f"{key}: origin rpy"))
         tensor = inertial.find("inertia")
         assert tensor is not None  # it was checked
-        numbers = [tree.numbers(tensor, entry, 1, None, f"{key}: inertia {entry}")[0] for entry in INERTIA]
+        numbers = [tree.numbers(tensor, entry, 1, None, f"{key}: inertia {entry}")[0] for entry in INERTIA_ATTRIBUTES]
         upper = np.zeros((3, 3))
         upper[np.triu_indices(3)] = numbers
         stated = turn @ (upper + np.triu(upper, 1).T) @ turn.T
         axis = _axis(tree, joint)
         if inertia_at == "centre":
-            ratio = looks_about_joint(mass, centre, stated, axis, length)
+            ratio = suspected_steiner_ratio(mass, centre, stated, axis, length)
             suspects += [] if ratio is None else [f"{name} ({ratio:.2f} m r^2)"]
             continue
         moved = about_centre(mass, centre, stated, axis)
@@ -368,7 +369,7 @@ def _moved_inertias(tree: UrdfTree, chain: Chain, inertia_at: str) -> list[str]:
                 "no body has these moments about its joint: less than m r^2 are left about the centre of mass; leave "
                 "--inertia-at joint out", file=tree.file, key=f"{key}: inertia",
             )  # fmt: skip
-        for entry, value in zip(INERTIA, (turn.T @ moved @ turn)[np.triu_indices(3)], strict=True):
+        for entry, value in zip(INERTIA_ATTRIBUTES, (turn.T @ moved @ turn)[np.triu_indices(3)], strict=True):
             tensor.set(entry, repr(float(value)))
         notes.append(f"Moments of inertia of {name} were moved from the joint to the centre of mass (Steiner).")
     if suspects:
@@ -412,7 +413,7 @@ def _meshes(
 
 
 def _missing_meshes(facts: RobotFacts) -> Iterable[str]:
-    """Notes on meshes that are not there, with what would help."""
+    """Notes on missing meshes, with remedies."""
     meshes = [*facts.base_meshes, *(mesh for link in facts.links for mesh in link.meshes)]
     missing = [one for one in dict.fromkeys(mesh.file for mesh in meshes) if mesh_path(one) is None]
     for kind, remedy in (
@@ -437,14 +438,14 @@ def _link(body: pin.Inertia, turn: Array, meshes: Iterable[tuple[str, pin.SE3, l
 
 
 def _clean(values: Iterable[float]) -> tuple[float, ...]:
-    """The numbers without rounding noise: 0.3 for 0.30000000000000004, and no -0."""
+    """Numbers without floating-point noise: 0.3 for 0.30000000000000004, 0 for -0."""
     short = [(float(value), round(float(value), 12) + 0.0) for value in values]
     return tuple(brief if abs(brief - value) <= 1e-15 * max(1.0, abs(value)) else value for value, brief in short)
 
 
 def _number(value: float) -> str:
     text = repr(int(value)) if value == int(value) else repr(value)
-    return text if "e" not in text or "." in text else text.replace("e", ".0e")  # YAML takes 1e-05 for a word
+    return text if "e" not in text or "." in text else text.replace("e", ".0e")  # YAML reads 1e-05 as a string
 
 
 def _row(values: Sequence[float]) -> str:

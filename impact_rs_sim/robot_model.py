@@ -25,9 +25,9 @@ from impact_rs_sim.urdf import write_urdf
 
 TIP = "end_effector"
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)  # m/s^2
-FURTHER_STARTS = 30  # of inverse kinematics, where the guess leads nowhere
-NEWTON_STEPS = 30  # of inverse kinematics; from a guess within a radian six to ten do
-LONGEST_STEP = 0.5  # rad or m, of any joint in one of them
+MAX_IK_RESTARTS = 30  # of inverse kinematics, where the guess leads nowhere
+MAX_IK_NEWTON_STEPS = 30  # of inverse kinematics; from a guess within a radian it takes six to ten
+MAX_IK_STEP = 0.5  # of any joint in one Newton step [rad or m]
 
 
 _SKELETONS: Recent[tuple[object, pin.Model]] = Recent(64)
@@ -96,7 +96,7 @@ class RobotModel:
 
     @functools.cached_property
     def chain(self) -> Chain:
-        """The same arm, compiled, for simulations that evaluate it thousands of times."""
+        """Compiled model of the arm for simulations."""
         model, tip = self.pinocchio, self.pinocchio.frames[self._frame].placement
         inertias = list(model.inertias)[1:]
         return Chain(
@@ -180,13 +180,13 @@ class RobotModel:
         held: Mapping[int, float],
         guess: Array,
         tolerance: float = 1e-9,
-        further_starts: int = FURTHER_STARTS,
+        further_starts: int = MAX_IK_RESTARTS,
     ) -> Array:
         """Joint positions that reach ``target`` with frame E while some joints are held.
 
-        Newton's method where six joints are free; where it leaves the joint limits or leads nowhere, and for any other
-        number, least squares within the limits. Where the guess leads nowhere, others are tried; of what they find
-        the nearest to the guess counts.
+        Newton's method for six free joints; outside the limits, without convergence, or for another number of joints,
+        bounded least squares. If the guess fails, other starts are tried, and the solution nearest to the guess is
+        returned.
 
         Args:
             target: Wanted placement of E in A.
@@ -194,7 +194,7 @@ class RobotModel:
                 (paper sec. Reference generation).
             guess: Where to start, ``(n,)`` [rad].
             tolerance: Largest accepted residual [m, rad].
-            further_starts: How many others are tried where the guess leads nowhere.
+            further_starts: Number of other starts if the guess fails.
 
         Raises:
             UnreachablePose: The pose cannot be reached within the joint limits.
@@ -218,7 +218,7 @@ class RobotModel:
 
         def error(angles: Array) -> Array:
             q[free] = angles
-            return _missing(target, self.placement(q))
+            return _pose_error(target, self.placement(q))
 
         best = _least(error, inside, bounds)
         if np.max(np.abs(best.fun)) > tolerance:
@@ -241,9 +241,9 @@ class RobotModel:
     def _newton(self, target: pin.SE3, q: Array, free: Array) -> Array | None:
         """Joint positions that reach ``target`` up to rounding by six joints; None: not converged or outside limits."""
         least = np.inf
-        for _ in range(NEWTON_STEPS):
+        for _ in range(MAX_IK_NEWTON_STEPS):
             placement = self.placement(q)
-            error = _missing(target, placement)
+            error = _pose_error(target, placement)
             size = float(np.abs(error).max())
             if size < 1e-12 or (size < 1e-10 and size >= least):
                 return q if np.all((self.position_min <= q) & (q <= self.position_max)) else None
@@ -254,7 +254,7 @@ class RobotModel:
                 step = np.linalg.solve(jacobian, error)
             except np.linalg.LinAlgError:
                 return None
-            q[free] += step * min(1.0, LONGEST_STEP / float(np.abs(step).max()))
+            q[free] += step * min(1.0, MAX_IK_STEP / float(np.abs(step).max()))
         return None
 
     def mobility(self, q: Array, direction: Array, motor_inertia: Array) -> float:
@@ -293,10 +293,10 @@ def _built(facts: RobotFacts, end_effector: EndEffector) -> pin.Model:
 
 
 def _skeleton(facts: RobotFacts, end_effector: EndEffector) -> pin.Model:
-    """An arm of the same geometry on a base at the origin, with other inertias; shared by all who ask.
+    """Cached kinematic model of an arm of the same geometry on a base at the origin; its inertias are placeholders.
 
-    A search moves masses of few arms thousands of times, so that of the same geometry only the inertias are new.
-    Objects stand for themselves in the key, for the hash of all numbers takes longer than the model.
+    A search changes the masses of few arms thousands of times, so only the inertias are set anew. The cache key is the
+    identity of the objects: hashing all numbers would take longer than building the model.
     """
     parts = facts.joints, facts.flange, facts.limits
     place = end_effector.length, end_effector.mount_yaw
@@ -308,14 +308,14 @@ def _skeleton(facts: RobotFacts, end_effector: EndEffector) -> pin.Model:
 
 
 def _inertia(mass: float, com: Array, inertia: Array) -> pin.Inertia:
-    """Inertia without Pinocchio's check: a payload that is taken away is a part with a negative mass."""
+    """Inertia without Pinocchio's check: a removed payload is a body with negative mass."""
     found = pin.Inertia.Zero()
     found.mass, found.lever, found.inertia = mass, com, inertia
     return found
 
 
-def _missing(target: pin.SE3, placement: pin.SE3) -> Array:
-    """Error of a placement, ``(6,)``: translation in A [m], then the rotation vector in its own axes [rad]."""
+def _pose_error(target: pin.SE3, placement: pin.SE3) -> Array:
+    """Pose error, ``(6,)``: translation in A [m], then the rotation vector in its own axes [rad]."""
     return np.concatenate(
         (target.translation - placement.translation, pin.log3(placement.rotation.T @ target.rotation))
     )

@@ -14,7 +14,7 @@ _ORIGIN = np.zeros(3)
 def quaternion_of(rotation: Array) -> Array:
     """Unit quaternion of a rotation matrix, ``(4,)``, x y z w.
 
-    By way of a placement: ``pin.Quaternion(rotation)`` of eigenpy 3.13 keeps 80 bytes for ever, at every call.
+    Computed from an SE3: ``pin.Quaternion(rotation)`` of eigenpy 3.13 leaks 80 bytes at every call.
 
     Args:
         rotation: ``(3, 3)``.
@@ -23,7 +23,7 @@ def quaternion_of(rotation: Array) -> Array:
 
 
 def continuous(quaternion: Array) -> Array:
-    """Quaternions without changes of sign between rows (q and -q are one orientation), ``(m, 4)``."""
+    """Quaternions with continuous signs along the rows (q and -q are one orientation), ``(m, 4)``."""
     flips = np.cumprod(np.where(np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0.0, -1.0, 1.0))
     return np.asarray(quaternion * np.concatenate(([1.0], flips))[: len(quaternion), None])
 

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenario files: the scene, the motion of the robots, and the measurement.
 
-A scenario (``config/scenarios/*.yaml``) is the human-readable scene language. It says nothing about what
-we *believe* of the physics beyond nominal values; beliefs that change live in model files.
+A scenario (``config/scenarios/*.yaml``) holds nominal values. Estimated physics is in model files.
 
-A name that is not there raises an :class:`InputError` that lists those that are, a file that cannot be used one that
-names file and key.
+An unknown name raises an :class:`InputError` that lists the known ones; an invalid file raises one with file and key.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field, field_validator, model_validator
 
-from impact_rs_sim.bodies import is_body
+from impact_rs_sim.bodies import is_physically_consistent
 from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.files import is_file
 from impact_rs_sim.friction_compensation import FrictionCompensation
@@ -87,7 +85,7 @@ class EndEffectorSpec(Schema):
     @field_validator("inertia")
     @classmethod
     def _of_a_body(cls, inertia: tuple[float, float, float]) -> tuple[float, float, float]:
-        if not is_body(1.0, np.diag(inertia)):
+        if not is_physically_consistent(1.0, np.diag(inertia)):
             raise ValueError("no rigid body has these moments; expected none larger than the sum of the other two")
         return inertia
 
@@ -161,7 +159,7 @@ class DriveSettings(Schema):
         return self.motor_inertia_rotor if self.motor_inertia_reduced is None else self.motor_inertia_reduced
 
 
-POSE = ("position", "pad_normal", "pad_up", "joint_guess")
+POSE_KEYS = ("position", "pad_normal", "pad_up", "joint_guess")
 
 
 class ImpactPose(Schema):
@@ -188,13 +186,14 @@ class ImpactPose(Schema):
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Self:
-        missing = [name for name in POSE if getattr(self, name) is None]
+        missing = [name for name in POSE_KEYS if getattr(self, name) is None]
         if self.joint_position is None and missing:
             raise ValueError(
-                f"expected joint_position, or {', '.join(POSE[:-1])} and {POSE[-1]}; missing: {', '.join(missing)}"
+                f"expected joint_position, or {', '.join(POSE_KEYS[:-1])} and {POSE_KEYS[-1]}; "
+                f"missing: {', '.join(missing)}"
             )
-        if self.joint_position is not None and len(missing) < len(POSE):
-            given = next(name for name in POSE if name not in missing)
+        if self.joint_position is not None and len(missing) < len(POSE_KEYS):
+            given = next(name for name in POSE_KEYS if name not in missing)
             raise ValueError(f"joint_position stands beside {given}, expected one of both: it says where E is")
         return self
 
@@ -250,7 +249,7 @@ class Robot(Schema):
 
     @model_validator(mode="after")
     def _facts_of_a_robot_that_can_be(self) -> Self:
-        """Refuse facts that no body has; ``robot check`` reads such facts and reports what is wrong with them."""
+        """Refuse physically inconsistent inertias; ``robot check`` reads such facts and reports the errors."""
         for number, link in enumerate(self.robot_facts.links):
             least = float(np.linalg.eigvalsh(link.inertia_matrix)[0])
             if least < 0.0:
@@ -280,7 +279,7 @@ class Robot(Schema):
 
     @property
     def assumed(self) -> tuple[str, ...]:
-        """What is assumed of the arm, neither measured nor published: keys of its drive, and what its facts say."""
+        """Assumptions about the arm, neither measured nor published: keys of its drive, and those in its facts."""
         return (*(f"drive.{name}" for name in self.drive.assumed), *self.robot_facts.assumed)
 
     @property
@@ -635,10 +634,10 @@ class Scenario(Schema):
         return placement
 
     def excursion_leg(self, robot: CaseRobot) -> float:
-        """Duration of one way of the excursion [s]; a quintic from rest to rest peaks at 15/8 of its mean speed."""
+        """Duration of one leg of the excursion [s]; a quintic from rest to rest peaks at 15/8 of its mean speed."""
         assert self.excursion is not None
-        way = np.linalg.norm(np.array(self.excursion.end) - np.array(self.excursion.start))
-        return float(15.0 / 8.0 * way / np.linalg.norm(robot.ante_velocity))
+        distance = np.linalg.norm(np.array(self.excursion.end) - np.array(self.excursion.start))
+        return float(15.0 / 8.0 * distance / np.linalg.norm(robot.ante_velocity))
 
     def excursion_end(self, robot: CaseRobot) -> float:
         """End of the excursion [s]."""

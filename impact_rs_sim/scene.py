@@ -15,8 +15,8 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario
 
-SINGULAR = 1e-9  # of the largest singular value of a Jacobian; smaller ones are 0
-LEVEL = 0.95  # cosine; a pad further from looking sideways hits no face
+SINGULAR_VALUE_TOLERANCE = 1e-9  # over the largest singular value of a Jacobian [-]; smaller ones are rounding
+MIN_HORIZONTAL_COSINE = 0.95  # between pad normal and horizontal; a steeper pad meets no side face
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Scene:
     object: BodyState
 
     def under(self, physics: Physics) -> Scene:
-        """The same moment under other physics, for example those of a model: pose and velocities stay."""
+        """The same state with other physics, for example of a model."""
         return replace(self, physics=physics, models=physics.robot_models())
 
     @staticmethod
@@ -148,7 +148,7 @@ def _impact_velocity(model: RobotModel, q: Array, linear: Array, joint_1: float 
     """Smallest joint velocity with the desired end-effector velocity, no rotation, and the given joint 1.
 
     Raises:
-        UnreachablePose: There is none: too few joints, or a singular pose.
+        UnreachablePose: No solution: too few joints, or a singular pose.
     """
     tasks, wanted = model.jacobian(q), np.concatenate((linear, np.zeros(3)))
     if joint_1 is not None:
@@ -182,17 +182,17 @@ def _velocity_of_given_joints(model: RobotModel, q: Array, linear: Array) -> Arr
     """Smallest joint velocity with the desired velocity of E and the least rotation of E, ``(n,)``.
 
     Raises:
-        UnreachablePose: There is none with that velocity.
+        UnreachablePose: No joint velocity gives the desired velocity.
     """
     jacobian = model.jacobian(q)
-    dq = np.linalg.pinv(jacobian[:3], rcond=SINGULAR) @ linear
+    dq = np.linalg.pinv(jacobian[:3], rcond=SINGULAR_VALUE_TOLERANCE) @ linear
     missed = float(np.abs(jacobian[:3] @ dq - linear).max())
     if missed > 1e-6 * max(1.0, float(np.abs(linear).max())):
         raise UnreachablePose(
             f"ante_velocity {linear.tolist()} m/s is beyond these joints there: the nearest is off by {missed:.3g} m/s"
         )
-    still = scipy.linalg.null_space(jacobian[:3], rcond=SINGULAR)
-    back = np.linalg.pinv(jacobian[3:] @ still, rcond=SINGULAR) @ (jacobian[3:] @ dq)
+    still = scipy.linalg.null_space(jacobian[:3], rcond=SINGULAR_VALUE_TOLERANCE)
+    back = np.linalg.pinv(jacobian[3:] @ still, rcond=SINGULAR_VALUE_TOLERANCE) @ (jacobian[3:] @ dq)
     return np.asarray(dq - still @ back)
 
 
@@ -209,17 +209,17 @@ def resting_pose(scenario: Scenario, object_name: str) -> BodyState:
     name, robot = next(iter(scenario.robots.items()))
     pad = robot.impact_placement
     if robot.impact.joint_position is not None:
-        return _before_given_pad(scenario, name, pad, size, height)
+        return _square_to_given_pad(scenario, name, pad, size, height)
     normal = pad.rotation[:, 2]
     position = pad.translation + normal * ((np.abs(normal) @ size) / 2.0 + scenario.object_gap)
     position[2] = height
     return BodyState(position, np.eye(3), np.zeros(6))
 
 
-def _before_given_pad(scenario: Scenario, name: str, pad: pin.SE3, size: Array, height: float) -> BodyState:
-    """On its support, with the face that is turned least to get there square before a pad where the joints hold it.
+def _square_to_given_pad(scenario: Scenario, name: str, pad: pin.SE3, size: Array, height: float) -> BodyState:
+    """Object on its support with the nearest face square to a pad whose pose given joints fix.
 
-    A pad that looks a little up or down touches with an edge: the object stands where the first of pad and face does.
+    A slightly tilted pad touches with an edge: the object is placed at first contact of pad and face.
 
     Raises:
         InputError: The pad looks up or down, or past the object.
@@ -227,11 +227,11 @@ def _before_given_pad(scenario: Scenario, name: str, pad: pin.SE3, size: Array, 
     key = f"robots.{name}.impact.joint_position"
     normal, extent = pad.rotation[:, 2], np.array(scenario.robots[name].end_effector.pad.size)
     level = np.append(normal[:2], 0.0)
-    if (share := float(np.linalg.norm(level))) < LEVEL:
+    if (share := float(np.linalg.norm(level))) < MIN_HORIZONTAL_COSINE:
         way = "up" if normal[2] > 0.0 else "down"
         raise InputError(
             f"the pad looks {way} there, by {np.degrees(np.arccos(share)):.0f} degrees; objects are hit from the side, "
-            f"expected at most {np.degrees(np.arccos(LEVEL)):.0f}",
+            f"expected at most {np.degrees(np.arccos(MIN_HORIZONTAL_COSINE)):.0f}",
             key=key,
         )
     level /= share

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Validated YAML: all files of users are read through :func:`load`.
+"""Validated YAML; all user files are read through :func:`load`.
 
 A schema is a frozen pydantic model whose fields carry a description that ends in the unit, so that an error
 can say what was expected, and in which unit.
@@ -35,10 +35,9 @@ SchemaType = TypeVar("SchemaType", bound=Schema)
 
 
 def omitted(default: Any, *, description: str) -> Any:
-    """Field that is written only where it differs from its default.
+    """Field that is written only if it differs from its default.
 
-    A key that a later version adds is such a field: what is written without it stays as it was, byte by byte, and with
-    it every digest.
+    Keys added by later versions are such fields: files without them stay byte-identical, and so do their digests.
     """
     return Field(default, exclude_if=lambda value: value == default, description=description)
 
@@ -76,11 +75,11 @@ PositiveNumber = Annotated[float, Field(gt=0.0)]
 PositiveVector3 = Annotated[Vector3, _check(lambda value: value > 0.0, "> 0")]
 
 
-LARGEST_TEXT = 2_000_000  # characters; a friction compensation, the largest file there is, has 200,000
-MOST_NODES = 200_000
-DEEPEST = 40
-LONGEST_NUMBER = 100  # characters of a number, and of anything else that is no text
-LONGEST_KEY = 200
+MAX_TEXT_LENGTH = 2_000_000  # characters; a friction compensation, the largest file, has 200,000
+MAX_NODES = 200_000  # scalars, lists and mappings of a file
+MAX_DEPTH = 40  # levels of nesting; a scenario has fewer than ten
+MAX_NUMBER_LENGTH = 100  # characters of a number, and of every other value that is not text
+MAX_KEY_LENGTH = 200  # characters
 _MAPPING, _SEQUENCE = yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, yaml.resolver.BaseResolver.DEFAULT_SEQUENCE_TAG
 _TEXT = yaml.resolver.BaseResolver.DEFAULT_SCALAR_TAG
 
@@ -105,8 +104,8 @@ class _Loader(yaml.SafeLoader):
             raise _Mistake("references (*name) are not understood; write it out", self.peek_event().start_mark)
         self._depth += 1
         self._nodes += 1
-        if self._depth > DEEPEST or self._nodes > MOST_NODES:
-            what = f"nested deeper than {DEEPEST}" if self._depth > DEEPEST else f"more than {MOST_NODES} entries"
+        if self._depth > MAX_DEPTH or self._nodes > MAX_NODES:
+            what = f"nested deeper than {MAX_DEPTH}" if self._depth > MAX_DEPTH else f"more than {MAX_NODES} entries"
             raise _Mistake(what, self.peek_event().start_mark)
         node = super().compose_node(parent, index)
         self._depth -= 1
@@ -129,19 +128,19 @@ class _Loader(yaml.SafeLoader):
         kind = node.tag.rpartition(":")[2]
         if not isinstance(node, yaml.ScalarNode) or node.tag not in self.yaml_constructors:
             raise _Mistake(f"the type {shortened(kind)!r} is not understood", node.start_mark, path)
-        if node.tag != _TEXT and len(node.value) > LONGEST_NUMBER:
+        if node.tag != _TEXT and len(node.value) > MAX_NUMBER_LENGTH:
             found = f"{len(node.value)} characters"
-            raise _Mistake(f"{found}, expected at most {LONGEST_NUMBER} for a {kind}", node.start_mark, path)
+            raise _Mistake(f"{found}, expected at most {MAX_NUMBER_LENGTH} for a {kind}", node.start_mark, path)
         try:
             return self.construct_object(node)
-        except Exception:  # whatever a constructor makes of what it cannot take: int('x'), a date that there is not
+        except Exception:  # any error of a constructor: int('x'), an invalid date
             raise _Mistake(f"{node.value!r} is no {kind}", node.start_mark, path) from None
 
     def _key(self, node: yaml.Node, path: tuple[str, ...]) -> Any:
         if not isinstance(node, yaml.ScalarNode):
             raise _Mistake("a key must be a word, not a list or a mapping", node.start_mark, path)
-        if len(node.value) > LONGEST_KEY:
-            raise _Mistake(f"a key of {len(node.value)} characters; at most {LONGEST_KEY}", node.start_mark, path)
+        if len(node.value) > MAX_KEY_LENGTH:
+            raise _Mistake(f"a key of {len(node.value)} characters; at most {MAX_KEY_LENGTH}", node.start_mark, path)
         return self.value(node, path)
 
 
@@ -152,8 +151,8 @@ def parse_value(text: str, file: str | Path) -> Any:
         text: The YAML.
         file: Only names the place in errors.
     """
-    if len(text) > LARGEST_TEXT:
-        raise InputError(f"has {len(text)} characters, expected at most {LARGEST_TEXT}", file=file)
+    if len(text) > MAX_TEXT_LENGTH:
+        raise InputError(f"has {len(text)} characters, expected at most {MAX_TEXT_LENGTH}", file=file)
     try:
         loader = _Loader(text)
         return loader.value(loader.get_single_node())
@@ -188,7 +187,7 @@ def load_mapping(path: str | Path) -> dict[str, Any]:
     return parse_yaml(read_text(path), path)
 
 
-def read_text(path: str | Path, most: int = LARGEST_TEXT) -> str:
+def read_text(path: str | Path, most: int = MAX_TEXT_LENGTH) -> str:
     """Text of a file of a user.
 
     Args:
@@ -208,7 +207,7 @@ def read_text(path: str | Path, most: int = LARGEST_TEXT) -> str:
     return text
 
 
-def read_json(path: str | Path, what: str, most: int = LARGEST_TEXT) -> Any:
+def read_json(path: str | Path, what: str, most: int = MAX_TEXT_LENGTH) -> Any:
     """Content of a JSON file.
 
     Args:
@@ -243,8 +242,8 @@ def validate(schema: type[SchemaType], data: Any, file: str | Path | None, conte
         raise InputError(shortened(f"cannot be used ({type(error).__name__}: {error})"), file=file) from None
 
 
-# Mistakes that pydantic explains in the terms of a programmer, by its name for them.
-IN_WORDS = {
+# Texts for errors that pydantic explains in programmer terms, by pydantic error type.
+MISTAKE_TEXTS = {
     "too_short": "expected at least {min_length} of them, found {actual_length}",
     "too_long": "expected at most {max_length} of them, found {actual_length}",
     "string_too_short": "expected a text of at least {min_length} characters",
@@ -274,7 +273,7 @@ def _input_error(schema: type[Schema], error: ValidationError, file: str | Path 
         message = f"unknown key{_did_you_mean(schema, location)}"
         meaning = ""
     else:
-        words = IN_WORDS[kind].format_map(first.get("ctx", {})) if kind in IN_WORDS else first["msg"]
+        words = MISTAKE_TEXTS[kind].format_map(first.get("ctx", {})) if kind in MISTAKE_TEXTS else first["msg"]
         message = words.removeprefix("Value error, ").removeprefix("Assertion failed, ")
         message = shortened(message.replace("Input should be", "expected").replace("Field required", "missing"), 600)
         value = first["input"] if not isinstance(first["input"], dict) else None

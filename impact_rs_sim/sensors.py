@@ -57,7 +57,7 @@ class ArmSensors:
         joint_count: Number of joints.
         samples: Number of control ticks.
         rng: Draws the noise.
-        readings: Sensor models; a delay below 0 cannot be had before the end of a trial, and is none here.
+        readings: Sensor models; a negative delay is not causal and is treated as 0.
         period: Control period [s].
     """
 
@@ -93,7 +93,7 @@ class ArmSensors:
         )
 
     def _read(self, tick: int, true: ArmMotion) -> ArmMotion:
-        """What the sensor models make of the true motion."""
+        """Readings of the true motion by the sensor models."""
         r = self._readings
         return replace(
             true,
@@ -145,7 +145,7 @@ class ObjectTracker:
         )
 
     def _filtered(self, sample: int, position: Array, rotation: Array) -> tuple[Array, Array]:
-        """Pose behind delay and filter; angles of a sample are small changes of those of the last one."""
+        """Pose after delay and filter; angles between samples are small."""
         if self._readings.delay == 0.0 and self._readings.lag == 0.0:
             return position, rotation
         late = self._late(sample, np.concatenate((position, rotation.ravel())))

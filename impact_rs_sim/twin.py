@@ -33,11 +33,11 @@ from impact_rs_sim.physics import ArmPhysics, Load, Physics
 from impact_rs_sim.robot import Array, Flange, JointOrigin
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState
 
-# What formulas beyond those of joints and end effector act on: `Acts` in src/twin_formula.hpp.
+# Points of action of formulas beyond joints and end effector: `Acts` in src/twin_formula.hpp.
 ON_PAD, ALONG_PAD, ON_OBJECT, TURNING_OBJECT, ON_SUPPORT, ALONG_SUPPORT = range(3, 9)
-LAG_FROM = "lag_from"  # a lag with a start, in `Formula::NAMES` of src/twin_formula.hpp
-REFINEMENT = 2  # steps in a period of the torque loop in which a pad meets the object
-BEFORE_ALL = -1e9  # s, since when a command without a time was desired
+LAG_WITH_START = "lag_from"  # its name in `Formula::NAMES` of src/twin_formula.hpp
+CONTACT_REFINEMENT = 2  # time steps per period of the torque loop during pad contact
+DISTANT_PAST_S = -1e9  # time from which a command without a time has been held
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ class TwinJob:
         joint_torque: Whether the torques are measured joint torques, without motors and torque loop: each is tau_J at
             the end of its period, and the links receive tau_J + D K^-1 dtau_J (paper eq. EOM_link).
         refinement: Steps in a period of the torque loop in which a pad meets the object.
-        before: By arm, samples before the start that formulas with memory look back on: time, q, dq and tau_J,
-            ``(m, 1 + 3 n)``; without any, what was before is taken for steady.
+        before: By arm, samples before the start for formulas with memory: time, q, dq and tau_J, ``(m, 1 + 3 n)``; if
+            empty, a steady state is assumed.
     """
 
     physics: Physics
@@ -69,13 +69,13 @@ class TwinJob:
     period: float
     object: BodyState | None = None
     joint_torque: bool = False
-    refinement: int = REFINEMENT
+    refinement: int = CONTACT_REFINEMENT
     before: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Result:
-    """What a job led to.
+    """Result of one simulation.
 
     Attributes:
         arms: Motion of the arms.
@@ -86,7 +86,7 @@ class Result:
         steps: Number of steps.
         contact_steps: Those with a contact.
         iterations: Steps of Newton's method in them.
-        fallbacks: Contact steps in which Newton's method alone did not arrive.
+        fallbacks: Contact steps in which Newton's method alone did not converge.
         failed: Times of the steps whose equations were not solved [s]; from the first time at which a state is not
             finite on, everything is NaN.
         failure: Why the job ended early; empty: it did not.
@@ -112,7 +112,7 @@ def simulate(jobs: Sequence[TwinJob], threads: int = 1) -> list[Result]:
         threads: Largest number of threads.
 
     Raises:
-        InputError: A load of a Python class raises it.
+        InputError: Raised by a load of a Python class.
     """
     models: dict[tuple[int, float, bool, int], _kernel.Twin] = {}
     prepared = []
@@ -125,10 +125,10 @@ def simulate(jobs: Sequence[TwinJob], threads: int = 1) -> list[Result]:
 
 
 def rests(physics: Physics, state: BodyState) -> bool:
-    """Whether the object stays where it is until it is touched.
+    """Whether the object is in stable static equilibrium on its support.
 
-    It does where it has no velocity, its support does not let it slide, and the line of gravity through its centre of
-    mass meets the support within the polygon of the points where it stands; points within 2 mm of the surface count.
+    It is if its velocity is zero, gravity lies in the friction cone, and the line of gravity through the centre of mass
+    lies in the support polygon; corners within 2 mm of the surface belong to the polygon.
     """
     alone = kernel_twin(replace(physics, arms={}, object_loads=()), period=1.0, joint_torque=False, refinement=1)
     return _kernel.TwinRun(alone, [], box_start(state)).asleep
@@ -145,7 +145,7 @@ def _prepared(model: _kernel.Twin, job: TwinJob) -> _kernel.TwinTask:
 
 def arm_start(state: ArmState, drive: DriveStart, before: Array | None = None) -> _kernel.TwinArmStart:
     """Initial state of an arm in the form of the kernel; ``before`` as in :attr:`TwinJob.before`."""
-    earlier = drive.earlier or ((BEFORE_ALL, drive.torque),)
+    earlier = drive.earlier or ((DISTANT_PAST_S, drive.torque),)
     times, values = np.array([time for time, _ in earlier]), np.array([torque for _, torque in earlier])
     samples = np.zeros((0, 1 + 3 * state.position.size)) if before is None else before
     return state.position, state.velocity, drive.torque, drive.torque_rate, times, values, samples
@@ -157,7 +157,7 @@ def box_start(state: BodyState) -> _kernel.TwinBoxStart:
 
 
 def motions(physics: Physics, rows: Array) -> tuple[dict[str, ArmMotion], Array]:
-    """States of the kernel, ``(row,)`` or ``(k, row)``: motion of the arms, and what is left, that of the object."""
+    """Split states of the kernel, ``(row,)`` or ``(k, row)``: motion of the arms, and columns of the object."""
     arms, at = {}, 0
     for name, arm in physics.arms.items():
         n = arm.facts.joint_count
@@ -269,7 +269,7 @@ def _kinematics(joints: tuple[JointOrigin, ...], flange: Flange) -> tuple[Array,
 
 
 def _steiner(offset: Array) -> Array:
-    """Moment of inertia of a unit mass at ``offset``, ``(3, 3)`` [m^2]."""
+    """Steiner term (parallel-axis theorem) of a unit mass at ``offset``, ``(3, 3)`` [m^2]."""
     return np.asarray(offset @ offset * np.eye(3) - np.outer(offset, offset))
 
 
@@ -353,7 +353,7 @@ def _postfix(text: str, joints: int) -> tuple[list[int], list[float | str]]:
         elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
             for argument in node.args:
                 visit(argument)
-            put(LAG_FROM if node.func.id == LAG and len(node.args) > 2 else node.func.id)
+            put(LAG_WITH_START if node.func.id == LAG and len(node.args) > 2 else node.func.id)
 
     def symbol(name: str) -> None:
         joint = JOINT_SYMBOL.fullmatch(name)

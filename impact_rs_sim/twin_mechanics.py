@@ -16,7 +16,7 @@ from impact_rs_sim.mechanics import Mechanics
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState
-from impact_rs_sim.twin import REFINEMENT, arm_start, box_start, kernel_twin, motions
+from impact_rs_sim.twin import CONTACT_REFINEMENT, arm_start, box_start, kernel_twin, motions
 
 
 class TwinMechanics(Mechanics):
@@ -34,13 +34,13 @@ class TwinMechanics(Mechanics):
     @classmethod
     def load(cls, physics: Physics, period: float) -> Self:
         """See :meth:`Mechanics.load`."""
-        return cls(physics, kernel_twin(physics, period, joint_torque=False, refinement=REFINEMENT))
+        return cls(physics, kernel_twin(physics, period, joint_torque=False, refinement=CONTACT_REFINEMENT))
 
     def start(self, arms: Mapping[str, ArmState], drives: Mapping[str, DriveStart], object_: BodyState) -> None:
         """See :meth:`Mechanics.start`."""
         starts = [arm_start(arms[name], drives[name]) for name in self._numbers]
         self._run = _kernel.TwinRun(self._twin, starts, box_start(object_))
-        self._see(self._run.state)
+        self._update(self._run.state)
 
     def step(self, desired: Mapping[str, Array], periods: int, time: float) -> None:
         """See :meth:`Mechanics.step`.
@@ -52,13 +52,13 @@ class TwinMechanics(Mechanics):
             state = self._run.step(time, periods, [desired[name] for name in self._numbers])
         except RuntimeError as error:
             raise InputError(str(error)) from None
-        self._see(state)
-        if self._run.failed and np.isfinite(state[0]):  # what is not finite is seen in the measurement
+        self._update(state)
+        if self._run.failed and np.isfinite(state[0]):  # non-finite values are detected in the measurement
             raise InputError(
                 f"the twin left its step at t = {self._run.failed[0]:.5f} s unsolved; trials also run on --plant bullet"
             )
 
-    def _see(self, state: Array) -> None:
+    def _update(self, state: Array) -> None:
         """Take the parts of a state."""
         self._arms, self._body = motions(self.physics, state)
 

@@ -21,7 +21,7 @@ import pinocchio as pin
 from impact_rs_sim.robot import Array
 
 Three = tuple[float, float, float]
-NOWHERE = (0.0, 0.0, 0.0)
+ZERO_VECTOR = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -35,10 +35,10 @@ class TwistReadings:
         point: c, tracked point from the geometric centre, axes of the body [m].
     """
 
-    spin_axes: Three = NOWHERE
+    spin_axes: Three = ZERO_VECTOR
     spin_factor: float = 1.0
-    axes: Three = NOWHERE
-    point: Three = NOWHERE
+    axes: Three = ZERO_VECTOR
+    point: Three = ZERO_VECTOR
 
     @property
     def exact(self) -> bool:
@@ -47,7 +47,7 @@ class TwistReadings:
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """All numbers."""
+        """All parameters as one tuple."""
         return (*self.spin_axes, self.spin_factor, *self.axes, *self.point)
 
     def lever(self, rotation: Array) -> Array:
@@ -65,17 +65,17 @@ class TwistReadings:
             true: v and omega.
             rotation: R, rotation matrix of the body.
         """
-        own, spins = self._turns
+        own, spins = self._rotations
         velocity = true[:3] + np.cross(true[3:], self.lever(rotation))
         return np.concatenate((own @ velocity, own @ (self.spin_factor * (spins @ true[3:]))))
 
     def twist_of(self, reading: Array, rotation: Array) -> Array:
         """Twist of the centre for a reading: the inverse of :meth:`twist`, ``(6,)`` [m/s, rad/s]."""
-        own, spins = self._turns
+        own, spins = self._rotations
         turning = spins.T @ (own.T @ reading[3:]) / self.spin_factor
         return np.concatenate((own.T @ reading[:3] - np.cross(turning, self.lever(rotation)), turning))
 
     @property
-    def _turns(self) -> tuple[Array, Array]:
+    def _rotations(self) -> tuple[Array, Array]:
         """Q and S."""
         return np.asarray(pin.exp3(np.array(self.axes))), np.asarray(pin.exp3(np.array(self.spin_axes)))

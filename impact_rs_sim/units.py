@@ -42,7 +42,7 @@ def dimension_of(unit: str) -> Dimension:
 
 
 def text_of(dimension: Dimension) -> str:
-    """A dimension in words: N or N m where it is one, else powers of kg, m and s."""
+    """Text of a dimension: N or N m if it is one of these, else powers of kg, m and s."""
     for name, known in (("N m", TORQUE), ("N", FORCE), ("-", NUMBER)):
         if dimension == known:
             return name

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects that are *not* in the library: the diagnosis must report that no effect of the library explains them.
 
-Each acts inside the plant and is parametrised by a magnitude (1: noticeable) and the number of the repeat. Those of
-:data:`OUTSIDE` are whole mechanisms; those of :data:`LAWS` are a force as a function of the state, written here in
-Python and found, if at all, by ``impact-rs discover``.
+Each acts inside the plant and is parametrised by a magnitude (1: noticeable) and the number of the repeat.
+:data:`OUTSIDE` has whole mechanisms; :data:`LAWS` has forces as functions of the state, which ``impact-rs discover``
+may find.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from impact_rs_sim.robot_model import RobotModel
 
 
 class LooseContents(PlantExtension):
-    """A slab that slides on top of the object: part of its mass moves with a delay."""
+    """Slab sliding on top of the object: part of its mass moves with a delay."""
 
     def __init__(self, magnitude: float, repeat: int) -> None:
         self._share = min(0.2 * magnitude, 0.8)
@@ -178,12 +178,12 @@ class HiddenLaw(PlantExtension):
     """A force or torque as a function of the state, evaluated in every period of the torque loop.
 
     Args:
-        place: ``motor``, ``link``, ``end_effector`` or ``object``.
+        acts_on: ``motor``, ``link``, ``end_effector`` or ``object``.
         law: Torques on the joints ``(n,)`` [N m], or force ``(3,)`` at E or at the middle of the object [N].
     """
 
-    def __init__(self, place: str, law: Callable[[State], Array]) -> None:
-        self._place, self._law = place, law
+    def __init__(self, acts_on: str, law: Callable[[State], Array]) -> None:
+        self._acts_on, self._law = acts_on, law
         self._touched: float | None = None
         self._models: dict[str, RobotModel] = {}
 
@@ -211,22 +211,22 @@ class HiddenLaw(PlantExtension):
 
     def joint_torque(self, plant: Plant, arm: str) -> Array | None:
         """Torque on the links over the next control period; on the motors it is set there."""
-        if self._place == "object":
+        if self._acts_on == "object":
             if plant.time == 0.0:  # afterwards every period ends with the force of the next
                 self._on_object(plant, arm)
             return None
         state = self.state(plant, arm)
         found = self._law(state)
-        if self._place == "motor":
+        if self._acts_on == "motor":
             plant.bullet.drives[arm].load(found)
             return None
-        if self._place == "link":
+        if self._acts_on == "link":
             return found
         return np.asarray(self._models[arm].jacobian(state.q)[:3].T @ found)
 
     def after_sense(self, plant: Plant, arm: str, drive: Drive) -> None:
         """Force on the object over the next period of the torque loop."""
-        if self._place == "object":
+        if self._acts_on == "object":
             self._on_object(plant, arm)
 
     def _on_object(self, plant: Plant, arm: str) -> None:
@@ -236,7 +236,7 @@ class HiddenLaw(PlantExtension):
         plant.world.push(None, state.object_x, self._law(state))
 
 
-def _joint(place: str, number: int, law: Callable[[State, float], float]) -> Callable[[float, int], PlantExtension]:
+def _joint(acts_on: str, number: int, law: Callable[[State, float], float]) -> Callable[[float, int], PlantExtension]:
     """A law of one joint, counted from 1, with the magnitude as its second argument."""
 
     def make(magnitude: float, repeat: int) -> PlantExtension:
@@ -247,14 +247,14 @@ def _joint(place: str, number: int, law: Callable[[State, float], float]) -> Cal
             found[number - 1] = law(state, magnitude)
             return found
 
-        return HiddenLaw(place, torques)
+        return HiddenLaw(acts_on, torques)
 
     return make
 
 
-def _at(place: str, law: Callable[[State, float], Array]) -> Callable[[float, int], PlantExtension]:
+def _at(acts_on: str, law: Callable[[State, float], Array]) -> Callable[[float, int], PlantExtension]:
     """A law of a force, with the magnitude as its second argument."""
-    return lambda magnitude, repeat: HiddenLaw(place, lambda state: law(state, magnitude))
+    return lambda magnitude, repeat: HiddenLaw(acts_on, lambda state: law(state, magnitude))
 
 
 def _beyond(value: float, limit: float) -> float:

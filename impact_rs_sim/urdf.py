@@ -16,11 +16,12 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 import pinocchio as pin
 
-from impact_rs_sim.link_shapes import TOOL_RADIUS, Shape, link_shapes
+from impact_rs_sim.link_shapes import TOOL_RADIUS_M, Shape, link_shapes
 from impact_rs_sim.robot import Array, Colours, EndEffector, Mesh, RobotFacts
 
 WORLD = "world"  # the inertial frame A
-_FIXED = (1.0, np.zeros(3), 0.01 * np.eye(3))  # of links fixed to the world; Bullet warns where an inertial is absent
+# Mass, centre of mass, inertia of links fixed to the world; Bullet warns without them
+_FIXED_LINK_INERTIAL = (1.0, np.zeros(3), 0.01 * np.eye(3))
 
 
 def joint_names(facts: RobotFacts) -> list[str]:
@@ -46,7 +47,7 @@ def _visual(link: Xml.Element, start: Array, end: Array, radius: float, colour: 
     span = end - start
     length = float(np.linalg.norm(span))
     visual = Xml.SubElement(link, "visual")
-    rotation = np.eye(3) if length == 0.0 else _turn(span / length)
+    rotation = np.eye(3) if length == 0.0 else _rotation_to(span / length)
     rpy = pin.rpy.matrixToRpy(rotation)
     Xml.SubElement(visual, "origin", xyz=_text((start + end) / 2.0), rpy=_text(rpy))
     geometry = Xml.SubElement(visual, "geometry")
@@ -58,7 +59,7 @@ def _visual(link: Xml.Element, start: Array, end: Array, radius: float, colour: 
     Xml.SubElement(material, "color", rgba=colour)
 
 
-def _turn(axis: Array) -> Array:
+def _rotation_to(axis: Array) -> Array:
     """Rotation of z to an axis, ``(3, 3)``."""
     return np.asarray(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix())
 
@@ -70,7 +71,7 @@ def _simple(link: Xml.Element, shapes: Iterable[Shape], colours: Colours) -> Non
 
 
 def _meshes(link: Xml.Element, meshes: tuple[Mesh, ...]) -> bool:
-    """Whether there are meshes, which are added then."""
+    """Add the meshes, if any; returns whether there are some."""
     for mesh in meshes:
         visual = Xml.SubElement(link, "visual")
         Xml.SubElement(visual, "origin", xyz=_text(mesh.xyz), rpy=_text(mesh.rpy))
@@ -81,7 +82,7 @@ def _meshes(link: Xml.Element, meshes: tuple[Mesh, ...]) -> bool:
 def _mount_rpy(facts: RobotFacts, end_effector: EndEffector) -> Array:
     """Roll, pitch, yaw of E in the last link, ``(3,)`` [rad]."""
     if not any(facts.flange.rpy):
-        return np.array([0.0, 0.0, end_effector.mount_yaw])  # to the last bit, which a matrix would not keep
+        return np.array([0.0, 0.0, end_effector.mount_yaw])  # exact to the last bit, unlike through a matrix
     yaw = pin.rpy.rpyToMatrix(0.0, 0.0, end_effector.mount_yaw)
     return np.asarray(pin.rpy.matrixToRpy(facts.flange.rotation @ yaw))
 
@@ -101,7 +102,7 @@ def write_urdf(
     """
     robot = Xml.Element("robot", name=name)
     base = Xml.SubElement(robot, "link", name=f"{prefix}base")
-    _inertial(base, *_FIXED)
+    _inertial(base, *_FIXED_LINK_INERTIAL)
     shapes, colours = link_shapes(facts), facts.colours
     if not (meshes and _meshes(base, facts.base_meshes)):
         _simple(base, shapes[0], colours)
@@ -146,7 +147,7 @@ def write_urdf(
         link,
         np.array([0.0, 0.0, -end_effector.length]),
         np.array([0.0, 0.0, -thickness]),
-        TOOL_RADIUS,
+        TOOL_RADIUS_M,
         "0.25 0.27 0.30 1",
     )
     for kind in ("visual", "collision"):
@@ -183,7 +184,7 @@ def write_description(
     if support is not None:
         height, (x, y) = support
         link = Xml.SubElement(scene, "link", name="support")
-        _inertial(link, *_FIXED)
+        _inertial(link, *_FIXED_LINK_INERTIAL)
         _box(link, np.array([x, y, 0.02]), np.array([0.0, 0.0, height - 0.01]), "support", "0.55 0.6 0.65 1")
         _fix(scene, "support_mount", "support", pin.SE3.Identity())
     return _document(scene)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The serial chain of any URDF: which joints move, what is fixed to which link, and what is left out.
+"""Serial chain from base to tip of a URDF: moving joints, merged fixed links, and omitted links.
 
-A URDF is a tree of links. An arm is the way from its base to its tip. Links that are fixed beside this way ride on it
-and belong to it; links beyond the tip do not, for they are what a scenario calls the end effector. Nothing is locked in
-silence: a joint that moves beside the way is refused, unless the user says where it stands.
+A URDF is a tree of links. An arm is the path from its base to its tip. Side branches fixed to this path are merged into
+it; links beyond the tip are omitted: they are the end effector of a scenario. No joint is locked silently: a moving
+joint in a side branch is refused unless the user gives its position.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from impact_rs_sim.decimals import decimal
 from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.robot import JointType
 
-MOVES_AS: dict[str, JointType] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
-TYPES = (*MOVES_AS, "fixed", "planar", "floating")
-XACRO = "xacro {file} > robot.urdf"
+MOVABLE_JOINT_TYPES: dict[str, JointType] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
+URDF_JOINT_TYPES = (*MOVABLE_JOINT_TYPES, "fixed", "planar", "floating")
+XACRO_COMMAND = "xacro {file} > robot.urdf"
 WORLD = "world"  # link that simulators know without its being in the file
-KEPT = ("origin", "parent", "child", "axis", "inertial")  # what rigid-body dynamics need; no meshes
-LONGEST_MESSAGE = 1000  # characters; of a large arm all links are listed
-ONCE = {  # elements that may stand once in an element; of two a reader would take either
+KEPT_ELEMENTS = ("origin", "parent", "child", "axis", "inertial")  # those that rigid-body dynamics need; no meshes
+MAX_MESSAGE_LENGTH = 1000  # characters; a large arm has many links to list
+UNIQUE_ELEMENTS = {  # elements that may stand once in an element; of two a reader would take either
     "link": ("inertial",),
     "inertial": ("origin", "mass", "inertia"),
     "visual": ("origin", "geometry"),
@@ -44,10 +44,10 @@ class Chain:
         base: Link that the arm is mounted with.
         tip: Link that the flange is the frame of.
         joints: Joints that move, base to tip, as in the file.
-        merged: Links with a mass that are fixed to a moving link, on the way or beside it.
+        merged: Links with mass that are fixed to a moving link, on the path or in a side branch.
         left_out: Links beyond the tip.
         dynamics: Joints that the file says damping or friction of.
-        urdf: A URDF of base, way and merged links, without shapes; every joint that moves is revolute or prismatic.
+        urdf: A URDF of base, path and merged links, without shapes; every moving joint is revolute or prismatic.
     """
 
     file: Path
@@ -69,7 +69,7 @@ class UrdfTree:
         above: The joint that carries a link, by the link's name.
         below: Joints that a link carries.
         root: The link that no joint carries.
-        notes: What was taken for granted.
+        notes: Assumptions made while reading.
 
     Args:
         file: The URDF.
@@ -95,8 +95,11 @@ class UrdfTree:
         self.above: dict[str, Xml.Element] = {}  # the joint that carries a link
         self.below: dict[str, list[Xml.Element]] = {name: [] for name in self.links}
         for name, joint in joints.items():
-            if joint.get("type") not in TYPES:
-                self._fail(f"unknown type {joint.get('type')!r}; expected one of {', '.join(TYPES)}", f"joint {name}")
+            if joint.get("type") not in URDF_JOINT_TYPES:
+                self._fail(
+                    f"unknown type {joint.get('type')!r}; expected one of {', '.join(URDF_JOINT_TYPES)}",
+                    f"joint {name}",
+                )
             parent, child = self._end(joint, "parent"), self._end(joint, "child")
             if child in self.above:
                 self._fail(f"link {child!r} hangs on joint {self.above[child].get('name')!r} as well", f"joint {name}")
@@ -111,21 +114,22 @@ class UrdfTree:
             self._fail(f"expected one tree of links; these hang on each other in a ring: {', '.join(astray)}")
 
     def chain(self, base: str | None = None, tip: str | None = None) -> Chain:
-        """The way from ``base`` (default: the root) to ``tip`` (default: the only one there is).
+        """The path from ``base`` (default: the root) to ``tip`` (default: the only one).
 
         Raises:
-            InputError: There is no such way, several tips, or a joint on it that neither turns nor slides by itself.
+            InputError: No such path, several tips, or a joint that is neither revolute nor prismatic, or mimics
+                another.
         """
         start = self.root if base is None else self._link(base, "--base")
         end = self._only_tip(start) if tip is None else self._link(tip, "--tip")
-        way = self._way(start, end)
-        joints = tuple(joint for joint in way if joint.get("type") != "fixed")
+        path = self._path(start, end)
+        joints = tuple(joint for joint in path if joint.get("type") != "fixed")
         for joint in joints:
             self._check(joint)
         if not joints:
             self._fail(f"no joint moves between {start!r} and {end!r}; expected at least one that turns or slides")
-        moved = way[way.index(joints[0]) :]
-        beside = [joint for carrier in moved[:-1] for joint in self._beside(child_of(carrier), way)]
+        moved = path[path.index(joints[0]) :]
+        beside = [joint for carrier in moved[:-1] for joint in self._side_branches(child_of(carrier), path)]
         fixed = (child_of(joint) for joint in (*moved, *beside) if joint.get("type") == "fixed")
         return Chain(
             file=self.file,
@@ -135,7 +139,7 @@ class UrdfTree:
             merged=tuple(link for link in fixed if self.links[link].find("inertial") is not None),
             left_out=tuple(self._everything_below(end)),
             dynamics=tuple(_name(joint) for joint in joints if _has_losses(joint)),
-            urdf=self._pruned(start, [*way, *beside]),
+            urdf=self._pruned(start, [*path, *beside]),
         )
 
     def numbers(
@@ -165,7 +169,7 @@ class UrdfTree:
         return values
 
     def _fail(self, message: str, key: str | None = None) -> NoReturn:
-        raise InputError(shortened(message, LONGEST_MESSAGE), file=self.file, key=key)
+        raise InputError(shortened(message, MAX_MESSAGE_LENGTH), file=self.file, key=key)
 
     def _named(self, robot: Xml.Element, kind: str) -> dict[str, Xml.Element]:
         found: dict[str, Xml.Element] = {}
@@ -179,10 +183,10 @@ class UrdfTree:
         return found
 
     def _check_once(self, element: Xml.Element, key: str) -> None:
-        """No element stands twice where one is read."""
+        """Check that unique elements occur once."""
         for part in element:
             self._check_once(part, key)
-        for tag in ONCE.get(element.tag, ()):
+        for tag in UNIQUE_ELEMENTS.get(element.tag, ()):
             if len(element.findall(tag)) > 1:
                 self._fail(f"<{element.tag}> has {len(element.findall(tag))} <{tag}>, expected one", key)
 
@@ -208,34 +212,36 @@ class UrdfTree:
         return tips[0]
 
     def _tips(self, link: str, moves: bool) -> Iterator[str]:
-        """Links without further ones below them that move against ``link``."""
+        """Leaf links that move relative to ``link``."""
         if moves and not self.below[link]:
             yield link
         for joint in self.below[link]:
             yield from self._tips(child_of(joint), moves or joint.get("type") != "fixed")
 
-    def _way(self, base: str, tip: str) -> list[Xml.Element]:
-        way: list[Xml.Element] = []
+    def _path(self, base: str, tip: str) -> list[Xml.Element]:
+        path: list[Xml.Element] = []
         link = tip
         while link != base:
             if link not in self.above:
-                self._fail(f"no way leads from {base!r} out to {tip!r}; expected a tip that hangs on the base")
-            way.insert(0, self.above[link])
+                self._fail(
+                    f"no chain leads from {base!r} to {tip!r}; expected a tip below the base in the tree of links"
+                )
+            path.insert(0, self.above[link])
             link = self._end(self.above[link], "parent")
-        return way
+        return path
 
     def _check(self, joint: Xml.Element) -> None:
         key = f"joint {_name(joint)}"
         kind = joint.get("type")
-        if kind not in MOVES_AS:
-            self._fail(f"this joint of the chain is {kind}; expected one of {', '.join(MOVES_AS)}", key)
+        if kind not in MOVABLE_JOINT_TYPES:
+            self._fail(f"this joint of the chain is {kind}; expected one of {', '.join(MOVABLE_JOINT_TYPES)}", key)
         if joint.find("mimic") is not None:
             self._fail("this joint of the chain mimics another; expected joints that move by themselves", key)
 
-    def _beside(self, link: str, way: list[Xml.Element]) -> Iterator[Xml.Element]:
-        """Fixed joints of ``link`` and of the links fixed to it, beside the chain."""
+    def _side_branches(self, link: str, path: list[Xml.Element]) -> Iterator[Xml.Element]:
+        """Fixed joints of the side branches of ``link``."""
         for joint in self.below[link]:
-            if joint in way:
+            if joint in path:
                 continue
             if joint.get("type") != "fixed":
                 self._fail(
@@ -244,7 +250,7 @@ class UrdfTree:
                     f"joint {_name(joint)}",
                 )
             yield joint
-            yield from self._beside(child_of(joint), way)
+            yield from self._side_branches(child_of(joint), path)
 
     def _everything_below(self, link: str) -> Iterator[str]:
         for joint in self.below[link]:
@@ -255,11 +261,11 @@ class UrdfTree:
         robot = Xml.Element("robot", name="arm")
         for name in (base, *(child_of(joint) for joint in joints)):
             link = Xml.SubElement(robot, "link", name=name)
-            link.extend(copy.deepcopy(part) for part in self.links[name] if part.tag in KEPT)
+            link.extend(copy.deepcopy(part) for part in self.links[name] if part.tag in KEPT_ELEMENTS)
         for joint in joints:
             kind = joint.get("type", "")
-            kept = Xml.SubElement(robot, "joint", name=_name(joint), type=MOVES_AS.get(kind, kind))
-            kept.extend(copy.deepcopy(part) for part in joint if part.tag in KEPT)
+            kept = Xml.SubElement(robot, "joint", name=_name(joint), type=MOVABLE_JOINT_TYPES.get(kind, kind))
+            kept.extend(copy.deepcopy(part) for part in joint if part.tag in KEPT_ELEMENTS)
             if kind != "fixed":  # the real limits are read elsewhere; without any the joint would have two coordinates
                 Xml.SubElement(kept, "limit", lower="-1", upper="1", velocity="1", effort="1")
         return Xml.tostring(robot, encoding="unicode")
@@ -270,7 +276,9 @@ def _parse(file: Path) -> Xml.Element:
         text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot be read: {error}", file=file) from None
-    xacro = InputError(f"this is xacro, expected URDF; expand it first: {XACRO.format(file=file.name)}", file=file)
+    xacro = InputError(
+        f"this is xacro, expected URDF; expand it first: {XACRO_COMMAND.format(file=file.name)}", file=file
+    )
     if file.suffix == ".xacro" or "<xacro:" in text:
         raise xacro
     try:

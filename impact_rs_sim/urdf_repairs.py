@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a URDF lacks or has wrong, and how the user puts it right: limits, moments of inertia about joints, held joints.
+"""User corrections of a URDF: missing limits, moments of inertia about joints, locked joints.
 
-A URDF states moments of inertia about the centre of mass. Some are written about the joint instead, which is too much
-by Steiner's term,
+A URDF states moments of inertia about the centre of mass. Some files have them about the joint instead, too large by
+the Steiner term (parallel-axis theorem),
 
     I_joint = I_centre + m (r^2 1 - r r^T),        r from the joint to the centre of mass.
 
@@ -28,10 +28,11 @@ from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.robot import Array
 
 QUANTITIES = ("position", "velocity", "effort")
-GIVEN = re.compile(r"(?P<joint>.+)\.(?P<quantity>position|velocity|effort)=(?P<value>.+)")
-SUSPECTED = 1.0  # moment across r over m r^2, from which moments are taken for those about a joint
-LONG = 0.12  # of the arm's length, distance of the centre of mass from the joint axis from which a link is long
-EVERY = "*"
+LIMIT_PATTERN = re.compile(r"(?P<joint>.+)\.(?P<quantity>position|velocity|effort)=(?P<value>.+)")
+MIN_STEINER_RATIO = 1.0  # moment across r over m r^2 from which it is taken for a moment about the joint [-]
+# Distance of centre of mass and joint axis over the length of the arm; a longer link is long [-]
+MIN_LONG_LINK_RATIO = 0.12
+ALL_JOINTS = "*"
 
 Limits = Mapping[tuple[str, str], tuple[float, ...]]
 
@@ -49,7 +50,7 @@ def given_limits(texts: Sequence[str], joints: Sequence[str], file: Path) -> Lim
     """
     found: dict[tuple[str, str], tuple[float, ...]] = {}
     for text in texts:
-        match = GIVEN.fullmatch(text)
+        match = LIMIT_PATTERN.fullmatch(text)
         try:
             numbers = tuple(decimal(part) for part in match["value"].split(":")) if match else ()
         except ValueError:
@@ -61,19 +62,19 @@ def given_limits(texts: Sequence[str], joints: Sequence[str], file: Path) -> Lim
         ):
             expected = "expected JOINT.position=LOW:HIGH, JOINT.velocity=MOST or JOINT.effort=MOST; * is every joint"
             raise InputError(expected, key="--limits", value=text)
-        if match["joint"] not in (EVERY, *joints):
+        if match["joint"] not in (ALL_JOINTS, *joints):
             near = did_you_mean(match["joint"], joints)
             raise InputError(
                 f"no joint {match['joint']!r}{near}; it has: {', '.join(joints)}", file=file, key="--limits"
             )
-        for joint in joints if match["joint"] == EVERY else (match["joint"],):
-            if match["joint"] != EVERY or (joint, match["quantity"]) not in found:
+        for joint in joints if match["joint"] == ALL_JOINTS else (match["joint"],):
+            if match["joint"] != ALL_JOINTS or (joint, match["quantity"]) not in found:
                 found[joint, match["quantity"]] = numbers
     return found
 
 
 def locked_joints(texts: Sequence[str], joints: Sequence[str], file: Path) -> dict[str, float]:
-    """Places in which joints are held, by joint [rad or m].
+    """Positions of locked joints by joint [rad or m].
 
     Args:
         texts: ``head_1=0.2``, ``head_*=0``; ``*`` matches any text, and a joint by its name goes first.
@@ -84,24 +85,24 @@ def locked_joints(texts: Sequence[str], joints: Sequence[str], file: Path) -> di
         InputError: A text says something else, or no joint is called so.
     """
     found: dict[str, float] = {}
-    for text in sorted(texts, key=lambda text: EVERY in text):
+    for text in sorted(texts, key=lambda text: ALL_JOINTS in text):
         name, _, value = text.rpartition("=")
         try:
-            place = decimal(value)
+            position = decimal(value)
         except ValueError:
-            place = math.nan
-        if not name or not math.isfinite(place):
+            position = math.nan
+        if not name or not math.isfinite(position):
             raise InputError("expected JOINT=PLACE, a number in rad or m; * matches any text", key="--lock", value=text)
         matching = fnmatch.filter(joints, name)
         if not matching:
             near = did_you_mean(name, joints)
             raise InputError(f"no joint {name!r} moves{near}; it has: {', '.join(joints)}", file=file, key="--lock")
-        found = dict.fromkeys(matching, place) | found
+        found = dict.fromkeys(matching, position) | found
     return found
 
 
-def looks_about_joint(mass: float, centre: Array, inertia: Array, axis: Array, length: float) -> float | None:
-    """Least moment across r over m r^2, or of all over m d^2, where it looks as if it were about the joint; else None.
+def suspected_steiner_ratio(mass: float, centre: Array, inertia: Array, axis: Array, length: float) -> float | None:
+    """Ratio of moment and Steiner term (m r^2 or m d^2) if the inertia looks as if about the joint; else None.
 
     Args:
         mass: Of the link [kg].
@@ -111,21 +112,21 @@ def looks_about_joint(mass: float, centre: Array, inertia: Array, axis: Array, l
         length: Of the arm along its joints [m].
     """
     distance = float(np.linalg.norm(np.cross(axis, centre)))
-    if distance < max(LONG * length, 1e-9) or mass <= 0.0:
+    if distance < max(MIN_LONG_LINK_RATIO * length, 1e-9) or mass <= 0.0:
         return None
     across = np.linalg.svd(centre[None])[2][1:]  # two directions perpendicular to r
     ratio = max(
         float(np.linalg.eigvalsh(across @ inertia @ across.T)[0]) / (mass * float(centre @ centre)),
         float(np.linalg.eigvalsh(inertia)[0]) / (mass * distance**2),
     )
-    return ratio if ratio >= SUSPECTED else None
+    return ratio if ratio >= MIN_STEINER_RATIO else None
 
 
 def about_centre(mass: float, centre: Array, inertia: Array, axis: Array) -> Array | None:
     """Inertia about the centre of mass of a link that is stated about its joint, ``(3, 3)``; None: none is left.
 
-    By Steiner's theorem; where no body has what is left (one number was written three times) its part about the joint
-    axis is taken from every moment.
+    By the parallel-axis theorem; if the remainder is physically inconsistent (one number was written three times), the
+    Steiner term about the joint axis is subtracted from every moment.
 
     Args:
         mass: Of the link [kg].

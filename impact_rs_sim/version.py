@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which version of the software this is."""
+"""Version and git revision of the software."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 logger = logging.getLogger(__name__)
 
 
-RECORDED = "git_revision.txt"  # beside this file in an installation; CMakeLists.txt writes it
+REVISION_FILE = "git_revision.txt"  # written by CMakeLists.txt, beside this file in an installation
 
 
 @functools.cache
@@ -28,7 +28,7 @@ def git_revision() -> str:
 def recorded_revision(folder: Path) -> str:
     """Revision that the build noted in a folder; empty if it noted none."""
     try:
-        return (folder / RECORDED).read_text(encoding="utf-8").strip()
+        return (folder / REVISION_FILE).read_text(encoding="utf-8").strip()
     except OSError as error:
         logger.debug("no git revision: %s", error)
         return ""

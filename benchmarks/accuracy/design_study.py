@@ -20,7 +20,7 @@ from impact_rs_analysis.measure.design_study import (
     ROBOTS,
     DesignQuestion,
     problems_of,
-    stances_of,
+    random_poses,
     values_by,
 )
 from impact_rs_sim.impact_map import ImpactMapError
@@ -43,7 +43,7 @@ def run(case: Case, work: Work) -> Row:
     """Measures of all designs of a robot by both engines, ``(designs, 2, measures)``."""
     question = DesignQuestion(load_scenario("push"), "cat_food", pads=tuple(work.options.pads))
     found, failed = [], 0
-    for stance in stances_of(case.name, question, work.options.poses)[0]:
+    for stance in random_poses(case.name, question, work.options.poses)[0]:
         for _, _, problem in problems_of(question, stance):
             try:
                 found.append([list(values_by(engine, problem).values()) for engine in ("exact", "bullet")])

@@ -27,9 +27,9 @@ from benchmarks.harness import Case, Row, Work
 from benchmarks.results import Table
 from impact_rs_analysis.evidence.simulated_trials import quiet
 from impact_rs_analysis.limits.drawn_hits import (
+    HIT_WINDOW_S,
     JUMP_SHARES,
     PEAK_SHARES,
-    WINDOW,
     Hits,
     drawn,
     drawn_springs,
@@ -38,7 +38,7 @@ from impact_rs_analysis.limits.drawn_hits import (
 )
 from impact_rs_analysis.limits.hit_bounds import Thresholds
 from impact_rs_analysis.limits.poses import moved
-from impact_rs_analysis.limits.speed import HIGHEST, SpeedLimit, speed_limit
+from impact_rs_analysis.limits.speed import MAX_SPEED_RATIO, SpeedLimit, speed_limit
 from impact_rs_sim.errors import Infeasible
 from impact_rs_sim.impact_map.uncertainty import draw, possible, sources_of
 from impact_rs_sim.physics import Physics
@@ -71,7 +71,7 @@ def hit(
     period = timing.drive_period
     fast = quiet(scene.scenario)
     fast = fast.model_copy(
-        update={"timing": timing.model_copy(update={"control_period": period, "duration": WINDOW + period})}
+        update={"timing": timing.model_copy(update={"control_period": period, "duration": HIT_WINDOW_S + period})}
     )
     cell = MujocoCell(fast, physics, {name: arm.position for name, arm in arms.items()}, body, seed=0)
     starts = {}
@@ -82,7 +82,7 @@ def hit(
         placement = scene.models[name].placement(arm.position)
         starts[name] = placement, scene.models[name].jacobian(arm.position)[:3] @ arm.velocity
     rows: dict[str, list[ArmMotion]] = {name: [] for name in arms}
-    ticks = round(WINDOW / period)
+    ticks = round(HIT_WINDOW_S / period)
     for tick in range(ticks + 1):
         now, torques = tick * period, {}
         measured = cell.measure().arms
@@ -172,7 +172,7 @@ def condition(number: int, draws: int, reflexes: bool = True) -> tuple[Hits, Spe
             continue
         hits = Hits(scene, limits, draws=draws, seed=number)
         found = speed_limit(hits)
-        if 0.0 < found.middle < HIGHEST * hits.speed:
+        if 0.0 < found.middle < MAX_SPEED_RATIO * hits.speed:
             return hits, found
 
 

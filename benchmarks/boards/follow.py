@@ -36,7 +36,7 @@ from benchmarks.results import Table
 from impact_rs_analysis.following.causes import Causes
 from impact_rs_analysis.following.change import ChangeExplanation
 from impact_rs_analysis.following.follow import Follower
-from impact_rs_analysis.following.hits import Hit, TableDoor
+from impact_rs_analysis.following.hits import Hit, TableHitSource
 from impact_rs_analysis.following.lessons import HitDocument
 from impact_rs_control.closed_loop import make_plant, run_closed_loop, without_garbage_collection
 from impact_rs_sim.effects import library
@@ -165,10 +165,10 @@ def warming(work: Work, rng: np.random.Generator) -> list[list[object]]:
 
 
 def follower_of(rows: list[list[object]], folder: Path) -> tuple[Follower, list[Hit]]:
-    """Rows through the door that ships, and what follows them."""
+    """Rows through the shipped hit source, and their follower."""
     path = write_csv(folder / "hits.csv", HEADER, rows)
-    door = TableDoor(lambda: read_impact_table(path, SCENARIO), NOMINAL)
-    return Follower(door, NOMINAL), list(door.arrived())
+    hit_source = TableHitSource(lambda: read_impact_table(path, SCENARIO), NOMINAL)
+    return Follower(hit_source, NOMINAL), list(hit_source.arrived())
 
 
 def take(follower: Follower, hit: Hit) -> tuple[HitDocument, float]:
@@ -241,7 +241,7 @@ def offline_errors(follower: Follower, base: Any, effect: str, values: Array, hi
     """Prediction errors of the planted effect fitted to all hits since the change, and of the frozen model."""
     own, window = follower.watch.hits, copy.deepcopy(base)
     frozen = [rms(base.posterior.now.rest(own.evidence(hit, base.point))) for hit in hits]
-    window.posterior.believe_before(len(window.posterior.window))
+    window.posterior.absorb_before(len(window.posterior.window))
     for hit in hits:
         window.posterior.add([own.evidence(hit, window.point)])
     part = own.candidate.part(effect)

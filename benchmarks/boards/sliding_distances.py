@@ -22,8 +22,8 @@ import numpy as np
 
 from benchmarks.harness import Case, Row, Work
 from benchmarks.results import Table
-from impact_rs_analysis.following.follow import LEARNT, Follower
-from impact_rs_analysis.following.hits import TableDoor
+from impact_rs_analysis.following.follow import LEARNING_HITS, Follower
+from impact_rs_analysis.following.hits import TableHitSource
 from impact_rs_sim.model import load_model
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.impact_table import read_impact_table
@@ -54,7 +54,7 @@ def hits_of(path: Path, robot: str, session: str) -> tuple[Array, Array, int]:
 def write_table(path: Path, flux: Array, distance: Array) -> Array:
     """The hits as a table of impacts of a free body; its velocities after the hits, ``(n,)`` [m/s]."""
     after = np.sqrt(2.0 * MU * GRAVITY * distance) - flux
-    assumed = float(np.median((after / flux)[:LEARNT]))
+    assumed = float(np.median((after / flux)[:LEARNING_HITS]))
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(HEADER)
@@ -68,11 +68,11 @@ def write_table(path: Path, flux: Array, distance: Array) -> Array:
 def errors_of(path: Path, flux: Array, after: Array, distance: Array) -> tuple[Array, Array, list[str]]:
     """Errors of the distance of the followed and of the frozen model [m], and the changes that were announced."""
     model = load_model("nominal")
-    door = TableDoor(lambda: read_impact_table(path, None), model)
-    follower, frozen = Follower(door, model), None
+    hit_source = TableHitSource(lambda: read_impact_table(path, None), model)
+    follower, frozen = Follower(hit_source, model), None
     errors: list[tuple[float, float]] = []
     changes = []
-    for hit, phi, own, true in zip(list(door.arrived()), flux, after, distance, strict=True):
+    for hit, phi, own, true in zip(list(hit_source.arrived()), flux, after, distance, strict=True):
         if follower.watching:
             frozen = copy.deepcopy(follower.watch.likeliest) if frozen is None else frozen
             place = int(np.argmin(np.abs(hit.measured - own)))
@@ -113,7 +113,7 @@ def run(case: Case, work: Work) -> Row:
 def table(rows: list[Row], options: argparse.Namespace) -> Table:
     """A row for each table."""
     del options
-    columns = ("Hits of", "Hits", "rms error of D, followed", f"frozen after {LEARNT}", "change")
+    columns = ("Hits of", "Hits", "rms error of D, followed", f"frozen after {LEARNING_HITS}", "change")
     lines = [
         (
             row["name"],

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Design: from a model and a budget to a plan of trials, with what it buys."""
+"""Experiment design: from a model and a budget to a plan of trials with its expected information."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from impact_rs_trials.campaign import PlannedTrials
 from impact_rs_trials.experiment_plan import ExperimentPlan, Method, PlannedCampaign, PlannedPair
 from impact_rs_trials.workers import Map
 
-SURE = 0.95  # probability from which on a pair counts as distinguished
-MOST_PAIRS = 20  # listed in a plan, least certain first
-LISTED = 3  # pairs named in a sentence
+MIN_DISTINGUISHED_PROBABILITY = 0.95  # of a pair that counts as distinguished
+MAX_LISTED_PAIRS = 20  # in a plan, least certain first
+MAX_NAMED_PAIRS = 3  # in a sentence
 
 Decide = Callable[[Source], Decision]
 
@@ -115,7 +115,7 @@ def planned(
         seed=seed,
         freedom=int(freedom),
         summary=_summary(decision, pairs, picked, counts.information(after) if decision.aim == "parameters" else 0.0),
-        pairs=tuple(pairs[:MOST_PAIRS]),
+        pairs=tuple(pairs[:MAX_LISTED_PAIRS]),
         campaigns=_campaigns({trial.name: trial for trial in can_run}, picked, words),
     )
 
@@ -170,7 +170,7 @@ def _campaigns(trials: dict[str, ForecastTrial], picked: Counts, words: dict[str
 
 
 def _buys(counts: Discrimination, decision: Decision, total: Belief, picked: Counts, name: str) -> str:
-    """What the trials of one condition add to all others of the plan."""
+    """Marginal gain of the trials of one condition, given all others of the plan."""
     there, repeats = counts.counted.get(name, 0), picked[name]
     without = counts.added(total, name, there + repeats, there)
     trial = counts.trial(name)
@@ -188,20 +188,25 @@ def _buys(counts: Discrimination, decision: Decision, total: Belief, picked: Cou
 
 
 def _summary(decision: Decision, pairs: Sequence[PlannedPair], picked: Counts, information: float) -> str:
-    """What the plan buys, in a sentence."""
+    """Expected information of the plan in a sentence."""
     trials = f"{sum(picked.values())} trials of {len(picked)} condition{'s' if len(picked) > 1 else ''}"
     if decision.aim == "parameters":
         return f"{trials}: {information:.2g} nat of information on the parameters of {decision.explanations[0].name}"
-    sure = [pair for pair in pairs if pair.after >= SURE]
-    open_pairs = [pair for pair in pairs if pair.after < SURE]
-    if len(pairs) <= LISTED:
+    sure = [pair for pair in pairs if pair.after >= MIN_DISTINGUISHED_PROBABILITY]
+    open_pairs = [pair for pair in pairs if pair.after < MIN_DISTINGUISHED_PROBABILITY]
+    if len(pairs) <= MAX_NAMED_PAIRS:
         said = "; ".join(f"{pair.first} from {pair.second} with {_percent(pair.after)}" for pair in pairs)
         return f"{trials} distinguish {said}"
-    listed = ", ".join(f"{pair.first} from {pair.second} ({_percent(pair.after)})" for pair in open_pairs[:LISTED])
+    listed = ", ".join(
+        f"{pair.first} from {pair.second} ({_percent(pair.after)})" for pair in open_pairs[:MAX_NAMED_PAIRS]
+    )
     rest = f"; least certain: {listed}" if listed else ""
-    return f"{trials} distinguish {len(sure)} of {len(pairs)} pairs of explanations with {SURE:.0%} or more{rest}"
+    return (
+        f"{trials} distinguish {len(sure)} of {len(pairs)} pairs of explanations "
+        f"with {MIN_DISTINGUISHED_PROBABILITY:.0%} or more{rest}"
+    )
 
 
 def _percent(value: float) -> str:
-    """A probability in percent, never said to be certain."""
+    """A probability in percent, never rounded to certainty."""
     return f"{min(100.0 * value, 99.9):.3g} %"

@@ -8,7 +8,7 @@ Scaled features y of all trials are, under an explanation h with n repeats of co
 with the centre m_h of the explanation, its parameters a_h in standard deviations, the discrepancy d of the simulation
 along patterns P that conditions share (a share u of it feature by feature), the scatter s and the relevance limit l.
 Columns of a belief (:mod:`impact_rs_analysis.inference.belief`) are P, and of every explanation m_h and S_h; conditions
-are its observations. The expected squared distance of two explanations, in units of what blurs it, is
+are its observations. The expected squared (Mahalanobis) distance of two explanations is
 
     g_ij = (m_i - m_j)^T V_ij^-1 (m_i - m_j),    V_ij = var(e) + P^T P + S_i^T S_i + S_j^T S_j
 
@@ -40,8 +40,8 @@ from impact_rs_analysis.inference.ahead import distance, probability
 from impact_rs_analysis.inference.belief import Belief, Observation, fitted_out, observation_of
 from impact_rs_sim.robot import Array
 
-WIDE = 10.0  # scales w, as far as a fit may go: the largest that blind campaigns hide
-TIES = 1e-3  # weight of the second term of the utility, which chooses where the first one is decided
+RIVAL_RANGE_SCALES = 10.0  # w, range of a fit in parameter scales: the largest that blind campaigns hide
+TIE_BREAK_WEIGHT = 1e-3  # of the second term of the utility, which decides where the first is saturated
 
 
 class Discrimination:
@@ -84,7 +84,7 @@ class Discrimination:
         return float(sum(max(self.measured.get(name, 0) + picked.get(name, 0) - 1, 0) for name in names))
 
     def total(self, counts: Mapping[str, int]) -> Belief:
-        """All that conditions with so many repeats say of the centres and parameters."""
+        """Information of conditions with given repeats about centres and parameters."""
         count = sum(1 + len(rows) for rows in self._spreads)
         found = Belief.of(range(count), np.full(count, np.inf))
         for name in sorted(counts):  # so that a sum does not depend on the order of the choice
@@ -102,11 +102,11 @@ class Discrimination:
         return found
 
     def gains(self, total: Belief) -> list[list[Array]]:
-        """Squared distances of every pair: for each direction those of all cases, ``(cases,)`` [-]."""
+        """Squared distances of every pair, by direction and case, ``(cases,)`` [-]."""
         if not self.decision.pairs:
             return []
         inner, _ = total.of_parameters()
-        left = [np.diag(fitted_out(inner, rows, WIDE)) for rows in self._spreads]
+        left = [np.diag(fitted_out(inner, rows, RIVAL_RANGE_SCALES)) for rows in self._spreads]
         found = []
         for i, j in self.decision.pairs:
             first, second = self.decision.explanations[i], self.decision.explanations[j]
@@ -134,7 +134,7 @@ class Discrimination:
         return 0.5 * float(np.linalg.slogdet(np.eye(len(rows)) + inner[np.ix_(rows, rows)])[1])
 
     def utility(self, total: Belief, freedom: float = np.inf) -> float:
-        """What the choice of trials maximises: it never falls with a further trial.
+        """Utility that the choice of trials maximises; monotone in the trials.
 
         The mean over the pairs of the probability that the next diagnosis distinguishes them, and to a small part the
         mean of log(1 + g), which chooses between trials where everything is decided, or nothing; for parameters their
@@ -149,7 +149,7 @@ class Discrimination:
         gains = self.gains(total)
         first = _means(gains, lambda cases: probability(cases, freedom))
         second = _means(gains, lambda cases: np.log1p(np.maximum(cases, 0.0)))
-        return float(np.mean(first) + TIES * np.mean(second))
+        return float(np.mean(first) + TIE_BREAK_WEIGHT * np.mean(second))
 
     def _observation(self, name: str, repeats: int) -> Observation:
         """One condition with so many repeats."""
@@ -163,7 +163,7 @@ class Discrimination:
 
 
 def _means(gains: Sequence[Sequence[Array]], of: Callable[[Array], Array]) -> Array:
-    """Of every pair the mean over the cases, in the direction in which it is less, ``(pairs,)``."""
+    """Mean over the cases for every pair, the smaller of both directions, ``(pairs,)``."""
     if not gains:
         return np.zeros(0)
     every = [cases for ways in gains for cases in ways]

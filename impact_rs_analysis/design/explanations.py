@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Explanations that a plan shall distinguish, each with what is known of its parameters.
+"""Explanations (rival hypotheses) that a plan shall distinguish, with their parameter uncertainty.
 
     centre      effects added to the model, at their estimates; none: the model as it is
     varied      the same with one parameter a standard deviation off, one entry per parameter
@@ -53,7 +53,7 @@ class Explanation:
 
 @dataclass(frozen=True)
 class Decision:
-    """What a plan is for.
+    """Decision that a plan supports.
 
     Attributes:
         aim: ``rivals``: which of the estimated explanations is right; ``effects``: which effect is missing, if any;
@@ -68,7 +68,7 @@ class Decision:
 
     @staticmethod
     def between(explanations: Sequence[Explanation], aim: Aim) -> Decision:
-        """Every explanation against every other one."""
+        """All pairs of explanations."""
         count = len(explanations)
         return Decision(aim, tuple(explanations), tuple((i, j) for i in range(count) for j in range(i + 1, count)))
 
@@ -76,7 +76,7 @@ class Decision:
 def which_effect(
     effects: Sequence[Effect], joints: Joints, worlds: Sequence[Physics], whether_any: bool = False
 ) -> Decision:
-    """Which effect is missing, if any: each of a noticeable size, against each other and the model as it is.
+    """Decision which effect is missing, if any: noticeable effects against each other and the unchanged model.
 
     Args:
         effects: The effects, with ranges for a robot of this size.
@@ -133,7 +133,7 @@ def estimated(
 
 
 def _moved(at: Array, steps: Array, lower: Array, upper: Array) -> list[Array]:
-    """Parameter vectors with one step each, to the other side where a bound is nearer."""
+    """Parameter vectors with one step each, away from the nearer bound."""
     found = []
     for index, step in enumerate(steps):
         moved = at.copy()

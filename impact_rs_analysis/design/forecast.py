@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forecast: possible trials run on the twin, their scatter, and their features under every explanation.
+"""Forecast: simulated candidate trials, their scatter, and their features under every explanation.
 
-A trial is simulated in closed loop with the model, once as planned, and judged as a measured one: what exceeds a limit
-of joints or torques, misses or tips over is no proposal. Its replays under the explanations are what the diagnosis
-would look at. Scatter is that of the trials measured so far, else that of trials simulated with the scenario's noise.
+A trial is simulated once in closed loop with the model and judged as a measured one: it is rejected if it exceeds a
+limit of joints or torques, misses, or tips over. Its replays under the explanations are the features of a diagnosis.
+The scatter is that of the trials measured so far, else of trials simulated with the scenario's noise.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
 
 NOISY_TRIALS, NOISY_REPEATS = 3, 3  # per family of trials: six degrees of freedom of the scatter
-PROPER = ("OK", "DROPPED")  # a forecast ends before an object is lifted
+ACCEPTED_OUTCOMES = ("OK", "DROPPED")  # a forecast ends before the object is lifted
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class ForecastTrial:
         cluster: Scale, scatter and discrepancy of its features.
         centres: Change of the features by each explanation's centre, scaled, ``(h, F)`` [-].
         spreads: The same by one standard deviation of each parameter, ``(p, F)`` by explanation [-].
-        repeats: How often it was measured.
+        repeats: Number of repeats measured.
     """
 
     name: str
@@ -189,12 +189,12 @@ class _Task:
 
 
 def _simulated(task: _Task) -> MeasuredRun | tuple[str, str]:
-    """The trial as if measured; its name and why it is no proposal, where it is none."""
+    """The simulated trial, or its name and the reason of its rejection."""
     name = label_of(task.spec)
     try:
         physics = with_effects(task.model, task.spec.scene.physics, ())
         run, verdict = simulated_and_judged(task.spec, physics, seed=task.seed)
-        if verdict.outcome not in PROPER:
+        if verdict.outcome not in ACCEPTED_OUTCOMES:
             return name, f"{verdict.outcome}: {verdict.reason}"
         found = MeasuredRun.of(run)
     except InputError as error:  # out of reach, or no contact

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trials that a cell can run: cases of scenarios at further speeds, beside the centre, at an angle, on other ways.
+"""Candidate trials of a cell: cases at other speeds, off-centre, oblique, and along other directions.
 
 A variant of a scenario is the scenario with some settings, as in ``impact-rs campaign --set``. What is beyond reach or
 limits is found out by a forecast (:mod:`impact_rs_analysis.design.forecast`).
@@ -20,16 +20,16 @@ from impact_rs_trials.envelope import CellEnvelope
 from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
 
-SLOWER = 0.5  # of the slowest case: sticking and Stribeck friction show there
-BESIDE = 0.15  # of the width of the narrowest object, from its centre: it turns, and the pad still hits a face
-HORIZONTAL = 1e-6  # of a pad's normal along z; steeper pads have no side
-BEYOND = 2.0  # times the friction coefficient, of sliding over closing speed: the pad slips, and friction shows
-STEEPEST = np.radians(45.0)  # rad from the normal, of an approach
+SLOW_CASE_RATIO = 0.5  # speed over that of the slowest case: sticking and Stribeck friction show there
+OFF_CENTRE_RATIO = 0.15  # of the width of the narrowest object: it turns, and the pad still hits a face
+MAX_VERTICAL_NORMAL = 1e-6  # z component of a pad's unit normal; a steeper pad has no side [-]
+SLIP_FRICTION_RATIO = 2.0  # sliding over closing speed, in friction coefficients: the pad slips, and friction shows
+MAX_APPROACH_ANGLE_RAD = np.radians(45.0)  # from the normal
 
 
 @dataclass(frozen=True)
 class Envelope:
-    """What the cell allows beyond the limits of the robot's facts, which always hold.
+    """Limits of the cell, in addition to those of the robot facts.
 
     Attributes:
         speed: Largest approach speed [m/s]; None: that of the fastest case of each scenario.
@@ -63,8 +63,8 @@ class PossibleTrial:
 
     Attributes:
         scenario: Name or path of the scenario file.
-        settings: What the variant has instead of the file's values, without the case.
-        own_case: The case, where the file does not have it.
+        settings: Settings of the variant that replace values of the file, without the case.
+        own_case: The case if it is not in the file.
         spec: The trial.
         what: The trial in words.
     """
@@ -140,7 +140,7 @@ def trials_of(path: str, scenario: Scenario, envelope: Envelope = NO_ENVELOPE) -
     for settings, aside in _variants(scenario):
         yield from _of_variant(path, scenario, settings, aside, cases)
     if _side(scenario) is not None:
-        for where, aside, slanted in _slanted(cases, scenario.contact.friction):
+        for where, aside, slanted in _oblique(cases, scenario.contact.friction):
             yield from _of_variant(path, scenario, {"name": f"{scenario.name}_from_{where}"}, aside, slanted)
 
 
@@ -166,9 +166,9 @@ def _variants(scenario: Scenario) -> Iterator[tuple[dict[str, Any], str]]:
         return
     if scenario.excursion is not None:
         start, end = np.array(scenario.excursion.start), np.array(scenario.excursion.end)
-        way = end - start
+        displacement = end - start
         along = np.eye(3)[scenario.axis_index]
-        mirrored = start + 2.0 * (way @ along) * along - way
+        mirrored = start + 2.0 * (displacement @ along) * along - displacement
         if not np.allclose(mirrored, end):
             yield (
                 {
@@ -179,7 +179,7 @@ def _variants(scenario: Scenario) -> Iterator[tuple[dict[str, Any], str]]:
                 ", mirrored",
             )
         return
-    side = _beside(scenario)
+    side = _off_centre(scenario)
     if side is not None:
         place, distance = side
         yield (
@@ -196,23 +196,23 @@ def _side(scenario: Scenario) -> Array | None:
     if robot.impact.joint_position is not None:
         return None
     normal = scenario.impact_placement(name, next(iter(scenario.objects))).rotation[:, 2]
-    return None if abs(normal[2]) > HORIZONTAL else np.cross([0.0, 0.0, 1.0], normal)
+    return None if abs(normal[2]) > MAX_VERTICAL_NORMAL else np.cross([0.0, 0.0, 1.0], normal)
 
 
-def _slanted(cases: Mapping[str, Case], friction: float) -> Iterator[tuple[str, str, dict[str, Case]]]:
-    """The fastest case of every pose from the left and from the right, so far from the normal that the pad slips."""
-    angle = min(float(np.arctan(BEYOND * friction)), STEEPEST)
+def _oblique(cases: Mapping[str, Case], friction: float) -> Iterator[tuple[str, str, dict[str, Case]]]:
+    """Oblique cases: the fastest of every pose from left and right, outside the friction cone."""
+    angle = min(float(np.arctan(SLIP_FRICTION_RATIO * friction)), MAX_APPROACH_ANGLE_RAD)
     poses: dict[str, tuple[str, Case]] = {}
     for name, case in cases.items():
         if (pose := _pose(case)) not in poses or _speed(case) > _speed(poses[pose][1]):
             poses[pose] = name, case
     for where, turned in (("left", -angle), ("right", angle)):  # as seen along the approach
         words = f" from the {where}, {np.degrees(angle):.0f} degrees off the normal"
-        yield where, words, {f"{name}_{where}": _turned(case, turned) for name, case in poses.values()}
+        yield where, words, {f"{name}_{where}": _rotated(case, turned) for name, case in poses.values()}
 
 
-def _turned(case: Case, angle: float) -> Case:
-    """The case with all velocities turned about the vertical [rad]."""
+def _rotated(case: Case, angle: float) -> Case:
+    """The case with all velocities rotated about the vertical [rad]."""
     turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
     robots = {}
     for name, robot in case.robots.items():
@@ -221,27 +221,27 @@ def _turned(case: Case, angle: float) -> Case:
     return case.model_copy(update={"label": f"{case.label}, at an angle", "robots": robots})
 
 
-def _beside(scenario: Scenario) -> tuple[list[float], float] | None:
-    """Where the object stands for a hit beside its centre, and how far that is [m]; None where it cannot be set."""
+def _off_centre(scenario: Scenario) -> tuple[list[float], float] | None:
+    """Object position for an off-centre hit, and its offset [m]; None if it cannot be set."""
     side = _side(scenario)
     if side is None or scenario.object_position is not None:
         return None
     placement = scenario.impact_placement(next(iter(scenario.robots)), next(iter(scenario.objects)))
     normal = placement.rotation[:, 2]
     sizes = [np.array(item.size) for item in scenario.objects.values()]
-    distance = BESIDE * min(float(np.abs(side) @ size) for size in sizes)
+    distance = OFF_CENTRE_RATIO * min(float(np.abs(side) @ size) for size in sizes)
     depth = float(np.mean([np.abs(normal) @ size for size in sizes])) / 2.0
     centre = placement.translation + depth * normal + distance * side
     return _rounded(centre[:2]), distance
 
 
 def _cases(scenario: Scenario, fastest: float) -> dict[str, Case]:
-    """The cases of a scenario, and each of its poses at further speeds: slower than all, those of others, the limit."""
+    """Cases of a scenario, and its poses at other speeds: slower than all, speeds of other cases, the limit."""
     found = dict(scenario.cases)
     if scenario.friction_compensation is not None:  # identified for these cases alone
         return _not_faster(found, fastest)
     speeds = sorted({round(_speed(case), 4) for case in scenario.cases.values()})
-    wanted = [SLOWER * speeds[0], *speeds]
+    wanted = [SLOW_CASE_RATIO * speeds[0], *speeds]
     if fastest > speeds[-1]:
         wanted.append(fastest)
     poses: dict[str, tuple[str, Case, set[float]]] = {}
@@ -275,7 +275,7 @@ def _suffix(speed: float) -> str:
 
 
 def _in_time(scenario: Scenario, case: Case) -> bool:
-    """Whether a way there and back ends within the trial."""
+    """Whether an excursion ends within the trial."""
     ends = [scenario.excursion_end(robot) for robot in case.robots.values()] if scenario.excursion is not None else []
     return all(end <= scenario.timing.duration for end in ends)
 
@@ -286,7 +286,7 @@ def _speed(case: Case) -> float:
 
 
 def _pose(case: Case) -> str:
-    """What two cases have in common that differ in speed alone."""
+    """Key of the cases that differ in speed alone."""
     speed = _speed(case) or 1.0
     return repr(
         [

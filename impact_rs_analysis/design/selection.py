@@ -19,9 +19,9 @@ from impact_rs_analysis.design.forecast import ForecastTrial
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.experiment_plan import Method
 
-REPEATS = 2  # of a new condition: one alone has no scatter
-AS_GOOD = 0.5  # share of the gain of a repeat for which a new condition is taken, between rivals
-CONDITIONS = 3  # of a campaign, so that the diagnosis can hold each out and has repeats enough
+MIN_REPEATS = 2  # of a new condition: a single trial has no scatter
+NEW_CONDITION_GAIN_SHARE = 0.5  # of the gain of the best repeat, from which a new condition is taken between rivals
+MIN_CONDITIONS = 3  # of a campaign, so that the diagnosis can hold out each and has enough repeats
 
 Counts = dict[str, int]
 
@@ -65,11 +65,12 @@ def missing_conditions(budget: int, measured: int) -> int:
     Raises:
         InputError: The budget is too small for them.
     """
-    missing = max(CONDITIONS - measured, 0)
-    least = max(REPEATS * missing, 1)
+    missing = max(MIN_CONDITIONS - measured, 0)
+    least = max(MIN_REPEATS * missing, 1)
     if budget < least:
         raise InputError(
-            f"{budget} trial(s) are too few: a diagnosis needs {CONDITIONS} conditions with {REPEATS} trials each, "
+            f"{budget} trial(s) are too few: "
+            f"a diagnosis needs {MIN_CONDITIONS} conditions with {MIN_REPEATS} trials each, "
             f"{missing} of them to come; expected at least {least}, or --runs with earlier trials",
             key="--budget",
         )
@@ -81,7 +82,7 @@ def _greedy(trials: Sequence[ForecastTrial], counts: Discrimination, budget: int
     measured = counts.measured
     picked: Counts = {}
     total = counts.total(counts.counted)
-    freedom = counts.freedom({}) + budget // REPEATS  # at least so many, whichever trials are chosen
+    freedom = counts.freedom({}) + budget // MIN_REPEATS  # at least so many, whichever trials are chosen
     here = counts.utility(total, freedom)
     left = budget
     while left > 0:
@@ -94,7 +95,7 @@ def _greedy(trials: Sequence[ForecastTrial], counts: Discrimination, budget: int
             break
         gain, name, cost = _largest(gains)
         new = [one for one in gains if one[1] not in measured and one[1] not in picked]
-        if counts.decision.aim == "rivals" and new and _largest(new)[0] >= AS_GOOD * gain:
+        if counts.decision.aim == "rivals" and new and _largest(new)[0] >= NEW_CONDITION_GAIN_SHARE * gain:
             _, name, cost = _largest(new)
         picked[name] = picked.get(name, 0) + cost
         left -= cost
@@ -118,7 +119,7 @@ def _options(
         known = name in measured or name in picked
         if new < missing and known:
             continue
-        cost = 1 if known else REPEATS
+        cost = 1 if known else MIN_REPEATS
         if cost <= left:
             yield name, cost
 
@@ -139,7 +140,7 @@ def _random(
 def _fixed(trials: Sequence[ForecastTrial], measured: Mapping[str, int], budget: int) -> Counts:
     """Cases as the scenario files have them, in equal shares; with too few trials for all, spread over them."""
     own = [trial for trial in trials if trial.trial is not None and trial.trial.of_file] or list(trials)
-    least = 1 if all(trial.name in measured for trial in own) else REPEATS
+    least = 1 if all(trial.name in measured for trial in own) else MIN_REPEATS
     many = min(len(own), budget // least)
     places = np.unique(np.linspace(0, len(own) - 1, many).round().astype(int))
     each, more = divmod(budget, len(places))

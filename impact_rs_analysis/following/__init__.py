@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Learning from every impact: the model's parameters are followed from hit to hit, and changes are announced."""
+"""Sequential estimation from hit to hit: posterior of the model parameters, and change-point detection."""

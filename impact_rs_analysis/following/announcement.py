@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A change in words: kilograms and percent as a person would measure them."""
+"""Text of a change in everyday quantities: kilograms and percent."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.robot import Array
 
-MOST_NAMED = 3  # parameters of an effect in a sentence, those that are surest
-LEAST = 1e-9  # of a value of which a share is given, and of a change
+MAX_NAMED_PARAMETERS = 3  # of an effect in a sentence, the most certain ones
+MIN_RELATIVE_BASE = 1e-9  # smallest value that a relative change refers to, and smallest change
 
 
 class EverydayQuantity(NamedTuple):
-    """What a person would measure of a scene.
+    """An everyday quantity of a scene.
 
     Attributes:
         noun: What it belongs to.
@@ -69,7 +69,7 @@ QUANTITIES = (
 
 
 def in_words(effect: str, parameters: Sequence[Followed], scenes: Iterable[tuple[Physics, Physics]]) -> str:
-    """A change of an effect's parameters: those that moved for certain, else the one that moved most.
+    """Text of a change of an effect: its significantly changed parameters, else the most changed one.
 
     Args:
         effect: Name.
@@ -77,17 +77,17 @@ def in_words(effect: str, parameters: Sequence[Followed], scenes: Iterable[tuple
         scenes: Physics of the hits since then, before and after the change; their objects may differ.
     """
     sure = [p for p in parameters if not p.ci95[0] <= p.estimate - p.change <= p.ci95[1]]
-    more = f" and {len(sure) - MOST_NAMED} more" if len(sure) > MOST_NAMED else ""
-    sure = sorted(sure, key=_surely)[:MOST_NAMED]
-    shown = sure or sorted(parameters, key=_surely)[:1]
+    more = f" and {len(sure) - MAX_NAMED_PARAMETERS} more" if len(sure) > MAX_NAMED_PARAMETERS else ""
+    sure = sorted(sure, key=_by_significance)[:MAX_NAMED_PARAMETERS]
+    shown = sure or sorted(parameters, key=_by_significance)[:1]
     texts = ", ".join(_text(one) for one in shown)
     scenes = list(scenes)
     plain = " and ".join(filter(None, (_plain(one, scenes) for one in QUANTITIES)))
     return f"{plain} ({effect}: {texts}{more})" if plain else f"{effect}: {texts}{more}"
 
 
-def _surely(one: Followed) -> float:
-    """Sorts what moved most, in multiples of its interval, to the front."""
+def _by_significance(one: Followed) -> float:
+    """Sort key: largest change over interval width first."""
     return -abs(one.change) / max(one.ci95[1] - one.ci95[0], 1e-300)
 
 
@@ -101,16 +101,16 @@ def _text(one: Followed) -> str:
 
 
 def _plain(quantity: EverydayQuantity, scenes: Sequence[tuple[Physics, Physics]]) -> str:
-    """How a quantity changed, over all scenes; empty where it did not, or in no single direction."""
+    """Change of a quantity over all scenes; empty without a change, or if its sign differs between scenes."""
     unit = quantity.unit
-    if unit == "%" and any(abs(quantity.of(before)) < LEAST for before, _ in scenes):
+    if unit == "%" and any(abs(quantity.of(before)) < MIN_RELATIVE_BASE for before, _ in scenes):
         unit = quantity.own_unit  # there is no share of nothing
     changes = []
     for before, after in scenes:
         old, change = quantity.of(before), quantity.of(after) - quantity.of(before)
         changes.append(change * 100.0 / old if unit == "%" else change)
     low, high = min(changes, default=0.0), max(changes, default=0.0)
-    if low < LEAST and high > -LEAST:
+    if low < MIN_RELATIVE_BASE and high > -MIN_RELATIVE_BASE:
         return ""
     sizes = dict.fromkeys(f"{size:.2g}" for size in sorted((abs(low), abs(high))))
     size = " ".join(filter(None, (" to ".join(sizes), unit)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether something has changed: a sequential test over effects and moments of change.
+"""Change-point detection: a Shiryaev-Roberts test over effects and moments of change.
 
 Under the hypothesis (e, s) the parameters of effect e moved by eta at instant s, and stayed. With the normal equations
 of the posterior (:mod:`.posterior`), which holds all hits, and sums over the hits from s on
@@ -8,8 +8,9 @@ of the posterior (:mod:`.posterior`), which holds all hits, and sums over the hi
 
 are score and information of eta once everything that is not certain (other parameters, discrepancy) is fitted too: the
 generalised likelihood ratio of Willsky and Jones (1976) for a linear system. With the prior eta ~ N(0, W^2), W =
-``WIDTH`` parameter scales, the mean of the likelihood ratio LR (:mod:`impact_rs_analysis.inference.student`) is 1 where
-nothing changed. So the sum over moments of change, averaged over effects,
+``CHANGE_PRIOR_SCALES`` parameter scales, the mean of the likelihood ratio LR
+(:mod:`impact_rs_analysis.inference.student`) is 1 where nothing changed. So the sum over moments of change, averaged
+over effects,
 
     R = mean_e sum_s LR(e, s)
 
@@ -17,10 +18,10 @@ is a Shiryaev-Roberts statistic: R - (number of instants) is a martingale, and t
 alarm at R >= A is at least A (Pollak 1985; 1987). It needs no table of thresholds, reacts within the delay of Page's
 CUSUM (1954) to first order (Lorden 1971), and takes many effects with unequal numbers of parameters without favour.
 
-The variance of each effect's score is checked by what quiet hits say: where they scatter more along an effect than R
-expects, its score counts so much less (:class:`Calibration`). A change needs two instants, the later of which confirms
-what the earlier ones say; a single odd hit is none. Where a share p of the quiet hits is odd, tails are heavier than
-those of R: k odd hits in turn have the probability p^k, and a change needs so many hits that p^k <= 1 / A.
+The variance of each effect's score is calibrated on quiet hits: an excess variance deflates the score
+(:class:`Calibration`). A change needs two instants, the later confirming the earlier; a single outlier is not a change.
+If a share p of the quiet hits are outliers, tails are heavier than R assumes: k outliers in a row have the probability
+p^k, and a change needs so many hits that p^k <= 1 / A.
 """
 
 from __future__ import annotations
@@ -33,15 +34,15 @@ import numpy as np
 import scipy
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, bounded
-from impact_rs_analysis.following.posterior import ODD, WIDTH, HitEvidence, Posterior
+from impact_rs_analysis.following.posterior import CHANGE_PRIOR_SCALES, ODD_HIT_PROBABILITY, HitEvidence, Posterior
 from impact_rs_analysis.inference.student import DECISIVE_LIKELIHOOD_RATIO, log_ratios, squares
 from impact_rs_sim.robot import Array
 
-MEAN_TIME = 10_000.0  # instants to a false alarm, at least, where noise is as believed
-BACK = (1, 2, 3, 4, 5, 6, 8, 11, 15, 21, 29, 40)  # instants since a change that are tried
-EXPECTED = 20  # hits that the share of odd ones that is expected counts like
-MOST_ODD = 0.2  # share of odd hits; with more a change would need seven and more
-SPEAKING = 0.25  # of the hits since a change; without those that speak for it most it must still hold
+MEAN_TIME_TO_FALSE_ALARM = 10_000.0  # instants, at least, under the stated noise
+TRIED_INSTANTS_SINCE_CHANGE = (1, 2, 3, 4, 5, 6, 8, 11, 15, 21, 29, 40)  # instants since a change that are tried
+ODD_SHARE_PRIOR_HITS = 20  # prior weight of the expected share of odd hits, in hits
+MAX_ODD_SHARE = 0.2  # of hits; with more a change would need seven hits or more
+LEFT_OUT_SHARE = 0.25  # of the hits since a change, those that support it most; the other hits must support it as well
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class ChangeExplanation:
 
 @dataclass
 class Calibration:
-    """Variance of every effect's score over what is expected of it, and of whole hits, from quiet hits.
+    """Variance inflation of every effect's score, and of whole hits, estimated from quiet hits.
 
     Attributes:
         squares: Sum of T_0 of single hits, by effect.
@@ -93,8 +94,10 @@ class Calibration:
             since: Hits since the change, which are not quiet.
         """
         odd = max(self.odd - sum(one.weight < 1.0 for one in since), 0)
-        share = (odd + EXPECTED * ODD) / (max(self.hits - len(since), 0) + EXPECTED)
-        return max(2, math.ceil(math.log(max(mean_time, 1.0)) / -math.log(min(share, MOST_ODD))))
+        share = (odd + ODD_SHARE_PRIOR_HITS * ODD_HIT_PROBABILITY) / (
+            max(self.hits - len(since), 0) + ODD_SHARE_PRIOR_HITS
+        )
+        return max(2, math.ceil(math.log(max(mean_time, 1.0)) / -math.log(min(share, MAX_ODD_SHARE))))
 
     def add(self, effect: str, square: float, rank: float) -> None:
         """Take the score of a quiet hit into account."""
@@ -126,7 +129,7 @@ class ChangeTest:
 
     def __init__(
         self, posterior: Posterior, candidate: Candidate, active: Sequence[int], calibration: Calibration,
-        mean_time: float = MEAN_TIME,
+        mean_time: float = MEAN_TIME_TO_FALSE_ALARM,
     ) -> None:  # fmt: skip
         self.posterior, self.candidate, self.active = posterior, candidate, tuple(active)
         self.calibration, self.mean_time = calibration, mean_time
@@ -139,13 +142,13 @@ class ChangeTest:
 
     @property
     def threshold(self) -> float:
-        """Of the logarithm of R."""
+        """Threshold of log R."""
         return math.log(self.mean_time)
 
     def statistics(self) -> tuple[float, dict[str, Array]]:
         """Logarithm of R, and of LR by effect and moment of change, ``(s,)``."""
         count = len(self.posterior.window)
-        information, score = self._reduced([count - back for back in BACK if back <= count])
+        information, score = self._reduced([count - back for back in TRIED_INSTANTS_SINCE_CHANGE if back <= count])
         found = {
             name: self._log_ratios(information[:, own][:, :, own], score[:, own], name)
             for name, own in self.effects.items()
@@ -156,9 +159,9 @@ class ChangeTest:
         return float(scipy.special.logsumexp(every)) - math.log(len(found)), found
 
     def explanations(self, statistics: dict[str, Array]) -> list[ChangeExplanation]:
-        """Explanations of a change that the last instant confirms and that hits support, the likeliest first.
+        """Explanations of a change that the last instant confirms and the hits support, by falling likelihood.
 
-        They are those of the sensitivities at hand: one that bends more may turn out likelier, or not to hold.
+        They use the present linearisation: a nonlinear one may turn out likelier, or fail.
 
         Args:
             statistics: Of :meth:`statistics`.
@@ -207,9 +210,9 @@ class ChangeTest:
         return information, score - np.einsum("snp,n->sp", cross, now.mean)
 
     def _log_ratios(self, information: Array, score: Array, name: str) -> Array:
-        """Logarithm of LR of one effect, ``(s,)``; its score counts as much less as quiet hits scatter more."""
+        """Log LR of one effect by moment of change, ``(s,)``, deflated by the calibration."""
         inflation = self.calibration.of(name)
-        return log_ratios(information / inflation, score / inflation, WIDTH, self.calibration.freedom)
+        return log_ratios(information / inflation, score / inflation, CHANGE_PRIOR_SCALES, self.calibration.freedom)
 
     def _explained(self, name: str) -> ChangeExplanation | None:
         """An effect within its range from its likeliest moment on; None where the last instant speaks against it."""
@@ -219,7 +222,7 @@ class ChangeTest:
         places, inflation = self.effects[name], self.calibration.of(name)
         numbers = [self.active[place] for place in places]
         lower, upper = self._room(numbers)
-        prior = inflation * np.eye(len(places)) / WIDTH**2
+        prior = inflation * np.eye(len(places)) / CHANGE_PRIOR_SCALES**2
         starts = list(range(last, -1, -1))
         information, score = self._reduced(starts)
         information, score = information[:, places][:, :, places], score[:, places]
@@ -242,7 +245,7 @@ class ChangeTest:
                 early = bounded(earlier, score[place] - score[0], lower, upper)
                 confirmed = float(score[0] @ early - 0.5 * early @ information[0] @ early) > 0.0
                 if confirmed:
-                    _, determinant = np.linalg.slogdet(WIDTH**2 / inflation * total)
+                    _, determinant = np.linalg.slogdet(CHANGE_PRIOR_SCALES**2 / inflation * total)
                     best = ChangeExplanation(name, start, eta, ratio, determinant=float(determinant))
         return best
 
@@ -257,16 +260,16 @@ class ChangeTest:
 
 
 def support(gains: Sequence[float]) -> float:
-    """What the hits since a change say for an explanation without the quarter that says most.
+    """Support of an explanation without the quarter of the hits that supports it most (trimmed sum).
 
     Args:
         gains: Fall of the sum of squared whitened residuals of each hit.
     """
-    most = math.ceil(len(gains) * SPEAKING)
+    most = math.ceil(len(gains) * LEFT_OUT_SHARE)
     return float(sum(sorted(gains)[:-most]))
 
 
 def _positive(matrix: Array) -> Array:
-    """The nearest symmetric matrix without negative eigenvalues: differences of informations may have some."""
+    """Nearest positive semidefinite matrix; a difference of informations may be indefinite."""
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)

@@ -11,16 +11,16 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 
-from impact_rs_analysis.design.selection import CONDITIONS, REPEATS
-from impact_rs_analysis.following.change import MEAN_TIME
-from impact_rs_analysis.following.hits import Door, Hit
+from impact_rs_analysis.design.selection import MIN_CONDITIONS, MIN_REPEATS
+from impact_rs_analysis.following.change import MEAN_TIME_TO_FALSE_ALARM
+from impact_rs_analysis.following.hits import Hit, HitSource
 from impact_rs_analysis.following.learning import Learning
 from impact_rs_analysis.following.lessons import Followed, HitDocument, NextHit
 from impact_rs_analysis.following.watch import HitWatch
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
 
-LEARNT = 20  # hits that teach the scatter
+LEARNING_HITS = 20  # from which the scatter is estimated
 
 
 @dataclass(frozen=True)
@@ -37,42 +37,42 @@ class HitsSince:
 
     @property
     def diagnosable(self) -> bool:
-        """Whether they are enough for a full diagnosis: three conditions, and three more hits than conditions."""
+        """Whether they suffice for a full diagnosis: three conditions, and three more hits than conditions."""
         known = len(set(filter(None, self.conditions)))
         count = len(self.conditions)
         if not known:  # rows that repeat nothing
-            return count >= CONDITIONS * REPEATS
-        return known >= CONDITIONS and count - known >= (REPEATS - 1) * CONDITIONS
+            return count >= MIN_CONDITIONS * MIN_REPEATS
+        return known >= MIN_CONDITIONS and count - known >= (MIN_REPEATS - 1) * MIN_CONDITIONS
 
 
 class Follower:
     """Follows a model through hits.
 
     Args:
-        door: Gives hits and predictions; its model is replaced by one without the effects that are followed.
+        hit_source: Gives hits and predictions; its model is replaced by one without the effects that are followed.
         model: What is believed at the start.
-        only: Effects to look at beside those of the model; None: all that hits can show.
-        learnt: Hits that teach the scatter.
+        only: Effects to follow in addition to those of the model; None: all observable ones.
+        learnt: Number of hits from which the scatter is estimated.
         mean_time: Mean number of hits to a false alarm, at least.
 
     Attributes:
         learning: Hits of layouts whose scatter is not known yet.
         watch: What is believed since then; None: no scatter is known.
         names: All hits, in time order.
-        last: The last hit of every condition; of none: that of the last trial that hit something.
+        last: Last hit of every condition; empty condition: last trial with a contact.
         changed: The hits since the last change; None: there was none.
     """
 
     def __init__(
         self,
-        door: Door,
+        hit_source: HitSource,
         model: Model,
         only: Sequence[str] | None = None,
-        learnt: int = LEARNT,
-        mean_time: float = MEAN_TIME,
+        learnt: int = LEARNING_HITS,
+        mean_time: float = MEAN_TIME_TO_FALSE_ALARM,
     ) -> None:
-        self.door, self.model = door, model
-        self.learning = Learning(door, model, only, learnt, mean_time)
+        self.hit_source, self.model = hit_source, model
+        self.learning = Learning(hit_source, model, only, learnt, mean_time)
         self.watch: HitWatch | None = None
         self.names: list[str] = []
         self.last: dict[str, Hit] = {}
@@ -84,7 +84,7 @@ class Follower:
         return self.watch is not None
 
     def arrived(self, handled: Callable[[], None] = lambda: None) -> Iterator[HitDocument]:
-        """Take the hits that have arrived since the last call, in time order.
+        """Process the hits that have arrived since the last call, in time order.
 
         Args:
             handled: Called after each instant, once the caller has taken all of its documents: what is saved then
@@ -93,12 +93,12 @@ class Follower:
         Raises:
             InputError: The measurements cannot be read, or the model predicts none of the first hits.
         """
-        for _, together in groupby(self.door.arrived(), key=lambda hit: hit.stamp):
+        for _, together in groupby(self.hit_source.arrived(), key=lambda hit: hit.stamp):
             yield from self.take(list(together))
             handled()
 
     def take(self, instant: Sequence[Hit]) -> list[HitDocument]:
-        """Take simultaneous hits, whose order does not matter.
+        """Process simultaneous hits, whose order does not matter.
 
         Args:
             instant: Hits with one stamp.
@@ -142,16 +142,16 @@ class Follower:
         return hits.followed(best, best.posterior.followed, hits.start)
 
     def prediction(self, condition: str = "") -> NextHit | None:
-        """What the next hit of a condition will measure, if it starts as the last one did; None while learning.
+        """Prediction of the next hit of a condition from the initial state of the last one; None while learning.
 
         Args:
-            condition: The condition; empty: that of the last trial that hit something, else of the last free motion.
+            condition: The condition; empty: of the last trial with a contact, else of the last free motion.
         """
         hit = self.last.get(condition)
         return None if hit is None or self.watch is None or not self._knows(hit) else self.watch.prediction(hit)
 
     def model_now(self, name: str, parent: str) -> Model:
-        """The model with the parameters that are believed now, by the likeliest hypothesis.
+        """Model with the present estimates of the likeliest hypothesis.
 
         Args:
             name: Its name.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What hits say about points of the parameters that are followed, and what a hypothesis predicts of them."""
+"""Linearised likelihood of hits about a parameter vector, and predictions of a hypothesis."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import scipy
 from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.following.change import Calibration, ChangeTest
-from impact_rs_analysis.following.hits import Door, Hit
+from impact_rs_analysis.following.hits import Hit, HitSource
 from impact_rs_analysis.following.lessons import Followed
 from impact_rs_analysis.following.posterior import HitEvidence, Posterior
 from impact_rs_analysis.following.recent_residuals import RecentResiduals
@@ -26,7 +26,7 @@ from impact_rs_sim.robot import Array
 
 @dataclass(frozen=True)
 class Origin:
-    """What was known when an effect changed.
+    """Belief at the moment when an effect changed.
 
     Attributes:
         point: Point of the linearisation before, ``(p,)``.
@@ -43,7 +43,7 @@ class Origin:
 
 @dataclass(eq=False)
 class Hypothesis:
-    """One belief about what the cell is.
+    """One hypothesis: parameters with their posterior, and its probability.
 
     Attributes:
         point: Values of all parameters about which it is linearised, ``(p,)``.
@@ -68,10 +68,10 @@ class HitModel:
     """Predictions of hits under effects, with their sensitivities and scatter.
 
     Args:
-        door: Predicts hits.
+        hit_source: Predicts hits.
         candidate: The effects, at what is believed at the start.
         joints: Of the arms.
-        proportion: Size of what was measured, to which ranges and scales are in proportion.
+        proportion: Size of the measured system, for ranges and scales.
         mean_time: Mean number of hits to a false alarm, at least.
 
     Attributes:
@@ -81,9 +81,9 @@ class HitModel:
     """
 
     def __init__(
-        self, door: Door, candidate: Candidate, joints: Joints, proportion: Proportion, mean_time: float
+        self, hit_source: HitSource, candidate: Candidate, joints: Joints, proportion: Proportion, mean_time: float
     ) -> None:
-        self.door, self.candidate, self.joints, self.proportion = door, candidate, joints, proportion
+        self.hit_source, self.candidate, self.joints, self.proportion = hit_source, candidate, joints, proportion
         self.mean_time = mean_time
         self.whiten: dict[str, Array] = {}
         self.calibration = Calibration()
@@ -92,7 +92,7 @@ class HitModel:
         self.look_at(range(candidate.point.size))
 
     def look_at(self, parameters: Sequence[int]) -> None:
-        """Take sensitivities to these parameters alone from now on."""
+        """Restrict the sensitivities to these parameters."""
         self.active = tuple(parameters)
         self._plans.clear()
         self._jacobians.clear()
@@ -108,7 +108,7 @@ class HitModel:
         return ChangeTest(hypothesis.posterior, there, self.active, self.calibration, self.mean_time)
 
     def evidence(self, hit: Hit, point: Array, parameters: Sequence[int] | None = None) -> HitEvidence | None:
-        """What a hit says about a point and parameters around it (None: all active ones); None without a contact."""
+        """Evidence of a hit, linearised at a point (None: all active parameters); None without a contact."""
         found = self.linearised(hit, point, self.active if parameters is None else parameters)
         if found is None:
             return None
@@ -126,14 +126,14 @@ class HitModel:
         own, numbers = replace(self.candidate, point=point), tuple(parameters)
         key = (hit.shared, point.tobytes(), numbers)
         if hit.shared and key in self._jacobians:
-            (predicted,) = self.door.predict(hit, [own.split(point)])
+            (predicted,) = self.hit_source.predict(hit, [own.split(point)])
             return None if predicted is None else (predicted, self._jacobians[key])
         if (plan := self._plans.get(key[1:])) is None:
             steps = own.steps(self.joints)
             moved = [point + steps[number] * (np.arange(point.size) == number) for number in numbers]
             plan = self._plans[key[1:]] = steps, [own.split(one) for one in (point, *moved)]
         steps, points = plan
-        predicted, *others = self.door.predict(hit, points)
+        predicted, *others = self.hit_source.predict(hit, points)
         if predicted is None:
             return None
         jacobian = np.zeros((predicted.size, point.size))
@@ -148,7 +148,7 @@ class HitModel:
         """Error of the model as it was given, in standard deviations of a hit, rms over the features."""
         off, hit = evidence.residual, evidence.hit
         if not np.array_equal(point, self.start):
-            (given,) = self.door.predict(hit, [self.candidate.split(self.start)])
+            (given,) = self.hit_source.predict(hit, [self.candidate.split(self.start)])
             off = off if given is None else self.whiten[hit.layout] @ (hit.measured - given)
         return math.sqrt(float(np.mean(np.square(off))))
 
@@ -188,7 +188,7 @@ class HitModel:
         return (*hypothesis.posterior.now.predictive(evidence), self.whiten[hit.layout])
 
     def predicted(self, hypothesis: Hypothesis, hit: Hit) -> tuple[Array, Array] | None:
-        """Mean and variance of what a hit like this one measures, ``(F,)`` each, in its units; None: no contact."""
+        """Predictive mean and variance of the features of such a hit, ``(F,)`` each; None: no contact."""
         if (found := self.forecast(hypothesis, hit)) is None:
             return None
         innovation, covariance, whiten = found

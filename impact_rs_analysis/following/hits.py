@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hits in time order: what was measured of each, and what a model with effects predicts of it.
+"""Sources of hits in time order: measured features, and predictions of a model with effects.
 
-A *hit* is one finished trial (a bag) or one impact (a row of a table). Both doors give the same: features, their model
-discrepancy, and predictions under effects that are added to the model.
+A *hit* is one finished trial (a bag) or one impact (a row of a table). Both sources give features, their model
+discrepancy, and predictions under effects added to the model.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.store import trials_below
 
-SPEEDS = ((2.0, "at twice the speed"), (0.5, "at half the speed"))  # of hits that were measured
+PROPOSED_SPEED_FACTORS = ((2.0, "at twice the speed"), (0.5, "at half the speed"))  # of measured hits
 
 
 @dataclass(frozen=True)
@@ -79,12 +79,12 @@ class Hit:
 
     @property
     def shared(self) -> str:
-        """Hits with this in common start alike, so that sensitivities of one serve all; empty: none does."""
+        """Key of hits with equal initial states, which share sensitivities; empty: not shared."""
         return ""
 
 
-class Door(ABC):
-    """Hits that come one after the other, and the model that predicts them.
+class HitSource(ABC):
+    """Source of hits in time order, and the model that predicts them.
 
     Attributes:
         model: The model.
@@ -99,7 +99,7 @@ class Door(ABC):
 
     @abstractmethod
     def arrived(self) -> Iterator[Hit]:
-        """Hits that were not given before, in time order.
+        """New hits since the last call, in time order.
 
         Raises:
             InputError: The measurements cannot be read.
@@ -107,7 +107,7 @@ class Door(ABC):
 
     @abstractmethod
     def recalled(self, names: Sequence[str], known: Sequence[str]) -> dict[str, Hit]:
-        """Some hits by name, after a restart.
+        """Hits read again by name, after a restart.
 
         Args:
             names: Hits to read again.
@@ -118,7 +118,7 @@ class Door(ABC):
         """
 
     def newly_skipped(self) -> dict[str, str]:
-        """Of ``skipped`` what came since the last call."""
+        """Entries of ``skipped`` since the last call."""
         found = dict(itertools.islice(self.skipped.items(), self._told, None))
         self._told = len(self.skipped)
         return found
@@ -134,7 +134,7 @@ class Door(ABC):
         return np.array([feature.relevance_limit for feature in features])
 
     def unmeasured(self, measured: Sequence[Hit]) -> Iterator[Hit]:
-        """Hits that were not measured yet, as the model predicts them; their condition is what to do.
+        """Candidate hits not measured yet, as predicted by the model; the condition describes them.
 
         Args:
             measured: The last hit of every condition.
@@ -163,7 +163,7 @@ class RowHit(Hit):
     place: int
 
 
-class TableDoor(Door):
+class TableHitSource(HitSource):
     """Impacts of a table, in the order of its column ``time``, or of its rows.
 
     Args:
@@ -181,7 +181,7 @@ class TableDoor(Door):
         self.model, self.skipped = model, {}
 
     def arrived(self) -> Iterator[Hit]:
-        """See :meth:`Door.arrived`."""
+        """See :meth:`HitSource.arrived`."""
         table = self._reread()
         fresh = [place for place, row in enumerate(table.rows) if row.number not in self._known]
         self._known |= {table.rows[place].number for place in fresh}
@@ -191,7 +191,7 @@ class TableDoor(Door):
             yield hit
 
     def recalled(self, names: Sequence[str], known: Sequence[str]) -> dict[str, Hit]:
-        """See :meth:`Door.recalled`."""
+        """See :meth:`HitSource.recalled`."""
         table = self._reread()
         places = {name_of_row(row.number): place for place, row in enumerate(table.rows)}
         if missing := [name for name in (*names, *known) if name not in places]:
@@ -201,13 +201,13 @@ class TableDoor(Door):
         return {hit.name: hit for hit in self._hits(table, [places[name] for name in dict.fromkeys(names)])}
 
     def limits(self, first: Sequence[Hit], layout: str) -> Array:
-        """See :meth:`Door.limits`; they are shares of the closing speed of all first hits."""
+        """See :meth:`HitSource.limits`; they are shares of the closing speed of all first hits."""
         source = self.source(first)
         assert isinstance(source, ImpactTableSource)
         return np.array([feature.relevance_limit for feature in source.signals])
 
     def source(self, hits: Sequence[Hit]) -> Source:
-        """See :meth:`Door.source`."""
+        """See :meth:`HitSource.source`."""
         table = self._table
         assert table is not None
         wanted = {hit.name for hit in hits}
@@ -216,16 +216,16 @@ class TableDoor(Door):
         return ImpactTableSource(table.part(places), self.model, discrepancy=self._discrepancy)
 
     def predict(self, hit: Hit, added: Sequence[Added]) -> list[Array | None]:
-        """See :meth:`Door.predict`."""
+        """See :meth:`HitSource.predict`."""
         assert isinstance(hit, RowHit)
         return hit.source.predict_row(hit.place, added)
 
     def unmeasured(self, measured: Sequence[Hit]) -> Iterator[Hit]:
-        """See :meth:`Door.unmeasured`: the same hits at other speeds."""
+        """See :meth:`HitSource.unmeasured`: the same hits at other speeds."""
         assert self._table is not None
         rows = {name_of_row(row.number): row for row in self._table.rows}
         for hit in measured:
-            for factor, words in SPEEDS:
+            for factor, words in PROPOSED_SPEED_FACTORS:
                 one = replace(self._table, rows=(_at_speed(rows[hit.name], factor),), noise=None, variants=())
                 with suppress(InputError):  # the map has no solution
                     source = ImpactTableSource(one, self.model, discrepancy=self._discrepancy, remarks=False)
@@ -297,7 +297,7 @@ class BagHit(Hit):
         return self.group
 
 
-class BagDoor(Door):
+class BagHitSource(HitSource):
     """Finished trials of a folder, in the order in which they were recorded.
 
     Args:
@@ -321,7 +321,7 @@ class BagDoor(Door):
         self.model, self.skipped = model, {}
 
     def arrived(self) -> Iterator[Hit]:
-        """See :meth:`Door.arrived`; each bag is read when it is due, and what is no trial is named in ``skipped``."""
+        """See :meth:`HitSource.arrived`; each bag is read when it is due; ``skipped`` names the others."""
         if not self._directory.is_dir():
             raise InputError("no such folder of trials", file=self._directory)
         fresh = [path for path in trials_below(self._directory) if path not in self._known]
@@ -336,7 +336,7 @@ class BagDoor(Door):
                 self.skipped[str(path.relative_to(self._directory))] = hit
 
     def recalled(self, names: Sequence[str], known: Sequence[str]) -> dict[str, Hit]:
-        """See :meth:`Door.recalled`."""
+        """See :meth:`HitSource.recalled`."""
         self._known = {self._directory / name for name in known}
         found: dict[str, Hit] = {}
         for name in dict.fromkeys(names):
@@ -347,7 +347,7 @@ class BagDoor(Door):
         return found
 
     def unmeasured(self, measured: Sequence[Hit]) -> Iterator[Hit]:
-        """See :meth:`Door.unmeasured`: every object and case, simulated by the twin; what fails is left out."""
+        """See :meth:`HitSource.unmeasured`: every object and case, simulated by the twin; what fails is left out."""
         del measured
         for scenario in list(self._scenarios.values()):
             for item, case in itertools.product(scenario.objects, scenario.cases):
@@ -360,12 +360,12 @@ class BagDoor(Door):
                         yield self._hit(MeasuredRun.of(run), self._directory / label_of(spec), 0.0)
 
     def source(self, hits: Sequence[Hit]) -> Source:
-        """See :meth:`Door.source`."""
+        """See :meth:`HitSource.source`."""
         runs = Runs.of(self._directory, [hit.run for hit in hits if isinstance(hit, BagHit)])
         return ReplaySource.of(runs, self.model, self._store, self._discrepancy)
 
     def predict(self, hit: Hit, added: Sequence[Added]) -> list[Array | None]:
-        """See :meth:`Door.predict`."""
+        """See :meth:`HitSource.predict`."""
         assert isinstance(hit, BagHit)
         return self._store([Replay(hit.run.setup, self.model, one) for one in added])
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the first hits teach: which effects they show, the scatter of hits, and how far it can be relied on."""
+"""Start-up: observable effects, the scatter of hits, and its degrees of freedom from the first hits."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.diagnose import effects_for
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.following.hit_model import HitModel, Hypothesis
-from impact_rs_analysis.following.hits import Door, Hit
+from impact_rs_analysis.following.hits import Hit, HitSource
 from impact_rs_analysis.following.posterior import Posterior
 from impact_rs_analysis.inference.belief import Belief
 from impact_rs_analysis.inference.noise import Noise, deviations_of, repeats_of
@@ -23,17 +23,17 @@ from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array
 
-LEAST_FREEDOM = 10  # of the scatter: its standard deviations are known to 22 % then
+MIN_SCATTER_FREEDOM = 10  # degrees of freedom; standard deviations are then known to 22 %
 
 
 class Learning:
-    """Hits of layouts whose scatter is not known yet.
+    """Collects the first hits of each layout until its scatter is known.
 
     Args:
-        door: Gives hits and predictions; its model is replaced by one without the effects that are followed.
+        hit_source: Gives hits and predictions; its model is replaced by one without the effects that are followed.
         model: What is believed at the start.
-        only: Effects to look at beside those of the model; None: all that hits can show.
-        learnt: Hits that teach the scatter.
+        only: Effects to follow in addition to those of the model; None: all observable ones.
+        learnt: Number of hits from which the scatter is estimated.
         mean_time: Mean number of hits to a false alarm, at least.
 
     Attributes:
@@ -41,11 +41,19 @@ class Learning:
         hits: What predicts hits; None: too few were seen.
     """
 
-    def __init__(self, door: Door, model: Model, only: Sequence[str] | None, learnt: int, mean_time: float) -> None:
-        self.door, self.model, self._only, self.learnt, self._mean_time = door, model, only, learnt, mean_time
+    def __init__(
+        self, hit_source: HitSource, model: Model, only: Sequence[str] | None, learnt: int, mean_time: float
+    ) -> None:
+        self.hit_source, self.model, self._only, self.learnt, self._mean_time = (
+            hit_source,
+            model,
+            only,
+            learnt,
+            mean_time,
+        )
         self._believed = [item for item in model.effects if _same(model, item)]
         kept = tuple(item for item in model.effects if item not in self._believed)
-        door.model = model.model_copy(update={"effects": kept})
+        hit_source.model = model.model_copy(update={"effects": kept})
         self.first: list[Hit] = []
         self.hits: HitModel | None = None
 
@@ -55,7 +63,7 @@ class Learning:
         if count < self.learnt or len(own) < self.learnt // 2:
             return False
         _, freedom = deviations_of([hit.measured for hit in own], [hit.condition for hit in own])
-        return freedom >= min(LEAST_FREEDOM, self.learnt // 2 - 1)
+        return freedom >= min(MIN_SCATTER_FREEDOM, self.learnt // 2 - 1)
 
     def begin(self, layout: str, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
         """Learn the scatter of a layout from its first hits; the hypotheses with what these say.
@@ -66,7 +74,7 @@ class Learning:
         first = [hit for hit in self.first if hit.layout == layout]
         self.first = [hit for hit in self.first if hit.layout != layout]
         if self.hits is None:
-            source = self.door.source(first)
+            source = self.hit_source.source(first)
             self.hits, self._stated = self.consider(source, source.proportion)
         own = self.hits
         known = own.active if hypotheses else ()
@@ -76,7 +84,7 @@ class Learning:
             raise InputError(f"model {self.model.name!r} predicts {len(found)} of the first {len(first)} hits")
         residuals = [(hit, hit.measured - predicted) for hit, (predicted, _) in found]
         jacobians = [jacobian for _, (_, jacobian) in found]
-        limits = self.door.limits(first, layout)
+        limits = self.hit_source.limits(first, layout)
         own.whiten[layout], freedom = _scatter(residuals, limits)
         calibration, freedom = own.calibration, max(freedom, 2)
         calibration.freedom = float(freedom) if not hypotheses else min(calibration.freedom, float(freedom))
@@ -88,7 +96,7 @@ class Learning:
             hypotheses = [Hypothesis(own.start, Posterior(belief))]
         for hypothesis in hypotheses:
             evidence = [e for hit, _ in found if (e := own.evidence(hit, hypothesis.point)) is not None]
-            hypothesis.posterior.believe(evidence)
+            hypothesis.posterior.absorb(evidence)
         self._calibrate(own, hypotheses[0], residuals, jacobians, limits)
         return hypotheses
 
@@ -97,7 +105,7 @@ class Learning:
 
         Args:
             source: Some hits.
-            proportion: Size of what was measured, to which ranges and scales are in proportion.
+            proportion: Size of the measured system, for ranges and scales.
 
         Returns:
             What predicts hits, and the standard deviations, in scales, of the parameters that the model states with an
@@ -121,13 +129,13 @@ class Learning:
                     width = (value.ci95[1] - value.ci95[0]) / (2.0 * NORMAL_95)
                     stated[number] = max(width / candidate.scale[number], 1e-6)
         candidate = replace(candidate, point=point)
-        return HitModel(self.door, candidate, source.joints, proportion, self._mean_time), stated
+        return HitModel(self.hit_source, candidate, source.joints, proportion, self._mean_time), stated
 
     def _calibrate(
         self, own: HitModel, hypothesis: Hypothesis, residuals: Sequence[tuple[Hit, Array]],
         jacobians: Sequence[Array], limits: Array,
     ) -> None:  # fmt: skip
-        """Variance of the scores: of every first hit by the scatter of the others."""
+        """Calibrate the score variance by cross-validation: every first hit with the scatter of the others."""
         test, calibration = own.test(hypothesis), own.calibration
         square, expected = calibration.whole
         for left, (hit, residual) in enumerate(residuals):
@@ -146,12 +154,12 @@ class Learning:
 
 
 def _scatter(residuals: Sequence[tuple[Hit, Array]], limits: Array) -> tuple[Array, int]:
-    """What whitens the hits of one layout, ``(F, F)``, and the degrees of freedom of their scatter."""
+    """Whitening matrix of the hits of one layout, ``(F, F)``, and the degrees of freedom of their scatter."""
     deviations, freedom = deviations_of([value for _, value in residuals], [hit.condition for hit, _ in residuals])
     stated = np.max([hit.noise for hit, _ in residuals], axis=0)
     return Noise(repeats_of(deviations, freedom, stated), np.square(limits / 2.0)).whitening(), freedom
 
 
 def _same(model: Model, item: ModelEffect) -> bool:
-    """Whether an entry has the parameters that the effect of its name has now; older files may have others."""
+    """Whether an entry has the parameters of the present effect; older files may differ."""
     return model.effect_of(item).parameters == model.known_effects[item.name].parameters

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of every hit and of every change: typed documents."""
+"""Typed documents about hits and changes, for output."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Predicted(Schema):
 
 
 class NextHit(Schema):
-    """What the next hit of a condition will measure, if it starts as the last one did."""
+    """Prediction of the next hit of a condition from the initial state of the last one."""
 
     condition: str = Field(description="condition; empty: that of the last hit")
     like: str = Field(description="hit whose start it is")
@@ -77,14 +77,14 @@ class PublishedChange(Change):
 
 
 class RefusedHit(Schema):
-    """What gives no hit: message of ``identify/refused``."""
+    """A measurement without a usable hit: message of ``identify/refused``."""
 
     hit: str = Field(description="bag or row; empty: the look itself failed")
     reason: str = Field(description="why")
 
 
 class HitDocument(Schema):
-    """What a hit taught."""
+    """Result of one hit."""
 
     name: str = Field(description="the hit")
     stamp: float = Field(description="its time [s], or the number of its row")

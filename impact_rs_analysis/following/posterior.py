@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Posterior of one hypothesis: a belief (:mod:`impact_rs_analysis.inference.belief`) that learns hit by hit.
 
-The last hits are kept one by one (the *window*): a change is looked for among them (:mod:`.change`). The order of hits
-in the window does not matter. A hit that the posterior finds beyond the quantile q of chi square weighs w = q / d^2
-with d its Mahalanobis distance, else 1 (Huber 1964), so that one odd hit moves nothing far.
+The last hits are kept individually (the *window*): change points are sought among them (:mod:`.change`). The order of
+hits in the window does not matter. A hit that the posterior finds beyond the quantile q of chi square weighs w = q /
+d^2 with d its Mahalanobis distance, else 1 (Huber 1964), so that an outlier has a bounded influence.
 
-Before the window the misfit of a model may wander, as where joints warm up or a sensor drifts: from one instant of its
-group to the next ``DRIFT`` of the variance of every amplitude is renewed. What goes slowly is then no change of a
-parameter.
+Before the window the model discrepancy follows a random walk (joints that warm up, a drifting sensor): from one instant
+of its group to the next, the share ``DISCREPANCY_RENEWAL`` of the variance of every amplitude is renewed. A slow drift
+is therefore not announced as a change of a parameter.
 """
 
 from __future__ import annotations
@@ -23,16 +23,18 @@ from impact_rs_analysis.inference.belief import Belief, Observation
 from impact_rs_analysis.inference.student import log_density
 from impact_rs_sim.robot import Array
 
-WINDOW = 48  # instants; a change older than that is believed
-WIDTH = 3.0  # parameter scales; changes that are looked for are about as large
-WIDE = 10.0  # parameter scales; prior of a parameter whose change was found, which hits then determine
-DRIFT = 0.003  # of the variance of an amplitude, renewed from one instant of its group to the next
-ODD = 1e-3  # share of hits beyond the quantile at which they lose weight
+WINDOW_INSTANTS = 48  # an older change is accepted
+CHANGE_PRIOR_SCALES = 3.0  # prior standard deviation of a change that is looked for, in parameter scales
+# Prior standard deviation after a change was found, in parameter scales; hits then determine it
+FOUND_CHANGE_PRIOR_SCALES = 10.0
+# Share of an amplitude's variance that is renewed from one instant of its group to the next
+DISCREPANCY_RENEWAL = 0.003
+ODD_HIT_PROBABILITY = 1e-3  # share of hits beyond the quantile at which Huber weights set in
 
 
 @dataclass(frozen=True, eq=False)
 class HitEvidence(Observation):
-    """What one hit says.
+    """Evidence of one hit: linearised observation.
 
     Attributes:
         hit: The hit.
@@ -46,7 +48,7 @@ class Posterior:
     """State of one hypothesis.
 
     Attributes:
-        before: What is believed of the hits before the window.
+        before: Belief from the hits before the window.
         window: Evidence by instant, oldest first.
     """
 
@@ -56,7 +58,7 @@ class Posterior:
 
     @property
     def now(self) -> Belief:
-        """What is believed of all hits; not to be changed."""
+        """Belief from all hits; read-only."""
         if self._now is None:
             self._now = self.before.copy()
             for one in self.since():
@@ -78,26 +80,26 @@ class Posterior:
         return [one for instant in self.window[start:] for one in instant]
 
     def add(self, instant: Sequence[HitEvidence]) -> None:
-        """Take an instant into the window, and believe the oldest of a full one."""
+        """Add an instant to the window; the oldest of a full window is absorbed into the belief."""
         for one in instant:
             self.before.columns(one)
         self.window.append(tuple(instant))
-        self.believe_before(len(self.window) - WINDOW)
+        self.absorb_before(len(self.window) - WINDOW_INSTANTS)
         self._now = None
 
-    def believe(self, evidence: Iterable[HitEvidence]) -> None:
-        """Take hits that are older than the window."""
+    def absorb(self, evidence: Iterable[HitEvidence]) -> None:
+        """Absorb hits older than the window."""
         for one in evidence:
             self.before.add(one)
         self._now = None
 
-    def believe_before(self, start: int) -> None:
-        """Believe the instants of the window before one of them."""
+    def absorb_before(self, start: int) -> None:
+        """Absorb the instants of the window before ``start``."""
         for _ in range(start):
             instant = self.window.pop(0)
-            self.believe(instant)
+            self.absorb(instant)
             for group in sorted({one.group for one in instant}):
-                self.before.drift(group, DRIFT)
+                self.before.drift(group, DISCREPANCY_RENEWAL)
 
     def copy(self) -> Posterior:
         """A copy that can be changed."""
@@ -130,9 +132,9 @@ class Posterior:
         return both[:, :size], both[:, size:], np.array([own for _, own in found])
 
 
-def weight_of(distance: float, size: int) -> float:
-    """Weight of a hit with a squared distance and so many features [-]."""
-    return min(1.0, float(scipy.special.chdtri(size, ODD)) / max(distance, 1e-300))
+def huber_weight(distance: float, size: int) -> float:
+    """Huber weight of a hit from its squared Mahalanobis distance and number of features [-]."""
+    return min(1.0, float(scipy.special.chdtri(size, ODD_HIT_PROBABILITY)) / max(distance, 1e-300))
 
 
 def unpredicted_log_density(size: int, freedom: float) -> float:
@@ -142,4 +144,4 @@ def unpredicted_log_density(size: int, freedom: float) -> float:
         size: Number of features of the hit.
         freedom: Degrees of freedom of the scatter.
     """
-    return log_density(float(scipy.special.chdtri(size, ODD)), 0.0, size, freedom)
+    return log_density(float(scipy.special.chdtri(size, ODD_HIT_PROBABILITY)), 0.0, size, freedom)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What distinguishes the causes of a change: a hit that was measured, a check without one, or a new trial."""
+"""Proposals to discriminate between causes of a change: a repeated hit, a check without a hit, a new trial."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from impact_rs_analysis.following.hits import Hit
 from impact_rs_analysis.inference.student import squared_distance
 from impact_rs_sim.physics import Physics
 
-APART = 2.0  # standard deviations between what two causes predict; one measurement then decides
-SAME = 0.02  # difference between probabilities that is none
+# Between the predictions of two causes, in standard deviations; one measurement then decides
+MIN_DECISIVE_DISTANCE = 2.0
+MAX_EQUAL_DIFFERENCE = 0.02  # between probabilities that are equal in practice
 
 
 class HitlessCheck(NamedTuple):
@@ -42,7 +43,7 @@ def _weight(physics: Physics) -> float:
     return float(np.linalg.norm(physics.gravity)) * physics.object.mass
 
 
-CHECKS = (
+HITLESS_CHECKS = (
     HitlessCheck("lift the object", "N", _weight, 0.5),
     HitlessCheck(
         "pull the object slowly over its support", "N", lambda physics: _weight(physics) * physics.support_friction, 0.5
@@ -59,7 +60,7 @@ class ProposedMeasurement:
 
     Attributes:
         words: What to do.
-        distances: Of what is expected from both, in standard deviations of their difference, by cause.
+        distances: Distance of the expected readings, in standard deviations of their difference, by cause.
         what: What is expected, in words.
     """
 
@@ -69,20 +70,23 @@ class ProposedMeasurement:
 
 
 def most_decisive(found: Iterable[ProposedMeasurement], shares: Sequence[float]) -> ProposedMeasurement | None:
-    """What decides rightly between the likeliest cause and each of the others with the largest probability.
+    """Measurement with the largest probability of a correct decision between the likeliest cause and the others.
 
     Args:
         found: Measurements, those that take least effort first; of some that are as good, the first is taken.
         shares: Probability of each of the others.
     """
-    found = [one for one in found if max(one.distances) > APART]
+    found = [one for one in found if max(one.distances) > MIN_DECISIVE_DISTANCE]
     right = [float(scipy.special.ndtr(0.5 * np.array(one.distances)) @ np.array(shares)) for one in found]
-    return next((one for one, own in zip(found, right, strict=True) if own > max(right) - SAME * sum(shares)), None)
+    return next(
+        (one for one, own in zip(found, right, strict=True) if own > max(right) - MAX_EQUAL_DIFFERENCE * sum(shares)),
+        None,
+    )
 
 
 def measurement_words(one: ProposedMeasurement, likeliest: str, others: Sequence[str]) -> str:
-    """What to do, and which causes it distinguishes."""
-    parted = [other for other, distance in zip(others, one.distances, strict=True) if distance > APART]
+    """Text of a proposal, and the causes that it distinguishes."""
+    parted = [other for other, distance in zip(others, one.distances, strict=True) if distance > MIN_DECISIVE_DISTANCE]
     between = "them" if len(parted) == len(others) else f"{likeliest} from {' and '.join(parted)}"
     return f"{one.words} distinguishes {between} ({one.what})"
 
@@ -90,19 +94,19 @@ def measurement_words(one: ProposedMeasurement, likeliest: str, others: Sequence
 def distinguishing(
     own: HitModel, hypotheses: Sequence[Hypothesis], shares: Sequence[float], last: Mapping[str, Hit]
 ) -> str:
-    """What distinguishes explanations best, in words.
+    """Text of the measurement that discriminates best between explanations.
 
     Args:
         own: Predicts hits.
         hypotheses: The explanations, the likeliest first.
         shares: Probability of each of the others.
-        last: The last hit of every condition; of none: that of the last trial that hit something.
+        last: Last hit of every condition; empty condition: last trial with a contact.
     """
     names = [one.effect for one in hypotheses]
     measured = [(name, hit) for name, hit in last.items() if name]
     measured = measured or [(f"the kind of {hit.name}", hit) for hit in last.values()]
     found = [_hit(own, hypotheses, f"one hit of {name}", hit) for name, hit in measured]
-    found += [_check(own, hypotheses, check, last[""].physics) for check in CHECKS]
+    found += [_check(own, hypotheses, check, last[""].physics) for check in HITLESS_CHECKS]
     seen = {effect.name for effect in own.candidate.effects if effect.seen_in(contact=False)}
     free = [name in seen for name in names]
     if any(free) and last[""].physics.arms:
@@ -110,8 +114,8 @@ def distinguishing(
         showing = " and ".join(name for name in names if name in seen)
         found.append(ProposedMeasurement("a free motion", apart, f"{showing} would show there"))
     best = most_decisive(found, shares)
-    if best is None or min(best.distances) <= APART:
-        hits = own.door.unmeasured([hit for _, hit in measured])
+    if best is None or min(best.distances) <= MIN_DECISIVE_DISTANCE:
+        hits = own.hit_source.unmeasured([hit for _, hit in measured])
         found += [_hit(own, hypotheses, f"a hit of {hit.condition}, not measured yet,", hit) for hit in hits]
         best = most_decisive(found, shares)
     if best is not None:
@@ -120,7 +124,7 @@ def distinguishing(
 
 
 def _hit(own: HitModel, hypotheses: Sequence[Hypothesis], words: str, hit: Hit) -> ProposedMeasurement:
-    """How well a hit distinguishes the likeliest explanation from the others."""
+    """Discrimination of a hit between the likeliest explanation and the others."""
     first, *others = (own.forecast(one, hit) for one in hypotheses)
     distances = []
     for other in others:
@@ -135,10 +139,10 @@ def _hit(own: HitModel, hypotheses: Sequence[Hypothesis], words: str, hit: Hit) 
 def _check(
     own: HitModel, hypotheses: Sequence[Hypothesis], check: HitlessCheck, physics: Physics
 ) -> ProposedMeasurement:
-    """How well a measurement without a hit distinguishes the likeliest explanation from the others."""
+    """Discrimination of a check without a hit between the likeliest explanation and the others."""
     read = [_read(own, check, one, physics) for one in hypotheses]
     (first, width), *others = read
-    noise = check.least / APART
+    noise = check.least / MIN_DECISIVE_DISTANCE
     distances = tuple(abs(first - value) / math.sqrt(noise**2 + width**2 + wide**2) for value, wide in others)
     unit = f" {check.unit}" if check.unit else ""
     expected = (f"{value:.3g}{unit} if {one.effect}" for (value, _), one in zip(read, hypotheses, strict=True))
@@ -146,7 +150,7 @@ def _check(
 
 
 def _read(own: HitModel, check: HitlessCheck, hypothesis: Hypothesis, physics: Physics) -> tuple[float, float]:
-    """What a measurement without a hit reads, and its standard deviation for the parameters are uncertain."""
+    """Predicted reading of a check without a hit, and its standard deviation from the parameter uncertainty."""
     candidate, values = own.candidate, own.values(hypothesis)
     centre = check.of(own.scene(values, physics))
     slopes = []

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the last hits leave, for the prediction of the next one.
+"""Exponentially weighted moving average (EWMA) of the residuals, which corrects the prediction of the next hit.
 
-No model is quite right: a surface wears slowly, and a change may be followed under the name of a similar one. What is
-left then is alike from hit to hit. Its exponentially weighted mean,
+No model is quite right: a surface wears slowly, and a change may be attributed to a similar effect. The residuals are
+then correlated from hit to hit. Their exponentially weighted mean,
 
     b <- b + g (r - b),
 
-is the best prediction of a random walk that is seen through noise (Muth 1960, *Journal of the American Statistical
-Association* 55). r are the whitened residuals of one group of hits. The gain g is the one of ``GAINS`` that predicted
-the last hits best; without drift that is 0, and nothing is corrected. Posterior and test for changes do not know of it.
+is the optimal predictor of a random walk in white noise, a steady-state Kalman filter (Muth 1960, *Journal of the
+American Statistical Association* 55). r are the whitened residuals of one group of hits. The gain g is the member of
+``EWMA_GAINS`` with the smallest recent prediction error; without drift it is 0, and nothing is corrected. The posterior
+and the change-point test do not use the correction.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ import numpy as np
 
 from impact_rs_sim.robot import Array
 
-GAINS = np.array([0.0, 0.1, 0.2, 0.4])
-MEMORY = 0.97  # share of the squared errors that stays with every hit: the last thirty choose the gain
-LEAD = 0.5  # mean squares by which a gain must have done better than none
+EWMA_GAINS = np.array([0.0, 0.1, 0.2, 0.4])  # candidate gains g [-]; 0: no correction
+FORGETTING_FACTOR = 0.97  # of the squared errors per hit: the last thirty choose the gain
+MIN_LEAD = 0.5  # in mean squares, of a gain over no correction
 
 
 class RecentResiduals:
@@ -30,10 +31,10 @@ class RecentResiduals:
 
     def __init__(self) -> None:
         self._means: dict[str, Array] = {}  # (G, F), of each gain
-        self._squares = np.zeros(GAINS.size)  # of the errors of each gain
+        self._squares = np.zeros(EWMA_GAINS.size)  # of the errors of each gain
 
     def expected(self, group: str, size: int) -> Array:
-        """What the next hit of a group will leave, ``(size,)``, whitened [-].
+        """Predicted residual of the next hit of a group, ``(size,)``, whitened [-].
 
         Args:
             group: The group.
@@ -43,22 +44,22 @@ class RecentResiduals:
         return np.zeros(size) if known is None else np.asarray(known[self._best])
 
     def take(self, group: str, residual: Array, weight: float) -> None:
-        """Take what a hit left.
+        """Update with the residual of a hit.
 
         Args:
             group: Its group.
             residual: Whitened, ``(F,)`` [-].
             weight: Of the hit [-]; an odd one moves nothing far.
         """
-        means = self._means.setdefault(group, np.zeros((GAINS.size, residual.size)))
+        means = self._means.setdefault(group, np.zeros((EWMA_GAINS.size, residual.size)))
         off = residual - means
-        self._squares = MEMORY * self._squares + weight * np.mean(np.square(off), axis=1)
-        means += weight * GAINS[:, None] * off
+        self._squares = FORGETTING_FACTOR * self._squares + weight * np.mean(np.square(off), axis=1)
+        means += weight * EWMA_GAINS[:, None] * off
 
     @property
     def _best(self) -> int:
-        """The gain that did best, with a lead over none."""
-        return int(np.argmin(self._squares + LEAD * (GAINS > 0.0)))
+        """Gain with the smallest recent error, if it leads over no correction."""
+        return int(np.argmin(self._squares + MIN_LEAD * (EWMA_GAINS > 0.0)))
 
     def saved(self) -> dict[str, Any]:
         """State as a JSON document."""

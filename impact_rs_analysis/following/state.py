@@ -29,8 +29,8 @@ from impact_rs_sim.files import whole
 from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array
 
-VERSION = 4
-TEXT = "document"
+STATE_VERSION = 4
+DOCUMENT_KEY = "document"
 
 
 def save_state(follower: Follower, path: Path) -> None:
@@ -50,7 +50,7 @@ def save_state(follower: Follower, path: Path) -> None:
     for number, whiten in enumerate({} if hits is None else hits.whiten.values()):
         arrays[f"whiten{number}"] = whiten
     document = {
-        "version": VERSION,
+        "version": STATE_VERSION,
         "model": follower.model.digest,
         "names": follower.names,
         "first": [hit.name for hit in follower.learning.first],
@@ -75,7 +75,7 @@ def save_state(follower: Follower, path: Path) -> None:
         ],
     }
     with whole(path) as aside, aside.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **{TEXT: np.array(json.dumps(document)), **arrays})
+        np.savez_compressed(file, allow_pickle=False, **{DOCUMENT_KEY: np.array(json.dumps(document)), **arrays})
 
 
 def restore_state(follower: Follower, path: Path) -> int:
@@ -94,12 +94,14 @@ def restore_state(follower: Follower, path: Path) -> int:
     try:
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
-        document = json.loads(str(arrays.pop(TEXT)))
+        document = json.loads(str(arrays.pop(DOCUMENT_KEY)))
         version = document["version"]
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError("not a state file of impact-rs follow; name another, or remove it", file=path) from None
-    if version != VERSION:
-        raise InputError(f"a state file of version {version}, expected {VERSION}; remove it to begin anew", file=path)
+    if version != STATE_VERSION:
+        raise InputError(
+            f"a state file of version {version}, expected {STATE_VERSION}; remove it to begin anew", file=path
+        )
     if document["model"] != follower.model.digest:
         raise InputError(
             f"the state of another model (digest {document['model']}, here {follower.model.digest}); name its model "
@@ -117,7 +119,7 @@ def _restore(follower: Follower, document: Mapping[str, Any], arrays: Mapping[st
     """Go on where the document was made."""
     windows = [name for h in document["hypotheses"] for instant in h["window"] for name, _ in instant]
     needed = [*document["first"], *document["last"].values(), *windows]
-    known = follower.door.recalled(needed, document["names"])
+    known = follower.hit_source.recalled(needed, document["names"])
     follower.names = list(document["names"])
     if (changed := document.get("changed")) is not None:
         follower.changed = HitsSince(changed[0], tuple(changed[1]))
@@ -125,7 +127,7 @@ def _restore(follower: Follower, document: Mapping[str, Any], arrays: Mapping[st
     follower.last = {condition: known[name] for condition, name in document["last"].items()}
     if document["proportion"] is None:
         return
-    source = follower.door.source(list(known.values()))
+    source = follower.hit_source.source(list(known.values()))
     hits, _ = follower.learning.consider(source, Proportion(**document["proportion"]))
     hits.look_at(document["active"])
     hits.whiten = {layout: arrays[f"whiten{n}"] for n, layout in enumerate(document["layouts"])}

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hypotheses about the cell: each predicts a hit before it is looked at, learns from it, and is tested for a change.
+"""Multiple-model estimation: every hypothesis predicts a hit, is updated with it, and is tested for a change.
 
-A change replaces the hypotheses by its causes (:mod:`.causes`). Later hits raise or lower them, as in multiple-model
-estimation (Magill 1965), and predictions are their mixture.
+A change replaces the hypotheses by its causes (:mod:`.causes`). Later hits update their probabilities (Magill 1965),
+and predictions are their mixture.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from impact_rs_analysis.following.causes import Causes, Held
 from impact_rs_analysis.following.hit_model import HitModel, Hypothesis
 from impact_rs_analysis.following.hits import Hit
 from impact_rs_analysis.following.lessons import Cause, Change, HitDocument, NextHit, Predicted
-from impact_rs_analysis.following.posterior import WINDOW, unpredicted_log_density, weight_of
+from impact_rs_analysis.following.posterior import WINDOW_INSTANTS, huber_weight, unpredicted_log_density
 from impact_rs_analysis.following.proposals import distinguishing
 from impact_rs_analysis.inference.student import log_density, squared_distance
 from impact_rs_sim.robot import Array
 
-GROWN = 1.0  # of the logarithm of the statistic since an attempt in vain, before the next one
-RULED_OUT = 1e-3  # probability below which a hypothesis is dropped
-RULED_IN = 0.95  # probability from which the cause is said to be known
-UNPREDICTED = "the model predicts no impact, or no velocities that obey the contact laws"
-WALL_CLOCK = 1e9  # s since 1970; an earlier stamp counts from another moment
+RETRY_LOG_GROWTH = 1.0  # of the log statistic since a failed attempt, before the next one
+MIN_HYPOTHESIS_PROBABILITY = 1e-3  # less likely hypotheses are dropped
+MIN_KNOWN_CAUSE_PROBABILITY = 0.95  # from which the cause is reported as known
+UNPREDICTED_REASON = "the model predicts no impact, or no velocities that obey the contact laws"
+MIN_WALL_CLOCK_S = 1e9  # since 1970; an earlier timestamp has another origin
 
 
 @dataclass
@@ -56,7 +56,7 @@ class HitWatch:
         return np.asarray(scipy.special.softmax([one.log_weight for one in self.hypotheses]))
 
     def prediction(self, hit: Hit) -> NextHit | None:
-        """What a hit like this one will measure; None: no hypothesis predicts a contact."""
+        """Prediction for such a hit; None: no hypothesis predicts a contact."""
         found = [self.hits.predicted(one, hit) for one in self.hypotheses]
         known = [(share, *one) for share, one in zip(self.probabilities(), found, strict=True) if one is not None]
         if not known:
@@ -126,11 +126,11 @@ class HitWatch:
                 if evidence is None:
                     one.log_weight += unpredicted_log_density(len(hit.features), calibration.freedom)
                     if one is best:
-                        own.door.skipped[hit.name] = UNPREDICTED
+                        own.hit_source.skipped[hit.name] = UNPREDICTED_REASON
                     continue
                 innovation, covariance = one.posterior.now.predictive(evidence)
                 distance = squared_distance(innovation, covariance, calibration.of_hits)
-                weight = weight_of(distance, innovation.size)
+                weight = huber_weight(distance, innovation.size)
                 volume = float(np.linalg.slogdet(covariance)[1])
                 one.log_weight += log_density(distance, volume, innovation.size, calibration.freedom)
                 taken.append(replace(evidence, weight=weight))
@@ -143,19 +143,21 @@ class HitWatch:
                     errors[hit.name] = size, own.error_at_start(evidence, one.point), weight < 1.0
             if taken:
                 one.posterior.add(taken)
-            if len(one.posterior.window) == WINDOW:
+            if len(one.posterior.window) == WINDOW_INSTANTS:
                 one.origin = None
         return errors
 
     def _weigh(self) -> str:
-        """Drop hypotheses that are ruled out; what is now known for certain."""
+        """Drop improbable hypotheses; returns the cause that has become certain."""
         several, shares = len(self.hypotheses) > 1, self.probabilities()
-        self.hypotheses = [h for h, share in zip(self.hypotheses, shares, strict=True) if share > RULED_OUT]
+        self.hypotheses = [
+            h for h, share in zip(self.hypotheses, shares, strict=True) if share > MIN_HYPOTHESIS_PROBABILITY
+        ]
         best = self.likeliest
         top = best.log_weight
         for one in self.hypotheses:
             one.log_weight -= top
-        if not several or float(shares.max()) <= RULED_IN:
+        if not several or float(shares.max()) <= MIN_KNOWN_CAUSE_PROBABILITY:
             return ""
         self.hypotheses = [best]
         return f"it is {best.effect}" if best.effect else ""
@@ -169,8 +171,8 @@ class HitWatch:
         statistic, ratios = test.statistics()
         if statistic < test.threshold:
             best.tried = -math.inf
-        elif statistic > best.tried + GROWN:
-            if best.origin is not None:  # or is it its linearisation?
+        elif statistic > best.tried + RETRY_LOG_GROWTH:
+            if best.origin is not None:  # or a linearisation error?
                 refined = causes.refined(best)
                 self.hypotheses[self.hypotheses.index(best)] = best = refined
                 test = self.hits.test(best)
@@ -240,7 +242,7 @@ class HitWatch:
 
 
 def _when(hit: Hit) -> str:
-    """When a hit was, for the reader: the wall clock, or its name."""
-    if not hit.timed or hit.stamp < WALL_CLOCK:
+    """Time of a hit for the reader: wall clock, or its name."""
+    if not hit.timed or hit.stamp < MIN_WALL_CLOCK_S:
         return hit.name
     return f"{time.strftime('%Y-%m-%d %H:%M:%S', time.localtime(hit.stamp))} ({hit.name})"

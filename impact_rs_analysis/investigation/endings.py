@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The end of an investigation (``ending.json``), and whether it is right where the truth is known."""
+"""End of an investigation (``ending.json``), and its score against a known truth."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.schema import Schema, load_mapping, validate
 from impact_rs_trials.blind import KINDS
 
-ENDING = "ending.json"
+ENDING_FILE = "ending.json"
 EXPLAINED, LAW, MISSES_NOTHING, UNDECIDED = "EXPLAINED", "LAW-HOLDS", str(NOTHING), "UNDECIDED"
 
 
@@ -37,7 +37,7 @@ class Ending(Schema):
 
     @property
     def certain(self) -> bool:
-        """Whether it says what is missing, or that nothing is."""
+        """Whether it is a definite verdict: an effect is missing, or nothing is."""
         return self.verdict != UNDECIDED
 
 
@@ -47,9 +47,9 @@ def read_ending(directory: Path) -> Ending:
     Raises:
         InputError: It has not ended.
     """
-    path = directory / ENDING
+    path = directory / ENDING_FILE
     if not path.exists():
-        raise InputError(f"this investigation has not ended: there is no {ENDING}", file=directory)
+        raise InputError(f"this investigation has not ended: there is no {ENDING_FILE}", file=directory)
     return validate(Ending, load_mapping(path), path)
 
 
@@ -80,7 +80,7 @@ def ending_of(settings: Settings, rounds: Sequence[Round]) -> Ending:
 
 
 def _of_the_laboratory(names: Sequence[str]) -> str:
-    """Which effects of a model are faults of the readings, in words."""
+    """Text on the effects of a model that are sensor faults."""
     faults = [name for name in names if name in library() and library()[name].of_measurement]
     if not faults:
         return ""

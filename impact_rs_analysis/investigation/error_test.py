@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the error of a model is as large as that of a right one can be.
+"""Goodness-of-fit test: is the error of a model consistent with a right model?
 
-The error is the sum over conditions c of the mean square of their mean residuals,
+The statistic is the sum over conditions c of the mean square of their mean residuals,
 
     Q = sum_c |r_c|^2 / F_c
 
-with each of the F_c features in units of what a model need not explain: u^2 = (l / 2)^2 + d^2, with the relevance limit
-l and the discrepancy d. No scatter enters the unit, for a scatter from few repeats is often far too small. Under a
-right model the mean of n_c repeats has the covariance
+with each of the F_c features in units of its tolerance u^2 = (l / 2)^2 + d^2, with the relevance limit l and the
+discrepancy d. The unit excludes the scatter, whose estimate from few repeats is often far too small. Under a right
+model the mean of n_c repeats has the covariance
 
     V_c = S / n_c + P_c^T P_c + diag(l^2 / 4 u^2)
 
@@ -39,7 +39,7 @@ from impact_rs_analysis.diagnosis.thresholds import MIN_REPORTED_P
 from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_sim.robot import Array
 
-MOST_FREEDOM = 1e9  # in the place of infinitely many degrees of freedom
+MAX_FREEDOM = 1e9  # degrees of freedom that stand for infinitely many
 
 
 def p_of_error(clusters: Sequence[Cluster], tested: Sequence[Sequence[int]]) -> float | None:
@@ -77,7 +77,7 @@ def p_of_error(clusters: Sequence[Cluster], tested: Sequence[Sequence[int]]) -> 
         variance += sum(2.0 * float(np.sum(a * b)) for a, b in itertools.combinations(group, 2))
     if not expected:
         return None
-    freedom = [min(expected**2 / max(value, 1e-300), MOST_FREEDOM) for value in (variance, uncertain)]
+    freedom = [min(expected**2 / max(value, 1e-300), MAX_FREEDOM) for value in (variance, uncertain)]
     return float(scipy.special.fdtrc(*freedom, error / expected))
 
 

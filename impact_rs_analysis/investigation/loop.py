@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Steps of an investigation: the next one follows from the files of its folder."""
+"""Steps of an investigation, a state machine on the files of its folder."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from impact_rs_analysis.diagnosis.document import DiagnosisDocument, ModelIdenti
 from impact_rs_analysis.diagnosis.grammar import load_grammar
 from impact_rs_analysis.diagnosis.search import ProgressCallback
 from impact_rs_analysis.evidence.source import Source
-from impact_rs_analysis.investigation.endings import ENDING, UNDECIDED, Ending, ending_of, read_ending
-from impact_rs_analysis.investigation.policy import MOST_DISCOVERIES, decide
+from impact_rs_analysis.investigation.endings import ENDING_FILE, UNDECIDED, Ending, ending_of, read_ending
+from impact_rs_analysis.investigation.policy import MAX_VAIN_DISCOVERIES, decide
 from impact_rs_analysis.investigation.prediction_check import Predictions, predicted, prediction_error
-from impact_rs_analysis.investigation.promise import WORTHWHILE, promise
+from impact_rs_analysis.investigation.promise import MIN_WORTHWHILE_PROBABILITY, best_decision_probability
 from impact_rs_analysis.investigation.round_state import stands
 from impact_rs_analysis.investigation.rounds import (
     PlannedTrial,
@@ -34,7 +34,7 @@ from impact_rs_analysis.investigation.rounds import (
     searches_in_vain,
 )
 from impact_rs_analysis.investigation.settings import Settings
-from impact_rs_analysis.investigation.story import LOG, log_of
+from impact_rs_analysis.investigation.story import LOG_FILE, log_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.model import Model, load_model, save_model
@@ -44,7 +44,7 @@ from impact_rs_trials.experiment_plan import ExperimentPlan, write_plan
 from impact_rs_trials.runs import label_of
 
 FIRST, FEW, MORE = 6, 2, 4  # trials of the first round, of one with little to decide, and of any other
-FALL = 0.7  # of the held-out error of the round before, below which trials and no law are missing
+FALLING_ERROR_RATIO = 0.7  # held-out error over that of the round before; below, trials are missing and not a law
 
 Against = Callable[[Model], Source]
 Say = Callable[[str], None]
@@ -105,7 +105,7 @@ class Investigation:
         while True:
             rounds = read_rounds(self.directory, self.settings)
             ended = self._step(rounds)
-            write_whole(self.directory / LOG, log_of(self.settings, read_rounds(self.directory, self.settings)))
+            write_whole(self.directory / LOG_FILE, log_of(self.settings, read_rounds(self.directory, self.settings)))
             self._after()
             if ended:
                 return read_ending(self.directory)
@@ -115,14 +115,14 @@ class Investigation:
         last = rounds[-1] if rounds else None
         if last is not None and (done := last.decision) is not None:
             if done.action == "end" and done.spent and self.budget > done.budget:
-                (self.directory / ENDING).unlink(missing_ok=True)
+                (self.directory / ENDING_FILE).unlink(missing_ok=True)
                 (last.directory / "decision.json").unlink()  # there are trials again
                 return False
             if missing := [name for name in done.models if not (self.directory / name).exists()]:
                 self._add(last, missing[0])
                 return False
             if done.action == "end":
-                write_whole(self.directory / ENDING, _json(ending_of(self.settings, rounds)))
+                write_whole(self.directory / ENDING_FILE, _json(ending_of(self.settings, rounds)))
                 return True
             last = None
         if last is None:
@@ -162,13 +162,13 @@ class Investigation:
             show,
         )
         plan = self._bench.design(wanted)
-        if rounds and (promised := promise(plan, left)) < WORTHWHILE:
+        if rounds and (promised := best_decision_probability(plan, left)) < MIN_WORTHWHILE_PROBABILITY:
             self._give_up(rounds[-1], promised, left)
         else:
             write_plan(plan, here / "plan.yaml")
 
     def _give_up(self, last: Round, promised: float, left: int) -> None:
-        """Let a round end the investigation whose open decision no trial would make."""
+        """End the investigation if the remaining trials cannot decide what is open."""
         done = last.decision
         assert done is not None
         reason = (
@@ -242,11 +242,11 @@ class Investigation:
         return made or (here.model != self.settings.model and not here.fails(self.settings))
 
     def _wants_a_law(self, rounds: Sequence[Round]) -> bool:
-        """Whether it is time for a law: what remains has no name, again or for good."""
+        """Whether to search for a law: the residual has no known effect, repeatedly or finally."""
         now = rounds[-1].basis
         if now is None or not now.calls_for_a_law or stands(self.settings, rounds[-1]):
             return False
-        if searches_in_vain(rounds) >= MOST_DISCOVERIES:
+        if searches_in_vain(rounds) >= MAX_VAIN_DISCOVERIES:
             return False
         before = rounds[-2].basis if len(rounds) > 1 else None
         again = before is not None and before.calls_for_a_law and not _falls(before, now)
@@ -262,8 +262,8 @@ class Investigation:
 def size_of_round(last: Round | None) -> int:
     """Trials of the next round, unless it tries a model.
 
-    Few between effects that have names: a diagnosis is cheaper than trials that were not needed. That nothing is
-    missing, that no effect explains what is, and which law does, takes more.
+    Few trials between known effects: a diagnosis is cheaper than unnecessary trials. More trials to show that nothing
+    is missing, that no effect explains the residual, or which law does.
 
     Args:
         last: The round before; None: nothing was measured yet.
@@ -276,8 +276,8 @@ def size_of_round(last: Round | None) -> int:
 
 
 def _falls(before: DiagnosisDocument, now: DiagnosisDocument) -> bool:
-    """Whether more trials leave clearly less unexplained: then estimates are short of trials, and no law is missing."""
-    return bool(now.named) and now.held_out_error_after < FALL * before.held_out_error_after
+    """Whether the error falls clearly with more trials: then trials are missing, not a law."""
+    return bool(now.named) and now.held_out_error_after < FALLING_ERROR_RATIO * before.held_out_error_after
 
 
 def _identity(model: Model) -> ModelIdentity:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What to do after a round: a list of rules, of which the first that applies decides.
+"""Policy after a round: an ordered list of rules; the first applicable one decides.
 
 The manual (``docs/investigation.md``) has the same list in the same order, under the same names. A decision to measure
-or to add becomes an end without a verdict where no trial is left for it.
+or to add becomes an end without a verdict if no trials are left.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from impact_rs_analysis.investigation.round_state import RoundState, p_alone
 from impact_rs_analysis.investigation.rounds import Round, RoundDecision
 from impact_rs_analysis.investigation.settings import Settings
 
-MOST_DISCOVERIES = 2  # that find no law; each takes minutes
+MAX_VAIN_DISCOVERIES = 2  # that find no law; each takes minutes
 
 Groups = tuple[tuple[str, ...], ...]
 
@@ -102,7 +102,7 @@ def _unexplained(state: RoundState) -> RoundDecision:
     if discovery is None:
         return _measure(state, reason, tied)
     reason += f" {discovery.verdict}: {discovery.summary}"
-    if state.in_vain < MOST_DISCOVERIES:
+    if state.in_vain < MAX_VAIN_DISCOVERIES:
         return _measure(state, reason, tied)
     return _undecided(state, f"{reason} And {state.in_vain} discoveries have found no law.", tied)
 

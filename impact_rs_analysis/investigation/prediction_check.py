@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Predictions of a round's trials, written before these are measured, and what they turned out to be.
+"""Preregistered predictions of a round's trials, and their comparison with the measurements.
 
 Two numbers are predicted for an impact along the axis: velocity of the end effector and of the object just after it, by
 the impact map (:func:`predict_impact`). Measured, these are means over the time from 20 to 40 ms after the impact and
@@ -32,11 +32,11 @@ from impact_rs_sim.schema import Schema
 from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
 
-MOMENTS = 21  # at which the velocity of the end effector is looked at, a millisecond apart
+VELOCITY_SAMPLES = 21  # of the end effector's velocity, a millisecond apart
 
 
 class ImpactPrediction(Schema):
-    """What a model predicts for a condition before it is measured."""
+    """Prediction of a model for a condition before its measurement."""
 
     condition: str = Field(description="scenario, object and case")
     arm: float = Field(description="velocity of the end effector just after the impact along the axis [m/s]")
@@ -146,7 +146,7 @@ def _arm_velocity(run: MeasuredRun) -> float:
     found = []
     for name, begin in run.impacts.items():
         arm, model = run.signals.arms[name], run.setup.physics.robot_model(name)
-        moments = begin + np.linspace(*JUMP_WINDOWS_S[SETTLED_WINDOW], MOMENTS)
+        moments = begin + np.linspace(*JUMP_WINDOWS_S[SETTLED_WINDOW], VELOCITY_SAMPLES)
         rows = scipy.interpolate.make_interp_spline(run.signals.time, np.hstack([arm.position, arm.velocity]), 1)(
             moments
         )

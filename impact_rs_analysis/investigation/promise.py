@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the trials that are left can decide at best.
+"""Upper bound on what the remaining trials can decide.
 
 The squared distance of two explanations grows at most in proportion to the trials, and the degrees of freedom of the
 scatter by one with each of them. :mod:`impact_rs_analysis.inference.ahead` says how probably a diagnosis then
@@ -13,11 +13,11 @@ import math
 from impact_rs_analysis.inference.ahead import promised
 from impact_rs_trials.experiment_plan import ExperimentPlan
 
-WORTHWHILE = 0.5  # probability, with all trials that are left, below which they are not measured
-CERTAIN = 0.9999  # the largest probability of a plan that is extrapolated
+MIN_WORTHWHILE_PROBABILITY = 0.5  # with all trials left; below, they are not measured
+MAX_EXTRAPOLATED_PROBABILITY = 0.9999  # of a plan
 
 
-def promise(plan: ExperimentPlan, left: int) -> float:
+def best_decision_probability(plan: ExperimentPlan, left: int) -> float:
     """Probability that a diagnosis of all trials left distinguishes what the plan distinguishes best [-].
 
     1: the plan is not for rivals.
@@ -28,5 +28,5 @@ def promise(plan: ExperimentPlan, left: int) -> float:
     """
     if plan.aim != "rivals" or not plan.pairs:
         return 1.0
-    best = min(max(pair.after for pair in plan.pairs), CERTAIN)
+    best = min(max(pair.after for pair in plan.pairs), MAX_EXTRAPOLATED_PROBABILITY)
     return promised(best, plan.freedom or math.inf, left / plan.trials, left - plan.trials)  # 0: the scatter is known

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The quantities that a decision turns on."""
+"""State variables of the policy."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from impact_rs_analysis.investigation.settings import Settings
 
 @dataclass(frozen=True)
 class RoundState:
-    """What is known after a round, as far as a decision turns on it.
+    """State after a round, as far as the policy depends on it.
 
     Attributes:
         here: The round.
@@ -133,7 +133,7 @@ def _worth_a_look(before: Round | None, found: DiagnosisDocument) -> tuple[str, 
 
 
 def _unsure(document: DiagnosisDocument) -> tuple[str, ...]:
-    """Effects that a diagnosis names, and that are not confirmed."""
+    """Named but unconfirmed effects of a diagnosis."""
     named = filter(None, map(document.effect, document.named))
     return tuple(effect.name for effect in named if effect.verdict != CONFIRMED)
 
@@ -146,8 +146,8 @@ def _confirmed(document: DiagnosisDocument) -> bool:
 def _left_no_error(here: Round, found: DiagnosisDocument) -> bool:
     """Whether the model predicted the new trials as a right one does, and new estimates leave no more than noise.
 
-    What it seems to lack is then the error of its estimates, from fewer trials: it is alike in all of them, and
-    something explains a part of it.
+    An apparent missing effect is then the estimation error of the model, which had fewer trials: a systematic error
+    that some effect partly explains.
     """
     p_value = None if here.prediction_error is None else here.prediction_error.p_value
     return p_value is not None and p_value >= SIGNIFICANCE_LEVEL and found.held_out_error_after <= found.noise_floor

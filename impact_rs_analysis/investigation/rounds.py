@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rounds of an investigation as they are on disk, and the models that their decisions made."""
+"""Rounds of an investigation on disk, and the models made by their decisions."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from impact_rs_trials.campaign import Trial
 from impact_rs_trials.experiment_plan import ExperimentPlan, read_plan
 from impact_rs_trials.spec import TrialSpec
 
-ROUNDS = "rounds"
+ROUNDS_FOLDER = "rounds"
 
 
 class RoundDecision(Schema):
@@ -76,7 +76,7 @@ class PlannedTrial:
 
 @dataclass(frozen=True)
 class Round:
-    """What is on disk of one round; None: that step is still to be done.
+    """Files of one round; None: that step is pending.
 
     Attributes:
         number: From 1.
@@ -103,7 +103,7 @@ class Round:
 
     @property
     def open(self) -> DiagnosisDocument | None:
-        """What the next trials shall decide: laws or effects found, and what a model that did not hold may lack."""
+        """Open decisions for the next trials: found laws or effects, and candidates for a rejected model."""
         found = self.laws or self.basis
         if found is None or self.again is None or self.laws is not None:
             return found
@@ -163,7 +163,7 @@ class Round:
 
 @dataclass(frozen=True)
 class WantedTrials:
-    """What the next trials are for: they decide what a document leaves open.
+    """Purpose of the next trials: the open decision of a document.
 
     Attributes:
         model: The model that they are planned with.
@@ -183,7 +183,7 @@ class WantedTrials:
 
 
 def _lacks_nothing(document: DiagnosisDocument, p_value: float | None) -> bool:
-    """Whether no effect is suspected, and the error, of this p-value, is that of a right model."""
+    """Whether no effect is suspected and the error is consistent with a right model."""
     if document.verdict == SMALL:
         return True
     return document.verdict == NOTHING and not document.suspected and (p_value is None or p_value >= SIGNIFICANCE_LEVEL)
@@ -250,7 +250,7 @@ def read_rounds(directory: Path, settings: Settings) -> list[Round]:
 
 def folder_of(directory: Path, number: int) -> Path:
     """Folder of the files of a round."""
-    return directory / ROUNDS / f"{number:02d}"
+    return directory / ROUNDS_FOLDER / f"{number:02d}"
 
 
 def _read(kind: type[SchemaType], path: Path) -> SchemaType | None:
@@ -260,7 +260,7 @@ def _read(kind: type[SchemaType], path: Path) -> SchemaType | None:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
-        raise InputError(f"not whole ({error}); remove it, and the step is done again", file=path) from None
+        raise InputError(f"incomplete or damaged ({error}); remove it, and the step is done again", file=path) from None
     return validate(kind, content, path)
 
 
@@ -295,7 +295,7 @@ def added(rounds: Sequence[Round]) -> set[str]:
 
 
 def laws_added(rounds: Sequence[Round]) -> tuple[str, ...]:
-    """Those of them that a discovery proposed."""
+    """Added laws that a discovery proposed."""
     laws = {law.name for one in rounds if one.discovery is not None for law in one.discovery.laws}
     proposed = (one for one in reversed(_additions(rounds)) if one.source == "discovery.json")
     return tuple(name for one in proposed for name in one.add if name in laws)

@@ -14,11 +14,11 @@ from impact_rs_sim.files import write_whole
 from impact_rs_sim.schema import Schema, load
 from impact_rs_trials.envelope import CellEnvelope
 
-SETTINGS = "investigation.yaml"
+SETTINGS_FILE = "investigation.yaml"
 
 
 class BlindChoice(Schema):
-    """What the plant hides, as ``blind make`` draws it."""
+    """Hidden effects of the plant, as drawn by ``blind make``."""
 
     seed: int = Field(ge=0, description="seed that draws effect and size")
     kind: Literal["single", "pair", "null", "outside"] = Field("single", description="what is hidden")
@@ -50,7 +50,7 @@ def begin(directory: Path, settings: Settings) -> Settings:
     Raises:
         InputError: It holds another investigation.
     """
-    path = directory / SETTINGS
+    path = directory / SETTINGS_FILE
     if path.exists():
         present = load(Settings, path)
         if present != settings:
@@ -66,12 +66,12 @@ def begin(directory: Path, settings: Settings) -> Settings:
 
 
 def read_settings(directory: Path) -> Settings:
-    """What was asked.
+    """The settings.
 
     Raises:
         InputError: There is no investigation in the folder.
     """
-    path = directory / SETTINGS
+    path = directory / SETTINGS_FILE
     if not path.exists():
-        raise InputError(f"no investigation here: there is no {SETTINGS}", file=directory)
+        raise InputError(f"no investigation here: there is no {SETTINGS_FILE}", file=directory)
     return load(Settings, path)

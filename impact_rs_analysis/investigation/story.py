@@ -10,7 +10,7 @@ from impact_rs_analysis.investigation.error_test import p_in_words
 from impact_rs_analysis.investigation.rounds import Round
 from impact_rs_analysis.investigation.settings import Settings
 
-LOG = "log.md"
+LOG_FILE = "log.md"
 
 
 def log_of(settings: Settings, rounds: Sequence[Round]) -> str:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How fast an arm may hit: bounds of the robot, what hits do to it, and the speed up to which the bounds hold."""
+"""Impact speed limits of an arm: bounds of the robot, simulated loads of hits, and the largest safe speed."""

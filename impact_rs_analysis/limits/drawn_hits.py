@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a hit does to an arm, for many draws of what is not known exactly.
+"""Loads of a hit on an arm: Monte Carlo simulation over the uncertain parameters.
 
 Everything comes from the compiled twin (:mod:`impact_rs_sim.twin`): drives with springs and a pad that yields. It runs
-from the touch of the pads on, with the torque that carries the arms there, for ``WINDOW``; feedback of a controller
-hardly acts in that time. The rigid impact map is not asked: a pad that bounces adds up to a quarter to the largest
-joint velocity jump.
+from the touch of the pads on, with the torque that carries the arms there, for ``HIT_WINDOW_S``; feedback of a
+controller hardly acts in that time. The rigid impact map is not asked: a pad that bounces adds up to a quarter to the
+largest joint velocity jump.
 
 A draw changes everything that the scenario states as uncertain, the stiffness of joints and pads, and what the twin is
 known to differ by from another simulator:
@@ -40,12 +40,12 @@ from impact_rs_sim.scenario import Uncertainties
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState, Scene
 from impact_rs_sim.twin import TwinJob, simulate
 
-DRAWS = 200  # of a speed limit: two of them may lie above it
-WINDOW = 0.035  # s, from the touch on; a spring of a joint swings back within it
-GAP = 1e-4  # m, between pad and object at the start
-STIFFNESS = 0.2  # of joints and pads, relative: half the width of a 95 % interval; assumed
-DAMPING = 0.3  # likewise
-JUMP_MEAN = (0.005, 0.015)  # s after the touch, over which the velocity after the hit is taken
+DEFAULT_DRAWS = 200  # of a speed limit: two of them may exceed it
+HIT_WINDOW_S = 0.035  # from the touch on; a joint's spring swings back within it
+INITIAL_GAP_M = 1e-4  # between pad and object
+STIFFNESS_HALF_WIDTH = 0.2  # of joints and pads, relative: half the width of a 95 % interval; assumed
+DAMPING_HALF_WIDTH = 0.3  # of joints and pads, likewise
+JUMP_WINDOW_S = (0.005, 0.015)  # after the touch, over which the post-impact velocity is averaged
 # How far MuJoCo is from the twin with the same parameters, in 18 pushes: benchmarks/accuracy/limits.py --calibrate. Of
 # jumps the rms difference times l / v_n, of largest values the standard deviation of the logarithm of their ratio.
 JUMP_SHARES: Mapping[HitKind, float] = {"square": 0.005, "oblique": 0.02}
@@ -126,7 +126,7 @@ class Hits:
 
     @property
     def rest(self) -> Array:
-        """Quantities over their bounds at speed 0, ``(draws, k)`` [-]: torques that carry the arms, else 0."""
+        """Quantities over their bounds at speed 0, ``(draws, k)`` [-]: gravity torques, else 0."""
         found = np.zeros((len(self._draws), len(self.bounds.names)))
         for row, one in enumerate(self._draws):
             weights = [one.physics.robot_model(name).gravity_torque(arm.position) for name, arm in one.arms.items()]
@@ -158,7 +158,7 @@ def quantities(scene: Scene, time: Array, arms: Mapping[str, ArmMotion]) -> Arra
         arms: Signals by arm, ``(m, n)``.
     """
     found: list[Array] = []
-    after = (time >= JUMP_MEAN[0]) & (time <= JUMP_MEAN[1])
+    after = (time >= JUMP_WINDOW_S[0]) & (time <= JUMP_WINDOW_S[1])
     for name, arm in arms.items():
         model, facts = scene.models[name], scene.physics.arms[name].facts
         gain = (facts.reflexes or Reflexes()).observer_gain
@@ -172,9 +172,9 @@ def quantities(scene: Scene, time: Array, arms: Mapping[str, ArmMotion]) -> Arra
 
 
 def observed(model: RobotModel, position: Array, time: Array, arm: ArmMotion, gain: float) -> Array:
-    """External joint torques by a momentum observer that was settled at the first sample, ``(m, n)`` [N m].
+    """External joint torques by a momentum observer in steady state at the first sample, ``(m, n)`` [N m].
 
-    The configuration hardly changes during a hit: M and the weight are those of its begin.
+    The configuration hardly changes during a hit: M and gravity torque are those at its start.
     """
     period = float(time[1] - time[0])
     momentum = (arm.velocity - arm.velocity[0]) @ model.mass_matrix(position)
@@ -186,12 +186,12 @@ def observed(model: RobotModel, position: Array, time: Array, arm: ArmMotion, ga
 def closing_speeds(
     physics: Physics, arms: Mapping[str, ArmState], body: BodyState, models: Mapping[str, RobotModel]
 ) -> dict[str, float]:
-    """Speed at which every pad comes to the object along the normal [m/s]."""
+    """Closing speed of every pad along its normal [m/s]."""
     return {name: speed for name, (_, speed) in _approach(physics, arms, body, models).items()}
 
 
 def touching(scene: Scene) -> ImpactProblem:
-    """The nominal impact with every pad moved along its way until it touches the object, as a tilted one needs."""
+    """The nominal impact with every pad moved along its velocity into contact; needed for tilted pads."""
     problem = ImpactProblem.at_nominal_impact(scene)
     arms = _moved(problem.arms, _approach(scene.physics, problem.arms, problem.object, scene.models), 0.0)
     return replace(problem, arms=arms)
@@ -200,7 +200,7 @@ def touching(scene: Scene) -> ImpactProblem:
 def _moved(
     arms: Mapping[str, ArmState], approach: Mapping[str, tuple[float, float]], gap: float
 ) -> dict[str, ArmState]:
-    """Arms on their way at a distance of their pads from the object [m]."""
+    """Arms moved back along their velocity to a distance ``gap`` between pad and object [m]."""
     return {
         name: replace(arms[name], position=arms[name].position + (separation - gap) / speed * arms[name].velocity)
         for name, (separation, speed) in approach.items()
@@ -213,7 +213,7 @@ def _approach(
     """Distance [m] and closing speed [m/s] of every pad.
 
     Raises:
-        InputError: A pad does not come to the object.
+        InputError: A pad does not approach the object.
     """
     placements = {name: models[name].placement(state.position) for name, state in arms.items()}
     found = {}
@@ -224,7 +224,7 @@ def _approach(
         speed = float(one.normal @ models[one.partner].jacobian(state.position)[:3] @ state.velocity)
         if speed <= 0.0:
             raise InputError(
-                f"arm {one.partner!r} does not come to the object; expected a case in which the pad hits it"
+                f"arm {one.partner!r} does not approach the object; expected a case in which its pad hits the object"
             )
         found[one.partner] = (one.separation, speed)
     return found
@@ -236,7 +236,7 @@ def drawn(
     amounts: Mapping[str, float],
     arms: Mapping[str, ArmPhysics],
 ) -> tuple[Physics, dict[str, ArmState], BodyState]:
-    """Physics and states of a drawn hit, for a simulator; pads are moved along their way until they touch.
+    """Physics and states of a drawn hit for a simulator; pads are moved along their velocity into contact.
 
     Args:
         problem: The hit of the scene.
@@ -262,7 +262,7 @@ def drawn(
             motor_inertia_rotor=share * arm.motor_inertia_rotor,
         )
     physics, body = replace(changed.problem.physics, arms=made), changed.problem.object
-    states = _moved(changed.problem.arms, _approach(physics, changed.problem.arms, body, models), GAP)
+    states = _moved(changed.problem.arms, _approach(physics, changed.problem.arms, body, models), INITIAL_GAP_M)
     return physics, states, body
 
 
@@ -275,7 +275,7 @@ def twin_job(physics: Physics, arms: Mapping[str, ArmState], body: BodyState, pe
         body: State of the object.
         period: Of the torque loop [s].
     """
-    ticks = round(WINDOW / period)
+    ticks = round(HIT_WINDOW_S / period)
     torque, starts = {}, {}
     for name, arm in arms.items():
         bias = physics.robot_model(name).terms(arm.position, arm.velocity).bias.copy()
@@ -304,9 +304,9 @@ def drawn_springs(arm: ArmPhysics, rng: np.random.Generator) -> ArmPhysics:
         return np.maximum(1.0 + width / NORMAL_95 * rng.standard_normal(size), 0.1)
 
     joints = arm.stiffness.size
-    stiffness = arm.stiffness * factor(STIFFNESS, joints)
-    damping = arm.damping * factor(DAMPING, joints)
-    pad, pad_damping = float(factor(STIFFNESS)[0]), float(factor(DAMPING)[0])
+    stiffness = arm.stiffness * factor(STIFFNESS_HALF_WIDTH, joints)
+    damping = arm.damping * factor(DAMPING_HALF_WIDTH, joints)
+    pad, pad_damping = float(factor(STIFFNESS_HALF_WIDTH)[0]), float(factor(DAMPING_HALF_WIDTH)[0])
     return replace(
         arm,
         stiffness=stiffness,

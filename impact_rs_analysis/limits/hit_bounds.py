@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a robot bears at a hit: bounds of its facts, in one vector with the names of their quantities.
+"""Load limits of a robot at a hit: bounds from the robot facts as a vector with names.
 
 ========== ================================================= =========================================
 kind       quantity                                          bound
@@ -30,7 +30,7 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array, Reflexes, RobotFacts
 
 KINDS = ("jump", "speed", "torque", "reflex", "force")
-WORDS = {
+KIND_WORDS = {
     "jump": "joint velocity jump",
     "speed": "joint velocity",
     "torque": "joint torque",
@@ -41,7 +41,7 @@ WORDS = {
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Values in the place of those of the robot facts.
+    """User thresholds that replace those of the robot facts.
 
     Attributes:
         velocity_jump: Of every joint [rad/s]; None: that of the facts.
@@ -54,7 +54,7 @@ class Thresholds:
     external_force: float | None = None
 
 
-OF_THE_FACTS = Thresholds()
+NO_THRESHOLDS = Thresholds()
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Bounds:
         names: ``arm joint 2 torque`` ..., in the order of :func:`impact_rs_analysis.limits.drawn_hits.peaks`.
         kinds: Kind of each, of ``KINDS``.
         units: Unit of each.
-        values: Largest value that is borne, ``(k,)``; inf: none is known.
+        values: Upper bound, ``(k,)``; inf: unknown.
     """
 
     names: tuple[str, ...]
@@ -75,12 +75,12 @@ class Bounds:
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Kinds without any bound, which a speed limit does not see."""
+        """Kinds without a bound, which the speed limit ignores."""
         known = {kind for kind, value in zip(self.kinds, self.values, strict=True) if np.isfinite(value)}
         return tuple(kind for kind in KINDS if kind not in known)
 
 
-def bounds_of(physics: Physics, thresholds: Thresholds = OF_THE_FACTS) -> Bounds:
+def bounds_of(physics: Physics, thresholds: Thresholds = NO_THRESHOLDS) -> Bounds:
     """Bounds of the arms of a scene."""
     names: list[str] = []
     kinds: list[str] = []
@@ -92,11 +92,11 @@ def bounds_of(physics: Physics, thresholds: Thresholds = OF_THE_FACTS) -> Bounds
         unit = {"jump": "velocity", "speed": "velocity", "torque": "effort", "reflex": "effort"}
         for kind in KINDS[:-1]:
             for number, own in enumerate(joints, start=1):
-                names.append(f"{arm} joint {number} {WORDS[kind]}")
+                names.append(f"{arm} joint {number} {KIND_WORDS[kind]}")
                 units.append(str(getattr(own, unit[kind])))
             kinds += [kind] * len(joints)
             values += of_kind[kind]
-        names.append(f"{arm} {WORDS['force']}")
+        names.append(f"{arm} {KIND_WORDS['force']}")
         kinds.append("force")
         units.append("N")
         values += of_kind["force"]

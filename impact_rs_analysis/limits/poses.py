@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Speed limits of a scenario: of its objects and cases, and of other places of the same hit."""
+"""Speed limits of a scenario: for its objects and cases, and for other positions of the hit."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from impact_rs_analysis.limits.drawn_hits import DRAWS, Hits
-from impact_rs_analysis.limits.hit_bounds import OF_THE_FACTS, Thresholds
+from impact_rs_analysis.limits.drawn_hits import DEFAULT_DRAWS, Hits
+from impact_rs_analysis.limits.hit_bounds import NO_THRESHOLDS, Thresholds
 from impact_rs_analysis.limits.speed import SpeedLimit, speed_limit
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.scenario import Scenario
@@ -22,7 +22,7 @@ def moved(scenario: Scenario, x: float, z: float) -> Scenario:
         z: Upwards [m].
 
     Raises:
-        InputError: Joints say where an arm hits, and no place.
+        InputError: The impact pose of an arm is given by joint positions.
     """
     robots = {}
     for name, robot in scenario.robots.items():
@@ -55,7 +55,7 @@ class LimitTask:
         x: How far the hit is moved along x [m].
         z: How far it is moved upwards [m].
         thresholds: In the place of those of the robot facts.
-        draws: Of what is not known exactly.
+        draws: Draws of the uncertain parameters.
     """
 
     scenario: Scenario
@@ -63,8 +63,8 @@ class LimitTask:
     case_name: str
     x: float = 0.0
     z: float = 0.0
-    thresholds: Thresholds = OF_THE_FACTS
-    draws: int = DRAWS
+    thresholds: Thresholds = NO_THRESHOLDS
+    draws: int = DEFAULT_DRAWS
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class PlacedLimit:
 
 
 def limit_of(task: LimitTask) -> PlacedLimit:
-    """The speed limit of a task; a place that the arm does not reach has none."""
+    """The speed limit of a task; none for an unreachable position."""
     scenario = moved(task.scenario, task.x, task.z) if task.x or task.z else task.scenario
     try:
         scene = Scene.resolve(scenario, task.object_name, task.case_name)

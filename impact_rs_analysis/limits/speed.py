@@ -22,22 +22,22 @@ from impact_rs_analysis.limits.hit_bounds import KINDS
 from impact_rs_sim.errors import Infeasible
 from impact_rs_sim.robot import Array
 
-LEVEL = 0.99
-CLOSE = 0.01  # relative change of the speed that ends the search
-ROUNDS = 5  # speeds that are simulated at most
-LEAST_STABLE = 0.9  # share of the draws
-HIGHEST = 20.0  # times the speed of the scene; no bound was found that matters
+HOLD_PROBABILITY = 0.99  # share of the draws in which all bounds hold
+SPEED_TOLERANCE = 0.01  # relative change of the speed that ends the search
+MAX_SIMULATED_SPEEDS = 5  # speeds that are simulated at most
+MIN_STABLE_SHARE = 0.9  # of the draws
+MAX_SPEED_RATIO = 20.0  # over the speed of the scene; no relevant bound lies beyond
 
 
 @dataclass(frozen=True)
 class SpeedLimit:
-    """How fast an arm may hit in one scene.
+    """Speed limit of an arm in one scene.
 
     Attributes:
         object_name: Object.
         case_name: Case.
         planned: Closing speed of the scenario [m/s].
-        speed: Highest closing speed at which all bounds hold with ``LEVEL`` [m/s]; 0: they do not hold at rest.
+        speed: Highest closing speed at which all bounds hold with ``HOLD_PROBABILITY`` [m/s]; 0: not even at rest.
         middle: Highest speed at which they hold in half of the draws [m/s].
         by_kind: The same as ``speed`` for each kind of quantities alone [m/s]; inf: beyond every speed of interest.
         binding: Quantity that is nearest to its bound there.
@@ -73,7 +73,7 @@ class SpeedLimit:
             "allowed": self.allowed,
             "without_bound": list(self.unknown),
             "draws": self.draws,
-            "level": LEVEL,
+            "level": HOLD_PROBABILITY,
         }
 
 
@@ -86,21 +86,21 @@ def speed_limit(hits: Hits) -> SpeedLimit:
     curve = _Curve(hits)
     everything = tuple(range(len(hits.bounds.names)))
     scale = 1.0
-    for _ in range(ROUNDS):
+    for _ in range(MAX_SIMULATED_SPEEDS):
         curve.add(scale)
-        found = curve.limit(everything, LEVEL)
-        if found in (0.0, HIGHEST) or abs(found - scale) <= CLOSE * scale:
+        found = curve.limit(everything, HOLD_PROBABILITY)
+        if found in (0.0, MAX_SPEED_RATIO) or abs(found - scale) <= SPEED_TOLERANCE * scale:
             break
         scale = found
     of_kind = {
-        kind: curve.limit(tuple(k for k in everything if hits.bounds.kinds[k] == kind), LEVEL)
+        kind: curve.limit(tuple(k for k in everything if hits.bounds.kinds[k] == kind), HOLD_PROBABILITY)
         for kind in KINDS
         if kind not in hits.bounds.unknown
     }
     scene = hits.scene
 
     def speed(scale: float) -> float:
-        return float("inf") if scale >= HIGHEST else scale * hits.speed
+        return float("inf") if scale >= MAX_SPEED_RATIO else scale * hits.speed
 
     return SpeedLimit(
         object_name=scene.object_name,
@@ -126,7 +126,7 @@ class _Curve:
         """Simulate one more speed."""
         self._known[scale] = self._hits.ratios(scale)
         self._usable = np.all([np.isfinite(rows).all(axis=1) for rows in self._known.values()], axis=0)
-        if self.draws < LEAST_STABLE * self._usable.size:
+        if self.draws < MIN_STABLE_SHARE * self._usable.size:
             raise Infeasible(
                 f"only {self.draws} of {self._usable.size} draws of the hit are stable; expected more damping in joints"
                 " or pads, or a shorter timing.drive_period (impact-rs robot check says which)"
@@ -153,9 +153,9 @@ class _Curve:
         """Largest scale at which the quantile is at most 1, by bisection; 0: not even at rest; HIGHEST: beyond."""
         if self.quantile(0.0, which, level) > 1.0:
             return 0.0
-        if self.quantile(HIGHEST, which, level) <= 1.0:
-            return HIGHEST
-        low, high = 0.0, HIGHEST
+        if self.quantile(MAX_SPEED_RATIO, which, level) <= 1.0:
+            return MAX_SPEED_RATIO
+        low, high = 0.0, MAX_SPEED_RATIO
         while high - low > 1e-4 * high:
             middle = 0.5 * (low + high)
             low, high = (middle, high) if self.quantile(middle, which, level) <= 1.0 else (low, middle)
@@ -163,7 +163,7 @@ class _Curve:
 
     def worst(self, scale: float) -> int:
         """Number of the quantity whose quantile is largest."""
-        return int(np.argmax(np.quantile(self.at(min(scale, HIGHEST)), LEVEL, axis=0)))
+        return int(np.argmax(np.quantile(self.at(min(scale, MAX_SPEED_RATIO)), HOLD_PROBABILITY, axis=0)))
 
 
 def _finite(value: float) -> float | None:

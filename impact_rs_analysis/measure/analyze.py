@@ -38,8 +38,8 @@ from impact_rs_trials.store import trials_in
 from impact_rs_trials.varied_settings import varied_folders
 from impact_rs_trials.workers import Map
 
-MANY = 100  # bags; fewer are read faster in one process
-LARGEST_SPREAD = 0.05  # s between the impacts of two arms; later, velocity feedback disturbs the second one
+MIN_PARALLEL_BAGS = 100  # fewer are read faster in one process
+MAX_IMPACT_SPREAD_S = 0.05  # between the impacts of two arms; later, velocity feedback disturbs the second one
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class ArmSet:
 
     @property
     def half_interval(self) -> float | None:
-        """Larger half of its 95 % interval [m/s]; None where there is none."""
+        """Larger half of its 95 % interval [m/s]; None if unavailable."""
         interval = self.fit.interval
         return None if interval is None else max(abs(bound - self.fit.estimate) for bound in interval)
 
@@ -129,7 +129,7 @@ class ExperimentSet:
         predictions: Predictions by motor-inertia model for the first contact, signed along the axis.
         predictions_settled: The same for the settled contact.
         prediction_interval: 95 % interval of the nominal prediction (B_theta, first contact) from the uncertainties
-            that the scenario states, signed along the axis, low then high [m/s]; None where there is none.
+            that the scenario states, signed along the axis, low then high [m/s]; None if unavailable.
         ante_velocity: Ante-impact velocity, signed along the axis [m/s]; NaN where it is not known.
         published: Row of the paper with the same robot, object and velocity; None if there is none.
         arms: Results by arm, if there are several.
@@ -245,8 +245,8 @@ class Analysis:
         skipped: Bags that could not be used.
         missing: Trials of the manifest that do not exist.
         no_impact: Trials without impact.
-        apart: Trials in which one arm hit long before another, with the time between [s] (``LARGEST_SPREAD``); they
-            stay in the fit.
+        apart: Trials whose arms hit far apart in time, with the time between [s] (``MAX_IMPACT_SPREAD_S``); they stay
+            in the fit.
         limited: Trials with a joint at its torque limit in the window, with its name and duration [s]; they stay in the
             fit.
         left: Sets whose object left the pad after the hit, which no prediction knows; they stay in the fit.
@@ -382,7 +382,7 @@ def analyze_campaign(
     def read(paths: Sequence[Path], prefix: str = "") -> list[TrialFeedback]:
         nonlocal count
         found = []
-        spread = map_tasks if len(paths) > MANY else map
+        spread = map_tasks if len(paths) > MIN_PARALLEL_BAGS else map
         for path, (feedback, sealed) in zip(paths, spread(feedback_of, paths), strict=True):
             if isinstance(feedback, str):
                 skipped.append(SkippedBag(f"{prefix}{path.name}", feedback))
@@ -421,7 +421,9 @@ def analyze_campaign(
         unsealed=tuple(unsealed),
         missing=tuple(missing),
         no_impact=tuple(trial.name for trial in measured if not trial.impact),
-        apart=tuple((trial.name, trial.spread) for trial in measured if trial.impact and trial.spread > LARGEST_SPREAD),
+        apart=tuple(
+            (trial.name, trial.spread) for trial in measured if trial.impact and trial.spread > MAX_IMPACT_SPREAD_S
+        ),
         limited=tuple(
             (prefix + trial.name, *entry)
             for prefix, trials in [("", measured), *((f"{folders[key]}/", found) for key, found in others.items())]

@@ -62,7 +62,7 @@ def arms_of(worlds: Iterable[Physics]) -> tuple[ArmDocument, ...]:
 
 
 def assumptions(arms: Iterable[ArmDocument]) -> list[str]:
-    """What of arms is assumed, as one sentence in a list; empty: nothing."""
+    """Assumptions about arms, as a list with one sentence; empty without any."""
     by_arm: dict[str, tuple[str, ...]] = {}
     for arm in arms:  # an arm may have one document a scenario
         by_arm[arm.name] = tuple(dict.fromkeys((*by_arm.get(arm.name, ()), *arm.assumed)))

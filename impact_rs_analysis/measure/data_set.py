@@ -28,9 +28,9 @@ from impact_rs_trials.bags.reader import reason_of
 from impact_rs_trials.store import Folder, Store, open_store, owned
 from impact_rs_trials.workers import Map
 
-ROWS = 2000  # per part; held in memory, and lost if an export is killed
-PART = re.compile(r"part-\d+\.parquet")
-CAMPAIGN = b"impact_rs_campaign"  # key in every part's metadata: location of its bags
+ROWS_PER_PART = 2000  # held in memory, and lost if an export is killed
+PART_NAME = re.compile(r"part-\d+\.parquet")
+CAMPAIGN_KEY = b"impact_rs_campaign"  # in the metadata of every part: location of its bags
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,11 @@ class Extended:
 
 
 def extend(
-    place: str | Path | Store, folder: Path, map_tasks: Map, progress: Callable[[int, int], None], rows: int = ROWS
+    place: str | Path | Store,
+    folder: Path,
+    map_tasks: Map,
+    progress: Callable[[int, int], None],
+    rows: int = ROWS_PER_PART,
 ) -> Extended:
     """Bring a data set up to date with a campaign. Rows of deleted bags stay.
 
@@ -104,16 +108,16 @@ def _row(store: Store, name: str) -> dict[str, Any] | SkippedBag:
 
 
 def _paths(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.glob("part-*") if PART.fullmatch(path.name))
+    return sorted(path for path in folder.glob("part-*") if PART_NAME.fullmatch(path.name))
 
 
 def _check(folder: Path) -> None:
     """Check for a data set, an empty folder, or no folder; hidden files are ignored."""
     if folder.exists() and not folder.is_dir():
         raise InputError("this is a file; expected the name of a folder", file=folder)
-    foreign = {path.name for path in folder.glob("[!.]*") if not PART.fullmatch(path.name)}
+    foreign = {path.name for path in folder.glob("[!.]*") if not PART_NAME.fullmatch(path.name)}
     if foreign:
-        raise InputError(f"is no data set, for it holds {min(foreign)}; choose an empty or a new folder", file=folder)
+        raise InputError(f"is not a data set: it holds {min(foreign)}; choose an empty or a new folder", file=folder)
 
 
 class _Parts:
@@ -129,7 +133,7 @@ class _Parts:
 
     def __init__(self, folder: Path, campaign: str) -> None:
         self._folder = folder
-        self._metadata = {CAMPAIGN: campaign.encode(), b"made_by": f"impact-rs {package_version()}".encode()}
+        self._metadata = {CAMPAIGN_KEY: campaign.encode(), b"made_by": f"impact-rs {package_version()}".encode()}
         for path in folder.glob(".part-*.partial"):  # left by a killed export
             path.unlink(missing_ok=True)
         schemas = [self._of_campaign(path) for path in _paths(folder)]
@@ -175,9 +179,9 @@ class _Parts:
         """Schema of a part, checked to belong to this data set."""
         with _opened(path) as part:
             schema = part.schema_arrow
-        theirs, ours = (schema.metadata or {}).get(CAMPAIGN), self._metadata[CAMPAIGN]
+        theirs, ours = (schema.metadata or {}).get(CAMPAIGN_KEY), self._metadata[CAMPAIGN_KEY]
         if theirs is None:
-            raise InputError("is no part of a data set of impact-rs; choose another folder", file=path)
+            raise InputError("is not part of a data set of impact-rs; choose another folder", file=path)
         if theirs != ours:
             raise InputError(
                 f"holds the trials of {theirs.decode()}; choose another folder for those of {ours.decode()}",

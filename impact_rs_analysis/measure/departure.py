@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the object stays at the pad after the hit, which the prediction of a trial assumes.
+"""Separation of object and pad after the hit; predictions of a trial assume lasting contact.
 
 With the pose of the object (p_o, R) and of frame E (p_E, normal n out of the pad), the middle of a box of the sides s
 is c from the plane of the pad, and its nearest corner d:
@@ -27,9 +27,11 @@ from impact_rs_trials.bags.reader import ControllerColumns, PoseColumns, TrialBa
 from impact_rs_trials.bags.topics import OBJECT_POSE
 from impact_rs_trials.spec import recorded_scenario
 
-LOOKED_AT = 0.1  # s after the hit
-FIRST = (0.005, 0.025)  # s after the hit: the pad has let go, and the controller has hardly changed its speed
-STAYS = 0.005  # m; a box on a pad that yields goes 2 mm to and fro, and motion capture knows a millimetre
+DEPARTURE_WINDOW_S = 0.1  # after the impact
+# After the impact: the pad has released the object, and the controller has hardly changed its speed
+SEPARATION_WINDOW_S = (0.005, 0.025)
+# A box on a compliant pad moves 2 mm to and fro, and motion capture resolves a millimetre
+MAX_CONTACT_DISTANCE_M = 0.005
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ class Departure:
 
     Attributes:
         arm: The arm whose pad it is.
-        distance: Largest distance within ``LOOKED_AT`` after the hit [m].
+        distance: Largest distance within ``DEPARTURE_WINDOW_S`` after the hit [m].
         speed: Rate at which the middle of the object goes away from the pad at first [m/s].
         restitution: The same over the speed with which the pad came [-].
         predicted: Restitution of the prediction [-].
@@ -53,7 +55,7 @@ class Departure:
 
 @dataclass(frozen=True)
 class ObjectLeft:
-    """The trials of a set whose object left a pad.
+    """Trials of a set whose object separated from a pad.
 
     Attributes:
         scenario: Name of the scenario.
@@ -81,11 +83,12 @@ class ObjectLeft:
 
     @property
     def words(self) -> str:
-        """What the trials show, and what the prediction assumes."""
+        """Text of the observation and of the assumption of the prediction."""
         known = "goes on together" if self.predicted == 0.0 else f"parts with a restitution of {self.predicted:g}"
         return (
             f"the object leaves the pad of {self.arm} in {self.trials} of {self.of} trials: up to "
-            f"{1e3 * self.distance_m:.0f} mm within {LOOKED_AT:g} s of the hit, at {self.speed_m_s:.2f} m/s at first, "
+            f"{1e3 * self.distance_m:.0f} mm within {DEPARTURE_WINDOW_S:g} s of the hit, "
+            f"at {self.speed_m_s:.2f} m/s at first, "
             f"as with a restitution of {self.restitution:.2f}; what is predicted {known}"
         )
 
@@ -95,7 +98,7 @@ class ObjectLeft:
 
 
 def departures(bag: TrialBag, columns: Mapping[str, ControllerColumns]) -> tuple[Departure, ...]:
-    """How object and pads part after the hit; none where no hit or no object was recorded.
+    """Separation of object and pads after the hit; empty without a recorded hit or object.
 
     Args:
         bag: The trial.
@@ -111,10 +114,10 @@ def departures(bag: TrialBag, columns: Mapping[str, ControllerColumns]) -> tuple
 def _departure(
     scenario: Scenario, bag: TrialBag, arm: str, state: ControllerColumns, pose: PoseColumns
 ) -> Departure | None:
-    """How object and pad of one arm part."""
+    """Separation of object and pad of one arm."""
     hit = bag.impact_time(arm)
     after = pose.time - hit
-    first = (after >= FIRST[0]) & (after <= FIRST[1])
+    first = (after >= SEPARATION_WINDOW_S[0]) & (after <= SEPARATION_WINDOW_S[1])
     if not math.isfinite(hit) or pose.time[0] > hit or np.count_nonzero(first) < 3:
         return None
     normal = scenario.robots[arm].impact_placement.rotation[:, 2]
@@ -124,7 +127,7 @@ def _departure(
     speed = float(np.polyfit(after[first], middle[first], 1)[0])
     return Departure(
         arm=arm,
-        distance=float(distance[(after >= 0.0) & (after <= LOOKED_AT)].max()),
+        distance=float(distance[(after >= 0.0) & (after <= DEPARTURE_WINDOW_S)].max()),
         speed=speed,
         restitution=speed / closing,
         predicted=scenario.contact.restitution,
@@ -149,7 +152,7 @@ def objects_left(trials: Mapping[tuple[str, str, str], Sequence[Sequence[Departu
     for (scenario, object_name, case), found in trials.items():
         for arm in dict.fromkeys(item.arm for items in found for item in items):
             own = [item for items in found for item in items if item.arm == arm]
-            left = [item for item in own if item.distance > STAYS]
+            left = [item for item in own if item.distance > MAX_CONTACT_DISTANCE_M]
             if left:
                 yield ObjectLeft(
                     scenario,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Design study: which robot, pose, motor inertia and pad hits how (outlook of the paper).
+"""Design study over robots, poses, motor inertias and pads (outlook of the paper).
 
 Every design is one impact problem: an arm in a random pose, its pad square before a box that stands free, at the same
 ante-impact speed along the pad's normal n, with the smallest joint velocity. Its answer by the impact map gives
@@ -39,10 +39,10 @@ from impact_rs_trials.workers import Map
 
 ROBOTS = ("franka_fer", "franka_fr3", "kinova_gen3", "kuka_iiwa7", "ur5e", "ur10e")
 MOTOR_INERTIAS = ("reduced", "rotor")
-STEP = 0.05  # of B, relative
-LEVEL = 0.95
-ARM = "arm"
-MOST_TRIES = 60  # random places per pose that is wanted
+MOTOR_INERTIA_STEP = 0.05  # of B, relative
+CONFIDENCE_LEVEL = 0.95  # of intervals and ranks
+ARM_NAME = "arm"
+MAX_TRIES_PER_POSE = 60  # random positions
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ PADS = {
 
 @dataclass(frozen=True)
 class Measure:
-    """What designs are ranked by.
+    """A measure by which designs are ranked.
 
     Attributes:
         label: What it is called.
@@ -93,7 +93,7 @@ class Estimate:
 
     Attributes:
         value: Of the nominal design.
-        low: Lower end at ``LEVEL``.
+        low: Lower end at ``CONFIDENCE_LEVEL``.
         high: Upper end.
         draws: Values of the draws; nan where one has no answer.
     """
@@ -132,7 +132,7 @@ class Design:
 
 @dataclass(frozen=True)
 class DesignQuestion:
-    """What is asked of every design.
+    """Conditions common to all designs.
 
     Attributes:
         scenario: Its end effector, object and uncertainties.
@@ -154,7 +154,7 @@ class DesignQuestion:
 
 
 @dataclass(frozen=True)
-class Stance:
+class RobotPose:
     """A pose of a robot.
 
     Attributes:
@@ -185,13 +185,13 @@ class DesignStudy:
     places: Mapping[str, int]
 
     def ranked(self, measure: str) -> list[tuple[Design, int, int]]:
-        """Designs by falling value, each with the ends of its rank at ``LEVEL`` over the draws."""
+        """Designs by falling value, each with the ends of its rank at ``CONFIDENCE_LEVEL`` over the draws."""
         found = [design.measures[measure] for design in self.designs]
         values = np.array([one.value for one in found])
         draws = np.array([one.draws for one in found])
         drawn = np.where(np.isnan(draws), values[:, None], draws)
         ranks = scipy.stats.rankdata(-drawn, method="min", axis=0)
-        tails = ((1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0)
+        tails = ((1.0 - CONFIDENCE_LEVEL) / 2.0, (1.0 + CONFIDENCE_LEVEL) / 2.0)
         best, worst = np.quantile(ranks, tails, axis=1, method="nearest").astype(int)
         order = np.argsort(-values, kind="stable")
         return [(self.designs[index], int(best[index]), int(worst[index])) for index in order]
@@ -204,7 +204,7 @@ def study_designs(
     map_tasks: Map = map,
     report: Callable[[str, int, int], None] = lambda *_: None,
 ) -> DesignStudy:
-    """Ask every robot in every pose.
+    """Evaluate every robot in every pose.
 
     Args:
         question: What is asked.
@@ -217,10 +217,12 @@ def study_designs(
         InputError: No such robot or object, or too few poses that the robot reaches fast enough.
     """
     question.scenario.object(question.object_name)
-    stances: list[Stance] = []
+    stances: list[RobotPose] = []
     places = {}
     wanted = [(robot, question, poses) for robot in robots]
-    for number, (robot, (own, tried)) in enumerate(zip(robots, map_tasks(_stand, wanted), strict=True), start=1):
+    for number, (robot, (own, tried)) in enumerate(
+        zip(robots, map_tasks(_random_poses_of, wanted), strict=True), start=1
+    ):
         places[robot] = tried
         stances += own
         report("poses", number, len(robots))
@@ -234,7 +236,7 @@ def study_designs(
     return DesignStudy(question, tuple(designs), failed, places)
 
 
-def stances_of(robot: str, question: DesignQuestion, poses: int) -> tuple[list[Stance], int]:
+def random_poses(robot: str, question: DesignQuestion, poses: int) -> tuple[list[RobotPose], int]:
     """Random poses in which a robot reaches the speed, and the number of places that were tried.
 
     Raises:
@@ -244,13 +246,13 @@ def stances_of(robot: str, question: DesignQuestion, poses: int) -> tuple[list[S
     if facts.joint_count < 6:
         raise InputError(f"{robot} has {facts.joint_count} joints; a pad that is held upright needs six")
     model = RobotModel(facts, replace(_effector(question, "wide"), mount_yaw=0.0))
-    found: list[Stance] = []
+    found: list[RobotPose] = []
     for tried, pose in enumerate(upright_poses(model, question.seed), start=1):
         if pose is not None and np.all(np.abs(_velocity(model, pose.q, question.speed)) <= model.velocity_max):
-            found.append(Stance(robot, len(found) + 1, pose.q))
+            found.append(RobotPose(robot, len(found) + 1, pose.q))
         if len(found) == poses:
             return found, tried
-        if tried >= MOST_TRIES * poses:
+        if tried >= MAX_TRIES_PER_POSE * poses:
             break
     raise InputError(
         f"{robot} reaches {question.speed:g} m/s in {len(found)} of {tried} random places, expected {poses}; give a "
@@ -258,12 +260,12 @@ def stances_of(robot: str, question: DesignQuestion, poses: int) -> tuple[list[S
     )
 
 
-def _stand(task: tuple[str, DesignQuestion, int]) -> tuple[list[Stance], int]:
-    """:func:`stances_of`, for a parallel map."""
-    return stances_of(*task)
+def _random_poses_of(task: tuple[str, DesignQuestion, int]) -> tuple[list[RobotPose], int]:
+    """:func:`random_poses`, for a parallel map."""
+    return random_poses(*task)
 
 
-def ask(task: tuple[DesignQuestion, Stance]) -> tuple[list[Design], dict[str, str]]:
+def ask(task: tuple[DesignQuestion, RobotPose]) -> tuple[list[Design], dict[str, str]]:
     """All designs of one robot in one pose, and why some have no answer."""
     question, stance = task
     designs, failed = [], {}
@@ -279,7 +281,7 @@ def ask(task: tuple[DesignQuestion, Stance]) -> tuple[list[Design], dict[str, st
     return designs, failed
 
 
-def problems_of(question: DesignQuestion, stance: Stance) -> Iterator[tuple[str, str, ImpactProblem]]:
+def problems_of(question: DesignQuestion, stance: RobotPose) -> Iterator[tuple[str, str, ImpactProblem]]:
     """Motor inertia, pad and impact problem of every design of one robot in one pose."""
     facts = load_facts(stance.robot)
     template = Physics.nominal(question.scenario, question.object_name)
@@ -307,7 +309,7 @@ def problems_of(question: DesignQuestion, stance: Stance) -> Iterator[tuple[str,
         )
         physics = replace(
             template,
-            arms={ARM: own},
+            arms={ARM_NAME: own},
             support_height=None,
             pad_friction=pad.friction,
             restitution=pad.restitution,
@@ -322,9 +324,9 @@ def problems_of(question: DesignQuestion, stance: Stance) -> Iterator[tuple[str,
                 pad_name,
                 ImpactProblem(
                     physics=physics,
-                    arms={ARM: state},
+                    arms={ARM_NAME: state},
                     object=BodyState(middle, np.eye(3), np.zeros(6)),
-                    motor_inertia={ARM: own.motor_inertia(motor_inertia)},
+                    motor_inertia={ARM_NAME: own.motor_inertia(motor_inertia)},
                     restitution=pad.restitution,
                 ),
             )
@@ -349,7 +351,7 @@ def values_by(engine_name: str, problem: ImpactProblem) -> dict[str, float]:
         return np.concatenate((*answer.joint_velocity.values(), answer.object_twist))
 
     try:
-        return _values(problem, *(solve(scale) for scale in (1.0, 1.0 + STEP, 1.0 - STEP)))
+        return _values(problem, *(solve(scale) for scale in (1.0, 1.0 + MOTOR_INERTIA_STEP, 1.0 - MOTOR_INERTIA_STEP)))
     finally:
         engine.close()
 
@@ -396,7 +398,7 @@ def _measured(problem: ImpactProblem, question: DesignQuestion, uncertain: Uncer
 
 def _estimate(value: float, answered: Array, draws: tuple[float, ...]) -> Estimate:
     """Student's t times the deviation of the draws about a value; of their logarithms where all are above 0."""
-    quantile = float(scipy.stats.t.ppf(0.5 + LEVEL / 2.0, answered.size - 1))
+    quantile = float(scipy.stats.t.ppf(0.5 + CONFIDENCE_LEVEL / 2.0, answered.size - 1))
     if value > 0.0 and np.all(answered > 0.0):
         factor = float(np.exp(quantile * np.std(np.log(answered), ddof=1)))
         return Estimate(value, value / factor, value * factor, draws)
@@ -408,8 +410,8 @@ def _drawn(
     problem: ImpactProblem, models: Mapping[str, RobotModel], pads: frozenset[str], amounts: dict[str, float]
 ) -> dict[str, float]:
     """The measures with parameters changed."""
-    motors = problem.motor_inertia[ARM]
-    names = [f"{ARM}.motor_inertia.{joint + 1}" for joint in range(motors.size)]
+    motors = problem.motor_inertia[ARM_NAME]
+    names = [f"{ARM_NAME}.motor_inertia.{joint + 1}" for joint in range(motors.size)]
 
     def solve(step: float) -> Array:
         moved = {
@@ -419,23 +421,23 @@ def _drawn(
         velocities, _ = answer_of(problem, models, {**amounts, **moved}, pads)
         return np.concatenate((velocities[: motors.size], velocities[-6:]))
 
-    more, less = solve(STEP), solve(-STEP)
+    more, less = solve(MOTOR_INERTIA_STEP), solve(-MOTOR_INERTIA_STEP)
     return _values(change(problem, amounts).problem, 0.5 * (more + less), more, less)
 
 
 def _values(problem: ImpactProblem, answer: Array, more: Array, less: Array) -> dict[str, float]:
     """The measures from velocities of joints and object, ``(n + 6,)``, with B, with more and with less."""
-    state, object_ = problem.arms[ARM], problem.physics.object
+    state, object_ = problem.arms[ARM_NAME], problem.physics.object
     offset = problem.object.rotation @ object_.com_offset
 
     def speed(velocities: Array) -> float:
         return float(NORMAL @ (velocities[-6:-3] + np.cross(velocities[-3:], offset)))
 
-    limits = np.array(problem.physics.arms[ARM].facts.limits.velocity_rad_s)
+    limits = np.array(problem.physics.arms[ARM_NAME].facts.limits.velocity_rad_s)
     return {
         "impulse": object_.mass * speed(answer),
         "joint_jump": float(np.max(np.abs(answer[:-6] - state.velocity) / limits)),
-        "sensitivity": (speed(more) - speed(less)) / (2.0 * STEP * speed(answer)),
+        "sensitivity": (speed(more) - speed(less)) / (2.0 * MOTOR_INERTIA_STEP * speed(answer)),
     }
 
 
@@ -465,7 +467,7 @@ def _scaled_drive(robot: str, effector: EndEffector, period: float) -> dict[str,
 
 
 def _velocity(model: RobotModel, q: Array, speed: float) -> Array:
-    """Smallest joint velocity with which the pad comes along its normal without turning, ``(n,)`` [rad/s]."""
+    """Least-norm joint velocity for a pad velocity along its normal without rotation, ``(n,)`` [rad/s]."""
     return np.asarray(np.linalg.pinv(model.jacobian(q)) @ np.append(speed * NORMAL, np.zeros(3)))
 
 

@@ -28,7 +28,7 @@ from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.store import trials_below
 from impact_rs_trials.workers import Map
 
-NEEDS = {".parquet": "pyarrow", ".h5": "h5py", ".hdf5": "h5py"}
+PACKAGE_BY_SUFFIX = {".parquet": "pyarrow", ".h5": "h5py", ".hdf5": "h5py"}
 
 CONTROLLER_UNITS = {
     "mode": "0 ante-impact, 1 interim, 2 post-impact",
@@ -66,11 +66,13 @@ def check_target(path: Path) -> None:
     Raises:
         InputError: The ending is not .parquet, .h5 or .hdf5, it is a folder, or a package is not installed.
     """
-    if path.suffix not in NEEDS:
-        raise InputError(f"expected a name that ends with {', '.join(NEEDS)}, or a folder without ending", file=path)
+    if path.suffix not in PACKAGE_BY_SUFFIX:
+        raise InputError(
+            f"expected a name that ends with {', '.join(PACKAGE_BY_SUFFIX)}, or a folder without ending", file=path
+        )
     if path.is_dir():
         raise InputError("this is a folder; expected the name of a file", file=path)
-    require(NEEDS[path.suffix], path)
+    require(PACKAGE_BY_SUFFIX[path.suffix], path)
 
 
 def export(directory: Path, path: Path, map_tasks: Map, progress: Callable[[int, int], None]) -> Exported:

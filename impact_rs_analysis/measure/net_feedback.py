@@ -24,11 +24,11 @@ from impact_rs_trials.bags.reader import BagError, ControllerColumns, TrialBag
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.spec import recorded_scenario
 
-AT_LIMIT = 1e-3  # relative; a torque this close to its limit counts as limited
-SHORTEST_LIMIT = 0.005  # s at a limit; shorter times change the feedback by less than its noise
+TORQUE_LIMIT_TOLERANCE = 1e-3  # relative; a torque this close to its limit counts as limited
+MIN_LIMITED_TIME_S = 0.005  # at a torque limit; shorter times change the feedback by less than its noise
 # Outcomes that are analysed; a bag of a real robot may have none, and trials without impact are not fitted.
-MEASURES = ("OK", "NO-IMPACT", "EARLY")
-LARGEST_GAP = 0.02  # s; the feedback in a longer gap exceeds the resolution of the measure
+ANALYSED_OUTCOMES = ("OK", "NO-IMPACT", "EARLY")
+MAX_GAP_S = 0.02  # the feedback in a longer gap exceeds the resolution of the measure
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def net_feedback(bag: TrialBag) -> TrialFeedback:
         BagError: The trial went wrong, the bag is damaged, has holes, or does not cover the window from t1 to t2.
     """
     info = bag.info
-    if bag.metadata.get("outcome", "OK") not in MEASURES:
+    if bag.metadata.get("outcome", "OK") not in ANALYSED_OUTCOMES:
         raise BagError(bag.path, f"{bag.outcome}: {bag.reason}")
     axis = AXES.get(info.axis)
     if axis is None or not info.robots:
@@ -156,9 +156,9 @@ def _limited(bag: TrialBag, arm: str, state: ControllerColumns) -> Iterator[tupl
     info = bag.info
     limit = np.array(recorded_scenario(info.scenario_json, bag.path).robots[arm].robot_facts.limits.torque_Nm)
     inside = (state.time >= info.window_start) & (state.time < info.window_end)
-    reached = np.abs(state.commanded_torque[inside]) >= (1.0 - AT_LIMIT) * limit
+    reached = np.abs(state.commanded_torque[inside]) >= (1.0 - TORQUE_LIMIT_TOLERANCE) * limit
     time = reached.sum(axis=0) * float(np.median(np.diff(state.time)))
-    for joint in np.flatnonzero(time > SHORTEST_LIMIT):
+    for joint in np.flatnonzero(time > MIN_LIMITED_TIME_S):
         yield f"{arm} joint{joint + 1}", float(time[joint])
 
 
@@ -171,14 +171,14 @@ def _check_coverage(bag: TrialBag, arm: str, time: Array) -> None:
     steps = np.diff(time)
     if np.any(steps <= 0.0):
         raise BagError(bag.path, f"arm {arm!r}: the stamps of the controller states do not increase")
-    if time[0] > start or time[-1] + LARGEST_GAP < end:
+    if time[0] > start or time[-1] + MAX_GAP_S < end:
         raise BagError(
             bag.path,
             f"arm {arm!r} is recorded from {time[0]:.3f} s to {time[-1]:.3f} s, "
             f"the window lasts from {start:.3f} s to {end:.3f} s",
         )
     inside = (time[1:] >= start) & (time[:-1] <= end)
-    if np.max(steps[inside]) > LARGEST_GAP:
+    if np.max(steps[inside]) > MAX_GAP_S:
         worst = int(np.argmax(np.where(inside, steps, 0.0)))
         raise BagError(
             bag.path, f"arm {arm!r}: no controller state from {time[worst]:.3f} s to {time[worst + 1]:.3f} s"

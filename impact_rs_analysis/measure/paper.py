@@ -25,8 +25,8 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.schema import parse_yaml
 
 ROTOR_SCALE = 3.0  # B_rho / B_theta, paper sec. Experimental setup; 2.99 for joints 5 to 7
-GRID = np.linspace(0.0, ROTOR_SCALE, 3001)
-RESAMPLES = 2000
+SCALE_GRID = np.linspace(0.0, ROTOR_SCALE, 3001)  # s of the search, in steps of 0.001
+BOOTSTRAP_RESAMPLES = 2000  # of rows
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ class PaperStudy:
             "sentence": self.sentence,
             "scale_is": "B = scale x B_theta; minimises the mean absolute mismatch over the rows",
             "interpolation": "parabola through the published predictions at scale 0, 1 and 3",
-            "interval_is": f"95 %, {RESAMPLES} resamples of the rows",
+            "interval_is": f"95 %, {BOOTSTRAP_RESAMPLES} resamples of the rows",
             "all": _fit_json(self.all_rows),
             **{name: _fit_json(fit) for name, fit in self.by_scenario.items()},
             "all_with_hyperbolas": _fit_json(self.other_curve),
@@ -187,18 +187,21 @@ def _fit_json(fit: ScaleFit) -> dict[str, Any]:
 
 def fit_scale(results: list[PaperResult], curve: str = "parabola") -> ScaleFit:
     """Fit s to rows, leave each out once, and resample them."""
-    errors = np.abs([result.mismatch(GRID, curve) for result in results])
+    errors = np.abs([result.mismatch(SCALE_GRID, curve) for result in results])
     best = int(errors.mean(axis=0).argmin())
     held_out = []
     for index in range(len(results)):
         others = np.delete(errors, index, axis=0).mean(axis=0).argmin()
         held_out.append(errors[index, others])
     rng = np.random.default_rng(0)
-    drawn = [GRID[errors[rng.integers(0, len(results), len(results))].mean(axis=0).argmin()] for _ in range(RESAMPLES)]
+    drawn = [
+        SCALE_GRID[errors[rng.integers(0, len(results), len(results))].mean(axis=0).argmin()]
+        for _ in range(BOOTSTRAP_RESAMPLES)
+    ]
     low, high = np.percentile(drawn, [2.5, 97.5])
     nominal = np.abs([result.row.reduced for result in results]).mean()
     return ScaleFit(
-        scale=float(GRID[best]),
+        scale=float(SCALE_GRID[best]),
         interval=(float(low), float(high)),
         error_nominal=float(nominal),
         error_fitted=float(errors[:, best].mean()),

@@ -18,8 +18,8 @@ from impact_rs_trials.spec import recorded_scenario
 
 logger = logging.getLogger(__name__)
 
-KEPT = 64  # intervals; the study has 18 sets
-DRAWS = 100  # enough for the digits shown in a figure
+CACHED_INTERVALS = 64  # the study has 18 sets
+INTERVAL_DRAWS = 100  # enough for the digits shown in a figure
 
 MODEL_LABELS = {
     "reduced": "reduced motor inertia B_θ (nominal)",
@@ -28,7 +28,7 @@ MODEL_LABELS = {
 }
 
 
-@functools.lru_cache(maxsize=KEPT)
+@functools.lru_cache(maxsize=CACHED_INTERVALS)
 def prediction_interval(scenario_json: str, object_name: str, case_name: str) -> tuple[float, float] | None:
     """95 % interval of the nominal prediction along the measured axis, first contact, mean over the arms [m/s].
 
@@ -45,7 +45,9 @@ def prediction_interval(scenario_json: str, object_name: str, case_name: str) ->
     scenario = recorded_scenario(scenario_json, "")
     scene = Scene.resolve(scenario, object_name, case_name)
     try:
-        predicted = uncertain(ImpactProblem.at_nominal_impact(scene), scenario.uncertainty, scene.models, draws=DRAWS)
+        predicted = uncertain(
+            ImpactProblem.at_nominal_impact(scene), scenario.uncertainty, scene.models, draws=INTERVAL_DRAWS
+        )
     except (InputError, ImpactMapError) as error:
         logger.info("no interval of the prediction for %s %s: %s", object_name, case_name, error)
         return None

@@ -14,7 +14,7 @@ from impact_rs_sim.robot import load_facts
 from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.schema import Schema, parse_yaml
 
-ROBOT = "franka_fer"  # of the paper, sec. Experimental setup
+PAPER_ROBOT = "franka_fer"  # paper sec. Experimental setup
 
 
 class PaperRow(Schema):
@@ -55,7 +55,7 @@ def published(scenario: Scenario, object_name: str, case: str) -> PaperRow | Non
     row = paper_row(scenario.name, object_name, case)
     if row is None:
         return None
-    shipped, facts = load_scenario(scenario.name), load_facts(ROBOT)
+    shipped, facts = load_scenario(scenario.name), load_facts(PAPER_ROBOT)
     same = (
         all(robot.robot_facts == facts for robot in scenario.robots.values())
         and _object(scenario, object_name) == _object(shipped, object_name)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Systematic band of an estimate: its change with settings on which it should not depend.
+"""Systematic uncertainty of an estimate: its change with settings on which it should not depend.
 
 With x0 the zero crossing of some trials of a campaign, and x0(k) that of the same trials with setting k put to another
 value (:mod:`impact_rs_trials.varied_settings`, same seeds; the window is varied in the trials as they are),
@@ -24,9 +24,9 @@ from impact_rs_analysis.measure.linear_fit import FitError, fit_zero_crossing
 from impact_rs_analysis.measure.net_feedback import TrialFeedback, held_integral
 from impact_rs_trials.varied_settings import SETTINGS
 
-WINDOW = "window"
+WINDOW_SETTING = "window"
 WINDOW_FACTORS = (2.0 / 3.0, 4.0 / 3.0)  # of the time after the nominal impact; twice would be longer than a trial
-LABELS = {setting.name: setting.label for setting in SETTINGS} | {WINDOW: "end of the window after the impact"}
+LABELS = {setting.name: setting.label for setting in SETTINGS} | {WINDOW_SETTING: "end of the window after the impact"}
 
 Set = tuple[str, str]  # scenario and object
 Key = tuple[str, str, str, float, int]  # scenario, object, case, scale and seed: identifies the unvaried trial
@@ -120,7 +120,7 @@ def sensitivity_of(
         points = [_point(trial) for trial in trials_of.values()]
         for factor in WINDOW_FACTORS:
             stretched = [(_point(trial)[0], _net(trial, factor)) for trial in trials_of.values()]
-            comparisons.append((where, WINDOW, factor, points, stretched))
+            comparisons.append((where, WINDOW_SETTING, factor, points, stretched))
     shifts = []
     for (scenario, object_name), setting, factor, before, after in comparisons:
         try:

@@ -12,7 +12,7 @@ from impact_rs_analysis.measure.analyze import Analysis, ExperimentSet
 from impact_rs_sim.impact_map import CONTACTS
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 
-LEAST_DIFFERENCE = 0.005  # %; errors are shown in hundredths
+MIN_SHOWN_DIFFERENCE_PERCENT = 0.005  # errors are shown in hundredths
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,9 @@ def result_table(analysis: Analysis) -> list[Row]:
 def shown_contacts(rows: Sequence[Row]) -> tuple[str, ...]:
     """Contacts whose errors differ in the digits shown; after a flat hit both are the same."""
     differ = any(
-        abs(row.errors[model] - row.settled[model]) >= LEAST_DIFFERENCE for row in rows for model in row.errors
+        abs(row.errors[model] - row.settled[model]) >= MIN_SHOWN_DIFFERENCE_PERCENT
+        for row in rows
+        for model in row.errors
     )
     return CONTACTS if differ else CONTACTS[:1]
 

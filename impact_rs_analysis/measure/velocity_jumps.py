@@ -29,11 +29,10 @@ from impact_rs_analysis.measure.far import Jump, far_jumps
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactMapError, predict_impact
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
+from impact_rs_sim.proportion import GRAVITY_M_S2
 from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import STANDARD_GRAVITY
 
-SLOWEST = 1e-3  # m/s; below, the friction of the support has no direction
-GRAVITY = -STANDARD_GRAVITY[2]
+MIN_SLIDING_SPEED_M_S = 1e-3  # below, the friction of the support has no direction
 
 
 @dataclass(frozen=True)
@@ -204,14 +203,14 @@ def _predicted(run: MeasuredRun, ante: dict[str, Array], motor_inertia: str, con
     return float(
         np.mean(
             [
-                result.end_effector_twist[name][:3] @ way + _pushed_on(run, name, way, motor_inertia)
+                result.end_effector_twist[name][:3] @ way + _velocity_change_after(run, name, way, motor_inertia)
                 for name, way in _directions(ante).items()
             ]
         )
     )
 
 
-def _pushed_on(run: MeasuredRun, name: str, way: Array, motor_inertia: str) -> float:
+def _velocity_change_after(run: MeasuredRun, name: str, way: Array, motor_inertia: str) -> float:
     """Change of the speed along ``way`` by the recorded torque until 20 to 40 ms after the impact [m/s].
 
     The object moves with the pad in the plane of the support, with its full mass for every arm. Without recorded
@@ -222,7 +221,7 @@ def _pushed_on(run: MeasuredRun, name: str, way: Array, motor_inertia: str) -> f
     model, arm, box = setup.physics.robot_model(name), signals.arms[name], setup.physics.object
     driving = window.commanded(name) if setup.drive == "command" else arm.torque
     inertia = physics.motor_inertia(motor_inertia)
-    drag = 0.0 if setup.physics.support_height is None else setup.physics.support_friction * box.mass * GRAVITY
+    drag = 0.0 if setup.physics.support_height is None else setup.physics.support_friction * box.mass * GRAVITY_M_S2
     start, (first, last) = run.impacts[name], JUMP_WINDOWS_S[SETTLED_WINDOW]
     speed, mean, ticks = 0.0, 0.0, 0
     for row in range(1, window.time.size):
@@ -237,7 +236,7 @@ def _pushed_on(run: MeasuredRun, name: str, way: Array, motor_inertia: str) -> f
         plane = terms.jacobian[:2]
         moved = terms.mass_matrix + np.diag(inertia) + box.mass * plane.T @ plane
         velocity = plane @ dq
-        opposed = plane.T @ velocity * drag / max(float(np.linalg.norm(velocity)), SLOWEST)
+        opposed = plane.T @ velocity * drag / max(float(np.linalg.norm(velocity)), MIN_SLIDING_SPEED_M_S)
         acceleration = np.linalg.solve(moved, driving[row - 1] - terms.bias - opposed)
         speed += step * float(way @ terms.jacobian[:3] @ acceleration)
         if since >= first:

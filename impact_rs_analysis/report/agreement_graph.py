@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Graph of who agrees with whom: readings on the left, relations between them on the right."""
+"""Bipartite graph of consistency: readings on the left, relations between them on the right."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from impact_rs_analysis.diagnosis.agreement import AgreementDocument
 
-ROW = 44  # px between nodes
-MARGIN = 28  # px above the first node
+NODE_SPACING_PX = 44  # px between nodes
+TOP_MARGIN_PX = 28  # above the first node
 LEFT, RIGHT, WIDTH = 150, 330, 900  # px, ends of the lines and width of the graph
 
 
@@ -30,7 +30,7 @@ class AgreementNode:
 
 @dataclass(frozen=True)
 class AgreementLine:
-    """That a reading takes part in a relation.
+    """Edge: a reading takes part in a relation.
 
     Attributes:
         start: Height at the reading [px].
@@ -94,7 +94,7 @@ def agreement_graph(document: AgreementDocument) -> AgreementGraph | None:
             for name, y in at_relation.items()
             for reading in document.readings_of(name)
         ),
-        height=2.0 * MARGIN + (rows - 1) * ROW,
+        height=2.0 * TOP_MARGIN_PX + (rows - 1) * NODE_SPACING_PX,
         in_words="; ".join(said),
     )
 
@@ -109,5 +109,5 @@ def _places(places: Sequence[str]) -> str:
 
 def _heights(count: int, rows: int) -> list[float]:
     """Heights of some nodes, evenly over the height of the graph [px]."""
-    step = ROW * (rows - 1) / max(count - 1, 1)
-    return [MARGIN + (number * step if count > 1 else 0.5 * step) for number in range(count)]
+    step = NODE_SPACING_PX * (rows - 1) / max(count - 1, 1)
+    return [TOP_MARGIN_PX + (number * step if count > 1 else 0.5 * step) for number in range(count)]

@@ -17,7 +17,7 @@ from impact_rs_analysis.measure.sensitivity import setting_words
 from impact_rs_analysis.measure.table import Row, result_table, shown_contacts
 from impact_rs_analysis.report.animation import ReplayPart
 from impact_rs_analysis.report.figures import Figure, figures_of
-from impact_rs_analysis.report.page import MOST_POINTS, Plot, render, write_files
+from impact_rs_analysis.report.page import MAX_CURVE_POINTS, Plot, render, write_files
 from impact_rs_analysis.report.plots import curves_plot
 from impact_rs_analysis.report.png import write_png
 from impact_rs_sim.errors import InputError
@@ -25,7 +25,7 @@ from impact_rs_sim.files import whole_folder
 from impact_rs_trials.bags.reader import BagError, TrialBag, reason_of
 
 logger = logging.getLogger(__name__)
-POINTS_OF_ALL = 2400  # of a curve over time, summed over the sets of a page: it is to stay below 3 MB
+MAX_PAGE_POINTS = 2400  # of all curves over time in a page, which must stay below 3 MB
 
 
 @dataclass(frozen=True)
@@ -194,7 +194,7 @@ def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure
     found = {number: _animation(entry) for number, entry in enumerate(analysis.sets)}
     animations = {number: animation for number, animation in found.items() if animation is not None}
     runs = {number: run for run, number in enumerate(animations)}
-    points = min(MOST_POINTS, POINTS_OF_ALL // max(len(analysis.sets), 1))
+    points = min(MAX_CURVE_POINTS, MAX_PAGE_POINTS // max(len(analysis.sets), 1))
     return AnalysisPage(
         title="Predicted and measured velocity jumps",
         campaign=analysis.directory.resolve().name,

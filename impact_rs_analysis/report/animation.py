@@ -16,9 +16,9 @@ from impact_rs_analysis.report.scene_3d import scene_data
 from impact_rs_sim.robot import Array
 
 SLOW_BEFORE, SLOW_AFTER = 0.02, 0.06  # s about the impact, shown in slow motion
-STRIDES = (0.001, 0.01)  # s between samples of a page at least, about the impact and elsewhere; the page interpolates
-MOST_ROWS = 1500  # per run, away from the impact; a recording may last for minutes
-MOST_RUNS = 8  # with that many rows; with more runs the rows per run decrease in proportion
+MIN_SAMPLE_PERIODS_S = (0.001, 0.01)  # near the impact and elsewhere; the page interpolates
+MAX_ROWS_PER_RUN = 1500  # away from the impact; a recording may last for minutes
+MAX_RUNS_OF_ALL_ROWS = 8  # with more runs the rows per run decrease in proportion
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def animation_data(tracks: Sequence[Track]) -> dict[str, Any]:
         and ``model``: joint positions of all arms side by side [rad], contact forces [N], pose
         of the object [m, -], and velocities before and after the impact [m/s].
     """
-    coarser = max(1.0, len(tracks) / MOST_RUNS)
+    coarser = max(1.0, len(tracks) / MAX_RUNS_OF_ALL_ROWS)
     scenes: list[dict[str, Any]] = []
     runs = []
     for track in tracks:
@@ -61,14 +61,18 @@ def animation_data(tracks: Sequence[Track]) -> dict[str, Any]:
         scene = scene_data(track.physics)
         if scene not in scenes:
             scenes.append(scene)
-        runs.append(_run_data(track, scenes.index(scene), (coarser * STRIDES[0], coarser * STRIDES[1])))
+        runs.append(
+            _run_data(
+                track, scenes.index(scene), (coarser * MIN_SAMPLE_PERIODS_S[0], coarser * MIN_SAMPLE_PERIODS_S[1])
+            )
+        )
     return {"scenes": scenes, "runs": runs}
 
 
 def _run_data(track: Track, scene: int, strides: tuple[float, float]) -> dict[str, Any]:
     assert track.measured is not None
     time, impact = track.time, track.impact
-    shown = shown_rows(track, strides[0], max(strides[1], float(time[-1] - time[0]) / MOST_ROWS))
+    shown = shown_rows(track, strides[0], max(strides[1], float(time[-1] - time[0]) / MAX_ROWS_PER_RUN))
     starts = np.searchsorted(shown, track.starts)
     slow = None if impact is None else [impact - SLOW_BEFORE, impact + SLOW_AFTER]
     return {

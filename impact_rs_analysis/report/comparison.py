@@ -39,8 +39,8 @@ from impact_rs_analysis.report.page import (
 )
 from impact_rs_analysis.report.plots import scatter_plot, signals_plot, tracks_plot, where_plots
 
-HARDLY_MORE = 1.3  # times noise; below this score no place is named
-MOST_PLACES = 8
+MIN_NAMED_SCORE = 1.3  # in multiples of noise; below this score no label is named
+MAX_LISTED_PLACES = 8  # rows of the table of worst residuals
 
 
 @dataclass(frozen=True)
@@ -222,7 +222,7 @@ def comparison_in_words(document: ComparisonDocument) -> str:
     else:
         scale = SCALE if noise is None else yardstick
         text = f"Residual of model '{name}' in {document.trials} {document.source}: {score} × {scale}."
-    if noise is not None and document.score < HARDLY_MORE * noise:
+    if noise is not None and document.score < MIN_NAMED_SCORE * noise:
         return f"{text} This is close to noise."
     worst = next((cell for cell in document.where if cell.matters), None)
     if worst is None:
@@ -255,7 +255,7 @@ def yardstick_of_places(document: ComparisonDocument) -> str:
 
 
 def yardstick_of_rest(document: DiagnosisDocument) -> str:
-    """The same of what a diagnosis leaves unexplained."""
+    """Reference of the residuals that a diagnosis leaves unexplained."""
     if document.source == "trials":
         return REPEATABILITY if document.design.freedom else RELEVANCE_LIMIT
     if document.error_unit == TIMES:
@@ -331,7 +331,7 @@ def where_part(document: ComparisonDocument) -> WherePart:
         yardstick=yardstick,
         places=tuple(
             PlaceRow(f"{_place(cell, several)}: {cell.signal} {cell.index}", cell)
-            for cell in [cell for cell in document.where if cell.matters][:MOST_PLACES]
+            for cell in [cell for cell in document.where if cell.matters][:MAX_LISTED_PLACES]
         ),
     )
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Page and table of a design study: what every design does, and which are ahead."""
+"""Page and table of a design study: measures and ranks of all designs."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from pathlib import Path
 
 import plotly.graph_objects as go
 
-from impact_rs_analysis.measure.design_study import LEVEL, MEASURES, Design, DesignStudy
+from impact_rs_analysis.measure.design_study import CONFIDENCE_LEVEL, MEASURES, Design, DesignStudy
 from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, PURPLE, RED, SKY
 from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.plots import TEMPLATE
 
 COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
-SHOWN = 15  # designs of a table
+MAX_TABLE_DESIGNS = 15  # designs of a table
 SYMBOLS = ("circle", "diamond", "square", "cross", "x")
 
 
@@ -53,7 +53,8 @@ def write_design_study(study: DesignStudy, directory: Path) -> Path:
     page = DesignPage(
         title="Design study",
         summary=f"{len(study.designs)} designs of {len(robots)} robots hit {question.object_name} of "
-        f"{question.scenario.name} at {question.speed:g} m/s, square and free of support. Intervals of {LEVEL:.0%}: "
+        f"{question.scenario.name} at {question.speed:g} m/s, square and free of support. "
+        f"Intervals of {CONFIDENCE_LEVEL:.0%}: "
         f"{question.draws} draws from the uncertainties of the scenario. Poses are random.",
         plots=(
             Plot(
@@ -73,7 +74,7 @@ def write_design_study(study: DesignStudy, directory: Path) -> Path:
         tables={
             f"{measure.label} [{measure.unit}]": [
                 (design.name, *_texts(design, name), f"{best} to {worst}")
-                for design, best, worst in study.ranked(name)[:SHOWN]
+                for design, best, worst in study.ranked(name)[:MAX_TABLE_DESIGNS]
             ]
             for name, measure in MEASURES.items()
         },

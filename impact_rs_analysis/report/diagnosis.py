@@ -194,7 +194,7 @@ def write_diagnosis(
 
 
 def _title(document: DiagnosisDocument) -> str:
-    """Title of the page: the physics is not blamed for a fault of a reading."""
+    """Title of the page, which distinguishes sensor faults from missing physics."""
     if document.measurement and not document.missing:
         return "What is wrong with the readings"
     return f"What model '{document.model.name}' lacks"

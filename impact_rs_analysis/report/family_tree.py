@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Page of an investigation: the family tree of its models, and what each round of trials bought."""
+"""Page of an investigation: family tree of its models, and information gain of each round."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class FamilyMember:
 
 @dataclass(frozen=True)
 class Bought:
-    """What the trials of a round bought.
+    """Gain from the trials of a round.
 
     Attributes:
         round: The round.
@@ -126,7 +126,7 @@ def family_of(settings: Settings, rounds: Sequence[Round]) -> list[FamilyMember]
 
 
 def bought_of(rounds: Sequence[Round]) -> list[Bought]:
-    """What the trials of every round bought."""
+    """Gain from the trials of every round."""
     found = []
     for number, here in enumerate(rounds, start=1):
         basis = here.basis

@@ -33,9 +33,9 @@ BUNDLE = Path(__file__).with_name("bundle")
 PLOTLY = BUNDLE / "plotly-cartesian.min.js"
 STYLE = TEMPLATES / "page.css"
 PALETTE = TEMPLATES / "palette.css"  # its colours, and those of the workbench
-MOST_POINTS = 500  # of a curve over time; a screen resolves no more
-MOST_NUMBERS = 90_000  # of all tracks of a page, half a megabyte
-PREFIXED = ("m", "rad")  # units whose small values are shown with a prefix
+MAX_CURVE_POINTS = 500  # of a curve over time; a screen resolves no more
+MAX_TRACK_NUMBERS = 90_000  # of all tracks of a page, half a megabyte
+PREFIXED_UNITS = ("m", "rad")  # whose small values are shown with a prefix
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def write_files(directory: Path, files: Mapping[str, str]) -> list[Path]:
 def track_data(tracks: Sequence[Track]) -> list[dict[str, Any]]:
     """Tracks as the page's script reads them: thinned out, with the gaps between windows, as base64 float32."""
     columns = sum(1 + 2 * len(track.curves) for track in tracks)
-    most = min(MOST_POINTS, MOST_NUMBERS // max(columns, 1))
+    most = min(MAX_CURVE_POINTS, MAX_TRACK_NUMBERS // max(columns, 1))
     sets = []
     for track in tracks:
         rows = np.arange(0, track.time.size, max(1, math.ceil(track.time.size / most)))
@@ -158,7 +158,7 @@ def unit_text(unit: str) -> str:
 def quantity_text(value: float, unit: str) -> str:
     """A number with its unit; small lengths and angles with the prefix milli or micro."""
     prefix, size = "", abs(value)
-    if unit.partition("/")[0] in PREFIXED and 0.0 < size < 0.1:
+    if unit.partition("/")[0] in PREFIXED_UNITS and 0.0 < size < 0.1:
         prefix, value = ("m", 1e3 * value) if size >= 1e-4 else ("µ", 1e6 * value)
     return f"{number_text(value, 2)}\N{NO-BREAK SPACE}{prefix}{unit_text(unit)}".rstrip()
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from impact_rs_analysis.measure.paper import GRID, ROTOR_SCALE, PaperResult, PaperStudy
+from impact_rs_analysis.measure.paper import ROTOR_SCALE, SCALE_GRID, PaperResult, PaperStudy
 from impact_rs_analysis.report.figures import BLACK, BLUE, RED, Curve, Figure, Note, Panel
 from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.plots import curves_plot
@@ -47,10 +47,10 @@ def paper_figure(study: PaperStudy) -> Figure:
     curves = []
     for name, results in groups.items():
         fit = fits[name]
-        error = np.abs([result.mismatch(GRID[::10]) for result in results]).mean(axis=0)
+        error = np.abs([result.mismatch(SCALE_GRID[::10]) for result in results]).mean(axis=0)
         low, high = fit.interval
         colour = colours.get(name, BLACK)
-        curves.append(Curve("", GRID[::10], error, colour))
+        curves.append(Curve("", SCALE_GRID[::10], error, colour))
         curves.append(
             Curve(
                 f"{name}: {estimate_in_line(fit.scale, fit.interval, least=2)}, "

@@ -19,7 +19,7 @@ from impact_rs_analysis.report.labels import Tag, phase_text, place_text, tag_of
 from impact_rs_analysis.report.page import quantity_text
 from impact_rs_sim.robot import Array, joined_units
 
-if TYPE_CHECKING:  # the figures of an analysis need nothing of a diagnosis
+if TYPE_CHECKING:  # figures of an analysis do not need the diagnosis package
     from impact_rs_analysis.diagnosis.document import DiagnosisDocument, JointError
     from impact_rs_analysis.diagnosis.history import VersionError
     from impact_rs_analysis.evidence.levels import Cell, SignalLevel
@@ -28,8 +28,8 @@ GREY, GRID, ZERO = "#BBBBBB", "#E6E6E6", "#999999"
 TAG_COLOURS = {Tag.GOOD: GREEN, Tag.MAYBE: ORANGE, Tag.NO: GREY}
 DASHES = {"solid": "solid", "dashed": "dash", "none": "solid"}
 # Of heat maps, over the same range in every report: 2 times repeatability is nearly white, 10 dark, more the darkest.
-DARKEST = 10.0  # times the larger of repeatability and relevance limit
-SIGNED = [
+DARKEST_RATIO = 10.0  # in multiples of the larger of repeatability and relevance limit
+DIVERGING_COLOURS = [
     [0.0, "#B2182B"],
     [0.2, "#EF8A62"],
     [0.4, "#F7EFEC"],
@@ -38,9 +38,9 @@ SIGNED = [
     [0.8, "#67A9CF"],
     [1.0, "#2166AC"],
 ]
-MOST_EFFECTS = 12
-DECADE = 10.0  # ratio of largest to smallest, from which an axis is logarithmic
-NOTICEABLE = 2.0  # times repeatability, from which a place is shown, where it is above its relevance limit
+MAX_SHOWN_EFFECTS = 12  # bars of the figure
+MIN_LOG_AXIS_RATIO = 10.0  # largest over smallest value, from which an axis is logarithmic
+MIN_SHOWN_RATIO = 2.0  # residual over repeatability, from which a cell above its relevance limit is shown
 
 _AXIS = {
     "automargin": True,
@@ -77,7 +77,7 @@ def curves_plot(figure: Figure, most: int | None = None) -> go.Figure:
         most: Points of a curve over time, at most; None: all.
     """
     if most is not None and figure.over_time:
-        figure = replace(figure, panels=tuple(_thinned(panel, most) for panel in figure.panels))
+        figure = replace(figure, panels=tuple(_decimated(panel, most) for panel in figure.panels))
     panels = len(figure.panels)
     drawn = _figure()
     gap = 0.045
@@ -108,8 +108,8 @@ def curves_plot(figure: Figure, most: int | None = None) -> go.Figure:
     )
 
 
-def _thinned(panel: Panel, most: int) -> Panel:
-    """Every so many of the points of every curve."""
+def _decimated(panel: Panel, most: int) -> Panel:
+    """Decimated points of every curve."""
     strides = [max(1, math.ceil(curve.x.size / most)) for curve in panel.curves]
     curves = [
         replace(curve, x=curve.x[::stride], y=curve.y[::stride])
@@ -126,7 +126,7 @@ def _curve(curve: Curve, axis: str, shared: bool) -> go.Scatter:
         low, high = curve.error
         error = {"type": "data", "symmetric": False, "array": [high], "arrayminus": [low], "thickness": 2}
     return go.Scatter(
-        **_places(curve.x),
+        **_x_coordinates(curve.x),
         y=curve.y.astype(np.float32) if curve.y.size else [None],
         name=curve.label,
         showlegend=bool(curve.label),
@@ -147,8 +147,8 @@ def _curve(curve: Curve, axis: str, shared: bool) -> go.Scatter:
     )
 
 
-def _places(x: Array) -> dict[str, Any]:
-    """Where the points of a curve are along x; of even steps begin and step alone, which keeps pages small."""
+def _x_coordinates(x: Array) -> dict[str, Any]:
+    """x coordinates of a curve; start and step alone if evenly spaced, which keeps pages small."""
     if not x.size:  # a curve without points keeps its legend entry only with one invisible point
         return {"x": [None]}
     steps = np.diff(x)
@@ -161,7 +161,7 @@ def effects_plot(document: DiagnosisDocument) -> go.Figure | None:
     """Held-out error of the best effects, alone and added to the chosen ones; None if none was measured."""
     shown = [
         (effect, effect.held_out_error_after) for effect in document.effects if effect.held_out_error_after is not None
-    ][:MOST_EFFECTS]
+    ][:MAX_SHOWN_EFFECTS]
     if not shown:
         return None
     names = [_plain(effect.name) for effect, _ in shown]
@@ -214,7 +214,7 @@ def effects_plot(document: DiagnosisDocument) -> go.Figure | None:
 def _range(numbers: Sequence[float]) -> dict[str, Any]:
     """An axis from zero, or a logarithmic one if the smallest number would be invisible."""
     smallest, largest = min(numbers), max(numbers)
-    if smallest <= 0.0 or largest < DECADE * smallest:
+    if smallest <= 0.0 or largest < MIN_LOG_AXIS_RATIO * smallest:
         return {"range": [0.0, 1.05 * largest]}
     low, high = math.log10(smallest), math.log10(largest)
     margin = 0.05 * (high - low)
@@ -251,8 +251,8 @@ def _joint_bars(
 
 
 def noticeable(cell: Cell) -> bool:
-    """Whether a residual is clear of noise and above its relevance limit."""
-    return cell.times_noise > NOTICEABLE and cell.matters
+    """Whether a residual exceeds noise and its relevance limit."""
+    return cell.times_noise > MIN_SHOWN_RATIO and cell.matters
 
 
 def where_plots(cells: Sequence[Cell], by_phase: bool, yardstick: str) -> list[tuple[str, go.Figure]]:
@@ -306,9 +306,9 @@ def _heat_map(cells: Sequence[Cell], columns: Sequence[tuple[str, Cell]], yardst
             y=[_plain(f"{signal} {index}") for signal, index in rows],
             text=[["" if c is None else quantity_text(c.error, c.unit) for c in row] for row in found],
             hovertemplate=f"%{{y}}<br>%{{x}}<br>%{{z:.1f}} × {yardstick}<br>%{{text}}<extra></extra>",
-            zmin=-DARKEST,
-            zmax=DARKEST,
-            colorscale=SIGNED,
+            zmin=-DARKEST_RATIO,
+            zmax=DARKEST_RATIO,
+            colorscale=DIVERGING_COLOURS,
             colorbar={"orientation": "h", "thickness": 8, "y": 0, "yanchor": "top", "ypad": 6, "outlinewidth": 0},
             xgap=1,
             ygap=1,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures as PNG, drawn with Matplotlib: no browser is needed on the user's machine."""
+"""Figures as PNG by Matplotlib, without a browser."""
 
 from __future__ import annotations
 

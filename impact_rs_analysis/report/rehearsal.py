@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Page of a rehearsal: its verdict, how near everything came to its bound, and what was not checked."""
+"""Page of a rehearsal: verdict, margins to all bounds, and omitted checks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.plots import GREY, TEMPLATE
 from impact_rs_trials.checked_bound import CheckedBound
 
-HIGHEST = 1.5  # of a bound; a longer bar ends there
+MAX_BAR_RATIO = 1.5  # value over bound; a longer bar ends there
 
 
 @dataclass(frozen=True)
@@ -81,12 +81,12 @@ def write_rehearsal(
 
 
 def margins_plot(bounds: Sequence[CheckedBound]) -> go.Figure:
-    """Bars of every value over its bound, from 0 to ``HIGHEST``."""
+    """Bars of every value over its bound, from 0 to ``MAX_BAR_RATIO``."""
     rows = [(one.name, one.share, one.holds) for one in reversed(bounds) if one.share is not None]
     figure = go.Figure(layout={"template": TEMPLATE})
     figure.add_bar(
         y=[name for name, *_ in rows],
-        x=[min(share, HIGHEST) for _, share, _ in rows],
+        x=[min(share, MAX_BAR_RATIO) for _, share, _ in rows],
         text=[f"{share:.0%}" for _, share, _ in rows],
         textposition="auto",
         orientation="h",
@@ -97,6 +97,6 @@ def margins_plot(bounds: Sequence[CheckedBound]) -> go.Figure:
     return figure.update_layout(
         height=120 + 28 * len(rows),
         showlegend=False,
-        xaxis={"title": {"text": "value over bound"}, "range": [0.0, HIGHEST], "tickformat": ".0%"},
+        xaxis={"title": {"text": "value over bound"}, "range": [0.0, MAX_BAR_RATIO], "tickformat": ".0%"},
         yaxis={"automargin": True, "ticksuffix": " "},
     )

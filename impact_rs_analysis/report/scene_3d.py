@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scene as ``replay.js`` reads it: joints and links of a URDF with their shapes, and the object's box.
 
-The page gets joint positions and does the forward kinematics itself: a joint frame in its parent, then the joint's turn
-about, or way along, its axis.
+The page receives joint positions and computes the forward kinematics: joint frame in its parent, then rotation about,
+or translation along, the joint axis.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.urdf import joint_names
 
-LIGHT = "0.88 0.88 0.9 1"  # default colour, as in a URDF
-MOVING = ("revolute", "continuous", "prismatic")  # types of joints with a joint state
-STICK = 0.03  # m, radius of a link without usable shapes
-ROUND = (9, 16)  # points of a sphere from pole to pole, and around
+DEFAULT_COLOUR = "0.88 0.88 0.9 1"  # RGBA, as in a URDF
+MOVING_JOINT_TYPES = ("revolute", "continuous", "prismatic")  # those with a joint state
+STICK_RADIUS_M = 0.03  # of a link without usable shapes
+SPHERE_POINTS = (9, 16)  # from pole to pole, and around
 
 
 def scene_data(physics: Physics) -> dict[str, Any]:
@@ -100,7 +100,7 @@ def _scene(
 
 
 def _moves(joint: Xml.Element) -> bool:
-    return joint.get("type") in MOVING and joint.find("mimic") is None
+    return joint.get("type") in MOVING_JOINT_TYPES and joint.find("mimic") is None
 
 
 def _link(joint: Xml.Element, end: str) -> str:
@@ -125,7 +125,7 @@ def _shape(visual: Xml.Element) -> dict[str, Any] | None:
     form, colour = visual.find("geometry/*"), visual.find("material/color")
     if form is None:
         return None
-    rgba = LIGHT if colour is None else colour.get("rgba", LIGHT)
+    rgba = DEFAULT_COLOUR if colour is None else colour.get("rgba", DEFAULT_COLOUR)
     look = {"kind": form.tag, **_origin(visual), "colour": _numbers(rgba)[:3]}
     if form.tag == "sphere":
         return look | {"kind": "mesh"} | _ball(*_numbers(form.get("radius", "")))
@@ -140,7 +140,7 @@ def _shape(visual: Xml.Element) -> dict[str, Any] | None:
 
 def _ball(radius: float) -> dict[str, Any]:
     """A sphere as a mesh."""
-    rows, columns = ROUND
+    rows, columns = SPHERE_POINTS
     polar, around = np.meshgrid(
         np.linspace(0.0, np.pi, rows), 2.0 * np.pi * np.arange(columns) / columns, indexing="ij"
     )
@@ -159,11 +159,11 @@ def _sticks(robot: Xml.Element, link: Xml.Element) -> list[dict[str, Any]]:
     for joint in robot.findall("joint"):
         end = np.array(_origin(joint)["position"])
         length = float(np.linalg.norm(end))
-        if _link(joint, "parent") == link.get("name") and length > STICK:
+        if _link(joint, "parent") == link.get("name") and length > STICK_RADIUS_M:
             turned = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end / length)
             pose = {"position": (0.5 * end).tolist(), "quaternion": turned.coeffs().tolist()}
-            size = {"radius": [STICK], "length": [length]}
-            found.append({"kind": "cylinder", **pose, "colour": _numbers(LIGHT)[:3], **size})
+            size = {"radius": [STICK_RADIUS_M], "length": [length]}
+            found.append({"kind": "cylinder", **pose, "colour": _numbers(DEFAULT_COLOUR)[:3], **size})
     return found
 
 

@@ -14,16 +14,16 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from impact_rs_analysis.limits.hit_bounds import KINDS, WORDS
+from impact_rs_analysis.limits.hit_bounds import KIND_WORDS, KINDS
 from impact_rs_analysis.limits.poses import PlacedLimit
-from impact_rs_analysis.limits.speed import LEVEL, SpeedLimit
+from impact_rs_analysis.limits.speed import HOLD_PROBABILITY, SpeedLimit
 from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, RED, SKY
 from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.plots import GREY, TEMPLATE
 from impact_rs_sim.scenario import Scenario
 
 COLOURS = {"jump": BLUE, "speed": GREEN, "torque": ORANGE, "reflex": RED, "force": GREY}
-MOST_SHARE = 2.0  # of the planned speed, at the end of the colours of the map
+MAX_SPEED_RATIO = 2.0  # limit over planned speed, at the end of the colour scale of the map
 
 
 @dataclass(frozen=True)
@@ -81,8 +81,8 @@ def write_limits(
         title=f"How fast may {scenario.name} hit?",
         answer=answer,
         limits=tuple(limits),
-        kinds={kind: WORDS[kind] for kind in KINDS if kind not in limits[0].unknown},
-        unknown=tuple(WORDS[kind] for kind in limits[0].unknown),
+        kinds={kind: KIND_WORDS[kind] for kind in KINDS if kind not in limits[0].unknown},
+        unknown=tuple(KIND_WORDS[kind] for kind in limits[0].unknown),
         plots=tuple(plots),
     )
     files = {
@@ -97,7 +97,7 @@ def limits_document(scenario: Scenario, limits: Sequence[SpeedLimit], places: Se
     """Speed limits as JSON."""
     return {
         "scenario": scenario.name,
-        "level": LEVEL,
+        "level": HOLD_PROBABILITY,
         "limits": [one.to_json() for one in limits],
         "places": [
             {
@@ -118,7 +118,7 @@ def limits_plot(limits: Sequence[SpeedLimit]) -> go.Figure:
     for kind in KINDS:
         if kind in limits[0].by_kind:
             speeds = [one.to_json()["by_kind_m_s"][kind] for one in limits]  # type: ignore[index]
-            figure.add_bar(x=names, y=speeds, name=WORDS[kind], marker={"color": COLOURS[kind]})
+            figure.add_bar(x=names, y=speeds, name=KIND_WORDS[kind], marker={"color": COLOURS[kind]})
     planned = [one.planned for one in limits]
     marker = {"symbol": "line-ew-open", "size": 30, "color": BLACK}
     figure.add_scatter(x=names, y=planned, mode="markers", name="planned", marker=marker)
@@ -133,13 +133,13 @@ def places_plot(places: Sequence[PlacedLimit]) -> go.Figure:
     heat = go.Heatmap(
         x=x,
         y=z,
-        z=[[None if one is None else min(one.speed / one.planned, MOST_SHARE) for one in row] for row in grid],
+        z=[[None if one is None else min(one.speed / one.planned, MAX_SPEED_RATIO) for one in row] for row in grid],
         text=[["" if one is None else _speed(one.speed) for one in row] for row in grid],
         texttemplate="%{text}",
         hovertemplate="x %{x} m, z %{y} m: %{text} m/s<extra></extra>",
         colorscale=[[0.0, RED], [0.5, "#F7F7F7"], [1.0, SKY]],
         zmin=0.0,
-        zmax=MOST_SHARE,
+        zmax=MAX_SPEED_RATIO,
         colorbar={"title": {"text": "of the<br>planned"}, "tickformat": ".0%"},
     )
     return go.Figure([heat], layout={"template": TEMPLATE}).update_layout(

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from impact_rs_sim.mesh_files import mesh_path
 from impact_rs_sim.robot import Array
 
-MOST_FACES = 1200  # per mesh; twenty such meshes are 0.5 MB of a page
-FINEST = 64  # initial number of cells along the longest side
-COARSER = 0.8  # factor on the number of cells of the next try
-LARGEST_FILE = 50_000_000  # bytes
+MAX_FACES = 1200  # per mesh; twenty such meshes are 0.5 MB of a page
+MAX_INITIAL_CELLS = 64  # along the longest side
+COARSENING_FACTOR = 0.8  # on the number of cells of the next try
+MAX_FILE_BYTES = 50_000_000  # bytes
 HEADER, RECORD = 84, 50  # bytes, of a binary STL
-LOADED = (".dae", ".obj")  # by coal, which comes with Pinocchio
+COAL_SUFFIXES = (".dae", ".obj")  # loaded by coal, which comes with Pinocchio
 UNIT = re.compile(rb"""<unit\b[^>]*\bmeter\s*=\s*["']([^"']+)""")  # of a DAE file [m]
 VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
 
@@ -48,9 +48,9 @@ def surface_of(address: str) -> Surface | None:
     """The mesh at an address of :func:`~impact_rs_sim.mesh_files.mesh_path`; None without a readable file."""
     path = mesh_path(address)
     try:
-        if path is None or path.stat().st_size > LARGEST_FILE:
+        if path is None or path.stat().st_size > MAX_FILE_BYTES:
             return None
-        corners = _loaded(path) if path.suffix.lower() in LOADED else _corners(path.read_bytes())
+        corners = _loaded(path) if path.suffix.lower() in COAL_SUFFIXES else _corners(path.read_bytes())
     except (OSError, ValueError, RuntimeError):  # coal raises the latter two
         return None
     return _coarse(corners) if corners.size and np.isfinite(corners).all() else None
@@ -80,7 +80,7 @@ def _loaded(path: Path) -> Array:
 def _coarse(corners: Array) -> Surface:
     points = corners.reshape(-1, 3)
     low, side = points.min(axis=0), float(np.ptp(points, axis=0).max()) or 1.0
-    cells = float(FINEST)
+    cells = float(MAX_INITIAL_CELLS)
     while True:
         grid = np.floor((points - low) / side * cells).astype(int)
         _, rows = np.unique(grid, axis=0, return_inverse=True)
@@ -88,9 +88,9 @@ def _coarse(corners: Array) -> Surface:
         whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
         _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
         kept = faces[[row for row in first if whole[row]]]
-        if len(kept) <= MOST_FACES:
+        if len(kept) <= MAX_FACES:
             break
-        cells *= COARSER
+        cells *= COARSENING_FACTOR
     sums = np.zeros((rows.max() + 1, 3))
     np.add.at(sums, rows.ravel(), points)
     return Surface(sums / np.bincount(rows.ravel())[:, None], kept)

@@ -33,9 +33,9 @@ from impact_rs_sim.robot import Array, joined_units
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.runs import NONE, Run
 
-STRIDES = (0.001, 0.004)  # s between samples of a figure at least, about the impact and elsewhere
+MIN_SAMPLE_PERIODS_S = (0.001, 0.004)  # of a figure, near the impact and elsewhere
 COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
-HEIGHT = 360  # px, of a figure
+FIGURE_HEIGHT_PX = 360  # px, of a figure
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ def _page(title: str, facts: tuple[tuple[str, str], ...], notes: tuple[str, ...]
 def trial_plots(track: Track) -> list[Plot]:
     """Velocity of the end effector, joint velocities and joint positions, arm by arm."""
     assert track.physics is not None and track.measured is not None
-    shown = shown_rows(track, *STRIDES)
+    shown = shown_rows(track, *MIN_SAMPLE_PERIODS_S)
     found = []
     for number, (arm, own) in enumerate(track.physics.arms.items()):
         of_arm = f" of {arm}" if len(track.physics.arms) > 1 else ""
@@ -213,7 +213,7 @@ def _over_time(track: Track, shown: NDArray[np.int64], values: Array, labels: li
     )
     notes = () if track.impact is None else (Note(track.impact, "impact"),)
     figure = Figure("", "", "", TIME, (Panel(f"[{unit}]", curves),), notes)
-    return curves_plot(figure).update_layout(height=HEIGHT, margin={"t": 30})
+    return curves_plot(figure).update_layout(height=FIGURE_HEIGHT_PX, margin={"t": 30})
 
 
 def _text(vector: Array) -> str:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Evidence that laboratories exchange: packages, their check, and what they say together."""
+"""Evidence exchanged between laboratories: packages, their verification, and their meta-analysis."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A package of evidence: what one laboratory found in one set of measurements, for others to check and to merge.
+"""Evidence package: the diagnosis of one laboratory on one data set, for others to verify and merge.
 
 One JSON file holds the model that was diagnosed, the diagnosis, the digest of every file of the measurements, versions,
 and who measured what. Measurements stay where they are. A seal, the digest of everything else, reveals changes by
@@ -26,7 +26,7 @@ from impact_rs_sim.schema import Schema, read_json, validate
 from impact_rs_sim.version import git_revision, package_version
 
 LIBRARIES = ("numpy", "scipy", "pin")
-BLOCK = 1 << 20  # bytes that are read at a time
+READ_BLOCK_BYTES = 1 << 20  # bytes that are read at a time
 
 
 class FileDigest(Schema):
@@ -171,7 +171,7 @@ def digests_of(data: Path, progress: Callable[[int, int], None] = lambda *_: Non
         digest = hashlib.sha256()
         try:
             with path.open("rb") as file:
-                while block := file.read(BLOCK):
+                while block := file.read(READ_BLOCK_BYTES):
                     digest.update(block)
             size = path.stat().st_size
         except OSError as error:
@@ -198,7 +198,7 @@ def read_package(path: Path) -> EvidencePackage:
     """
     data = read_json(path, "a package of evidence", MAX_FILE_BYTES)
     if not isinstance(data, dict) or "seal" not in data:
-        raise InputError("no package of evidence; expected one that impact-rs evidence pack has written", file=path)
+        raise InputError("not an evidence package; expected a file written by impact-rs evidence pack", file=path)
     package = validate(EvidencePackage, data, path)
     check_model(package.model, path)
     return package

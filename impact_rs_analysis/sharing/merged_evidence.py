@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What several packages of evidence say together, parameter by parameter.
+"""Meta-analysis of several evidence packages, parameter by parameter.
 
 Packages of the same measurements are one piece of evidence, whatever laboratories they name: they are refused, by the
 digests of their files. Packages that have less than half of their measurements in common are named.
@@ -7,10 +7,9 @@ digests of their files. Packages that have less than half of their measurements 
 A parameter of an effect is pooled over all packages that estimate it (:mod:`impact_rs_analysis.sharing.meta_analysis`);
 a standard error is the 95 % interval over 2 x 1.96.
 
-First odd laboratories are looked for: studentised residuals from all other laboratories whose p value, times the number
-of residuals looked at (Bonferroni), is below ``ODD``, of laboratories whose robot and object others have measured as
-well. They are left out of that parameter and named, and the search goes on without them, as long as three packages are
-left.
+Outlier laboratories come first: their studentised residual from all other laboratories has a p-value that, times the
+number of residuals tested (Bonferroni), is below ``ODD_SIGNIFICANCE``, and others have measured the same robot and
+object. They are named, excluded from that parameter, and the test is repeated as long as three packages are left.
 
 Then the heterogeneity Q that is left is divided by robot, object and laboratory. A parameter *belongs* to what leaves
 none within its groups: Q within them is not significant, Q between them is. A robot or object that one laboratory alone
@@ -36,13 +35,14 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.schema import Schema
 
-ODD = 0.05  # family-wise, over all residuals of a merge
-DIFFERENT = 0.01  # p of heterogeneity below which packages differ
+ODD_SIGNIFICANCE = 0.05  # family-wise, over all residuals of a merge
+HETEROGENEITY_SIGNIFICANCE = 0.01  # p of Q below which packages differ
 FACTORS = ("robot", "object", "laboratory")
-SHARED = "shared"
-UNCLEAR = "unclear"
-REPEATED = 0.5  # share of its measurements from which on a package repeats another one; files beside them may be alike
-LEAST = 3  # packages of a parameter without which none is called odd
+SHARED_PARAMETER = "shared"
+UNCLEAR_PARAMETER = "unclear"
+# Of its measurements, from which a package repeats another one; files beside them may be equal
+MIN_REPEATED_SHARE = 0.5
+MIN_STUDIES = 3  # packages of a parameter, below which no package is called odd
 
 
 class MergedEstimate(Schema):
@@ -54,7 +54,7 @@ class MergedEstimate(Schema):
 
 
 class Contribution(Schema):
-    """What one package says of a parameter."""
+    """Estimate of one package."""
 
     laboratory: str = Field(description="who measured")
     robot: str = Field(description="which robot")
@@ -148,7 +148,7 @@ def merge_packages(packages: Sequence[EvidencePackage]) -> MergedEvidence:
 
 
 def _check_mergeable(packages: Sequence[EvidencePackage]) -> tuple[str, ...]:
-    """Packages that have some files in common, in words."""
+    """Check that packages can be merged; returns warnings about common files."""
     if len(packages) < 2:
         raise InputError(f"{len(packages)} package of evidence; expected two or more")
     for package in packages:
@@ -167,7 +167,7 @@ def _check_mergeable(packages: Sequence[EvidencePackage]) -> tuple[str, ...]:
     in_common = []
     for one, other in combinations(packages, 2):
         share = one.repeats(other)
-        if share >= REPEATED:
+        if share >= MIN_REPEATED_SHARE:
             raise InputError(
                 f"the packages of {one.name} and of {other.name} hold the same measurements ({share:.0%} of their "
                 "bytes, by SHA-256): they are one piece of evidence, not two; give one of them"
@@ -216,9 +216,9 @@ def _studies(
 def _without_odd(
     studies: Mapping[tuple[str, str], list[_Study]],
 ) -> tuple[dict[tuple[str, str], list[int]], dict[tuple[str, str], dict[int, float]]]:
-    """Indices of studies that agree, and of odd ones with their residuals, by parameter."""
+    """Indices of consistent studies, and of outliers with their studentised residuals, by parameter."""
     kept = {key: list(range(len(own))) for key, own in studies.items()}
-    looked_at = sum(len(own) for own in studies.values() if len(own) > LEAST)
+    looked_at = sum(len(own) for own in studies.values() if len(own) > MIN_STUDIES)
     odd: dict[tuple[str, str], dict[int, float]] = defaultdict(dict)
     laboratories = sorted({study.package.laboratory for own in studies.values() for study in own})
     while True:
@@ -226,14 +226,14 @@ def _without_odd(
         for laboratory in laboratories:
             dispersion, freedom = _dispersion(studies, kept, laboratory)
             for key, own in studies.items():
-                if len(kept[key]) <= LEAST:
+                if len(kept[key]) <= MIN_STUDIES:
                     continue
                 for index in kept[key]:
                     if own[index].package.laboratory == laboratory and _alone(own, kept[key], index):
                         size = _residual(own, kept[key], index, dispersion)
                         p_value = 2.0 * float(scipy.stats.t.sf(abs(size), max(freedom, 1))) * looked_at
                         found.append((p_value, key, index, size))
-        if not found or (worst := min(found, key=lambda one: (one[0], -abs(one[3]))))[0] >= ODD:
+        if not found or (worst := min(found, key=lambda one: (one[0], -abs(one[3]))))[0] >= ODD_SIGNIFICANCE:
             return kept, odd
         _, key, index, size = worst
         kept[key].remove(index)
@@ -253,7 +253,7 @@ def _dispersion(
         if len(others) < 2:
             continue
         q, _, _ = heterogeneity(*_numbers(own, others))
-        if float(scipy.stats.chi2.sf(q, len(others) - 1)) > DIFFERENT:
+        if float(scipy.stats.chi2.sf(q, len(others) - 1)) > HETEROGENEITY_SIGNIFICANCE:
             total, freedom = total + q, freedom + len(others) - 1
     return (total / freedom if freedom else 1.0), freedom
 
@@ -266,7 +266,7 @@ def _residual(own: Sequence[_Study], kept: Sequence[int], index: int, dispersion
 
 
 def _alone(own: Sequence[_Study], kept: Sequence[int], worst: int) -> bool:
-    """Whether nothing but the laboratory sets a study apart: another one has its robot, and its object."""
+    """Whether only the laboratory distinguishes a study: others share its robot and its object."""
     study = own[worst]
     others = [own[index] for index in kept if own[index].package.laboratory != study.package.laboratory]
     return all(any(other.label(factor) == study.label(factor) for other in others) for factor in ("robot", "object"))
@@ -280,11 +280,11 @@ def _merged(own: Sequence[_Study], kept: Sequence[int], odd: Mapping[int, float]
     """One parameter."""
     values, errors = _numbers(own, kept)
     pooled = pool(values, errors)
-    belongs_to: tuple[str, ...] = (SHARED,)
+    belongs_to: tuple[str, ...] = (SHARED_PARAMETER,)
     groups: dict[str, MergedEstimate] = {}
-    if pooled.p_value < DIFFERENT:
-        belongs_to = _belongs_to(own, kept, pooled.q) or (UNCLEAR,)
-        if belongs_to != (UNCLEAR,):
+    if pooled.p_value < HETEROGENEITY_SIGNIFICANCE:
+        belongs_to = _belongs_to(own, kept, pooled.q) or (UNCLEAR_PARAMETER,)
+        if belongs_to != (UNCLEAR_PARAMETER,):
             groups = _groups(own, kept, belongs_to[0])
     left = {index: _residual(own, kept, index) for index in kept}
     contributions = [
@@ -315,7 +315,7 @@ def _merged(own: Sequence[_Study], kept: Sequence[int], odd: Mapping[int, float]
 
 
 def _belongs_to(own: Sequence[_Study], kept: Sequence[int], q: float) -> tuple[str, ...]:
-    """What the packages differ by."""
+    """Factors that explain the heterogeneity of the packages."""
     values, errors = _numbers(own, kept)
     found = []
     for factor in FACTORS:
@@ -326,7 +326,7 @@ def _belongs_to(own: Sequence[_Study], kept: Sequence[int], q: float) -> tuple[s
         within, freedom = within_groups(values, errors, labels)
         between = float(scipy.stats.chi2.sf(q - within, count - 1))
         rest = float(scipy.stats.chi2.sf(within, freedom)) if freedom else 1.0
-        if between < DIFFERENT <= rest:
+        if between < HETEROGENEITY_SIGNIFICANCE <= rest:
             found.append(factor)
     of_bodies = [factor for factor in found if factor != "laboratory"]
     decided = [factor for factor in of_bodies if _apart_from_laboratories(own, kept, factor)]
@@ -345,7 +345,7 @@ def _apart_from_laboratories(own: Sequence[_Study], kept: Sequence[int], factor:
     values, errors = _numbers(own, shared)
     within, _ = within_groups(values, errors, labels)
     between = pool(values, errors).q - within
-    return float(scipy.stats.chi2.sf(between, len(set(labels)) - 1)) < DIFFERENT
+    return float(scipy.stats.chi2.sf(between, len(set(labels)) - 1)) < HETEROGENEITY_SIGNIFICANCE
 
 
 def _groups(own: Sequence[_Study], kept: Sequence[int], factor: str) -> dict[str, MergedEstimate]:

@@ -34,17 +34,17 @@ import scipy
 
 from impact_rs_sim.robot import Array
 
-LEVEL = 0.95
-DIFFER = 0.05  # p of Q, up to which tau of the others is taken for a residual
+CONFIDENCE_LEVEL = 0.95  # of pooled intervals
+MAX_HETEROGENEITY_P = 0.05  # up to this p of Q, a residual uses tau of the others
 
 
 @dataclass(frozen=True)
 class Pooled:
-    """What studies say together.
+    """Pooled estimate of several studies.
 
     Attributes:
         mean: mu.
-        low: Lower end of its interval at ``LEVEL``.
+        low: Lower end of its interval at ``CONFIDENCE_LEVEL``.
         high: Upper end.
         tau: Standard deviation between studies.
         q: Heterogeneity Q.
@@ -76,13 +76,13 @@ def pool(values: Sequence[float], errors: Sequence[float]) -> Pooled:
     y, s = np.asarray(values, dtype=float), np.asarray(errors, dtype=float)
     count = y.size
     if count == 1:
-        half = float(scipy.stats.norm.ppf(0.5 + LEVEL / 2.0) * s[0])
+        half = float(scipy.stats.norm.ppf(0.5 + CONFIDENCE_LEVEL / 2.0) * s[0])
         return Pooled(float(y[0]), float(y[0]) - half, float(y[0]) + half, 0.0, 0.0, 1.0, 1)
     q, tau = _heterogeneity(y, s)
     weight = 1.0 / (s**2 + tau**2)
     mean = float(weight @ y / weight.sum())
     scatter = float(weight @ (y - mean) ** 2) / (count - 1)
-    upper = 0.5 + LEVEL / 2.0
+    upper = 0.5 + CONFIDENCE_LEVEL / 2.0
     widest = max(scipy.stats.t.ppf(upper, count - 1) * np.sqrt(scatter), scipy.stats.norm.ppf(upper))
     half = float(widest / np.sqrt(weight.sum()))
     p_value = float(scipy.stats.chi2.sf(q, count - 1))
@@ -114,7 +114,7 @@ def residual(
 def heterogeneity(values: Sequence[float], errors: Sequence[float]) -> tuple[float, float, bool]:
     """Q, tau, and whether studies differ."""
     q, tau = _heterogeneity(np.asarray(values, dtype=float), np.asarray(errors, dtype=float))
-    return q, tau, len(values) > 1 and float(scipy.stats.chi2.sf(q, len(values) - 1)) <= DIFFER
+    return q, tau, len(values) > 1 and float(scipy.stats.chi2.sf(q, len(values) - 1)) <= MAX_HETEROGENEITY_P
 
 
 def within_groups(values: Sequence[float], errors: Sequence[float], groups: Sequence[str]) -> tuple[float, int]:

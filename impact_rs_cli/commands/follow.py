@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from impact_rs_analysis.following.follow import Follower
-from impact_rs_analysis.following.hits import Door
+from impact_rs_analysis.following.hits import HitSource
 from impact_rs_analysis.following.lessons import ChangeDiagnosis, FollowDocument, HitDocument, NextHit
 from impact_rs_cli.arguments import number, on_local_runs
 from impact_rs_cli.following import (
@@ -18,8 +18,8 @@ from impact_rs_cli.following import (
     HitsArguments,
     calibration_of_hits,
     diagnose_options,
-    door_of,
     folder_of_diagnoses,
+    hit_source_of,
 )
 from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_cli.parser import PROGRAM
@@ -49,8 +49,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     whole = calibration.of(model)
     if calibration:
         terminal.say(f"calibration of the readings: {calibration.text}")
-    door = door_of(hits, whole)
-    follower = Follower(door, whole, args.effects, args.learn, args.mean_time)
+    hit_source = hit_source_of(hits, whole)
+    follower = Follower(hit_source, whole, args.effects, args.learn, args.mean_time)
     diagnosis = FullDiagnosis(diagnose_options(hits, args.effects), folder_of_diagnoses(args.diagnoses, args.state))
     followed = FollowedHits(hits, follower, args.state, None if args.no_diagnosis else diagnosis)
     if count := followed.restore():
@@ -60,9 +60,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         for document in followed.arrived():
             documents.append(document)
             _say(document, diagnosis, terminal)
-            report(len(documents), len(documents) + door.waiting)
-            _warn_of_refused(door, terminal)
-    _warn_of_refused(door, terminal)
+            report(len(documents), len(documents) + hit_source.waiting)
+            _warn_of_refused(hit_source, terminal)
+    _warn_of_refused(hit_source, terminal)
     followed.save()
     found = None
     try:
@@ -73,14 +73,14 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             found = _awaited(diagnosis, terminal)
     finally:
         diagnosis.stop()
-    _warn_of_refused(door, terminal)
+    _warn_of_refused(hit_source, terminal)
     result = FollowDocument(
         model=model.name,
         hits=tuple(documents),
         followed=follower.followed(),
         prediction=follower.prediction(),
         diagnosis=found,
-        skipped=door.skipped,
+        skipped=hit_source.skipped,
     )
     _show(result, follower, terminal)
     if args.output is not None:
@@ -91,9 +91,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     return 0
 
 
-def _warn_of_refused(door: Door, terminal: Terminal) -> None:
+def _warn_of_refused(hit_source: HitSource, terminal: Terminal) -> None:
     """Warn of what gave no hit, once for each."""
-    for name, reason in door.newly_skipped().items():
+    for name, reason in hit_source.newly_skipped().items():
         terminal.warn(f"left out: {name}: {reason}")
 
 
@@ -106,7 +106,7 @@ def _live(followed: FollowedHits, diagnosis: FullDiagnosis, terminal: Terminal) 
             for document in followed.arrived():
                 found.append(document)
                 _say(document, diagnosis, terminal, every=True)
-            _warn_of_refused(followed.follower.door, terminal)
+            _warn_of_refused(followed.follower.hit_source, terminal)
             _say_more(followed, terminal)
             _say_diagnosis(diagnosis.ended(), terminal)
             time.sleep(POLLED)

@@ -10,7 +10,7 @@ from impact_rs_analysis.investigation.endings import Ending
 from impact_rs_analysis.investigation.loop import Investigation
 from impact_rs_analysis.investigation.rounds import read_rounds
 from impact_rs_analysis.investigation.settings import BlindChoice, Settings, begin
-from impact_rs_analysis.investigation.story import LOG
+from impact_rs_analysis.investigation.story import LOG_FILE
 from impact_rs_analysis.report.family_tree import write_investigation
 from impact_rs_cli.arguments import check_robots, started
 from impact_rs_cli.bench import NO_SECRET, PlantBench
@@ -120,4 +120,4 @@ def _show(directory: Path, ending: Ending, terminal: Terminal) -> None:
     terminal.say("", ending.verdict, ending.summary, f"{ending.trials} trials in {ending.rounds} rounds")
     if ending.effects:
         terminal.say(f"model: {directory / ending.model}")
-    terminal.say(f"log: {directory / LOG}", f"report: {(directory / REPORT / 'investigation.html').resolve()}")
+    terminal.say(f"log: {directory / LOG_FILE}", f"report: {(directory / REPORT / 'investigation.html').resolve()}")

@@ -11,9 +11,9 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from impact_rs_analysis.limits.hit_bounds import KINDS, WORDS, Thresholds
+from impact_rs_analysis.limits.hit_bounds import KIND_WORDS, KINDS, Thresholds
 from impact_rs_analysis.limits.poses import LimitTask, PlacedLimit, limit_of
-from impact_rs_analysis.limits.speed import LEVEL, SpeedLimit
+from impact_rs_analysis.limits.speed import HOLD_PROBABILITY, SpeedLimit
 from impact_rs_analysis.report.speed_limits import limits_document, write_limits
 from impact_rs_cli.arguments import settings_of, started
 from impact_rs_cli.terminal import Terminal, output_folder
@@ -69,7 +69,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     for binding, count in Counter(one.binding for one in found).most_common():
         terminal.say(f"nearest bound of {count} of {len(found)}: {binding}")
     for kind in found[0].unknown:
-        terminal.warn(f"no bound of the {WORDS[kind]} is known: it limits nothing here (robot facts, section reflexes)")
+        terminal.warn(
+            f"no bound of the {KIND_WORDS[kind]} is known: it limits nothing here (robot facts, section reflexes)"
+        )
     if note := Physics.nominal(scenario, objects[0]).assumed:
         terminal.say(f"note: {note}")
     if places:
@@ -101,7 +103,7 @@ def _table(name: str, found: list[SpeedLimit]) -> Table:
     """The table for the terminal."""
     known = [kind for kind in KINDS if kind not in found[0].unknown]
     table = Table(
-        title=escape(f"{name}: closing speed [m/s] up to which all bounds hold with {LEVEL:.0%}"),
+        title=escape(f"{name}: closing speed [m/s] up to which all bounds hold with {HOLD_PROBABILITY:.0%}"),
         pad_edge=False,
         collapse_padding=True,
     )

@@ -7,7 +7,13 @@ import argparse
 
 from rich.table import Table
 
-from impact_rs_analysis.measure.design_study import LEVEL, MEASURES, DesignQuestion, DesignStudy, study_designs
+from impact_rs_analysis.measure.design_study import (
+    CONFIDENCE_LEVEL,
+    MEASURES,
+    DesignQuestion,
+    DesignStudy,
+    study_designs,
+)
 from impact_rs_analysis.report.design_page import write_design_study
 from impact_rs_cli.arguments import started
 from impact_rs_cli.terminal import Terminal, output_folder
@@ -43,7 +49,7 @@ def _show(study: DesignStudy, measure: str, terminal: Terminal) -> None:
     """The first designs by one measure."""
     what = MEASURES[measure]
     table = Table(title=f"Most {what.label} of {len(study.designs)} designs")
-    for heading in ("robot/pose/motor inertia/pad", f"[{what.unit}]", f"{LEVEL:.0%} interval", "rank"):
+    for heading in ("robot/pose/motor inertia/pad", f"[{what.unit}]", f"{CONFIDENCE_LEVEL:.0%} interval", "rank"):
         table.add_column(heading, no_wrap=True)
     for design, best, worst in study.ranked(measure)[:SHOWN]:
         found = design.measures[measure]

@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import math
 
-from impact_rs_analysis.measure.net_feedback import MEASURES, net_feedback
+from impact_rs_analysis.measure.net_feedback import ANALYSED_OUTCOMES, net_feedback
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags.reader import TrialBag
@@ -25,7 +25,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         ended = run_one(args.output, manifest.trial(key))
         report(1, 1)
     bag = TrialBag.open(path)
-    info, trial = bag.info, net_feedback(bag) if ended.outcome in MEASURES else None
+    info, trial = bag.info, net_feedback(bag) if ended.outcome in ANALYSED_OUTCOMES else None
     times = [bag.impact_time(arm) for arm in info.robots]
     terminal.result(
         {

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scene and its model as files of other simulators: a format is one module that writes one file.
 
-A module has ``HELD``, the quantities that its format can hold, and ``write(scene)``, which returns the file and how its
-numbers follow from those of the scene. Both, and what the format cannot hold, stand in comments at its head.
+A module has ``SUPPORTED_QUANTITIES``, the quantities that its format can hold, and ``write(scene)``, which returns the
+file and notes on how its numbers follow from those of the scene. The notes and the list of quantities left out are
+comments at the head of the file.
 """
 
 from __future__ import annotations
@@ -18,13 +19,13 @@ __all__ = ["FORMATS", "PADS", "DescriptionFormat", "ExportedScene", "ExportedQua
 
 
 @dataclass(frozen=True)
-class Written:
+class ExportedFile:
     """A file.
 
     Attributes:
         text: The file, comments included.
-        remarks: How its numbers follow from those of the scene.
-        left_out: What it does not hold.
+        remarks: Notes: how its numbers follow from those of the scene.
+        left_out: Physics of the scene that the format cannot represent.
     """
 
     text: str
@@ -37,9 +38,9 @@ class DescriptionFormat:
     """A format.
 
     Attributes:
-        label: What it is called.
-        suffixes: How names of its files end.
-        held: Quantities that it can hold.
+        label: Name for the user.
+        suffixes: File suffixes.
+        held: Quantities that it can represent.
         body: Writes the file without comments.
         xml: Whether it is XML; else its comments begin with ``#``.
     """
@@ -50,7 +51,7 @@ class DescriptionFormat:
     body: Callable[[ExportedScene], tuple[str, list[str]]]
     xml: bool = True
 
-    def write(self, scene: ExportedScene) -> Written:
+    def write(self, scene: ExportedScene) -> ExportedFile:
         """A scene in this format."""
         body, remarks = self.body(scene)
         left_out = scene.left_out(self.held)
@@ -70,12 +71,14 @@ class DescriptionFormat:
             text = f'<?xml version="1.0"?>\n<!--\n{comment}\n-->\n{body}\n'
         else:
             text = "#usda 1.0\n" + "".join(f"# {line}".rstrip() + "\n" for line in said) + body
-        return Written(text, tuple(remarks), tuple(left_out))
+        return ExportedFile(text, tuple(remarks), tuple(left_out))
 
 
 FORMATS: dict[str, DescriptionFormat] = {
-    "mjcf": DescriptionFormat("MuJoCo model", (".xml", ".mjcf"), mjcf.HELD, mjcf.write),
-    "drake": DescriptionFormat("SDFormat world for Drake", (".sdf",), drake.HELD, drake.write),
-    "urdf": DescriptionFormat("URDF", (".urdf",), urdf_scene.HELD, urdf_scene.write),
-    "usd_params": DescriptionFormat("USD layer", (".usda",), usd_physics.HELD, usd_physics.write, xml=False),
+    "mjcf": DescriptionFormat("MuJoCo model", (".xml", ".mjcf"), mjcf.SUPPORTED_QUANTITIES, mjcf.write),
+    "drake": DescriptionFormat("SDFormat world for Drake", (".sdf",), drake.SUPPORTED_QUANTITIES, drake.write),
+    "urdf": DescriptionFormat("URDF", (".urdf",), urdf_scene.SUPPORTED_QUANTITIES, urdf_scene.write),
+    "usd_params": DescriptionFormat(
+        "USD layer", (".usda",), usd_physics.SUPPORTED_QUANTITIES, usd_physics.write, xml=False
+    ),
 }

@@ -21,12 +21,12 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.damping_of_restitution import damping_ratio_of, dissipation_of
-from impact_rs_sim.descriptions.exported_scene import ExportedQuantity, ExportedScene
+from impact_rs_sim.descriptions.exported_scene import FACE_CORNERS, ExportedQuantity, ExportedScene
 from impact_rs_sim.impact_map.contacts import SUPPORT, SUPPORT_THICKNESS
 from impact_rs_sim.physics import ArmPhysics
 from impact_rs_sim.robot import Array
 
-HELD = frozenset(
+SUPPORTED_QUANTITIES = frozenset(
     {
         ExportedQuantity.MOTOR_INERTIA,
         ExportedQuantity.VISCOUS_FRICTION,
@@ -37,22 +37,21 @@ HELD = frozenset(
         ExportedQuantity.PAD_TILT,
     }
 )
-NAMESPACE = "drake.mit.edu"
-CORNERS = 4
-OVERLAP = 1e-6  # m, of pads and object at the impact; Drake sees shapes that overlap
-RADIUS = 1e-3  # m, of the spheres at the corners of pads and object
-SUPPORT_DISSIPATION = 1e3  # s/m, of a rigid support: what falls on it stays
-RIGID = 1e30  # N/m, of a partner that does not yield: the pair has the stiffness of the other
-RIGID_RATE = 1e6  # 1/s, sqrt(K / m) of a contact that stands for a rigid one
+XML_NAMESPACE = "drake.mit.edu"
+INITIAL_OVERLAP_M = 1e-6  # of pads and object at the impact; Drake detects contact of overlapping shapes only
+CORNER_SPHERE_RADIUS_M = 1e-3  # of the spheres at the corners of pads and object
+SUPPORT_DISSIPATION_S_M = 1e3  # Hunt-Crossley, of a rigid support: a falling object does not bounce
+RIGID_STIFFNESS_N_M = 1e30  # of a rigid partner: the pair then has the stiffness of the other one
+RIGID_RATE_PER_S = 1e6  # sqrt(K / m) of a compliant contact that stands for a rigid one
 
 
 def write(scene: ExportedScene) -> tuple[str, list[str]]:
-    """The file, and how its numbers follow from those of the scene.
+    """The file, and notes on how its numbers follow from those of the scene.
 
     Models are the arms by name, ``object`` and ``support``; the links and joints of an arm are ``base``, ``link1`` ...,
     ``end_effector``, and ``joint1`` ....
     """
-    root = Xml.Element("sdf", {"version": "1.9", "xmlns:drake": NAMESPACE})
+    root = Xml.Element("sdf", {"version": "1.9", "xmlns:drake": XML_NAMESPACE})
     world = Xml.SubElement(root, "world", name=scene.title.replace(" ", "_"))
     remarks = [
         "drake:rotor_inertia is the motor inertia B seen from the joint, so drake:gear_ratio is 1",
@@ -122,8 +121,8 @@ def _arm(world: Xml.Element, scene: ExportedScene, name: str, arm: ArmPhysics) -
     stiffness, dissipation, relaxation, said = _pad_law(scene, name, arm)
     half = np.array(hand.pad_size) / 2.0
     for number, corner in enumerate(_corners(half[0], half[1])):
-        centre = pad.translation + pad.rotation @ [*corner, half[2] - RADIUS + OVERLAP]
-        law = (stiffness / CORNERS, dissipation, relaxation)
+        centre = pad.translation + pad.rotation @ [*corner, half[2] - CORNER_SPHERE_RADIUS_M + INITIAL_OVERLAP_M]
+        law = (stiffness / FACE_CORNERS, dissipation, relaxation)
         _sphere(link, f"corner{number}", centre, law, scene.physics.pad_friction)
     if scene.pads == "compliant" and arm.pad_stiffness is not None:
         modulus = stiffness * hand.pad_size[2] / (2.0 * hand.pad_size[0] * hand.pad_size[1])
@@ -135,7 +134,7 @@ def _arm(world: Xml.Element, scene: ExportedScene, name: str, arm: ArmPhysics) -
 
 
 def _pad_law(scene: ExportedScene, name: str, arm: ArmPhysics) -> tuple[float, float, float, list[str]]:
-    """Stiffness of the whole pad [N/m], dissipation [s/m], relaxation time [s], and how they came about."""
+    """Stiffness of the whole pad [N/m], Hunt-Crossley dissipation [s/m], relaxation time [s], and notes on them."""
     mass, speed = scene.impact_mass(name), max(scene.closing_speed(name), 1e-3)
     e = scene.restitution_of_pad(name)
     dissipation = dissipation_of(e, speed)
@@ -144,14 +143,16 @@ def _pad_law(scene: ExportedScene, name: str, arm: ArmPhysics) -> tuple[float, f
         relaxation = arm.pad_damping / stiffness
         source = f"the pad's K and C (relaxation time C / K), which a mass of {mass:.4g} kg meets"
     else:
-        stiffness, relaxation = mass * RIGID_RATE**2, _relaxation(e)
-        source = f"a rigid pad, that a mass of {mass:.4g} kg leaves after some {1e6 * math.pi / RIGID_RATE:.2g} us"
+        stiffness, relaxation = mass * RIGID_RATE_PER_S**2, _relaxation(e)
+        source = (
+            f"a rigid pad, that a mass of {mass:.4g} kg leaves after some {1e6 * math.pi / RIGID_RATE_PER_S:.2g} us"
+        )
     return (
         stiffness,
         dissipation,
         relaxation,
         [
-            f"{name}: point_contact_stiffness {stiffness / CORNERS:.6g} N/m of one of {CORNERS} corners: "
+            f"{name}: point_contact_stiffness {stiffness / FACE_CORNERS:.6g} N/m of one of {FACE_CORNERS} corners: "
             f"{source}; hunt_crossley_dissipation {dissipation:.5g} s/m has the restitution {e:.3g} at "
             f"{speed:.4g} m/s, relaxation_time {relaxation:.4g} s (solver SAP) at any speed"
         ],
@@ -159,8 +160,8 @@ def _pad_law(scene: ExportedScene, name: str, arm: ArmPhysics) -> tuple[float, f
 
 
 def _relaxation(restitution: float) -> float:
-    """C / K of a spring and damper with :data:`RIGID_RATE` and ``restitution`` [s]."""
-    return 2.0 * damping_ratio_of(restitution) / RIGID_RATE
+    """C / K of a spring and damper with :data:`RIGID_RATE_PER_S` and ``restitution`` [s]."""
+    return 2.0 * damping_ratio_of(restitution) / RIGID_RATE_PER_S
 
 
 def _object(world: Xml.Element, scene: ExportedScene) -> list[str]:
@@ -171,8 +172,8 @@ def _object(world: Xml.Element, scene: ExportedScene) -> list[str]:
     visual = Xml.SubElement(link, "visual", name="object")
     _box(visual, object_.size)
     body = Xml.SubElement(link, "collision", name="object")
-    _pose(body, np.array([0.0, 0.0, RADIUS]), np.eye(3))  # feet below stand on the support
-    _box(body, object_.size - [0.0, 0.0, 2.0 * RADIUS])
+    _pose(body, np.array([0.0, 0.0, CORNER_SPHERE_RADIUS_M]), np.eye(3))  # feet below stand on the support
+    _box(body, object_.size - [0.0, 0.0, 2.0 * CORNER_SPHERE_RADIUS_M])
     _material(body, None, physics.pad_friction)
     height = scene.standing_height
     if height is None:
@@ -180,11 +181,17 @@ def _object(world: Xml.Element, scene: ExportedScene) -> list[str]:
     if physics.support_compliance:
         stiffness, damping = scene.support_contact
     else:
-        stiffness, damping = object_.mass * RIGID_RATE**2, object_.mass * RIGID_RATE
+        stiffness, damping = object_.mass * RIGID_RATE_PER_S**2, object_.mass * RIGID_RATE_PER_S
     half = object_.size / 2.0
-    law = (stiffness / CORNERS, SUPPORT_DISSIPATION, damping / stiffness)
-    for number, corner in enumerate(_corners(half[0] - RADIUS, half[1] - RADIUS)):
-        _sphere(link, f"corner{number}", np.array([*corner, -half[2] + RADIUS]), law, physics.support_friction)
+    law = (stiffness / FACE_CORNERS, SUPPORT_DISSIPATION_S_M, damping / stiffness)
+    for number, corner in enumerate(_corners(half[0] - CORNER_SPHERE_RADIUS_M, half[1] - CORNER_SPHERE_RADIUS_M)):
+        _sphere(
+            link,
+            f"corner{number}",
+            np.array([*corner, -half[2] + CORNER_SPHERE_RADIUS_M]),
+            law,
+            physics.support_friction,
+        )
     model = Xml.SubElement(world, "model", name=SUPPORT)
     Xml.SubElement(model, "static").text = "true"
     link = _link(model, SUPPORT, None, np.array([0.0, 0.0, height - SUPPORT_THICKNESS / 2.0]), np.eye(3))
@@ -194,8 +201,8 @@ def _object(world: Xml.Element, scene: ExportedScene) -> list[str]:
         _box(shape, size)
     _material(shape, None, physics.support_friction)
     return [
-        f"support: {stiffness:.6g} N/m under the whole object, which stands on {CORNERS} spheres at its corners, "
-        f"{2e3 * RADIUS:g} mm below its box; relaxation time {damping / stiffness:.4g} s"
+        f"support: {stiffness:.6g} N/m under the whole object, which stands on {FACE_CORNERS} spheres at its corners, "
+        f"{2e3 * CORNER_SPHERE_RADIUS_M:g} mm below its box; relaxation time {damping / stiffness:.4g} s"
     ]
 
 
@@ -203,13 +210,13 @@ def _sphere(link: Xml.Element, name: str, centre: Array, law: tuple[float, float
     collision = Xml.SubElement(link, "collision", name=name)
     _pose(collision, centre, np.eye(3))
     sphere = Xml.SubElement(Xml.SubElement(collision, "geometry"), "sphere")
-    Xml.SubElement(sphere, "radius").text = repr(RADIUS)
+    Xml.SubElement(sphere, "radius").text = repr(CORNER_SPHERE_RADIUS_M)
     _material(collision, law, friction)
 
 
 def _material(collision: Xml.Element, law: tuple[float, float, float] | None, friction: float) -> None:
     """Contact properties: stiffness [N/m], dissipation [s/m], relaxation time [s]; None: rigid."""
-    stiffness, dissipation, relaxation = law or (RIGID, 0.0, 0.0)
+    stiffness, dissipation, relaxation = law or (RIGID_STIFFNESS_N_M, 0.0, 0.0)
     properties = Xml.SubElement(collision, "drake:proximity_properties")
     for key, value in (
         ("point_contact_stiffness", stiffness),

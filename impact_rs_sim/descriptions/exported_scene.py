@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is written for another simulator: a scene at its impact, with what a model says of it.
+"""Scene at its impact with the effects of a model, as exported to other simulators.
 
 The exported arm has rigid joints and the motor inertia B that the user chose: ``(M + B) ddq + h = tau + J^T f`` (paper
 eq. EOM_motor_mod without elasticity). Joint friction is that of the same equation; where the torque loop is off
 (B_rho), the motors feel ``B_rho B_theta^-1 tau_fric``. The contact is either ``rigid``, with the restitution of the
 impact map, or ``compliant``, with the stiffness and damping of the pad, from which its restitution follows.
 
-Physics that a format cannot hold are listed, never dropped: a format names the :class:`ExportedQuantity` that it holds,
-and :meth:`ExportedScene.left_out` says the rest.
+Physics that a format cannot represent is listed, never dropped silently: a format names the :class:`ExportedQuantity`
+members that it supports, and :meth:`ExportedScene.left_out` lists the others.
 """
 
 from __future__ import annotations
@@ -30,11 +30,13 @@ from impact_rs_sim.scene import ArmState, BodyState, Scene
 from impact_rs_sim.version import package_version
 
 PADS = ("rigid", "compliant")
-RIGID_SUPPORT = 1.5e6  # 1/s^2, stiffness of a rigid support over the mass of the object
+FACE_CORNERS = 4  # contact points of a face, which share its stiffness and damping
+# Of a rigid support, over the mass of the object; the object sinks in by g over it, 6.5 micrometres
+RIGID_SUPPORT_STIFFNESS_OVER_MASS_PER_S2 = 1.5e6
 
 
 class ExportedQuantity(Enum):
-    """What a format may hold beyond kinematics and inertias; the value is what it is called where it is left out."""
+    """Quantity beyond kinematics and inertias that a format may represent; the value is its name for the user."""
 
     MOTOR_INERTIA = "motor inertia B"
     COULOMB_FRICTION = "Coulomb friction of the joints"
@@ -80,7 +82,7 @@ class ExportedScene:
 
         Raises:
             InputError: The model does not fit the arms, there is no such motor inertia, an arm has no compliant pad,
-                or the physics are those of no body.
+                or a body is physically inconsistent.
         """
         physics = model.apply(scene.physics)
         check_physics(physics)
@@ -110,7 +112,7 @@ class ExportedScene:
 
     @property
     def restitution(self) -> float:
-        """Restitution of a single impact: that of the impact map, and what single impacts have beyond it [-]."""
+        """Coefficient of restitution of a single impact: impact map plus bounce [-]."""
         return min(1.0, self.physics.restitution + self.physics.bounce)
 
     @property
@@ -136,11 +138,11 @@ class ExportedScene:
         return shaping * coulomb, shaping * arm.friction.viscous
 
     def closing_speed(self, name: str) -> float:
-        """Speed at which the pad of an arm comes to the object, along its axis [m/s]."""
+        """Closing speed of the pad of an arm and the object along the pad axis [m/s]."""
         return max(float(self._axis(name) @ (self._jacobian(name) @ self.arms[name].velocity)), 0.0)
 
     def impact_mass(self, name: str) -> float:
-        """Mass that a pad and the object have against each other along the pad's axis, square to its middle [kg].
+        """Reduced (effective) mass of pad and object along the pad axis, for a central impact [kg].
 
         ``1 / m = n^T J (M + B)^-1 J^T n + 1 / m_object``
         """
@@ -150,7 +152,7 @@ class ExportedScene:
         return 1.0 / (mobility + 1.0 / self.physics.object.mass)
 
     def restitution_of_pad(self, name: str) -> float:
-        """Restitution of a square impact of a pad: the scene's, or what stiffness and damping of the pad give [-]."""
+        """Coefficient of restitution of a central pad impact: the scene's, or from stiffness and damping [-]."""
         arm = self.physics.arms[name]
         if self.pads == "rigid" or arm.pad_stiffness is None:
             return self.restitution
@@ -164,11 +166,11 @@ class ExportedScene:
         the critical one.
         """
         compliance, mass = self.physics.support_compliance, self.physics.object.mass
-        stiffness = 1.0 / compliance if compliance else RIGID_SUPPORT * mass
+        stiffness = 1.0 / compliance if compliance else RIGID_SUPPORT_STIFFNESS_OVER_MASS_PER_S2 * mass
         return stiffness, math.sqrt(stiffness * mass)
 
     def left_out(self, held: frozenset[ExportedQuantity]) -> list[str]:
-        """What a file does not hold whose format holds ``held``, in words."""
+        """Names of the physics of this scene that a format with the quantities ``held`` cannot represent."""
         said = [text for name, arm in self.physics.arms.items() for text in self._of_arm(name, arm, held)]
         return [*dict.fromkeys((*said, *self._of_scene(held)))]
 
@@ -261,7 +263,7 @@ class ExportedScene:
             yield f"a load on the object, {_named(load)}"
 
     def _axis(self, name: str) -> Array:
-        """The way the pad looks, in A, ``(3,)``."""
+        """Outward normal of the pad in A, ``(3,)``."""
         placement = self.physics.robot_model(name).placement(self.arms[name].position)
         return np.asarray((placement * self.physics.arms[name].end_effector.pad_placement).rotation[:, 2])
 
@@ -271,13 +273,13 @@ class ExportedScene:
 
 
 def _list(values: Array) -> str:
-    """Values, or the one that all are."""
+    """Values as text; a single number if all are equal."""
     texts = [f"{value:.6g}" for value in values]
     return texts[0] if len(set(texts)) == 1 else "[" + ", ".join(texts) + "]"
 
 
 def _named(law: object) -> str:
-    """What a law is called, with its numbers."""
+    """Name of a law with its parameters."""
     name, numbers = getattr(law, "name", None), getattr(law, "numbers", None)
     if name is None or numbers is None:
         return repr(law)

@@ -22,28 +22,29 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.damping_of_restitution import damping_ratio_of, restitution_of
-from impact_rs_sim.descriptions.exported_scene import ExportedQuantity, ExportedScene
+from impact_rs_sim.descriptions.exported_scene import FACE_CORNERS, ExportedQuantity, ExportedScene
 from impact_rs_sim.impact_map.contacts import SUPPORT, SUPPORT_THICKNESS
 from impact_rs_sim.physics import ArmPhysics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.rotations import quaternion_of
 
-HELD = frozenset(ExportedQuantity)
-STEP = 5e-5  # s
-MARGIN = 1e-5  # m; points that are no further off touch
-STEPS_OF_BOUNCE = 10.0  # of a rigid contact that bounces, over the angle by which it swings; MuJoCo needs two at least
-LEAST_RATIO = 1e-3  # damping ratio of a contact with the restitution 1, which MuJoCo does not take as 0
-RIGID = 0.9999  # impedance of a rigid contact; MuJoCo takes no more
-VIRTUAL_MASS = 0.005  # that a corner of a compliant pad adds, over the mass of the impact
-VIRTUAL_MASS_SUPPORT = 0.02  # that a corner of the object on its support adds, over the mass of the object
-CORNERS = 4  # points in which a face touches
-FRICTION_RATE = 1e4  # 1/s, of the friction of a compliant pad
-FRICTION_RATE_SUPPORT = 300.0  # 1/s, of the friction of the support
-FRICTION_STIFFNESS = 1e4  # regularisation of the normal force over that of friction
+SUPPORTED_QUANTITIES = frozenset(ExportedQuantity)
+TIME_STEP_S = 5e-5  # of MuJoCo's integrator
+CONTACT_MARGIN_M = 1e-5  # distance below which points touch
+# Time steps over the phase angle of a bouncing rigid contact; MuJoCo needs at least 2
+MIN_STEPS_PER_BOUNCE_RADIAN = 10.0
+MIN_DAMPING_RATIO = 1e-3  # of a contact with restitution 1; MuJoCo does not accept 0
+MAX_IMPEDANCE = 0.9999  # of a rigid contact; MuJoCo's largest
+PAD_VIRTUAL_MASS_RATIO = 0.005  # mass that a corner of a compliant pad adds, over the mass of the impact [-]
+# Mass that a corner of the object on its support adds, over the mass of the object [-]
+SUPPORT_VIRTUAL_MASS_RATIO = 0.02
+PAD_FRICTION_RATE_PER_S = 1e4  # of the friction of a compliant pad
+SUPPORT_FRICTION_RATE_PER_S = 300.0  # of the friction of the support
+NORMAL_OVER_FRICTION_REGULARISATION = 1e4  # MuJoCo's impratio [-]
 
 
 def write(scene: ExportedScene) -> tuple[str, list[str]]:
-    """The model, and how its numbers follow from those of the scene.
+    """The model, and notes on how its numbers follow from those of the scene.
 
     Bodies, joints and actuators are ``ARM_link1`` ..., ``ARM_joint1`` ...; the free body is ``object``; the keyframe
     ``impact`` is the state just before the impact.
@@ -53,12 +54,12 @@ def write(scene: ExportedScene) -> tuple[str, list[str]]:
     Xml.SubElement(
         root,
         "option",
-        timestep=_text(STEP),
+        timestep=_text(TIME_STEP_S),
         gravity=_text(*scene.physics.gravity),
         integrator="implicitfast",
         cone="elliptic",
         solver="Newton",
-        impratio=_text(FRICTION_STIFFNESS),
+        impratio=_text(NORMAL_OVER_FRICTION_REGULARISATION),
         iterations="100",
         ls_iterations="200",  # the line search of rigid pads on a yielding support needs more than the default of 50
         tolerance="1e-12",
@@ -144,34 +145,35 @@ def _object(world: Xml.Element, scene: ExportedScene) -> None:
 
 
 def _contacts(root: Xml.Element, scene: ExportedScene) -> list[str]:
-    """Contact pairs; returns how their numbers came about."""
+    """Add the contact pairs; returns notes on their numbers."""
     physics, contact, said = scene.physics, Xml.SubElement(root, "contact"), []
     lightness = 1.0 / physics.object.mass
-    ratio = max(damping_ratio_of(scene.restitution), LEAST_RATIO)
+    ratio = max(damping_ratio_of(scene.restitution), MIN_DAMPING_RATIO)
     for name, arm in physics.arms.items():
         pair = _pair(contact, name, physics.pad_friction, physics.rolling_arm)
         if scene.pads == "rigid" or arm.pad_stiffness is None:
-            pair.set("solref", _text(STEP * max(2.0, STEPS_OF_BOUNCE / ratio), ratio))
-            pair.set("solimp", _text(RIGID, RIGID, 1e-3, 0.5, 2.0))
+            pair.set("solref", _text(TIME_STEP_S * max(2.0, MIN_STEPS_PER_BOUNCE_RADIAN / ratio), ratio))
+            pair.set("solimp", _text(MAX_IMPEDANCE, MAX_IMPEDANCE, 1e-3, 0.5, 2.0))
             said.append(
                 f"{name}: solref is (time constant [s], damping ratio); the ratio {ratio:.4g} has the restitution "
                 f"{restitution_of(ratio):.3g} of a single impact (the model's: {scene.restitution:g})"
             )
             continue
         weight = _inverse_weight(scene, name) + lightness
-        virtual = VIRTUAL_MASS * scene.impact_mass(name)
+        virtual = PAD_VIRTUAL_MASS_RATIO * scene.impact_mass(name)
         law = (arm.pad_stiffness, arm.pad_damping)
-        impedance = _set_law(pair, law, virtual, weight, FRICTION_RATE)
+        impedance = _set_law(pair, law, virtual, weight, PAD_FRICTION_RATE_PER_S)
         said.append(
-            f"{name}: solref is -(1 - d) w K / {CORNERS}, -(1 - d) w C / {CORNERS}: the pad's K = {law[0]:g} N/m and "
-            f"C = {law[1]:g} N s/m are shared by {CORNERS} corners, d = {impedance:.4g} is the impedance and "
+            f"{name}: solref is -(1 - d) w K / {FACE_CORNERS}, -(1 - d) w C / {FACE_CORNERS}: "
+            f"the pad's K = {law[0]:g} N/m and "
+            f"C = {law[1]:g} N s/m are shared by {FACE_CORNERS} corners, d = {impedance:.4g} is the impedance and "
             f"w = {weight:.5g} 1/kg the inverse weight of both bodies; a square impact has the restitution "
             f"{scene.restitution_of_pad(name):.3g}"
         )
     if physics.support_height is not None:
         pair = _pair(contact, SUPPORT, physics.support_friction, physics.rolling_arm)
-        virtual = VIRTUAL_MASS_SUPPORT * physics.object.mass
-        _set_law(pair, scene.support_contact, virtual, lightness, FRICTION_RATE_SUPPORT)
+        virtual = SUPPORT_VIRTUAL_MASS_RATIO * physics.object.mass
+        _set_law(pair, scene.support_contact, virtual, lightness, SUPPORT_FRICTION_RATE_PER_S)
         said.append("support: {:.6g} N/m and {:.6g} N s/m under the whole object".format(*scene.support_contact))
     said.append(
         "friction is convex in MuJoCo: where a point slides at v, its partner is pushed off at up to mu v, and the "
@@ -190,7 +192,7 @@ def _pair(contact: Xml.Element, partner: str, friction: float, rolling_arm: floa
         geom2="object",
         condim="6" if rolling_arm else "3",
         friction=_text(friction, friction, 0.0, rolling_arm, rolling_arm),
-        margin=_text(MARGIN),
+        margin=_text(CONTACT_MARGIN_M),
     )
 
 
@@ -199,7 +201,7 @@ def _set_law(
 ) -> float:
     """Give a pair stiffness and damping of the whole face [N/m, N s/m]; returns the impedance."""
     impedance = weight * virtual_mass / (1.0 + weight * virtual_mass)
-    pair.set("solref", _text(*(-(1.0 - impedance) * weight / CORNERS * value for value in law)))
+    pair.set("solref", _text(*(-(1.0 - impedance) * weight / FACE_CORNERS * value for value in law)))
     pair.set("solreffriction", _text(-1e-9, -impedance * friction_rate))
     pair.set("solimp", _text(impedance, impedance, 1e-3, 0.5, 2.0))
     return impedance

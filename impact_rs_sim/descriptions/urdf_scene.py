@@ -15,11 +15,13 @@ import pinocchio as pin
 from impact_rs_sim.descriptions.exported_scene import ExportedQuantity, ExportedScene
 from impact_rs_sim.urdf import WORLD, write_description, write_object_description
 
-HELD = frozenset({ExportedQuantity.COULOMB_FRICTION, ExportedQuantity.VISCOUS_FRICTION, ExportedQuantity.PAD_TILT})
+SUPPORTED_QUANTITIES = frozenset(
+    {ExportedQuantity.COULOMB_FRICTION, ExportedQuantity.VISCOUS_FRICTION, ExportedQuantity.PAD_TILT}
+)
 
 
 def write(scene: ExportedScene) -> tuple[str, list[str]]:
-    """The file, and how its numbers follow from those of the scene."""
+    """The file, and notes on how its numbers follow from those of the scene."""
     physics, object_ = scene.physics, scene.physics.object
     height = scene.standing_height
     arms = {name: (arm.facts, arm.end_effector, arm.base) for name, arm in physics.arms.items()}

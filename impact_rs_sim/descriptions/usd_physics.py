@@ -12,12 +12,12 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from impact_rs_sim.descriptions.exported_scene import ExportedQuantity, ExportedScene
+from impact_rs_sim.descriptions.exported_scene import FACE_CORNERS, ExportedQuantity, ExportedScene
 from impact_rs_sim.impact_map.contacts import SUPPORT
 from impact_rs_sim.robot import Array
 from impact_rs_sim.rotations import quaternion_of
 
-HELD = frozenset(
+SUPPORTED_QUANTITIES = frozenset(
     {
         ExportedQuantity.MOTOR_INERTIA,
         ExportedQuantity.CONTACT_FRICTION,
@@ -25,12 +25,11 @@ HELD = frozenset(
         ExportedQuantity.PAD_COMPLIANCE,
     }
 )
-CORNERS = 4
-STICKS = 1e3  # friction of the object: a pair has the smaller of both coefficients
+OBJECT_FRICTION = 1e3  # larger than any pair's coefficient: a pair takes the smaller of both
 
 
 def write(scene: ExportedScene) -> tuple[str, list[str]]:
-    """The layer, and how its numbers follow from those of the scene."""
+    """The layer, and notes on how its numbers follow from those of the scene."""
     physics, object_ = scene.physics, scene.physics.object
     name = "_".join(physics.arms)
     lines = [
@@ -66,17 +65,18 @@ def write(scene: ExportedScene) -> tuple[str, list[str]]:
             joints += _over(f"{arm_name}_joint{index + 1}", ["PhysxJointAPI"], attributes)
         lines += _block("over", "joints", joints)
     lines += _mass("object", object_.mass, object_.com_offset, np.diag(object_.inertia), f"/{name}/materials/object")
-    materials = _material("object", STICKS, 1.0)
+    materials = _material("object", OBJECT_FRICTION, 1.0)
     for arm_name, arm in physics.arms.items():
         compliant = []
         if scene.pads == "compliant" and arm.pad_stiffness is not None:
             compliant = [
-                f"float physxMaterial:compliantContactStiffness = {arm.pad_stiffness / CORNERS!r}",
-                f"float physxMaterial:compliantContactDamping = {arm.pad_damping / CORNERS!r}",
+                f"float physxMaterial:compliantContactStiffness = {arm.pad_stiffness / FACE_CORNERS!r}",
+                f"float physxMaterial:compliantContactDamping = {arm.pad_damping / FACE_CORNERS!r}",
             ]
             said.append(
                 f"{arm_name}: stiffness {arm.pad_stiffness:g} N/m and damping {arm.pad_damping:g} N s/m of the pad are "
-                f"shared by {CORNERS} corners; restitution {scene.restitution_of_pad(arm_name):.3g} follows from them"
+                f"shared by {FACE_CORNERS} corners; "
+                f"restitution {scene.restitution_of_pad(arm_name):.3g} follows from them"
             )
         materials += _material(arm_name, physics.pad_friction, scene.restitution, compliant)
     if physics.support_height is not None:

@@ -38,7 +38,7 @@ from impact_rs_sim.effects.motor import (
     VISCOUS_FRICTION,
 )
 from impact_rs_sim.effects.object import OBJECT_COM_OFFSET, OBJECT_MASS
-from impact_rs_sim.effects.sensing import OF_SENSORS, OF_TWISTS, TORQUE_DELAY
+from impact_rs_sim.effects.sensing import SENSOR_EFFECTS, TORQUE_DELAY, TWIST_EFFECTS
 from impact_rs_sim.effects.surroundings import BASE_TILT, EXTERNAL_SPRING
 from impact_rs_sim.errors import InputError
 
@@ -77,9 +77,9 @@ BUILT_IN: tuple[Effect, ...] = (
     ADDED_MOTOR_INERTIA,
     JOINT_ELASTICITY,
     TORQUE_DELAY,
-    *OF_TWISTS,
+    *TWIST_EFFECTS,
     PAD_POSITION,
-    *OF_SENSORS,
+    *SENSOR_EFFECTS,
 )
 
 

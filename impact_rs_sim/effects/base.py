@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Base classes of physical effects: a few parameters, and the change of the physics that they describe.
 
-One object serves three: the plant hides the effect, twin and impact map predict with it, the diagnosis fits it. All
-three call :meth:`Effect.apply` and nothing else.
+One object serves three users: the plant hides the effect, twin and impact map predict with it, the diagnosis fits it.
+All call :meth:`Effect.apply` and nothing else.
 
-Most effects change every arm by itself (:class:`ArmEffect`) or the scene around the arms (:class:`SceneEffect`); such a
-one is a parameter list and a function. All others derive from :class:`Effect`.
+Most effects change each arm separately (:class:`ArmEffect`) or the scene around the arms (:class:`SceneEffect`) and
+consist of a parameter list and a function. All others derive from :class:`Effect`.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from impact_rs_sim.robot import Array, JointType
 if TYPE_CHECKING:
     from impact_rs_sim.proportion import Proportion
 
-# Parameters per joint have the units and ranges of a joint that turns. One that slides has those of a joint behind a
-# pinion of this radius: by the unit that turns, the unit that slides, and the factor of the range.
-PINION = 0.05  # m
-SLIDING = {
-    "N m": ("N", 1.0 / PINION),
-    "N m s/rad": ("N s/m", 1.0 / PINION**2),
-    "N m/rad": ("N/m", 1.0 / PINION**2),
-    "rad/s": ("m/s", PINION),
-    "rad": ("m", PINION),
-    "kg m^2": ("kg", 1.0 / PINION**2),
-    "rad/(N m)": ("m/N", PINION**2),
+# Parameters per joint have units and ranges of a revolute joint. A prismatic joint has those behind a
+# pinion of this radius: revolute unit -> prismatic unit, and the factor of the range.
+PINION_RADIUS_M = 0.05  # m
+PRISMATIC_UNITS = {
+    "N m": ("N", 1.0 / PINION_RADIUS_M),
+    "N m s/rad": ("N s/m", 1.0 / PINION_RADIUS_M**2),
+    "N m/rad": ("N/m", 1.0 / PINION_RADIUS_M**2),
+    "rad/s": ("m/s", PINION_RADIUS_M),
+    "rad": ("m", PINION_RADIUS_M),
+    "kg m^2": ("kg", 1.0 / PINION_RADIUS_M**2),
+    "rad/(N m)": ("m/N", PINION_RADIUS_M**2),
 }
 
 SINGLE_IMPACT = ("impact",)  # phases of effects that only tables of impacts have
@@ -50,7 +50,7 @@ Values = dict[str, Array]  # by parameter name: (n,) for a parameter per joint, 
 
 
 def types_of(joints: Joints) -> tuple[JointType, ...]:
-    """How every joint moves."""
+    """Types of the joints: revolute or prismatic."""
     turning: JointType = "revolute"
     return (turning,) * joints if isinstance(joints, int) else tuple(joints)
 
@@ -75,8 +75,8 @@ class Parameter:
         grid: Starting values of a shape parameter.
         far: Starting values for a second fit after a poor one, where the contact state changes on the way.
         hidden: Range of values in blind campaigns; None: some scales away from nominal.
-        prior: Standard deviation of what is known before the data, about nominal; None: next to nothing. A parameter
-            with a prior may be missing in a model: it is nominal then.
+        prior: Prior standard deviation about nominal; None: weakly informative. A parameter with a prior may be missing
+            in a model: it is nominal then.
         joint: Joint of a scalar, counted from 0; None: the effect as a whole.
         arm: Arm that it belongs to; empty: all arms share it.
     """
@@ -101,7 +101,7 @@ class Parameter:
     arm: str = ""
 
     def scalars(self, joints: Joints) -> list[Parameter]:
-        """Itself, or one scalar per joint: ``coulomb_joint1`` ..., each in its joint's unit."""
+        """The parameter as one scalar, or one scalar per joint: ``coulomb_joint1`` ..., in the unit of the joint."""
         if not self.per_joint:
             return [self]
         kinds = types_of(joints)
@@ -122,7 +122,7 @@ class Parameter:
         return min(self.difference, 0.2 * abs(value)) if self.grid and value != 0.0 else self.difference
 
     def widened(self) -> Parameter:
-        """The parameter with a range twice as wide; a firm range and a bound at 0, which is one of physics, stay.
+        """The parameter with a range twice as wide; a firm range and a (physical) bound at 0 stay.
 
         A shape whose grid spans decades keeps its range: beyond, the effect is the limit of a simpler one.
         """
@@ -134,13 +134,13 @@ class Parameter:
         return replace(self, lower=lower, upper=upper)
 
     def within(self, lower: float, upper: float) -> Parameter:
-        """The parameter with a range that a user has given, in its unit."""
+        """The parameter with the range given by a user, in its unit."""
         grid = tuple(value for value in self.grid if lower <= value <= upper)
         return replace(self, lower=lower, upper=upper, grid=grid, firm=True)
 
     @property
     def possible(self) -> tuple[float, float]:
-        """What the parameter may be for any robot: fifty times its range about nominal, on its side of 0."""
+        """Plausible range for any robot: fifty times its range about nominal, on the same side of 0."""
         lower, upper = (self.nominal + 50.0 * (bound - self.nominal) for bound in (self.lower, self.upper))
         return (max(lower, 0.0) if self.lower >= 0.0 else lower, min(upper, 0.0) if self.upper <= 0.0 else upper)
 
@@ -166,10 +166,10 @@ class Parameter:
         return self.name if not self.arm else self.name.removesuffix(joint).removesuffix(f"_{self.arm}") + joint
 
     def _of(self, kind: JointType) -> Parameter:
-        """The parameter of a joint that moves so."""
-        if kind == "revolute" or self.unit not in SLIDING:
+        """The parameter in the units of a joint type."""
+        if kind == "revolute" or self.unit not in PRISMATIC_UNITS:
             return self
-        unit, factor = SLIDING[self.unit]
+        unit, factor = PRISMATIC_UNITS[self.unit]
         return replace(self.times(factor), unit=unit)
 
 
@@ -188,10 +188,10 @@ class Effect(ABC):
             tables leaves it out unless it is named. A model that contains it predicts with it everywhere.
         lasting: Whether it stays the same from one recording of a session to the next, as how a cell is mounted does:
             no difference of two recordings shows it. What calibrates an arm is lasting.
-        family: Of a law that is looked for, what the laws of one form at several joints share; empty: it has a name of
-            its own in the library or the model.
-        reading: Of an effect of the measurement, what is wrong with the reading, as a clause in which ``{joint}``,
-            ``{size}``, ``{more}`` (too much, too little) and ``{late}`` (late, early) are filled in
+        family: Name that the candidate laws of one form at several joints share; empty for effects of the library or
+            the model.
+        reading: For an effect of the measurement: clause on the fault of the reading, in which ``{joint}``, ``{size}``,
+            ``{more}`` (too much, too little) and ``{late}`` (late, early) are filled in
             (:mod:`impact_rs_analysis.diagnosis.measurement`); empty: the meaning of its parameters says it.
         calibration: Experiment that determines it, as an imperative without a full stop; empty: none is known.
     """
@@ -223,12 +223,12 @@ class Effect(ABC):
 
     @property
     def of_measurement(self) -> bool:
-        """Whether it is a fault of a reading, which belongs to the laboratory, and no physics of the robot."""
+        """Whether it is a fault of a sensor or clock and not physics of the robot."""
         return self.acts_on == "sensing"
 
     @property
     def may_change(self) -> bool:
-        """Whether it may differ between two recordings of one session."""
+        """Whether its parameters may differ between two recordings of one session."""
         return not (self.calibrates or self.lasting)
 
     def scalars(self, joints: Joints) -> list[Parameter]:
@@ -310,12 +310,12 @@ class Effect(ABC):
         return sum(not scalar.shape for scalar in self.scalars(joints))
 
     def seen_in(self, contact: bool) -> bool:
-        """Whether it is observable in a motion with or without ``contact``; the former has a free part too."""
+        """Whether it is observable in a motion with or without ``contact``; the former has free motion too."""
         return contact or "free" in self.phases
 
     @property
     def identity(self) -> str:
-        """Digest of what the effect computes: its class, name, parameters and the source of its module.
+        """Digest of class, name, parameters and module source of the effect.
 
         Cached results of twin runs depend on it, because a user-defined effect changes during its development.
         """
@@ -323,7 +323,7 @@ class Effect(ABC):
         return digest(kind.__qualname__, self.name, repr(self.parameters), _source(kind.__module__))
 
     def _joints(self, physics: Physics) -> Joints:
-        """Joints that the parameters per joint count; none where there is no such parameter."""
+        """Joints that have parameters; empty without a parameter per joint."""
         return physics.joints if any(parameter.per_joint for parameter in self.parameters) else ()
 
 
@@ -358,7 +358,7 @@ class ArmEffect(Effect):
 
 @dataclass(frozen=True)
 class SceneEffect(Effect):
-    """An effect that changes what is around the arms; attributes as in :class:`Effect`.
+    """An effect on the surroundings of the arms; attributes as in :class:`Effect`.
 
     Attributes:
         law: The physics with the effect, from the physics without it and the values as in :meth:`Effect.apply`.

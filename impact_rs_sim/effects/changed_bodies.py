@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects leave rigid bodies (:mod:`impact_rs_sim.bodies`) behind.
+"""Physical consistency of the inertial parameters after an effect (:mod:`impact_rs_sim.bodies`).
 
 Effects change masses and moments by parameters of their own (mass of a payload, density of a link), and several of them
 may change one body, so no parametrisation of the inertia (log-Cholesky: Rucker and Wensing 2022, IEEE RA-L 7(2)) covers
-all of them, nor those of users. Instead every effect is refused where it leaves the set of bodies, and fits end at the
-edge of that set.
+all of them, nor those of users. Instead an effect that leaves the set of physically consistent bodies is refused, and
+fits stop at the boundary of that set.
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_rs_sim.bodies import is_body, second_moments
+from impact_rs_sim.bodies import is_physically_consistent, second_moments
 from impact_rs_sim.errors import NotABody
 from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.robot import Array, Link
 from impact_rs_sim.robot_model import mounted_inertia
 
-MOST_VALUES = 8  # of a circumstance, which may be names of levels with parameters of their own
+# Of a covariate whose values may be levels with parameters of their own; with more it is taken as linear
+MAX_COVARIATE_VALUES = 8
 
 
 class InertialBody(NamedTuple):
@@ -39,14 +40,14 @@ class InertialBody(NamedTuple):
     @property
     def exists(self) -> bool:
         """Whether a rigid body can have this mass and inertia."""
-        return is_body(self.mass, self.inertia)
+        return is_physically_consistent(self.mass, self.inertia)
 
 
 def check_bodies(before: Physics, after: Physics, effect: str) -> None:
-    """Refuse a change of the physics that turns a body into something that cannot exist.
+    """Refuse a change that makes a body physically inconsistent.
 
-    The last link is taken with everything that is mounted on it, for dynamics depend on their sum. A body that was
-    none before is left to those who check models: the change is not at fault.
+    The last link includes everything mounted on it, because the dynamics depend on the sum. A body that was
+    inconsistent before the change is not attributed to the effect.
 
     Args:
         before: Physics without the effect.
@@ -77,12 +78,12 @@ def check_bodies(before: Physics, after: Physics, effect: str) -> None:
 
 
 def differ(one: Physics, other: Physics) -> bool:
-    """Whether inertial parameters of arms or object are other ones."""
+    """Whether inertial parameters of arms or object differ."""
     return _numbers(one) != _numbers(other)
 
 
 def of_other_bodies(worlds: Sequence[Physics]) -> list[Physics]:
-    """Those of several physics that differ in bodies, or in circumstances on which bodies may depend.
+    """Representatives of several physics: one for each set of bodies, and of circumstances that bodies may depend on.
 
     A circumstance with many different numbers, on which parameters depend linearly, is kept at its smallest and
     largest.
@@ -95,7 +96,7 @@ def of_other_bodies(worlds: Sequence[Physics]) -> list[Physics]:
         for name in next(iter(alike.values())).circumstances or ("",):
             by_value = {physics.circumstances.get(name, ""): physics for physics in alike.values()}
             numbers = sorted(value for value in by_value if isinstance(value, float))
-            chosen = [numbers[0], numbers[-1]] if len(numbers) > MOST_VALUES else list(by_value)
+            chosen = [numbers[0], numbers[-1]] if len(numbers) > MAX_COVARIATE_VALUES else list(by_value)
             kept |= {id(by_value[value]): by_value[value] for value in chosen}
     return list(kept.values())
 
@@ -111,7 +112,7 @@ def _numbers(physics: Physics) -> list[object]:
 
 
 def _check(before: InertialBody, after: InertialBody, effect: str) -> None:
-    """Refuse that a body becomes none."""
+    """Refuse if a body becomes physically inconsistent."""
     if not after.exists and before.exists:
         moments = ", ".join(f"{value:.3g}" for value in np.linalg.eigvalsh(second_moments(after.inertia)))
         raise NotABody(

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects at the contacts: restitution, stiffness, friction, mounting of pads; friction, stiffness of the support.
 
-Those of a single impact act in tables of impacts alone (:mod:`impact_rs_sim.impact_map.contact_laws`). In a trial the
-pad has a stiffness and a damping of its own, and what an impact does follows from them.
+Effects of a single impact act in impact tables alone (:mod:`impact_rs_sim.impact_map.contact_laws`). In a trial the
+restitution results from stiffness and damping of the pad.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from impact_rs_sim.effects.base import (
 from impact_rs_sim.physics import ArmPhysics, ContactCondition, ContactLaw, Physics
 from impact_rs_sim.robot import Array
 
-TO_SLIP = -0.4  # of a friction coefficient
+SLIP_FRICTION_STEP = -0.4  # finite-difference step of a friction coefficient, from sticking to slipping [-]
 
 
 @dataclass(frozen=True)
@@ -53,12 +53,12 @@ class FrictionEffect(SceneEffect):
 
     def steps(self, joints: Joints, at: Array) -> Array:
         """See :meth:`Effect.steps`; of a free body that hits once they reach from where it sticks to where it slips."""
-        return super().steps(joints, at) if types_of(joints) else np.array([TO_SLIP])
+        return super().steps(joints, at) if types_of(joints) else np.array([SLIP_FRICTION_STEP])
 
 
 @dataclass(frozen=True)
 class ReturningEffect(SceneEffect):
-    """An effect with a share of some velocity that comes back: never more than all of it, however wide the range."""
+    """Effect with a coefficient of restitution of some velocity, which never exceeds 1, however wide the range."""
 
     def bounds(self, physics: Physics) -> tuple[Array, Array]:
         """See :meth:`Effect.bounds`."""
@@ -78,19 +78,19 @@ def _support_friction(physics: Physics, values: Values) -> Physics:
 def _restitution(physics: Physics, values: Values) -> Physics:
     """Bounce of a single rigid impact, and damping of compliant pads.
 
-    One impact that is looked at by itself leaves with e = restitution + bounce. A plant has compliant pads and no e;
-    there the damping changes (:func:`_less_damping`), and restitution comes out of it. The impact map of a whole push
-    keeps its e: a series of bounces under a constant push ends where a single inelastic impact ends (paper sec.
-    Single-arm hit-and-push scenario).
+    A single isolated impact has e = restitution + bounce. A plant has compliant pads and no e: the damping changes
+    (:func:`_with_restitution_added`), and the restitution results from it. The impact map of a whole push keeps its e:
+    a series of bounces under a constant push ends where a single inelastic impact ends (paper sec. Single-arm
+    hit-and-push scenario).
     """
     more = number(values, "restitution")
     if more == 0.0:
         return physics
-    arms = {name: _less_damping(arm, more, physics.object.mass) for name, arm in physics.arms.items()}
+    arms = {name: _with_restitution_added(arm, more, physics.object.mass) for name, arm in physics.arms.items()}
     return replace(physics, arms=arms, bounce=physics.bounce + more)
 
 
-def _less_damping(arm: ArmPhysics, more: float, object_mass: float) -> ArmPhysics:
+def _with_restitution_added(arm: ArmPhysics, more: float, object_mass: float) -> ArmPhysics:
     """The pad with less damping, for more restitution; e stays between 0 and 1."""
     if arm.pad_stiffness is None:
         return arm
@@ -152,7 +152,7 @@ class RestitutionFall(ContactLaw):
 
 @dataclass(frozen=True)
 class TangentialRestitution(ContactLaw):
-    """A contact that grips throws its slip s back, u_t^+ = -beta u_t^- with beta = beta_0 - k s, not below 0.
+    """Tangential restitution of a sticking contact, u_t^+ = -beta u_t^- with beta = beta_0 - k s >= 0, s the slip.
 
     (Garwin 1969; Walton 1993; Cross 2002.) Where friction is too weak for that it slides, by Coulomb's law.
 

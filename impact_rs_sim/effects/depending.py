@@ -102,7 +102,7 @@ class Knots:
 
     @property
     def way(self) -> str:
-        """The dependence in words."""
+        """Description of the dependence."""
         return f"as a curve of {len(self.knots)} values over"
 
     @property
@@ -144,7 +144,7 @@ class Depending(Effect):
 
     @property
     def shown_name(self) -> str:
-        """See :attr:`Effect.shown_name`: that of the effect; how it depends is shown apart."""
+        """See :attr:`Effect.shown_name`: name of the effect; the dependence is shown separately."""
         return self.effect.shown_name
 
     def apply(self, physics: Physics, values: Values) -> Physics:
@@ -217,7 +217,7 @@ class Depending(Effect):
         return digest(super().identity, self.effect.identity, repr(self.terms))
 
     def _shapes(self, joints: Joints) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-        """Which scalars of the effect are shapes."""
+        """Mask of the shape parameters among the scalars."""
         return np.array([scalar.shape for scalar in self.effect.scalars(joints)], dtype=bool)
 
     def _joints(self, physics: Physics) -> Joints:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Units of a formula effect: whether a formula yields a torque or a force, where the units of its symbols are known.
+"""Dimensional analysis of formula effects: does a formula yield a torque or a force?
 
 A unit is a product of powers of kg, m and s (rad is a number). A number in a formula may carry an unwritten
-unit, ``tanh(dq2 / 0.02)`` for example, so a product with a number has an unknown unit. A formula is refused only where
-two known units disagree.
+unit, ``tanh(dq2 / 0.02)`` for example, so a product with a number has an unknown unit. A formula is refused only if two
+known units disagree.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.units import BASE, FORCE, NUMBER, TORQUE, Dimension, dimension_of, of, text_of, times
 
 Unit = Dimension | None  # None: not known
-OF_JOINT = {"q": NUMBER, "dq": BASE["Hz"], "tau": TORQUE}  # joints turn: rad, rad/s, N m
-SAME = ("abs", "min", "max")  # functions that give what they are given
+JOINT_SYMBOL_UNITS = {"q": NUMBER, "dq": BASE["Hz"], "tau": TORQUE}  # of a revolute joint: rad, rad/s, N m
+UNIT_PRESERVING_FUNCTIONS = ("abs", "min", "max")  # functions that give what they are given
 
 
 def check_units(spec: FormulaSpec) -> dict[str, str]:
@@ -46,19 +46,21 @@ def check_units(spec: FormulaSpec) -> dict[str, str]:
         for key, text in formulas.items():
             if not text:
                 continue
-            place = f"{table}.{key}".removesuffix(".")
+            formula_key = f"{table}.{key}".removesuffix(".")
             symbols = of_contact if table == "contact" else known
             found = _unit(ast.parse(text.strip(), mode="eval").body, symbols, text)
             if found is not None and found != wanted:
-                raise InputError(f"formula {text!r} gives {text_of(found)}, expected {text_of(wanted)}", key=place)
-            units[place] = "" if found is None else text_of(found)
+                raise InputError(
+                    f"formula {text!r} gives {text_of(found)}, expected {text_of(wanted)}", key=formula_key
+                )
+            units[formula_key] = "" if found is None else text_of(found)
     return units
 
 
 def _unit(node: ast.AST, known: dict[str, Dimension], text: str) -> Unit:
     if isinstance(node, ast.Name):
         joint = JOINT_SYMBOL.fullmatch(node.id)
-        return OF_JOINT[joint[1]] if joint else known.get(node.id)
+        return JOINT_SYMBOL_UNITS[joint[1]] if joint else known.get(node.id)
     if isinstance(node, ast.UnaryOp):
         return _unit(node.operand, known, text)
     if isinstance(node, ast.BinOp):
@@ -84,7 +86,7 @@ def _combined(node: ast.BinOp, known: dict[str, Dimension], text: str) -> Unit:
 
 
 def _given_to(function: str, given: list[Unit], text: str) -> Unit:
-    if function in SAME:
+    if function in UNIT_PRESERVING_FUNCTIONS:
         return _alike(given[0], given[-1], text)
     if function == LAG:
         if given[1] not in (None, BASE["s"]):

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects of arms that do not share their parameters.
 
-An :class:`~impact_rs_sim.effects.base.ArmEffect` has one set of parameters, which all arms share. That is a hypothesis
-on a kind of robot, and halves what has to be found. Arms of different kinds have nothing in common that it could be of:
-here every arm has its own, ``coulomb_left_joint1`` beside ``coulomb_right_joint1``, by the arm's name and with as many
-joints as that arm has.
+An :class:`~impact_rs_sim.effects.base.ArmEffect` has one set of parameters for all arms: a hypothesis about a robot
+type, which halves the number of unknowns. For arms of different types every arm has its own parameters,
+``coulomb_left_joint1`` and ``coulomb_right_joint1``, with the joint count of that arm.
 """
 
 from __future__ import annotations
@@ -96,7 +95,7 @@ class EachArm(Effect):
 
 
 def of_each(effect: Effect, joints: Mapping[str, Joints]) -> Effect:
-    """The effect with parameters of its own for every arm, where it is one of arms.
+    """The effect with separate parameters for every arm if it is an arm effect, else the effect itself.
 
     Args:
         effect: Any effect.

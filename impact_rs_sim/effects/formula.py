@@ -108,23 +108,28 @@ SYMBOLS = {
     "support_force": "N",  # normal, between support and object
     "support_slip": "m/s",
 }
-OF_SCENE = frozenset(SYMBOLS) - {"t", *AXES, *(f"v{axis}" for axis in AXES), "speed"}  # beyond the arm
-OF_OBJECT = frozenset(
+SCENE_SYMBOLS = frozenset(SYMBOLS) - {
+    "t",
+    *AXES,
+    *(f"v{axis}" for axis in AXES),
+    "speed",
+}  # of object and contact, without those of the arm
+OBJECT_SYMBOLS = frozenset(
     name for name in SYMBOLS if name in ("t", "normal_force", "since_contact") or name.startswith(("object", "support"))
 )
-SLOW = 2e-3  # m/s; sliding below it is opposed by less than the formula says, so that rest is a state
+MIN_SLIDING_SPEED_M_S = 2e-3  # below, the force against sliding falls to 0 with the speed, so that rest is a state
 Coefficient = Literal["restitution", "tangential_restitution", "friction"]
 """Coefficients of a contact point of a single impact, to which formulas add."""
 
 COEFFICIENTS = get_args(Coefficient)
 CONTACT_SYMBOLS = ("v", "slip")
-JOINT = re.compile(r"joint([1-9][0-9]{0,2})")
+JOINT_KEY = re.compile(r"joint([1-9][0-9]{0,2})")
 JOINT_SYMBOL = re.compile(r"\b(q|dq|tau)([1-9][0-9]{0,2})\b")
 PLACES = (
     "joint_torque", "motor_torque", "end_effector_force", "object_force", "object_moment", "contact_normal",
     "contact_tangential", "support_normal", "support_tangential", "contact",
 )  # fmt: skip
-LONGEST = 1000  # characters; a physical law is shorter, a curve of nine knots takes 600
+MAX_FORMULA_LENGTH = 1000  # characters; a physical law is shorter, a curve of nine knots has 600
 
 Symbols = Mapping[str, Value]
 Expression = Callable[[Symbols, Memory | None], Value]
@@ -133,15 +138,15 @@ Expression = Callable[[Symbols, Memory | None], Value]
 class Formula:
     """Arithmetic text as a function of its symbols.
 
-    It is pickled as its text, which worker processes parse again: functions made at run time cannot be pickled.
+    It is pickled as text and parsed again in worker processes: functions made at run time cannot be pickled.
 
     Args:
         text: The formula.
         symbols: Names that it may use.
 
     Attributes:
-        names: Symbols that stand in it.
-        remembers: Whether it depends on what was before.
+        names: Symbols in the formula.
+        remembers: Whether it has memory (a lag).
 
     Raises:
         InputError: The text does not parse, names an unknown symbol or function, or is no arithmetic.
@@ -158,10 +163,10 @@ class Formula:
 
         Args:
             values: Of its symbols: numbers, or arrays of samples in the order of time.
-            memory: What its lags remember; of samples they need none.
+            memory: State of its lags; not needed for samples along time.
 
         Raises:
-            InputError: It remembers, and there is a single state without a memory.
+            InputError: It has memory, and there is a single state without one.
         """
         return self._function(values, memory)
 
@@ -172,8 +177,8 @@ class Formula:
 
 def _parse(text: str, symbols: frozenset[str]) -> Expression:
     """See :class:`Formula`."""
-    if len(text) > LONGEST:
-        raise InputError(f"formula is longer than {LONGEST} characters")
+    if len(text) > MAX_FORMULA_LENGTH:
+        raise InputError(f"formula is longer than {MAX_FORMULA_LENGTH} characters")
     try:
         tree = ast.parse(text.strip(), mode="eval").body
         return _compile(tree, symbols, text)
@@ -219,7 +224,7 @@ def _compile(node: ast.AST, symbols: frozenset[str], text: str) -> Expression:
 
 
 def _lag(arguments: Sequence[Expression], text: str) -> Expression:
-    """The lag of a quantity, with a memory of its own."""
+    """A lag node with its own state."""
     if len(arguments) not in (2, 3):
         raise InputError(f"formula {text!r}: {LAG} takes a quantity, a time constant and, if it has one, a start")
     key = object()
@@ -340,7 +345,7 @@ class FormulaEffect(Effect):
             self.phases = ("contact",) if touching else SINGLE_IMPACT
 
     def _joint(self, key: str) -> int:
-        found = JOINT.fullmatch(key)
+        found = JOINT_KEY.fullmatch(key)
         if found is None:
             raise InputError(f"effect {self.name!r}: unknown {key!r}; expected joint1, joint2, ...")
         return int(found[1]) - 1
@@ -357,7 +362,7 @@ class FormulaEffect(Effect):
 
     @staticmethod
     def _at_surface(normal: str, tangential: str, parse: Callable[[str], Formula]) -> dict[int, Formula]:
-        """Formulas of the normal force (0) and of the one against sliding (1)."""
+        """Formulas of the normal force (0) and of the force against sliding (1)."""
         return {index: parse(text) for index, text in enumerate((normal, tangential)) if text}
 
     def _parse_contact(self, text: str) -> Formula:
@@ -375,7 +380,7 @@ class FormulaEffect(Effect):
         return formula
 
     def _parse_object(self, text: str) -> Formula:
-        return Formula(text, {*OF_OBJECT, *self.spec.parameters})
+        return Formula(text, {*OBJECT_SYMBOLS, *self.spec.parameters})
 
     def _parse(self, text: str) -> Formula:
         named = {found[0] for found in JOINT_SYMBOL.finditer(text)}
@@ -420,7 +425,7 @@ class FormulaEffect(Effect):
                     )
 
     def with_parameters(self, change: Callable[[Parameter], Parameter]) -> Effect:
-        """Itself, for its author states the ranges; a law that is looked for with other ranges of its amplitudes."""
+        """The effect itself, whose author states the ranges; a candidate law with new ranges of its amplitudes."""
         if not self.family:
             return self
         return super().with_parameters(lambda parameter: parameter if parameter.shape else change(parameter))
@@ -502,14 +507,14 @@ class FormulaLoad(Load):
 
     @property
     def remembers(self) -> bool:
-        """See :class:`Load`; of what acts between pad and object."""
+        """See :class:`Load`; for the load between pad and object."""
         return any(formula.remembers for formula in self.pad.values())
 
     @property
     def reads_scene(self) -> bool:
         """See :class:`Load`."""
         tables = (self.torque, self.motor, self.force)
-        return any(OF_SCENE & formula.names for table in tables for formula in table.values())
+        return any(SCENE_SYMBOLS & formula.names for table in tables for formula in table.values())
 
     @property
     def vectorised(self) -> bool:
@@ -570,7 +575,7 @@ class FormulaObjectLoad(ObjectLoad):
         return normal, against
 
     def _evaluate(self, table: dict[int, Formula], size: int, scene: Symbols, memory: Memory) -> Array:
-        symbols = {**dict.fromkeys(OF_OBJECT, 0.0), **scene, **self.numbers}
+        symbols = {**dict.fromkeys(OBJECT_SYMBOLS, 0.0), **scene, **self.numbers}
         return _evaluated(self.name, table, size, symbols, memory.part(id(self)))
 
 

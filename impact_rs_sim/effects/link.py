@@ -7,18 +7,18 @@ A payload of mass m with centre p and radius of gyration r on the end effector o
 
 with S(d) = |d|^2 1 - d d^T.
 
-m below zero takes mass away: no more than leaves a body, and from a place that a homogeneous ellipsoid with the inertia
-of last link and end effector reaches. r is the same about all axes: one number for the own inertia of the payload,
-which slow motions hardly show.
+m < 0 removes mass: the remainder must be physically consistent, and the position must lie in the homogeneous ellipsoid
+of last link and end effector. r is the same about all axes: one number for the rotational inertia of the payload, which
+slow motions hardly excite.
 
 A link whose moment about its joint axis z changes is stretched across z, by D = diag(s, s, 1) with s^2 = I'_zz / I_zz:
 its second moments of mass become D (tr(I)/2 1 - I) D, those of a body for any I'_zz > 0.
 
 Torque is linear in the inertial parameters of the links, and depends on combinations of them only. Of link i behind a
 joint that turns about its z, the mass, m z and the moment about y can be moved into link i-1 (Gautier and Khalil 1990,
-direct calculation of minimum inertial parameters, eq. 21). So what is fitted of a link is where its centre lies across
-the axis (:data:`LINK_COM`) and the moment of inertia about the axis (:data:`LINK_INERTIA`), or else its mass with the
-centre as it is (:data:`LINK_MASS`), which stands for the same combinations with fewer numbers.
+direct calculation of minimum inertial parameters, eq. 21). Fitted are therefore the base parameters of a link: its
+centre of mass across the axis (:data:`LINK_COM`) and the moment of inertia about the axis (:data:`LINK_INERTIA`), or
+else its mass with a fixed centre (:data:`LINK_MASS`), which changes the same combinations with fewer numbers.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from impact_rs_sim.bodies import inertia_of, reaches, second_moments
+from impact_rs_sim.bodies import ellipsoid_contains, inertia_of, second_moments
 from impact_rs_sim.effects.base import ArmEffect, Parameter, Values, number, vector3
 from impact_rs_sim.errors import NotABody
 from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.robot import Array, Link
 from impact_rs_sim.robot_model import mounted_inertia
 
-REMOVABLE_MOMENT = 0.99  # share of a link's moment of inertia about its axis, which may be that of a rod [-]
-LEAST_MASS = 1e-6  # kg; nearer 0 a mass that balances another one has its centre at infinity
+MAX_REMOVABLE_MOMENT_SHARE = 0.99  # share of a link's moment of inertia about its axis, which may be that of a rod [-]
+MIN_MASS_KG = 1e-6  # for a nearly cancelled mass the centre of mass goes to infinity
 
 
 @dataclass(frozen=True)
@@ -54,39 +54,40 @@ class PayloadEffect(ArmEffect):
         for arm in physics.arms.values():
             lower[0] = max(lower[0], -(arm.facts.links[-1].mass + arm.end_effector.mass))
             reach = _reach(arm)
-            for place, parameter in enumerate(self.parameters[1:], start=1):
+            for position, parameter in enumerate(self.parameters[1:], start=1):
                 if not parameter.firm and reach > 0.0:
-                    lower[place], upper[place] = max(lower[place], -reach), min(upper[place], reach)
+                    lower[position], upper[position] = max(lower[position], -reach), min(upper[position], reach)
         return lower, upper
 
 
 def _reach(arm: ArmPhysics) -> float:
-    """Length of the tool and of the longest link [m]."""
-    places = [joint.xyz for joint in arm.facts.joints[1:]] + [arm.facts.flange.xyz]
-    return arm.end_effector.length + max(float(np.linalg.norm(place)) for place in places)
+    """Length of the tool plus the longest link [m]."""
+    positions = [joint.xyz for joint in arm.facts.joints[1:]] + [arm.facts.flange.xyz]
+    return arm.end_effector.length + max(float(np.linalg.norm(position)) for position in positions)
 
 
 def _payload(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    added, place = number(values, "mass"), vector3(values, ("com_x", "com_y", "com_z"))
+    added, position = number(values, "mass"), vector3(values, ("com_x", "com_y", "com_z"))
     if added == 0.0:
         return arm
     if added < 0.0:
-        _check_there(arm, added, place)
+        _check_removable(arm, added, position)
     before, own = arm.end_effector, added * number(values, "gyration") ** 2 * np.eye(3)
     mass = before.mass + added
-    mass = mass if abs(mass) > LEAST_MASS else LEAST_MASS
-    com = (before.mass * before.com + added * place) / mass
-    inertia = before.inertia + before.mass * _steiner(before.com - com) + own + added * _steiner(place - com)
+    mass = mass if abs(mass) > MIN_MASS_KG else MIN_MASS_KG
+    com = (before.mass * before.com + added * position) / mass
+    inertia = before.inertia + before.mass * _steiner(before.com - com) + own + added * _steiner(position - com)
     return replace(arm, end_effector=replace(before, mass=mass, com=com, inertia=inertia))
 
 
-def _check_there(arm: ArmPhysics, added: float, place: Array) -> None:
-    """Refuse to take mass away from where neither last link nor end effector has any."""
+def _check_removable(arm: ArmPhysics, added: float, position: Array) -> None:
+    """Refuse to remove mass at a position outside last link and end effector."""
     body = mounted_inertia(arm.facts, arm.end_effector)
-    if body.mass > 0.0 and not reaches(body.mass, body.lever, body.inertia, place):
+    if body.mass > 0.0 and not ellipsoid_contains(body.mass, body.lever, body.inertia, position):
         raise NotABody(
-            f"a payload of {added:.3g} kg with its centre at {np.round(place, 4).tolist()} m takes away mass that is "
-            f"not there: last link and end effector are {body.mass:.3g} kg about {np.round(body.lever, 4).tolist()} m"
+            f"a payload of {added:.3g} kg with its centre at {np.round(position, 4).tolist()} m "
+            f"takes away mass that is not there: last link and end effector are {body.mass:.3g} kg "
+            f"about {np.round(body.lever, 4).tolist()} m"
         )
 
 
@@ -132,7 +133,7 @@ def _with_links(arm: ArmPhysics, links: Sequence[Link]) -> ArmPhysics:
 
 
 def _link_mass(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    """A body of the same shape and another density."""
+    """Effect law: a link of the same shape and another density."""
     pairs = zip(arm.facts.links, values["scale"].tolist(), strict=True)
     return _with_links(
         arm,
@@ -146,10 +147,10 @@ def _link_mass(arm: ArmPhysics, values: Values) -> ArmPhysics:
 
 
 def _link_com(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    places = zip(arm.facts.links, values["com_x"].tolist(), values["com_y"].tolist(), strict=True)
+    positions = zip(arm.facts.links, values["com_x"].tolist(), values["com_y"].tolist(), strict=True)
     return _with_links(
         arm,
-        [link.model_copy(update={"com": (link.com[0] + x, link.com[1] + y, link.com[2])}) for link, x, y in places],
+        [link.model_copy(update={"com": (link.com[0] + x, link.com[1] + y, link.com[2])}) for link, x, y in positions],
     )
 
 
@@ -157,11 +158,14 @@ def _link_inertia(arm: ArmPhysics, values: Values) -> ArmPhysics:
     pairs = zip(arm.facts.links, values["inertia"].tolist(), strict=True)
     return _with_links(
         arm,
-        [link if more == 0.0 else link.model_copy(update={"inertia": _stretched(link, more)}) for link, more in pairs],
+        [
+            link if more == 0.0 else link.model_copy(update={"inertia": _with_axial_moment(link, more)})
+            for link, more in pairs
+        ],
     )
 
 
-def _stretched(link: Link, more: float) -> tuple[float, ...]:
+def _with_axial_moment(link: Link, more: float) -> tuple[float, ...]:
     """Moments of a link with ``more`` [kg m^2] about its axis; of one that has none there, alike along x and y."""
     if more == 0.0:
         return link.inertia
@@ -183,7 +187,7 @@ class LinkInertiaEffect(ArmEffect):
         """See :meth:`Effect.bounds`; only part of the least moment of inertia among the arms is removable."""
         lower, upper = super().bounds(physics)
         moments = [[link.inertia[5] for link in arm.facts.links] for arm in physics.arms.values()]
-        return np.maximum(lower, -REMOVABLE_MOMENT * np.min(moments, axis=0)), upper
+        return np.maximum(lower, -MAX_REMOVABLE_MOMENT_SHARE * np.min(moments, axis=0)), upper
 
 
 LINK_MASS = ArmEffect(

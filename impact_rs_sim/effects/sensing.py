@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects of sensors: encoders, torque sensors, velocities, object tracker, clocks (:mod:`impact_rs_sim.readings`).
 
-They change what is read of a motion, and not its physics; in a closed loop the controller acts on the readings.
-Twists of a single impact: :mod:`impact_rs_sim.twist_readings`.
+They change the readings of a motion, not its physics; in closed loop the controller acts on the readings. Twists of a
+single impact: :mod:`impact_rs_sim.twist_readings`.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from impact_rs_sim.twist_readings import Three, TwistReadings
 
 SENSING = "sensing"
 AXES = ("x", "y", "z")
-CONTACT = ("contact",)
+CONTACT_PHASES = ("contact",)
 # Ranges of encoders are firm: a zero 6 degrees off and a gear ratio 10 % off are seen by eye; zeros of industrial arms
 # are known to some mrad.
 
 
-def _of_arm(change: Callable[[ArmReadings, Values], ArmReadings]) -> Callable[[ArmPhysics, Values], ArmPhysics]:
+def _arm_law(change: Callable[[ArmReadings, Values], ArmReadings]) -> Callable[[ArmPhysics, Values], ArmPhysics]:
     """Law of an arm from the change of its sensor models."""
 
     @functools.wraps(change)
@@ -43,7 +43,7 @@ def _of_arm(change: Callable[[ArmReadings, Values], ArmReadings]) -> Callable[[A
     return law
 
 
-def _of_tracker(change: Callable[[TrackerReadings, Values], TrackerReadings]) -> Callable[[Physics, Values], Physics]:
+def _tracker_law(change: Callable[[TrackerReadings, Values], TrackerReadings]) -> Callable[[Physics, Values], Physics]:
     """Law of a scene from the change of the model of its object tracker."""
 
     @functools.wraps(change)
@@ -53,7 +53,7 @@ def _of_tracker(change: Callable[[TrackerReadings, Values], TrackerReadings]) ->
     return law
 
 
-@_of_arm
+@_arm_law
 def _encoder_offset(r: ArmReadings, v: Values) -> ArmReadings:
     return replace(r, position_offset=r.position_offset + v["offset"])
 
@@ -72,7 +72,7 @@ ENCODER_OFFSET = ArmEffect(
 )
 
 
-@_of_arm
+@_arm_law
 def _encoder_scale(r: ArmReadings, v: Values) -> ArmReadings:
     return replace(r, position_scale=r.position_scale * v["scale"])
 
@@ -89,7 +89,7 @@ ENCODER_SCALE = ArmEffect(
 )
 
 
-@_of_arm
+@_arm_law
 def _motor_encoder_offset(r: ArmReadings, v: Values) -> ArmReadings:
     return replace(r, motor_offset=r.motor_offset + v["offset"])
 
@@ -108,7 +108,7 @@ MOTOR_ENCODER_OFFSET = ArmEffect(
 )
 
 
-@_of_arm
+@_arm_law
 def _torque_sensor_gain(r: ArmReadings, v: Values) -> ArmReadings:
     return replace(r, torque_gain=r.torque_gain * v["gain"])
 
@@ -125,7 +125,7 @@ TORQUE_SENSOR_GAIN = ArmEffect(
 )
 
 
-@_of_arm
+@_arm_law
 def _torque_sensor_offset(r: ArmReadings, v: Values) -> ArmReadings:
     return replace(r, torque_offset=r.torque_offset + v["offset"])
 
@@ -142,7 +142,7 @@ TORQUE_SENSOR_OFFSET = ArmEffect(
 )
 
 
-@_of_arm
+@_arm_law
 def _torque_sensor_drift(r: ArmReadings, v: Values) -> ArmReadings:
     return replace(r, torque_drift=r.torque_drift + v["rate"])
 
@@ -159,7 +159,7 @@ TORQUE_SENSOR_DRIFT = ArmEffect(
 )
 
 
-@_of_arm
+@_arm_law
 def _torque_sensor_crosstalk(r: ArmReadings, v: Values) -> ArmReadings:
     return replace(
         r,
@@ -183,7 +183,7 @@ TORQUE_SENSOR_CROSSTALK = ArmEffect(
 )
 
 
-@_of_arm
+@_arm_law
 def _torque_sensor_lag(r: ArmReadings, v: Values) -> ArmReadings:
     return replace(r, torque_lag=r.torque_lag + number(v, "lag"))
 
@@ -200,7 +200,7 @@ TORQUE_SENSOR_LAG = ArmEffect(
 )
 
 
-@_of_arm
+@_arm_law
 def _torque_delay(r: ArmReadings, v: Values) -> ArmReadings:
     return replace(r, torque_delay=r.torque_delay + number(v, "delay"))
 
@@ -221,7 +221,7 @@ TORQUE_DELAY = ArmEffect(
 )
 
 
-@_of_arm
+@_arm_law
 def _command_clock_offset(r: ArmReadings, v: Values) -> ArmReadings:
     return replace(r, command_delay=r.command_delay + number(v, "offset"))
 
@@ -238,7 +238,7 @@ COMMAND_CLOCK_OFFSET = ArmEffect(
 )
 
 
-@_of_arm
+@_arm_law
 def _velocity_lag(r: ArmReadings, v: Values) -> ArmReadings:
     return replace(r, velocity_lag=r.velocity_lag + number(v, "lag"))
 
@@ -255,7 +255,7 @@ VELOCITY_LAG = ArmEffect(
 )
 
 
-@_of_arm
+@_arm_law
 def _velocity_delay(r: ArmReadings, v: Values) -> ArmReadings:
     return replace(r, velocity_delay=r.velocity_delay + number(v, "delay"))
 
@@ -272,7 +272,7 @@ VELOCITY_DELAY = ArmEffect(
 )
 
 
-@_of_arm
+@_arm_law
 def _velocity_gain(r: ArmReadings, v: Values) -> ArmReadings:
     return replace(r, velocity_gain=r.velocity_gain * v["gain"])
 
@@ -289,7 +289,7 @@ VELOCITY_GAIN = ArmEffect(
 )
 
 
-@_of_tracker
+@_tracker_law
 def _tracker_frame(t: TrackerReadings, v: Values) -> TrackerReadings:
     return replace(
         t, position=(t.position[0] + number(v, "x"), t.position[1] + number(v, "y")), yaw=t.yaw + number(v, "yaw")
@@ -306,14 +306,14 @@ TRACKER_FRAME = SceneEffect(
         Parameter("yaw", "rad", 0.0, -0.3, 0.3, 0.005, "rotation of readings about z of A"),
     ),
     law=_tracker_frame,
-    phases=CONTACT,
+    phases=CONTACT_PHASES,
     lasting=True,
     reading="the frame of the object tracker is off by {size}",
     calibration="touch the object from three sides, or push it straight along two directions",
 )
 
 
-@_of_tracker
+@_tracker_law
 def _tracked_point(t: TrackerReadings, v: Values) -> TrackerReadings:
     return replace(t, point=(t.point[0] + number(v, "x"), t.point[1] + number(v, "y")))
 
@@ -327,14 +327,14 @@ TRACKED_POINT = SceneEffect(
         Parameter("y", "m", 0.0, -0.2, 0.2, 0.002, "tracked point from the centre, along y of the object"),
     ),
     law=_tracked_point,
-    phases=CONTACT,
+    phases=CONTACT_PHASES,
     lasting=True,
     reading="the tracked point is off the centre of the object by {size}",
     calibration="turn the object in place by quarters",
 )
 
 
-@_of_tracker
+@_tracker_law
 def _tracker_delay(t: TrackerReadings, v: Values) -> TrackerReadings:
     return replace(t, delay=t.delay + number(v, "delay"))
 
@@ -345,14 +345,14 @@ TRACKER_DELAY = SceneEffect(
     sentence="Poses of the object carry stamps that are later than those of the joints.",
     parameters=(Parameter("delay", "s", 0.0, -0.1, 0.1, 0.002, "delay of the poses after the joints"),),
     law=_tracker_delay,
-    phases=CONTACT,
+    phases=CONTACT_PHASES,
     lasting=True,
     reading="poses of the object are recorded {size} {late}",
     calibration="push the object there and back, fast",
 )
 
 
-@_of_tracker
+@_tracker_law
 def _tracker_lag(t: TrackerReadings, v: Values) -> TrackerReadings:
     return replace(t, lag=t.lag + number(v, "lag"))
 
@@ -363,7 +363,7 @@ TRACKER_LAG = SceneEffect(
     sentence="Poses of the object passed a low-pass filter before they were recorded.",
     parameters=(Parameter("lag", "s", 0.0, 0.0, 0.2, 0.002, "time constant of the filter of first order"),),
     law=_tracker_lag,
-    phases=CONTACT,
+    phases=CONTACT_PHASES,
     lasting=True,
     reading="poses of the object pass a filter of {size}",
     calibration="push the object there and back, fast",
@@ -371,12 +371,12 @@ TRACKER_LAG = SceneEffect(
 
 
 def _added(before: Three, values: Values) -> Three:
-    """Three numbers with those of an effect added."""
+    """Sum of three numbers and those of an effect."""
     x, y, z = (own + number(values, axis) for own, axis in zip(before, AXES, strict=True))
     return x, y, z
 
 
-def _of_twist(change: Callable[[TwistReadings, Values], TwistReadings]) -> Callable[[Physics, Values], Physics]:
+def _twist_law(change: Callable[[TwistReadings, Values], TwistReadings]) -> Callable[[Physics, Values], Physics]:
     """Law of a scene from the change of how the twist of a body is read."""
 
     @functools.wraps(change)
@@ -386,17 +386,17 @@ def _of_twist(change: Callable[[TwistReadings, Values], TwistReadings]) -> Calla
     return law
 
 
-def _turned(what: str) -> tuple[Parameter, ...]:
-    """A rotation vector: every turn has one whose length is at most pi, and beyond is room for a fit of a half turn.
+def _rotation_vector(what: str) -> tuple[Parameter, ...]:
+    """Parameters of a rotation vector: its length is at most pi, with room beyond for a fit near half a revolution.
 
-    A turn of 0.01 rad (0.6 deg) is seen as 1 % of a velocity in another component; trackers are calibrated about as
-    well.
+    A rotation of 0.01 rad (0.6 deg) shows as 1 % of a velocity in another component, about the calibration error of
+    trackers.
     """
     meaning = f"of the rotation vector from {what}"
     return tuple(Parameter(axis, "rad", 0.0, -4.0, 4.0, 0.01, f"component {axis} {meaning}") for axis in AXES)
 
 
-@_of_twist
+@_twist_law
 def _spin_axes(t: TwistReadings, v: Values) -> TwistReadings:
     return replace(t, spin_axes=_added(t.spin_axes, v))
 
@@ -405,7 +405,7 @@ SPIN_AXES = SceneEffect(
     name="spin_axes",
     acts_on=SENSING,
     sentence="Angular velocities were measured in axes that are turned against those of positions and velocities.",
-    parameters=_turned("A to these axes"),
+    parameters=_rotation_vector("A to these axes"),
     law=_spin_axes,
     phases=SINGLE_IMPACT,
     reading="angular velocities are in axes turned by the rotation vector {size}",
@@ -413,7 +413,7 @@ SPIN_AXES = SceneEffect(
 )
 
 
-@_of_twist
+@_twist_law
 def _mirrored_spins(t: TwistReadings, v: Values) -> TwistReadings:
     return replace(t, spin_axes=_added(t.spin_axes, v), spin_factor=t.spin_factor * number(v, "factor"))
 
@@ -423,7 +423,7 @@ MIRRORED_SPINS = SceneEffect(
     acts_on=SENSING,
     sentence="Angular velocities were measured in left-handed axes, by a factor of -1, which may be turned as well.",
     parameters=(
-        *_turned("A to these axes"),
+        *_rotation_vector("A to these axes"),
         Parameter("factor", "-", 1.0, -1.5, 1.5, 0.02, "reading over angular velocity; -1: left-handed"),
     ),
     law=_mirrored_spins,
@@ -433,7 +433,7 @@ MIRRORED_SPINS = SceneEffect(
 )
 
 
-@_of_twist
+@_twist_law
 def _twist_axes(t: TwistReadings, v: Values) -> TwistReadings:
     return replace(t, axes=_added(t.axes, v))
 
@@ -442,7 +442,7 @@ TWIST_AXES = SceneEffect(
     name="twist_axes",
     acts_on=SENSING,
     sentence="Both velocities were measured in axes that are turned against those of the pose and of the contact.",
-    parameters=_turned("A to these axes"),
+    parameters=_rotation_vector("A to these axes"),
     law=_twist_axes,
     phases=SINGLE_IMPACT,
     reading="velocities and angular velocities are in axes turned against the pose by {size}",
@@ -450,7 +450,7 @@ TWIST_AXES = SceneEffect(
 )
 
 
-@_of_twist
+@_twist_law
 def _tracked_point_of_impact(t: TwistReadings, v: Values) -> TwistReadings:
     return replace(t, point=_added(t.point, v))
 
@@ -469,9 +469,9 @@ TRACKED_POINT_OF_IMPACT = SceneEffect(
     calibration="spin the body about three axes in free flight, in which its centre moves straight on",
 )
 
-OF_TWISTS = (SPIN_AXES, MIRRORED_SPINS, TWIST_AXES, TRACKED_POINT_OF_IMPACT)
+TWIST_EFFECTS = (SPIN_AXES, MIRRORED_SPINS, TWIST_AXES, TRACKED_POINT_OF_IMPACT)
 
-OF_SENSORS = (
+SENSOR_EFFECTS = (
     ENCODER_OFFSET,
     ENCODER_SCALE,
     MOTOR_ENCODER_OFFSET,

@@ -14,7 +14,7 @@ from impact_rs_sim.robot import Array
 
 
 def _base_tilt(physics: Physics, values: Values) -> Physics:
-    """The cell is turned by R = Ry(pitch) Rx(roll) against the vertical, so in its axes gravity is R^T g."""
+    """The cell is rotated by R = Ry(pitch) Rx(roll) relative to the vertical: gravity is R^T g in its axes."""
     tilt = pin.rpy.rpyToMatrix(number(values, "roll"), number(values, "pitch"), 0.0)
     return replace(physics, gravity=tilt.T @ physics.gravity)
 

@@ -59,7 +59,7 @@ def test_evidence_is_packed_checked_and_merged(
     (runs / "one.csv").write_text("2\n", encoding="utf-8")
     assert not document("evidence", "check", packages[0], "--data", runs, code=1)["passed"]
     assert "expected two or more" in refused("evidence", "merge", packages[0])
-    assert "no package of evidence" in refused("evidence", "check", tmp_path / "merged.json")
+    assert "not an evidence package" in refused("evidence", "check", tmp_path / "merged.json")
 
 
 def test_measurements_that_were_packed_under_two_names_are_refused(

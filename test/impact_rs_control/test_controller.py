@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from trials import plan_of
 
 from impact_rs_control.closed_loop import make_plant, run_closed_loop
-from impact_rs_control.controller import IDLE_WEIGHT, ArmCommand, Controller, Mode
-from impact_rs_control.detection import BASELINE_TIME
+from impact_rs_control.controller import IDLE_TASK_WEIGHT, ArmCommand, Controller, Mode
+from impact_rs_control.detection import BASELINE_TIME_S
 from impact_rs_control.fallback import holding_torque
 from impact_rs_control.plan import TrialPlan, plan_trial
 from impact_rs_control.qp import AccelerationProblem, AccelerationQp, JointLimits, QpSolution, QpStatus
@@ -536,7 +536,7 @@ class Reference:
         found = np.linalg.solve(response @ terms.jacobian.T, response @ self.residual)
         force = -float(self.plan.approach_direction @ found[:3]) - self.baseline
         if force < settings.threshold:
-            self.baseline += period / BASELINE_TIME * force
+            self.baseline += period / BASELINE_TIME_S * force
         return found
 
     def torque(self, tick: int, mode: Mode, gamma: float, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
@@ -563,7 +563,7 @@ class Reference:
         if len(rows) < self.model.joint_count:
             rows = np.vstack((rows, np.eye(self.model.joint_count)))
             targets = np.concatenate((targets, -2.0 * np.sqrt(gains.posture) * dq))
-            weights = np.concatenate((weights, np.full(self.model.joint_count, IDLE_WEIGHT)))
+            weights = np.concatenate((weights, np.full(self.model.joint_count, IDLE_TASK_WEIGHT)))
         hessian = rows.T * weights @ rows + 1e-9 * np.eye(self.model.joint_count)
         return inertia @ np.linalg.solve(hessian, rows.T * weights @ targets) + terms.bias
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from trials import scene_of
 
-from impact_rs_control.detection import BASELINE_TIME, ImpactDetector, separable_wrench
+from impact_rs_control.detection import BASELINE_TIME_S, ImpactDetector, separable_wrench
 from impact_rs_sim import _kernel
 from impact_rs_sim.robot_model import RigidTerms
 from impact_rs_sim.scenario import Detection
@@ -116,7 +116,7 @@ def test_a_sudden_force_on_top_of_a_slow_one_is_found() -> None:
     for tick in range(1, 1001):
         assert not push_at_rest(observer, np.array([0.0, rate * tick * PERIOD, 0.0]))
         if tick == 500:
-            assert observer.force == pytest.approx(rate * BASELINE_TIME, rel=0.03)
+            assert observer.force == pytest.approx(rate * BASELINE_TIME_S, rel=0.03)
     for _ in range(300):
         assert not push_at_rest(observer, np.array([0.0, rate, 0.0]))
     assert observer.force == pytest.approx(0.0, abs=0.1)

@@ -10,8 +10,8 @@ import pytest
 from trials import scene_of
 
 from impact_rs_control.controller import fallback_command
-from impact_rs_control.fallback import FRESH, SETTLE, SHARE, holding_torque
-from impact_rs_control.motion_monitor import LAG, STIR, WINDOW, MotionMonitor
+from impact_rs_control.fallback import MAX_BRAKE_SHARE, MAX_STATE_AGE_S, SETTLING_TIME_S, holding_torque
+from impact_rs_control.motion_monitor import FROZEN_TORQUE_RATIO, MAX_VELOCITY_LAG_S, WINDOW_S, MotionMonitor
 from impact_rs_control.qp import QpStatus
 
 # ---- fallback -------------------------------------------------------------------------------------------------------
@@ -28,7 +28,7 @@ def test_an_arm_at_rest_is_held_against_gravity() -> None:
 
 def test_velocities_decay_with_the_time_constant() -> None:
     velocity, position, step = np.full(7, 0.01), REST.copy(), 1e-3
-    for _ in range(round(SETTLE / step)):
+    for _ in range(round(SETTLING_TIME_S / step)):
         terms = MODEL.terms(position, velocity)
         torque = holding_torque(MODEL, MOTORS, position, velocity)
         velocity = velocity + step * np.linalg.solve(terms.mass_matrix + np.diag(MOTORS), torque - terms.bias)
@@ -40,8 +40,8 @@ def test_the_brake_torque_is_bounded_whatever_the_velocity() -> None:
     weight = MODEL.gravity_torque(REST)
     for speed in (10.0, 1e3, 1e9):
         brake = holding_torque(MODEL, MOTORS, REST, np.full(7, speed)) - weight
-        assert np.all(np.abs(brake) <= SHARE * MODEL.torque_max * (1.0 + 1e-12))
-        assert np.any(np.abs(brake) >= SHARE * MODEL.torque_max * (1.0 - 1e-9))
+        assert np.all(np.abs(brake) <= MAX_BRAKE_SHARE * MODEL.torque_max * (1.0 + 1e-12))
+        assert np.any(np.abs(brake) >= MAX_BRAKE_SHARE * MODEL.torque_max * (1.0 - 1e-9))
     assert np.all(np.abs(holding_torque(MODEL, MOTORS, REST, np.full(7, 1e9))) <= MODEL.torque_max)
 
 
@@ -52,7 +52,7 @@ def test_the_brake_never_drives_the_arm() -> None:
     for _ in range(300):
         position = rng.uniform(MODEL.position_min, MODEL.position_max)
         velocity = rng.standard_normal(7) * 10.0 ** rng.uniform(-1.0, 3.0)
-        brake = -MODEL.mass_matrix(position) @ velocity / SETTLE
+        brake = -MODEL.mass_matrix(position) @ velocity / SETTLING_TIME_S
         cut.append(velocity @ np.clip(brake, -0.1 * MODEL.torque_max, 0.1 * MODEL.torque_max))
         held = holding_torque(MODEL, MOTORS, position, velocity) - MODEL.gravity_torque(position)
         powers.append(velocity @ held)
@@ -60,7 +60,7 @@ def test_the_brake_never_drives_the_arm() -> None:
 
 
 @pytest.mark.parametrize(
-    ("delay", "oscillates", "diverges"), [(FRESH, False, False), (0.1, True, False), (0.2, True, True)]
+    ("delay", "oscillates", "diverges"), [(MAX_STATE_AGE_S, False, False), (0.1, True, False), (0.2, True, True)]
 )
 def test_a_brake_on_old_states_oscillates_then_diverges(delay: float, oscillates: bool, diverges: bool) -> None:
     """dq' = -dq(t - d) / T (Hayes 1950): no sign change for d <= T / e = 0.037 s, stable for d < pi T / 2 = 0.157 s."""
@@ -68,7 +68,7 @@ def test_a_brake_on_old_states_oscillates_then_diverges(delay: float, oscillates
     back = round(delay / step)
     velocity = [0.1] * (back + 1)
     for _ in range(round(duration / step)):
-        velocity.append(velocity[-1] - step * velocity[-1 - back] / SETTLE)
+        velocity.append(velocity[-1] - step * velocity[-1 - back] / SETTLING_TIME_S)
     after = np.array(velocity)
     assert bool(np.any(after < 0.0)) is oscillates
     assert bool(np.abs(after[-500:]).max() > 0.1) is diverges
@@ -130,7 +130,7 @@ def test_the_filtered_velocity_jump_of_an_impact_is_no_complaint() -> None:
 
     def signals(time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         since = max(0.0, time - 0.3)
-        filtered = 0.5 - (1.0 - np.exp(-since / (0.6 * LAG))) if since else 0.5
+        filtered = 0.5 - (1.0 - np.exp(-since / (0.6 * MAX_VELOCITY_LAG_S))) if since else 0.5
         travelled = 0.5 * min(time, 0.3) - 0.5 * since
         return travelled * MODEL.velocity_max, filtered * MODEL.velocity_max, 0.2 * MODEL.torque_max * np.sin(9 * time)
 
@@ -148,7 +148,7 @@ def test_a_stuck_velocity_sensor_is_noticed_within_the_window(sign: float) -> No
     """A still arm that reports half of its velocity limit: after LAG / 0.5."""
     speed = 0.5 * sign * MODEL.velocity_max[2]
     when, complaint = first_complaint(lambda time: (np.zeros(7), one(speed if time >= 0.3 else 0.0), None))
-    assert when == pytest.approx(0.3 + LAG / 0.5, abs=2.0 * STEP)
+    assert when == pytest.approx(0.3 + MAX_VELOCITY_LAG_S / 0.5, abs=2.0 * STEP)
     assert "arm_joint3" in complaint
 
 
@@ -171,7 +171,7 @@ def test_a_joint_that_reports_the_same_while_it_is_driven_is_frozen(joints: list
         return position, velocity, 0.5 * MODEL.torque_max * np.sin(10.0 * time)
 
     when, complaint = first_complaint(signals)
-    assert WINDOW <= when < WINDOW + 0.01
+    assert WINDOW_S <= when < WINDOW_S + 0.01
     assert complaint.startswith(f"arm_joint{joints[0] + 1} reports the same position and velocity for 0.1")
 
 
@@ -182,7 +182,7 @@ def test_a_resting_or_braked_joint_is_not_taken_as_frozen() -> None:
     noise = np.random.default_rng(4)  # of the velocity, behind an encoder too coarse to show the motion
     driven = lambda time: 0.9 * MODEL.torque_max * np.sin(9.0 * time)  # noqa: E731
     assert first_complaint(lambda time: (np.zeros(7), 1e-3 * noise.standard_normal(7), driven(time))) == (np.inf, "")
-    little = 0.4 * STIR * MODEL.torque_max
+    little = 0.4 * FROZEN_TORQUE_RATIO * MODEL.torque_max
     assert first_complaint(lambda time: (np.zeros(7), np.zeros(7), little * np.sin(50 * time))) == (np.inf, "")
 
 
@@ -210,5 +210,5 @@ def test_states_are_usable_again_a_window_after_a_jump() -> None:
         for time in np.arange(0.0, 0.6, STEP)
     ]
     assert complaints.index(True) in (300, 301)
-    assert sum(complaints) == pytest.approx(WINDOW / STEP, abs=2)
+    assert sum(complaints) == pytest.approx(WINDOW_S / STEP, abs=2)
     assert monitor.complaint(0.0, np.zeros(7), np.zeros(7), None) == ""

@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 from trials import scene_of
 
-from impact_rs_control.arm_limits import MEASURED, rate_limited, state_complaint, torque_complaint
+from impact_rs_control.arm_limits import MAX_MEASURED_TORQUE_RATIO, rate_limited, state_complaint, torque_complaint
 from impact_rs_control.plan import TrialPlan, plan_trial, tick_times
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.friction_compensation import TASKS, AccelerationSamples, ArmFriction, FrictionCompensation
@@ -324,7 +324,12 @@ def at(values: np.ndarray, index: int, value: float) -> np.ndarray:
 
 def test_a_state_within_every_limit_is_no_complaint() -> None:
     assert state_complaint(MODEL, JOINTS, START, STILL, STILL) == ""
-    assert state_complaint(MODEL, JOINTS, MODEL.position_max, MODEL.velocity_max, -MEASURED * MODEL.torque_max) == ""
+    assert (
+        state_complaint(
+            MODEL, JOINTS, MODEL.position_max, MODEL.velocity_max, -MAX_MEASURED_TORQUE_RATIO * MODEL.torque_max
+        )
+        == ""
+    )
 
 
 @pytest.mark.parametrize("beyond", [1e-6, 1.0, np.nan])

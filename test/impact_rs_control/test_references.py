@@ -10,10 +10,10 @@ from impact_rs_control.references import (
     ViaPoint,
     ante_impact_path,
     carry_path,
+    excursion_path,
     post_impact_path,
     run_up_path,
     sample_path,
-    there_and_back_path,
 )
 from impact_rs_sim.scenario import load_scenario
 
@@ -154,13 +154,13 @@ def test_there_and_back_rests_at_both_ends_and_peaks_half_way(timing):
     """A quintic from rest to rest peaks at 15/8 of its mean speed."""
     start, end = np.array([0.1, 0.0]), np.array([0.4, -0.2])
     times = np.array([0.0, 0.2, 0.45, 0.7, 0.8, 0.9, 1.15, 1.4, 2.0])
-    path = there_and_back_path(0.2, 0.5, 0.2, start, end, times)
+    path = excursion_path(0.2, 0.5, 0.2, start, end, times)
     for row, place in ((0, start), (1, start), (3, end), (4, end), (5, end), (7, start), (8, start)):
         np.testing.assert_allclose(path.position[row], place, atol=1e-12)
         np.testing.assert_allclose(path.velocity[row], 0.0, atol=1e-9)
     np.testing.assert_allclose(path.velocity[2], 15.0 / 8.0 * (end - start) / 0.5, atol=1e-9)
     np.testing.assert_allclose(path.velocity[6], -path.velocity[2], atol=1e-9)
-    turning = there_and_back_path(0.2, 0.5, 0.0, start, end, np.array([0.7, 1.2]))
+    turning = excursion_path(0.2, 0.5, 0.0, start, end, np.array([0.7, 1.2]))
     np.testing.assert_allclose(turning.position, [end, start], atol=1e-12)
 
 

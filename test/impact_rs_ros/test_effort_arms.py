@@ -22,7 +22,7 @@ from robot_bench import (
     state_message,
 )
 
-from impact_rs_control.fallback import FRESH, SETTLE, holding_torque
+from impact_rs_control.fallback import MAX_STATE_AGE_S, SETTLING_TIME_S, holding_torque
 from impact_rs_ros.effort_arms import EffortArms, rest_until
 from impact_rs_ros.robot_states import STATES, RobotStates, joint_names
 
@@ -91,7 +91,7 @@ def test_a_robot_that_was_never_heard_is_sent_nothing() -> None:
 def test_without_a_fresh_state_the_brake_is_released_within_the_rate(speed: float) -> None:
     robot = moving_robot(speed)
     assert robot.states.commanded
-    robot.clock.time += FRESH + 1e-6
+    robot.clock.time += MAX_STATE_AGE_S + 1e-6
     for _ in range(10):
         robot.arms.rest()
         robot.clock.time += PERIOD
@@ -190,7 +190,7 @@ def test_an_arm_whose_weight_is_assumed_wrongly_creeps_instead_of_falling() -> N
         arm.step()
         robot.states.read(state_message(*arm.past[-1]))
         robot.arms.rest()
-    np.testing.assert_allclose(arm.velocity, -SETTLE, atol=SETTLE)
+    np.testing.assert_allclose(arm.velocity, -SETTLING_TIME_S, atol=SETTLING_TIME_S)
     assert not robot.arms.held
 
 

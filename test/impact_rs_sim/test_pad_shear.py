@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from impact_rs_sim.pad_shear import PadShear, Side, Touch
+from impact_rs_sim.pad_shear import ContactBody, PadContacts, PadShear
 
 MASS, MOMENT = 1.0, 0.004  # kg, kg m^2 about the normal
 HALF, LOAD, FRICTION = 0.05, 20.0, 0.5  # m, N in all, -
@@ -16,7 +16,7 @@ STEP = 2.5e-4  # s
 EVEN = np.full(4, LOAD / 4.0)
 ALONG = np.eye(3)
 COMPLIANCE, CREEP = 1.5e-5, 1e-3
-STILL = Side(np.zeros(3), np.zeros(6), np.zeros((6, 6)))
+STILL = ContactBody(np.zeros(3), np.zeros(6), np.zeros((6, 6)))
 
 
 def dragged(shear, pull, seconds, twist=0.0, step=STEP, start=0.0, loads=EVEN, rotation=ALONG):
@@ -25,9 +25,9 @@ def dragged(shear, pull, seconds, twist=0.0, step=STEP, start=0.0, loads=EVEN, r
     state, rows = np.array([0.0, 0.0, start, 0.0]), []  # x, angle, their rates
     for number in range(round(seconds / step)):
         velocity = np.array([state[2], 0.0, 0.0, 0.0, 0.0, state[3]])
-        thing = Side(np.array([state[0], 0.0, 0.0]), velocity, mobility)
+        thing = ContactBody(np.array([state[0], 0.0, 0.0]), velocity, mobility)
         points = CORNERS + thing.position
-        forces = shear.step(Touch(points, loads, UP), thing, STILL, rotation)
+        forces = shear.step(PadContacts(points, loads, UP), thing, STILL, rotation)
         total, torque = forces.sum(axis=0), np.cross(points - thing.position, forces).sum(axis=0)[2]
         force = pull(number * step) if callable(pull) else pull
         state[2:] += step * np.array([(total[0] + force) / MASS, (torque + twist) / MOMENT])
@@ -148,8 +148,8 @@ def test_a_pad_that_lets_go_forgets_its_shear():
 def test_points_without_load_carry_nothing():
     shear = PadShear(COMPLIANCE, 0.0, FRICTION, STEP)
     loads = np.array([LOAD, LOAD, 0.0, 0.0])
-    thing = Side(np.zeros(3), np.array([0.01, 0.02, 0.3, 0.0, 0.0, 0.1]), np.eye(6))
-    forces = shear.step(Touch(CORNERS, loads, UP), thing, STILL, np.eye(3))
+    thing = ContactBody(np.zeros(3), np.array([0.01, 0.02, 0.3, 0.0, 0.0, 0.1]), np.eye(6))
+    forces = shear.step(PadContacts(CORNERS, loads, UP), thing, STILL, np.eye(3))
     assert not np.any(forces[2:]) and not np.any(forces[:, 2])
     assert np.all(forces[:2] @ [0.01, 0.02, 0.0] < 0.0)
     assert np.all(np.linalg.norm(forces, axis=1) <= FRICTION * loads + 1e-12)
@@ -161,6 +161,6 @@ def test_shear_turns_with_the_pad():
     askew = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
     dragged(shear, 4.0, 0.3, rotation=askew)
     turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) @ askew
-    rest = Side(np.array([0.0, 4.0 * COMPLIANCE, 0.0]), np.zeros(6), np.eye(6))
-    forces = shear.step(Touch(CORNERS + rest.position, np.full(4, LOAD / 4.0), UP), rest, STILL, turned)
+    rest = ContactBody(np.array([0.0, 4.0 * COMPLIANCE, 0.0]), np.zeros(6), np.eye(6))
+    forces = shear.step(PadContacts(CORNERS + rest.position, np.full(4, LOAD / 4.0), UP), rest, STILL, turned)
     np.testing.assert_allclose(forces.sum(axis=0), [0.0, -4.0, 0.0], atol=0.02)

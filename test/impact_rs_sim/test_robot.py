@@ -23,9 +23,9 @@ from impact_rs_sim.robot_check import (
     Check,
     check_drives,
     check_facts,
+    density_lower_bound,
     empty_flange,
     failures_of,
-    least_density,
     random_positions,
 )
 from impact_rs_sim.robot_model import RobotModel
@@ -319,14 +319,14 @@ def test_all_links_that_are_no_bodies_are_listed() -> None:
 def test_a_solid_ball_has_its_own_density_and_other_shapes_need_more(size: float, density: float) -> None:
     mass = density * 4.0 / 3.0 * np.pi * size**3
     ball = np.full(3, 0.4 * mass * size**2)
-    assert least_density(mass, ball) == pytest.approx(density)
+    assert density_lower_bound(mass, ball) == pytest.approx(density)
     # a box: moments m (b^2 + c^2) / 12 of its full edges
     edges = np.array([1.0, 2.0, 3.0]) * size
     mass = density * np.prod(edges)
     box = mass * (np.sum(np.square(edges)) - np.square(edges)) / 12.0
-    assert 0.85 * density < least_density(mass, box) < density
+    assert 0.85 * density < density_lower_bound(mass, box) < density
     shell = np.full(3, 2.0 / 3.0 * mass * size**2)
-    assert least_density(mass, shell) < 0.5 * mass / (4.0 / 3.0 * np.pi * size**3)
+    assert density_lower_bound(mass, shell) < 0.5 * mass / (4.0 / 3.0 * np.pi * size**3)
 
 
 @pytest.mark.parametrize(("factor", "said"), [(0.1, "kg/m^3"), (1000.0, "kg m^2 about x")])

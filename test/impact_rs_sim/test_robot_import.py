@@ -24,11 +24,11 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import JointFriction
 from impact_rs_sim.robot import EndEffector, load_facts
-from impact_rs_sim.robot_import import FULL_TURN, facts_text, import_urdf, save_facts
+from impact_rs_sim.robot_import import FULL_TURN_RAD, facts_text, import_urdf, save_facts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.urdf import write_description
-from impact_rs_sim.urdf_repairs import looks_about_joint
+from impact_rs_sim.urdf_repairs import suspected_steiner_ratio
 
 PERIOD = 2.5e-4  # s, of the torque loop
 LIMIT = '<limit lower="-2" upper="1.5" velocity="3" effort="40"/>'
@@ -192,8 +192,8 @@ def test_an_arm_that_turns_about_z_keeps_its_numbers(tmp_path: Path) -> None:
 def test_a_continuous_joint_gets_a_full_turn_to_either_side(tmp_path: Path) -> None:
     endless = joint("elbow", "upper", "fore", "continuous", '<limit velocity="3" effort="40"/>')
     robot = import_urdf(write(tmp_path, *ARM[:4], endless))
-    assert robot.facts.limits.position_min_rad == (-2.0, -FULL_TURN)
-    assert robot.facts.limits.position_max_rad == (1.5, FULL_TURN)
+    assert robot.facts.limits.position_min_rad == (-2.0, -FULL_TURN_RAD)
+    assert robot.facts.limits.position_max_rad == (1.5, FULL_TURN_RAD)
     assert any("elbow" in note and "full turn" in note for note in robot.notes)
     assert "elbow" in facts_text(robot, "An arm.").split("source:")[0]
 
@@ -294,7 +294,7 @@ REFUSED: list[tuple[list[str], dict[str, Any], str]] = [  # parts, arguments, wh
     ([], {}, "no link"),
     (list(ARM), {"tip": "for"}, "no link 'for' for --tip; did you mean 'fore'"),
     (list(ARM), {"base": "bas"}, "no link 'bas' for --base; did you mean 'base'"),
-    (list(ARM), {"base": "fore", "tip": "upper"}, "no way leads from 'fore' out to 'upper'"),
+    (list(ARM), {"base": "fore", "tip": "upper"}, "no chain leads from 'fore' to 'upper'"),
     (list(ARM), {"base": "base", "tip": "base"}, "no joint moves between"),
     (GRIP, {"tip": "fore"}, "grip: this prismatic joint moves beside the chain, on link 'upper'.*--lock grip=0"),
     (GRIP, {"tip": "fore", "lock": ["grap=0"]}, "no joint 'grap' moves; did you mean 'grip'"),
@@ -528,13 +528,13 @@ def test_moments_about_the_joint_are_moved_to_the_centre_of_mass(tmp_path: Path)
 def test_a_slender_link_with_moments_about_its_joint_is_noticed() -> None:
     """A rod of 0.08 kg m^2 = m r^2 with 0.1 across and next to nothing along it; about its middle it has a third."""
     centre, axis = np.array([0.2, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
-    assert looks_about_joint(2.0, centre, np.diag([0.002, 0.1, 0.1]), axis, 1.0) == pytest.approx(1.25)
-    assert looks_about_joint(2.0, centre, np.diag([0.002, 0.08 / 3.0, 0.08 / 3.0]), axis, 1.0) is None
+    assert suspected_steiner_ratio(2.0, centre, np.diag([0.002, 0.1, 0.1]), axis, 1.0) == pytest.approx(1.25)
+    assert suspected_steiner_ratio(2.0, centre, np.diag([0.002, 0.08 / 3.0, 0.08 / 3.0]), axis, 1.0) is None
     turned = pin.rpy.rpyToMatrix(0.0, 0.0, 0.7)  # the same link in other axes
     inertia = turned @ np.diag([0.002, 0.1, 0.1]) @ turned.T
-    assert looks_about_joint(2.0, turned @ centre, inertia, axis, 1.0) == pytest.approx(1.25)
+    assert suspected_steiner_ratio(2.0, turned @ centre, inertia, axis, 1.0) == pytest.approx(1.25)
     flat = np.diag([0.002, 0.1, 0.05])  # about the joint no moment across r is less than m r^2
-    assert looks_about_joint(2.0, centre, flat, axis, 1.0) is None
+    assert suspected_steiner_ratio(2.0, centre, flat, axis, 1.0) is None
 
 
 def test_one_moment_written_three_times_about_the_joint_is_recognised(tmp_path: Path) -> None:
@@ -564,4 +564,7 @@ def test_links_of_real_arms_are_not_suspected(name: str) -> None:
     facts = load_facts(name)
     length = sum(float(np.linalg.norm(origin.xyz)) for origin in facts.joints)
     for one in facts.links:
-        assert looks_about_joint(one.mass, np.array(one.com), one.inertia_matrix, np.array([0, 0, 1.0]), length) is None
+        assert (
+            suspected_steiner_ratio(one.mass, np.array(one.com), one.inertia_matrix, np.array([0, 0, 1.0]), length)
+            is None
+        )

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from trials import nominal_physics
 
-from impact_rs_sim.assumed_drive import SPEED, assumed_drive
-from impact_rs_sim.bodies import inertia_of, is_body, reaches, second_moments
+from impact_rs_sim.assumed_drive import FRANKA_SPEED_LIMIT_RAD_S, assumed_drive
+from impact_rs_sim.bodies import ellipsoid_contains, inertia_of, is_physically_consistent, second_moments
 from impact_rs_sim.bullet_mechanics import BulletMechanics
 from impact_rs_sim.bullet_world import BulletWorld, mass_matrices
 from impact_rs_sim.drive import Drive, DriveStart
@@ -362,7 +362,7 @@ def test_a_check_tells_what_slides_in_metres_and_newtons() -> None:
 
 def test_the_drive_assumed_of_a_rail_is_that_behind_a_pinion() -> None:
     """r = 3 / 2.175 m: the torque limit r F, and B, K and D of that joint over r^2."""
-    radius = 3.0 / SPEED
+    radius = 3.0 / FRANKA_SPEED_LIMIT_RAD_S
     turns = chain(("revolute", "x", CART * radius**2, (0.0, 0.0, 0.0), CART * radius**2))
     limits = turns.limits.model_copy(update={"torque_Nm": (200.0 * radius,)})
     theirs = assumed_drive(turns.model_copy(update={"limits": limits}), NOTHING, PERIOD)
@@ -392,7 +392,7 @@ def test_points_of_any_masses_are_a_body() -> None:
     rng = np.random.default_rng(0)
     for count in (1, 2, 3, 4, 20):  # from a point and a rod on
         mass, _, inertia = of_points(rng.uniform(0.1, 2.0, count), rng.normal(size=(count, 3)))
-        assert is_body(mass, inertia)
+        assert is_physically_consistent(mass, inertia)
 
 
 def test_a_body_is_what_has_a_positive_definite_pseudo_inertia() -> None:
@@ -402,15 +402,15 @@ def test_a_body_is_what_has_a_positive_definite_pseudo_inertia() -> None:
         mass, com, inertia = of_points(rng.uniform(0.1, 2.0, 5), rng.normal(size=(5, 3)))
         other = rng.normal(size=(3, 3))
         mass, inertia = mass + rng.normal(), inertia + other + other.T
-        found.append(is_body(mass, inertia))
+        found.append(is_physically_consistent(mass, inertia))
         assert found[-1] == bool(np.linalg.eigvalsh(pseudo_inertia(mass, com, inertia))[0] > 0.0)
     assert 50 < sum(found) < 450
 
 
 def test_moments_beyond_the_triangle_inequality_are_of_no_body() -> None:
-    assert is_body(1.0, np.diag([1.0, 2.0, 3.0]))  # a plate
-    assert not is_body(1.0, np.diag([1.0, 2.0, 3.001]))
-    assert not is_body(0.0, np.eye(3)) and not is_body(-1.0, np.eye(3))
+    assert is_physically_consistent(1.0, np.diag([1.0, 2.0, 3.0]))  # a plate
+    assert not is_physically_consistent(1.0, np.diag([1.0, 2.0, 3.001]))
+    assert not is_physically_consistent(0.0, np.eye(3)) and not is_physically_consistent(-1.0, np.eye(3))
 
 
 def test_second_moments_and_inertia_are_each_other_s_inverse() -> None:
@@ -424,8 +424,8 @@ def test_a_homogeneous_ellipsoid_reaches_as_far_as_its_semi_axes(direction: tupl
     mass, semi, com = 2.0, np.array([0.3, 0.2, 0.05]), np.array([1.0, -2.0, 0.5])
     inertia = inertia_of(np.diag(mass * semi**2 / 5.0))
     edge = np.array(direction) / np.linalg.norm(np.array(direction) / semi)
-    assert reaches(mass, com, inertia, com + 0.999 * edge)
-    assert not reaches(mass, com, inertia, com + 1.001 * edge)
+    assert ellipsoid_contains(mass, com, inertia, com + 0.999 * edge)
+    assert not ellipsoid_contains(mass, com, inertia, com + 1.001 * edge)
     rod = inertia_of(np.diag([mass * 0.3**2 / 5.0, 0.0, 0.0]))
-    assert reaches(mass, com, rod, com + np.array([0.29, 0.0, 0.0]))
-    assert not reaches(mass, com, rod, com + np.array([0.0, 0.001, 0.0]))
+    assert ellipsoid_contains(mass, com, rod, com + np.array([0.29, 0.0, 0.0]))
+    assert not ellipsoid_contains(mass, com, rod, com + np.array([0.0, 0.001, 0.0]))

@@ -12,7 +12,7 @@ import pytest
 from trials import scene_of
 
 from impact_rs_control.plan import plan_trial
-from impact_rs_sim.clearance import RADIUS, capsules, check_clearance, deepest_penetration
+from impact_rs_sim.clearance import LINK_RADIUS_M, capsules, check_clearance, deepest_penetration
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, JointFriction, Load, LoadState, Physics
 from impact_rs_sim.robot import SigmoidFriction
@@ -270,7 +270,7 @@ def test_the_hull_ends_at_the_pad_and_has_no_gap() -> None:
     for (_, end), (start, _) in zip(ends, ends[1:], strict=False):
         np.testing.assert_allclose(end, start, atol=1e-9)
     pad = model.placement(POSITIONS["left"])
-    np.testing.assert_allclose(ends[-1][1] + RADIUS * pad.rotation[:, 2], pad.translation, atol=1e-9)
+    np.testing.assert_allclose(ends[-1][1] + LINK_RADIUS_M * pad.rotation[:, 2], pad.translation, atol=1e-9)
 
 
 def test_an_arm_inside_another_is_named_with_its_links_and_by_how_much() -> None:

@@ -124,7 +124,7 @@ def test_whatever_is_wrong_with_a_text_is_one_short_line_with_its_place(text: st
 
 
 def test_a_text_of_too_many_entries_is_one_short_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(schema, "MOST_NODES", 2000)
+    monkeypatch.setattr(schema, "MAX_NODES", 2000)
     parse_yaml("a: [" + "1," * 1990 + "]", "mine.yaml")
     with pytest.raises(InputError, match="^mine.yaml: .*more than 2000 entries") as caught:
         parse_yaml("a: [" + "1," * 2000 + "]", "mine.yaml")

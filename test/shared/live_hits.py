@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.following.follow import Follower
-from impact_rs_analysis.following.hits import BagDoor
+from impact_rs_analysis.following.hits import BagHitSource
 from impact_rs_cli.following import FollowedHits, HitsArguments
 from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_cli.identify import Lessons
@@ -104,7 +104,7 @@ class Live:
             self._recorded = [(one.topic, time, bytes(data)) for one, time, data in reader.messages()]
             custom = dict(reader.storage.metadata.custom or {})
         self._custom = {key: value for key, value in custom.items() if key != checksums.NAME}
-        self.follower = Follower(BagDoor(folder, NOMINAL, ReplayCache(map)), NOMINAL, ["object_mass"], learnt=4)
+        self.follower = Follower(BagHitSource(folder, NOMINAL, ReplayCache(map)), NOMINAL, ["object_mass"], learnt=4)
         diagnosis = FullDiagnosis({}, folder)
         self.lessons = Lessons(FollowedHits(HitsArguments(folder), self.follower, None, None), diagnosis)
 

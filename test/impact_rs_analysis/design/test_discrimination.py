@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import scipy
 
-from impact_rs_analysis.design.discrimination import WIDE, Discrimination
+from impact_rs_analysis.design.discrimination import RIVAL_RANGE_SCALES, Discrimination
 from impact_rs_analysis.design.explanations import AS_IS, Decision, Explanation
 from impact_rs_analysis.inference.ahead import probability
 from impact_rs_analysis.inference.noise import INDEPENDENT_DISCREPANCY_SHARE
@@ -114,7 +114,7 @@ def test_without_estimates_the_rival_is_fitted_anew() -> None:
     blur = blur_of(2)
     expected = []
     for own, other in ((first, second), (second, first)):
-        rows = np.vstack([other.T / np.sqrt(blur), [[1.0 / WIDE]]])
+        rows = np.vstack([other.T / np.sqrt(blur), [[1.0 / RIVAL_RANGE_SCALES]]])
         target = np.append(own[0] / np.sqrt(blur), 0.0)
         share = np.linalg.lstsq(rows, target, rcond=None)[0]
         expected.append(np.sum(np.square(target - rows @ share)))

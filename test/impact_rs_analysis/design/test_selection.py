@@ -9,7 +9,7 @@ import pytest
 
 from impact_rs_analysis.design.discrimination import Discrimination
 from impact_rs_analysis.design.forecast import ForecastTrial
-from impact_rs_analysis.design.selection import CONDITIONS, REPEATS, Counts, chosen, most_telling
+from impact_rs_analysis.design.selection import MIN_CONDITIONS, MIN_REPEATS, Counts, chosen, most_telling
 from impact_rs_analysis.diagnosis.thresholds import MIN_CLUSTERS, MIN_DEGREES_OF_FREEDOM
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.experiment_plan import Method
@@ -41,7 +41,7 @@ def choice(trials: list[ForecastTrial], budget: int, method: Method = "design", 
 
 def utility(counts: Discrimination, picked: Mapping[str, int]) -> float:
     """With the least repeats that such a plan can have, as they are chosen."""
-    return counts.utility(counts.total(picked), sum(picked.values()) // REPEATS)
+    return counts.utility(counts.total(picked), sum(picked.values()) // MIN_REPEATS)
 
 
 @pytest.mark.parametrize("speed", SPEEDS)
@@ -96,12 +96,12 @@ def test_a_first_campaign_can_be_diagnosed(method: Method) -> None:
         assert sum(found.values()) == budget
         assert len(found) >= MIN_CLUSTERS
         assert sum(found.values()) - len(found) >= MIN_DEGREES_OF_FREEDOM
-        assert min(found.values()) >= REPEATS
+        assert min(found.values()) >= MIN_REPEATS
 
 
 def test_conditions_and_repeats_are_what_the_diagnosis_needs() -> None:
-    assert CONDITIONS == MIN_CLUSTERS
-    assert CONDITIONS * (REPEATS - 1) >= MIN_DEGREES_OF_FREEDOM
+    assert MIN_CONDITIONS == MIN_CLUSTERS
+    assert MIN_CONDITIONS * (MIN_REPEATS - 1) >= MIN_DEGREES_OF_FREEDOM
 
 
 def test_a_budget_too_small_for_a_diagnosis_is_refused_with_the_least_one() -> None:

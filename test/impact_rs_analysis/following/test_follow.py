@@ -20,7 +20,7 @@ from impact_rs_analysis.evidence.measured_runs import read_trial
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.following import change, hits, posterior, proposals, recent_residuals
 from impact_rs_analysis.following.follow import Follower, HitsSince
-from impact_rs_analysis.following.hits import BagDoor, TableDoor
+from impact_rs_analysis.following.hits import BagHitSource, TableHitSource
 from impact_rs_analysis.following.lessons import Change, HitDocument
 from impact_rs_analysis.following.state import restore_state, save_state
 from impact_rs_sim.effects import library
@@ -55,9 +55,11 @@ def write(path: Path, rows: Rows, times: Sequence[float] | None = None) -> Path:
     return write_csv(path, [*header, "time [s]"], stamped)
 
 
-def following(path: Path, model: Model = NOMINAL, only: Iterable[str] | None = FEW, **door: object) -> Follower:
+def following(path: Path, model: Model = NOMINAL, only: Iterable[str] | None = FEW, **hit_source: object) -> Follower:
     return Follower(
-        TableDoor(lambda: read_impact_table(path, PUSH), model, **door), model, None if only is None else list(only)
+        TableHitSource(lambda: read_impact_table(path, PUSH), model, **hit_source),
+        model,
+        None if only is None else list(only),
     )  # type: ignore[arg-type]
 
 
@@ -106,9 +108,9 @@ def day(taught: Path, tmp_path: Path) -> Day:
 
 def sigma_of(follower: Follower) -> np.ndarray:
     """Standard deviation of every feature: noise of the table, and half the relevance limit."""
-    (hit, *_), layout = follower.door.arrived(), "impacts"
+    (hit, *_), layout = follower.hit_source.arrived(), "impacts"
     noise = np.repeat((NOISE[2], 0.005, 0.02), (len(hit.measured) - 6, 3, 3))
-    return np.hypot(noise, follower.door.limits([hit], layout) / 2.0)
+    return np.hypot(noise, follower.hit_source.limits([hit], layout) / 2.0)
 
 
 @pytest.mark.parametrize(("stated", "known"), [(1.2, 0.15), (1.25, 0.005)], ids=["moved", "kept"])
@@ -121,9 +123,9 @@ def test_the_interval_of_a_parameter_is_that_of_least_squares_with_its_prior(
     sigma = sigma_of(following(path, model, ["object_mass"], discrepancy=NO_MAP_DISCREPANCY))
     follower = following(path, model, ["object_mass"], discrepancy=NO_MAP_DISCREPANCY)
     information = (NORMAL_95 / known) ** 2
-    for hit in follower.door.arrived():
+    for hit in follower.hit_source.arrived():
         assert not changes(follower.take([hit]))
-        above, below = follower.door.predict(hit, [(("object_mass", (scale,)),) for scale in (1.26, 1.24)])
+        above, below = follower.hit_source.predict(hit, [(("object_mass", (scale,)),) for scale in (1.26, 1.24)])
         assert above is not None and below is not None
         information += float(np.sum(np.square((above - below) / 0.02 / sigma)))
     (mass,) = follower.followed()
@@ -187,8 +189,8 @@ def test_the_scatter_is_learnt_from_hits_enough_and_from_repeats_enough(tmp_path
     for row in QUIET:
         kinds.setdefault((row[0], row[1]), []).append(row)
     rows = [own[n] for n in range(2) for own in kinds.values()]
-    door = TableDoor(lambda: read_impact_table(write(tmp_path / "hits.csv", rows), PUSH), NOMINAL)
-    documents = list(Follower(door, NOMINAL, ["object_mass"], learnt=8).arrived())
+    hit_source = TableHitSource(lambda: read_impact_table(write(tmp_path / "hits.csv", rows), PUSH), NOMINAL)
+    documents = list(Follower(hit_source, NOMINAL, ["object_mass"], learnt=8).arrived())
     assert [document.error is None for document in documents] == [True] * 9 + [False] * 3
     assert all(document.error is None for document in list(following(tmp_path / "hits.csv").arrived()))
 
@@ -197,7 +199,7 @@ def test_a_model_that_predicts_hardly_any_of_the_first_hits_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     follower = following(write(tmp_path / "hits.csv", QUIET))
-    monkeypatch.setattr(follower.door, "predict", lambda hit, added: [None] * len(added))
+    monkeypatch.setattr(follower.hit_source, "predict", lambda hit, added: [None] * len(added))
     with pytest.raises(InputError, match="model 'nominal' predicts 0 of the first 20 hits"):
         list(follower.arrived())
 
@@ -295,7 +297,7 @@ def test_a_sensor_that_drifts_slowly_is_no_change(tmp_path: Path, monkeypatch: p
             row[place] = float(str(row[place])) * (1.0 + 0.02 * number / len(rows))
     path = write(tmp_path / "hits.csv", rows)
     assert not changes(list(following(path, only=None).arrived()))
-    monkeypatch.setattr(posterior, "DRIFT", 1e-9)
+    monkeypatch.setattr(posterior, "DISCREPANCY_RENEWAL", 1e-9)
     assert changes(list(following(path, only=None).arrived()))
 
 
@@ -313,7 +315,7 @@ def test_a_misfit_that_wears_in_and_no_effect_explains_is_predicted_from_recent_
         return float(np.sqrt(np.mean([one.error**2 for one in documents[-20:] if one.error is not None])))
 
     corrected = late()
-    monkeypatch.setattr(recent_residuals, "LEAD", 1e9)
+    monkeypatch.setattr(recent_residuals, "MIN_LEAD", 1e9)
     assert corrected < 0.85 * late()
 
 
@@ -333,7 +335,7 @@ def test_a_table_without_conditions_is_followed(tmp_path: Path) -> None:
 def test_a_likely_explanation_that_is_not_the_first_is_linearised_anew(day: Day) -> None:
     """A second step makes the likeliest explanation be linearised anew, wherever it stands; kills index 0 for it."""
     follower = day(rows_of({"object_mass": [1.5]}, 1, seed=2), rows_of({"object_mass": [2.2]}, 1, seed=4))
-    arriving = follower.door.arrived()
+    arriving = follower.hit_source.arrived()
     for hit in islice(arriving, 6):
         follower.take([hit])
     unlikely, likely = copy.copy(follower.watch.likeliest), follower.watch.likeliest
@@ -350,24 +352,24 @@ def test_an_explanation_that_predicts_nothing_is_ruled_out_by_one_that_does(
 ) -> None:
     """Kills a hit that is not predicted and costs nothing, and hypotheses that are never dropped."""
     follower = day(rows_of({}, 1, seed=5))
-    first, second, *_ = follower.door.arrived()
+    first, second, *_ = follower.hit_source.arrived()
     seeing, blind = follower.watch.likeliest, copy.copy(follower.watch.likeliest)
     scale = 1.0 + 1e-9
     blind.point, blind.posterior = blind.point.copy(), blind.posterior.copy()
     blind.point[follower.watch.hits.candidate.part("object_mass")] = scale
     seeing.log_weight, blind.log_weight = 0.0, -1.0
-    follower.watch.hypotheses, predict = [seeing, blind], follower.door.predict
+    follower.watch.hypotheses, predict = [seeing, blind], follower.hit_source.predict
 
     def blinded(hit: hits.Hit, added: Sequence[tuple]) -> list:  # type: ignore[type-arg]
         return [None] * len(added) if ("object_mass", (scale,)) in added[0] else predict(hit, added)
 
-    monkeypatch.setattr(follower.door, "predict", blinded)
+    monkeypatch.setattr(follower.hit_source, "predict", blinded)
     (document,) = follower.take([first])
-    assert follower.watch.hypotheses == [seeing] and not follower.door.skipped
+    assert follower.watch.hypotheses == [seeing] and not follower.hit_source.skipped
     assert follower.watch.probabilities() == [1.0] and document.resolved == ""
     follower.watch.hypotheses = [blind]
     (document,) = follower.take([second])
-    assert document.error is None and "predicts no impact" in follower.door.skipped[second.name]
+    assert document.error is None and "predicts no impact" in follower.hit_source.skipped[second.name]
     assert follower.watch.hypotheses == [blind]
 
 
@@ -380,7 +382,7 @@ def test_a_cause_is_dropped_below_one_in_a_thousand_and_known_from_95_percent_on
 ) -> None:
     """Probabilities 0.92, 0.97, and of a third 2e-4 and 1.5e-3; kills either bound, and causes that are never known."""
     follower = day(rows_of({}, 1, seed=5))
-    first = next(follower.door.arrived())
+    first = next(follower.hit_source.arrived())
     follower.watch.likeliest.effect = "object_mass"
     found = [copy.deepcopy(follower.watch.likeliest.recent) for _ in others]
     for behind, recent in zip(others, found, strict=True):
@@ -400,7 +402,7 @@ def test_a_hit_raises_the_explanation_that_predicts_it(day: Day) -> None:
     other.recent, other.log_weight = copy.deepcopy(other.recent), -2.0
     other.point[follower.watch.hits.candidate.part("object_mass")] = 1.5
     follower.watch.hypotheses.append(other)
-    follower.take([next(follower.door.arrived())])
+    follower.take([next(follower.hit_source.arrived())])
     assert follower.watch.likeliest is other and follower.watch.probabilities().max() > 0.95
 
 
@@ -424,8 +426,8 @@ def test_mass_and_motors_that_hits_do_not_tell_apart_are_distinguished_by_a_lift
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Kills a check without its own uncertainty, and one that is proposed where both read the same."""
-    lift = proposals.CHECKS[0]
-    monkeypatch.setattr(proposals, "CHECKS", (lift,))
+    lift = proposals.HITLESS_CHECKS[0]
+    monkeypatch.setattr(proposals, "HITLESS_CHECKS", (lift,))
     change = apart(tmp_path, {"object_mass": [1.1]}, ["object_mass", "motor_inertia_scale"])
     mass = change.causes[0].parameters[0]
     assert (change.causes[0].effect, mass.parameter) == ("object_mass", "object_mass.scale")
@@ -434,7 +436,7 @@ def test_mass_and_motors_that_hits_do_not_tell_apart_are_distinguished_by_a_lift
     assert min(abs(as_before - 9.81 * item.mass) for item in PUSH.objects.values()) < 0.05  # N
     assert heavier == pytest.approx(mass.estimate * as_before, rel=0.01)
     blunt = lift._replace(least=10.0 * lift.least)
-    monkeypatch.setattr(proposals, "CHECKS", (blunt,))
+    monkeypatch.setattr(proposals, "HITLESS_CHECKS", (blunt,))
     change = apart(tmp_path, {"object_mass": [1.1]}, ["object_mass", "motor_inertia_scale"])
     assert change.apart == "a free motion distinguishes them (motor_inertia_scale would show there)"
 
@@ -447,17 +449,17 @@ def test_one_more_hit_of_a_kind_that_was_measured_is_proposed_where_it_decides(t
 def test_hits_at_other_speeds_are_proposed_where_those_at_hand_do_not_decide(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(proposals, "APART", 10.0)
+    monkeypatch.setattr(proposals, "MIN_DECISIVE_DISTANCE", 10.0)
     change = apart(tmp_path, {"restitution": [0.06]}, ["object_mass", "restitution"], seed=5)
     assert " at twice the speed, not measured yet, distinguishes them (" in change.apart
-    door = following(write(tmp_path / "hits.csv", QUIET)).door
-    fast, slow = door.unmeasured([next(door.arrived())])
+    hit_source = following(write(tmp_path / "hits.csv", QUIET)).hit_source
+    fast, slow = hit_source.unmeasured([next(hit_source.arrived())])
     assert fast.measured == pytest.approx(4.0 * slow.measured)
 
 
 def test_where_nothing_tells_causes_apart_it_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Both show in a free motion, and neither in what one reads."""
-    monkeypatch.setattr(proposals, "CHECKS", ())
+    monkeypatch.setattr(proposals, "HITLESS_CHECKS", ())
     change = apart(tmp_path, {"motor_inertia_scale": [1.2]}, ["motor_inertia_scale", "end_effector_payload"])
     assert change.apart.startswith("no hit of these kinds and nothing")
 
@@ -561,8 +563,8 @@ def trials(made_once: Callable[[str, Callable[[Path], None]], Path]) -> Path:
 
 
 def test_a_change_of_the_plant_is_followed_through_its_trials(trials: Path) -> None:
-    door = BagDoor(trials, NOMINAL, ReplayCache(map))
-    follower = Follower(door, NOMINAL, ["object_mass"], learnt=6, mean_time=1000.0)
+    hit_source = BagHitSource(trials, NOMINAL, ReplayCache(map))
+    follower = Follower(hit_source, NOMINAL, ["object_mass"], learnt=6, mean_time=1000.0)
     (change,) = changes(list(follower.arrived()))
     assert change.causes[0].effect == "object_mass"
     (mass,) = follower.followed()
@@ -574,18 +576,18 @@ def test_bags_are_read_when_they_are_due_and_what_was_not_measured_is_simulated(
 ) -> None:
     read: list[str] = []
     monkeypatch.setattr(hits, "read_trial", lambda path: (read.append(path.name), read_trial(path))[1])
-    door = BagDoor(trials, NOMINAL, ReplayCache(map))
-    arriving = door.arrived()
-    assert next(arriving).name.endswith("r0") and len(read) == 1 and door.waiting == 8
+    hit_source = BagHitSource(trials, NOMINAL, ReplayCache(map))
+    arriving = hit_source.arrived()
+    assert next(arriving).name.endswith("r0") and len(read) == 1 and hit_source.waiting == 8
     second = next(arriving)
-    assert second.name.endswith("r1") and len(read) == 2 and door.waiting == 7
-    another = next(door.unmeasured([second]))
+    assert second.name.endswith("r1") and len(read) == 2 and hit_source.waiting == 7
+    another = next(hit_source.unmeasured([second]))
     assert another.condition != second.condition and another.condition.startswith("push/juice/case_")
 
 
 def test_the_next_hit_after_a_free_motion_is_one_with_an_impact(hidden_campaign: Path) -> None:
-    follower = Follower(BagDoor(hidden_campaign, NOMINAL, ReplayCache(map)), NOMINAL, ["object_mass"], learnt=4)
-    found = list(follower.door.arrived())
+    follower = Follower(BagHitSource(hidden_campaign, NOMINAL, ReplayCache(map)), NOMINAL, ["object_mass"], learnt=4)
+    found = list(follower.hit_source.arrived())
     pushes = [hit for hit in found if hit.hits]
     assert len(pushes) == 4
     for hit in [*pushes, *(hit for hit in found if not hit.hits)]:

@@ -19,7 +19,7 @@ from impact_rs_analysis.diagnosis.verdict import SMALL, DiagnosisVerdict
 from impact_rs_analysis.investigation import loop
 from impact_rs_analysis.investigation.endings import Ending, judged, read_ending
 from impact_rs_analysis.investigation.loop import Investigation
-from impact_rs_analysis.investigation.policy import MOST_DISCOVERIES
+from impact_rs_analysis.investigation.policy import MAX_VAIN_DISCOVERIES
 from impact_rs_analysis.investigation.prediction_check import CheckedImpact, PredictionError, Predictions
 from impact_rs_analysis.investigation.rounds import (
     PlannedTrial,
@@ -567,7 +567,7 @@ def test_what_no_effect_explains_is_first_measured_again_and_then_a_law_is_looke
     assert ending.verdict == "UNDECIDED" and "NO-LAW-HOLDS" in ending.summary
     assert ending.candidates == (FRICTION,)
     assert "2 discoveries have found no law" in ending.summary
-    assert len(looked) == MOST_DISCOVERIES and len(bench.measured) == 14
+    assert len(looked) == MAX_VAIN_DISCOVERIES and len(bench.measured) == 14
     first, second = read_rounds(investigation_.directory, SETTINGS)[:2]
     assert first.discovery is None and second.discovery is not None
 
@@ -662,7 +662,7 @@ def test_laws_that_predict_equally_well_are_designed_for_and_listed_at_the_end(s
     ending = investigation_.run()
     assert (ending.verdict, ending.candidates, ending.effects) == ("UNDECIDED", (DRAG.name, "cable", MASS), ())
     assert "the budget of 28 trials is spent" in ending.summary
-    assert len(looked) > MOST_DISCOVERIES
+    assert len(looked) > MAX_VAIN_DISCOVERIES
     assert bench.last is not None and bench.last.named == (DRAG.name,) and bench.last.formulas == (DRAG,)
 
 
@@ -801,7 +801,9 @@ def test_a_damaged_file_of_a_step_is_named_with_the_remedy(start: Start) -> None
     investigation_.run()
     damaged = investigation_.directory / "rounds" / "02" / "decision.json"
     damaged.write_text(damaged.read_text()[:40])
-    with pytest.raises(InputError, match="decision.json: not whole .* remove it, and the step is done again"):
+    with pytest.raises(
+        InputError, match="decision.json: incomplete or damaged .* remove it, and the step is done again"
+    ):
         investigation_.run()
     damaged.unlink()
     assert investigation_.run().effects == (FRICTION,)

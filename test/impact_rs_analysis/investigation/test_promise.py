@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from impact_rs_analysis.inference.ahead import probability
-from impact_rs_analysis.investigation.promise import WORTHWHILE, promise
+from impact_rs_analysis.investigation.promise import MIN_WORTHWHILE_PROBABILITY, best_decision_probability
 from impact_rs_trials.campaign import PlannedTrials
 from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign, PlannedPair
 
@@ -35,7 +35,7 @@ def distinguished(root: float, freedom: int) -> float:
 
 
 def test_half_the_decisions_are_made_where_the_mean_log_ratio_is_that_of_twenty() -> None:
-    assert distinguished(np.sqrt(2.0 * np.log(20.0)), 0) == pytest.approx(WORTHWHILE, abs=0.01)
+    assert distinguished(np.sqrt(2.0 * np.log(20.0)), 0) == pytest.approx(MIN_WORTHWHILE_PROBABILITY, abs=0.01)
 
 
 @pytest.mark.parametrize("freedom", [0, 2, 9])
@@ -43,7 +43,7 @@ def test_all_trials_left_promise_what_the_plan_does_and_more_with_every_further_
     """A distance that does not grow with the trials is noticed."""
     root = 1.5
     plan = plan_for(0.0, distinguished(root, freedom), freedom=freedom)
-    promised = [promise(plan, plan.trials + further) for further in range(20)]
+    promised = [best_decision_probability(plan, plan.trials + further) for further in range(20)]
     assert promised[0] == pytest.approx(distinguished(root, freedom))
     assert all(more > less for less, more in itertools.pairwise(promised))
     assert promised[12] == pytest.approx(distinguished(2.0 * root, freedom and freedom + 12))  # four times the trials
@@ -51,6 +51,6 @@ def test_all_trials_left_promise_what_the_plan_does_and_more_with_every_further_
 
 def test_a_plan_that_states_certainty_or_nothing_has_a_promise() -> None:
     """And one for no rivals is always worth its trials."""
-    assert promise(plan_for(1.0, freedom=3), 8) > 0.99
-    assert promise(plan_for(0.0), 60) == 0.0
-    assert promise(plan_for(0.0).model_copy(update={"aim": "effects"}), 4) == 1.0
+    assert best_decision_probability(plan_for(1.0, freedom=3), 8) > 0.99
+    assert best_decision_probability(plan_for(0.0), 60) == 0.0
+    assert best_decision_probability(plan_for(0.0).model_copy(update={"aim": "effects"}), 4) == 1.0

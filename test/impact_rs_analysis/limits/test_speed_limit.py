@@ -110,8 +110,8 @@ def test_draws_scatter_by_the_discrepancy_of_the_twin_and_by_springs_as_stated(m
     scene = scene_of()
     (arm,), rng = scene.physics.arms.values(), np.random.default_rng(0)
     springs = np.array([drawn_springs(arm, rng).stiffness / arm.stiffness for _ in range(200)])
-    assert springs.std() == pytest.approx(drawn_hits.STIFFNESS / 1.96, rel=0.1)
-    for name in ("STIFFNESS", "DAMPING"):
+    assert springs.std() == pytest.approx(drawn_hits.STIFFNESS_HALF_WIDTH / 1.96, rel=0.1)
+    for name in ("STIFFNESS_HALF_WIDTH", "DAMPING_HALF_WIDTH"):
         monkeypatch.setattr(drawn_hits, name, 0.0)
     hits = Hits(scene, Thresholds(velocity_jump=0.3), EXACT, 60)
     values, kinds = hits.values(1.0), np.array(hits.bounds.kinds)
@@ -232,5 +232,5 @@ def test_a_mistake_is_one_line(line: list[str], said: str, capsys: pytest.Captur
 
 def test_a_pad_that_goes_away_from_the_object_is_refused() -> None:
     scenario = load_scenario("push").with_settings({"cases.case_1.robots.arm.ante_velocity": [0.0, 0.3, 0.0]})
-    with pytest.raises(InputError, match="arm 'arm' does not come to the object"):
+    with pytest.raises(InputError, match="arm 'arm' does not approach the object"):
         Hits(Scene.resolve(scenario, "juice", "1"), Thresholds())

@@ -220,7 +220,7 @@ def test_a_data_set_belongs_to_one_campaign_and_one_process(campaign: Path, fold
 @pytest.mark.parametrize(
     ("file", "content", "message"),
     [
-        ("notes.txt", b"", "rows: is no data set, for it holds notes.txt; choose an empty or a new folder"),
+        ("notes.txt", b"", "rows: is not a data set: it holds notes.txt; choose an empty or a new folder"),
         ("part-00000.parquet", b"PAR1", "part-00000.parquet: cannot be read"),
     ],
 )
@@ -239,7 +239,7 @@ def test_a_part_of_another_program_is_refused(campaign: Path, folder: Path, tmp_
     export(campaign, tmp_path / "push.parquet", map, quiet)
     folder.mkdir()
     (tmp_path / "push.parquet").rename(folder / "part-00000.parquet")
-    with pytest.raises(InputError, match="is no part of a data set of impact-rs"):
+    with pytest.raises(InputError, match="is not part of a data set of impact-rs"):
         extended(campaign, folder)
     with pytest.raises(InputError, match="this is a file; expected the name of a folder"):
         extended(campaign, campaign / "manifest.yaml")

@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
-from impact_rs_analysis.measure.departure import FIRST, Departure, _distances, departures, objects_left
+from impact_rs_analysis.measure.departure import SEPARATION_WINDOW_S, Departure, _distances, departures, objects_left
 from impact_rs_analysis.report.analysis import write_analysis_report
 from impact_rs_cli.main import main
 from impact_rs_sim.paths import config_directory
@@ -51,9 +51,9 @@ def test_an_object_thrown_off_leaves_with_the_speed_of_its_true_pose(bouncy: Pat
     for path in bouncy.glob("parcel__*"):
         bag = TrialBag.open(path)
         true, state, hit = bag.poses(TRUTH_OBJECT_POSE), bag.controller("arm"), bag.impact_time("arm")
-        first = (true.time >= hit + FIRST[0]) & (true.time <= hit + FIRST[1])
+        first = (true.time >= hit + SEPARATION_WINDOW_S[0]) & (true.time <= hit + SEPARATION_WINDOW_S[1])
         box = np.polyfit(true.time[first], true.position[first, 1], 1)[0]
-        while_ = (state.time >= hit + FIRST[0]) & (state.time <= hit + FIRST[1])
+        while_ = (state.time >= hit + SEPARATION_WINDOW_S[0]) & (state.time <= hit + SEPARATION_WINDOW_S[1])
         found = departure_of(path)
         assert found.speed == pytest.approx(np.mean(state.twist[while_, 1]) - box, rel=0.05)  # both move along -y
         assert found.speed > 0.3 and found.distance > 0.025

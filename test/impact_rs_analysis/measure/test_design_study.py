@@ -18,7 +18,7 @@ from impact_rs_analysis.measure.design_study import (
     DesignStudy,
     Estimate,
     problems_of,
-    stances_of,
+    random_poses,
     study_designs,
     uncertainties_of,
     values_by,
@@ -59,7 +59,7 @@ def test_sensitivity_is_the_share_of_the_motors_in_the_effective_mass() -> None:
 
     With ``1 / m = n^T J (M + B)^-1 J^T n``.
     """
-    (stance,), _ = stances_of("franka_fer", QUESTION, 1)
+    (stance,), _ = random_poses("franka_fer", QUESTION, 1)
     motor_inertia, _, problem = next(problems_of(QUESTION, stance))
     assert motor_inertia == "reduced"
     arm = problem.physics.arms["arm"]
@@ -137,7 +137,7 @@ def test_what_is_assumed_makes_intervals_wide_and_none_reaches_below_zero(study:
     for design in (*study.designs, *fr3.designs):
         for one in design.measures.values():
             assert 0.0 < one.low < one.value < one.high
-    motors = next(problems_of(QUESTION, stances_of("franka_fer", QUESTION, 1)[0][0]))[2].motor_inertia["arm"]
+    motors = next(problems_of(QUESTION, random_poses("franka_fer", QUESTION, 1)[0][0]))[2].motor_inertia["arm"]
     assert motors.tolist() == list(QUESTION.scenario.robots["arm"].drive.motor_inertia_reduced or ())
 
 
@@ -152,4 +152,4 @@ def test_table_holds_every_design_and_the_page_is_written(study: DesignStudy, tm
 
 def test_a_speed_that_no_pose_reaches_is_an_error() -> None:
     with pytest.raises(InputError, match="lower --speed"):
-        stances_of("ur5e", replace(QUESTION, speed=50.0), 1)
+        random_poses("ur5e", replace(QUESTION, speed=50.0), 1)

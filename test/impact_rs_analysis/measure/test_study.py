@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from impact_rs_analysis.measure import study
-from impact_rs_analysis.measure.analyze import LARGEST_SPREAD, Analysis, analyze_campaign
+from impact_rs_analysis.measure.analyze import MAX_IMPACT_SPREAD_S, Analysis, analyze_campaign
 from impact_rs_analysis.measure.study import analyze_study, study_manifests
 from impact_rs_analysis.measure.table import result_table
 from impact_rs_sim.errors import InputError
@@ -60,6 +60,6 @@ def test_a_study_without_one_of_its_campaigns_says_which(push_campaign: Path, tm
 
 def test_arms_that_hit_apart_are_flagged_with_the_time_between(analysis: Analysis) -> None:
     trial = next(entry for entry in analysis.sets if entry.scenario == "grab").trials[0]
-    assert 0.0 <= trial.spread < LARGEST_SPREAD
+    assert 0.0 <= trial.spread < MAX_IMPACT_SPREAD_S
     assert replace(trial, impact_times=(0.90, 0.97)).spread == pytest.approx(0.07)
-    assert all(spread > LARGEST_SPREAD for _, spread in analysis.apart)
+    assert all(spread > MAX_IMPACT_SPREAD_S for _, spread in analysis.apart)

@@ -198,7 +198,7 @@ def test_tracks_are_thinned_and_gaps_stay_gaps(tmp_path: Path) -> None:
     (shown,) = track_data([long])
     assert np.isnan(floats(shown["time"])).sum() == 2  # the line breaks between windows
     assert shown["signals"][0]["measured"] == shown["time"]
-    assert len(floats(shown["time"])) <= skeleton.MOST_POINTS + 2
+    assert len(floats(shown["time"])) <= skeleton.MAX_CURVE_POINTS + 2
 
 
 def test_errors_that_lie_decades_apart_are_all_seen(tmp_path: Path) -> None:

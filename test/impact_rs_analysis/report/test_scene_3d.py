@@ -12,7 +12,13 @@ from refusals import refusal
 from scenes import PHYSICS, joints_track
 
 from impact_rs_analysis.evidence.tracks import Track
-from impact_rs_analysis.report.animation import MOST_ROWS, MOST_RUNS, ReplayPart, animation_data, shown_rows
+from impact_rs_analysis.report.animation import (
+    MAX_ROWS_PER_RUN,
+    MAX_RUNS_OF_ALL_ROWS,
+    ReplayPart,
+    animation_data,
+    shown_rows,
+)
 from impact_rs_analysis.report.scene_3d import described_scene, moving_joints, scene_data
 
 
@@ -138,14 +144,17 @@ def test_runs_of_one_scene_share_it() -> None:
 
 def test_many_runs_have_fewer_samples_each() -> None:
     run = moving(np.arange(1001) / 1000.0)
-    few, many = (len(animation_data(count * [run])["runs"][0]["time"]) for count in (MOST_RUNS, 2 * MOST_RUNS))
+    few, many = (
+        len(animation_data(count * [run])["runs"][0]["time"])
+        for count in (MAX_RUNS_OF_ALL_ROWS, 2 * MAX_RUNS_OF_ALL_ROWS)
+    )
     assert many == pytest.approx(few / 2.0, rel=0.1)
 
 
 def test_a_long_recording_has_no_more_samples_than_are_seen() -> None:
     run = animation_data([moving(np.arange(600_001) / 1000.0, impact=None)])["runs"][0]
     kept = times(run)
-    assert MOST_ROWS <= kept.size <= MOST_ROWS + 2
+    assert MAX_ROWS_PER_RUN <= kept.size <= MAX_ROWS_PER_RUN + 2
     assert (kept[0], kept[-1]) == (0.0, 600.0)
 
 

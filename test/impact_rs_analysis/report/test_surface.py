@@ -11,7 +11,7 @@ import pytest
 from scenes import PHYSICS
 
 from impact_rs_analysis.report.scene_3d import scene_data
-from impact_rs_analysis.report.surface import MOST_FACES, surface_of
+from impact_rs_analysis.report.surface import MAX_FACES, surface_of
 from impact_rs_sim.robot import Mesh
 
 DAE = """<?xml version="1.0"?>
@@ -51,7 +51,7 @@ def write_stl(path: Path, corners: np.ndarray) -> Path:
 def test_a_fine_mesh_becomes_coarse_and_stays_a_ball(tmp_path: Path) -> None:
     found = surface_of(write_stl(tmp_path / "ball.stl", ball(120)).as_uri())
     assert found is not None
-    assert MOST_FACES / 3 < len(found.faces) <= MOST_FACES
+    assert MAX_FACES / 3 < len(found.faces) <= MAX_FACES
     assert np.linalg.norm(found.vertices, axis=1) == pytest.approx(0.1, abs=0.008)
     assert set(np.unique(found.faces)) <= set(range(len(found.vertices)))
     a, b, c = (found.vertices[found.faces[:, corner]] for corner in range(3))

@@ -25,7 +25,7 @@ from bench import (
     switched_on,
 )
 
-from impact_rs_sim.bodies import inertia_of, is_body, second_moments
+from impact_rs_sim.bodies import inertia_of, is_physically_consistent, second_moments
 from impact_rs_sim.effects import ArmEffect, Effect, Parameter, library
 from impact_rs_sim.effects.depending import Depending, Slope
 from impact_rs_sim.errors import NotABody
@@ -154,7 +154,9 @@ def test_a_link_with_any_moment_about_its_axis_is_a_body(moments, share):
     physics = replace(bench(), arms={"arm": replace(arm, facts=facts)})
     more = share * link.inertia[5]
     changed = switched_on(physics, "link_inertia", inertia_joint1=more).arms["arm"].facts.links[0]
-    assert is_body(link.mass, link.inertia_matrix) and is_body(changed.mass, changed.inertia_matrix)
+    assert is_physically_consistent(link.mass, link.inertia_matrix) and is_physically_consistent(
+        changed.mass, changed.inertia_matrix
+    )
     assert changed.inertia[5] == pytest.approx(link.inertia[5] + more, rel=1e-12)
 
 

@@ -215,7 +215,7 @@ def test_given_limits_go_before_measured_ones(urdf: Path, tmp_path: Path) -> Non
 
 
 def test_a_recording_that_does_not_say_it_is_refused(urdf: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="limit effort.*--limits shoulder.effort=MOST says it, or --measured"):
+    with pytest.raises(InputError, match="limit effort.*--limits shoulder.effort=MOST gives it, or --measured"):
         import_urdf(urdf, limits=["*.position=-3:3", "*.velocity=3"])
     with pytest.raises(InputError, match="no 2 columns of positions"):
         measured_limits(recording(tmp_path / "log.csv", "a,b,c,d,e,f"), ["shoulder", "elbow"])
