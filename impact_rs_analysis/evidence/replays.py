@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -18,11 +18,11 @@ from impact_rs_analysis.evidence.levels import Comparison, condition_scores, lev
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
 from impact_rs_analysis.evidence.replay_cache import Replay, ReplayCache
 from impact_rs_analysis.evidence.source import Identity, Item, Made, Source, with_per_arm_parameters
-from impact_rs_analysis.evidence.tracker_start import tracker_frame_start
+from impact_rs_analysis.evidence.tracker_start import tracker_start
 from impact_rs_analysis.evidence.tracks import Track, tracks_of_runs
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.base import SINGLE_IMPACT
-from impact_rs_sim.effects.sensing import COMMAND_CLOCK_OFFSET, TRACKER_FRAME
+from impact_rs_sim.effects.sensing import COMMAND_CLOCK_OFFSET, TRACKED_POINT, TRACKER_FRAME
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
@@ -111,7 +111,7 @@ def clusters_of(
 
 def _frame_words(runs: Runs) -> str:
     """Warning if hits place the tracker frame elsewhere, with the remedy; else empty."""
-    found = tracker_frame_start(runs.runs)
+    found = tracker_start(TRACKER_FRAME, runs.runs)
     if found is None:
         return ""
     return (
@@ -331,21 +331,21 @@ class ReplaySource(Source):
         return super().offers(effect) and (self.clock > 0.0 or effect.name != COMMAND_CLOCK_OFFSET.name)
 
     def starts(self, name: str) -> Sequence[Array]:
-        """See :meth:`Source.starts`: the frame of the tracker."""
-        return self._tracker_frame if name == TRACKER_FRAME.name else ()
+        """See :meth:`Source.starts`: frame of the tracker, and tracked point."""
+        return self._tracker_starts.get(name, ())
 
     @cached_property
-    def _tracker_frame(self) -> Sequence[Array]:
-        """Frame of the tracker, estimated from hits."""
-        found = tracker_frame_start(self.runs.runs)
-        return () if found is None else (found,)
+    def _tracker_starts(self) -> Mapping[str, Sequence[Array]]:
+        """Estimates from the impacts by effect."""
+        found = {effect.name: tracker_start(effect, self.runs.runs) for effect in (TRACKER_FRAME, TRACKED_POINT)}
+        return {name: (start,) for name, start in found.items() if start is not None}
 
     def spread(self, function: Callable[[Source, Item], Made], items: Sequence[Item], what: str) -> list[Made]:
         """See :meth:`Source.spread`; every process gets a copy of the cache."""
         bare = tuple(replace(run, signals=Signals(NONE, {})) for run in self.runs.runs)  # for figures and clusters only
         runs, store = replace(self.runs, runs=bare, late={}), self.store.in_one_process()
         alone = ReplaySource(runs, self.model, store, self.clusters, self.discrepancy, self.remarks)
-        alone._tracker_frame = self._tracker_frame  # the copy has no signals
+        alone._tracker_starts = self._tracker_starts  # the copy has no signals
         return self.store.spread(partial(function, alone), items, what)
 
     def residuals_with(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:

@@ -1,71 +1,89 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Start of a fit of the tracker's frame, from hits in which pads lie on faces.
+"""Starts of fits of the tracker's frame and tracked point, from the impacts.
 
-If the error of the frame exceeds the motion of the pad before the impact, object and pad interpenetrate at the start of
-a replay, where sensitivities are useless.
+At an impact the surfaces of pad and object touch, so their signed distance is 0. The pose of the object at rest is its
+reading y, corrected by an effect with parameters v. With the distance d_i at the impact of arm and run i,
+
+    minimise  sum_i (d_i(y_i, v) / s_d)^2 + sum_k ((v_k - nominal_k) / (w s_k))^2
+
+where s_k is the scale of parameter k. The second sum keeps what the impacts do not determine at its nominal value, as a
+shift along the face (ridge regression).
+
+Without such a start, a frame that is off by more than the pad moves before the impact puts object and pad into each
+other at the start of a replay, and sensitivities there say nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 import pinocchio as pin
+import scipy
 
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.effects import Effect
+from impact_rs_sim.impact_map.contacts import contact_pairs
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
-from impact_rs_trials.recordings.contact_frame import FOLLOWED, TOUCHING, PadOnFace, contact_frame
+from impact_rs_sim.scene import BodyState
 
-MIN_STANDARD_ERRORS = 1.0  # of the tracker frame from nominal; nearer, nominal is as good a start
+DISTANCE_SD_M = 0.002  # s_d: an impact is detected within some ms, at some 0.3 m/s
+PRIOR_SCALES = 5.0  # w: 10 mm of a shift, 25 mrad of a yaw
+STEP = 1e-3  # of a finite difference, over the prior: 0.1 mm or 0.25 mrad
+ONE_JOINT = 1  # these effects have no parameter of a joint
+SIMULTANEOUS_S = 0.02  # impacts of other arms later than that meet an object that has moved
 
 
-def tracker_frame_start(runs: Iterable[MeasuredRun]) -> Array | None:
-    """x, y [m] and yaw [rad] of the effect ``tracker_frame`` from hits, ``(3,)``; None: as exact as hits can tell."""
-    touches = [touch for run in runs if run.hit and run.setup.tracked for touch in _touches(run)]
-    try:
-        found = contact_frame(touches, np.zeros(3), 0.0)
-    except (InputError, np.linalg.LinAlgError):
+def tracker_start(effect: Effect, runs: Iterable[MeasuredRun]) -> Array | None:
+    """Parameters of an effect of the tracker with which pads and objects touch at the impacts, ``(p,)``.
+
+    Args:
+        effect: The frame of the tracker, or the tracked point.
+        runs: Runs; those without an impact or without tracking say nothing.
+
+    Returns:
+        The parameters; None where pads and objects touch as the readings are, or where there is no impact.
+    """
+    impacts = [
+        (run.setup.physics, run.setup.windows[-1].object, placements)
+        for run in runs
+        if run.hit and run.setup.tracked and run.signals.object_time.size and (placements := _placements(run))
+    ]
+    nominal = effect.nominal(ONE_JOINT)
+    scales = PRIOR_SCALES * np.array([scalar.scale for scalar in effect.scalars(ONE_JOINT)])
+
+    def distances(vector: Array) -> Array:
+        return np.array([one for impact in impacts for one in _distances(effect, vector, *impact)])
+
+    before = distances(nominal)
+    if not before.size or np.mean(np.square(before)) < DISTANCE_SD_M**2:
         return None
-    if not np.any(np.abs(np.append(found.position[:2], found.yaw)) > MIN_STANDARD_ERRORS * found.error):
-        return None
-    back = pin.rpy.rpyToMatrix(0.0, 0.0, -found.yaw)  # from A to the frame that readings are in
-    return np.append(-(back @ np.append(found.position[:2], 0.0))[:2], -found.yaw)
+
+    def residuals(change: Array) -> Array:
+        return np.append(distances(nominal + scales * change) / DISTANCE_SD_M, change)
+
+    found = scipy.optimize.least_squares(residuals, np.zeros_like(nominal), diff_step=STEP)
+    return np.asarray(nominal + scales * found.x)
 
 
-def _touches(run: MeasuredRun) -> list[PadOnFace]:
-    """Pad and face of every arm of a hit."""
-    signals, physics = run.signals, run.setup.physics
-    seen, start = signals.object_time, run.setup.windows[-1].object
-    found = []
-    for name, impact in run.impacts.items():
-        first, last = (impact + moment for moment in TOUCHING)
-        rows = np.flatnonzero((seen >= first) & (seen <= last))
-        if not rows.size:
-            continue
-        model = physics.robot_model(name)
-        joints = signals.arms[name].position
-        ends = np.array([impact, min(impact + FOLLOWED, float(signals.time[-1]), float(seen[-1]))])
-        pads = [model.placement(q) for q in _at(seen[rows], signals.time, joints)]
-        way = np.diff([model.placement(q).translation[:2] for q in _at(ends, signals.time, joints)], axis=0)[0]
-        found.append(
-            PadOnFace(
-                run=run.name,
-                pad=np.array([pad.translation for pad in pads]),
-                pad_normal=np.array([pad.rotation[:, 2] for pad in pads]),
-                position=signals.object_position[rows],
-                rotation=np.array([pin.Quaternion(q).matrix() for q in signals.object_quaternion[rows]]),
-                size=physics.object.size,
-                standing=float(start.position[2]),
-                standing_height=float(start.position[2]),
-                pad_way=way,
-                object_way=np.diff(_at(ends, seen, signals.object_position[:, :2]), axis=0)[0],
-            )
+def _placements(run: MeasuredRun) -> Mapping[str, pin.SE3]:
+    """Frames E in A at the impacts of the arms, of those that meet the object where it was at rest."""
+    first = min(run.impacts.values(), default=0.0)
+    joints = run.signals.arms
+    return {
+        name: run.setup.physics.robot_model(name).placement(
+            np.array([np.interp(time, run.signals.time, column) for column in joints[name].position.T])
         )
-    way = np.mean([touch.pad_way for touch in found], axis=0) if found else np.zeros(2)
-    return [PadOnFace(**{**vars(touch), "pad_way": way}) for touch in found]
+        for name, time in run.impacts.items()
+        if time < first + SIMULTANEOUS_S
+    }
 
 
-def _at(moments: Array, time: Array, values: Array) -> Array:
-    """Values at moments, ``(m, k)``."""
-    return np.column_stack([np.interp(moments, time, column) for column in values.T])
+def _distances(
+    effect: Effect, vector: Array, physics: Physics, reading: BodyState, placements: Mapping[str, pin.SE3]
+) -> list[float]:
+    """Signed distance of every pad from the object, whose pose was read with the effect [m]."""
+    position, rotation = effect.apply_vector(physics, vector).tracker.pose_of(reading.position, reading.rotation)
+    state = BodyState(position, rotation, np.zeros(6))
+    return [pair.separation for pair in contact_pairs(physics, state, placements) if pair.partner in placements]
