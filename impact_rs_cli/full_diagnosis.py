@@ -119,14 +119,13 @@ class FullDiagnosis:
         own, self._running = self._running, None
         if own is None:
             return
+        _hang_up(own.process)  # it interrupts itself, as soon as it can be: a signal is lost on one that still starts
         if own.process.poll() is None:
-            os.killpg(own.process.pid, signal.SIGINT)
             try:
                 own.process.wait(PATIENCE)
             except subprocess.TimeoutExpired:
                 os.killpg(own.process.pid, signal.SIGKILL)
                 own.process.wait()
-        _hang_up(own.process)
         own.errors.close()
         if own.makes_folder:  # one that had to be killed has not removed it
             with contextlib.suppress(OSError):

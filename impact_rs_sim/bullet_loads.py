@@ -25,7 +25,7 @@ Scene = dict[str, float]
 
 
 @dataclass(frozen=True)
-class ContactPair:
+class LoadedPair:
     """Contact of the object with a partner, reduced to one point.
 
     Attributes:
@@ -72,7 +72,7 @@ class BulletLoads:
         self._first: dict[str, float] = {}  # s, when a pad first touched the object
         arms = [load for arm in physics.arms.values() for load in arm.loads]
         self.any = bool(physics.object_loads) or any(load.touches for load in arms)
-        self._touching: dict[str | None, ContactPair | None] = {}
+        self._touching: dict[str | None, LoadedPair | None] = {}
 
     def scene(self, time: float, arm: str | None, links: Mapping[str, ArmState]) -> Scene:
         """Values of formula symbols: time, object, and its contacts with one arm (None: with all arms).
@@ -144,7 +144,7 @@ class BulletLoads:
                     self._world.push(None, pad.place, pad.load(*forces))
                     self._world.push(name, pad.place, -pad.load(*forces))
 
-    def _touch(self, arm: str | None, links: Mapping[str, ArmState]) -> ContactPair | None:
+    def _touch(self, arm: str | None, links: Mapping[str, ArmState]) -> LoadedPair | None:
         """Contact of the object with an arm (None: its support); None without contact."""
         points = self._world.contact_points(arm)
         loads = np.array([max(point[9], 0.0) for point in points])
@@ -161,4 +161,4 @@ class BulletLoads:
             velocity = velocity - twist[:3] - np.cross(twist[3:], place - model.placement(link.position).translation)
         # Bullet's normal points out of its second body: of the object, or of the support.
         normal = np.array(points[0][7]) * (1.0 if arm is None else -1.0)
-        return ContactPair(force, -float(share @ [point[8] for point in points]), place, normal, velocity)
+        return LoadedPair(force, -float(share @ [point[8] for point in points]), place, normal, velocity)

@@ -100,7 +100,9 @@ export function jobButton(text, body, attributes = {}) {
 
 /** @param {Job} job */
 function keepJob(job) {
-  if (!state.jobs.some((other) => other.number === job.number)) showJobs([{...job, progress: null}, ...state.jobs]);
+  const seen = state.jobs.find((other) => other.number === job.number);
+  if (!seen) showJobs([{...job, progress: null}, ...state.jobs]);
+  else if (seen.ended !== null) finished(seen); // it had ended before the answer to its start came
 }
 
 // ---- the output of a command below its form -----------------------------------------------------------------------
