@@ -59,7 +59,7 @@ class RowPredictions:
     def all_rows(self, added: Added) -> Array | None:
         """Entries of all rows, ``(rows, n)``, nan where there is no solution; None: no positive inertia.
 
-        All rows are solved together, whoever asks for some of them.
+        All rows are solved in one batch, also where only some are requested.
 
         Args:
             added: Effects on top of the model.

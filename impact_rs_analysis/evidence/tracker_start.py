@@ -30,7 +30,6 @@ from impact_rs_sim.scene import BodyState
 
 DISTANCE_SD_M = 0.002  # s_d: an impact is detected within some ms, at some 0.3 m/s
 PRIOR_SCALES = 5.0  # w: 10 mm of a shift, 25 mrad of a yaw
-STEP = 1e-3  # of a finite difference, over the prior: 0.1 mm or 0.25 mrad
 ONE_JOINT = 1  # these effects have no parameter of a joint
 SIMULTANEOUS_S = 0.02  # impacts of other arms later than that meet an object that has moved
 
@@ -63,7 +62,7 @@ def tracker_start(effect: Effect, runs: Iterable[MeasuredRun]) -> Array | None:
     def residuals(change: Array) -> Array:
         return np.append(distances(nominal + scales * change) / DISTANCE_SD_M, change)
 
-    found = scipy.optimize.least_squares(residuals, np.zeros_like(nominal), diff_step=STEP)
+    found = scipy.optimize.least_squares(residuals, np.zeros_like(nominal))
     return np.asarray(nominal + scales * found.x)
 
 
