@@ -27,6 +27,7 @@ from impact_rs_trials.recordings.hypotheses import (
     choose,
     common,
     copies,
+    motor_positions,
     positions,
     takes_torque,
     torques,
@@ -202,6 +203,17 @@ class JointSearch:
         if best.torques:
             listed["torque"] = alternatives((one, one.by_name) for one in best.torques)
         return replace(best, alternatives=listed)
+
+    def motors(self, found: Assignment) -> Reading | None:
+        """Angles of the motors, where a stream that names call so follows the positions; None: no stream does."""
+        taken = [one.stream for one in (found.position, found.velocity, *found.torques[:1]) if one is not None]
+        motion = JointMotion.of(found.time, found.position.values, found.speeds, self.model)
+        for stream in self.streams:
+            if stream.is_of_motors and not any(stream.stands_apart(other) for other in taken):
+                choice = choose(motor_positions(motion, self._sampled(motion, stream)), -np.inf)
+                if choice is not None:
+                    return Reading(stream, choice)
+        return None
 
     def velocities_at_other_rates(self) -> Iterator[tuple[JointStream, JointStream, float]]:
         """Positions, streams that are their derivative but for one positive factor in all joints, and that factor."""

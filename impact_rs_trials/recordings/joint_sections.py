@@ -96,6 +96,8 @@ class JointSections:
         part.on_log = not found.position.stream.candidate.stamped
         own = {"joints": list(self._joints(found.position.stream.candidate, facts.joint_count))}
         own |= self._torque(found.torques, found.alternatives["torque"], facts, robot, signals, part)
+        if (motors := search.motors(found)) is not None:
+            signals["motor_position"] = self._joint_signal(motors, "motor_position", part)
         own |= self._commands(found, search, model, signals, part, "torque_constant" in own)
         return part, own, signals
 

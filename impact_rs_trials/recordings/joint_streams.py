@@ -13,6 +13,7 @@ from impact_rs_trials.recordings.series import Series
 # What a name says besides the signal that it hints at (candidates.guess_of).
 COMMANDED = re.compile(r"des|ref|target|goal|cmd|cmp|command|comput|set_?point|(^|_)d(_|\d|$)|filt|err", re.IGNORECASE)
 MEASURED = re.compile(r"meas|actual|(^|_)act(_|\d|$)", re.IGNORECASE)
+OF_MOTOR = re.compile(r"motor|rotor|(^|_)theta", re.IGNORECASE)
 CURRENT = re.compile(r"curr|amp", re.IGNORECASE)
 
 
@@ -57,6 +58,12 @@ class JointStream:
         hinted = {"torque": "current" if CURRENT.search(text) else "torque"}.get(guess, guess)
         odds = NAMED if hinted == role else -NAMED if hinted and (hinted, role) != ("torque", "current") else 0.0
         return odds - NAMED * bool(COMMANDED.search(text)) + NAMED * bool(MEASURED.search(text))
+
+    @property
+    def is_of_motors(self) -> bool:
+        """Whether its name calls it a measurement at the motors."""
+        text = " ".join(self.candidate.source.get("columns") or [self.candidate.label])
+        return bool(OF_MOTOR.search(text)) and not COMMANDED.search(text)
 
     def in_order(self, order: tuple[int, ...]) -> JointStream:
         """With the joints in another order."""
