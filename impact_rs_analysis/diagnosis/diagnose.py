@@ -420,7 +420,7 @@ def _remarks(found: Findings, source: Source) -> list[str]:
         remarks.append(found.unsupported)
     if found.search.ruled_out:
         names = ", ".join(sorted(found.shown(found.search.ruled_out)))
-        remarks.append(f"ruled out by free motion, and not tried in contact: {names}")
+        remarks.append(f"free motion shows no sign of these, so they were not fitted in contact: {names}")
     return remarks
 
 

@@ -15,7 +15,7 @@ from typing import Any, Literal, Self
 from pydantic import Field
 
 from impact_rs_analysis.diagnosis.thresholds import UNADJUSTED_LEVEL
-from impact_rs_analysis.diagnosis.verdict import SMALL, DiagnosisVerdict
+from impact_rs_analysis.diagnosis.verdict import NO_IMPROVEMENT, SMALL, TOO_FEW, UNIDENTIFIABLE, DiagnosisVerdict
 from impact_rs_analysis.evidence.calibration import LaboratoryCalibration
 from impact_rs_analysis.evidence.cluster import TIMES, ErrorUnit
 from impact_rs_analysis.evidence.discrepancy import DiscrepancyDocument
@@ -477,6 +477,13 @@ class DiagnosisDocument(Schema):
             if one.found and one.verdict != SMALL:
                 found[one.effect] = (*found.get(one.effect, ()), one.covariate)
         return found
+
+    @property
+    def addable(self) -> tuple[str, ...]:
+        """Named effects with one value for all measurements, which the measurements determine."""
+        undetermined = (NO_IMPROVEMENT, TOO_FEW, UNIDENTIFIABLE)
+        own = [(name, self.effect(name)) for name in self.named if name not in self.dependent]
+        return tuple(name for name, effect in own if effect is not None and effect.verdict not in undetermined)
 
     @property
     def not_excluded(self) -> dict[str, str]:

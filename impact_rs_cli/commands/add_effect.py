@@ -81,4 +81,4 @@ def _show(what: str, items: Sequence[ModelEffect], document: DiagnosisDocument, 
     terminal.say(f"{what} {', '.join(said)}")
     for item in items:
         for name, value in item.parameters.items():
-            terminal.say(f"  {name} = {estimate_in_line(value.estimate, value.ci95)} {value.unit}")
+            terminal.say(f"  {name} = {estimate_in_line(value.estimate, value.ci95)} {value.unit}".removesuffix(" -"))

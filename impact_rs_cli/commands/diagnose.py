@@ -74,7 +74,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     terminal.result(document.model_dump(mode="json"))
     if args.output is not None:
         terminal.say(f"diagnosis: {args.output}")
-        if names := [name for name in document.named if name not in document.dependent]:
+        if names := document.addable:
             terminal.say(f"next: {add_command(names, args.model, args.output, document)}")
     if document.calls_for_a_law:
         terminal.say(f"a law that the library does not have: {discover_command(args, model)}")
