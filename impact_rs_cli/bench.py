@@ -26,6 +26,7 @@ from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.blind import RUNS, BlindTask, Secret, run_task
 from impact_rs_trials.campaign import PlannedTrials
 from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign
+from impact_rs_trials.file_names import BAG_METADATA
 from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.workers import Map
@@ -95,7 +96,7 @@ class PlantBench:
         return against
 
     def _runs(self) -> Runs:
-        count = sum(1 for _ in self.runs.rglob("metadata.yaml"))
+        count = sum(1 for _ in self.runs.rglob(BAG_METADATA))
         if self._known is None or self._known[0] != count:
             self._known = count, self.measured_runs(), {}
         return self._known[1]

@@ -21,6 +21,7 @@ from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.campaign import Manifest, TrialReport
 from impact_rs_trials.experiment_plan import SCENARIO_FILE, write_scenario
+from impact_rs_trials.file_names import BAG_METADATA
 from impact_rs_trials.recordings.experiment import FREE_MOTION, HIT, NO_OBJECT, YAML, Experiment, load_experiment
 from impact_rs_trials.recordings.mapping import load_mapping
 from impact_rs_trials.spec import TrialSpec
@@ -156,7 +157,7 @@ class CellBench(NodesBench):
         specs: dict[Path, TrialSpec] = {}
         hits: dict[str, tuple[Scenario, list[str]]] = {}  # with the rows of the table, by the text of the scenario
         free: list[str] = []
-        for path in sorted(self.runs.glob("*/*/*/metadata.yaml")):
+        for path in sorted(self.runs.glob(f"*/*/*/{BAG_METADATA}")):
             bag = TrialBag.open(path.parent)
             spec = specs[path.parent.absolute()] = bag.info.spec
             hit = spec.scenario.excursion is None

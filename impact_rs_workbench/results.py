@@ -37,11 +37,12 @@ from impact_rs_sim.schema import validate
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.blind import RUNS, TRUTH
 from impact_rs_trials.experiment_plan import read_plan
+from impact_rs_trials.file_names import experiment_file_in
 from impact_rs_trials.recordings.experiment import Experiment, load_experiment, read_runs
 from impact_rs_trials.recordings.laboratory import Laboratory, read_one
 from impact_rs_trials.store import is_bag, trials_below
 from impact_rs_workbench.forms import seen, values_of
-from impact_rs_workbench.workspace import EXPERIMENTS, Workspace, read_json
+from impact_rs_workbench.workspace import Workspace, read_json
 
 MOST_RESTS = 5  # residuals that a diagnosis leaves
 MOST_PAIRS = 8  # of explanations, the least certain first
@@ -126,7 +127,7 @@ def run(folder: Path, name: str) -> dict[str, Any]:
 
 def _experiment(folder: Path) -> Experiment | None:
     """The experiment that is described in a folder; None: there is none."""
-    file = next((folder / name for name in EXPERIMENTS if (folder / name).is_file()), None)
+    file = experiment_file_in(folder)
     return None if file is None else load_experiment(file)
 
 

@@ -22,8 +22,10 @@ from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.schema import load_mapping, validate
+from impact_rs_trials.bags.topics import TRIAL_INFO
 from impact_rs_trials.blind import RUNS, TRUTH
 from impact_rs_trials.campaign import MANIFEST, Manifest
+from impact_rs_trials.file_names import BAG_METADATA, EXPERIMENT_FILES, RUN_TABLE
 from impact_rs_trials.recordings.experiment import Experiment
 from impact_rs_trials.recordings.run_finder import FILE_SUFFIXES
 from impact_rs_trials.store import is_bag
@@ -37,9 +39,7 @@ REPORTS = (
 )  # fmt: skip
 IN_PAGES = ("limits.csv", "designs.csv")  # tables beside such pages, which are no recordings
 NOMINAL = "nominal"
-EXPERIMENTS = ("experiment.yaml", "experiment.yml")
 LONGEST_HEADER = 10_000  # characters of the first line of a table
-RUN_TABLE: str = Experiment.model_fields["runs"].default
 
 
 Read = TypeVar("Read")
@@ -329,7 +329,7 @@ class Workspace:
         return Campaign(self.name(folder), scenario, len(keys & set(os.listdir(folder))), len(keys))
 
     def _laboratory(self, folder: Path, files: list[str], bags: list[str]) -> LabFolder | None:
-        experiment = next((name for name in EXPERIMENTS if name in files), None)
+        experiment = next((name for name in EXPERIMENT_FILES if name in files), None)
         names = [*bags, *(name for name in files if _is_recording(folder / name))]
         if not names and experiment is None:
             return None
@@ -429,7 +429,7 @@ def _node(path: str, model: Model, parent: str | None) -> ModelNode:
 def _is_ours(bag: Path) -> bool:
     """Whether a bag is one of our trials: its metadata names the topic that says so."""
     try:
-        return "/trial_info" in (bag / "metadata.yaml").read_text(encoding="utf-8")
+        return TRIAL_INFO in (bag / BAG_METADATA).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         return False
 

@@ -12,6 +12,7 @@ from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import whole_folder
+from impact_rs_trials.file_names import EXPERIMENT_FILE, MAPPING_FILE
 from impact_rs_trials.recordings.importing import ImportDraft, Wishes, draft_import
 
 
@@ -37,13 +38,13 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     for remark in draft.remarks:
         terminal.say(f"note: {remark}")
     terminal.say(f"{args.output}: {', '.join(draft.texts)}; {draft.runs} runs, {draft.hits} of them hits")
-    if "experiment.yaml" in draft.texts:
-        described = {"experiment": args.output / "experiment.yaml", "output": "impacts.csv"}
+    if EXPERIMENT_FILE in draft.texts:
+        described = {"experiment": args.output / EXPERIMENT_FILE, "output": "impacts.csv"}
         further = command_line("impacts", {"directory": draft.folder, **described})
     else:
         folders = {file.parent for file in args.files}
         target = args.files[0] if len(args.files) == 1 else folders.pop() if len(folders) == 1 else draft.folder
-        further = command_line("compare", {"runs": target, "mapping": args.output / "mapping.yaml"})
+        further = command_line("compare", {"runs": target, "mapping": args.output / MAPPING_FILE})
     terminal.say(f"next: check the lines marked ASSUMED, then {further}")
     return 0
 

@@ -16,6 +16,7 @@ from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
 from impact_rs_trials.bags.reader import BagError, TrialBag
+from impact_rs_trials.file_names import BAG_METADATA
 from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.recordings.laboratory import read_one
 from impact_rs_trials.runs import Run
@@ -84,7 +85,7 @@ def check_trial(path: Path) -> None:
         raise InputError(f"a file; expected the folder of a trial, which holds metadata.yaml{remedy}", file=path)
     if is_bag(path) or any(path.glob("*.mcap")):
         return
-    found = [str(file.parent) for file in islice(path.rglob("metadata.yaml"), MOST_LOOKED_AT) if is_bag(file.parent)]
+    found = [str(file.parent) for file in islice(path.rglob(BAG_METADATA), MOST_LOOKED_AT) if is_bag(file.parent)]
     remedy = f"; there are trials below it, for example {min(found)}" if found else ", and there are none below it"
     raise InputError(f"not the folder of a trial: it holds neither metadata.yaml nor an .mcap file{remedy}", file=path)
 
