@@ -18,7 +18,7 @@ from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.investigation.loop import Against
 from impact_rs_analysis.investigation.rounds import PlannedTrial, WantedTrials, trials_of
 from impact_rs_analysis.investigation.settings import Settings
-from impact_rs_cli.measurements import read
+from impact_rs_cli.reading import read
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model

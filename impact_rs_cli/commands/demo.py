@@ -11,6 +11,8 @@ from typing import Any
 
 from pydantic import Field
 
+from impact_rs_analysis.application.loop_steps import report_comparison, report_diagnosis
+from impact_rs_analysis.application.measurements import measurements_of_trials
 from impact_rs_analysis.diagnosis.add import add_effects
 from impact_rs_analysis.diagnosis.document import write_document
 from impact_rs_analysis.diagnosis.history import history
@@ -19,10 +21,10 @@ from impact_rs_cli.arguments import number
 from impact_rs_cli.commands.analyze import report_on
 from impact_rs_cli.commands.campaign import warn_wrong
 from impact_rs_cli.commands.compare import comparison_of
-from impact_rs_cli.commands.diagnose import diagnosis_of, report_of
+from impact_rs_cli.commands.diagnose import diagnosis_of
 from impact_rs_cli.commands.history import show_history
-from impact_rs_cli.measurements import Measurements, read
 from impact_rs_cli.parser import command_line
+from impact_rs_cli.reading import read
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_ros.graph import Graph, run_trial
 from impact_rs_sim.model import Model, load_model, save_model
@@ -127,17 +129,16 @@ def walk_the_loop(
     model, considered = load_model(MODEL), list(demonstration.considered)
     (hidden,) = demonstration.hidden.effects
     with workers(Workforce(min(2, os.cpu_count() or 1))) as map_tasks:
-        measurements = Measurements.of_trials(map_tasks, terminal, read(runs_directory, map_tasks, terminal))
+        measurements = measurements_of_trials(read(runs_directory, map_tasks, terminal), map_tasks, terminal)
         terminal.say("", "2. Where does the model fail?")
         before = comparison_of(measurements, model, terminal)
-        with measurements.progress():
-            links = {"../diagnosis.html": "what it lacks", "../compare.html": "the better model"}
-            write_comparison(before, measurements.tracks(model), None, before_reports, links)
+        links = {"../diagnosis.html": "what it lacks", "../compare.html": "the better model"}
+        report_comparison(before, measurements, Path(MODEL), model, before_reports, links)
         terminal.say("", f"3. Which effect is missing? Considered here: {', '.join(considered)}.")
         options = {"runs": str(runs_directory.absolute()), "effects": considered}
         document = diagnosis_of(measurements, model, model, considered, terminal, options=options)
         write_document(document, diagnosis_file)
-        report_of(document, measurements, Path(MODEL), model, reports)
+        report_diagnosis(document, measurements, Path(MODEL), model, reports)
         correct = hidden.name in document.named or any(hidden.name in group for group in document.confusable)
         story: dict[str, Any] = {"hidden": hidden.name, "named": list(document.named), "correct": correct}
         if not document.named:

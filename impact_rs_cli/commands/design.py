@@ -13,8 +13,8 @@ from impact_rs_analysis.diagnosis.document import CalibrationExperiment, read_do
 from impact_rs_analysis.diagnosis.measurement import calibration_text, experiments_of
 from impact_rs_analysis.diagnosis.next_experiment import considered, left_open
 from impact_rs_cli.arguments import started
-from impact_rs_cli.measurements import read
 from impact_rs_cli.parser import command_line
+from impact_rs_cli.reading import read
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
