@@ -44,7 +44,7 @@ from impact_rs_trials.recordings.joint_sections import NO_HEADER, JointSections
 from impact_rs_trials.recordings.mapping import NO_ROBOT, Mapping, TableLayout
 from impact_rs_trials.recordings.object_sections import ObjectSections, poses_in
 from impact_rs_trials.recordings.read_once import files_read_once
-from impact_rs_trials.recordings.recorded_files import RecordedFile, open_recorded, refuse_several
+from impact_rs_trials.recordings.recorded_files import ImportedFiles, RecordedFile, open_recorded, refuse_several
 from impact_rs_trials.recordings.run_finder import find_recordings
 
 
@@ -122,10 +122,11 @@ class _Importer:
         signals: dict[str, dict[str, Any]] = {}
         own: dict[str, Any] = {}
         part = self._parts[0]
-        joints = JointSections(self._parts, self._groups, self._wishes.rate, self._notes)
+        files = ImportedFiles(self._parts, self._groups, self._wishes.rate, self._notes)
+        joints = JointSections(files)
         if facts is not None:
             part, own, signals = joints.describe(robot, facts)
-        tracked = ObjectSections(self._parts, self._groups, self._wishes.rate, self._notes)
+        tracked = ObjectSections(files)
         pose_part = tracked.describe(part, facts is not None, signals)
         if facts is None and pose_part is None:
             raise InputError(
