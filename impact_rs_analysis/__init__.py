@@ -28,6 +28,7 @@ from impact_rs_sim.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from impact_rs_analysis.application.measurements import MeasurementOptions as MeasurementOptions
+    from impact_rs_analysis.application.measurements import Measurements as Measurements
     from impact_rs_analysis.application.measurements import open_measurements as open_measurements
     from impact_rs_analysis.application.measurements import read_measurements as read_measurements
     from impact_rs_analysis.diagnosis.compare import ComparisonDocument as ComparisonDocument
@@ -48,7 +49,7 @@ if TYPE_CHECKING:
     from impact_rs_analysis.measure.analyze import analyze_campaign as analyze_campaign
 
 MODULES = {
-    "application.measurements": ("MeasurementOptions", "open_measurements", "read_measurements"),
+    "application.measurements": ("MeasurementOptions", "Measurements", "open_measurements", "read_measurements"),
     "diagnosis.compare": ("ComparisonDocument", "compare"),
     "diagnosis.diagnose": ("diagnose",),
     "diagnosis.discover": ("discover",),
