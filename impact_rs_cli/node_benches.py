@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from impact_rs_analysis.application.plant_bench import PlantBench
 from impact_rs_analysis.evidence.command_clock import read_runs_of_scenes
 from impact_rs_analysis.evidence.measured_runs import Runs
 from impact_rs_analysis.investigation.rounds import PlannedTrial
 from impact_rs_analysis.investigation.settings import Settings
-from impact_rs_cli.bench import PlantBench
 from impact_rs_cli.cell_guard import CellGuard
 from impact_rs_cli.terminal import Terminal
 from impact_rs_ros.graph import Graph, run_trial
@@ -59,10 +59,10 @@ class NodesBench(PlantBench):
                 trials[0].scenario,
                 root=self.runs,
                 without=self._without,
-                notify=self.terminal.warn,
+                notify=self.observer.warn,
                 namespace=self._namespace,
             ) as graph,
-            self.terminal.progress("trials") as report,
+            self.observer.progress("trials") as report,
         ):
             for count, one in enumerate(trials, start=1):
                 graph.wait_until_ready()
@@ -77,7 +77,7 @@ class NodesBench(PlantBench):
         """Run one trial."""
         report = self.one(graph, one, repeated=True)
         if report.outcome != "OK":
-            self.terminal.warn(f"{one.path}: {report.outcome}: {report.message}")
+            self.observer.warn(f"{one.path}: {report.outcome}: {report.message}")
         if report.outcome == "ABORTED":
             raise RuntimeError(f"{one.path} was aborted: {report.message}; the same command goes on")
         return report

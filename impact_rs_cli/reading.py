@@ -14,11 +14,10 @@ from impact_rs_analysis.application.measurements import (
     Measurements,
     open_measurements,
     read_laboratory,
-    read_trials,
 )
 from impact_rs_analysis.diagnosis.bounds import read_ranges
 from impact_rs_analysis.evidence.measured_runs import Runs
-from impact_rs_cli.arguments import started, warn_skipped
+from impact_rs_cli.arguments import started
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE
@@ -48,8 +47,6 @@ def measured(
         measurements = open_measurements(options, map_tasks, terminal)
         if measurements.calibration:
             terminal.say(f"calibration of the readings: {measurements.calibration.text}")
-        if measurements.trials is not None:
-            warn_skipped(measurements.trials.skipped, terminal)
         yield measurements
 
 
@@ -156,16 +153,7 @@ def read_experiment(directory: Path, file: Path, map_tasks: Map, terminal: Termi
     Raises:
         InputError: The file, its table or a recording cannot be used.
     """
-    runs = read_laboratory(directory, experiment_file(file, directory, terminal), map_tasks, terminal)
-    warn_skipped(runs.skipped, terminal)
-    return runs
-
-
-def read(directory: Path, map_tasks: Map, terminal: Terminal) -> Runs:
-    """Read trials and warn of what was left out."""
-    runs = read_trials(directory, map_tasks, terminal)
-    warn_skipped(runs.skipped, terminal)
-    return runs
+    return read_laboratory(directory, experiment_file(file, directory, terminal), map_tasks, terminal)
 
 
 def only_trials(measurements: Measurements, option: str) -> Runs:

@@ -18,7 +18,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from impact_rs_analysis.application.observer import SILENT, Observer, Report
+from impact_rs_analysis.application.observer import SILENT, Observer, Report, warn_skipped
 from impact_rs_analysis.evidence.calibration import NO_CALIBRATION, LaboratoryCalibration, calibration_of
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.command_clock import read_laboratory_runs
@@ -113,7 +113,7 @@ class Measurements:
 
     Args:
         map_tasks: Parallel map.
-        observer: Shows the progress.
+        observer: Shows progress and warnings.
         source: Makes the source of evidence for a model.
         trials: Trials or runs; None: something else.
         kind: What was read.
@@ -177,7 +177,7 @@ def open_measurements(options: MeasurementOptions, map_tasks: Map = map, observe
     Args:
         options: Which, and how.
         map_tasks: Parallel map; the built-in one works in this process.
-        observer: Shows the progress.
+        observer: Shows progress and warnings.
 
     Raises:
         InputError: There is no usable measurement, or a file cannot be used.
@@ -205,7 +205,7 @@ def measurements_of_trials(trials: Runs, map_tasks: Map = map, observer: Observe
     Args:
         trials: The trials.
         map_tasks: Parallel map.
-        observer: Shows the progress.
+        observer: Shows progress and warnings.
     """
     return Measurements(map_tasks, observer, _source_of_runs(trials, None, False), trials)
 
@@ -231,35 +231,39 @@ def read_measurements(data: str | Path, model: Model | str | Path = "nominal", m
 
 
 def read_trials(directory: Path, map_tasks: Map = map, observer: Observer = SILENT) -> Runs:
-    """Read every trial below a folder.
+    """Read every trial below a folder, and warn of what was left out.
 
     Args:
         directory: The folder.
         map_tasks: Parallel map.
-        observer: Shows the progress.
+        observer: Shows progress and warnings.
 
     Raises:
         InputError: There is no usable trial.
     """
     with observer.progress("reading bags") as report:
-        return read_runs(directory.absolute(), _counted(map_tasks, report))  # a worker may have another directory
+        runs = read_runs(directory.absolute(), _counted(map_tasks, report))  # a worker may have another directory
+    warn_skipped(runs.skipped, observer)
+    return runs
 
 
 def read_laboratory(directory: Path, experiment: Path, map_tasks: Map = map, observer: Observer = SILENT) -> Runs:
-    """Read the runs of an experiment file.
+    """Read the runs of an experiment file, and warn of what was left out.
 
     Args:
         directory: Folder of the runs.
         experiment: The experiment file.
         map_tasks: Parallel map.
-        observer: Shows the progress.
+        observer: Shows progress and warnings.
 
     Raises:
         InputError: The file, its table or a recording cannot be used.
     """
     described = load_experiment(experiment)
     with observer.progress("reading runs") as report:
-        return read_laboratory_runs(directory.absolute(), described, _counted(map_tasks, report))
+        runs = read_laboratory_runs(directory.absolute(), described, _counted(map_tasks, report))
+    warn_skipped(runs.skipped, observer)
+    return runs
 
 
 def _source_of_runs(runs: Runs, discrepancy: Discrepancy | None, each_arm: bool) -> SourceOfModel:

@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import Field
 
 from impact_rs_analysis.application.loop_steps import report_comparison, report_diagnosis
-from impact_rs_analysis.application.measurements import measurements_of_trials
+from impact_rs_analysis.application.measurements import measurements_of_trials, read_trials
 from impact_rs_analysis.diagnosis.add import add_effects
 from impact_rs_analysis.diagnosis.document import write_document
 from impact_rs_analysis.diagnosis.history import history
@@ -24,7 +24,6 @@ from impact_rs_cli.commands.compare import comparison_of
 from impact_rs_cli.commands.diagnose import diagnosis_of
 from impact_rs_cli.commands.history import show_history
 from impact_rs_cli.parser import command_line
-from impact_rs_cli.reading import read
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_ros.graph import Graph, run_trial
 from impact_rs_sim.model import Model, load_model, save_model
@@ -129,7 +128,7 @@ def walk_the_loop(
     model, considered = load_model(MODEL), list(demonstration.considered)
     (hidden,) = demonstration.hidden.effects
     with workers(Workforce(min(2, os.cpu_count() or 1))) as map_tasks:
-        measurements = measurements_of_trials(read(runs_directory, map_tasks, terminal), map_tasks, terminal)
+        measurements = measurements_of_trials(read_trials(runs_directory, map_tasks, terminal), map_tasks, terminal)
         terminal.say("", "2. Where does the model fail?")
         before = comparison_of(measurements, model, terminal)
         links = {"../diagnosis.html": "what it lacks", "../compare.html": "the better model"}

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from impact_rs_analysis.application.plant_bench import NO_SECRET, PlantBench
 from impact_rs_analysis.investigation.endings import Ending
 from impact_rs_analysis.investigation.loop import Investigation
 from impact_rs_analysis.investigation.rounds import read_rounds
@@ -13,7 +14,6 @@ from impact_rs_analysis.investigation.settings import BlindChoice, Settings, beg
 from impact_rs_analysis.investigation.story import LOG_FILE
 from impact_rs_analysis.report.family_tree import write_investigation
 from impact_rs_cli.arguments import check_robots, started
-from impact_rs_cli.bench import NO_SECRET, PlantBench
 from impact_rs_cli.cell_guard import CellGuard
 from impact_rs_cli.commands.diagnose import check_effects
 from impact_rs_cli.terminal import Terminal, output_folder
