@@ -20,8 +20,8 @@ import numpy as np
 import yaml
 from pydantic import Field
 
+from impact_rs_analysis.application.described_folder import check_undescribed, described_folder
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.files import whole_folder
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario, load_scenario
@@ -341,9 +341,7 @@ def describe(workspace: Workspace, description: Description) -> tuple[list[str],
     scenario = load_scenario(scenario_name)
     files = _mapping_files(scenario)
     new = [EXPERIMENT_FILE, *files.values(), *([] if description.runs is None else [RUN_TABLE])]
-    for name in new:
-        if (folder / name).exists():
-            raise InputError("this file exists already; remove it to describe the folder again", file=folder / name)
+    check_undescribed(folder, new)
     mappings = {arm: _mapping_of(workspace, description, scenario, arm, folder / file) for arm, file in files.items()}
     if scenario_name.endswith((".yaml", ".yml")):
         scenario_name = os.path.relpath(scenario_name, folder)
@@ -356,9 +354,7 @@ def describe(workspace: Workspace, description: Description) -> tuple[list[str],
     texts[EXPERIMENT_FILE] = _yaml(experiment)
     if description.runs is not None:
         texts[RUN_TABLE] = _table(description.runs)
-    with whole_folder(folder) as aside:
-        for name, text in texts.items():
-            (aside / name).write_text(text, encoding="utf-8")
+    with described_folder(folder, texts) as aside:
         table = (folder if description.runs is None else aside) / RUN_TABLE
         rows = read_runs(folder, Experiment(scenario=scenario_name, runs=str(table.relative_to(folder))), scenario)
         laboratory = Laboratory.checked(scenario, mappings, motion_capture, lambda arm: {"key": arm})

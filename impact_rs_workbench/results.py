@@ -27,6 +27,7 @@ from impact_rs_analysis.report.comparison import (
 )
 from impact_rs_analysis.report.labels import phase_text, place_text, tag_of
 from impact_rs_analysis.report.page import number_text, p_text, quantity_text
+from impact_rs_analysis.report.page_names import COMPARISON_DATA, DIAGNOSIS_PAGE, DISCOVERY_PAGE
 from impact_rs_analysis.report.plots import effects_plot
 from impact_rs_analysis.report.trial import TrialPage, run_page
 from impact_rs_commands.explaining import DISCOVER
@@ -50,10 +51,10 @@ def comparison(folder: Path) -> dict[str, Any]:
     Raises:
         InputError: There is no comparison in the folder.
     """
-    path = folder / "compare.json"
+    path = folder / COMPARISON_DATA
     data = read_json(path)
     if data is None:
-        raise InputError("no comparison here; expected compare.json", file=folder)
+        raise InputError(f"no comparison here; expected {COMPARISON_DATA}", file=folder)
     document = validate(ComparisonDocument, data, path)
     several = len({cell.scenario for cell in document.where}) > 1
     part, by_phase = where_part(document), not on_scale(document)
@@ -293,7 +294,7 @@ def diagnosis(workspace: Workspace, name: str) -> dict[str, Any]:
         "runs": measured_by.get("runs"),
         "calls_for_a_law": document.calls_for_a_law and not discovered,
         "law": measured_by,
-        "report": "discovery.html" if discovered else "diagnosis.html",
+        "report": DISCOVERY_PAGE if discovered else DIAGNOSIS_PAGE,
         "unit": document.error_unit,
         "yardstick": yardstick_of_rest(document),
         "figure": None if figure is None else json.loads(str(figure.to_json())),

@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
 from impact_rs_analysis.evidence.calibration import CALIBRATION
+from impact_rs_analysis.report.page_names import COMPARISON_DATA, HISTORY_DATA, PAGES, TABLES
 from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.paths import config_directory
@@ -33,11 +34,6 @@ from impact_rs_trials.store import is_bag
 HIDDEN = ".workbench"
 DEEPEST = 5  # folders below the workbench's own that are looked into
 LARGEST_DOCUMENT = 20_000_000  # bytes of a report's numbers
-REPORTS = (
-    "report.html", "compare.html", "diagnosis.html", "discovery.html", "history.html", "investigation.html",
-    "limits.html", "rehearsal.html", "design_study.html",
-)  # fmt: skip
-IN_PAGES = ("limits.csv", "designs.csv")  # tables beside such pages, which are no recordings
 NOMINAL = "nominal"
 LONGEST_HEADER = 10_000  # characters of the first line of a table
 
@@ -272,7 +268,7 @@ class Workspace:
                         plans.append(self.name(path))
                     elif kind == "robot":
                         robots.append(self.name(path))
-                elif file in ("compare.json", "history.json"):
+                elif file in (COMPARISON_DATA, HISTORY_DATA):
                     scores += _scores(path)
                 elif file.endswith(".json") and (diagnosis := self._diagnosis(path)) is not None:
                     diagnoses.append(diagnosis)
@@ -280,7 +276,7 @@ class Workspace:
                     packages.append(self.name(path))
                 elif _is_table_of_impacts(path):
                     tables.append(self.name(path))
-                elif file in REPORTS:
+                elif file in PAGES:
                     reports.append(self.name(path))
         config = config_directory()
         return Contents(
@@ -381,7 +377,7 @@ def _names_in(folder: Path) -> list[str]:
 
 def _is_recording(path: Path) -> bool:
     """Whether a file may be a recording, and is no table that a command has written."""
-    return path.suffix in FILE_SUFFIXES and path.name not in (RUN_TABLE, *IN_PAGES) and not _is_table_of_impacts(path)
+    return path.suffix in FILE_SUFFIXES and path.name not in (RUN_TABLE, *TABLES) and not _is_table_of_impacts(path)
 
 
 @once
@@ -484,7 +480,7 @@ def _scores(path: Path) -> list[dict[str, Any]]:
     found = []
     when = path.stat().st_mtime
     try:
-        if path.name == "compare.json":
+        if path.name == COMPARISON_DATA:
             entry = {"name": "", "digest": document["model"]["digest"], "fit": document["score"], "held_out": None}
             measured = [document["source"], *sorted((one["name"], one["repeats"]) for one in document["conditions"])]
             found.append(

@@ -17,6 +17,7 @@ from impact_rs_analysis.diagnosis.add import add_effects
 from impact_rs_analysis.diagnosis.document import write_document
 from impact_rs_analysis.diagnosis.history import history
 from impact_rs_analysis.report.comparison import write_comparison
+from impact_rs_analysis.report.page_names import COMPARISON_PAGE, DIAGNOSIS_PAGE
 from impact_rs_cli.arguments import number
 from impact_rs_cli.commands.analyze import report_on
 from impact_rs_cli.commands.campaign import warn_wrong
@@ -131,7 +132,7 @@ def walk_the_loop(
         measurements = measurements_of_trials(read_trials(runs_directory, map_tasks, terminal), map_tasks, terminal)
         terminal.say("", "2. Where does the model fail?")
         before = comparison_of(measurements, model, terminal)
-        links = {"../diagnosis.html": "what it lacks", "../compare.html": "the better model"}
+        links = {f"../{DIAGNOSIS_PAGE}": "what it lacks", f"../{COMPARISON_PAGE}": "the better model"}
         report_comparison(before, measurements, Path(MODEL), model, before_reports, links)
         terminal.say("", f"3. Which effect is missing? Considered here: {', '.join(considered)}.")
         options = {"runs": str(runs_directory.absolute()), "effects": considered}
@@ -152,7 +153,7 @@ def walk_the_loop(
         with measurements.progress():
             versions = history(model_file, measurements.against)
         show_history(versions, terminal)
-        links = {f"{MODEL}/compare.html": f"model '{MODEL}'", "diagnosis.html": "what it lacks"}
+        links = {f"{MODEL}/{COMPARISON_PAGE}": f"model '{MODEL}'", DIAGNOSIS_PAGE: "what it lacks"}
         write_comparison(after, measurements.tracks(child), versions, reports, links)
     found = document.effect(name)
     assert found is not None
@@ -164,9 +165,9 @@ def walk_the_loop(
         f"and the error of the model fell from {number(before.score)} to {number(after.score)} times "
         "repeatability.",
         "Reports:",
-        f"  where the model fails   {(before_reports / 'compare.html').resolve()}",
-        f"  what it lacks           {(reports / 'diagnosis.html').resolve()}",
-        f"  the better model        {(reports / 'compare.html').resolve()}",
+        f"  where the model fails   {(before_reports / COMPARISON_PAGE).resolve()}",
+        f"  what it lacks           {(reports / DIAGNOSIS_PAGE).resolve()}",
+        f"  the better model        {(reports / COMPARISON_PAGE).resolve()}",
         "Type next:",
         f"  {command_line('diagnose', {'runs': runs_directory, 'output': 'diagnosis.json'})}",
         f"  {command_line('effects', {})}",
@@ -180,8 +181,8 @@ def walk_the_loop(
         "estimate": estimate.model_dump(mode="json"),
         "history": [entry.to_json() for entry in versions],
         "reports": [
-            str(reports / "diagnosis.html"),
-            str(reports / "compare.html"),
-            str(before_reports / "compare.html"),
+            str(reports / DIAGNOSIS_PAGE),
+            str(reports / COMPARISON_PAGE),
+            str(before_reports / COMPARISON_PAGE),
         ],
     }

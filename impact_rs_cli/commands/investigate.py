@@ -13,6 +13,7 @@ from impact_rs_analysis.investigation.rounds import read_rounds
 from impact_rs_analysis.investigation.settings import BlindChoice, Settings, begin
 from impact_rs_analysis.investigation.story import LOG_FILE
 from impact_rs_analysis.report.family_tree import write_investigation
+from impact_rs_analysis.report.page_names import INVESTIGATION_PAGE
 from impact_rs_cli.arguments import check_robots, started
 from impact_rs_cli.cell_guard import CellGuard
 from impact_rs_cli.commands.diagnose import check_effects
@@ -120,4 +121,4 @@ def _show(directory: Path, ending: Ending, terminal: Terminal) -> None:
     terminal.say("", ending.verdict, ending.summary, f"{ending.trials} trials in {ending.rounds} rounds")
     if ending.effects:
         terminal.say(f"model: {directory / ending.model}")
-    terminal.say(f"log: {directory / LOG_FILE}", f"report: {(directory / REPORT / 'investigation.html').resolve()}")
+    terminal.say(f"log: {directory / LOG_FILE}", f"report: {(directory / REPORT / INVESTIGATION_PAGE).resolve()}")
