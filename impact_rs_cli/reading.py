@@ -20,7 +20,6 @@ from impact_rs_analysis.evidence.measured_runs import Runs
 from impact_rs_cli.arguments import started
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE
 from impact_rs_trials.workers import Map
 
 EXPECTED_RANGE = "expected NAME=LOW:HIGH, for example size_z=0.09:0.11, or a YAML file"
@@ -69,7 +68,7 @@ def measurement_options(
         mapping=args.mapping,
         minus=args.minus,
         scenario=args.scenario,
-        contact_tolerance=GAP_TOLERANCE if args.contact_tolerance is None else args.contact_tolerance,
+        contact_tolerance=args.contact_tolerance,
         covariates=args.covariates,
         unsure=read_ranges(unsure, "--unsure", EXPECTED_RANGE),
         since=args.since,

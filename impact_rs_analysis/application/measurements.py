@@ -36,7 +36,7 @@ from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.file_names import experiment_file_in
 from impact_rs_trials.recordings.experiment import load_experiment
-from impact_rs_trials.recordings.impact_table import read_impact_table
+from impact_rs_trials.recordings.impact_table import ImpactTable, read_impact_table
 from impact_rs_trials.recordings.mapping import load_mapping
 from impact_rs_trials.recordings.recording import is_foreign, read_long_enough
 from impact_rs_trials.workers import Map
@@ -66,7 +66,8 @@ class MeasurementOptions:
         mapping: Mapping of recordings, by name or path; None: ``joint_state`` where the files are no trials.
         minus: The same recordings without the payload, whose torque is subtracted.
         scenario: Scenario of a table of impacts, by name or path; None: free bodies.
-        contact_tolerance: Of a table of impacts: how much further off than the nearest a point may be that touches [m].
+        contact_tolerance: Of a table of impacts: how much further off than the nearest a point may be that touches [m];
+            None: as usual.
         covariates: Further columns of a table of impacts on which an effect may depend.
         unsure: Ranges of properties of a table of impacts that are not known well, by name.
         since: Only what was measured from this time on, or from this run or row on.
@@ -81,7 +82,7 @@ class MeasurementOptions:
     mapping: str | None = None
     minus: Path | None = None
     scenario: str | None = None
-    contact_tolerance: float = GAP_TOLERANCE
+    contact_tolerance: float | None = None
     covariates: Sequence[str] = ()
     unsure: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     since: str | None = None
@@ -266,6 +267,22 @@ def read_laboratory(directory: Path, experiment: Path, map_tasks: Map = map, obs
     return runs
 
 
+def read_table(options: MeasurementOptions) -> ImpactTable:
+    """Read a table of impacts.
+
+    Raises:
+        InputError: There is no such table or scenario, or a row cannot be used.
+    """
+    table = read_impact_table(
+        options.data,
+        None if options.scenario is None else load_scenario(options.scenario),
+        tolerance=GAP_TOLERANCE if options.contact_tolerance is None else options.contact_tolerance,
+        covariates=options.covariates,
+        unsure=options.unsure,
+    )
+    return table if options.since is None else table.since(options.since)
+
+
 def _source_of_runs(runs: Runs, discrepancy: Discrepancy | None, each_arm: bool) -> SourceOfModel:
     """Runs against a model, through their replays."""
     return lambda model, store: ReplaySource.of(runs, model, store, discrepancy, each_arm)
@@ -273,15 +290,7 @@ def _source_of_runs(runs: Runs, discrepancy: Discrepancy | None, each_arm: bool)
 
 def _source_of_table(options: MeasurementOptions, map_tasks: Map) -> SourceOfModel:
     """A table of impacts against a model."""
-    table = read_impact_table(
-        options.data,
-        None if options.scenario is None else load_scenario(options.scenario),
-        tolerance=options.contact_tolerance,
-        covariates=options.covariates,
-        unsure=options.unsure,
-    )
-    if options.since is not None:
-        table = table.since(options.since)
+    table = read_table(options)
     discrepancy = NO_MAP_DISCREPANCY if options.exact else None
     return lambda model, _: ImpactTableSource(table, model, options.each_arm, discrepancy, map_tasks=map_tasks)
 
