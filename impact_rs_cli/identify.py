@@ -7,16 +7,16 @@ from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 
-from impact_rs_analysis.evidence.calibration import calibration_of
-from impact_rs_analysis.following.follow import Follower
-from impact_rs_analysis.following.lessons import HitDocument, PublishedChange, PublishedPrediction, RefusedHit
-from impact_rs_cli.following import (
+from impact_rs_analysis.application.followed_hits import (
     FollowedHits,
     diagnose_options,
     folder_of_diagnoses,
     hit_source_of,
     hits_options,
 )
+from impact_rs_analysis.evidence.calibration import calibration_of
+from impact_rs_analysis.following.follow import Follower
+from impact_rs_analysis.following.lessons import HitDocument, PublishedChange, PublishedPrediction, RefusedHit
 from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_ros.identify_node import Identifier, IdentifyNode, Lesson
 from impact_rs_ros.process import run

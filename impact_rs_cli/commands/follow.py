@@ -9,18 +9,18 @@ import time
 from rich.markup import escape
 from rich.table import Table
 
-from impact_rs_analysis.evidence.calibration import calibration_of
-from impact_rs_analysis.following.follow import Follower
-from impact_rs_analysis.following.hits import HitSource
-from impact_rs_analysis.following.lessons import ChangeDiagnosis, FollowDocument, HitDocument, NextHit
-from impact_rs_cli.arguments import number, on_local_runs
-from impact_rs_cli.following import (
+from impact_rs_analysis.application.followed_hits import (
     FollowedHits,
     diagnose_options,
     folder_of_diagnoses,
     hit_source_of,
     hits_options,
 )
+from impact_rs_analysis.evidence.calibration import calibration_of
+from impact_rs_analysis.following.follow import Follower
+from impact_rs_analysis.following.hits import HitSource
+from impact_rs_analysis.following.lessons import ChangeDiagnosis, FollowDocument, HitDocument, NextHit
+from impact_rs_cli.arguments import number, on_local_runs
 from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_cli.parser import PROGRAM
 from impact_rs_cli.terminal import Terminal
@@ -51,9 +51,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         terminal.say(f"calibration of the readings: {calibration.text}")
     hit_source = hit_source_of(hits, whole)
     follower = Follower(hit_source, whole, args.effects, args.learn, args.mean_time)
-    diagnosis = FullDiagnosis(
-        diagnose_options(hits, str(args.model), args.effects), folder_of_diagnoses(args.diagnoses, args.state)
-    )
+    options = diagnose_options(hits, str(args.model), args.effects)
+    diagnosis = FullDiagnosis(options, folder_of_diagnoses(args.diagnoses, args.state))
     followed = FollowedHits(hits, follower, args.state, None if args.no_diagnosis else diagnosis)
     if count := followed.restore():
         terminal.say(f"state: goes on after {count} hits")

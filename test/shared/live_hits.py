@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from hypothesis import strategies as st
 
+from impact_rs_analysis.application.followed_hits import FollowedHits, hits_options
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.hits import BagHitSource
-from impact_rs_cli.following import FollowedHits, hits_options
 from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_cli.identify import Lessons
 from impact_rs_sim.model import load_model

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where hits come from, by the words of a command line or the parameters of a node."""
+"""Hits that are followed for a command line or a node: where they come from, their state file, and full diagnoses."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from impact_rs_analysis.application.measurements import MeasurementOptions, read_table
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY
@@ -15,7 +15,6 @@ from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.hits import BagHitSource, HitSource, TableHitSource
 from impact_rs_analysis.following.lessons import HitDocument
 from impact_rs_analysis.following.state import restore_state, save_state
-from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_trials.recordings.impact_table import SUFFIXES
@@ -57,6 +56,22 @@ def hit_source_of(hits: MeasurementOptions, model: Model) -> HitSource:
     return TableHitSource(lambda: read_table(hits), model, NO_MAP_DISCREPANCY if hits.exact else None)
 
 
+class DiagnosisOfHits(Protocol):
+    """Makes full diagnoses of the hits since one of them, one at a time."""
+
+    def file(self, since: str) -> Path:
+        """The file of a diagnosis."""
+        ...
+
+    def start(self, since: str) -> None:
+        """Start a diagnosis; one that runs is stopped."""
+        ...
+
+    def stop(self) -> None:
+        """Stop the one that runs."""
+        ...
+
+
 class FollowedHits:
     """A follower of hits with its state file, and the full diagnosis that a change calls for.
 
@@ -68,7 +83,7 @@ class FollowedHits:
     """
 
     def __init__(
-        self, hits: MeasurementOptions, follower: Follower, state: Path | None, diagnosis: FullDiagnosis | None
+        self, hits: MeasurementOptions, follower: Follower, state: Path | None, diagnosis: DiagnosisOfHits | None
     ) -> None:
         self.hits, self.follower, self._state, self._diagnosis = hits, follower, state, diagnosis
         self._due = False
