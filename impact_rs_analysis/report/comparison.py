@@ -37,6 +37,7 @@ from impact_rs_analysis.report.page import (
     track_data,
     write_files,
 )
+from impact_rs_analysis.report.page_names import COMPARISON_DATA, COMPARISON_PAGE
 from impact_rs_analysis.report.plots import scatter_plot, signals_plot, tracks_plot, where_plots
 
 MIN_NAMED_SCORE = 1.3  # in multiples of noise; below this score no label is named
@@ -205,7 +206,7 @@ def write_comparison(
     )
     data = json.dumps(document.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
     text = render("comparison.html.j2", page, replay=page.tracks.replay is not None)
-    files = {"compare.html": text, "compare.json": data}
+    files = {COMPARISON_PAGE: text, COMPARISON_DATA: data}
     return write_files(directory, files)[0]
 
 

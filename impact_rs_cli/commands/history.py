@@ -11,7 +11,7 @@ from rich.table import Table
 from impact_rs_analysis.diagnosis.history import VersionError, history, versions
 from impact_rs_analysis.report.error_history import write_history
 from impact_rs_cli.arguments import number, on_local_runs
-from impact_rs_cli.measurements import measured
+from impact_rs_cli.reading import measured
 from impact_rs_cli.terminal import Terminal, output_folder
 
 

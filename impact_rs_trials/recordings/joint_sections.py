@@ -20,15 +20,15 @@ from impact_rs_trials.recordings.candidates import (
     joints_of,
     vector_width,
 )
-from impact_rs_trials.recordings.file_groups import FileGroups
 from impact_rs_trials.recordings.file_units import UNITS
 from impact_rs_trials.recordings.guesses import are_derivatives, at_rest, steps_back
 from impact_rs_trials.recordings.hypotheses import DECISIVE, RoleChoice, RoleHypothesis
-from impact_rs_trials.recordings.import_texts import Notes, PossibleReading, flow
+from impact_rs_trials.recordings.import_texts import PossibleReading, flow
 from impact_rs_trials.recordings.joint_search import Alternative, Assignment, JointSearch, Reading
 from impact_rs_trials.recordings.joint_streams import JointStream
 from impact_rs_trials.recordings.mapping import MountedEndEffector
 from impact_rs_trials.recordings.recorded_files import (
+    ImportedFiles,
     RecordedFile,
     read_streams,
     refuse_several,
@@ -52,17 +52,14 @@ class JointSections:
     """Describes the joints of a recording.
 
     Args:
-        parts: Its files.
-        groups: Files by kind and run.
-        rate: Sampling rate of files without stamps [Hz]; None: they have stamps.
-        notes: What was found is added to them.
+        files: Its files; what was found is added to their notes.
 
     Attributes:
         readings: By signal what it may be, what is taken first.
     """
 
-    def __init__(self, parts: Sequence[RecordedFile], groups: FileGroups, rate: float | None, notes: Notes) -> None:
-        self._parts, self._groups, self._rate, self._notes = parts, groups, rate, notes
+    def __init__(self, files: ImportedFiles) -> None:
+        self._parts, self._groups, self._rate, self._notes = files.parts, files.groups, files.rate, files.notes
         self._refused: dict[str, str] = {}
         self._order_shown = "columns hold the joints from base to tip"
         self.readings: dict[str, tuple[PossibleReading, ...]] = {}

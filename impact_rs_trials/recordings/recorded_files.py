@@ -130,6 +130,23 @@ class RecordedFile:
         return own
 
 
+@dataclass(frozen=True)
+class ImportedFiles:
+    """Files that are described together, with what is known of all of them.
+
+    Attributes:
+        parts: One file of each kind.
+        groups: Files by kind and run.
+        rate: Sampling rate of files without stamps [Hz]; None: they have stamps.
+        notes: What was found in them.
+    """
+
+    parts: Sequence[RecordedFile]
+    groups: FileGroups
+    rate: float | None
+    notes: Notes
+
+
 def open_recorded(pattern: str, path: Path, spread: bool, notes: Notes) -> RecordedFile:
     """A file, with what it holds; of several runs inside of it the first.
 
