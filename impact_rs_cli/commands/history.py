@@ -39,12 +39,21 @@ def show_history(found: list[VersionError], terminal: Terminal) -> None:
         table.add_column(heading)
     for heading in ("fit", "held out", "noise"):
         table.add_column(heading, justify="right")
+    horizons = list(
+        dict.fromkeys(one.horizon_s for entry in found if entry.rollouts for one in entry.rollouts.horizons)
+    )
+    for horizon in horizons:
+        table.add_column(f"tool after {horizon:g} s [mm]", justify="right")
     for entry in found:
+        tool = {one.horizon_s: one.tool_mm for one in (entry.rollouts.horizons if entry.rollouts else ())}
         table.add_row(
             entry.version.model.name,
             entry.version.effect_added or "–",
             number(entry.error_fit),
             "–" if entry.error_held_out is None else number(entry.error_held_out),
             "–" if entry.noise_floor is None else number(entry.noise_floor),
+            *(number(tool[horizon]) if horizon in tool else "–" for horizon in horizons),
         )
     terminal.say(table)
+    if horizons:
+        terminal.say("tool: error of rollouts in open loop, rms over measured starts")
