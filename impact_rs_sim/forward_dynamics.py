@@ -1,26 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Forward dynamics of an arm with rigid joints: motion under given torque, from several states at once.
 
-    (M(q) + B) ddq = tau - h(q, dq) + tau_fric(dq) + tau_load(q, dq)          (cf. paper eq. eom)
+    (M(q) + B) ddq = tau - h(q, dq) + r(q, dq),    r = tau_fric + tau_load          (cf. paper eq. eom)
 
-ddq comes from the articulated-body algorithm of Pinocchio (Featherstone 2008, sec. 7.3), with B as its armature. The
-elasticity of the transmissions is left out: it acts at tens of Hz, above the motion of a rollout.
+Without the resistance r, ddq comes from the articulated-body algorithm of Pinocchio (Featherstone 2008, sec. 7.3), with
+B as its armature. The elasticity of the transmissions is left out: it acts at tens of Hz, above the motion of an arm.
 
-Dry friction changes within some mrad/s, which an explicit method resolves with tiny steps only. The step is that of the
-Rosenbrock method ROS2 (Verwer, Spee, Blom, Hundsdorfer 1999), of second order for any matrix A in place of the
-Jacobian; here A holds the slope of all resistance that opposes a velocity, -(M + B)^-1 D:
+Dry friction changes its sign within some mrad/s, which an explicit method resolves with tiny steps only. The step h is
+therefore that of ARS(2,2,2) (Ascher, Ruuth, Spiteri 1997): of second order, implicit and L-stable in r alone. With
+a(q, dq) the acceleration without r, g = 1 - 1 / sqrt(2) and d = 1 - 1 / (2 g):
 
-    (M + B + g h D) k1 = tau - h + tau_fric + tau_load                        at q, dq;        g = 1 - 1 / sqrt(2)
-    (M + B + g h D) k2 = (M + B) (ddq(q + h dq, dq + h k1) - 2 k1)
-    dq' = dq + h (3 k1 + k2) / 2,    q' = q + h (dq + h k1 / 2)
+    q_2 = q + g h dq                          dq_2 = dq + g h (a_1 + b_2)
+    q'  = q + h (d dq + (1 - d) dq_2)         dq'  = dq + h (d a_1 + (1 - d) a_2 + (1 - g) b_2 + g b')
 
-D is the secant of the resistance through rest, so that friction alone does not reverse a velocity. Without friction it
-is Heun's method.
+with b = (M + B)^-1 r at the state of its own stage, by Newton's method from rest: friction that grows with the speed
+then converges from one side.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
@@ -28,8 +28,11 @@ import pinocchio as pin
 from impact_rs_sim.physics import LoadState, Physics
 from impact_rs_sim.robot import Array
 
-GAMMA = 1.0 - 1.0 / math.sqrt(2.0)  # of ROS2; damps the fastest decay at once (L-stable)
-MIN_SECANT_SPEED = 1e-6  # rad/s, m/s; a slower joint has the slope of friction at this speed
+GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
+DELTA = 1.0 - 0.5 / GAMMA
+MAX_NEWTON_STEPS = 12  # of a stage; three are usual
+MAX_VELOCITY_ERROR = 1e-8  # rad/s, m/s, of a stage
+SLOPE_CHANGE = 1e-6  # rad/s, m/s, for the slope of the resistance by differences
 
 
 class ForwardDynamics:
@@ -66,48 +69,68 @@ class ForwardDynamics:
             dq.append(found[1])
         return np.array(q), np.array(dq)
 
-    def acceleration(self, position: Array, velocity: Array, torque: Array, armature: Array) -> Array:
-        """(M + armature)^-1 (torque - h), ``(S, n)`` [rad/s^2]; all arguments ``(S, n)``."""
-        found = np.empty_like(position)
-        for row, (q, dq, tau, inertia) in enumerate(zip(position, velocity, torque, armature, strict=True)):
-            self._pinocchio.armature = inertia
-            found[row] = pin.aba(self._pinocchio, self._data, q, dq, tau)
-        return found
+    def acceleration(self, position: Array, velocity: Array, torque: Array) -> Array:
+        """(M + B)^-1 (torque - h), ``(S, n)`` [rad/s^2]; all arguments ``(S, n)``."""
+        self._pinocchio.armature = self.motor_inertia
+        states = zip(position, velocity, torque, strict=True)
+        return np.array([pin.aba(self._pinocchio, self._data, *state) for state in states])
+
+    def inertia(self, position: Array) -> Array:
+        """M(q) + B at several positions ``(S, n)`` [rad], ``(S, n, n)`` [kg m^2]."""
+        self._pinocchio.armature = self.motor_inertia  # which the mass matrix of Pinocchio contains
+        return np.array([self.model.mass_matrix(q) for q in position])
 
     def _step(self, time: Array, q: Array, dq: Array, driving: Array, h: float) -> tuple[Array, Array]:
-        resistance, secant = self._resistance(time, q, dq, driving)
-        torque, bare = driving + resistance, np.broadcast_to(self.motor_inertia, q.shape)
-        implicit = GAMMA * h * secant
-        k1 = self.acceleration(q, dq, torque, bare + implicit)
-        later = q + h * dq, dq + h * k1
-        again, _ = self._resistance(time + h, *later, driving)
-        k2 = self.acceleration(*later, driving + again, bare) - 2.0 * k1
-        if np.any(implicit):  # (M + B + g h D)^-1 (M + B) = 1 - (M + B + g h D)^-1 g h D; ddq is linear in the torque
-            k2 = k2 - (self.acceleration(q, dq, torque + implicit * k2, bare + implicit) - k1)
-        return q + h * (dq + 0.5 * h * k1), dq + h * (1.5 * k1 + 0.5 * k2)
+        first = self.acceleration(q, dq, driving)
+        middle = q + GAMMA * h * dq
+        explicit = dq + GAMMA * h * first
+        fast = self._resisted(time + GAMMA * h, middle, explicit, driving, GAMMA * h)
+        second = self.acceleration(middle, fast, driving)
+        end = q + h * (DELTA * dq + (1.0 - DELTA) * fast)
+        explicit_end = dq + h * (DELTA * first + (1.0 - DELTA) * second) + (1.0 / GAMMA - 1.0) * (fast - explicit)
+        return end, self._resisted(time + h, end, explicit_end, driving, GAMMA * h)
 
-    def _resistance(self, time: Array, q: Array, dq: Array, driving: Array) -> tuple[Array, Array]:
-        """Torque of friction and loads, and its secant through rest where it opposes the velocity, ``(S, n)`` each."""
-        moving = np.where(np.abs(dq) < MIN_SECANT_SPEED, np.copysign(MIN_SECANT_SPEED, dq), dq)
-        rest = np.zeros_like(dq)
-        friction = self._arm.friction.torque(moving) if self._with_drive else rest
-        loads, at_rest = rest, rest
-        if self._arm.loads:
-            loads, at_rest = (self._loads(time, q, speed, driving + friction) for speed in (moving, rest))
-        torque = friction + loads
-        return torque, np.maximum((at_rest - torque) / moving, 0.0)
+    def _resisted(self, time: Array, q: Array, explicit: Array, driving: Array, duration: float) -> Array:
+        """Velocity dq with (M + B) (dq - explicit) = duration r(q, dq), ``(S, n)`` [rad/s]."""
+        if not self._arm.loads and (self._arm.friction.is_zero or not self._with_drive):
+            return explicit
+        inertia, resistance = self.inertia(q), self._resistance(time, q, driving)
+        dq = np.zeros_like(explicit)
+        for _ in range(MAX_NEWTON_STEPS):
+            torque = resistance(dq)
+            slope = np.minimum((resistance(dq + SLOPE_CHANGE) - torque) / SLOPE_CHANGE, 0.0)
+            rest = duration * torque - np.einsum("sij,sj->si", inertia, dq - explicit)
+            implicit = inertia - duration * slope[:, :, None] * np.eye(q.shape[1])
+            change = np.linalg.solve(implicit, rest[:, :, None])[:, :, 0]
+            dq = dq + change
+            if not np.any(np.abs(change) > MAX_VELOCITY_ERROR):
+                break
+        return dq
 
-    def _loads(self, time: Array, q: Array, dq: Array, transmitted: Array) -> Array:
-        """Torque of all loads, ``(S, n)`` [N m]."""
+    def _resistance(self, time: Array, q: Array, driving: Array) -> Callable[[Array], Array]:
+        """Torque of friction and loads at positions, as a function of the velocities, ``(S, n)`` [N m]."""
+        arm, with_drive = self._arm, self._with_drive
+
+        def friction(dq: Array) -> Array:
+            return arm.friction.torque(dq) if with_drive else np.zeros_like(dq)
+
+        if not arm.loads:
+            return friction
         jacobian = np.array([self.model.jacobian(row)[:3] for row in q])
-        state = LoadState(
-            time=time,
-            joint_position=q,
-            joint_velocity=dq,
-            position=np.array([self.model.placement(row).translation for row in q]),
-            velocity=np.einsum("kan,kn->ka", jacobian, dq),
-            impact_position=self._arm.impact_position,
-            joint_torque=transmitted,
-        )
-        on_links, on_motors = self._arm.load_torques(state, jacobian)
-        return on_links + on_motors if self._with_drive else on_links
+        place = np.array([self.model.placement(row).translation for row in q])
+
+        def torque(dq: Array) -> Array:
+            rubbed = friction(dq)
+            state = LoadState(
+                time=time,
+                joint_position=q,
+                joint_velocity=dq,
+                position=place,
+                velocity=np.einsum("kan,kn->ka", jacobian, dq),
+                impact_position=arm.impact_position,
+                joint_torque=driving + rubbed,
+            )
+            on_links, on_motors = arm.load_torques(state, jacobian)
+            return rubbed + on_links + (on_motors if with_drive else 0.0)
+
+        return torque

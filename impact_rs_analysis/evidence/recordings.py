@@ -427,7 +427,7 @@ class RecordingSource(Source):
         if self._minus or not all(motion.measured.all() for motion in self.motions):
             return ()
         found, first = [], 0
-        for motion in self.motions:
+        for run, motion in zip(self.recordings, self.motions, strict=True):
             own = motion.time[motion.kept]
             last = first + own.size
             for low, high in self._parts(numbers, first, last):
@@ -439,8 +439,8 @@ class RecordingSource(Source):
                         position=motion.position,
                         velocity=motion.velocity,
                         acceleration=motion.acceleration,
-                        torque_time=motion.time,
-                        torque=motion.torque,
+                        torque_time=run.signals.time - run.signals.time[0],
+                        torque=run.signals.arms[ARM].torque,  # unfiltered: a reversal of dry friction is sudden
                         begin=float(own[low]),
                         end=float(own[high - 1]),
                         with_motor=self.mapping.torque_measured_at == "motor",

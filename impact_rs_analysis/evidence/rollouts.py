@@ -160,12 +160,6 @@ class RolloutHorizon(Schema):
     tool_deg: float = Field(description="rotation of the end effector against the measured one, rms [deg]")
     tool_spread_deg: tuple[float, float] = Field(description="5 and 95 % quantile over the starts [deg]")
 
-    @property
-    def joint_error(self) -> str:
-        """Largest error of a joint, with its unit."""
-        worst = max(self.joints, key=lambda one: one.error)
-        return f"{shown(worst.error)} {worst.unit}"
-
 
 class RolloutDocument(Schema):
     """Errors of rollouts."""
@@ -206,11 +200,12 @@ class RolloutDocument(Schema):
         """Errors at all horizons in one line."""
         tool = " / ".join(f"{shown(one.tool_mm)}" for one in self.horizons)
         angle = " / ".join(f"{shown(one.tool_deg)}" for one in self.horizons)
-        worst = " / ".join(one.joint_error for one in self.horizons)
+        number, worst = max(enumerate(self.last.joints), key=lambda one: one[1].error)
+        joint = " / ".join(shown(one.joints[number].error) for one in self.horizons)
         time = " / ".join(f"{one.horizon_s:g}" for one in self.horizons)
         text = (
             f"rollouts in open loop from {self.starts} measured states, after {time} s: tool off by {tool} mm and "
-            f"{angle} deg, worst joint {worst} (rms)"
+            f"{angle} deg, {worst.joint} by {joint} {worst.unit} (rms)"
         )
         return "; ".join(filter(None, [text, self.growth_in_words]))
 
@@ -351,6 +346,8 @@ def starts_of(motions: Sequence[FreeMotion]) -> tuple[float, list[Array]]:
         usable = usable[np.linspace(0, usable.size - 1, MAX_STARTS).astype(int)]
     room = np.maximum(lengths - horizon, 0.0)
     spacing = float(room[usable].sum()) / max(MAX_STARTS - usable.size, 1)
+    if 0.0 < spacing < horizon:  # every few rollouts one begins where another ends
+        spacing = horizon / int(horizon / spacing)
     starts = list(nothing)
     for number in usable:
         count = 1 + (int(room[number] / spacing + 1e-9) if spacing > 0.0 else 0)
@@ -388,12 +385,11 @@ def rolled_out(
     measured, _ = motion.states(moments, readings)
     tool, turned = _tool_errors(dynamics, path, measured)
     error, after = path - measured, moments - starts
-    inertia = np.array([dynamics.model.mass_matrix(row) for row in q]) + np.diag(dynamics.motor_inertia)
     return RolledOut(
         arm=motion.arm,
         kinds=arm.facts.joint_types,
         joints=readings.position_scale * error,
-        torque=np.einsum("sij,tsj->tsi", inertia, error) * 2.0 / np.square(after)[..., None],
+        torque=np.einsum("sij,tsj->tsi", dynamics.inertia(q), error) * 2.0 / np.square(after)[..., None],
         tool=tool,
         turned=turned,
         apart=_apart(starts, horizon),
