@@ -13,8 +13,8 @@ a(q, dq) the acceleration without r, g = 1 - 1 / sqrt(2) and d = 1 - 1 / (2 g):
     q_2 = q + g h dq                          dq_2 = dq + g h (a_1 + b_2)
     q'  = q + h (d dq + (1 - d) dq_2)         dq'  = dq + h (d a_1 + (1 - d) a_2 + (1 - g) b_2 + g b')
 
-with b = (M + B)^-1 r at the state of its own stage, by Newton's method from rest: friction that grows with the speed
-then converges from one side.
+with b = (M + B)^-1 r at the state of its own stage. Friction that grows with the speed has a potential, so that dq of a
+stage is the minimum of a convex function. Newton's method with a line search finds it (Nocedal and Wright 2006, ch. 3).
 """
 
 from __future__ import annotations
@@ -24,14 +24,18 @@ from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from impact_rs_sim.physics import LoadState, Physics
 from impact_rs_sim.robot import Array
 
+Rows = NDArray[np.int_]
+
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
 DELTA = 1.0 - 0.5 / GAMMA
-MAX_NEWTON_STEPS = 12  # of a stage; three are usual
-MAX_VELOCITY_ERROR = 1e-8  # rad/s, m/s, of a stage
+MAX_NEWTON_STEPS = 20  # of a stage; two are usual, and ten where a joint turns round
+MAX_VELOCITY_ERROR = 1e-6  # rad/s, m/s, of a stage
+MAX_SLOPE_RATIO = 0.5  # slope of the function at the end of a step over that at its begin; beyond, the step is shorter
 SLOPE_CHANGE = 1e-6  # rad/s, m/s, for the slope of the resistance by differences
 
 
@@ -78,7 +82,8 @@ class ForwardDynamics:
     def inertia(self, position: Array) -> Array:
         """M(q) + B at several positions ``(S, n)`` [rad], ``(S, n, n)`` [kg m^2]."""
         self._pinocchio.armature = self.motor_inertia  # which the mass matrix of Pinocchio contains
-        return np.array([self.model.mass_matrix(q) for q in position])
+        upper = np.triu([pin.crba(self._pinocchio, self._data, q).copy() for q in position])
+        return np.asarray(upper + np.triu(upper, 1).swapaxes(1, 2))
 
     def _step(self, time: Array, q: Array, dq: Array, driving: Array, h: float) -> tuple[Array, Array]:
         first = self.acceleration(q, dq, driving)
@@ -95,23 +100,37 @@ class ForwardDynamics:
         if not self._arm.loads and (self._arm.friction.is_zero or not self._with_drive):
             return explicit
         inertia, resistance = self.inertia(q), self._resistance(time, q, driving)
-        dq = np.zeros_like(explicit)
-        for _ in range(MAX_NEWTON_STEPS):
-            torque = resistance(dq)
-            slope = np.minimum((resistance(dq + SLOPE_CHANGE) - torque) / SLOPE_CHANGE, 0.0)
-            rest = duration * torque - np.einsum("sij,sj->si", inertia, dq - explicit)
-            implicit = inertia - duration * slope[:, :, None] * np.eye(q.shape[1])
-            change = np.linalg.solve(implicit, rest[:, :, None])[:, :, 0]
-            dq = dq + change
-            if not np.any(np.abs(change) > MAX_VELOCITY_ERROR):
-                break
-        return dq
 
-    def _resistance(self, time: Array, q: Array, driving: Array) -> Callable[[Array], Array]:
-        """Torque of friction and loads at positions, as a function of the velocities, ``(S, n)`` [N m]."""
+        def imbalance(dq: Array, rows: Rows) -> Array:
+            momentum = np.einsum("sij,sj->si", inertia[rows], dq - explicit[rows])
+            return np.asarray(momentum - duration * resistance(dq, rows))
+
+        found, rows = explicit.copy(), np.arange(len(q))
+        now = imbalance(found, rows)
+        for _ in range(MAX_NEWTON_STEPS):
+            dq = found[rows]
+            slope = (resistance(dq + SLOPE_CHANGE, rows) - resistance(dq, rows)) / SLOPE_CHANGE
+            implicit = inertia[rows] - duration * np.minimum(slope, 0.0)[:, :, None] * np.eye(q.shape[1])
+            change = np.linalg.solve(implicit, -now[:, :, None])[:, :, 0]
+            after = imbalance(dq + change, rows)
+            begin, end = (np.einsum("si,si->s", change, one) for one in (now, after))
+            long = end > -MAX_SLOPE_RATIO * begin
+            if np.any(long):
+                change[long] *= (begin[long] / (begin[long] - end[long]))[:, None]
+                after[long] = imbalance(dq[long] + change[long], rows[long])
+            found[rows] = dq + change
+            going = np.any(np.abs(change) > MAX_VELOCITY_ERROR, axis=1)
+            rows, now = rows[going], after[going]
+            if not rows.size:
+                break
+        return found
+
+    def _resistance(self, time: Array, q: Array, driving: Array) -> Callable[[Array, Rows], Array]:
+        """Torque of friction and loads at positions, as a function of velocities in some rows, ``(s, n)`` [N m]."""
         arm, with_drive = self._arm, self._with_drive
 
-        def friction(dq: Array) -> Array:
+        def friction(dq: Array, rows: Rows) -> Array:
+            del rows
             return arm.friction.torque(dq) if with_drive else np.zeros_like(dq)
 
         if not arm.loads:
@@ -119,18 +138,18 @@ class ForwardDynamics:
         jacobian = np.array([self.model.jacobian(row)[:3] for row in q])
         place = np.array([self.model.placement(row).translation for row in q])
 
-        def torque(dq: Array) -> Array:
-            rubbed = friction(dq)
+        def torque(dq: Array, rows: Rows) -> Array:
+            rubbed = friction(dq, rows)
             state = LoadState(
-                time=time,
-                joint_position=q,
+                time=time[rows],
+                joint_position=q[rows],
                 joint_velocity=dq,
-                position=place,
-                velocity=np.einsum("kan,kn->ka", jacobian, dq),
+                position=place[rows],
+                velocity=np.einsum("kan,kn->ka", jacobian[rows], dq),
                 impact_position=arm.impact_position,
-                joint_torque=driving + rubbed,
+                joint_torque=driving[rows] + rubbed,
             )
-            on_links, on_motors = arm.load_torques(state, jacobian)
+            on_links, on_motors = arm.load_torques(state, jacobian[rows])
             return rubbed + on_links + (on_motors if with_drive else 0.0)
 
         return torque

@@ -245,12 +245,12 @@ class Rollouts:
             starts=tool.shape[1],
             starts_apart=int(self.apart.sum()),
             diverged=int(np.sum(~valid)),
-            horizons=tuple(self._horizon(row) for row in rows) if valid.any() else (),
+            horizons=tuple(self._horizon(row) for row in rows),
             growth=law,
             exponent=power,
             rate_per_s=rate,
             time_s=tuple(rounded(float(moment)) for moment in self.time),
-            tool_mm=tuple(rounded(float(value)) for value in over_time) if valid.any() else (),
+            tool_mm=tuple(rounded(float(value)) for value in over_time),
         )
 
     @property
@@ -349,7 +349,7 @@ def starts_of(motions: Sequence[FreeMotion]) -> tuple[float, list[Array]]:
     if 0.0 < spacing < horizon:  # every few rollouts one begins where another ends
         spacing = horizon / int(horizon / spacing)
     starts = list(nothing)
-    for number in usable:
+    for number in usable.tolist():
         count = 1 + (int(room[number] / spacing + 1e-9) if spacing > 0.0 else 0)
         first = motions[number].begin + 0.5 * (room[number] - (count - 1) * spacing)
         starts[number] = first + spacing * np.arange(count)
@@ -417,7 +417,7 @@ def _apart(starts: Array, horizon: float) -> NDArray[np.bool_]:
 
 
 def rollouts_of(motions: Sequence[FreeMotion], physics: Sequence[Physics] | None = None) -> Rollouts | None:
-    """Rollouts of motions; None where they are too short.
+    """Rollouts of motions; None where they are too short, or every one leaves the numbers.
 
     Args:
         motions: The motions, or parts of them.
@@ -433,10 +433,10 @@ def rollouts_of(motions: Sequence[FreeMotion], physics: Sequence[Physics] | None
         for motion, own, world in zip(motions, starts, of, strict=True)
         if (part := rolled_out(motion, own, horizon, world)) is not None
     ]
-    if not parts:
+    if not any(np.isfinite(part.tool).all(axis=0).any() for part in parts):
         return None
     step = STEPS_PER_ERROR * STEP_S
-    return Rollouts(step * np.arange(1, round(horizon / step) + 1), tuple(parts))
+    return Rollouts(step * np.arange(1.0, round(horizon / step) + 1), tuple(parts))
 
 
 def free_of_contact(run: Run, impacts: Mapping[str, float], physics: Physics, age: float = 0.0) -> list[FreeMotion]:

@@ -330,7 +330,7 @@ class Source(ABC):
         return ()
 
     def rollouts(self, parts: Sequence[tuple[FreeMotion, Added]] | None = None) -> Rollouts | None:
-        """Rollouts of the model; None where motions are too short, or effects give a body without positive inertia.
+        """Rollouts of the model; None where motions are too short, or an arm has no positive inertia.
 
         Args:
             parts: Motions, each with effects added to the model; None: all motions, without.
@@ -338,7 +338,7 @@ class Source(ABC):
         parts = [(motion, ()) for motion in self.free_motions()] if parts is None else parts
         try:
             return rollouts_of([motion for motion, _ in parts], [self._rolled(*part) for part in parts])
-        except NotABody:
+        except (NotABody, np.linalg.LinAlgError):  # a link without mass and motor has no forward dynamics
             return None
 
     def _rolled(self, motion: FreeMotion, added: Added) -> Physics:

@@ -204,9 +204,7 @@ def write_comparison(
         history=history_part(versions) if versions else None,
         others=others,
         agreement=agreement_graph(document.agreement),
-        rollouts_plot=None
-        if document.rollouts is None or not document.rollouts.horizons
-        else Plot("rollouts", rollouts_plot(document.rollouts)),
+        rollouts_plot=None if document.rollouts is None else Plot("rollouts", rollouts_plot(document.rollouts)),
     )
     data = json.dumps(document.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
     text = render("comparison.html.j2", page, replay=page.tracks.replay is not None)
