@@ -168,6 +168,17 @@ def test_readings_are_corrected_once(tmp_path: Path) -> None:
     assert errors[1] < 0.1 * errors[0]
 
 
+def test_gain_and_offset_of_the_drive_act_as_in_the_torque_balance(tmp_path: Path) -> None:
+    """tau_read = (tau - offset) / gain; kills a gain or an offset that is left out, or turned round."""
+    columns, physics = (
+        swinging(),
+        with_effects(flat(tmp_path), {"torque_gain": {"gain_joint1": 1.2}, "torque_offset": {"offset_joint1": 0.2}}),
+    )
+    read = columns | {"effort": (columns["effort"] - physics.arms[ARM].torque_offset) / physics.arms[ARM].torque_gain}
+    assert abs(read["effort"] - columns["effort"]).max() > 0.1  # N m
+    assert document_of(motion_of(read, physics)).last.joints[0].error < 1e-2  # degrees
+
+
 def test_a_command_is_held_and_acts_later(tmp_path: Path) -> None:
     """Kills a delay of the wrong sign, and commands that are interpolated."""
     bare = with_effects(flat(tmp_path), {})
