@@ -378,7 +378,7 @@ def rolled_out(
     dynamics = ForwardDynamics(physics, motion.arm, motion.with_motor, motion.with_drive)
     edges = starts + step * np.arange(steps + 1)[:, None]
     q, dq = motion.states(starts, readings)
-    with np.errstate(over="ignore", invalid="ignore"):  # a rollout may diverge
+    with np.errstate(all="ignore"):  # a rollout may diverge
         path, _ = dynamics.motion(starts, q, dq, motion.driving(edges, physics), step)
     every = round(STEPS_PER_ERROR * STEP_S / step)
     path, moments = path[every::every], edges[every::every]

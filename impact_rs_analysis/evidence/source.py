@@ -19,7 +19,7 @@ from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.effects.depending import Depending
-from impact_rs_sim.errors import InputError, NotABody
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.proportion import Proportion
@@ -330,7 +330,7 @@ class Source(ABC):
         return ()
 
     def rollouts(self, parts: Sequence[tuple[FreeMotion, Added]] | None = None) -> Rollouts | None:
-        """Rollouts of the model; None where motions are too short, or an arm has no positive inertia.
+        """Rollouts of the model; None where motions are too short, or an arm has no inertia or a load is not finite.
 
         Args:
             parts: Motions, each with effects added to the model; None: all motions, without.
@@ -338,7 +338,7 @@ class Source(ABC):
         parts = [(motion, ()) for motion in self.free_motions()] if parts is None else parts
         try:
             return rollouts_of([motion for motion, _ in parts], [self._rolled(*part) for part in parts])
-        except (NotABody, np.linalg.LinAlgError):  # a link without mass and motor has no forward dynamics
+        except (InputError, np.linalg.LinAlgError):  # bodies that are none, a link without inertia, a law that diverges
             return None
 
     def _rolled(self, motion: FreeMotion, added: Added) -> Physics:
