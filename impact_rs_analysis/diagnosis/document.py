@@ -404,10 +404,14 @@ class HeldOutRollouts(Schema):
         pairs = list(zip(self.before.horizons, self.after.horizons, strict=False))
         tool = ", ".join(f"{shown(one.tool_mm)} → {shown(other.tool_mm)}" for one, other in pairs)
         time = ", ".join(f"{one.horizon_s:g}" for one, _ in pairs)
+        number, worst = max(enumerate(self.before.last.joints), key=lambda one: one[1].error)
+        joint = ", ".join(
+            f"{shown(one.joints[number].error)} → {shown(other.joints[number].error)}" for one, other in pairs
+        )
         test = "" if self.p_value is None else f" (Wilcoxon signed-rank test, p = {self.p_value:.2g})"
         return (
-            f"rollouts of held-out motion, after {time} s: tool off by {tool} mm; closer with the effects in "
-            f"{self.closer} of {self.compared} that do not overlap{test}"
+            f"rollouts of held-out motion, after {time} s: tool off by {tool} mm, {worst.joint} by {joint} "
+            f"{worst.unit}; closer with the effects in {self.closer} of {self.compared} that do not overlap{test}"
         )
 
     def disagreement(self, change: tuple[float, float] | None) -> str:

@@ -39,21 +39,20 @@ def show_history(found: list[VersionError], terminal: Terminal) -> None:
         table.add_column(heading)
     for heading in ("fit", "held out", "noise"):
         table.add_column(heading, justify="right")
-    horizons = list(
-        dict.fromkeys(one.horizon_s for entry in found if entry.rollouts for one in entry.rollouts.horizons)
-    )
-    for horizon in horizons:
-        table.add_column(f"tool after {horizon:g} s [mm]", justify="right")
+    rolled = next((entry.rollouts for entry in found if entry.rollouts is not None), None)
+    if rolled is not None:
+        horizons = " / ".join(f"{one.horizon_s:g}" for one in rolled.horizons)
+        table.add_column(f"tool after {horizons} s [mm]", justify="right")
     for entry in found:
-        tool = {one.horizon_s: one.tool_mm for one in (entry.rollouts.horizons if entry.rollouts else ())}
+        tool = () if entry.rollouts is None else entry.rollouts.horizons
         table.add_row(
             entry.version.model.name,
             entry.version.effect_added or "–",
             number(entry.error_fit),
             "–" if entry.error_held_out is None else number(entry.error_held_out),
             "–" if entry.noise_floor is None else number(entry.noise_floor),
-            *(number(tool[horizon]) if horizon in tool else "–" for horizon in horizons),
+            *([" / ".join(number(one.tool_mm) for one in tool) or "–"] if rolled is not None else []),
         )
     terminal.say(table)
-    if horizons:
+    if rolled is not None:
         terminal.say("tool: error of rollouts in open loop, rms over measured starts")

@@ -178,7 +178,10 @@ def test_rollouts_stand_on_every_page_that_has_them(tmp_path: Path) -> None:
     held = HeldOutRollouts(before=before, after=after, compared=12, closer=11, p_value=0.002)
     found = documents.diagnosis("recordings").model_copy(update={"rollouts": held})
     text = Page(write_diagnosis(found, documents.comparison("recordings"), (), None, tmp_path)).text
-    assert "tool off by 0.6 → 0.06, 15 → 1.5 mm; closer with the effects in 11 of 12" in text
+    assert (
+        "tool off by 0.6 → 0.06, 15 → 1.5 mm, joint1 by 0.1 → 0.01, 2.5 → 0.25 deg; closer with the effects in 11"
+        in text
+    )
     versions = [replace(one, rollouts=own) for one, own in zip(documents.versions(), (before, after), strict=True)]
     history = Page(write_history(versions, tmp_path))
     assert "tool after 0.5 s" in history.text and "15 mm" in history.text and "1.5 mm" in history.text
