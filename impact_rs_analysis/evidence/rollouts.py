@@ -41,7 +41,7 @@ from impact_rs_trials.runs import Run
 HORIZONS_S = (0.1, 0.5, 2.0)
 STEP_S = 0.005  # of the integrator; at 5 Hz, a usual low-pass, one step in 40 of a period
 STEPS_PER_ERROR = 4  # from one evaluation of the error to the next
-MAX_STARTS = 40  # 2 s of 40 rollouts of seven joints take some 0.6 s of processor time
+MAX_STARTS = 40  # 2 s of 32 rollouts of seven joints take 0.15 s of processor time, with friction 1 s
 MIN_STARTS_APART = 6  # whose rollouts do not overlap; a paired test of fewer cannot be significant at 5 %
 SPREAD_QUANTILES = (0.05, 0.95)  # over starts
 OPEN_LOOP = "open loop: recorded torque drives the model from measured states, no controller pulls it back"
