@@ -88,6 +88,8 @@ def _show(document: ComparisonDocument, terminal: Terminal) -> None:
     else:
         _show_levels(document, terminal)
     _show_agreement(document.agreement, yardstick_of(document), terminal)
+    if document.rollouts is not None:
+        terminal.say(document.rollouts.in_words)
     for remark in document.remarks:
         terminal.say(f"note: {remark}")
     if document.not_measured:

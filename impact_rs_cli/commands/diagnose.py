@@ -154,6 +154,8 @@ def show(document: DiagnosisDocument, terminal: Terminal) -> None:
     terminal.say(str(document.verdict), document.summary)
     if document.hold_out.folds:
         terminal.say(f"held out: {document.hold_out.what}")
+    if document.rollouts is not None:
+        terminal.say(document.rollouts.in_words)
     if document.joints:
         unit = joined_units(row.unit for row in document.joints)
         table = Table(title=escape(f"Held-out torque error by joint [{unit} rms]"))
