@@ -147,8 +147,14 @@ class Chain:
             ValueError: The shapes do not fit.
         """
 
-Friction = tuple[Array, Array, Array, Array, tuple[Array, Array, Array] | None, float]
-"""F_c, F_v, F_s, v_s ``(n,)``, a, b, c of the sigmoid ``(n,)``, smoothing [rad/s]."""
+Sigmoid = tuple[Array, Array, Array]
+"""a, b, c ``(n,)``."""
+
+Shafts = tuple[Array, Array, Array, Array]
+"""F_c, F_v, r of the shafts of joints i and i + 1, ``(k (n - 1),)``, and B_rho B_theta^-1 of the joints ``(n,)``."""
+
+Friction = tuple[Array, Array, Array, Array, Array, Array, Sigmoid | None, float, Shafts | None]
+"""F_c, F_v, F_s, v_s, asymmetry, share of the transmitted torque ``(n,)``, sigmoid, smoothing [rad/s], shafts."""
 
 class Motors:
     """Motors and springs of one arm; equations in :mod:`impact_rs_sim.drive`.

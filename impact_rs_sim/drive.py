@@ -12,18 +12,19 @@ inertia emerges. One step is one period of the loop; semi-implicit Euler, veloci
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from impact_rs_sim import _kernel
-from impact_rs_sim.physics import ArmPhysics, JointFriction
+from impact_rs_sim.physics import ArmPhysics, JointFriction, ShaftFriction
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmState
 
 if TYPE_CHECKING:
-    from impact_rs_sim._kernel import Friction
+    from impact_rs_sim._kernel import Friction, Shafts
 
 
 @dataclass(frozen=True)
@@ -143,12 +144,25 @@ def _on_motors(friction: JointFriction, shaping: Array) -> Friction | None:
     """tau_fric,m = B_rho B_theta^-1 tau_fric, in the form of the kernel; None: no friction."""
     if friction.is_zero:
         return None
-    sigmoid = friction.sigmoid
+    sigmoid, none = friction.sigmoid, np.zeros_like(shaping)
     return (
         shaping * friction.coulomb,
         shaping * friction.viscous,
         shaping * friction.stribeck,
         friction.stribeck_velocity,
+        none if friction.asymmetry is None else shaping * friction.asymmetry,
+        none if friction.load is None else shaping * friction.load,
         None if sigmoid is None else (shaping * sigmoid.a, np.array(sigmoid.b), np.array(sigmoid.c)),
         friction.smoothing,
+        _shafts(friction.shafts, shaping) if friction.shafts else None,
+    )
+
+
+def _shafts(shafts: Sequence[ShaftFriction], shaping: Array) -> Shafts:
+    """Friction of shafts in the form of the kernel."""
+    return (
+        np.concatenate([shaft.coulomb for shaft in shafts]),
+        np.concatenate([shaft.viscous for shaft in shafts]),
+        np.concatenate([np.full(shaft.viscous.size, shaft.ratio) for shaft in shafts]),
+        shaping,
     )

@@ -130,8 +130,7 @@ class ForwardDynamics:
         arm, with_drive = self._arm, self._with_drive
 
         def friction(dq: Array, rows: Rows) -> Array:
-            del rows
-            return arm.friction.torque(dq) if with_drive else np.zeros_like(dq)
+            return arm.friction.torque(dq, driving[rows]) if with_drive else np.zeros_like(dq)
 
         if not arm.loads:
             return friction

@@ -145,14 +145,18 @@ class Model(Schema):
 
 
 def _joint_count(effect: Effect, item: ModelEffect) -> int | None:
-    """Largest joint number in the parameters of an effect, 1 without any; None without shared parameters per joint."""
+    """Largest joint number in the parameters of an effect, 1 without any; None without shared parameters per joint.
+
+    One more where the last joint has no parameter, as of shafts of two neighbouring joints.
+    """
     if isinstance(effect, EachArm):
         return None
-    names = [re.escape(parameter.name) for parameter in effect.parameters if parameter.per_joint]
-    if not names:
+    own = [parameter for parameter in effect.parameters if parameter.per_joint]
+    if not own:
         return None
-    pattern = re.compile(f"(?:{'|'.join(names)})_joint([1-9][0-9]{{0,2}})")
-    return max((int(found[1]) for name in item.parameters if (found := pattern.fullmatch(name))), default=1)
+    pattern = re.compile(f"(?:{'|'.join(re.escape(one.name) for one in own)})_joint([1-9][0-9]{{0,2}})")
+    last = max((int(found[1]) for name in item.parameters if (found := pattern.fullmatch(name))), default=0)
+    return max(last + all(one.except_joint == -1 for one in own), 1)
 
 
 def _joints(effect: Effect, item: ModelEffect) -> Joints:

@@ -30,19 +30,59 @@ RESTITUTION_LAWS = ("newton", "poisson")
 
 
 @dataclass(frozen=True)
+class ShaftFriction:
+    """Friction of shafts that turn with two neighbouring joints, as the last one of a wrist behind a bevel gear.
+
+    Attributes:
+        coulomb: F_c of the shaft of joints i and i + 1, ``(n - 1,)`` [N m].
+        viscous: F_v, likewise [N m s/rad].
+        ratio: r, turns of the shaft with joint i + 1 over those with joint i [-].
+    """
+
+    coulomb: Array
+    viscous: Array
+    ratio: float
+
+    def torque(self, velocity: Array, smoothing: float) -> Array:
+        """Torque on the joints, ``(..., n)`` [N m], see :class:`JointFriction`.
+
+        Args:
+            velocity: Velocity of the motors, ``(..., n)`` [rad/s].
+            smoothing: Velocity scale of the smoothed sign [rad/s].
+        """
+        speed = velocity[..., :-1] + self.ratio * velocity[..., 1:]
+        own = -self.coulomb * np.tanh(speed / smoothing) - self.viscous * speed
+        torque = np.zeros_like(velocity)
+        torque[..., :-1] += own
+        torque[..., 1:] += self.ratio * own
+        return torque
+
+
+@dataclass(frozen=True)
 class JointFriction:
     """Joint friction, in terms of the desired torque: tau_fric of paper eq. EOM_motor_mod.
 
-    The motor feels ``tau_fric,m = B_rho B_theta^-1 tau_fric`` (paper, below eq. EOM_motor_mod). The torque opposes the
-    motor's velocity; the sign change is smoothed over ``smoothing`` so that rest is a state and not a limit cycle.
+    The motor feels ``tau_fric,m = B_rho B_theta^-1 tau_fric`` (paper, below eq. EOM_motor_mod). With the direction
+    ``s = tanh(dtheta / smoothing)``, a sign that is smoothed so that rest is a state and not a limit cycle,
+
+        tau_fric = -(F_c + F_s exp(-(dtheta / v_s)^2) + a s + k |tau_J|) s - F_v dtheta
+
+    and the shaft that turns with joints i and i + 1 adds, at its speed w = dtheta_i + r dtheta_i+1,
+
+        tau_i = -(F_c tanh(w / smoothing) + F_v w),    tau_i+1 = r tau_i
+
+    Every part opposes motion (power <= 0) as long as no asymmetry exceeds the Coulomb friction of its joint.
 
     Attributes:
-        coulomb: Coulomb friction, ``(n,)`` [N m].
-        viscous: Viscous friction, ``(n,)`` [N m s/rad].
-        stribeck: Breakaway torque above Coulomb, ``(n,)`` [N m].
-        stribeck_velocity: Velocity at which the excess has fallen to 1/e, ``(n,)`` [rad/s].
+        coulomb: Coulomb friction F_c, ``(n,)`` [N m].
+        viscous: Viscous friction F_v, ``(n,)`` [N m s/rad].
+        stribeck: Breakaway torque above Coulomb F_s, ``(n,)`` [N m].
+        stribeck_velocity: Velocity v_s at which the excess has fallen to 1/e, ``(n,)`` [rad/s].
         sigmoid: Friction identified by Gaz et al. 2019, added to the above.
         smoothing: Velocity scale of the smoothed sign [rad/s].
+        asymmetry: Half of friction forward minus backward a, ``(n,)`` [N m]; None: none.
+        load: Friction over transmitted torque k, ``(n,)`` [-]; None: none.
+        shafts: Shafts that turn with two joints.
     """
 
     coulomb: Array
@@ -51,6 +91,9 @@ class JointFriction:
     stribeck_velocity: Array
     sigmoid: SigmoidFriction | None = None
     smoothing: float = 0.005
+    asymmetry: Array | None = None
+    load: Array | None = None
+    shafts: tuple[ShaftFriction, ...] = ()
 
     @staticmethod
     def none(joint_count: int) -> JointFriction:
@@ -61,17 +104,36 @@ class JointFriction:
     @property
     def is_zero(self) -> bool:
         """Whether the torque is zero at every velocity."""
-        return self.sigmoid is None and not any(
-            np.any(values) for values in (self.coulomb, self.viscous, self.stribeck)
-        )
+        parts = (self.coulomb, self.viscous, self.stribeck, self.asymmetry, self.load)
+        shaped = self.sigmoid is not None or bool(self.shafts)
+        return not shaped and not any(np.any(values) for values in parts if values is not None)
 
-    def torque(self, velocity: Array) -> Array:
-        """Friction torque at joint velocity ``(n,)`` [rad/s], ``(n,)`` [N m]."""
-        excess = self.stribeck * np.exp(-np.square(velocity / self.stribeck_velocity))
-        torque = -(self.coulomb + excess) * np.tanh(velocity / self.smoothing) - self.viscous * velocity
+    def torque(self, velocity: Array, transmitted: Array | float = 0.0) -> Array:
+        """Friction torque, ``(n,)`` [N m]; both arguments may have an axis of samples in front.
+
+        Args:
+            velocity: Velocity of the motors, ``(n,)`` [rad/s].
+            transmitted: Torque of the transmissions on the links, ``(n,)`` [N m].
+        """
+        direction = np.tanh(velocity / self.smoothing)
+        size = self.coulomb + self.stribeck * np.exp(-np.square(velocity / self.stribeck_velocity))
+        if self.asymmetry is not None:
+            size = size + self.asymmetry * direction
+        if self.load is not None:
+            size = size + self.load * np.abs(transmitted)
+        torque = -size * direction - self.viscous * velocity
         if self.sigmoid is not None:
             a, b, c = (np.array(values) for values in (self.sigmoid.a, self.sigmoid.b, self.sigmoid.c))
             torque -= a / (1.0 + np.exp(-b * (velocity + c))) - a / (1.0 + np.exp(-b * c))
+        for shaft in self.shafts:
+            torque += shaft.torque(velocity, self.smoothing)
+        return np.asarray(torque)
+
+    def viscous_torque(self, velocity: Array) -> Array:
+        """Part of :meth:`torque` that is linear in the velocity ``(n,)`` [rad/s], ``(n,)`` [N m]."""
+        torque = -self.viscous * velocity
+        for shaft in self.shafts:
+            torque += replace(shaft, coulomb=np.zeros_like(shaft.coulomb)).torque(velocity, self.smoothing)
         return np.asarray(torque)
 
 

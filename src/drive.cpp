@@ -3,12 +3,23 @@
 
 namespace impact_rs {
 
-double Friction::torque(std::size_t i, double velocity) const {
-  const double ratio = velocity / stribeck_velocity[i];
-  double torque = -(coulomb[i] + stribeck[i] * std::exp(-ratio * ratio)) * std::tanh(velocity / smoothing) -
+double Friction::torque(std::size_t i, double velocity, double transmitted) const {
+  const double ratio = velocity / stribeck_velocity[i], direction = std::tanh(velocity / smoothing);
+  const double sliding = coulomb[i] + stribeck[i] * std::exp(-ratio * ratio);
+  double torque = -(sliding + asymmetry[i] * direction + load[i] * std::abs(transmitted)) * direction -
                   viscous[i] * velocity;
   if (!a.empty()) torque -= a[i] / (1.0 + std::exp(-b[i] * (velocity + c[i]))) - a[i] / (1.0 + std::exp(-b[i] * c[i]));
   return torque;
+}
+
+void Friction::add_shafts(const std::vector<double>& velocity, std::vector<double>& torque) const {
+  for (std::size_t shaft = 0; shaft < shaft_coulomb.size(); ++shaft) {
+    const std::size_t i = shaft % (velocity.size() - 1);
+    const double speed = velocity[i] + shaft_ratio[shaft] * velocity[i + 1];
+    const double own = -shaft_coulomb[shaft] * std::tanh(speed / smoothing) - shaft_viscous[shaft] * speed;
+    torque[i] += shaping[i] * own;
+    torque[i + 1] += shaping[i + 1] * shaft_ratio[shaft] * own;
+  }
 }
 
 void Drive::sense(const double* q, const double* dq) {
@@ -28,9 +39,13 @@ void Drive::act(const double* shaped) {
 }
 
 void Drive::move(double kick, double drift) {
+  if (!law_.coulomb.empty()) {
+    for (std::size_t i = 0; i < joints(); ++i) friction[i] = law_.torque(i, velocity[i], transmission[i]);
+    law_.add_shafts(velocity, friction);
+  }
   for (std::size_t i = 0; i < joints(); ++i) {
     double net = actuation[i] - transmission[i];
-    if (!law_.coulomb.empty()) net += friction[i] = law_.torque(i, velocity[i]);
+    if (!law_.coulomb.empty()) net += friction[i];
     velocity[i] += net * rotor_inverse_[i] * kick;
     position[i] += velocity[i] * drift;
   }

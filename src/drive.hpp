@@ -12,10 +12,17 @@ namespace impact_rs {
 // B_rho B_theta^-1 tau_fric of the n joints; parameters as in impact_rs_sim/physics.py. Empty: no friction.
 struct Friction {
   std::vector<double> coulomb, viscous, stribeck, stribeck_velocity;
+  std::vector<double> asymmetry, load;
   std::vector<double> a, b, c;  // of the sigmoid
   double smoothing;
+  std::vector<double> shaft_coulomb, shaft_viscous, shaft_ratio;  // of joints i and i + 1, in sets of n - 1; of tau_fric
+  std::vector<double> shaping;                                    // B_rho B_theta^-1 of the joints
 
-  double torque(std::size_t joint, double velocity) const;
+  // Of one joint alone, which transmits `transmitted` [N m].
+  double torque(std::size_t joint, double velocity, double transmitted) const;
+
+  // Of the shafts that turn with two joints, added to `torque`.
+  void add_shafts(const std::vector<double>& velocity, std::vector<double>& torque) const;
 };
 
 class Drive {

@@ -31,17 +31,31 @@ class Values {
 };
 
 using PerJoint = std::vector<double>;
-using FrictionOfPython = std::tuple<PerJoint, PerJoint, PerJoint, PerJoint,
-                                    std::optional<std::tuple<PerJoint, PerJoint, PerJoint>>, double>;
+using Sigmoid = std::tuple<PerJoint, PerJoint, PerJoint>;
+using Shafts = std::tuple<PerJoint, PerJoint, PerJoint, PerJoint>;
+using FrictionOfPython = std::tuple<PerJoint, PerJoint, PerJoint, PerJoint, PerJoint, PerJoint, std::optional<Sigmoid>,
+                                    double, std::optional<Shafts>>;
 
 Friction friction_of(const std::optional<FrictionOfPython>& given, std::size_t joints) {
   if (!given) return {};
-  const auto& [coulomb, viscous, stribeck, stribeck_velocity, sigmoid, smoothing] = *given;
-  Friction found{coulomb, viscous, stribeck, stribeck_velocity, {}, {}, {}, smoothing};
-  std::vector<const PerJoint*> parts{&found.coulomb, &found.viscous, &found.stribeck, &found.stribeck_velocity};
+  const auto& [coulomb, viscous, stribeck, stribeck_velocity, asymmetry, load, sigmoid, smoothing, shafts] = *given;
+  Friction found{};
+  found.coulomb = coulomb, found.viscous = viscous, found.stribeck = stribeck;
+  found.stribeck_velocity = stribeck_velocity, found.asymmetry = asymmetry, found.load = load;
+  found.smoothing = smoothing;
+  std::vector<const PerJoint*> parts{&found.coulomb,           &found.viscous,   &found.stribeck,
+                                     &found.stribeck_velocity, &found.asymmetry, &found.load};
   if (sigmoid) {
     std::tie(found.a, found.b, found.c) = *sigmoid;
     parts.insert(parts.end(), {&found.a, &found.b, &found.c});
+  }
+  if (shafts) {
+    std::tie(found.shaft_coulomb, found.shaft_viscous, found.shaft_ratio, found.shaping) = *shafts;
+    const std::size_t count = found.shaft_coulomb.size();
+    if (found.shaft_viscous.size() != count || found.shaft_ratio.size() != count ||
+        (count > 0 && (joints < 2 || count % (joints - 1) != 0)))
+      throw py::value_error("friction: not a number per pair of joints");
+    parts.push_back(&found.shaping);
   }
   for (const PerJoint* part : parts)
     if (part->size() != joints) throw py::value_error("friction: not a number per joint");

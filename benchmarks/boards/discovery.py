@@ -55,7 +55,7 @@ RIGHT: dict[str, tuple[str, ...]] = {
     "motor2_ripple": ("motor2_position_ripple",),
     "motor1_quadratic": ("motor1_velocity_square",),
     "motor4_cubic": ("motor4_velocity_cube",),
-    "motor2_load_friction": ("motor2_load_on_friction_linear",),
+    "motor2_load_friction": ("motor2_load_on_friction_linear", "joint_load_dependent_friction"),  # of the library
     "motor4_warm_up": ("motor4_warm_up_linear",),
     "motor2_gravity_like": ("motor2_position_ripple", "motor2_position_linear"),
     "motor6_one_way": ("motor6_velocity_one_way_up",),
@@ -120,9 +120,10 @@ def judged(entry: Entry, directory: Path, read: Callable[[], Runs], map_tasks: M
     document = discovered(read, map_tasks)
     elapsed, spent = time.perf_counter() - started, time.process_time() - spent
     write_discovery(document, directory / "discovery.json")
-    laws = [law.name for law in document.laws]
     right = {**RIGHT, **FOREIGN_RIGHT}.get(entry.effect or "", ())
     whole = document.diagnosis
+    laws = [law.name for law in document.laws]
+    laws += [name for name in (() if whole is None else whole.named) if name in right and name not in laws]
     removed = before = 0.0
     if whole is not None:
         before = whole.held_out_error_before

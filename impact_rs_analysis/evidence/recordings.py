@@ -311,13 +311,15 @@ class RecordingSource(Source):
         return found
 
     def offers(self, effect: Effect) -> bool:
-        """See :meth:`Source.offers`; recordings calibrate the bare arm, differences show effects that may change."""
+        """See :meth:`Source.offers`; recordings calibrate the bare arm, differences show what changes or has a load."""
         without = [*CONFOUNDED_WITH_MOTOR_FAULTS, *UNIDENTIFIABLE_FAULTS]
         if self.mapping.torque_measured_at == "motor":
             without += TORQUE_SENSOR_FAULTS
         if "velocity" not in self.mapping.signals:
             without += VELOCITY_SENSOR_FAULTS
-        return effect.name not in {one.name for one in without} and (effect.may_change or not self._minus)
+        shown = effect.may_change or effect.shown_by_load or not self._minus
+        acts = bool(effect.scalars(self.joints))  # one joint has no neighbour
+        return acts and shown and effect.name not in {one.name for one in without}
 
     def residuals_with(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """See :meth:`Source.residuals_with`."""

@@ -377,8 +377,9 @@ class TorqueBalance:
             velocity, acceleration = _of_motors(motion, rigid, arm)
             torque = rigid + arm.motor_inertia_reduced * acceleration if self._at_motor else rigid
             if not arm.friction.is_zero:
-                viscous = -arm.friction.viscous * velocity
-                dry = arm.friction.torque(velocity) - viscous  # jumps, whatever the low-pass of the velocity
+                viscous = arm.friction.viscous_torque(velocity)
+                carried = self._transmitted_torques(physics, number, rigid)
+                dry = arm.friction.torque(velocity, carried) - viscous  # jumps, whatever the low-pass of the velocity
                 torque = torque - viscous - motion.low_pass(dry)
             if arm.loads:
                 torque = torque - self._load_torques(physics, number, rigid)
@@ -394,8 +395,8 @@ class TorqueBalance:
         rows = []
         motions = self._true_motions(arm.readings)
         for number, (motion, rigid) in enumerate(zip(motions, self._rigid_torques(physics), strict=True)):
-            on_links = self._load_torques(physics, number, rigid, links_alone=True) if arm.loads else 0.0
-            bent = motion.low_pass(_deflection_derivatives(motion, rigid - on_links, arm, (0,))[0] + motion.position)
+            carried = self._transmitted_torques(physics, number, rigid)
+            bent = motion.low_pass(_deflection_derivatives(motion, carried, arm, (0,))[0] + motion.position)
             bent = bent - motion.low_pass(arm.readings.position(motion.position))  # of the encoder of the link
             rows.append(bent - bent[motion.kept].mean(axis=0))
         return rows
@@ -436,6 +437,12 @@ class TorqueBalance:
                 for motion in self.motions
             ]
         return [regressor @ parameters for regressor in self._regressors[key]]
+
+    def _transmitted_torques(self, physics: Physics, number: int, rigid: Array) -> Array:
+        """Torques of the transmissions on the links: those of the rigid model less loads on the links, ``(k, n)``."""
+        if not physics.arms[ARM].loads:
+            return rigid
+        return rigid - self._load_torques(physics, number, rigid, links_alone=True)
 
     def _load_torques(self, physics: Physics, number: int, rigid: Array, links_alone: bool = False) -> Array:
         """Torques of loads outside the rigid model on links, and unless these are wanted alone on motors [N m].

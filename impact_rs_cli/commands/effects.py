@@ -39,7 +39,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     phases = "free motion and contact" if len(effect.phases) == 2 else effect.phases[0]
     terminal.say(f"{effect.name}: {effect.sentence}", f"acts on: {effect.acts_on}; seen in: {phases}")
     if effect.calibration:
-        terminal.say(f"a fault of a reading; to calibrate it: {effect.calibration}")
+        what = "a fault of a reading; to calibrate it" if effect.of_measurement else "to determine it"
+        terminal.say(f"{what}: {effect.calibration}")
     table = Table(title="Parameters")
     for heading in ("parameter", "unit", "no effect at", "bounds", "noticeable", "what it is"):
         table.add_column(heading)

@@ -205,6 +205,16 @@ class ExportedScene:
                 f"{name}: Stribeck friction, {_list(friction.stribeck)} {efforts} above Coulomb friction at rest, gone "
                 f"at {_list(friction.stribeck_velocity)} {joined_units(u.velocity for u in units)}"
             )
+        if friction.asymmetry is not None:
+            yield f"{name}: asymmetry of friction, {_list(friction.asymmetry)} {efforts} more forward and less backward"
+        if friction.load is not None:
+            yield f"{name}: friction that grows with the load, {_list(friction.load)} of the transmitted torque"
+        for shaft in friction.shafts:
+            yield (
+                f"{name}: friction of shafts that turn with the {'sum' if shaft.ratio > 0.0 else 'difference'} of two "
+                f"joints, {_list(shaft.coulomb)} {efforts} and {_list(shaft.viscous)} "
+                f"{joined_units(u.damping for u in units)}"
+            )
         if friction.sigmoid is not None:
             yield (
                 f"{name}: course of the identified friction (Gaz et al. 2019) near rest, and its asymmetry; half the "

@@ -188,6 +188,8 @@ class Effect(ABC):
             tables leaves it out unless it is named. A model that contains it predicts with it everywhere.
         lasting: Whether it stays the same from one recording of a session to the next, as how a cell is mounted does:
             no difference of two recordings shows it. What calibrates an arm is lasting.
+        shown_by_load: Whether it is lasting, but grows with the load: a difference of recordings with and without one
+            shows it.
         family: Name that the candidate laws of one form at several joints share; empty for effects of the library or
             the model.
         reading: For an effect of the measurement: clause on the fault of the reading, in which ``{joint}``, ``{size}``,
@@ -203,6 +205,7 @@ class Effect(ABC):
     phases: tuple[str, ...] = ("free", "contact")
     calibrates: bool = False
     lasting: bool = False
+    shown_by_load: bool = False
     family: str = ""
     reading: str = ""
     calibration: str = ""
@@ -343,6 +346,7 @@ class ArmEffect(Effect):
     phases: tuple[str, ...] = ("free", "contact")
     calibrates: bool = False
     lasting: bool = False
+    shown_by_load: bool = False
     reading: str = ""
     calibration: str = ""
 

@@ -141,6 +141,7 @@ class Depending(Effect):
         self.acts_on, self.sentence, self.phases = effect.acts_on, effect.sentence, effect.phases
         self.reading, self.calibration = effect.reading, effect.calibration
         self.calibrates, self.lasting, self.parameters = effect.calibrates, effect.lasting, effect.parameters
+        self.shown_by_load = effect.shown_by_load
 
     @property
     def shown_name(self) -> str:

@@ -33,6 +33,7 @@ class EachArm(Effect):
         self.phases = effect.phases
         self.reading, self.calibration = effect.reading, effect.calibration
         self.calibrates, self.lasting = effect.calibrates, effect.lasting
+        self.shown_by_load = effect.shown_by_load
         self.parameters = tuple(
             replace(parameter, name=f"{parameter.name}_{arm}", arm=arm)
             for arm in joints

@@ -1,7 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects on the motor side of the joints: friction, and the inertia that the torque loop leaves.
 
-Friction is stated as the desired torque feels it (tau_fric of paper eq. EOM_motor_mod).
+Friction is stated as the desired torque feels it (tau_fric of paper eq. EOM_motor_mod); the whole law is
+:class:`~impact_rs_sim.physics.JointFriction`. Its parts are effects of their own that add up:
+
+* Coulomb and viscous friction, and the breakaway torque above sliding friction (Stribeck curve, Armstrong-Hélouvry et
+  al. 1994, Automatica 30).
+* ``-k |tau_J| sign(dtheta)``: teeth that carry more rub more. Bittencourt and Gunnarsson (2012, J. Dyn. Sys. Meas.
+  Control 134) measured it on an industrial arm, with its dependence on temperature; servo models have it as the
+  load-dependent term (Duclusaud et al. 2025, ICRA: BAM, models M3 to M6). Where |tau_J| hardly varies along a motion
+  it is Coulomb friction, and where the motion reverses with the torque a gain of it. The same motion with and without
+  a load tells them apart: only this friction grows.
+* ``-a |sign(dtheta)|``: friction that differs by direction, F_c + a forward and F_c - a backward, as of screws and of
+  belts under tension. In motion it equals an offset of the torque, which is still there under closed brakes.
+* Friction of a shaft that turns with two joints, as in a wrist whose last motor drives through the axis before it (fvm6
+  and fsm6 of a Staubli TX40 in FIGAROH's examples): both joints feel it, against ``dtheta_i + r dtheta_i+1`` with r = 1
+  or, where the axes of the model point the other way, -1.
 """
 
 from __future__ import annotations
@@ -11,7 +25,7 @@ from dataclasses import replace
 import numpy as np
 
 from impact_rs_sim.effects.base import ArmEffect, Parameter, Values, number
-from impact_rs_sim.physics import ArmPhysics
+from impact_rs_sim.physics import ArmPhysics, ShaftFriction
 
 
 def _coulomb(arm: ArmPhysics, values: Values) -> ArmPhysics:
@@ -33,6 +47,35 @@ def _stribeck(arm: ArmPhysics, values: Values) -> ArmPhysics:
         stribeck_velocity=np.full(arm.stiffness.size, number(values, "stribeck_velocity")),
     )
     return replace(arm, friction=friction)
+
+
+def _asymmetric(arm: ArmPhysics, values: Values) -> ArmPhysics:
+    if not np.any(values["difference"]):
+        return arm
+    before = 0.0 if arm.friction.asymmetry is None else arm.friction.asymmetry
+    return replace(arm, friction=replace(arm.friction, asymmetry=before + values["difference"]))
+
+
+def _load_dependent(arm: ArmPhysics, values: Values) -> ArmPhysics:
+    if not np.any(values["coefficient"]):
+        return arm
+    before = 0.0 if arm.friction.load is None else arm.friction.load
+    return replace(arm, friction=replace(arm.friction, load=before + values["coefficient"]))
+
+
+def _with_shafts(arm: ArmPhysics, values: Values, ratio: float) -> ArmPhysics:
+    if not (np.any(values["coulomb"]) or np.any(values["viscous"])):
+        return arm
+    shafts = (*arm.friction.shafts, ShaftFriction(values["coulomb"], values["viscous"], ratio))
+    return replace(arm, friction=replace(arm.friction, shafts=shafts))
+
+
+def _of_sums(arm: ArmPhysics, values: Values) -> ArmPhysics:
+    return _with_shafts(arm, values, 1.0)
+
+
+def _of_differences(arm: ArmPhysics, values: Values) -> ArmPhysics:
+    return _with_shafts(arm, values, -1.0)
 
 
 def _motor_inertia(arm: ArmPhysics, values: Values) -> ArmPhysics:
@@ -79,6 +122,97 @@ STRIBECK_FRICTION = ArmEffect(
         ),
     ),
     law=_stribeck,
+)
+
+LOAD_DEPENDENT_FRICTION = ArmEffect(
+    name="joint_load_dependent_friction",
+    acts_on="motor side",
+    sentence=(
+        "Each joint resists motion with a share of the torque that it transmits; with one load it resembles constant "
+        "friction or a gain of the torque, and the same motion with another load tells them apart."
+    ),
+    parameters=(
+        Parameter("coefficient", "-", 0.0, 0.0, 0.5, 0.01, "friction torque over transmitted torque", per_joint=True),
+    ),
+    law=_load_dependent,
+    lasting=True,
+    shown_by_load=True,
+    calibration="record one motion without and with a known load, and compare both (diagnose --minus)",
+)
+
+ASYMMETRIC_FRICTION = ArmEffect(
+    name="joint_asymmetric_friction",
+    acts_on="motor side",
+    sentence=(
+        "The dry friction of a joint differs between its two directions; in motion it resembles an offset of the "
+        "torque, which is there under closed brakes as well."
+    ),
+    parameters=(
+        Parameter(
+            "difference",
+            "N m",
+            0.0,
+            -5.0,
+            5.0,
+            0.1,
+            "Coulomb friction more forward than in the mean, and less backward",
+            per_joint=True,
+        ),
+    ),
+    law=_asymmetric,
+    calibration="read the torque with the brakes on and the drives idle: an offset remains, friction does not",
+)
+
+SHAFT_FRICTION = (
+    Parameter(
+        "coulomb",
+        "N m",
+        0.0,
+        0.0,
+        5.0,
+        0.1,
+        "Coulomb friction of the shaft of this joint and the next one",
+        per_joint=True,
+        except_joint=-1,
+    ),
+    Parameter(
+        "viscous",
+        "N m s/rad",
+        0.0,
+        0.0,
+        5.0,
+        0.1,
+        "viscous friction of the shaft of this joint and the next one",
+        per_joint=True,
+        except_joint=-1,
+    ),
+)
+SHAFT_EXPERIMENT = "move each of two neighbouring joints alone, then both in the same and in opposite directions"
+
+JOINT_SUM_FRICTION = ArmEffect(
+    name="joint_sum_friction",
+    acts_on="motor side",
+    sentence=(
+        "A shaft that turns with the sum of two neighbouring joint angles, as in a wrist, resists motion, and both "
+        "joints feel it."
+    ),
+    parameters=SHAFT_FRICTION,
+    law=_of_sums,
+    calibrates=True,
+    calibration=SHAFT_EXPERIMENT,
+)
+
+JOINT_DIFFERENCE_FRICTION = ArmEffect(
+    name="joint_difference_friction",
+    acts_on="motor side",
+    sentence=(
+        "A shaft that turns with the difference of two neighbouring joint angles, as in a wrist, resists motion, and "
+        "both joints feel it."
+    ),
+    parameters=SHAFT_FRICTION,
+    law=_of_differences,
+    calibrates=True,
+    calibration=SHAFT_EXPERIMENT,
 )
 
 MOTOR_INERTIA_SCALE = ArmEffect(

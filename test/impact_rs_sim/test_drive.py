@@ -15,7 +15,7 @@ from impact_rs_sim.assumed_drive import assumed_drive
 from impact_rs_sim.bullet_world import BulletWorld
 from impact_rs_sim.drive import Drive, DriveStart
 from impact_rs_sim.drive_stability import joint_stability, spectral_radius
-from impact_rs_sim.physics import JointFriction, Physics
+from impact_rs_sim.physics import JointFriction, Physics, ShaftFriction
 from impact_rs_sim.robot import RobotFacts, load_facts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import load_scenario
@@ -29,6 +29,11 @@ PERIOD = 0.00025  # s
 @pytest.fixture
 def arm(scene):
     return scene.physics.arms["arm"]
+
+
+@pytest.fixture(scope="module")
+def arm_of_scene():
+    return nominal_physics().arms["arm"]
 
 
 def test_locked_link_leaves_motor_with_reduced_inertia_and_spring(arm):
@@ -66,6 +71,77 @@ def test_friction_only_ever_takes_power(arm):
     for friction in (sigmoid, stribeck):
         for velocity in np.linspace(-2.0, 2.0, 41):
             assert np.all(friction.torque(np.full(7, velocity)) * velocity <= 1e-12)
+
+
+def numbers(low: float, high: float) -> st.SearchStrategy[np.ndarray]:
+    """Seven numbers of a range, one per joint."""
+    return st.lists(st.floats(low, high), min_size=7, max_size=7).map(np.array)
+
+
+@given(
+    coulomb=numbers(0.0, 5.0),
+    uneven=numbers(-1.0, 1.0),
+    load=numbers(0.0, 0.5),
+    shafts=numbers(0.0, 5.0),
+    ratio=st.floats(-2.0, 2.0),
+    velocity=numbers(-3.0, 3.0),
+    transmitted=numbers(-80.0, 80.0),
+)
+def test_friction_by_load_direction_and_shaft_only_ever_takes_power(
+    coulomb, uneven, load, shafts, ratio, velocity, transmitted
+):
+    """At each joint, and of shafts over all joints; kills a sign of the transmitted torque, and a reaction left out."""
+    own = replace(JointFriction.none(7), coulomb=coulomb, asymmetry=uneven * coulomb, load=load)
+    assert np.all(own.torque(velocity, transmitted) * velocity <= 1e-12)
+    shared = replace(JointFriction.none(7), shafts=(ShaftFriction(shafts[:6], shafts[1:], ratio),))
+    assert shared.torque(velocity, transmitted) @ velocity <= 1e-9
+
+
+@settings(max_examples=20)
+@given(uneven=numbers(-0.3, 0.3), load=numbers(0.0, 0.3), shafts=numbers(0.0, 1.0), start=numbers(-0.5, 0.5))
+def test_compiled_drive_has_the_friction_of_its_docstring(arm_of_scene, uneven, load, shafts, start):
+    """Kills a transmitted torque without its damper, a shaft that acts on one joint alone, and a joint off by one."""
+    shared = ShaftFriction(shafts[:6], 0.5 * shafts[1:], -0.7), ShaftFriction(shafts[1:], 0.1 * shafts[:6], 1.0)
+    friction = JointFriction(
+        np.full(7, 0.4), np.full(7, 0.2), np.full(7, 0.3), np.full(7, 0.05), None, 0.005, uneven, load, shared
+    )
+    arm = replace(arm_of_scene, friction=friction)
+    drive = Drive(arm, PERIOD)
+    drive.reset(np.zeros(7), np.linspace(-40.0, 30.0, 7))
+    drive.velocity = start
+    drive.sense(np.zeros(7), np.zeros(7))
+    torque = friction.torque(start, drive.transmission_torque)
+    drive.step(np.zeros(7))
+    shaping = arm.motor_inertia_rotor / arm.motor_inertia_reduced
+    np.testing.assert_allclose(drive.friction_torque, shaping * torque, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("part", ["asymmetry", "load", "shafts"])
+def test_part_of_friction_that_is_zero_changes_no_bit(arm, part):
+    """k = 0 is Coulomb friction, and friction alike in both directions is symmetric: bit by bit, law and drive."""
+    plain = JointFriction(np.full(7, 0.4), np.full(7, 0.2), np.full(7, 0.3), np.full(7, 0.05))
+    nothing = (ShaftFriction(np.zeros(6), np.zeros(6), 1.0),) if part == "shafts" else np.zeros(7)
+    both = plain, replace(plain, **{part: nothing})
+    velocity = np.linspace(-0.4, 0.3, 7)
+    torques = [friction.torque(velocity, np.full(7, 20.0)) for friction in both]
+    np.testing.assert_array_equal(*torques)
+    motions = []
+    for friction in both:
+        drive = Drive(replace(arm, friction=friction), PERIOD)
+        drive.reset(np.zeros(7), np.full(7, 20.0))
+        for _ in range(50):
+            drive.sense(np.zeros(7), np.zeros(7))
+            drive.step(np.full(7, 3.0))
+        motions.append(drive.velocity)
+    np.testing.assert_array_equal(*motions)
+
+
+def test_friction_that_grows_with_the_load_doubles_with_it(arm):
+    """A motor that turns at a constant speed needs k |tau_J| of torque, against motion in both directions."""
+    friction = replace(JointFriction.none(7), load=np.full(7, 0.1))
+    for load, velocity in ((20.0, 0.3), (40.0, 0.3), (-40.0, 0.3), (40.0, -0.3)):
+        found = friction.torque(np.full(7, velocity), np.full(7, load))
+        np.testing.assert_allclose(found, -0.1 * abs(load) * np.sign(velocity))
 
 
 def test_delay_between_two_periods_is_the_mean_of_both(arm):

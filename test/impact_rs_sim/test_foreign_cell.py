@@ -203,9 +203,18 @@ def test_a_delayed_command_arrives_when_its_delay_is_over(plan) -> None:
     assert speeds[given + 3] > 1e-3
 
 
-def test_free_motion_agrees_with_our_plant() -> None:
+@pytest.mark.parametrize(
+    "name", [None, "joint_load_dependent_friction", "joint_asymmetric_friction", "joint_difference_friction"]
+)
+def test_free_motion_agrees_with_our_plant(name: str | None) -> None:
+    """With friction as well, which the cell writes out for itself: kills a wrong sign or motor in either."""
     plan = planned("excite", "none", "fast")
-    cells = {"ours": make_plant(plan, 0), "mujoco": make_cell(plan)}
+    physics = plan.scene.physics
+    if name is not None:
+        effect = library()[name]
+        values = [scalar.nominal + 3.0 * scalar.scale for scalar in effect.scalars(physics.joints)]
+        physics = effect.apply_vector(physics, np.array(values))
+    cells = {"ours": make_plant(plan, 0, physics), "mujoco": make_cell(plan, physics)}
     seen = {}
     for name, cell in cells.items():
         ticks = []

@@ -26,7 +26,7 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.physics import ArmPhysics, JointFriction, LoadState, Physics
+from impact_rs_sim.physics import ArmPhysics, JointFriction, LoadState, Physics, ShaftFriction
 from impact_rs_sim.plant import Measurement
 from impact_rs_sim.robot import Array
 from impact_rs_sim.rotations import quaternion_of
@@ -320,28 +320,56 @@ class _Arm:
 
     def apply(self) -> None:
         """Torques on motors and links over the next step; friction follows the motors in every step."""
-        friction = 0.0 if self._friction is None else self._shaping * self._friction(self.motor_velocity)
+        friction = 0.0
+        if self._friction is not None:
+            velocity = self.motor_velocity
+            transmitted = self.elastic_torque + self._physics.damping * (velocity - self.link_velocity)
+            friction = self._shaping * self._friction(velocity, transmitted)
         self._data.qfrc_applied[self._motor_dof] = self._actuation + friction
         self._data.qfrc_applied[self._link_dof] = self._link_load
 
 
-def friction_law(friction: JointFriction) -> Callable[[Array], Array] | None:
-    """Torque of joint friction against velocity, ``(n,)`` [rad/s] to ``(n,)`` [N m]; None where there is none."""
-    terms: list[Callable[[Array], Array]] = []
+def friction_law(friction: JointFriction) -> Callable[[Array, Array], Array] | None:
+    """Torque of joint friction against velocity and transmitted torque; None where there is none.
+
+    Both arguments and the torque are ``(n,)`` [rad/s, N m, N m].
+    """
+    terms: list[Callable[[Array, Array], Array]] = []
+
+    def direction(velocity: Array) -> Array:
+        return np.asarray(np.tanh(velocity / friction.smoothing))
+
     if np.any(friction.coulomb) or np.any(friction.stribeck):
 
-        def dry(velocity: Array) -> Array:
+        def dry(velocity: Array, transmitted: Array) -> Array:
             excess = friction.stribeck * np.exp(-((velocity / friction.stribeck_velocity) ** 2))
-            return -np.tanh(velocity / friction.smoothing) * (friction.coulomb + excess)
+            return -direction(velocity) * (friction.coulomb + excess)
 
         terms.append(dry)
     if np.any(friction.viscous):
-        terms.append(lambda velocity: -friction.viscous * velocity)
+        terms.append(lambda velocity, transmitted: -friction.viscous * velocity)
+    if friction.load is not None:
+        share = friction.load
+        terms.append(lambda velocity, transmitted: -share * direction(velocity) * np.abs(transmitted))
+    if friction.asymmetry is not None:
+        more = friction.asymmetry
+        terms.append(lambda velocity, transmitted: -more * direction(velocity) ** 2)
+    for shafts in friction.shafts:
+        count = friction.coulomb.size
+        turns = np.eye(count)[:-1] + shafts.ratio * np.eye(count, k=1)[:-1]  # of the shafts per turn of the joints
+
+        def shared(velocity: Array, transmitted: Array, own: ShaftFriction = shafts, turns: Array = turns) -> Array:
+            speed = turns @ velocity
+            return np.asarray(-turns.T @ (own.coulomb * direction(speed) + own.viscous * speed))
+
+        terms.append(shared)
     if friction.sigmoid is not None:
         a, b, c = (np.array(numbers) for numbers in (friction.sigmoid.a, friction.sigmoid.b, friction.sigmoid.c))
         at_rest = a / (1.0 + np.exp(-b * c))
-        terms.append(lambda velocity: at_rest - a / (1.0 + np.exp(-b * (velocity + c))))
-    return (lambda velocity: np.asarray(sum(term(velocity) for term in terms))) if terms else None
+        terms.append(lambda velocity, transmitted: at_rest - a / (1.0 + np.exp(-b * (velocity + c))))
+    if not terms:
+        return None
+    return lambda velocity, transmitted: np.asarray(sum(term(velocity, transmitted) for term in terms))
 
 
 def compile_scene(

@@ -120,7 +120,7 @@ def swung(
     columns, past = (
         swinging(model, moment, 0.0, frequencies, (0.6, 0.15)) for moment in (time, time - arm.readings.torque_delay)
     )
-    torque: Array = past["effort"] - arm.friction.torque(past["velocity"]) - arm.torque_offset
+    torque: Array = past["effort"] - arm.friction.torque(past["velocity"], past["effort"]) - arm.torque_offset
     if mapping.torque_measured_at == "motor":
         torque = torque + arm.motor_inertia_reduced * np.gradient(past["velocity"], time, axis=0, edge_order=2)
     torque = torque / arm.torque_gain + np.random.default_rng(seed).normal(0.0, noise, torque.shape)

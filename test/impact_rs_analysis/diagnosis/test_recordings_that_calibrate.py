@@ -126,7 +126,8 @@ def test_motor_inertia_and_torque_constants_are_found_from_currents(tmp_path: Pa
 def test_what_calibrates_an_arm_is_no_candidate_in_trials() -> None:
     calibrating = {name for name, effect in library().items() if effect.calibrates}
     links = {"link_mass", "link_com", "link_inertia"}
-    assert calibrating == links | {"added_motor_inertia", "joint_elasticity", "torque_delay"}
+    shafts = {"joint_sum_friction", "joint_difference_friction"}
+    assert calibrating == links | shafts | {"added_motor_inertia", "joint_elasticity", "torque_delay"}
     assert not calibrating & set(of_trials())
 
 

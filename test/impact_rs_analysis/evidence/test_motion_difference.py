@@ -161,8 +161,11 @@ def test_what_a_session_does_not_change_is_no_change_between_two_recordings(fold
     """A cell does not tilt, and a torque constant does not grow, while somebody mounts a load."""
     difference, alone = source_of(folder, mapping), source_of(folder, mapping, None)
     offered, every = ({e.name for e in effects_for(source)} for source in (difference, alone))
-    assert every - offered == {name for name in every if not library()[name].may_change}
-    assert {"base_tilt", "torque_gain", "link_mass"} <= every - offered
+    assert every - offered == {
+        name for name in every if not library()[name].may_change and not library()[name].shown_by_load
+    }
+    assert {"base_tilt", "torque_gain", "link_mass", "joint_sum_friction"} <= every - offered
+    assert "joint_load_dependent_friction" in offered
     assert {"end_effector_payload", "joint_coulomb_friction", "torque_offset", "external_spring"} <= offered
 
 
