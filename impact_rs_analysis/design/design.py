@@ -131,7 +131,9 @@ def _unseen(decision: Decision, trials: Sequence[ForecastTrial]) -> set[int]:
     return {
         number
         for number, one in enumerate(decision.explanations)
-        if one.varied and not one.estimated and max(np.max(np.abs(trial.spreads[number])) for trial in trials) < MIN_FEATURE_CHANGE
+        if one.varied
+        and not one.estimated
+        and max(float(np.max(np.abs(trial.spreads[number]))) for trial in trials) < MIN_FEATURE_CHANGE
     }
 
 
