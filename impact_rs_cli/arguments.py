@@ -21,7 +21,7 @@ from impact_rs_sim.schema import parse_value
 from impact_rs_trials.store import is_url, local_copy
 from impact_rs_trials.workers import Map, Workforce, workers
 
-MOST_SHOWN = 5
+MAX_SHOWN_FILES = 5
 
 
 def on_local_runs(run: Action) -> Action:
@@ -108,10 +108,10 @@ def check_robots(scenario: Scenario, terminal: Terminal) -> None:
 
 def warn_skipped(skipped: Sequence[tuple[str, str]], terminal: Terminal) -> None:
     """Warn of bags that were left out, by path and reason."""
-    for path, reason in skipped[:MOST_SHOWN]:
+    for path, reason in skipped[:MAX_SHOWN_FILES]:
         terminal.warn(f"left out {Path(path).name}: {reason.removeprefix(f'{path}: ')}")
-    if len(skipped) > MOST_SHOWN:
-        terminal.warn(f"left out {len(skipped) - MOST_SHOWN} more bags; --json lists all")
+    if len(skipped) > MAX_SHOWN_FILES:
+        terminal.warn(f"left out {len(skipped) - MAX_SHOWN_FILES} more bags; --json lists all")
 
 
 def number(value: float) -> str:

@@ -22,7 +22,7 @@ from impact_rs_sim.model import Model
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.recordings.impact_table import SUFFIXES, read_impact_table
 
-SAVED = 10  # instants of hits that are there already, between two states
+SAVE_INTERVAL_HITS = 10  # instants of hits that are there already, between two saved states
 
 
 class HitsArguments(NamedTuple):
@@ -161,7 +161,7 @@ class FollowedHits:
 
     def _handled(self) -> None:
         self._taken += 1
-        if self._taken % SAVED == 0 or not self.follower.hit_source.waiting:
+        if self._taken % SAVE_INTERVAL_HITS == 0 or not self.follower.hit_source.waiting:
             self.save()
 
 

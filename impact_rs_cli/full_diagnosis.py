@@ -28,7 +28,7 @@ from impact_rs_cli.parser import command_line
 from impact_rs_commands.explaining import DIAGNOSE
 from impact_rs_sim.errors import InputError
 
-PATIENCE = 5.0  # s, that a stopped diagnosis has to end
+DIAGNOSIS_STOP_TIMEOUT_S = 5.0  # of a diagnosis that is being stopped
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class FullDiagnosis:
         _hang_up(own.process)  # it interrupts itself, as soon as it can be: a signal is lost on one that still starts
         if own.process.poll() is None:
             try:
-                own.process.wait(PATIENCE)
+                own.process.wait(DIAGNOSIS_STOP_TIMEOUT_S)
             except subprocess.TimeoutExpired:
                 os.killpg(own.process.pid, signal.SIGKILL)
                 own.process.wait()
@@ -146,7 +146,7 @@ def _end_with_the_other_end(pipe: int) -> None:
     """Wait until the other end of a pipe is closed; then end this process and its group."""
     os.read(pipe, 1)
     os.killpg(0, signal.SIGINT)
-    time.sleep(PATIENCE)
+    time.sleep(DIAGNOSIS_STOP_TIMEOUT_S)
     os.killpg(0, signal.SIGKILL)
 
 

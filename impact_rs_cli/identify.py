@@ -23,7 +23,7 @@ from impact_rs_ros.process import run
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
 
-AT_ONCE = 3  # hits of one look; in between the node answers
+HITS_PER_POLL = 3  # in between the node answers
 
 
 class Lessons:
@@ -48,10 +48,10 @@ class Lessons:
         if not self._restored:
             self._followed.restore()
             self._restored = True
-        documents = list(islice(self._arriving, AT_ONCE))
+        documents = list(islice(self._arriving, HITS_PER_POLL))
         if not documents:
             self._arriving = self._followed.arrived()
-            documents = list(islice(self._arriving, AT_ONCE))
+            documents = list(islice(self._arriving, HITS_PER_POLL))
         lessons = [*self._refusals(), *map(self._lesson, documents)]
         if not documents and (begun := self._followed.diagnose()):
             lessons.append(Lesson(begun, hit=False))

@@ -20,7 +20,7 @@ from impact_rs_cli.parser import CommandParser, Parser, spelled
 from impact_rs_commands import COMMANDS
 from impact_rs_sim.errors import InputError, MissingPackage, full_traceback, shortened
 
-LONGEST_MESSAGE = 2000  # characters of an error; some repeat what they were given
+MAX_ERROR_CHARACTERS = 2000  # of an error; some repeat what they were given
 
 PACKAGES = (  # whose log --debug shows
     "impact_rs_sim",
@@ -138,7 +138,7 @@ def _fail(error: BaseException, message: str, code: int, debug: bool) -> int:
     if debug:
         print(full_traceback(error), file=sys.stderr)
     with suppress(OSError):  # a full disk may hold standard error, too
-        print(f"impact-rs: {shortened(message, LONGEST_MESSAGE)}", file=sys.stderr)
+        print(f"impact-rs: {shortened(message, MAX_ERROR_CHARACTERS)}", file=sys.stderr)
     return code
 
 

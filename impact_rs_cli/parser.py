@@ -16,7 +16,7 @@ from impact_rs_commands import command_named
 from impact_rs_commands.declaration import READ, WRITTEN, Command, Option
 from impact_rs_sim.errors import did_you_mean, shortened
 
-LONGEST_MESSAGE = 1000  # characters; what the user typed is repeated in it
+MAX_USAGE_CHARACTERS = 1000  # of an error that repeats the user's words
 PROGRAM = os.environ.get("IMPACT_RS_PROGRAM", "impact-rs")  # how hints spell it: ./run sets "./run impact-rs"
 
 
@@ -39,7 +39,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print one line and leave with exit code 2."""
-        message = shortened(message, LONGEST_MESSAGE)
+        message = shortened(message, MAX_USAGE_CHARACTERS)
         print(f"{self.prog}: {message}{self._suggestion(message)} (see {self.prog} --help)", file=sys.stderr)
         raise SystemExit(2)
 

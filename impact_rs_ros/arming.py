@@ -14,7 +14,7 @@ from geometry_msgs.msg import PoseStamped
 
 from impact_msgs_py.conversions import pose_from_message
 from impact_rs_control.plan import TrialPlan
-from impact_rs_ros.effort_arms import REST, EffortArms
+from impact_rs_ros.effort_arms import MAX_REST_SPEED, EffortArms
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.motion_capture import MOCAP, TrackerPoses
 from impact_rs_ros.robot_states import STATES, ArmStates
@@ -22,11 +22,11 @@ from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags.topics import CLOCK
 
 LOOKING, LOOKING_STATES = 0.5, 50  # s and states: how long the robot is looked at, at least
-PATIENCE = 3.0  # s, to get that far
-HOLDING = 0.2  # s of the robot's time, that it must stay where it is held before it is led
-PERIOD_TOLERANCE = 0.02  # of the period, that the states of the robot may come faster or slower
-POSE_AGE = 0.5  # s, that a pose of the object may be old
-SLICE = 0.002  # s, between two looks
+ARMING_TIMEOUT_S = 3.0
+HOLDING_S = 0.2  # of robot time, in which it must stay where it is held before it is led
+PERIOD_TOLERANCE_SHARE = 0.02  # of the period, by which the states of the robot may come faster or slower
+MAX_POSE_AGE_S = 0.5  # of the object
+ARMING_POLL_S = 0.002
 
 
 @dataclass(frozen=True)
@@ -97,9 +97,9 @@ class Arming:
             first = ", ".join(names[0] for names in self._arms.states.joints.values())
             raise InputError(f"not armed: no state of {first} and the other joints on {STATES}: is the robot running?")
         if len(stamps) < LOOKING_STATES:
-            raise InputError(f"{STATES}: {len(stamps)} states in {PATIENCE:g} s, expected {LOOKING_STATES}")
+            raise InputError(f"{STATES}: {len(stamps)} states in {ARMING_TIMEOUT_S:g} s, expected {LOOKING_STATES}")
         steps = 1e-9 * np.diff(np.array(stamps))
-        if abs(median(steps.tolist()) - period) > PERIOD_TOLERANCE * period:
+        if abs(median(steps.tolist()) - period) > PERIOD_TOLERANCE_SHARE * period:
             raise InputError(
                 f"{STATES}: a state every {1e3 * median(steps.tolist()):.3f} ms; timing.control_period of the scenario "
                 f"is {1e3 * period:g} ms"
@@ -123,7 +123,7 @@ class Arming:
         """
         latest = self._arms.states.latest
         assert latest is not None
-        until = latest.stamp + round(1e9 * HOLDING)
+        until = latest.stamp + round(1e9 * HOLDING_S)
         self._arms.rest()
         for states in self._states(self._arms):
             if complaint := start_complaint(self._plan, states, self._limits.start):
@@ -134,20 +134,22 @@ class Arming:
                 )
             if states.stamp >= until:
                 return self._object()
-        raise InputError(f"not armed: less than {HOLDING:g} s of states in {PATIENCE:g} s while the robot was held")
+        raise InputError(
+            f"not armed: less than {HOLDING_S:g} s of states in {ARMING_TIMEOUT_S:g} s while the robot was held"
+        )
 
     def _object(self) -> str:
         if self._mocap is None:
             return ""
         if self._pose is None:
-            raise InputError(f"not armed: no pose of the object on {MOCAP} in the last {POSE_AGE:g} s")
+            raise InputError(f"not armed: no pose of the object on {MOCAP} in the last {MAX_POSE_AGE_S:g} s")
         return f", object {distance_from_scenario(self._plan, self._pose)}"
 
     def _states(self, holder: EffortArms | None) -> Iterator[ArmStates]:
         """Usable states for a while, each as it comes; poses of the object are read on the way."""
-        until, first = self._monotonic() + PATIENCE, True
+        until, first = self._monotonic() + ARMING_TIMEOUT_S, True
         while self._monotonic() < until:
-            self._inbox.wait(SLICE)
+            self._inbox.wait(ARMING_POLL_S)
             for topic, data in self._inbox.take():
                 if topic == MOCAP and self._mocap is not None:
                     self._see(self._mocap.read(data))
@@ -164,7 +166,7 @@ class Arming:
                 if states.complaint:
                     raise InputError(f"not armed: {STATES}: {states.complaint}")
                 if first:  # of a robot that was only just found
-                    until, first = self._monotonic() + PATIENCE, False
+                    until, first = self._monotonic() + ARMING_TIMEOUT_S, False
                 yield states
             if holder is not None:
                 holder.rest()
@@ -172,7 +174,7 @@ class Arming:
     def _see(self, pose: PoseStamped | None) -> None:
         if pose is not None:
             stamp = pose.header.stamp.sec * 10**9 + pose.header.stamp.nanosec
-            self._pose = pose if abs(1e-9 * (self._arms.states.clock.now() - stamp)) <= POSE_AGE else None
+            self._pose = pose if abs(1e-9 * (self._arms.states.clock.now() - stamp)) <= MAX_POSE_AGE_S else None
 
 
 def start_complaint(plan: TrialPlan, states: ArmStates, tolerance: float) -> str:
@@ -193,9 +195,9 @@ def start_complaint(plan: TrialPlan, states: ArmStates, tolerance: float) -> str
                 f"joint {index + 1} of {name} is {away[index]:+.4f} rad from where the trial starts, start_tolerance "
                 f"is {tolerance:g} rad; move the arm to [{start}]"
             )
-        if not np.all(np.abs(arm.velocity) <= REST):
+        if not np.all(np.abs(arm.velocity) <= MAX_REST_SPEED):
             fastest = np.abs(arm.velocity).max()
-            return f"{name} moves at {fastest:.3g} rad/s; a trial starts at rest, below {REST:g} rad/s"
+            return f"{name} moves at {fastest:.3g} rad/s; a trial starts at rest, below {MAX_REST_SPEED:g} rad/s"
     return ""
 
 

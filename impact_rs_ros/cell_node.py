@@ -21,7 +21,7 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.arming import Arming, ArmingLimits
 from impact_rs_ros.cell_trial import CellTrial, TrialLimits
 from impact_rs_ros.effort_arms import (
-    BRAKING,
+    MAX_BRAKING_S,
     EffortArms,
     arms_of,
     commands_topic,
@@ -37,7 +37,7 @@ from impact_rs_ros.process import run
 from impact_rs_ros.qos import COMMAND, LATCHED, WATCH
 from impact_rs_ros.robot_clock import RobotClock
 from impact_rs_ros.robot_states import STATES
-from impact_rs_ros.trial_node import MATCHING, SLICE, LeadingNode
+from impact_rs_ros.trial_node import SUBSCRIBER_POLL_S, TRIAL_SLICE_S, LeadingNode
 from impact_rs_ros.watchdog_node import BRAKING_TOPIC, TORQUES, WatchdogNode
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
@@ -45,9 +45,9 @@ from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
 
-LISTENING = 1.0  # s, until the effort controllers, and the names of those who can send torques, must have been found
-ECHOES = 0.005  # s, between two looks at what it passed on
-SURVEY = 0.1  # s, between two looks at who else publishes what only this cell or one robot may publish
+DISCOVERY_S = 1.0  # in which the effort controllers, and the names of all publishers of torques, must be found
+ECHO_POLL_S = 0.005  # between two checks of the torques that the watchdog passed on
+PUBLISHER_POLL_S = 0.1  # between two checks who else publishes topics reserved for this cell or one robot
 
 
 class CellNode(LeadingNode[CellTrial]):
@@ -100,19 +100,19 @@ class CellNode(LeadingNode[CellTrial]):
         if self.running or self._held is None:
             super().turn()
             return
-        self._rest(SLICE)
+        self._rest(TRIAL_SLICE_S)
         self.serve(0.0)
         self.diagnose()
 
     def wait(self) -> None:
         if self._held is not None:
-            self._rest(MATCHING)
+            self._rest(SUBSCRIBER_POLL_S)
 
     def work(self, trial: CellTrial, until: float) -> None:
         now = time.monotonic()
         if self._past and trial.begun and not trial.over:
             trial.stop(f"the watchdog passed no torques on for {self.parameter('watchdog_timeout'):g} s: is it alive?")
-        if trial.begun and not trial.over and now - self._surveyed > SURVEY:
+        if trial.begun and not trial.over and now - self._surveyed > PUBLISHER_POLL_S:
             self._surveyed = now
             if complaint := self._strangers():
                 trial.stop(complaint)
@@ -172,12 +172,12 @@ class CellNode(LeadingNode[CellTrial]):
 
     def brake(self) -> None:
         """Go on until the torques that the robot was sent last may stay."""
-        until = time.monotonic() + BRAKING
+        until = time.monotonic() + MAX_BRAKING_S
         while self._held is not None and not self._held.held:
             if time.monotonic() > until:
-                self.log.error(f"the arms did not come to rest within {BRAKING:g} s: press the emergency stop")
+                self.log.error(f"the arms did not come to rest within {MAX_BRAKING_S:g} s: press the emergency stop")
                 return
-            self._rest(MATCHING)
+            self._rest(SUBSCRIBER_POLL_S)
 
     def _rest(self, seconds: float) -> None:
         if self._held is not None:
@@ -198,7 +198,7 @@ class CellNode(LeadingNode[CellTrial]):
 
     def _listen(self, now: float) -> None:
         """Hear what the watchdog passes on; where it has passed nothing on for long, go past it."""
-        if 0.0 <= now - self._echoed < ECHOES:
+        if 0.0 <= now - self._echoed < ECHO_POLL_S:
             return
         patience = self.parameter("watchdog_timeout")
         stalled, self._echoed = now - self._echoed > patience / 2.0, now
@@ -257,18 +257,18 @@ class CellNode(LeadingNode[CellTrial]):
 
     def _await_names(self) -> None:
         """Wait for the names of those who can send torques: one without a name is a stranger, a watchdog is none."""
-        until = time.monotonic() + LISTENING
+        until = time.monotonic() + DISCOVERY_S
         while time.monotonic() < until and any(
             info.node_name == UNKNOWN
             for topic in self._torque_ways()
             for info in self.node.get_publishers_info_by_topic(topic)
         ):
-            self.inbox.wait(MATCHING)
-            self._rest(MATCHING)
+            self.inbox.wait(SUBSCRIBER_POLL_S)
+            self._rest(SUBSCRIBER_POLL_S)
 
     def _await_listeners(self) -> None:
         """Wait for who takes the torques, who may have been found after the states."""
-        until = time.monotonic() + LISTENING
+        until = time.monotonic() + DISCOVERY_S
         for arm in self.arms:
             for topic in {self._topics[arm]: None, commands_topic(arm): None}:
                 name = resolved(self.node, topic)
@@ -279,8 +279,8 @@ class CellNode(LeadingNode[CellTrial]):
                         if topic != commands_topic(arm):
                             remedy = "does the watchdog have the scenario of the trial?"
                         raise InputError(f"not armed: nothing listens to torques on {name}: {remedy}")
-                    self.inbox.wait(MATCHING)
-                    self._rest(MATCHING)
+                    self.inbox.wait(SUBSCRIBER_POLL_S)
+                    self._rest(SUBSCRIBER_POLL_S)
 
 
 def main() -> None:

@@ -34,7 +34,7 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.arming import Arming, ArmingLimits
 from impact_rs_ros.cell_trial import CellTrial, TrialLimits
 from impact_rs_ros.driver_profiles import DriverProfile
-from impact_rs_ros.effort_arms import REST, EffortArms, arms_of, rest_until
+from impact_rs_ros.effort_arms import MAX_REST_SPEED, EffortArms, arms_of, rest_until
 from impact_rs_ros.node_parameters import defaults_of
 from impact_rs_ros.robot_states import STATES, joint_names
 from impact_rs_ros.watchdog_node import Watchdog
@@ -47,14 +47,14 @@ from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.streams import StreamMaker
 from impact_rs_trials.checked_bound import CheckedBound
 
-BEGAN = 1_700_000_000  # s, what the driver's clock shows at the start
-LIFETIME = 8.0  # s of simulated time, for which the plant draws its noise
-COMPUTING = 0.0003  # s, that the controller takes for a torque; assumed
-LOOKS = 0.002  # s, between two looks of the watchdog
-HOP = 0.0003  # s, that the watchdog adds to the way of a torque; measured by benchmarks/timing/watchdog_hop.py
-DIES = 0.02  # s before the nominal impact, when the cell falls silent
-STOPPING = 1.5  # s, in which arms must rest after that; as the test of the watchdog node asks
-SETTLING = 1.0  # s, that the arms may take to rest after a trial
+DRIVER_CLOCK_START_S = 1_700_000_000  # of the driver
+NOISE_DURATION_S = 8.0  # of simulated time, for which the plant draws its noise
+CONTROLLER_TIME_S = 0.0003  # for one torque; assumed
+WATCHDOG_POLL_S = 0.002
+WATCHDOG_HOP_S = 0.0003  # added to the path of a torque; measured by benchmarks/timing/watchdog_hop.py
+SILENT_BEFORE_IMPACT_S = 0.02  # before the nominal impact, when the cell falls silent
+MAX_STOPPING_S = 1.5  # until the arms rest after that; as in the test of the watchdog node
+MAX_SETTLING_S = 1.0  # until the arms rest after a trial
 
 
 @dataclass
@@ -134,7 +134,7 @@ class VirtualTime:
 
     def now(self) -> int:
         """Time of stamps [ns]."""
-        return BEGAN * 10**9 + round(1e9 * self.time)
+        return DRIVER_CLOCK_START_S * 10**9 + round(1e9 * self.time)
 
     def steady(self) -> float:
         """Time of which differences are taken [s]."""
@@ -177,7 +177,7 @@ class VirtualInbox:
 
 
 class VirtualOutbox:
-    """Outbox of the cell: the controller behind it answers the states of all arms after ``COMPUTING``."""
+    """Outbox of the cell: the controller behind it answers the states of all arms after ``CONTROLLER_TIME_S``."""
 
     due = False
 
@@ -194,7 +194,7 @@ class VirtualOutbox:
         self._gathered[self._arm_of[topic]] = sample
         if len(self._gathered) == len(self._arm_of):
             gathered, self._gathered = self._gathered, {}
-            self._clock.at(self._clock.time + COMPUTING, lambda: self._answer(tick, gathered))
+            self._clock.at(self._clock.time + CONTROLLER_TIME_S, lambda: self._answer(tick, gathered))
         return b""
 
     def _answer(self, tick: int, measured: Mapping[str, ArmMeasurement]) -> None:
@@ -266,7 +266,7 @@ class StandIn:
         self.models, timing = scene.models, scene.scenario.timing
         self.period = timing.control_period if profile.period is None else profile.period
         lasting = scene.scenario.model_copy(
-            update={"timing": timing.model_copy(update={"duration": LIFETIME, "control_period": self.period})}
+            update={"timing": timing.model_copy(update={"duration": NOISE_DURATION_S, "control_period": self.period})}
         )
         initial = {name: arm.initial for name, arm in plan.arms.items()}
         self.plant = Plant.for_trial(lasting, scene.physics, initial, scene.object, seed)
@@ -291,7 +291,7 @@ class StandIn:
     @property
     def at_rest(self) -> bool:
         """Whether all joints are slower than ``REST``."""
-        return all(np.abs(one.velocity).max() <= REST for one in self.measured.values())
+        return all(np.abs(one.velocity).max() <= MAX_REST_SPEED for one in self.measured.values())
 
     def command(self, arm: str, torque: Array) -> None:
         """A torque is on its way to the effort controller of an arm."""
@@ -457,7 +457,7 @@ class _Cell:
             self.robot.command(arm, torque)
             return
         data = bytes(serialize_message(Float64MultiArray(data=torque.tolist())))
-        self.clock.at(self.clock.time + HOP, lambda: watchdog.heard(arm, data, self.clock.steady()))
+        self.clock.at(self.clock.time + WATCHDOG_HOP_S, lambda: watchdog.heard(arm, data, self.clock.steady()))
 
     def _watch(self, own: Mapping[str, Any]) -> Watchdog:
         """A watchdog between the cell and the robot."""
@@ -468,7 +468,7 @@ class _Cell:
             watchdog.look(self.clock.steady())
             if watchdog.braking:
                 watchdog.arms.rest()
-            self.clock.at(self.clock.time + LOOKS, look)
+            self.clock.at(self.clock.time + WATCHDOG_POLL_S, look)
 
         self.clock.at(0.0, look)
         return watchdog
@@ -508,7 +508,7 @@ def _rehearse_trial(cell: _Cell, found: Checklist) -> None:
         if cell.robot.error:
             found.log.append(_stopped_words(cell.robot, trial))
         ended = cell.clock.time
-        while not cell.arms.held and cell.clock.time < ended + SETTLING:
+        while not cell.arms.held and cell.clock.time < ended + MAX_SETTLING_S:
             rest_until(cell.arms, cell.inbox, cell.clock.time + cell.robot.period, cell.clock)  # type: ignore[arg-type]
         if cell.arms.held:
             rest = f"the arms rest {cell.clock.time - ended:.2f} s later"
@@ -523,11 +523,11 @@ def _rehearse_trial(cell: _Cell, found: Checklist) -> None:
             CheckedBound("age of a state", cell.arms.states.oldest, cell.parameters["state_timeout"], "s", ""),
             CheckedBound(
                 "answer of the controller", float(str(status["slowest_answer [s]"])),
-                cell.parameters["answer_timeout"], "s", f"{COMPUTING:g} s of it assumed for computing",
+                cell.parameters["answer_timeout"], "s", f"{CONTROLLER_TIME_S:g} s of it assumed for computing",
             ),
         ]  # fmt: skip
         if not cell.robot.error:
-            found.margins.append(CheckedBound("rest after the trial", cell.clock.time - ended, SETTLING, "s", ""))
+            found.margins.append(CheckedBound("rest after the trial", cell.clock.time - ended, MAX_SETTLING_S, "s", ""))
     except InputError as error:
         found.failure = str(error)
         found.log.append(f"refused: {error}")
@@ -595,14 +595,14 @@ def _rehearse_death(cell: _Cell, found: Checklist) -> None:
     try:
         cell.arm()
         trial = cell.trial()
-        dies = round(1e9 * (plan.scene.scenario.timing.nominal_impact - DIES))
+        dies = round(1e9 * (plan.scene.scenario.timing.nominal_impact - SILENT_BEFORE_IMPACT_S))
         while not trial.over and trial.now < dies:
             trial.work(cell.clock.time + cell.robot.period)
         cell.alive = False
         died = cell.clock.time
         fastest = max(float(np.abs(one.velocity).max()) for one in cell.robot.measured.values())
         rested = died
-        while cell.clock.time < died + STOPPING + 0.5:
+        while cell.clock.time < died + MAX_STOPPING_S + 0.5:
             cell.inbox.wait(cell.robot.period)
             cell.inbox.waiting.clear()
             if not cell.robot.at_rest:
@@ -613,7 +613,7 @@ def _rehearse_death(cell: _Cell, found: Checklist) -> None:
             + (f"; the robot stopped itself ({cell.robot.error})" if cell.robot.error else "")
         )
         found.margins.append(
-            CheckedBound("time to stop when the cell dies", rested - died, STOPPING, "s", "by the watchdog")
+            CheckedBound("time to stop when the cell dies", rested - died, MAX_STOPPING_S, "s", "by the watchdog")
         )
     except InputError as error:  # a robot that stops itself while it is armed
         found.log.append(f"with a watchdog: refused: {error}")

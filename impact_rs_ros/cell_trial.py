@@ -18,20 +18,20 @@ import numpy as np
 from impact_rs_control.arm_limits import torque_complaint
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.arming import start_complaint
-from impact_rs_ros.effort_arms import REST, EffortArms
+from impact_rs_ros.effort_arms import MAX_REST_SPEED, EffortArms
 from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.joint_signals import JointReader
 from impact_rs_ros.motion_capture import MOCAP, TrackerPoses
 from impact_rs_ros.robot_states import STATES, ArmStates
-from impact_rs_ros.trial_node import CONNECTING, LeadingTrial
+from impact_rs_ros.trial_node import CONNECTION_TIMEOUT_S, LeadingTrial
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
 
-REPEAT = 0.25  # s, until the controller is sent the first state again
-TICKS = 100  # the last ones, of which late torques are a share
-AWAY = 0.03  # m from both references; an arm that obeys does not rest there
-IDLE = 0.1  # s
+REPEAT_S = 0.25  # until the first state is sent to the controller again
+LATE_WINDOW_TICKS = 100  # the last ones, for the share of late torques
+MAX_REST_ERROR_M = 0.03  # from both references; an arm that obeys does not rest beyond it
+MAX_REST_AWAY_S = 0.1  # at rest so far from the references
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class CellTrial(LeadingTrial):
         self._asked: dict[int, float] = {}  # when the controller was asked, by tick that has no answer
         self._answered = dict.fromkeys(plan.arms, -1)
         self._torques: dict[str, Array] = {}  # the last answer of each arm
-        self._late: deque[bool] = deque(maxlen=TICKS)
+        self._late: deque[bool] = deque(maxlen=LATE_WINDOW_TICKS)
         self._astray: dict[str, int] = {}  # since which tick an arm rests away from its references
         self._lost = self._poses = 0
         self._slowest = 0.0  # s
@@ -179,14 +179,17 @@ class CellTrial(LeadingTrial):
     def _disobedience(self, tick: int, states: ArmStates) -> str:
         """Which arm rests away from its references with and without an impact; empty: none."""
         for arm, measured in states.arms.items():
-            if np.abs(measured.velocity).max() > REST or self._distance(arm, measured.position, tick) <= AWAY:
+            if (
+                np.abs(measured.velocity).max() > MAX_REST_SPEED
+                or self._distance(arm, measured.position, tick) <= MAX_REST_ERROR_M
+            ):
                 self._astray.pop(arm, None)
                 continue
             since = self._astray.setdefault(arm, tick)
-            if (tick - since) * self._period_ns >= 1e9 * IDLE:
+            if (tick - since) * self._period_ns >= 1e9 * MAX_REST_AWAY_S:
                 return (
-                    f"{arm} has rested for {IDLE:g} s more than {AWAY:g} m from its references: has the robot stopped "
-                    "itself? See the log of its driver"
+                    f"{arm} has rested for {MAX_REST_AWAY_S:g} s more than {MAX_REST_ERROR_M:g} m from its "
+                    "references: has the robot stopped itself? See the log of its driver"
                 )
         return ""
 
@@ -200,7 +203,7 @@ class CellTrial(LeadingTrial):
         """Count whether the torque of a tick came before the next state; end the trial where too many did not."""
         self._late.append(late)
         count, limit = sum(self._late), self._limits.late_torque_share
-        if count <= limit * TICKS:
+        if count <= limit * LATE_WINDOW_TICKS:
             return False
         self.stop(
             f"{self._time}: {count} of the last {len(self._late)} torques came after the next state or never, "
@@ -219,7 +222,7 @@ class CellTrial(LeadingTrial):
                 topics.joint_states(arm): self._outbox.now(topics.joint_states(arm), 0, measured)
                 for arm, measured in states.arms.items()
             }
-        elif now - self._first_sent > REPEAT:
+        elif now - self._first_sent > REPEAT_S:
             self._first_sent = now
             for topic, data in self._first.items():
                 self._outbox.repeat(topic, data)
@@ -279,8 +282,8 @@ class CellTrial(LeadingTrial):
             waited = self._clock() - next(iter(self._asked.values()))
             if self._origin is not None and waited > self._limits.answer_timeout:
                 self._too_slow(waited)
-            elif self._origin is None and waited > CONNECTING:
-                self.stop(f"the controller does not answer the first state within {CONNECTING:g} s")
+            elif self._origin is None and waited > CONNECTION_TIMEOUT_S:
+                self.stop(f"the controller does not answer the first state within {CONNECTION_TIMEOUT_S:g} s")
 
     def _seen(self, data: bytes) -> None:
         """Pass on where the object is, in trial time and in the world frame."""

@@ -22,8 +22,8 @@ from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.robot_states import STATES, ArmStates, Clock, RobotStates, joint_names
 from impact_rs_sim.robot import Array
 
-REST = 0.02  # rad/s, m/s; slower is at rest: the holding torque then changes by a thousandth of what an arm weighs
-BRAKING = 0.6  # s, that arms may take to rest before they are left; six times the time constant of the brake
+MAX_REST_SPEED = 0.02  # rad/s, m/s; the holding torque then changes by a thousandth of the gravity torque
+MAX_BRAKING_S = 0.6  # until arms rest before they are left; six time constants of the brake
 
 
 def commands_topic(arm: str) -> str:
@@ -116,7 +116,7 @@ class EffortArms:
             torque = model.gravity_torque(arm.position)
             if fresh:
                 torque = holding_torque(model, self._motor_inertia[name], arm.position, arm.velocity)
-            still = bool(np.all(np.abs(arm.velocity) <= REST))
+            still = bool(np.all(np.abs(arm.velocity) <= MAX_REST_SPEED))
             reached.append(self._set(name, torque) and fresh and still)
         self.held = all(reached)
 

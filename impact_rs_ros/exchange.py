@@ -27,8 +27,8 @@ from impact_rs_ros.names import on_network, resolved
 from impact_rs_ros.qos import offered
 from impact_rs_trials.bags.streams import Stream
 
-BURST = 40  # samples that are published together, some ten ticks
-BURST_AGE = 0.1  # s, wall clock: a slow trial still shows progress
+BURST_SAMPLES = 40  # published together, some ten ticks
+MAX_BURST_AGE_S = 0.1  # wall clock: a slow trial still shows progress
 
 
 class Inbox:
@@ -180,7 +180,7 @@ class Outbox:
     @property
     def due(self) -> bool:
         """Whether the next burst is large or old enough."""
-        return self._samples >= BURST or time.monotonic() - self._flushed > BURST_AGE
+        return self._samples >= BURST_SAMPLES or time.monotonic() - self._flushed > MAX_BURST_AGE_S
 
     def flush(self) -> None:
         """Publish the burst."""

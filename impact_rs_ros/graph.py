@@ -37,11 +37,11 @@ from impact_rs_trials.bags.trial_info import Outcome, TrialKey
 from impact_rs_trials.campaign import Manifest, TrialReport, keep_failure, report_of_bag
 from impact_rs_trials.store import open_store
 
-START_TIMEOUT = 60.0  # s, for all nodes to answer; imports take some seconds on a busy machine
-STARTS = 3  # attempts to start the nodes, if one is killed or freezes meanwhile
-FOREIGN_TIMEOUT = 120.0  # s, for the user's own node in place of one of ours; it may have to be started by hand
-RESULT_TIMEOUT = 10.0  # s, for the answer of a service, or to a goal
-SILENCE = 60.0  # s without feedback on a trial; longer than the experiment node waits for any other node
+START_TIMEOUT_S = 60.0  # for all nodes to answer; imports take some seconds on a busy machine
+MAX_STARTS = 3  # of the nodes, if one is killed or freezes meanwhile
+FOREIGN_TIMEOUT_S = 120.0  # for a user's node in place of one of ours, which may have to be started by hand
+RESULT_TIMEOUT_S = 10.0  # for the answer of a service or to a goal
+MAX_SILENCE_S = 60.0  # without feedback on a trial; longer than the experiment node waits for any other node
 
 _CONFIGURABLE = {"configure_trial": ConfigureTrial, "finish_trial": FinishTrial}
 SERVICES: dict[str, dict[str, Any]] = {
@@ -173,7 +173,7 @@ class Graph:
 
         If a node is killed or freezes meanwhile, all are started again.
         """
-        for _ in range(STARTS):
+        for _ in range(MAX_STARTS):
             for name in self._ours:
                 self.nodes.start(name)
             if not (cause := self._await_ours()):
@@ -224,7 +224,7 @@ class Graph:
 
     def _await_ours(self) -> str:
         """Wait until our nodes offer what they serve; returns why they do not, or an empty text."""
-        deadline = time.monotonic() + START_TIMEOUT
+        deadline = time.monotonic() + START_TIMEOUT_S
         while missing := [service for name in self._ours for service in self._missing(name)]:
             self.spin(0.02)
             for name, line in self.lost().items():
@@ -232,24 +232,24 @@ class Graph:
                     raise GraphError(line)
                 return line
             if time.monotonic() > deadline:
-                return f"no node offers {', '.join(missing)} within {START_TIMEOUT:g} s"
+                return f"no node offers {', '.join(missing)} within {START_TIMEOUT_S:g} s"
         return ""
 
     def _await_foreign(self) -> None:
         """Wait for the nodes that the user provides, and notify once about each."""
         for name in self.foreign:
-            deadline = time.monotonic() + FOREIGN_TIMEOUT
+            deadline = time.monotonic() + FOREIGN_TIMEOUT_S
             notified = False
             while missing := self._missing(name):
                 what = f"{'actions' if name == 'experiment' else 'services'} {', '.join(missing)}"
                 if not notified:
-                    self._notify(f"waiting for a {name}: {what}; for {FOREIGN_TIMEOUT:g} s at most")
+                    self._notify(f"waiting for a {name}: {what}; for {FOREIGN_TIMEOUT_S:g} s at most")
                     notified = True
                 for line in self.lost().values():
                     raise GraphError(line)
                 if time.monotonic() > deadline:
                     raise GraphError(
-                        f"no {name} came within {FOREIGN_TIMEOUT:g} s: no node offers the {what} in ROS domain "
+                        f"no {name} came within {FOREIGN_TIMEOUT_S:g} s: no node offers the {what} in ROS domain "
                         f"{self._domain_id}"
                     )
                 self.spin(0.1)
@@ -271,17 +271,17 @@ class Graph:
             if feedback is not None:
                 feedback(message)
 
-        handle = self._wait(self.run_trial.send_goal_async(goal, feedback_callback=hear), RESULT_TIMEOUT)
+        handle = self._wait(self.run_trial.send_goal_async(goal, feedback_callback=hear), RESULT_TIMEOUT_S)
         if not handle.accepted:
             raise GraphError(f"the experiment node rejected the trial: {self.nodes.last_line('experiment')}")
-        answer: RunTrial.Result = self._wait(handle.get_result_async(), SILENCE).result
+        answer: RunTrial.Result = self._wait(handle.get_result_async(), MAX_SILENCE_S).result
         return answer
 
-    def call(self, kind: Any, name: str, request: Any, timeout: float = RESULT_TIMEOUT) -> Any:
+    def call(self, kind: Any, name: str, request: Any, timeout: float = RESULT_TIMEOUT_S) -> Any:
         """Call a service of a node, and wait at most ``timeout`` [s] for its answer."""
         client = self.node.create_client(kind, name)
         try:
-            deadline = time.monotonic() + RESULT_TIMEOUT
+            deadline = time.monotonic() + RESULT_TIMEOUT_S
             while not client.service_is_ready():
                 if time.monotonic() > deadline:
                     raise GraphError(f"there is no service {client.srv_name}")

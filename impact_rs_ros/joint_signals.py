@@ -12,8 +12,8 @@ import numpy as np
 from impact_rs_sim.robot import Array
 
 FIELDS = ("position", "velocity", "effort")
-MOST_JOINTS = 1024  # in one message; bounds the time to decode it
-MOST_NAME_BYTES = 65536  # of all names of one message; bounds the memory it can take
+MAX_JOINTS = 1024  # in one message; bounds the time to decode it
+MAX_NAME_BYTES = 65536  # of all names of one message; bounds its memory
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class JointSignals:
 def joint_signals(data: bytes) -> JointSignals:
     """Decode a serialized ``sensor_msgs/JointState``, ten times as fast as rclpy.
 
-    Never raises: for bytes that are not such a message, or one of more than ``MOST_JOINTS`` joints, the result has a
+    Never raises: for bytes that are not such a message, or one of more than ``MAX_JOINTS`` joints, the result has a
     complaint, stamp 0 and no values.
 
     XCDR1: a value is aligned to its size, counted from the end of the encapsulation header of four bytes; a sequence
@@ -66,13 +66,13 @@ def _decoded(data: bytes) -> JointSignals:
     first = at
     (names,) = integer(data, at)
     at += 4
-    if names > MOST_JOINTS:
+    if names > MAX_JOINTS:
         raise ValueError("too many joints")
     for _ in range(names):
         at += -at % 4
         at += 4 + integer(data, at)[0]
     last = at
-    if last > len(data) or last - first > MOST_NAME_BYTES:
+    if last > len(data) or last - first > MAX_NAME_BYTES:
         raise ValueError("names without end")
     values = []
     for _ in range(3):

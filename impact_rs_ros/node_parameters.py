@@ -21,7 +21,7 @@ from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import load_mapping
 
 Value = bool | float | str
-FULL_TURN = 6.283185  # rad
+FULL_TURN_RAD = 6.283185
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,7 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
                 f"Rotation of the motion-capture frame in world about the fixed {axis} axis; roll, then pitch, then yaw"
                 " (REP-103)",
                 "rad",
-                (-FULL_TURN, FULL_TURN),
+                (-FULL_TURN_RAD, FULL_TURN_RAD),
             )
             for name, axis in (("roll", "x"), ("pitch", "y"), ("yaw", "z"))
         ),

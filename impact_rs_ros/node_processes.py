@@ -20,9 +20,9 @@ from impact_rs_sim.paths import config_directory
 from impact_rs_sim.scenario import scenario_path
 
 NODES = ("plant", "impact_map", "controller", "recorder", "experiment")
-REFUSED = 2  # exit code of a node with a parameter that is not allowed; to start it again does not help
-STOP_TIMEOUT = 10.0  # s, for all nodes to end after SIGTERM
-CLOSING = 6.0  # s of it, for the experiment node to end its trial
+REFUSED_EXIT_CODE = 2  # of a node with a parameter that is not allowed; starting it again does not help
+STOP_TIMEOUT_S = 10.0  # for all nodes to end after SIGTERM
+CLOSING_S = 6.0  # of it, for the experiment node to end its trial
 
 
 def ours(without: Sequence[str]) -> list[str]:
@@ -117,7 +117,7 @@ class NodeProcesses:
 
     def refused(self, name: str) -> bool:
         """Whether a node ended because of a mistake of the user."""
-        return self.processes[name].poll() == REFUSED
+        return self.processes[name].poll() == REFUSED_EXIT_CODE
 
     def kill(self, name: str) -> None:
         """End a node by force."""
@@ -148,8 +148,8 @@ class NodeProcesses:
                 process = running.pop(name)
                 process.terminate()  # SIGTERM: a node that is still importing ends without a traceback
                 if name == "experiment":
-                    _wait_for(process, began + CLOSING)
-        deadline = began + STOP_TIMEOUT
+                    _wait_for(process, began + CLOSING_S)
+        deadline = began + STOP_TIMEOUT_S
         for process in self.processes.values():
             _wait_for(process, deadline)
 

@@ -20,7 +20,7 @@ from impact_rs_ros.joint_signals import JointReader
 from impact_rs_ros.message_types import RosidlTypes
 from impact_rs_ros.names import frame_prefix
 from impact_rs_ros.process import run
-from impact_rs_ros.trial_node import CONNECTING, LeadingNode, LeadingTrial
+from impact_rs_ros.trial_node import CONNECTION_TIMEOUT_S, LeadingNode, LeadingTrial
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import parse_model
 from impact_rs_sim.plant import Plant
@@ -192,7 +192,7 @@ class PlantTrial(LeadingTrial):
             self._missed += 1
             return True
         self._silent_since = self._silent_since or asked
-        patience = pace.answer_timeout if self._tick else max(CONNECTING, pace.answer_timeout)
+        patience = pace.answer_timeout if self._tick else max(CONNECTION_TIMEOUT_S, pace.answer_timeout)
         if time.monotonic() - self._silent_since > patience:
             who = ", ".join(sorted(self._missing))
             self.stop(

@@ -32,8 +32,8 @@ from impact_rs_trials.spec import TrialSpec
 SUPERVISOR = "IMPACT_RS_SUPERVISOR"  # process id of the runner; a node does not outlive it
 OWN_SERVICES = ("impact_rs.", "std_srvs.")  # packages of the service types that rclpy does not offer by itself
 HARDWARE = "impact_rs"  # hardware_id on /diagnostics
-THROTTLE = 5.0  # s, between two equal lines of the log
-IDLE = 0.25  # s, how long an idle node waits for work in one turn: a signal to end is noticed then, a request at once
+THROTTLE_S = 5.0  # between two equal lines of the log
+IDLE_WAIT_S = 0.25  # of an idle node in one turn: a signal to end is noticed after it, a request at once
 
 
 class NodeProgram:
@@ -127,7 +127,7 @@ class NodeProgram:
         except Exception as error:
             self.log.error(
                 f"what came in could not be served, and is left out: {full_traceback(error)}",
-                throttle_duration_sec=THROTTLE,
+                throttle_duration_sec=THROTTLE_S,
             )
 
     @contextmanager
@@ -145,7 +145,7 @@ class NodeProgram:
     def turn(self) -> None:
         """One turn of the main loop; must return within a fraction of a second."""
         due = self._diagnosed + self.parameter("diagnostics_period") - time.monotonic()
-        self.serve(min(IDLE, max(0.0, due)))
+        self.serve(min(IDLE_WAIT_S, max(0.0, due)))
         self.diagnose()
 
     def status(self) -> tuple[str, Mapping[str, object]]:

@@ -12,7 +12,7 @@ from impact_rs_ros.node_parameters import value
 from impact_rs_ros.qos import WATCH
 from impact_rs_trials.bags import topics
 
-STOPPED = 0.5  # s, without news a simulator has stopped
+MAX_CLOCK_SILENCE_S = 0.5  # of a simulator that runs
 
 
 class RobotClock:
@@ -53,7 +53,7 @@ class RobotClock:
         passed = max(0.0, simulated - self._read) if self._read else 0.0
         if passed:
             self._moved = real
-        stopped = real - max(self._asked, self._moved + STOPPED)
+        stopped = real - max(self._asked, self._moved + MAX_CLOCK_SILENCE_S)
         self._steady += passed or max(0.0, stopped)
         self._read, self._asked = simulated, real
         return self._steady

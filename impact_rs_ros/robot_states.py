@@ -24,7 +24,7 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.sensors import ArmMeasurement
 
 STATES = "/joint_states"  # of joint_state_broadcaster
-NEWER = 0.5  # of the period, that a state is measured after the one before it
+MIN_STEP_PERIODS = 0.5  # between the measurements of two states
 RECENT, EXTRA = 100, 10  # messages, and how many of them may repeat a state or come between two
 
 
@@ -211,7 +211,7 @@ class RobotStates:
 
     def _is_new(self, states: ArmStates) -> bool:
         """Whether it was measured a period after the newest one, and is no repetition nor from a second source."""
-        least = NEWER * self.period * 1e9
+        least = MIN_STEP_PERIODS * self.period * 1e9
         new = self._newest is None or states.stamp - self._newest > least
         # A stamp of long ago is old, or of a robot that was started again: what follows tells.
         new = new or (self._newest is not None and self._newest - states.stamp > self._timeout * 1e9)

@@ -22,8 +22,8 @@ from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
 from impact_rs_ros.effort_arms import (
-    BRAKING,
-    REST,
+    MAX_BRAKING_S,
+    MAX_REST_SPEED,
     EffortArms,
     arms_of,
     commands_topic,
@@ -43,8 +43,8 @@ from impact_rs_trials.spec import TrialSpec
 
 BRAKING_TOPIC = "/watchdog/braking"
 TORQUES = "std_msgs/msg/Float64MultiArray"
-SLICE = 0.02  # s, between two looks at services
-STALLED = 0.01  # s between two looks at the inbox; after that everything that has come is heard before anything is sent
+SERVICE_POLL_S = 0.02
+MAX_INBOX_PAUSE_S = 0.01  # between two reads of the inbox; after a longer one all of it is read before anything is sent
 
 
 class Watchdog:
@@ -82,7 +82,7 @@ class Watchdog:
         if self.braking or self.deposed or not self._heard or self.arms.states.latest is None:
             return False
         speed = max(float(np.abs(arm.velocity).max()) for arm in self.arms.states.latest.arms.values())
-        return now - min(self._heard.values()) > self._timeout and speed > REST
+        return now - min(self._heard.values()) > self._timeout and speed > MAX_REST_SPEED
 
     def look(self, now: float) -> bool:
         """Whether the arms are taken over just now."""
@@ -133,7 +133,7 @@ class WatchdogNode(NodeProgram):
         self._braking.publish(Bool(data=False))
 
     def turn(self) -> None:
-        until = time.monotonic() + SLICE
+        until = time.monotonic() + SERVICE_POLL_S
         while (left := until - time.monotonic()) > 0.0:
             self._inbox.wait(min(left, 0.002))
             self._look()
@@ -144,7 +144,7 @@ class WatchdogNode(NodeProgram):
         """Pass on what has come, judge the silence up to now, and brake if it is due."""
         assert self._watchdog is not None
         watchdog, now = self._watchdog, time.monotonic()
-        if now - self._looked > STALLED:
+        if now - self._looked > MAX_INBOX_PAUSE_S:
             self._inbox.gather()
         self._looked = now
         self._take()
@@ -185,12 +185,12 @@ class WatchdogNode(NodeProgram):
 
     def brake(self) -> None:
         """Go on until the torques that the robot was sent last may stay: nobody else can change them."""
-        watchdog, until = self._watchdog, time.monotonic() + BRAKING
+        watchdog, until = self._watchdog, time.monotonic() + MAX_BRAKING_S
         while watchdog is not None and watchdog.commanded and not watchdog.arms.held:
             if time.monotonic() > until:
-                self.log.error(f"the arms did not come to rest within {BRAKING:g} s: press the emergency stop")
+                self.log.error(f"the arms did not come to rest within {MAX_BRAKING_S:g} s: press the emergency stop")
                 return
-            rest_until(watchdog.arms, self._inbox, time.monotonic() + SLICE, time.monotonic)
+            rest_until(watchdog.arms, self._inbox, time.monotonic() + SERVICE_POLL_S, time.monotonic)
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         del request

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
-ROUNDING = 1e-6  # of a bound
+BOUND_ROUNDING_SHARE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class CheckedBound:
     def margin(self) -> float:
         """How far the value is from the bound, in the unit; negative: beyond. Rounding errors are none."""
         left = self.value - self.bound if self.at_least else self.bound - self.value
-        return 0.0 if abs(left) <= ROUNDING * abs(self.bound) else left
+        return 0.0 if abs(left) <= BOUND_ROUNDING_SHARE * abs(self.bound) else left
 
     @property
     def holds(self) -> bool:

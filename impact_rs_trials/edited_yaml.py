@@ -23,7 +23,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.schema import parse_value, read_text
 
 COMMENT_COLUMN = 48  # of comments behind short values, as in the shipped scenarios
-DIGITS = 6  # significant ones of numbers that are written anew
+YAML_DIGITS = 6  # significant ones, of newly written numbers
 
 
 class Noted(NamedTuple):
@@ -96,7 +96,7 @@ def section(entries: Mapping[str, Any]) -> CommentedMap:
 
 
 def row(values: Iterable[Any]) -> CommentedSeq:
-    """A list in one line, numbers with :data:`DIGITS` significant digits."""
+    """A list in one line, numbers with :data:`YAML_DIGITS` significant digits."""
     made = CommentedSeq(rounded(value) if isinstance(value, float) else value for value in values)
     made.fa.set_flow_style()
     return made
@@ -110,8 +110,8 @@ def in_one_line(content: Mapping[str, Any]) -> CommentedMap:
 
 
 def rounded(value: float) -> float:
-    """A float with :data:`DIGITS` significant digits, without the sign of -0."""
-    return float(f"{value:.{DIGITS}g}") + 0.0
+    """A float with :data:`YAML_DIGITS` significant digits, without the sign of -0."""
+    return float(f"{value:.{YAML_DIGITS}g}") + 0.0
 
 
 def separate(content: CommentedMap, *keys: str) -> None:

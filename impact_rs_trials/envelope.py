@@ -16,7 +16,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.schema import PositiveNumber, Schema
 from impact_rs_trials.spec import TrialSpec
 
-ROUNDING = 1e-9  # of a limit that a case is made for
+LIMIT_ROUNDING_SHARE = 1e-9  # of a limit that a case is made for
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class CellEnvelope(Schema):
             ("speed of a joint over its limit", motion.joint_speed, self.joint_speed, ""),
             ("predicted impulse", motion.impulse, self.impulse, " N s"),
         ):
-            if not value <= limit * (1.0 + ROUNDING):
+            if not value <= limit * (1.0 + LIMIT_ROUNDING_SHARE):
                 return f"{what} {value:.3g}{unit}, the envelope allows {limit:g}{unit}"
         return ""
 

@@ -52,16 +52,16 @@ Report = Callable[[str, int, int], None]
 Kind = Literal["push", "grab", "excite"]
 KINDS: tuple[Kind, ...] = ("push", "grab", "excite")
 
-POSES = 150  # that are looked at
-BEST = 6  # that are simulated
+SEARCHED_POSES = 150
+SIMULATED_POSES = 6  # the best ones
 SEED = 0
-STEP = 0.02  # m, along the way
+PATH_STEP_M = 0.02  # along the path of the pad
 COMFORTABLE = {"revolute": 0.3, "prismatic": 0.1}  # rad, m from a limit; more is no better
-MOST_DEFLECTED = 0.5  # velocity across the pad's normal over that along it, by an impulse along it; less is better
-REGULAR = 0.1  # smallest singular value of the Jacobian (m, rad); more is no better
-SPEEDS = (1.0, 0.8, 0.6, 0.45)  # of the shipped scenario's, until the joints are fast enough
-THRESHOLDS = (1.0, 1.5, 2.0, 3.0, 4.0)  # of the detection, over the shipped one: a heavy arm needs more
-QUIET = 1.3  # a threshold that shall hold in every trial has to hold in these few when it is so much less
+MAX_DEFLECTION_RATIO = 0.5  # velocity across the pad's normal over velocity along it, by an impulse along it
+MIN_SINGULAR_VALUE = 0.1  # of the Jacobian (m, rad); more is no better
+SPEED_FACTORS = (1.0, 0.8, 0.6, 0.45)  # of the shipped scenario, until the joints are fast enough
+THRESHOLD_FACTORS = (1.0, 1.5, 2.0, 3.0, 4.0)  # of the detection in the shipped scenario: a heavy arm needs more
+QUIET_THRESHOLD_FACTOR = 1.3  # a threshold for every trial has to hold in these few when lowered by it
 NORMAL, UP = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 
 
@@ -127,26 +127,26 @@ def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambd
     effector = next(iter(shipped.robots.values())).end_effector
     model = RobotModel(facts, replace(effector.build(), mount_yaw=0.0))
     starts = []
-    for number, start in enumerate(itertools.islice(upright_poses(model, SEED), POSES)):
-        report("poses", number, POSES)
+    for number, start in enumerate(itertools.islice(upright_poses(model, SEED), SEARCHED_POSES)):
+        report("poses", number, SEARCHED_POSES)
         if start is not None:
             starts.append(start)
     drive = assumed_drive(facts, model.end_effector, shipped.timing.drive_period)
     motors = np.array(drive.get("motor_inertia_reduced", drive["motor_inertia_rotor"]))
     failures: list[str] = []
-    for round_, speed in enumerate(SPEEDS):
+    for round_, speed in enumerate(SPEED_FACTORS):
         rated = sorted((_rated(model, start, shipped, speed, motors) for start in starts), key=lambda one: -one.score)
         texts = (
             (pose, scenario_text(facts_name, facts, kind, model, pose, speed)) for pose in rated if pose.score > 0.0
         )
         clear = (pose for pose, text in texts if _can_be_planned(_read(text, facts)))
-        for number, pose in enumerate(itertools.islice(clear, BEST)):
-            report("trials of poses", round_ * BEST + number, len(SPEEDS) * BEST)
-            for threshold in THRESHOLDS:
+        for number, pose in enumerate(itertools.islice(clear, SIMULATED_POSES)):
+            report("trials of poses", round_ * SIMULATED_POSES + number, len(SPEED_FACTORS) * SIMULATED_POSES)
+            for threshold in THRESHOLD_FACTORS:
                 text = scenario_text(facts_name, facts, kind, model, pose, speed, threshold)
                 try:
                     scenario = _read(text, facts)
-                    lower = scenario.control.detection.threshold / QUIET
+                    lower = scenario.control.detection.threshold / QUIET_THRESHOLD_FACTOR
                     _try(scenario.with_settings({"control.detection.threshold": lower}))
                 except _TooEarly as error:
                     failures.append(str(error))
@@ -155,14 +155,14 @@ def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambd
                     break
                 else:
                     search = (
-                        f"of {POSES} random places {len(starts)} could be reached with the pad upright, and "
+                        f"of {SEARCHED_POSES} random places {len(starts)} could be reached with the pad upright, and "
                         f"{sum(one.score > 0.0 for one in rated)} kept clear of all limits on their way; this one has "
                         f"score {pose.score:.2f} of 1, and {failures_text(failures)}"
                     )
                     choices = choices_of(facts, kind, model, pose, speed, threshold, search)
                     return Draft(_explained(text, choices), scenario, speed, len(failures), choices)
     why = f"; the last that was simulated: {failures[-1]}" if failures else ""
-    raise Infeasible(f"no pose of {facts_name} among {POSES} works for a {kind}{why}")
+    raise Infeasible(f"no pose of {facts_name} among {SEARCHED_POSES} works for a {kind}{why}")
 
 
 def upright_poses(model: RobotModel, seed: int) -> Iterator[Pose | None]:
@@ -212,7 +212,7 @@ def _rated(model: RobotModel, pose: Pose, scenario: Scenario, share: float, moto
         after = fastest[scenario.axis_index] * np.eye(3)[scenario.axis_index]
         ways = [-0.5 * timing.approach * fastest, 0.5 * timing.push * max(scenario.velocity_scales) * after]
     worst = min(_along(model, pose.q, way, float(np.linalg.norm(fastest))) for way in ways)
-    return replace(pose, score=worst * max(0.0, 1.0 - _deflection(model, pose.q, motors) / MOST_DEFLECTED))
+    return replace(pose, score=worst * max(0.0, 1.0 - _deflection(model, pose.q, motors) / MAX_DEFLECTION_RATIO))
 
 
 def _deflection(model: RobotModel, q: Array, motors: Array) -> float:
@@ -231,19 +231,19 @@ def _along(model: RobotModel, start: Array, way: Array, speed: float) -> float:
     direction = np.append(way / length, np.zeros(3))
     target, q, worst = model.placement(start), start.copy(), 1.0
     comfortable = np.array([COMFORTABLE[joint.type] for joint in model.facts.joints])
-    for travelled in np.arange(0.0, length + STEP, STEP):
+    for travelled in np.arange(0.0, length + PATH_STEP_M, PATH_STEP_M):
         jacobian = model.jacobian(q)
         inverse = np.linalg.pinv(jacobian)
         margin = float((np.minimum(q - model.position_min, model.position_max - q) / comfortable).min())
         regular = float(np.linalg.svd(jacobian, compute_uv=False)[5])
         fast = float((np.abs(inverse @ direction) * speed / model.velocity_max).max())
         loaded = float((np.abs(model.gravity_torque(q)) / model.torque_max).max())
-        shares = (margin, regular / REGULAR, 2.0 * (1.0 - fast), 2.0 * (1.0 - loaded))
+        shares = (margin, regular / MIN_SINGULAR_VALUE, 2.0 * (1.0 - fast), 2.0 * (1.0 - loaded))
         worst = min(worst, float(np.prod(np.clip(shares, 0.0, 1.0))))
         if worst == 0.0:
             break
         placement = model.placement(q)
-        wanted = target.translation + direction[:3] * (travelled + STEP)
+        wanted = target.translation + direction[:3] * (travelled + PATH_STEP_M)
         error = np.append(
             wanted - placement.translation, placement.rotation @ pin.log3(placement.rotation.T @ target.rotation)
         )
@@ -354,7 +354,7 @@ def choices_of(
         + (
             f" times {threshold:g}: with less a trial took its own motion for an impact"
             if threshold > 1.0
-            else f"; trials run at 1/{QUIET:g} of it saw no impact too early"
+            else f"; trials run at 1/{QUIET_THRESHOLD_FACTOR:g} of it saw no impact too early"
         ),
     }
     if kind == "excite":

@@ -27,7 +27,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.schema import Name, Schema, load_mapping, validate
 from impact_rs_trials.recordings.candidates import (
-    MOST_WIDE,
+    MAX_JOINT_NUMBERS,
     OBJECT_POSE,
     Proposal,
     SignalCandidate,
@@ -45,7 +45,7 @@ from impact_rs_trials.recordings.experiment import (
 from impact_rs_trials.recordings.file_units import SLIDES, TURNS, UNITS, si_unit
 from impact_rs_trials.recordings.import_texts import PossibleReading
 from impact_rs_trials.recordings.importing import Wishes, draft_import
-from impact_rs_trials.recordings.laboratory import IMPACT_SHARE, Laboratory, placed, read_run
+from impact_rs_trials.recordings.laboratory import MAX_IMPACT_SHARE, Laboratory, placed, read_run
 from impact_rs_trials.recordings.mapping import (
     JOINT_SIGNALS,
     QUANTITY,
@@ -78,7 +78,7 @@ class PreviewRequest(Schema):
     signal: SignalName = Field(description="what it is taken for")
     source: SignalSource = Field(description="where it is")
     position: SignalSource = Field(description="where the joint positions are, whose clock the others are brought to")
-    joints: tuple[str, ...] = Field(min_length=1, max_length=MOST_WIDE, description="joints in order")
+    joints: tuple[str, ...] = Field(min_length=1, max_length=MAX_JOINT_NUMBERS, description="joints in order")
     command_includes_gravity: bool = Field(True, description="whether the command holds the arm's own weight")
     time: TimeSource = Field(default_factory=TimeSource, description="time stamps")
     table: TableLayout = Field(default_factory=TableLayout, description="where a text table has its names and rows")
@@ -96,7 +96,7 @@ class RunEntry(Schema):
 class ArmDescription(Schema):
     """What was recorded of one arm."""
 
-    joints: tuple[str, ...] = Field(min_length=1, max_length=MOST_WIDE, description="joints in order")
+    joints: tuple[str, ...] = Field(min_length=1, max_length=MAX_JOINT_NUMBERS, description="joints in order")
     command_includes_gravity: bool = Field(True, description="whether the command holds the arm's own weight")
     signals: dict[ArmSignal, SignalSource] = Field(description="where each signal is")
     time: TimeSource = Field(default_factory=TimeSource, description="time stamps")
@@ -290,7 +290,7 @@ def _wrong(
         _ = mapping.facts  # whose joints have these units
         position = read["position"].at(series.time)
         if name in REQUIRED:
-            check_limits(path, name, series.time, series.values, mapping, IMPACT_SHARE)
+            check_limits(path, name, series.time, series.values, mapping, MAX_IMPACT_SHARE)
         if name == "velocity":
             check_velocity(path, series.time, position, series.values, mapping)
         if name == "torque" or (name == "command" and request.command_includes_gravity):

@@ -36,7 +36,7 @@ from impact_rs_trials.workers import Workforce, workers
 SCENARIO, OBJECT, CASE = "push", "cat_food", "case_2"
 COMPANION = "excite"
 OBJECTS, CASES = ["parcel", "juice"], ["case_1", "case_2"]
-REPEATS = 2
+REPEATS = 2  # of every trial
 MODEL = "nominal"
 
 

@@ -44,7 +44,7 @@ from impact_rs_sim.robot import joined_units
 from impact_rs_trials.store import is_url
 from impact_rs_trials.workers import processor_time
 
-MOST_SHOWN = 8
+MAX_SHOWN_EFFECTS = 8
 KNOWN = (
     "what the calibration says of {names} was taken as right, and not looked for; with --calibration nominal the data "
     "alone say it"
@@ -259,7 +259,7 @@ def show(document: DiagnosisDocument, terminal: Terminal) -> None:
     table.add_column("alone", justify="right", no_wrap=True)
     table.add_column("without → with", justify="right", no_wrap=True)
     table.add_column("p", justify="right", no_wrap=True)
-    for effect in shown[:MOST_SHOWN]:
+    for effect in shown[:MAX_SHOWN_EFFECTS]:
         error = f"{number(effect.held_out_error_without or 0.0)} → {number(effect.held_out_error_after or 0.0)}"
         alone = "–" if effect.held_out_error_alone is None else number(effect.held_out_error_alone)
         table.add_row(effect.name, str(effect.verdict), alone, error, p_text(effect.p_value, document.design.least_p))
@@ -271,8 +271,8 @@ def show(document: DiagnosisDocument, terminal: Terminal) -> None:
                 terminal.say(f"  moves {size.signal} ({size.phase}) by up to {number(size.value)} {size.unit}")
     if document.dependences:
         terminal.say(dependences_table(document))
-    if len(shown) > MOST_SHOWN:
-        terminal.say(f"and {len(shown) - MOST_SHOWN} more effects, none of them better")
+    if len(shown) > MAX_SHOWN_EFFECTS:
+        terminal.say(f"and {len(shown) - MAX_SHOWN_EFFECTS} more effects, none of them better")
     if missing := [effect.name for effect in document.effects if not effect.measured]:
         terminal.say(f"not measured here: {', '.join(missing)}")
     if beyond_zero := shown_unnamed(document):

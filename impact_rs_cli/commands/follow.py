@@ -28,8 +28,8 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model, save_model
 from impact_rs_sim.numbers import estimate_text
 
-POLLED = 0.5  # s, between two looks for new hits
-MOST_SHOWN = 13  # predicted numbers
+POLL_S = 0.5  # between two checks for new hits
+MAX_SHOWN_NUMBERS = 13  # of a prediction
 
 
 @on_local_runs
@@ -109,7 +109,7 @@ def _live(followed: FollowedHits, diagnosis: FullDiagnosis, terminal: Terminal) 
             _warn_of_refused(followed.follower.hit_source, terminal)
             _say_more(followed, terminal)
             _say_diagnosis(diagnosis.ended(), terminal)
-            time.sleep(POLLED)
+            time.sleep(POLL_S)
     except KeyboardInterrupt:
         return found
 
@@ -185,9 +185,9 @@ def _show_prediction(prediction: NextHit, terminal: Terminal) -> None:
     for heading in ("signal", "", "prediction", "95 % interval", "unit"):
         table.add_column(heading, no_wrap=True)
     shown = [value for value in prediction.values if value.phase != "free"] or list(prediction.values)
-    for value in shown[:MOST_SHOWN]:
+    for value in shown[:MAX_SHOWN_NUMBERS]:
         estimate, low, high = estimate_text(value.value, value.ci95)
         table.add_row(value.signal, value.index, estimate, f"{low} ... {high}", value.unit)
     terminal.say(table)
-    if len(shown) > MOST_SHOWN:
-        terminal.say(f"and {len(shown) - MOST_SHOWN} more numbers ({PROGRAM} follow --json)")
+    if len(shown) > MAX_SHOWN_NUMBERS:
+        terminal.say(f"and {len(shown) - MAX_SHOWN_NUMBERS} more numbers ({PROGRAM} follow --json)")

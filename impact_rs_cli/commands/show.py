@@ -22,7 +22,7 @@ from impact_rs_trials.runs import Run
 from impact_rs_trials.store import is_bag
 from impact_rs_trials.workers import Map
 
-MOST_LOOKED_AT = 1000  # folders searched for a trial to suggest
+MAX_SEARCHED_FOLDERS = 1000  # for a trial to suggest
 LIVE_ALONE = ("namespace", "port")  # options that only --live has
 LABORATORY_ALONE = ("run_name", "model", "jobs", "scheduler")  # and those of --experiment
 OF_PAGES = ("path", "output", "experiment", *LABORATORY_ALONE)  # and options that mean nothing with --live
@@ -84,7 +84,9 @@ def check_trial(path: Path) -> None:
         raise InputError(f"a file; expected the folder of a trial, which holds metadata.yaml{remedy}", file=path)
     if is_bag(path) or any(path.glob("*.mcap")):
         return
-    found = [str(file.parent) for file in islice(path.rglob("metadata.yaml"), MOST_LOOKED_AT) if is_bag(file.parent)]
+    found = [
+        str(file.parent) for file in islice(path.rglob("metadata.yaml"), MAX_SEARCHED_FOLDERS) if is_bag(file.parent)
+    ]
     remedy = f"; there are trials below it, for example {min(found)}" if found else ", and there are none below it"
     raise InputError(f"not the folder of a trial: it holds neither metadata.yaml nor an .mcap file{remedy}", file=path)
 

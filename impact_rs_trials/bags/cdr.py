@@ -24,7 +24,7 @@ from rosbags.typesys.store import Typestore
 from impact_rs_sim.robot import Array
 
 LITTLE_ENDIAN = b"\x00\x01"
-HEADER = 4  # bytes of the encapsulation header
+ENCAPSULATION_BYTES = 4  # before the content of every CDR message
 
 _FORMATS = {
     "bool": "?",
@@ -85,7 +85,7 @@ class _Walker:
     def __init__(self, store: Typestore, data: bytes | memoryview) -> None:
         self._store = store
         self._data = data
-        self._at = HEADER
+        self._at = ENCAPSULATION_BYTES
         self._numbers: list[tuple[str, str, tuple[int, ...], int]] = []
         self._texts: list[str] = []
         self._fixed: list[tuple[int, int]] = []
@@ -127,7 +127,7 @@ class _Walker:
         self._at += size * (shape[0] if shape else 1)
 
     def _align(self, size: int) -> None:
-        self._at += -(self._at - HEADER) % size
+        self._at += -(self._at - ENCAPSULATION_BYTES) % size
 
     def _length(self) -> int:
         self._align(4)

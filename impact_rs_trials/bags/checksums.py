@@ -33,9 +33,9 @@ KIND: Final = "crc32"  # value in the custom data of a sealed bag
 METADATA = "metadata.yaml"
 HEADING = "rosbag2_bagfile_information:\n"  # of metadata.yaml; what lies in the MCAP file stands below it
 MAGIC = b"\x89MCAP0\r\n"
-HEAD = 9  # bytes of a record before its content: its kind and size
-CHUNK_CHECKSUM = 24  # its offset in the content of a chunk
-MESSAGE = 0x05  # kind of a record
+RECORD_HEAD_BYTES = 9  # before the content of a record: kind (1) and size (8)
+CHUNK_CHECKSUM_OFFSET_BYTES = 24  # in the content of a chunk
+MESSAGE_OPCODE = 0x05  # of a record with a message (MCAP specification)
 _SAID = f"{NAME}: {KIND}\n".encode()
 _U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
 _DATA_END, _FOOTER = b"\x0f" + _U64.pack(4), b"\x02" + _U64.pack(20)  # heads of these records
@@ -142,15 +142,17 @@ def _checksums(data: bytes) -> Iterator[tuple[int, int]]:
         ValueError: The file is no MCAP, or was cut off.
         struct.error: It was cut off.
     """
-    view, footer = memoryview(data), len(data) - len(MAGIC) - HEAD - 20
-    if not (data.startswith(MAGIC) and data.endswith(MAGIC) and data[footer : footer + HEAD] == _FOOTER):
+    view, footer = memoryview(data), len(data) - len(MAGIC) - RECORD_HEAD_BYTES - 20
+    if not (data.startswith(MAGIC) and data.endswith(MAGIC) and data[footer : footer + RECORD_HEAD_BYTES] == _FOOTER):
         raise ValueError("no MCAP")
-    end = _U64.unpack_from(data, footer + HEAD)[0] or footer  # of the data section: the summary follows, or the footer
-    start = end - HEAD - 4
-    if start < 0 or data[start : start + HEAD] != _DATA_END:
+    end = (
+        _U64.unpack_from(data, footer + RECORD_HEAD_BYTES)[0] or footer
+    )  # of the data section: the summary follows, or the footer
+    start = end - RECORD_HEAD_BYTES - 4
+    if start < 0 or data[start : start + RECORD_HEAD_BYTES] != _DATA_END:
         raise ValueError("no data end")
-    yield start + HEAD, crc32(view[:start])
-    yield footer + HEAD + 16, crc32(view[end : footer + HEAD + 16])
+    yield start + RECORD_HEAD_BYTES, crc32(view[:start])
+    yield footer + RECORD_HEAD_BYTES + 16, crc32(view[end : footer + RECORD_HEAD_BYTES + 16])
 
 
 def _holds(data: bytes, metadata: bytes) -> bool:

@@ -26,7 +26,7 @@ from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.bags.types import typestore
 
-TF_PERIOD = 0.02  # s, viewers need no more
+TF_PERIOD_S = 0.02  # viewers need no shorter one
 
 
 @dataclass(frozen=True)

@@ -36,8 +36,8 @@ OF_THE_TWIN = (
     "the twin made these trials, and it is what the model replays them with: the simulator explains itself, so that no "
     "difference between simulators shows"
 )
-STAMPED_TOGETHER = 1e-6  # s, between joint and motor states of one tick
-FRAME = 12  # byte at which the frame of a serialized message with a header stands
+MAX_STAMP_DIFFERENCE_S = 1e-6  # between joint and motor states of one tick
+FRAME_OFFSET_BYTES = 12  # of the frame name in a serialized message with a header
 
 
 class BagError(Exception):
@@ -351,7 +351,7 @@ class TrialBag:
         ):
             if size != time.size:
                 raise BagError(self.path, f"{topic} has {size} messages, {topics.joint_states(arm)} has {time.size}")
-        if np.any(other := np.abs(motor.time - time) > STAMPED_TOGETHER):
+        if np.any(other := np.abs(motor.time - time) > MAX_STAMP_DIFFERENCE_S):
             first = float(time[np.argmax(other)])
             both = f"{topics.motor_states(arm)} and {topics.joint_states(arm)}"
             raise BagError(self.path, f"{both} have different stamps at t = {first:.3f} s")
@@ -397,8 +397,8 @@ class TrialBag:
 def _joints_of(row: bytes) -> tuple[list[str], slice]:
     """Names of the joints in a serialized ``sensor_msgs/JointState``, and where they stand."""
     order = "<" if row[1] else ">"
-    (length,) = struct.unpack_from(f"{order}I", row, FRAME)
-    at = FRAME + 4 + length
+    (length,) = struct.unpack_from(f"{order}I", row, FRAME_OFFSET_BYTES)
+    at = FRAME_OFFSET_BYTES + 4 + length
     start = at = at + -at % 4
     (count,) = struct.unpack_from(f"{order}I", row, at)
     at += 4

@@ -18,13 +18,13 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.urdf import WORLD, write_description, write_object_description
 from impact_rs_trials.bags import topics
-from impact_rs_trials.bags.messages import TF_PERIOD, Frame, MessageMaker, RosbagsTypes
+from impact_rs_trials.bags.messages import TF_PERIOD_S, Frame, MessageMaker, RosbagsTypes
 from impact_rs_trials.bags.outcome import Verdict, Witness, judge
 from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.bags.writer import BagWriter
 
-FIXED = 1e-9  # [-], m; tolerance within which a placement does not depend on the joint positions
+FIXED_TOLERANCE = 1e-9  # [-], m; a placement that changes by less does not depend on the joint positions
 
 
 def descriptions(plan: TrialPlan) -> dict[str, str]:
@@ -56,7 +56,7 @@ class FrameSource:
         self._models = scene.models
         self._prefix = prefix
         self._supported = scene.physics.support_height is not None
-        self._every = max(1, round(TF_PERIOD / scene.scenario.timing.control_period))
+        self._every = max(1, round(TF_PERIOD_S / scene.scenario.timing.control_period))
         self._object = pin.SE3(scene.object.rotation, scene.object.position)
         self._fixed: set[str] = set()
         at_rest, moved = (
@@ -64,7 +64,9 @@ class FrameSource:
             for q in (0.0, 1.0)
         )
         self.static = [
-            one for one, other in zip(at_rest, moved, strict=True) if one.placement.isApprox(other.placement, FIXED)
+            one
+            for one, other in zip(at_rest, moved, strict=True)
+            if one.placement.isApprox(other.placement, FIXED_TOLERANCE)
         ]
         self._fixed = {one.name for one in self.static}
 

@@ -29,16 +29,16 @@ from impact_rs_trials.recordings.contact_onset import onset_of
 from impact_rs_trials.recordings.experiment import RunRow
 from impact_rs_trials.recordings.impact_columns import SLIDE_DISTANCE, SUPPORT_FRICTION, ColumnGroup
 from impact_rs_trials.recordings.impact_rows import BY_WAY, ArmInImpact, Impact, NoRow
-from impact_rs_trials.recordings.joint_jumps import SMALLEST, JointJump, jump_at, jumps_of
+from impact_rs_trials.recordings.joint_jumps import MIN_JUMP_SHARE, JointJump, jump_at, jumps_of
 from impact_rs_trials.recordings.laboratory import (
-    SLOW_POSE,
+    MIN_POSE_RATE_HZ,
     ArmSeries,
     Laboratory,
     in_inertial_frame,
     on_clock_of_joints,
 )
 from impact_rs_trials.recordings.mapping import SignalName
-from impact_rs_trials.recordings.motion_fits import AT_REST, FittedMotion, contact_noise, fly, move, rest
+from impact_rs_trials.recordings.motion_fits import MAX_REST_SIGMA, FittedMotion, contact_noise, fly, move, rest
 from impact_rs_trials.recordings.plausibility import check_touch
 
 Jumps = Mapping[str, JointJump]  # of every arm, in one impact
@@ -46,13 +46,13 @@ Rows = NDArray[np.signedinteger]
 
 ONSETS: dict[SignalName, str] = {"wrench": "the force at the wrist", "acceleration": "the acceleration"}
 NEEDED: tuple[SignalName, ...] = ("position", "velocity")
-TOGETHER = 0.1  # s, within which all arms hit
-BEFORE = 0.2  # s before the impact, in which the object rests or moves
-AFTER = (0.06, 0.15)  # s after it: of a first fit, and at most
-SLIDING = 0.8  # of the time until rest, that is fitted
-FALLS = 0.5  # of g, from which an object flies
-LEAST_OBJECT = 5  # samples of the object on a side
-JUMPS = 3.0  # standard deviations, from which the object is hit
+MAX_SPREAD_OF_IMPACTS_S = 0.1  # between the first and the last arm that hits
+OBJECT_BEFORE_S = 0.2  # before the impact, in which the object rests or moves
+OBJECT_AFTER_S = (0.06, 0.15)  # after the impact: window of a first fit, and longest window
+FITTED_SLIDING_SHARE = 0.8  # of the time until rest
+MIN_FALL_SHARE = 0.5  # of g; an object that falls faster flies
+MIN_OBJECT_SAMPLES = 5  # before and after the impact, each
+MIN_OBJECT_JUMP_SIGMA = 3.0  # standard deviations; an object with a larger velocity jump was hit
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def impacts_of_run(laboratory: Laboratory, run: RunRow) -> tuple[list[Impact | N
     found, result = _hits(seen, moments)
     own = [jumps[laboratory.tracker] for jumps in moments]
     apart = clocks_apart(pose, arms[laboratory.tracker]["position"], own, run.path)
-    if apart is not None and (abs(apart.offset) < BEFORE or isinstance(result[0], NoRow)):
+    if apart is not None and (abs(apart.offset) < OBJECT_BEFORE_S or isinstance(result[0], NoRow)):
         return [NoRow(run.label, apart.in_words(laboratory.mappings[laboratory.tracker]))], tuple(remarks)
     if 0 < len(found) < len(moments):
         remarks.append(
@@ -129,7 +129,7 @@ def _hits(seen: _Seen, moments: list[Jumps]) -> tuple[list[Jumps], list[Impact |
             reasons.append(result)
             continue
         change = (result.after - result.before)[:3]
-        if not found or (np.linalg.norm(change) >= SMALLEST * largest and _pushed(seen, jumps, change)):
+        if not found or (np.linalg.norm(change) >= MIN_JUMP_SHARE * largest and _pushed(seen, jumps, change)):
             found = sorted([*found, jumps], key=_time)
             largest = max(largest, float(np.linalg.norm(change)))
     if not found:
@@ -162,7 +162,7 @@ def _numbered(one: Impact | NoRow, number: int) -> Impact | NoRow:
 
 def _moments(laboratory: Laboratory, arms: Mapping[str, ArmSeries]) -> list[Jumps] | str:
     """Jumps of all arms, impact by impact in their order; or why there is none."""
-    own = {arm: list(jumps_of(series["position"], SMALLEST)) for arm, series in arms.items()}
+    own = {arm: list(jumps_of(series["position"], MIN_JUMP_SHARE)) for arm, series in arms.items()}
     for arm, jumps in own.items():
         if not jumps:
             return (
@@ -173,7 +173,7 @@ def _moments(laboratory: Laboratory, arms: Mapping[str, ArmSeries]) -> list[Jump
     moments = []
     for jump in own[first]:
         near = {arm: min(own[arm], key=lambda one: abs(one.time - jump.time)) for arm in others}  # noqa: B023
-        if all(abs(one.time - jump.time) <= TOGETHER for one in near.values()):
+        if all(abs(one.time - jump.time) <= MAX_SPREAD_OF_IMPACTS_S for one in near.values()):
             moments.append({first: jump, **near})
     if not moments:
         each = ", ".join(f"arm {arm!r} at {jumps[0].time - _start(arms):.3f} s" for arm, jumps in own.items())
@@ -229,15 +229,15 @@ def _with_object(seen: _Seen, jumps: Jumps, between: tuple[float, float]) -> Imp
     run, laboratory, pose_time = seen.run, seen.laboratory, seen.time
     assert run.object is not None
     time = _time(jumps)
-    early = np.flatnonzero((pose_time >= max(time - BEFORE, between[0])) & (pose_time < time))
-    late = np.flatnonzero((pose_time > time) & (pose_time <= min(time + AFTER[1], between[1])))
-    if early.size < LEAST_OBJECT:
-        return NoRow(run.label, f"{early.size} samples of the object before the impact, of {LEAST_OBJECT}")
+    early = np.flatnonzero((pose_time >= max(time - OBJECT_BEFORE_S, between[0])) & (pose_time < time))
+    late = np.flatnonzero((pose_time > time) & (pose_time <= min(time + OBJECT_AFTER_S[1], between[1])))
+    if early.size < MIN_OBJECT_SAMPLES:
+        return NoRow(run.label, f"{early.size} samples of the object before the impact, of {MIN_OBJECT_SAMPLES}")
     ante = _before(pose_time, seen.positions, seen.rotations, early, time)
     scenario = laboratory.scenario
     outcomes = _slid(seen, time, ante) if between[1] == np.inf else {}
     turn_tracked = True
-    if seen.rate < SLOW_POSE or late.size < LEAST_OBJECT:
+    if seen.rate < MIN_POSE_RATE_HZ or late.size < MIN_OBJECT_SAMPLES:
         way = outcomes.get(SLIDE_DISTANCE)
         if way is None:
             return NoRow(
@@ -255,7 +255,7 @@ def _with_object(seen: _Seen, jumps: Jumps, between: tuple[float, float]) -> Imp
             outcomes = {SUPPORT_FRICTION: sliding / -STANDARD_GRAVITY[2], **outcomes}
     noise = (float(np.hypot(noise[0], ante.noise[0])), float(np.hypot(noise[1], ante.noise[1])))
     before = ante.at(time)[2]
-    if float(np.linalg.norm(post_twist[:3] - before[:3])) < JUMPS * noise[0]:
+    if float(np.linalg.norm(post_twist[:3] - before[:3])) < MIN_OBJECT_JUMP_SIGMA * noise[0]:
         return NoRow(run.label, "the velocity of the object does not change beyond its noise")
     position, rotation, _ = ante.at(time)
     size = np.array(scenario.object(run.object).size)
@@ -285,34 +285,34 @@ def _with_object(seen: _Seen, jumps: Jumps, between: tuple[float, float]) -> Imp
 
 def _before(time: Array, positions: Array, rotations: Array, rows: Rows, at: float) -> FittedMotion:
     """Rest, unless the object moves beyond the noise."""
-    if rows.size >= LEAST_OBJECT + 1:
+    if rows.size >= MIN_OBJECT_SAMPLES + 1:
         moving = move(time[rows], positions[rows], rotations[rows], at)
         speed = float(np.linalg.norm(moving.at(at)[2][:3]))
-        if speed > 3.0 * AT_REST * moving.noise[0]:
+        if speed > 3.0 * MAX_REST_SIGMA * moving.noise[0]:
             return moving
     return rest(positions[rows], rotations[rows], at)
 
 
 def _after(time: Array, positions: Array, rotations: Array, rows: Rows, at: float) -> tuple[FittedMotion, str]:
     """Sliding, or flight where the object falls with g."""
-    first = rows[time[rows] <= at + AFTER[0]]
-    first = first if first.size >= LEAST_OBJECT else rows[:LEAST_OBJECT]
+    first = rows[time[rows] <= at + OBJECT_AFTER_S[0]]
+    first = first if first.size >= MIN_OBJECT_SAMPLES else rows[:MIN_OBJECT_SAMPLES]
     slide = move(time[first], positions[first], rotations[first], at)
-    if slide.acceleration[2] < FALLS * STANDARD_GRAVITY[2]:
+    if slide.acceleration[2] < MIN_FALL_SHARE * STANDARD_GRAVITY[2]:
         gravity = np.array(STANDARD_GRAVITY)
         return fly(time[rows], positions[rows], rotations[rows], gravity, np.ones(3), at), "free flight"
     speed, slows = float(np.linalg.norm(slide.at(at)[2][:3])), float(np.linalg.norm(slide.acceleration))
-    lasts = SLIDING * speed / slows if slows > 0.0 else AFTER[1]
-    kept = rows[time[rows] <= at + max(min(lasts, AFTER[1]), float(time[first[-1]] - at))]
+    lasts = FITTED_SLIDING_SHARE * speed / slows if slows > 0.0 else OBJECT_AFTER_S[1]
+    kept = rows[time[rows] <= at + max(min(lasts, OBJECT_AFTER_S[1]), float(time[first[-1]] - at))]
     return move(time[kept], positions[kept], rotations[kept], at), "sliding"
 
 
 def _slid(seen: _Seen, time: float, ante: FittedMotion) -> dict[ColumnGroup, float]:
     """Way from the impact to rest, if the object comes to rest while it is seen."""
     late = seen.positions[seen.time > time]
-    if len(late) < 2 * LEAST_OBJECT:
+    if len(late) < 2 * MIN_OBJECT_SAMPLES:
         return {}
-    end = late[-LEAST_OBJECT:]
+    end = late[-MIN_OBJECT_SAMPLES:]
     noise = max(ante.scatter[0], 1e-4)
     if float(np.max(np.ptp(end, axis=0))) > 4.0 * noise:
         return {}

@@ -29,8 +29,8 @@ from impact_rs_trials.recordings.read_once import once
 from impact_rs_trials.recordings.remarks import Amount, Remark
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 
-DRIFT = 0.002  # s, drift between log and header stamps above which a remark is made
-LATE = (-0.005, 0.05)  # s, range of the log delay behind the joint states outside which a remark is made
+MAX_STAMP_DRIFT_S = 0.002  # between log and header timestamps without a warning
+EXPECTED_LOG_DELAY_S = (-0.005, 0.05)  # behind the joint states; outside of this range comes a warning
 
 FIELDLESS: tuple[SignalName, ...] = ("object_pose", "wrench", "acceleration")  # what its message type says where it is
 
@@ -260,7 +260,7 @@ class BagFile:
         if "position" not in self._mapping.signals:  # no joint states that it could be late against
             return stamps, ()
         late = float(np.median(log - stamps)) - self._log_after_stamp()[0]
-        if name in WIDTH and not LATE[0] < late < LATE[1]:
+        if name in WIDTH and not EXPECTED_LOG_DELAY_S[0] < late < EXPECTED_LOG_DELAY_S[1]:
             return stamps, (
                 Remark(
                     f"{topic}: logged ",
@@ -283,7 +283,7 @@ class BagFile:
             tenth = max(1, later.size // 10)
             drift = float(np.median(later[-tenth:]) - np.median(later[:tenth]))
             drifts = Remark(" (which drifts by ", Amount(1e3 * drift, ".1f"), " ms during the run)")
-            remark = drifts if abs(drift) > DRIFT else ""
+            remark = drifts if abs(drift) > MAX_STAMP_DRIFT_S else ""
             self._shift = float(np.median(later)), remark
         return self._shift
 

@@ -28,16 +28,16 @@ from impact_rs_trials.recordings.table_columns import read_columns
 from impact_rs_trials.recordings.table_file import BETWEEN, BRACKETS
 from impact_rs_trials.recordings.transforms import are_transforms
 
-MOST_WIDE = 40  # numbers in a sample of what may be joints
-DEEPEST = 3  # fields of a message inside of each other
+MAX_JOINT_NUMBERS = 40  # in a sample of a stream that may hold joints
+MAX_NESTED_FIELDS = 3  # of a message
 POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 STATIC = "/tf_static"  # frames that do not move are no pose of an object
 OBJECT_POSE: Final = "object_pose"
 # Parts of an arm from base to tip, for joints that are named after them and not numbered.
 PARTS = ("rail", "base", "shoulder_pan", "shoulder_lift", "shoulder", "upper_arm", "elbow", "forearm", "wrist")
 PART_OF_ARM = re.compile(rf"({'|'.join(PARTS)})(_?\d)?(_joint)?(?=[^a-z]|$)", re.IGNORECASE)
-MOST_BESIDE = 2  # numbers of a gripper beside those of the joints
-MOST_LOOKED_AT = 50  # rows
+MAX_GRIPPER_NUMBERS = 2  # in addition to those of the joints
+MAX_ROWS_READ = 50  # of a table whose columns are listed
 FINGERS = re.compile("finger|gripper|hand", re.IGNORECASE)
 
 
@@ -158,7 +158,7 @@ def parts_of(candidate: SignalCandidate, count: int) -> list[SignalCandidate]:
         The first numbers, those behind them, and so on; none where it is not a little wider, or names its joints.
     """
     beside, source = candidate.width - count, candidate.source
-    if candidate.pose or candidate.joints or "names" in source or not 0 < beside <= MOST_BESIDE or count == 1:
+    if candidate.pose or candidate.joints or "names" in source or not 0 < beside <= MAX_GRIPPER_NUMBERS or count == 1:
         return []  # of one joint every column is a candidate of its own
     found = []
     for first in range(beside + 1):
@@ -194,8 +194,8 @@ def width_of(shape: tuple[int, ...]) -> int:
     """How many numbers a sample of an array has, samples x numbers or the other way round, as in MATLAB; 0: none."""
     if len(shape) != 2:
         return 0
-    width = shape[0] if shape[0] <= MOST_WIDE < shape[1] else shape[1]
-    return width if width <= MOST_WIDE else 0
+    width = shape[0] if shape[0] <= MAX_JOINT_NUMBERS < shape[1] else shape[1]
+    return width if width <= MAX_JOINT_NUMBERS else 0
 
 
 def single_candidates(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]], key: str) -> list[SignalCandidate]:
@@ -260,7 +260,7 @@ def _base_to_tip(name: str) -> tuple[int, list[Any]]:
     return part, [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", name)]
 
 
-def _holds_pose(message: Any, depth: int = DEEPEST) -> bool:
+def _holds_pose(message: Any, depth: int = MAX_NESTED_FIELDS) -> bool:
     if hasattr(message, "transforms"):
         return True
     if any(hasattr(message, a) and hasattr(message, b) for a, b in POSE_PARTS):
@@ -269,14 +269,14 @@ def _holds_pose(message: Any, depth: int = DEEPEST) -> bool:
     return depth > 0 and any(_holds_pose(part, depth - 1) for part in inner if part is not None)
 
 
-def _numbers(message: Any, before: str = "", depth: int = DEEPEST) -> Iterator[tuple[str, int]]:
+def _numbers(message: Any, before: str = "", depth: int = MAX_NESTED_FIELDS) -> Iterator[tuple[str, int]]:
     """Fields that hold several numbers, by path, and how many."""
     for name, value in vars(message).items():
         if name.startswith("__"):
             continue
         place = f"{before}{name}"
         if isinstance(value, np.ndarray):
-            if value.ndim == 1 and 0 < value.size <= MOST_WIDE and np.issubdtype(value.dtype, np.floating):
+            if value.ndim == 1 and 0 < value.size <= MAX_JOINT_NUMBERS and np.issubdtype(value.dtype, np.floating):
                 yield place, int(value.size)
         elif depth > 0 and hasattr(value, "__msgtype__") and name != "header":
             yield from _numbers(value, f"{place}.", depth - 1)
@@ -330,7 +330,7 @@ def _alike_but_a_word(columns: Sequence[str]) -> Iterator[SignalCandidate]:
             if len(words) > 1:
                 groups.setdefault(words[place], []).append(column)
         for word, own in groups.items():
-            if 1 < len(own) <= MOST_WIDE and (guess := guess_of(word)):
+            if 1 < len(own) <= MAX_JOINT_NUMBERS and (guess := guess_of(word)):
                 yield SignalCandidate(f"{own[0]} … {own[-1]}", {"columns": own}, False, guess, len(own))
 
 
@@ -354,7 +354,7 @@ def vector_width(cells: Sequence[str] | NDArray[Any]) -> int:
     """How many numbers every cell of a column holds; 0: something else, or not as many in all."""
     if not isinstance(cells, list):
         return 1
-    widths = {len(numbers_in(cell)) for cell in cells[:MOST_LOOKED_AT] if cell.strip()}
+    widths = {len(numbers_in(cell)) for cell in cells[:MAX_ROWS_READ] if cell.strip()}
     return widths.pop() if len(widths) == 1 else 0
 
 

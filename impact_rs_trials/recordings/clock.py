@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 
-ON_THE_GRID = 0.02  # periods by which a stamp may be off the grid and still count as on it
-SHOWN = 5  # gaps in a message
+MAX_GRID_ERROR_PERIODS = 0.02  # of a timestamp on a regular grid
+MAX_SHOWN_GAPS = 5  # in a message
 
 
 @dataclass(frozen=True)
@@ -149,8 +149,8 @@ def gaps(time: Array, longest: float) -> list[Gap]:
 
 def tell_gaps(found: list[Gap], start: float) -> str:
     """``0.030 s at t = 1.250 s, ...`` with times since ``start`` [s]."""
-    shown = ", ".join(f"{gap.length:.3f} s at t = {gap.start - start:.3f} s" for gap in found[:SHOWN])
-    return shown + (f" and {len(found) - SHOWN} more" if len(found) > SHOWN else "")
+    shown = ", ".join(f"{gap.length:.3f} s at t = {gap.start - start:.3f} s" for gap in found[:MAX_SHOWN_GAPS])
+    return shown + (f" and {len(found) - MAX_SHOWN_GAPS} more" if len(found) > MAX_SHOWN_GAPS else "")
 
 
 def even_grid(time: Array) -> Array:
@@ -172,7 +172,9 @@ def grid_from(time: Array, main: Array) -> Array:
     """
     grid = even_grid(main)
     period = grid[1] - grid[0]
-    before, after = (int(length / period + ON_THE_GRID) for length in (grid[0] - time[0], time[-1] - grid[-1]))
+    before, after = (
+        int(length / period + MAX_GRID_ERROR_PERIODS) for length in (grid[0] - time[0], time[-1] - grid[-1])
+    )
     if before == after == 0:
         return grid
     return np.concatenate(

@@ -41,19 +41,19 @@ FOUND_BY: dict[SignalName, str] = {
     "command": "the weight at the positions",
 }
 OBJECT_SIGNALS: tuple[SignalName, ...] = ("object_pose", "object_position", "object_quaternion")
-AGREE = (0.010, 1.5)  # s, and periods of the pose, within which an object starts when it is hit,
-SURE = 5.0  # and standard deviations
-LEAST_OVERLAP = 0.5  # of the shorter stream
-CLEAR = 0.7  # least correlation from which an offset is believed
-APART = 0.05  # by which the correlation must fall beside the peak, else several offsets fit
-MOST_SAMPLES = 200_000  # of a common grid
-REFINED = 3.0  # samples of it about the largest correlation, in which an offset is fitted
-LEAST_NOISE = 5e-5  # m; no tracker resolves less
-BEND_OF_NOISE = 3.77  # median length of second differences of noise 1 on every axis: sqrt(6) times that of chi with 3
-CLEAR_OF_NOISE = 5.0  # noises from which an object moves
-STEADY = 4  # samples in a row that are clear of the noise
-STARTING = 5  # samples of rest, at least
-FITTED = 12  # samples after the start
+MAX_START_DIFFERENCE = (0.010, 1.5)  # s, and periods of the pose, between the impact and the start of the object,
+MAX_START_SIGMA = 5.0  # and standard deviations
+MIN_OVERLAP_SHARE = 0.5  # of the shorter stream
+MIN_LAG_CORRELATION = 0.7  # of an offset that is believed
+MIN_PEAK_DROP = 0.05  # of the correlation beside its peak; with less, several offsets fit
+MAX_GRID_SAMPLES = 200_000  # of the common grid
+REFINED_SAMPLES = 3.0  # of the grid about the largest correlation, in which the offset is fitted
+MIN_TRACKER_NOISE_M = 5e-5  # no tracker resolves less
+MEDIAN_SECOND_DIFFERENCE = 3.77  # of unit noise on three axes, length: sqrt(6) times the median of chi with 3 degrees
+MIN_MOTION_SIGMA = 5.0  # standard deviations of the noise, beyond which an object moves
+MIN_MOVING_SAMPLES = 4  # in a row
+MIN_REST_SAMPLES = 5  # before the start
+FITTED_SAMPLES = 12  # after the start
 
 
 def on_one_clock(
@@ -118,21 +118,21 @@ def start_of_motion(pose: Series, path: Path, key: str) -> tuple[float, float]:
     """
     place = pose.values[:, :3]
     bend = np.linalg.norm(np.diff(place, n=2, axis=0), axis=1)
-    noise = float(np.median(bend)) / BEND_OF_NOISE + LEAST_NOISE
-    rest = np.median(place[: max(STARTING, place.shape[0] // 20)], axis=0)
-    clear = np.linalg.norm(place - rest, axis=1) > CLEAR_OF_NOISE * noise
+    noise = float(np.median(bend)) / MEDIAN_SECOND_DIFFERENCE + MIN_TRACKER_NOISE_M
+    rest = np.median(place[: max(MIN_REST_SAMPLES, place.shape[0] // 20)], axis=0)
+    clear = np.linalg.norm(place - rest, axis=1) > MIN_MOTION_SIGMA * noise
     steady = clear.copy()
-    for later in range(1, STEADY):
+    for later in range(1, MIN_MOVING_SAMPLES):
         steady[:-later] &= clear[later:]
         steady[-later:] = False
     first = int(np.argmax(steady))
-    if not steady.any() or first < STARTING:
+    if not steady.any() or first < MIN_REST_SAMPLES:
         raise InputError(
             "the object does not rest at first and move later, so its motion does not determine the offset of its "
             "clock: set signals.NAME.delay and leave the key out", file=path, key=key, value="own",
         )  # fmt: skip
-    rest = np.median(place[max(0, first - 5 * STARTING) : first - 1], axis=0)
-    rows = slice(first, first + FITTED)
+    rest = np.median(place[max(0, first - 5 * MIN_REST_SAMPLES) : first - 1], axis=0)
+    rows = slice(first, first + FITTED_SAMPLES)
     time, way = pose.time[rows], place[rows] - rest
     direction = way[-1] / np.linalg.norm(way[-1])
     t, s = time - time[0], way @ direction
@@ -200,7 +200,11 @@ def clocks_apart(pose: Series, position: Series, jumps: Sequence[JointJump], pat
     if nearest is None:
         return None
     offset, uncertain = start - nearest.time, float(np.hypot(error, nearest.time_error))
-    allowed = max(AGREE[0], AGREE[1] * float(np.median(np.diff(pose.time))), SURE * uncertain)
+    allowed = max(
+        MAX_START_DIFFERENCE[0],
+        MAX_START_DIFFERENCE[1] * float(np.median(np.diff(pose.time))),
+        MAX_START_SIGMA * uncertain,
+    )
     return ClocksApart(float(offset), uncertain) if abs(offset) > allowed else None
 
 
@@ -225,19 +229,20 @@ def offset_between(expected: Series, measured: Series, path: Path, key: str) -> 
     """
     period = max(float(np.median(np.diff(one.time))) for one in (expected, measured)) / 2.0
     first, second = (_evenly(one, period) for one in (expected, measured))
-    if max(len(first), len(second)) > MOST_SAMPLES:
-        raise InputError(f"streams of more than {MOST_SAMPLES} samples; cut them first", file=path, key=key)
+    if max(len(first), len(second)) > MAX_GRID_SAMPLES:
+        raise InputError(f"streams of more than {MAX_GRID_SAMPLES} samples; cut them first", file=path, key=key)
     correlation, lags, overlap = cross_correlation(first, second)
-    allowed = overlap >= LEAST_OVERLAP * min(len(first), len(second))
+    allowed = overlap >= MIN_OVERLAP_SHARE * min(len(first), len(second))
     correlation = np.where(allowed, np.abs(correlation), 0.0)
     best = int(np.argmax(correlation))
     width = _peak_width(correlation, best)
     beside = np.abs(np.arange(correlation.size) - best) > width
     second_best = float(np.max(correlation[beside], initial=0.0))
-    if correlation[best] < CLEAR or second_best > correlation[best] - APART:
+    if correlation[best] < MIN_LAG_CORRELATION or second_best > correlation[best] - MIN_PEAK_DROP:
         raise InputError(
             f"the motion does not determine the offset of this clock (correlation {correlation[best]:.2f}, elsewhere "
-            f"{second_best:.2f}; expected at least {CLEAR} at one place): set signals.NAME.delay and leave the key out",
+            f"{second_best:.2f}; expected at least {MIN_LAG_CORRELATION} at one lag): set signals.NAME.delay and leave "
+            "the key out",
             file=path,
             key=key,
             value="own",
@@ -245,7 +250,7 @@ def offset_between(expected: Series, measured: Series, path: Path, key: str) -> 
     near = float(expected.time[0] - measured.time[0] + lags[best] * period)
     fitted = scipy.optimize.minimize_scalar(
         lambda offset: misfit(expected, measured, offset)[0],
-        bounds=(near - REFINED * period, near + REFINED * period),
+        bounds=(near - REFINED_SAMPLES * period, near + REFINED_SAMPLES * period),
         method="bounded",
         options={"xatol": 1e-7},
     )

@@ -27,14 +27,14 @@ import pinocchio as pin
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 
-DISTANCE = 0.001  # m, standard deviation of the distance between pad and face
-FLUSH = 0.02  # rad, standard deviation of the angle between them
-KNOWN = 0.005  # m; a direction with a larger standard error counts as undetermined
-PUSHED = 0.005  # m; if all objects together move by less, they do not determine the initial psi
-STEPS = 20
-TOUCHING = (0.02, 0.1)  # s from the impact on, in which the pad lies flat on the face and pushes it
-FOLLOWED = 0.3  # s from the impact on, in which the object goes where the pad goes
-CLOSE = 1e-9  # m or rad, convergence tolerance of a step
+DISTANCE_SIGMA_M = 0.001  # standard deviation of the distance between pad and face
+ANGLE_SIGMA_RAD = 0.02  # standard deviation of the angle between them
+MAX_STANDARD_ERROR_M = 0.005  # a direction with a larger one is undetermined
+MIN_TOTAL_PUSH_M = 0.005  # of all objects together; less displacement does not determine the initial psi
+MAX_GAUSS_NEWTON_STEPS = 20
+FLAT_CONTACT_S = (0.02, 0.1)  # after the impact, in which the pad lies flat on the face and pushes it
+CARRIED_S = 0.3  # after the impact, in which the object moves with the pad
+CONVERGED_STEP = 1e-9  # m or rad
 
 
 @dataclass(frozen=True)
@@ -119,8 +119,8 @@ def contact_frame(touches: Sequence[PadOnFace], given: Array, given_yaw: float) 
         raise InputError("motion_capture.estimate: no hit has both joint positions and a pose of the object")
     height = float(np.mean([touch.standing - touch.standing_height for touch in touches]))
     found = _first(touches, given_yaw)
-    weights = np.tile([1.0 / DISTANCE, 1.0 / FLUSH], len(touches))
-    for _ in range(STEPS):
+    weights = np.tile([1.0 / DISTANCE_SIGMA_M, 1.0 / ANGLE_SIGMA_RAD], len(touches))
+    for _ in range(MAX_GAUSS_NEWTON_STEPS):
         before = found.copy()
         kept = _undetermined(weights[:, None] * _residuals(touches, found)[1])
         free = np.eye(3) if kept is None else np.array([[-kept[1], kept[0], 0.0], [0.0, 0.0, 1.0]]).T
@@ -129,7 +129,7 @@ def contact_frame(touches: Sequence[PadOnFace], given: Array, given_yaw: float) 
         values, slopes = _residuals(touches, found)
         design = weights[:, None] * slopes @ free
         found = found + free @ np.linalg.lstsq(design, -weights * values, rcond=None)[0]
-        if np.max(np.abs(found - before)) < CLOSE:
+        if np.max(np.abs(found - before)) < CONVERGED_STEP:
             break
     values, slopes = _residuals(touches, found)
     # Two residuals per hit, less the estimated parameters; the standard deviations above are a lower bound.
@@ -155,7 +155,7 @@ def _undetermined(slopes: Array) -> Array | None:
         slopes: Of weighted residuals in x, y and yaw, ``(2 h, 3)``; in x and y those are normals of faces.
     """
     information, directions = np.linalg.eigh(slopes[:, :2].T @ slopes[:, :2])
-    if information[0] * KNOWN**2 > 1.0:
+    if information[0] * MAX_STANDARD_ERROR_M**2 > 1.0:
         return None
     direction = directions[:, 0]
     return np.asarray(direction * np.sign(direction[int(np.argmax(np.abs(direction)))]))
@@ -164,7 +164,7 @@ def _undetermined(slopes: Array) -> Array | None:
 def _first(touches: Sequence[PadOnFace], given_yaw: float) -> Array:
     """Initial x, y and yaw: objects move with the pads, and every pad is at the centre of its face."""
     yaw = given_yaw
-    if sum(float(np.linalg.norm(touch.object_way)) for touch in touches) > PUSHED:
+    if sum(float(np.linalg.norm(touch.object_way)) for touch in touches) > MIN_TOTAL_PUSH_M:
         cosine = sum(float(touch.object_way @ touch.pad_way) for touch in touches)
         sine = sum(
             float(touch.object_way[0] * touch.pad_way[1] - touch.object_way[1] * touch.pad_way[0]) for touch in touches

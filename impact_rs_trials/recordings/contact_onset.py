@@ -5,7 +5,7 @@ A force-torque sensor or an accelerometer is often faster than encoders, and its
 positions. The force or acceleration f has before the impact the mean m and the covariance C; a sample belongs to the
 contact if
 
-    (f - m)^T C^-1 (f - m) > LIMIT^2
+    (f - m)^T C^-1 (f - m) > MIN_MAHALANOBIS^2
 
 as does the one after it, because a single one may be an outlier. The contact begins between this sample and the one
 before, known to a period over sqrt(12).
@@ -20,11 +20,11 @@ import numpy as np
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.series import Series
 
-LIMIT = 6.0  # standard deviations
-BEFORE = 0.2  # s before the impact, in which the sensor shows free motion
-FEWEST = 20  # samples there
-FASTER = 2.0  # times the rate of the joints, from which a sensor says when the contact begins
-REACH = 0.03  # s about the time by the joints, in which it is sought
+MIN_MAHALANOBIS = 6.0  # distance of a sample in contact from free motion [-]
+FREE_MOTION_S = 0.2  # before the impact
+MIN_FREE_SAMPLES = 20  # of free motion
+MIN_RATE_RATIO = 2.0  # of the sensor over the joints, from which the sensor times the contact
+ONSET_HALF_WIDTH_S = 0.03  # about the time by the joints
 
 
 @dataclass(frozen=True)
@@ -48,18 +48,18 @@ def onset_of(sensor: Series, position: Series, near: float) -> Onset | None:
         position: Joint positions, for their rate.
         near: When the contact begins by them [s].
     """
-    if min(sensor.time.size, position.time.size) < FEWEST:
+    if min(sensor.time.size, position.time.size) < MIN_FREE_SAMPLES:
         return None
     period, of_joints = (float(np.median(np.diff(one.time))) for one in (sensor, position))
-    reach = max(REACH, 2.0 * of_joints)
-    if of_joints < FASTER * period:
+    reach = max(ONSET_HALF_WIDTH_S, 2.0 * of_joints)
+    if of_joints < MIN_RATE_RATIO * period:
         return None
-    quiet = (sensor.time >= near - reach - BEFORE) & (sensor.time < near - reach)
+    quiet = (sensor.time >= near - reach - FREE_MOTION_S) & (sensor.time < near - reach)
     about = np.flatnonzero((sensor.time >= near - reach) & (sensor.time <= near + reach))
-    if np.count_nonzero(quiet) < FEWEST or about.size < 2:
+    if np.count_nonzero(quiet) < MIN_FREE_SAMPLES or about.size < 2:
         return None
     felt = sensor.values[:, :3]
-    far = _distance(felt[about], felt[quiet]) > LIMIT
+    far = _distance(felt[about], felt[quiet]) > MIN_MAHALANOBIS
     both = np.flatnonzero(far[:-1] & far[1:])
     if not both.size or both[0] == 0:  # it pressed already
         return None

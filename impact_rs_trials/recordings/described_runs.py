@@ -16,15 +16,21 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS
 from impact_rs_trials.recordings.file_groups import OBJECT, FileGroups
-from impact_rs_trials.recordings.import_checks import MOVED, clocks_of, doubt_of, doubts_of_hit, object_moves
+from impact_rs_trials.recordings.import_checks import (
+    MIN_OBJECT_DISPLACEMENT_M,
+    clocks_of,
+    doubt_of,
+    doubts_of_hit,
+    object_moves,
+)
 from impact_rs_trials.recordings.import_texts import FoundRun, Notes, flow
 from impact_rs_trials.recordings.mapping import NO_ROBOT, Mapping, MountedEndEffector, SignalName
 from impact_rs_trials.recordings.recording import read_recordings
 from impact_rs_trials.recordings.run_finder import RUN_TABLE, find_runs
 from impact_rs_trials.recordings.sources import read_series
 
-MOST_RUNS = 5  # whose clocks are looked at
-MOST_COMPARED = 10  # runs beside the first
+MAX_RUNS_WITH_CLOCK = 5  # whose clocks are compared
+MAX_RUNS_COMPARED = 10  # with the first
 
 
 class DescribedRuns:
@@ -73,7 +79,9 @@ class DescribedRuns:
                 "the folders that runs lie in; impacts makes a column of it, for --covariates session",
             )  # fmt: skip
         if has_object and mapping.robot != NO_ROBOT and any(row.hit for row in rows):
-            self._notes.say("kind in runs.csv", "hit", f"the object moves by more than {1e3 * MOVED:g} mm")
+            self._notes.say(
+                "kind in runs.csv", "hit", f"the object moves by more than {1e3 * MIN_OBJECT_DISPLACEMENT_M:g} mm"
+            )
             rows = self._with_objects(rows)
         return rows
 
@@ -122,7 +130,7 @@ class DescribedRuns:
     def clock_of_object(self, mapping: Mapping, rows: Sequence[FoundRun], signals: dict[str, dict[str, Any]]) -> bool:
         """Give the object a clock of its own where it does not start to move when the arm hits; whether it was so."""
         names = [name for name in OBJECT_SIGNALS if name in signals]
-        hits = [row for row in rows if row.hit][:MOST_RUNS]
+        hits = [row for row in rows if row.hit][:MAX_RUNS_WITH_CLOCK]
         seen = [clocks_of(self._groups.folder / row.run, mapping, row.names) for row in hits] if names else []
         apart = [one for one in seen if one is not None]
         if 2 * len(apart) <= len(seen):
@@ -156,7 +164,7 @@ class DescribedRuns:
     def compare(self, mapping: Mapping, rows: Sequence[FoundRun], facts: RobotFacts) -> None:
         """Units and signs of other runs than the first, which the description was made of."""
         first, *others = rows
-        numbers = np.unique(np.linspace(0, len(others) - 1, min(MOST_COMPARED, len(others))).astype(int))
+        numbers = np.unique(np.linspace(0, len(others) - 1, min(MAX_RUNS_COMPARED, len(others))).astype(int))
         model = RobotModel(facts, MountedEndEffector().build(), pin.SE3.Identity())
         apart = 0
         for row in (others[number] for number in numbers):

@@ -19,7 +19,7 @@ import numpy as np
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 
-LEAST_FLIGHT = 0.01  # s; a shorter flight says nothing of a velocity
+MIN_FLIGHT_S = 0.01  # shorter flights do not determine a velocity
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Distance:
         """
         if self.fall is None:
             return float(np.sqrt(2.0 * self.way / (self._friction(physics) * _gravity(physics))))
-        return max(self._flight(float(velocity[2]), physics), LEAST_FLIGHT)
+        return max(self._flight(float(velocity[2]), physics), MIN_FLIGHT_S)
 
     def _friction(self, physics: Physics) -> float:
         return max(physics.support_friction if self.friction is None else self.friction, 1e-6)

@@ -38,8 +38,8 @@ BODY = "body"  # object of runs without a robot
 COLUMNS = ("bag", "object", "kind")
 SESSION = "session"  # column of the table of runs that the table of impacts has as well
 YAML = (".yaml", ".yml")
-FRICTION_NOISE = 0.1  # relative standard deviation of a scenario's friction, where nothing is said
-MOST_LISTED = 20  # names of runs in an error
+FRICTION_SIGMA_SHARE = 0.1  # relative standard deviation of a scenario's friction if it gives none
+MAX_LISTED_RUNS = 20  # in an error
 
 Result = TypeVar("Result")
 
@@ -138,7 +138,7 @@ class Experiment(Schema):
         description="world frame of the motion capture in the scenario's inertial frame; absent: they are the same",
     )
     friction_noise: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
-        FRICTION_NOISE,
+        FRICTION_SIGMA_SHARE,
         description="relative standard deviation of the friction of the scenario's support [-]; velocities that follow "
         "from the way to rest have half of it",
     )
@@ -327,7 +327,7 @@ def run_named(table: Sequence[RunRow], directory: Path, name: str) -> RunRow:
         raise InputError(f"several runs are called that: {several}; name one by its path", key="run", value=name)
     names = [run.name for run in table]
     near = did_you_mean(name, names)
-    listed = f"{', '.join(names[:MOST_LISTED])}{' ...' if len(names) > MOST_LISTED else ''}"
+    listed = f"{', '.join(names[:MAX_LISTED_RUNS])}{' ...' if len(names) > MAX_LISTED_RUNS else ''}"
     raise InputError(
         f"the table of runs names no such run{near or f'; expected one of {listed}'}", key="run", value=name
     )

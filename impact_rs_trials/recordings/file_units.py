@@ -11,15 +11,15 @@ from __future__ import annotations
 
 import numpy as np
 
-DEGREE = np.pi / 180.0  # rad
+RAD_PER_DEG = np.pi / 180.0
 
 FACTORS: dict[str, dict[str, float]] = {  # by SI unit, which is the first of its units
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "m": {"m": 1.0, "mm": 1e-3},
     "m/s": {"m/s": 1.0, "mm/s": 1e-3},
     "m/s^2": {"m/s^2": 1.0, "g": 9.80665},
-    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": DEGREE},
-    "rad/s": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": DEGREE},
+    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": RAD_PER_DEG},
+    "rad/s": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": RAD_PER_DEG},
     "kg": {"kg": 1.0, "g": 1e-3},
     "kg m^2": {"kg m^2": 1.0},
     "N": {"N": 1.0, "mN": 1e-3},

@@ -47,9 +47,9 @@ WAYS = (
     "of all impacts the way to rest is the outcome (slide_distance): the object was seen too seldom for a velocity, so "
     "the table has no columns v_after and w_after, and predictions depend on the friction of the support"
 )
-FARTHEST = 1e4  # m, at which a tracker sees nothing
-BESIDE = 4  # samples about a step whose speeds are compared with its own
-JUMP = 5.0  # times the speed before and after, which no impact on a fixed plane makes
+MAX_TRACKED_M = 1e4  # farther than any tracker sees
+NEIGHBOUR_SAMPLES = 4  # about a step, whose speeds are compared with its own
+MAX_SPEED_RATIO = 5.0  # of a step to the speeds around it; no impact on a fixed plane exceeds it
 STILL = ("", "a motion in a plane, or it was not tracked", "a motion along a line, or they were not tracked")
 
 
@@ -202,7 +202,7 @@ def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> tuple[TrackedBody, list
             raise InputError("time stamps stand still or run backwards; time.repeated: keep_first keeps one of each")
         spin = None if turned else np.array(body.spin)
         farthest = float(np.max(np.abs(pose.values[finite, :3]), initial=0.0))
-        if farthest > FARTHEST:
+        if farthest > MAX_TRACKED_M:
             raise InputError(f"{pose.place} is up to {farthest:.3g} m from the tracker's origin: wrong unit or column?")
         if not finite.all():
             share = Amount(int(np.sum(~finite)), "d"), " of ", Amount(finite.size, "d")
@@ -220,11 +220,15 @@ def _doubts_of_motion(place: str, time: Array, position: Array) -> list[str]:
     if still := [axis for axis, own in zip("xyz", moves, strict=True) if not own and moves.any()]:
         said.append(f"{place}: {' and '.join(still)} the same in all samples: {STILL[len(still)]}")
     steps = np.linalg.norm(np.diff(position, axis=0), axis=1) / np.diff(time)
-    if steps.size <= 2 * BESIDE:
+    if steps.size <= 2 * NEIGHBOUR_SAMPLES:
         return said
-    around = np.array([np.roll(steps, shift) for shift in range(-BESIDE, BESIDE + 1) if abs(shift) > 1]).max(axis=0)
-    inside = slice(BESIDE, -BESIDE)  # rolled steps come from the other end
-    jumps = BESIDE + np.flatnonzero(steps[inside] > JUMP * np.maximum(around[inside], np.median(steps)))
+    around = np.array(
+        [np.roll(steps, shift) for shift in range(-NEIGHBOUR_SAMPLES, NEIGHBOUR_SAMPLES + 1) if abs(shift) > 1]
+    ).max(axis=0)
+    inside = slice(NEIGHBOUR_SAMPLES, -NEIGHBOUR_SAMPLES)  # rolled steps come from the other end
+    jumps = NEIGHBOUR_SAMPLES + np.flatnonzero(
+        steps[inside] > MAX_SPEED_RATIO * np.maximum(around[inside], np.median(steps))
+    )
     if jumps.size:
         far = np.linalg.norm(position[jumps[0] + 1] - position[jumps[0]])
         said.append(
@@ -233,7 +237,7 @@ def _doubts_of_motion(place: str, time: Array, position: Array) -> list[str]:
                 Amount(1e3 * float(far)),
                 " mm between two samples at t = ",
                 Amount(float(time[jumps[0]] - time[0]), ".3f"),
-                f" s, {JUMP:g} times as fast as before and after: columns, units or a marker that changed?",
+                f" s, {MAX_SPEED_RATIO:g} times as fast as before and after: columns, units or a marker that changed?",
             )
         )
     return said

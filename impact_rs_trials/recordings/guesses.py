@@ -22,9 +22,9 @@ from impact_rs_sim.robot import Array, RobotFacts
 from impact_rs_trials.recordings.clock import seconds_of
 from impact_rs_trials.recordings.file_units import UNITS
 from impact_rs_trials.recordings.relations import (
-    MIN_AVERAGED,
+    MIN_AVERAGED_SAMPLES,
     MIN_CORRELATION_OF_COLUMNS,
-    ONE_UNIT,
+    SAME_UNIT_FACTORS,
     AveragedMotion,
     averaged,
 )
@@ -33,12 +33,12 @@ from impact_rs_trials.recordings.table_file import DATE
 STAMP = re.compile(r"(^|[^a-z])(t|time|times|timestamp|stamp|sec|secs|nsec)([^a-z]|$)|time|stamp", re.IGNORECASE)
 NANOSECONDS = re.compile(r"nano|n_?sec|(^|[^a-z])ns([^a-z]|$)", re.IGNORECASE)
 STAMP_UNITS = ("s", "ms", "us", "ns")
-RATES = (1.0, 1e5)  # Hz, that a recording may have
-STILL = 1e-3  # of the range of a joint, below which it does not move; encoders and sag make less
-MOST_SHOWN = 3  # steps back in a message
+RATES_HZ = (1.0, 1e5)  # of a recording: lowest and highest
+MIN_RANGE_SHARE = 1e-3  # of a joint's range, travelled by a joint that moves; encoders and sag make less
+MAX_SHOWN_STEPS = 3  # backwards in time, in a message
 OUTLIERS = np.errstate(over="ignore", invalid="ignore")  # may be of any size; what they spoil fits nothing
-UNIT_LENGTH = 0.02  # by which a quaternion may be off length 1
-REACH = 20.0  # m; a position beyond it is in millimetres
+MAX_NORM_ERROR = 0.02  # of a quaternion of length 1
+MAX_DISTANCE_M = 20.0  # of an object; a position beyond it is in millimetres
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,10 @@ def steps_back(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> s
         if stamps.ndim != 1 or stamps.size < 3 or not np.isfinite(stamps).all() or not 0.0 < np.mean(steps < 0.0) < 0.5:
             continue
         rows = np.flatnonzero(steps < 0.0) + 1
-        listed = [f"from {stamps[row - 1]:.10g} to {stamps[row]:.10g} at sample {row + 1}" for row in rows[:MOST_SHOWN]]
-        more = f" and {rows.size - MOST_SHOWN} times more" if rows.size > MOST_SHOWN else ""
+        listed = [
+            f"from {stamps[row - 1]:.10g} to {stamps[row]:.10g} at sample {row + 1}" for row in rows[:MAX_SHOWN_STEPS]
+        ]
+        more = f" and {rows.size - MAX_SHOWN_STEPS} times more" if rows.size > MAX_SHOWN_STEPS else ""
         return f"{name!r} steps back {', '.join(listed)}{more}: the clock was set, or rows are not in order"
     return None
 
@@ -102,7 +104,7 @@ def _clock_of_two(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -
                 continue
             steps = np.diff(seconds * 10**9 + rest)
             usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else np.inf
-            if np.all(steps >= 0) and RATES[0] <= 1e9 / usual <= RATES[1]:
+            if np.all(steps >= 0) and RATES_HZ[0] <= 1e9 / usual <= RATES_HZ[1]:
                 said = f"whole seconds and nanoseconds; together they increase, at {1e9 / usual:.4g} Hz"
                 repeats = int(np.sum(steps == 0))
                 remarks = (f"{repeats} of {rest.size} stamps repeat the one before",) if repeats else ()
@@ -167,7 +169,7 @@ def _plausible(unit: str, stamps: Array, step: float) -> bool:
     """Whether stamps in a unit give a sampling rate, and a year, that can be."""
     seconds = UNITS["time"][unit]
     start = float(seconds_of(stamps[:1], seconds)[0])
-    return RATES[0] <= 1.0 / (step * seconds) <= RATES[1] and start < 5e9
+    return RATES_HZ[0] <= 1.0 / (step * seconds) <= RATES_HZ[1] and start < 5e9
 
 
 def _year(seconds: float) -> str:
@@ -182,17 +184,17 @@ def at_rest(time: Array, position: Array, facts: RobotFacts) -> str | None:
         position: q, ``(k, n)`` [rad].
         facts: Know the ranges of the joints.
     """
-    if time.size < 2 * MIN_AVERAGED:
+    if time.size < 2 * MIN_AVERAGED_SAMPLES:
         return None
     ranges = np.array(facts.limits.position_max_rad) - np.array(facts.limits.position_min_rad)
     moved = np.ptp(averaged(time, position)[1], axis=0)
-    if np.any(moved > STILL * ranges):
+    if np.any(moved > MIN_RANGE_SHARE * ranges):
         return None
     joint = int(np.argmax(moved / ranges))
     unit = facts.units[joint].position
     return (
         f"no motion, nothing to identify: joint {joint + 1} moves most, by {moved[joint]:.2g} {unit} in "
-        f"{time[-1] - time[0]:.3g} s, expected at least {STILL * ranges[joint]:.2g} {unit}"
+        f"{time[-1] - time[0]:.3g} s, expected at least {MIN_RANGE_SHARE * ranges[joint]:.2g} {unit}"
     )
 
 
@@ -200,7 +202,7 @@ def at_rest(time: Array, position: Array, facts: RobotFacts) -> str | None:
 def are_derivatives(time: Array, values: Array, raw: Array) -> NDArray[np.bool_]:
     """Which columns of signals ``(k, c)`` are the derivatives of the columns beside them in ``values``, ``(c,)``."""
     found = AveragedMotion.of(time, values).velocity_relation(time, raw)
-    one_unit = (found.factor > ONE_UNIT[0]) & (found.factor < ONE_UNIT[1])
+    one_unit = (found.factor > SAME_UNIT_FACTORS[0]) & (found.factor < SAME_UNIT_FACTORS[1])
     return np.asarray(one_unit & (found.correlation > MIN_CORRELATION_OF_COLUMNS))
 
 
@@ -218,14 +220,14 @@ def pose_of(raw: Array) -> Guess | None:
 def unit_of_length(place: Array) -> Guess:
     """Unit of positions ``(k, 3)`` of an object near a robot."""
     largest = float(np.nanmax(np.abs(place)))
-    unit = "mm" if largest > REACH else "m"
+    unit = "mm" if largest > MAX_DISTANCE_M else "m"
     return Guess(unit, f"up to {largest:.3g} from the origin, which is a place near a robot in {unit}")
 
 
 def quaternion_order(quaternion: Array) -> Guess | None:
     """Order of unit quaternions ``(k, 4)``; None: they are none."""
     seen = quaternion[np.isfinite(quaternion).all(axis=1)]
-    if not len(seen) or not np.all(np.abs(np.linalg.norm(seen, axis=1) - 1.0) < UNIT_LENGTH):
+    if not len(seen) or not np.all(np.abs(np.linalg.norm(seen, axis=1) - 1.0) < MAX_NORM_ERROR):
         return None
     middle = np.abs(np.median(seen, axis=0))
     if middle[0] > 0.9 or middle[3] > 0.9:

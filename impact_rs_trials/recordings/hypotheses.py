@@ -40,8 +40,8 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.file_units import SLIDES, TURNS
 from impact_rs_trials.recordings.relations import (
     MIN_CORRELATION,
-    ONE_UNIT,
-    TORQUE_UNIT,
+    SAME_UNIT_FACTORS,
+    TORQUE_UNIT_FACTORS,
     AveragedMotion,
     LinearRelation,
     averaged,
@@ -55,22 +55,24 @@ Role = Literal["position", "velocity", "torque", "current", "other", "copy", "no
 
 DECISIVE = float(np.log(100.0))  # log Bayes factor (Jeffreys 1961)
 NAMED = float(np.log(20.0))  # log odds of a role that a name hints at: names are right in 20 of 21 files
-SAMPLES = 400  # of a motion, in which streams are compared
-TORQUE_SPREAD = 0.35  # of log a: factors of rough models and loads
-MOST_APART = 30.0  # ratio of torque constants of one arm
-INVERSE_CONSTANTS = (1e-2, 1e2)  # current over torque: from large geared joints to the smallest servos [A/(N m)]
-ANY_RANGE = 1e8  # of a factor of any size
+COMPARED_SAMPLES = 400  # of a motion and a stream
+LOG_TORQUE_FACTOR_SIGMA = 0.35  # standard deviation of log a: factors of rough models and loads
+MAX_CONSTANT_RATIO = 30.0  # of the torque constants of one arm
+INVERSE_TORQUE_CONSTANTS = (1e-2, 1e2)  # current over torque: from large geared joints to the smallest servos [A/(N m)]
+MAX_FACTOR_RATIO = 1e8  # largest over smallest factor, where its size is unknown
 MIN_TORQUE_NM = 0.3  # of the largest robot's scale, about its mean and rms, from which a motion shows a joint's torque
-OUTSIDE = 0.01  # share of the positions that may lie beyond the limits, as outliers do
-MARGIN_OF_RANGE = 0.05  # of a joint's range, by which positions may lie beyond it
+MAX_OUTSIDE_SHARE = 0.01  # of the positions beyond the limits, as outliers
+MAX_EXCESS_SHARE = 0.05  # of a joint's range, by which positions may exceed it
 MOST_OF_TRAVEL, SOME_TRAVEL = 0.5, 0.2  # of the joint that travels farthest, from which others show a relation
 PRIOR: dict[str, float] = {  # of units and roles
     "rad": 0.8, "deg": 0.19, "mrad": 0.01, "rad/s": 0.8, "deg/s": 0.19, "mrad/s": 0.01,
     "N m": 0.75, "mN m": 0.05, "A": 0.2, "other": 1e-4, "copy": 0.2,
 }  # fmt: skip
-LOW_PASSED = -float(np.log(np.log(ONE_UNIT[1] / ONE_UNIT[0])))  # log density of the log of a factor within one unit
-BROKEN = 1e-3  # probability that the column of one joint is another one
-SIGNS = (0.9, 0.09, 0.01)  # prior of signals that point all as the joints do, all against them, or some of them
+LOW_PASSED = -float(
+    np.log(np.log(SAME_UNIT_FACTORS[1] / SAME_UNIT_FACTORS[0]))
+)  # log density of the log of a factor within one unit
+PROBABILITY_OF_BROKEN_ORDER = 1e-3  # that the column of one joint holds another one
+SIGN_PRIOR = (0.9, 0.09, 0.01)  # all signals have the sign of the joints, all the opposite one, or they differ
 OUTLIERS = np.errstate(over="ignore", invalid="ignore", divide="ignore")  # of any size; what they spoil fits nothing
 
 
@@ -177,7 +179,7 @@ class JointMotion:
     def of(time: Array, position: Array, velocity: Array | None, model: RobotModel) -> JointMotion:
         """Of signals ``(m, n)`` at common stamps [s]; without a velocity it is the derivative."""
         motion = AveragedMotion.of(time, position)
-        rows = np.unique(np.linspace(0, motion.time.size - 1, SAMPLES).astype(int))
+        rows = np.unique(np.linspace(0, motion.time.size - 1, COMPARED_SAMPLES).astype(int))
         dq = motion.velocity if velocity is None else averaged(time, velocity)[1]
         ddq = np.gradient(dq, motion.time, axis=0)
         return JointMotion(time, rows, motion.position[rows], motion.velocity[rows], dq[rows], ddq[rows], model)
@@ -217,7 +219,7 @@ def positions(raw: Array, facts: RobotFacts) -> list[RoleHypothesis]:
     that fill the range in one unit are unlikely where the unit makes it 57 times wider.
     """
     low, high = np.array(facts.limits.position_min_rad), np.array(facts.limits.position_max_rad)
-    margin = MARGIN_OF_RANGE * (high - low)
+    margin = MAX_EXCESS_SHARE * (high - low)
     slides = [kind == "prismatic" for kind in facts.joint_types]
     span = ", ".join(f"{one:.3g} ... {other:.3g}" for one, other in zip(raw.min(axis=0), raw.max(axis=0), strict=True))
     found: list[RoleHypothesis] = []
@@ -226,7 +228,7 @@ def positions(raw: Array, facts: RobotFacts) -> list[RoleHypothesis]:
         units = [slide if sliding else turns for sliding in slides]
         factor = np.array([{**TURNS["position"], **SLIDES["position"]}[unit] for unit in units])
         inside = np.mean((raw * factor >= low - margin) & (raw * factor <= high + margin), axis=0)
-        if np.all(inside > 1.0 - OUTSIDE):
+        if np.all(inside > 1.0 - MAX_OUTSIDE_SHARE):
             said = f"the joints reach {span}, which lies within their limits in {turns}"
             said += f" and not in {' or '.join(tried)}" if tried else ""
             density = float(np.sum(np.log(factor)))
@@ -253,7 +255,7 @@ def velocities(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
     found = []
     for turns, slide in (("rad/s", "m/s"), ("deg/s", "mm/s"), ("mrad/s", "mm/s")):
         per_unit = 1.0 / TURNS["velocity"][turns]
-        relation = fit(per_unit * motion.derivative, y, independent=samples, bounds=ONE_UNIT)
+        relation = fit(per_unit * motion.derivative, y, independent=samples, bounds=SAME_UNIT_FACTORS)
         said = (
             f"{spread(plain.factor[shown] / per_unit)} times the derivative of the position in {turns} "
             f"(correlation {spread(plain.correlation[shown])})"
@@ -266,14 +268,16 @@ def velocities(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
         unit = common(motion.units(turns, slide))
         found.append(RoleHypothesis("velocity", unit, said, _copied(relation, shown), prior, further, remarks))
     usual = float(np.median(plain.factor[shown]))
-    relation = fit(usual * motion.derivative, y, independent=samples, bounds=ONE_UNIT)
-    prior = float(np.log(PRIOR["other"] / np.log(ANY_RANGE)))
+    relation = fit(usual * motion.derivative, y, independent=samples, bounds=SAME_UNIT_FACTORS)
+    prior = float(np.log(PRIOR["other"] / np.log(MAX_FACTOR_RATIO)))
     said = f"{usual:.3g} times the derivative of the position: at another sampling rate?"
     found.append(RoleHypothesis("other", "", said, _copied(relation, shown), prior, {"rate_": usual}))
     free = fit(motion.derivative, y, independent=samples)
     said = "a factor of its own times the derivative of every position: friction?"
     prior = float(np.log(PRIOR["other"]))
-    found.append(RoleHypothesis("other", "", said, _gains(free, shown, -float(np.log(2.0 * np.log(ANY_RANGE)))), prior))
+    found.append(
+        RoleHypothesis("other", "", said, _gains(free, shown, -float(np.log(2.0 * np.log(MAX_FACTOR_RATIO)))), prior)
+    )
     return _ordered(found)
 
 
@@ -288,7 +292,7 @@ def copies(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
         further = [np.ones_like(part), *([] if rate is None else [rate])]
         samples = effective_samples(part, y)
         for unit, factor in TURNS["position"].items():
-            relation = fit(part / factor, y, further, samples, ONE_UNIT)
+            relation = fit(part / factor, y, further, samples, SAME_UNIT_FACTORS)
             said = f"repeats the {what}, in {unit}" if unit != "rad" else f"repeats the {what}"
             prior = float(np.log(PRIOR["copy"] * PRIOR[unit])) + _signs_prior(np.sign(relation.factor[shown]))
             found.append(RoleHypothesis("copy", unit, said, _copied(relation, shown), prior))
@@ -323,30 +327,38 @@ def torques(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
     found = []
     for turns, slide in (("N m", "N"), ("mN m", "mN")):
         per_unit = 1.0 / TURNS["torque"][turns]
-        relation = fit(per_unit * needed, y, friction, samples, TORQUE_UNIT)
-        size = np.log(np.abs(relation.factor)) / TORQUE_SPREAD
-        density = -0.5 * np.square(size) - np.log(TORQUE_SPREAD * np.sqrt(2.0 * np.pi))
+        relation = fit(per_unit * needed, y, friction, samples, TORQUE_UNIT_FACTORS)
+        size = np.log(np.abs(relation.factor)) / LOG_TORQUE_FACTOR_SIGMA
+        density = -0.5 * np.square(size) - np.log(LOG_TORQUE_FACTOR_SIGMA * np.sqrt(2.0 * np.pi))
         prior = float(np.log(PRIOR[turns])) + _signs_prior(signs[heavy])
         unit = common(motion.units(turns, slide))
         found.append(RoleHypothesis("torque", unit, said, _gains(relation, shown, density), prior, further))
     weighty = heavy & (np.std(motion.weight, axis=0) > np.std(needed - motion.weight, axis=0))
     weighty = weighty if np.any(weighty) else heavy  # inertia shows no constant: that of the motors is unknown
-    usual = float(np.clip(np.median(np.abs(free.factor[weighty])), *INVERSE_CONSTANTS))
+    usual = float(np.clip(np.median(np.abs(free.factor[weighty])), *INVERSE_TORQUE_CONSTANTS))
     sign = usual_sign(free.factor[heavy])
-    within = usual / np.sqrt(MOST_APART), usual * np.sqrt(MOST_APART)
+    within = usual / np.sqrt(MAX_CONSTANT_RATIO), usual * np.sqrt(MAX_CONSTANT_RATIO)
     relation = fit(sign * needed, y, friction, samples, within)
     wrong = relation.factor < 0.0
     constants = np.where(weighty & ~wrong, 1.0 / np.maximum(np.abs(free.factor), 1e-12), 1.0 / usual)
     own = {**({} if sign > 0.0 else {"factor": -1.0}), "torque_constant": [float(f"{one:.3g}") for one in constants]}
     why = f"{said}: no unit of torque; taken for motor currents, with the constants that the weight shows"
-    each = float(np.log(np.log(MOST_APART)))  # the first joint's constant is anywhere in the range, the others near it
+    each = float(
+        np.log(np.log(MAX_CONSTANT_RATIO))
+    )  # the first joint's constant is anywhere in the range, the others near it
     prior = (
-        float(np.log(PRIOR["A"] * SIGNS[0 if sign > 0.0 else 1] / np.log(INVERSE_CONSTANTS[1] / INVERSE_CONSTANTS[0])))
+        float(
+            np.log(
+                PRIOR["A"]
+                * SIGN_PRIOR[0 if sign > 0.0 else 1]
+                / np.log(INVERSE_TORQUE_CONSTANTS[1] / INVERSE_TORQUE_CONSTANTS[0])
+            )
+        )
         + each
     )
     gains = _gains(relation, shown, np.where(wrong, -np.inf, -each))
     found.append(RoleHypothesis("current", "A", why, gains, prior, own))
-    gains = _gains(free, shown, -float(np.log(2.0 * np.log(ANY_RANGE))))
+    gains = _gains(free, shown, -float(np.log(2.0 * np.log(MAX_FACTOR_RATIO))))
     found.append(RoleHypothesis("other", "", f"{said}: in no unit", gains, float(np.log(PRIOR["other"]))))
     return _ordered(found)
 
@@ -363,10 +375,12 @@ def takes_torque(needed: Array, model: RobotModel) -> NDArray[np.bool_]:
 def _gains(relation: LinearRelation, shown: NDArray[np.bool_], log_density: Array | float) -> float:
     """Log likelihood over that of no role, of the joints that show it, with the density of their factors.
 
-    A joint's column is another one, or broken, with probability :data:`BROKEN`; one joint refutes nothing.
+    A joint's column is broken, or another joint's, with :data:`PROBABILITY_OF_BROKEN_ORDER`; one joint refutes nothing.
     """
     each = relation.log_likelihood_ratio - 0.5 * np.log(relation.independent) + log_density
-    return float(np.sum(np.logaddexp(np.where(np.isfinite(each), each, -np.inf), np.log(BROKEN))[shown]))
+    return float(
+        np.sum(np.logaddexp(np.where(np.isfinite(each), each, -np.inf), np.log(PROBABILITY_OF_BROKEN_ORDER))[shown])
+    )
 
 
 def _copied(relation: LinearRelation, shown: NDArray[np.bool_]) -> float:
@@ -377,8 +391,10 @@ def _copied(relation: LinearRelation, shown: NDArray[np.bool_]) -> float:
 
 def _signs_prior(signs: Array) -> float:
     if np.all(signs > 0.0):
-        return float(np.log(SIGNS[0]))
-    return float(np.log(SIGNS[1])) if np.all(signs < 0.0) else float(np.log(SIGNS[2]) - signs.size * np.log(2.0))
+        return float(np.log(SIGN_PRIOR[0]))
+    return (
+        float(np.log(SIGN_PRIOR[1])) if np.all(signs < 0.0) else float(np.log(SIGN_PRIOR[2]) - signs.size * np.log(2.0))
+    )
 
 
 def _contradictions(moving: NDArray[np.bool_], relation: LinearRelation) -> tuple[str, ...]:

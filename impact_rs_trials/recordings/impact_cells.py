@@ -18,7 +18,7 @@ from impact_rs_trials.recordings import table_columns
 from impact_rs_trials.recordings.file_units import FACTORS
 from impact_rs_trials.recordings.impact_columns import ColumnGroup, Range, name_and_unit, with_unit
 
-LARGEST_NUMBER = 1e12  # in any unit; no measured number is larger, and squares of much larger ones are infinite
+MAX_NUMBER = 1e12  # in any unit: larger than any measured number, and its square is finite
 
 
 @dataclass(frozen=True)
@@ -105,8 +105,8 @@ class ImpactCells:
             raise self.column_error(row, name, cell, f"expected a number [{unit}]") from None
         if not np.isfinite(number):
             raise self.column_error(row, name, number, f"expected a finite number [{unit}]")
-        if abs(number) > LARGEST_NUMBER:
-            raise self.column_error(row, name, number, f"expected a number up to {LARGEST_NUMBER:g} [{unit}]")
+        if abs(number) > MAX_NUMBER:
+            raise self.column_error(row, name, number, f"expected a number up to {MAX_NUMBER:g} [{unit}]")
         number *= self.scale.get(name, 1.0)
         if not column.range.holds(number * column.factor):
             raise self.column_error(row, name, number, f"expected {column.range.words} [{unit}]")

@@ -18,7 +18,7 @@ from impact_rs_sim.impact_map import measured
 from impact_rs_sim.robot import UNITS, JointUnits
 
 AXES = "xyz"
-MOST_POINTS = 8  # contact points that a row may name
+MAX_CONTACT_POINTS = 8  # of a row
 
 
 @dataclass(frozen=True)
@@ -201,10 +201,10 @@ POINTS = tuple(
     ColumnGroup(
         _vector("p", tail),
         "m",
-        f"contact point in A; further ones `px2`, `py2`, `pz2` up to {MOST_POINTS}, empty if a row has fewer; all "
-        "empty: from the geometry",
+        f"contact point in A; further ones `px2`, `py2`, `pz2` up to {MAX_CONTACT_POINTS}, empty if a row has fewer; "
+        "all empty: from the geometry",
     )
-    for tail in ("", *map(str, range(2, MOST_POINTS + 1)))
+    for tail in ("", *map(str, range(2, MAX_CONTACT_POINTS + 1)))
 )
 NORMAL = ColumnGroup(
     _vector("n"), "-", "unit normal into the body; absent: up, or that of the nearest faces of pad and object"

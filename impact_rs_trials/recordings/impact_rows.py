@@ -40,7 +40,7 @@ from impact_rs_trials.recordings.impact_columns import (
     arm_label,
 )
 
-DIGITS = 9
+TABLE_DIGITS = 9  # significant ones
 BY_WAY = "sliding distance"  # law after the impact, where the velocity follows from the way to rest
 
 
@@ -213,4 +213,4 @@ def _cells(impact: Impact, form: _Form, constants: Mapping[str, float]) -> dict[
 
 
 def _short(number: float) -> str:
-    return f"{number:.{DIGITS}g}"
+    return f"{number:.{TABLE_DIGITS}g}"

@@ -84,10 +84,10 @@ from impact_rs_trials.since import measured_since
 
 SUFFIXES = (".csv", ".parquet")
 ASSUMED_FRICTION = 0.3  # of a free body on a plane, where a table says nothing; dry solids lie around it
-UNIT_LENGTH = 1e-3  # how far a unit quaternion or a normal may be from length 1; what remains is rounding
-MAX_EXCESS_OF_MOMENT = 1e-3  # of a moment of inertia over the sum of the others, relative; rounding
+MAX_LENGTH_ERROR = 1e-3  # of a unit quaternion or normal; what remains is rounding
+MAX_MOMENT_EXCESS_SHARE = 1e-3  # of a moment of inertia over the sum of the others; rounding
 UP = np.array([0.0, 0.0, 1.0])
-WIDER = 4.0  # tolerances; points between a quarter of one and so many may touch or not
+MAX_TOLERANCE_FACTOR = 4.0  # points between a quarter of a tolerance and so many may touch or not
 OF_BODY = (MASS, MOMENTS, SIZE, RADIUS)  # columns that may be unsure
 BODY_UNITS = {name: one.unit for one in OF_BODY for name in one.names}
 OF_AXES = {V_NOISE: V_NOISE_AXES, W_NOISE: W_NOISE_AXES}  # noise columns that may stand in the place of one
@@ -99,7 +99,7 @@ UNSEEN_GEOMETRY = {  # what else may be unsure, 0 in a table: its unit
     "tilt_x": "rad",  # of the plane's normal about x and y of A
     "tilt_y": "rad",
 }
-SWEPT = (0.25, 0.5, 1.0)  # shares of the way from the assumed value to either end of a range
+SWEPT_SHARES = (0.25, 0.5, 1.0)  # of the way from the assumed value to either end of a range
 
 
 @dataclass(frozen=True)
@@ -113,13 +113,13 @@ class ImpactRow:
         physics: Nominal physics; rows with the same nominal physics share one.
         impact: State just before, and contact points.
         after: Measured u^+, joint velocities of every arm and then the twist of the centre, ``(nv,)`` [rad/s, m/s].
-        wider: The impact with more contact points, those within ``WIDER`` tolerances; None: there are no more.
-        narrower: The impact with fewer, those within a tolerance over ``WIDER`` (no pose is known better than
-            ``GAP_TOLERANCE``); None: there are no fewer.
-        time: When it was measured, seconds since 1970 or since any other moment [s]; None: not known.
+        wider: The impact with the contact points within ``MAX_TOLERANCE_FACTOR`` tolerances; None: they are the same.
+        narrower: The impact with the contact points within a tolerance over ``MAX_TOLERANCE_FACTOR`` (no pose is known
+            better than ``GAP_TOLERANCE``); None: they are the same.
+        time: Time of the measurement, seconds since 1970 or since any other moment [s]; None: unknown.
         circumstances: Its covariates by name, numbers or names of levels.
-        distance: How far the object went afterwards, where that was measured in place of its velocity.
-        contact_noise: Standard deviations of the place of the contact points [m] and of their normal [rad].
+        distance: Distance that the object travelled afterwards, if measured instead of its velocity.
+        contact_noise: Standard deviations of the positions of the contact points [m] and of their normal [rad].
     """
 
     number: int
@@ -243,7 +243,10 @@ def read_impact_table(
     for name, (low, high) in unsure.items():
         assumed, unit = reader.assumed_geometry(name)
         values = {
-            assumed + share * (end - assumed) for end in (low, high) for share in SWEPT if not np.isclose(end, assumed)
+            assumed + share * (end - assumed)
+            for end in (low, high)
+            for share in SWEPT_SHARES
+            if not np.isclose(end, assumed)
         }
         for value in sorted(values):
             try:
@@ -430,9 +433,9 @@ class _Reader:
             return MeasuredImpact(arms, body, points, bool(given))
 
         tolerance = self._tolerance(row)
-        smaller = max(tolerance / WIDER, min(tolerance, GAP_TOLERANCE))
+        smaller = max(tolerance / MAX_TOLERANCE_FACTOR, min(tolerance, GAP_TOLERANCE))
         try:
-            return with_points(tolerance), with_points(smaller), with_points(WIDER * tolerance)
+            return with_points(tolerance), with_points(smaller), with_points(MAX_TOLERANCE_FACTOR * tolerance)
         except Infeasible as error:
             raise self.cells.error(row, "pose of pad and object", None, error.message) from None
 
@@ -473,7 +476,7 @@ class _Reader:
         """Numbers of some columns, whose length is 1 up to rounding."""
         values = self.cells.values(row, columns.names)
         length = float(np.linalg.norm(values))
-        if abs(length - 1.0) > UNIT_LENGTH:
+        if abs(length - 1.0) > MAX_LENGTH_ERROR:
             raise self.cells.error(row, f"length of ({', '.join(columns.names)}) [-]", round(length, 6), expected)
         return np.asarray(values / length)
 
@@ -517,7 +520,7 @@ class _Reader:
         assumed = (*OF_BODY, SHELL, FRICTION, RESTITUTION)
         own = {name: cells.value(row, name) for one in assumed if one in cells for name in one.names}
         moments = [own[name] for name in MOMENTS.names if name in own]
-        if moments and max(moments) > (1.0 + MAX_EXCESS_OF_MOMENT) * (sum(moments) - max(moments)):
+        if moments and max(moments) > (1.0 + MAX_MOMENT_EXCESS_SHARE) * (sum(moments) - max(moments)):
             raise cells.error(
                 row, f"columns {', '.join(map(repr, MOMENTS.names))}", moments,
                 "no body has these principal moments; expected none larger than the sum of the other two [kg m^2]",

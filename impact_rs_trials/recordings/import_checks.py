@@ -25,15 +25,15 @@ from impact_rs_trials.recordings.hypotheses import (
     velocities,
 )
 from impact_rs_trials.recordings.joint_checks import doubts_of_arm
-from impact_rs_trials.recordings.joint_jumps import SMALLEST, jumps_of
+from impact_rs_trials.recordings.joint_jumps import MIN_JUMP_SHARE, jumps_of
 from impact_rs_trials.recordings.mapping import REQUIRED, Mapping, SignalName
 from impact_rs_trials.recordings.series import Names, Series
 from impact_rs_trials.recordings.sources import read_series
 from impact_rs_trials.runs import ArmSignals
 
-MOST_SAMPLES = 20_000  # that are looked at
-FEWEST_SAMPLES = 20
-MOVED = 0.005  # m, from which an object was hit
+MAX_CHECKED_SAMPLES = 20_000
+MIN_CHECKED_SAMPLES = 20
+MIN_OBJECT_DISPLACEMENT_M = 0.005  # of an object that was hit
 SI = {"rad", "m", "rad/s", "m/s", "N m", "N"}
 
 
@@ -56,7 +56,7 @@ def doubt_of(path: Path, mapping: Mapping, names: Names, model: RobotModel) -> s
     read = read_series(path, mapping, (*needed, "velocity"), needed, names)
     rows = usable_rows(read["position"])
     time, q = read["position"].time[rows], read["position"].values[rows]
-    if rows.size <= FEWEST_SAMPLES:
+    if rows.size <= MIN_CHECKED_SAMPLES:
         return f"{rows.size} samples of the positions can be used"
     dq, tau = read["velocity"].at(time), read["torque"].at(time)
     if not np.isfinite(np.hstack((dq, tau))).all():
@@ -91,7 +91,7 @@ def usable_rows(series: Series) -> NDArray[np.signedinteger]:
     usable = np.isfinite(series.values).all(axis=1) & np.isfinite(series.time)
     latest = np.fmax.accumulate(np.where(np.isfinite(series.time), series.time, -np.inf))
     usable &= np.diff(latest, prepend=-np.inf) > 0.0
-    return np.flatnonzero(usable)[:MOST_SAMPLES]
+    return np.flatnonzero(usable)[:MAX_CHECKED_SAMPLES]
 
 
 def travel_of(path: Path, mapping: Mapping, names: Names) -> float | None:
@@ -113,7 +113,7 @@ def travel_of(path: Path, mapping: Mapping, names: Names) -> float | None:
 
 def object_moves(path: Path, mapping: Mapping, names: Names) -> bool:
     """Whether the object of a run was recorded and changes its place; see :func:`travel_of`."""
-    return (travel_of(path, mapping, names) or 0.0) > MOVED
+    return (travel_of(path, mapping, names) or 0.0) > MIN_OBJECT_DISPLACEMENT_M
 
 
 def doubts_of_hit(read: AbstractMapping[SignalName, Series], mapping: Mapping) -> list[str]:
@@ -151,4 +151,4 @@ def clocks_of(path: Path, mapping: Mapping, names: Names) -> ClocksApart | None:
     position, pose = read["position"], read["object_pose" if "object_pose" in read else "object_position"]
     kept = np.isfinite(pose.values).all(axis=1)
     pose = replace(pose, time=pose.time[kept], values=pose.values[kept])
-    return clocks_apart(pose, position, list(jumps_of(position, SMALLEST)), path) if kept.any() else None
+    return clocks_apart(pose, position, list(jumps_of(position, MIN_JUMP_SHARE)), path) if kept.any() else None

@@ -23,7 +23,7 @@ COUNTS = re.compile(r"(^|[_.])(episode|run|trial|rollout|demo|recording)([_.]?(i
 RECORDED = re.compile(
     r"^\d[\d_:.T-]*$|rec|run|trial|episode|demo|hit|take|toss|throw|drop|impact|exp|test|shot|sample", re.I
 )
-FEWEST_ROWS = 20  # of a run
+MIN_ROWS_OF_RUN = 20
 
 
 @dataclass(frozen=True)
@@ -83,6 +83,6 @@ def run_column_of(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -
             runs = runs_of(cells)
             begins = [row for row, run in enumerate(runs) if row == 0 or run != runs[row - 1]]
             lengths = np.diff([*begins, len(runs)])
-            if len(begins) == len(set(runs)) > 1 and min(lengths) >= FEWEST_ROWS:
+            if len(begins) == len(set(runs)) > 1 and min(lengths) >= MIN_ROWS_OF_RUN:
                 return name
     return None

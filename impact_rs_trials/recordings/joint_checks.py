@@ -29,14 +29,14 @@ from numpy.typing import NDArray
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.mapping import Mapping, SignalName
-from impact_rs_trials.recordings.plausibility import CHECKED, gravity_torques, noticed
+from impact_rs_trials.recordings.plausibility import GRAVITY_SAMPLES, gravity_torques, noticed
 from impact_rs_trials.recordings.relations import (
     DECISIVE_LOG_LIKELIHOOD,
     MAX_CORRELATION_DRIVING,
     MAX_FACTOR_ERROR,
     MIN_CORRELATION,
-    SURE_ERRORS,
-    WRONG_FACTOR,
+    MIN_REPORTED_SIGMA,
+    PLAUSIBLE_FACTORS,
     AveragedMotion,
     averaged,
     correlation,
@@ -50,13 +50,13 @@ from impact_rs_trials.recordings.relations import (
 from impact_rs_trials.recordings.remarks import Amount, Remark, joined
 from impact_rs_trials.runs import ArmSignals
 
-LAG = (0.005, 1.0)  # s, and sampling periods, from which a lag is said
-LONGEST_LAG = 0.1  # s
-LEAST_OF_LAG = 100  # samples
-LOOKED_AT = 1000  # samples in which torques are compared
-REPEATED = 0.02  # of the samples, from which repeats are said: a joint that moves gives none, whatever its encoder
-COARSE = 10.0  # steps of the resolution, from which a change was missed by the samples before
-PAUSE = 0.2  # s, from which equal samples are a rest
+MIN_REPORTED_LAG = (0.005, 1.0)  # s, and sampling periods
+MAX_LAG_S = 0.1
+MIN_LAG_SAMPLES = 100
+MAX_TORQUE_SAMPLES = 1000  # in which torques are compared
+MAX_REPEATED_SHARE = 0.02  # of the samples: a moving joint repeats none, whatever its encoder
+MIN_MISSED_STEPS = 10.0  # of the resolution; a larger change was missed by the samples before
+MIN_REST_S = 0.2  # of equal samples that are a rest
 
 
 def doubts_of_arm(
@@ -71,7 +71,7 @@ def doubts_of_arm(
         model: Nominal arm, for its weight.
         contact: Whether something else pushes the arm, so that torques say nothing of weight and friction.
     """
-    rows = np.unique(np.linspace(0, time.size - 1, CHECKED).astype(int))
+    rows = np.unique(np.linspace(0, time.size - 1, GRAVITY_SAMPLES).astype(int))
     weight, derived = gravity_torques(model, arm.position[rows]), np.gradient(arm.position, time, axis=0)
     moving = moves(derived, mapping.facts)
     motion, means = AveragedMotion.of(time, arm.position), averaged(time, arm.velocity)[1]
@@ -87,7 +87,7 @@ def doubts_of_arm(
         together = abs(float(velocity.correlation[joint]))
         if moving[joint] and together >= MIN_CORRELATION:
             ratio, error = float(late.factor[joint]), float(late.standard_error[joint])
-            if abs(ratio - 1.0) > max(MAX_FACTOR_ERROR, SURE_ERRORS * error):
+            if abs(ratio - 1.0) > max(MAX_FACTOR_ERROR, MIN_REPORTED_SIGMA * error):
                 speeds[joint] = Remark(
                     "is ",
                     Amount(ratio),
@@ -168,7 +168,7 @@ def _lag_of_velocity(lags: list[tuple[float, float]], period: float, mapping: Ma
     lag = float(np.sum(weights * values) / np.sum(weights))
     spread = np.sqrt(float(np.sum(weights * np.square(values - lag)) / np.sum(weights)) / len(lags))
     error = float(np.hypot(1.0 / np.sqrt(np.sum(weights)), spread))
-    if abs(lag) < max(LAG[0], LAG[1] * period, SURE_ERRORS * error):
+    if abs(lag) < max(MIN_REPORTED_LAG[0], MIN_REPORTED_LAG[1] * period, MIN_REPORTED_SIGMA * error):
         return []
     return [_late("velocities", "the derivative of the positions", lag, error, "velocity", mapping)]
 
@@ -179,13 +179,13 @@ def _lag_of_torque(
     """Whether torques are older than positions, by all joints that move."""
     motion, torque = AveragedMotion.of(time, arm.position), averaged(time, arm.torque)[1]
     at, q, dq, ddq = motion.time, motion.position, motion.velocity, motion.acceleration
-    inside = np.flatnonzero((at > at[0] + LONGEST_LAG) & (at < at[-1] - LONGEST_LAG))
-    if inside.size < LEAST_OF_LAG:
+    inside = np.flatnonzero((at > at[0] + MAX_LAG_S) & (at < at[-1] - MAX_LAG_S))
+    if inside.size < MIN_LAG_SAMPLES:
         return []
-    rows = inside[np.unique(np.linspace(0, inside.size - 1, LOOKED_AT).astype(int))]
+    rows = inside[np.unique(np.linspace(0, inside.size - 1, MAX_TORQUE_SAMPLES).astype(int))]
     rigid = np.array([model.inverse_dynamics(q[row], dq[row], ddq[row]) for row in rows])
     period = float(np.median(np.diff(time)))
-    tried = np.arange(-LONGEST_LAG, LONGEST_LAG, max(0.5 * period, 1e-3))
+    tried = np.arange(-MAX_LAG_S, MAX_LAG_S, max(0.5 * period, 1e-3))
     independent = min(rows.size, (at[rows[-1]] - at[rows[0]]) / (at[-1] - at[0]) * motion.independent)
     likelihood = np.zeros(tried.size)
     odd, friction = odd_blocks(rows.size), dry_friction(dq[rows])
@@ -196,7 +196,7 @@ def _lag_of_torque(
         likelihood -= 0.5 * independent * np.log(np.maximum(left, 1e-12))
     best = int(np.argmax(likelihood))
     gain, lag = likelihood[best] - float(np.interp(0.0, tried, likelihood)), float(tried[best])
-    least = max(LAG[0], LAG[1] * period)
+    least = max(MIN_REPORTED_LAG[0], MIN_REPORTED_LAG[1] * period)
     if not 0 < best < tried.size - 1 or abs(lag) < least or gain < DECISIVE_LOG_LIKELIHOOD:
         return []
     step = tried[1] - tried[0]
@@ -232,9 +232,9 @@ def _repeated(time: Array, values: Array) -> str | None:
     period = float(np.median(np.diff(time)))
     resolution = np.min(np.where(steps > 0.0, steps, np.inf), axis=0)
     lasts = np.diff(changed)  # samples with one value
-    missed = np.any(steps[changed[1:]] > COARSE * resolution, axis=1) & (lasts * period < PAUSE)
+    missed = np.any(steps[changed[1:]] > MIN_MISSED_STEPS * resolution, axis=1) & (lasts * period < MIN_REST_S)
     repeated = int(np.sum(lasts[missed] - 1))
-    if repeated < REPEATED * time.size:
+    if repeated < MAX_REPEATED_SHARE * time.size:
         return None
     each = float(np.mean(lasts[missed]))
     return Remark(
@@ -261,11 +261,11 @@ def _ratio(values: Array, expected: Array) -> float | None:
     """By how much a signal differs from what it should be; None: about 1, or they do not go together."""
     found = fit(expected[:, None], values[:, None])
     ratio, together = float(found.factor[0]), abs(float(found.correlation[0]))
-    return None if WRONG_FACTOR[0] < ratio < WRONG_FACTOR[1] or together < MIN_CORRELATION else ratio
+    return None if PLAUSIBLE_FACTORS[0] < ratio < PLAUSIBLE_FACTORS[1] or together < MIN_CORRELATION else ratio
 
 
 def _remedy(ratio: float) -> float:
-    return -1.0 if WRONG_FACTOR[0] < -ratio < WRONG_FACTOR[1] else 1.0 / ratio
+    return -1.0 if PLAUSIBLE_FACTORS[0] < -ratio < PLAUSIBLE_FACTORS[1] else 1.0 / ratio
 
 
 def _rms(values: Array) -> float:

@@ -35,7 +35,7 @@ from impact_rs_trials.recordings.hypotheses import (
 from impact_rs_trials.recordings.joint_streams import JointStream
 from impact_rs_trials.recordings.torque_readings import MotionTorque, is_computed, lacks_weight
 
-SEARCHED = 20.0  # log posterior below the best, of motions whose torques are compared
+MAX_LOG_POSTERIOR_LOSS = 20.0  # below the best, of motions whose torques are compared
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,9 @@ class JointSearch:
     def best(self, motions: Sequence[Assignment]) -> Assignment:
         """The likeliest of motions, with its torques, and what its signals may be as well."""
         most = max(one.motion_log_posterior for one in motions)
-        searched = [one for one in motions if one.velocity is None or one.motion_log_posterior > most - SEARCHED]
+        searched = [
+            one for one in motions if one.velocity is None or one.motion_log_posterior > most - MAX_LOG_POSTERIOR_LOSS
+        ]
         found = sorted(map(self._with_torques, searched), key=lambda one: one.log_posterior, reverse=True)
         best, places = found[0], {id(one.position.stream): one for one in (*motions, *found)}
         others = [one for one in places.values() if one.position.stream is not best.position.stream]

@@ -14,7 +14,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array, RobotFacts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.candidates import (
-    MOST_BESIDE,
+    MAX_GRIPPER_NUMBERS,
     PART_OF_ARM,
     SignalCandidate,
     joints_of,
@@ -42,9 +42,9 @@ from impact_rs_trials.recordings.torque_readings import (
     order_of_joints,
 )
 
-MOST_SHOWN = 3  # signals of a kind in a message
-NEAR = 0.5  # of the measured torque, rms, within which a torque that was asked for lies
-PLAINLY = 2.0  # by which it is nearer with the arm's weight than without it, or the other way round
+MAX_SHOWN_SIGNALS = 3  # of a kind in a message
+MAX_COMMAND_RMS_RATIO = 0.5  # difference of commanded and measured torque, rms over the measured one
+MIN_GRAVITY_RMS_RATIO = 2.0  # of these differences with and without gravity torque, beyond which the choice is sure
 NO_HEADER = "its messages have no header: times at which the bag received them"
 
 
@@ -137,7 +137,7 @@ class JointSections:
         if one.is_cut or one.candidate.joints or PART_OF_ARM.search(one.candidate.label):
             return None
         time, q, dq = found.time, found.position.values, found.speeds
-        for torque in found.torques[:MOST_SHOWN]:
+        for torque in found.torques[:MAX_SHOWN_SIGNALS]:
             constant, raw = torque.best.further.get("torque_constant"), torque.stream.series.at(time)
             if constant is not None and leaves_little(MotionTorque.of(time, q, dq, raw * np.array(constant), model)):
                 continue  # currents; else a torque in a wrong order, of which no unit fits
@@ -166,7 +166,7 @@ class JointSections:
         others = [
             one.label for part in self._parts for one in part.candidates if not one.pose and one.width not in (1, count)
         ]
-        said += f"; signals of other widths: {', '.join(others[:MOST_SHOWN])}" if others else ""
+        said += f"; signals of other widths: {', '.join(others[:MAX_SHOWN_SIGNALS])}" if others else ""
         said += "".join(f"; the reader refuses {why}" for why in self._refusals())
         backwards = [back for part in self._parts if (back := steps_back(part.columns)) is not None]
         said += "".join(f"; {back}, so another clock was taken" for back in backwards)
@@ -178,7 +178,7 @@ class JointSections:
         by_reason: dict[str, list[str]] = {}
         for label, why in self._refused.items():
             by_reason.setdefault(why, []).append(label)
-        return [f"{', '.join(labels[:MOST_SHOWN])}: {why}" for why, labels in by_reason.items()]
+        return [f"{', '.join(labels[:MAX_SHOWN_SIGNALS])}: {why}" for why, labels in by_reason.items()]
 
     def _check_rate(self, rate: float, search: JointSearch) -> None:
         """Refuse a sampling rate at which a velocity would be that of another one."""
@@ -259,17 +259,17 @@ class JointSections:
         tried = [(apart(one, 0.0), apart(one, weight), one) for one in asked]
         taken = min(tried, key=lambda one: min(one[:2]))
         for alone, lifted, one in tried:
-            if one is not taken[2] or min(alone, lifted) > NEAR:
+            if one is not taken[2] or min(alone, lifted) > MAX_COMMAND_RMS_RATIO:
                 far = f"{100.0 * min(alone, lifted):.0f} % of the measured torque away from it"
                 self._notes.remarks.append(f"{one.label} is left out: by its name it was asked for, and it is {far}")
         alone, lifted, one = taken
-        if min(alone, lifted) > NEAR:
+        if min(alone, lifted) > MAX_COMMAND_RMS_RATIO:
             return {}
         included, both = alone <= lifted, f"{100.0 * alone:.0f} % of the measured torque away from it as it is"
         said = f"{both}, {100.0 * lifted:.0f} % with the arm's weight added (rms)"
         command = Reading(one, RoleChoice(RoleHypothesis("torque", "N m", said, 0.0), None, np.inf))
         signals["command"] = self._joint_signal(command, "command", part)
-        sure = max(alone, lifted) > PLAINLY * min(alone, lifted)
+        sure = max(alone, lifted) > MIN_GRAVITY_RMS_RATIO * min(alone, lifted)
         said = f"it is nearer to the measured torque {'as it is' if included else 'with the weight of the arm added'}"
         self._notes.say("command_includes_gravity", str(included).lower(), said, sure)
         return {"command_includes_gravity": included}
@@ -346,7 +346,7 @@ def _check_width(found: Assignment, part: RecordedFile, robot: str, count: int) 
     )
     shown = are_derivatives(series.time, values, raw)
     block = [*own, *(n for n, derivative in zip(around, shown, strict=True) if derivative)]
-    if len(block) > count + MOST_BESIDE:
+    if len(block) > count + MAX_GRIPPER_NUMBERS:
         blocks = " and ".join(f"{free[min(block) + shift]} … {free[max(block) + shift]}" for shift in (0, apart))
         raise InputError(
             f"columns {blocks} hold positions and velocities of {len(block)} joints, and {robot} has {count}: another "

@@ -33,7 +33,7 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import BodyState, resting_pose
 from impact_rs_trials.recordings.clock import (
-    ON_THE_GRID,
+    MAX_GRID_ERROR_PERIODS,
     Gap,
     check_jumps,
     check_stamps,
@@ -43,9 +43,9 @@ from impact_rs_trials.recordings.clock import (
     tell_gaps,
 )
 from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS, on_one_clock, with_start_at
-from impact_rs_trials.recordings.contact_frame import FOLLOWED, TOUCHING, ContactFrame, PadOnFace, contact_frame
+from impact_rs_trials.recordings.contact_frame import CARRIED_S, FLAT_CONTACT_S, ContactFrame, PadOnFace, contact_frame
 from impact_rs_trials.recordings.experiment import (
-    FRICTION_NOISE,
+    FRICTION_SIGMA_SHARE,
     Experiment,
     MotionCapture,
     RunRow,
@@ -53,13 +53,13 @@ from impact_rs_trials.recordings.experiment import (
     run_named,
 )
 from impact_rs_trials.recordings.faults import without_faults
-from impact_rs_trials.recordings.guesses import UNIT_LENGTH
+from impact_rs_trials.recordings.guesses import MAX_NORM_ERROR
 from impact_rs_trials.recordings.joint_checks import doubts_of_arm
 from impact_rs_trials.recordings.joint_jumps import impact_time
 from impact_rs_trials.recordings.mapping import REQUIRED, SignalName
 from impact_rs_trials.recordings.mapping import Mapping as SignalMapping
 from impact_rs_trials.recordings.plausibility import (
-    REST,
+    FIRST_POSE_S,
     check_object,
     check_touch,
     check_weight,
@@ -77,20 +77,20 @@ logger = logging.getLogger(__name__)
 
 ARM_SIGNALS: tuple[SignalName, ...] = (*REQUIRED, "motor_position", "motor_velocity")
 
-LEAST_SAMPLES = 20
-WALL_CLOCK = 1e9  # s; stamps above it count from 1970 (this is 2001), those below from the start of some program
-SHORTEST = 0.3  # s, of a piece between gaps
-GAP_PERIODS = 3.0  # a gap is longer than so many sampling periods, and
-GAP_REPORTED = 0.005  # s, longer than this; a shorter one fits into the window of the velocity fit at an impact
-GAP_CUT = 0.010  # s; longer gaps are not interpolated
-JUMP = 0.1  # s, a longer step is a jump of the clock
-JITTER = 0.2  # periods by which stamps may be off the regular grid without a remark
-SLOW_JOINTS = 200.0  # Hz
-SLOW_POSE = 60.0  # Hz
-IMPACT_SHARE = 0.02  # of the samples, in which an impact may take a velocity or torque beyond the data sheet
-ROUNDED = 1e-6  # s, stamps that are nearer to each other are the same
-OUT_OF_REACH = 5.0  # m, distance of the object in free motion
-BEYOND = 0.1  # s, command and pose are kept this long before and after the joint signals
+MIN_RUN_SAMPLES = 20
+MIN_WALL_CLOCK_S = 1e9  # later timestamps count from 1970 (this is 2001), earlier ones from the start of some program
+MIN_PIECE_S = 0.3  # of a piece between gaps
+MIN_GAP_PERIODS = 3.0  # a gap is longer than so many sampling periods, and
+MIN_REPORTED_GAP_S = 0.005  # longer than this; a shorter one fits into the window of the velocity fit at an impact
+MAX_INTERPOLATED_GAP_S = 0.010  # longer gaps separate two pieces
+MIN_CLOCK_JUMP_S = 0.1  # a longer step is a jump of the clock
+MAX_JITTER_PERIODS = 0.2  # of timestamps about the regular grid, without a warning
+MIN_JOINT_RATE_HZ = 200.0  # without a warning
+MIN_POSE_RATE_HZ = 60.0  # without a warning
+MAX_IMPACT_SHARE = 0.02  # of the samples, in which an impact may take a velocity or torque beyond the data sheet
+STAMP_ROUNDING_S = 1e-6  # closer timestamps are equal
+OUT_OF_REACH_M = 5.0  # distance of the object in free motion
+BEYOND_S = 0.1  # of command and pose that are kept before and after the joint signals
 
 ArmSeries = dict[SignalName, Series]
 
@@ -111,7 +111,7 @@ class Laboratory:
     mappings: Mapping[str, SignalMapping]
     motion_capture: MotionCapture
     placed: ContactFrame | None = None
-    friction_noise: float = FRICTION_NOISE
+    friction_noise: float = FRICTION_SIGMA_SHARE
 
     @classmethod
     def of(cls, experiment: Experiment) -> Laboratory:
@@ -334,7 +334,7 @@ def read_run(laboratory: Laboratory, run: RunRow) -> Run:
                 _check(path, name, one)
             arms[arm], left_out = _without_faults(laboratory, run, arm, own)
             faults += [f"{laboratory.label(arm)}{remark}" for remark in left_out]
-            if any(arms[arm][name].time.size < LEAST_SAMPLES for name in REQUIRED):
+            if any(arms[arm][name].time.size < MIN_RUN_SAMPLES for name in REQUIRED):
                 raise TooShort("; ".join(faults), file=path)
     remarks += faults
     base = _fastest(arms)
@@ -343,7 +343,7 @@ def read_run(laboratory: Laboratory, run: RunRow) -> Run:
             _check_overlap(path, arms[base]["position"], own)
     origin = float(arms[base]["position"].time[0])  # numbers of the wall clock have no room for microseconds
     position = arms[base]["position"]
-    began = origin if position.log is None or origin > WALL_CLOCK else float(position.log[0])
+    began = origin if position.log is None or origin > MIN_WALL_CLOCK_S else float(position.log[0])
     arms = {arm: {name: replace(one, time=one.time - origin) for name, one in own.items()} for arm, own in arms.items()}
     pose_seen = arms[tracker].pop("object_pose", None)
 
@@ -371,7 +371,7 @@ def read_run(laboratory: Laboratory, run: RunRow) -> Run:
     signals = Signals(time, _alike(read), object_time, pose[:, :3], pose[:, 3:])
     gaps_between = tuple((end - grid[0], start - grid[0]) for (_, end), (start, _) in itertools.pairwise(pieces))
     found = _in_scene(laboratory.scenario, run, signals, gaps_between, tuple(dict.fromkeys(remarks)))
-    return replace(found, recorded=began if began > WALL_CLOCK else None)
+    return replace(found, recorded=began if began > MIN_WALL_CLOCK_S else None)
 
 
 def _alike(arms: Mapping[str, ArmSignals]) -> dict[str, ArmSignals]:
@@ -389,7 +389,7 @@ def _in_scene(
     object_name = row.object or next(iter(scenario.objects))
     rest = resting_pose(scenario, object_name)
     if not row.hit:
-        rest = BodyState(rest.position + [OUT_OF_REACH, OUT_OF_REACH, 0.0], rest.rotation, rest.twist)
+        rest = BodyState(rest.position + [OUT_OF_REACH_M, OUT_OF_REACH_M, 0.0], rest.rotation, rest.twist)
     return Run(
         path=row.path,
         name=row.name,
@@ -432,7 +432,7 @@ def _arm_of(
     time, none = grid - grid[0], np.zeros((0, len(mapping.joints)))
     with laboratory.errors_of(arm):
         joints = ArmSignals(own["position"], own["velocity"], own["torque"])
-        check_arm(path, time, joints, mapping, IMPACT_SHARE if run.hit else 0.0)
+        check_arm(path, time, joints, mapping, MAX_IMPACT_SHARE if run.hit else 0.0)
         remedy = "wrong sign or unit, or without the arm's own weight?"
         check_weight(path, "torque", laboratory.models[arm], own["position"], own["torque"], remedy)
         doubts = doubts_of_arm(time, joints, mapping, laboratory.models[arm], run.hit)
@@ -490,7 +490,7 @@ def with_object(path: Path, series: ArmSeries, remarks: list[str]) -> ArmSeries:
     if not np.any(seen):
         raise InputError(f"{pose.place}: the object is seen in none of {seen.size} samples", file=path)
     lengths = norm[seen & np.isfinite(norm)]
-    if np.any(np.abs(lengths - 1.0) > UNIT_LENGTH):
+    if np.any(np.abs(lengths - 1.0) > MAX_NORM_ERROR):
         raise InputError(
             f"{pose.place}: quaternions have lengths of {lengths.min():.3g} ... {lengths.max():.3g}, expected 1: "
             "columns of something else?",
@@ -548,11 +548,11 @@ def _start_in_the_impact(laboratory: Laboratory, run: RunRow, arms: dict[str, Ar
 
 def _check(path: Path, name: SignalName, series: Series) -> None:
     """Stamps that increase without a jump, and finite numbers."""
-    if name in REQUIRED and series.time.size < LEAST_SAMPLES:
-        raise TooShort(f"{series.place}: {series.time.size} samples, at least {LEAST_SAMPLES} are needed", file=path)
+    if name in REQUIRED and series.time.size < MIN_RUN_SAMPLES:
+        raise TooShort(f"{series.place}: {series.time.size} samples, at least {MIN_RUN_SAMPLES} are needed", file=path)
     check_stamps(path, series.place, series.time)
     if series.time.size > 1:
-        largest = max(JUMP, 5.0 * float(np.median(np.diff(series.time))))
+        largest = max(MIN_CLOCK_JUMP_S, 5.0 * float(np.median(np.diff(series.time))))
         check_jumps(path, series.place, series.time, series.log, largest, pauses=name in (*ARM_SIGNALS, "command"))
     wrong = ~np.isfinite(series.values)
     if np.any(wrong):
@@ -593,20 +593,22 @@ def _pieces(
         if one is None or one.time.size < 2 or any(np.array_equal(one.time, time) for time in seen):
             continue
         seen.append(one.time)
-        periods = GAP_PERIODS * float(np.median(np.diff(one.time)))
-        found = gaps(one.time, max(GAP_REPORTED, periods))
+        periods = MIN_GAP_PERIODS * float(np.median(np.diff(one.time)))
+        found = gaps(one.time, max(MIN_REPORTED_GAP_S, periods))
         if not found:
             continue
         remark = f"{one.place}: {'gaps' if len(found) > 1 else 'a gap'} of {tell_gaps(found, start)}"
         if one is not pose:
-            cuts += [gap for gap in found if gap.length > GAP_CUT and gap.end > start and gap.start < end]
+            cuts += [
+                gap for gap in found if gap.length > MAX_INTERPOLATED_GAP_S and gap.end > start and gap.start < end
+            ]
         remarks.append(remark)
-    if end - start < SHORTEST:
-        raise TooShort(f"it lasts {end - start:.3f} s, at least {SHORTEST} s are needed", file=run.path)
+    if end - start < MIN_PIECE_S:
+        raise TooShort(f"it lasts {end - start:.3f} s, at least {MIN_PIECE_S} s are needed", file=run.path)
     for own in arms.values():
         for time in (own["velocity"].time, own["torque"].time):  # what lacks at either end is a gap as well
             lacks = [Gap(start, float(time[0]) - start), Gap(float(time[-1]), end - float(time[-1]))]
-            cuts += [gap for gap in lacks if gap.length > GAP_CUT]
+            cuts += [gap for gap in lacks if gap.length > MAX_INTERPOLATED_GAP_S]
     impacts = [impact_time(own["position"], own["velocity"]) for own in arms.values()] if run.hit else []
     if any(not start <= impact <= end for impact in impacts):
         raise TooShort("the joint positions do not reach to the impact", file=run.path)
@@ -619,22 +621,22 @@ def _pieces(
     first = [start, *sorted(gap.end for gap in cuts)]
     last = [*sorted(gap.start for gap in cuts), end]
     between = [(a, b) for a, b in zip(first, last, strict=True) if b > a]
-    used = [piece for piece in between if piece[1] - piece[0] >= SHORTEST]
+    used = [piece for piece in between if piece[1] - piece[0] >= MIN_PIECE_S]
     main = max([p for p in between if all(p[0] <= impact <= p[1] for impact in impacts)], key=_length)
     if impacts:
         used = [piece for piece in used if piece[0] <= max(impacts)]
     if main not in used:
         what = "with the impact " if run.hit else ""
         raise TooShort(
-            f"gaps leave {_length(main):.3f} s {what}in one piece, at least {SHORTEST} s are needed: gaps of "
+            f"gaps leave {_length(main):.3f} s {what}in one piece, at least {MIN_PIECE_S} s are needed: gaps of "
             f"{tell_gaps(sorted(cuts, key=lambda gap: gap.start), start)}",
             file=run.path,
         )
-    remarks.append(f"cut to {_told(used, start)}, for gaps > {GAP_CUT:g} s")
-    short = [piece for piece in between if _length(piece) < SHORTEST]
+    remarks.append(f"cut to {_told(used, start)}, for gaps > {MAX_INTERPOLATED_GAP_S:g} s")
+    short = [piece for piece in between if _length(piece) < MIN_PIECE_S]
     behind = [piece for piece in between if piece not in used and piece not in short]
     if short:
-        remarks.append(f"skipped, for it is shorter than {SHORTEST} s: {_told(short, start)}")
+        remarks.append(f"skipped, for it is shorter than {MIN_PIECE_S} s: {_told(short, start)}")
     if behind:
         remarks.append(f"skipped, for it comes after the impact and a gap: {_told(behind, start)}")
     return used, main
@@ -657,7 +659,7 @@ def _on_grid(series: Series, grid: Array) -> Array:
     """One signal of the arm on the even grid, ``(k, n)``: samples where they lie on it, interpolated elsewhere."""
     nearest = np.clip(np.searchsorted(series.time, grid), 1, series.time.size - 1)
     nearest -= grid - series.time[nearest - 1] < series.time[nearest] - grid
-    close = np.abs(series.time[nearest] - grid) < ON_THE_GRID * (grid[1] - grid[0])
+    close = np.abs(series.time[nearest] - grid) < MAX_GRID_ERROR_PERIODS * (grid[1] - grid[0])
     return np.where(close[:, None], series.values[nearest], series.at(grid))
 
 
@@ -668,10 +670,10 @@ def _part(series: Series | None, grid: Array, none: Array) -> tuple[Array, Array
     """
     if series is None:
         return np.zeros(0), none
-    inside = (series.time >= grid[0] - BEYOND) & (series.time <= grid[-1] + BEYOND)
+    inside = (series.time >= grid[0] - BEYOND_S) & (series.time <= grid[-1] + BEYOND_S)
     period = grid[1] - grid[0]
     nearest = grid[0] + period * np.rint((series.time[inside] - grid[0]) / period)
-    time = np.where(np.abs(series.time[inside] - nearest) < ROUNDED, nearest, series.time[inside])
+    time = np.where(np.abs(series.time[inside] - nearest) < STAMP_ROUNDING_S, nearest, series.time[inside])
     return time - grid[0], series.values[inside]
 
 
@@ -698,7 +700,7 @@ def _tell_rates(
         period = max(period, float(own[1] - own[0]))
     beside = np.abs(raw - grid[0] - period * np.rint((raw - grid[0]) / period)) / period
     worst = float(np.percentile(beside, 99.0))
-    if worst > JITTER:
+    if worst > MAX_JITTER_PERIODS:
         remarks.append(
             Remark(
                 f"{position.place}: stamps lie up to ",
@@ -706,7 +708,7 @@ def _tell_rates(
                 " % of a period beside an even grid; the samples are interpolated onto it",
             )
         )
-    if 1.0 / period < SLOW_JOINTS:
+    if 1.0 / period < MIN_JOINT_RATE_HZ:
         rate = Amount(1.0 / period, ".0f")
         remarks.append(Remark("joints at ", rate, " Hz: the jump of an impact is seen, its force is not"))
 
@@ -715,7 +717,7 @@ def _tell_pose_rate(pose: Series | None, remarks: list[str]) -> None:
     """Say where the object is seen too seldom for a question."""
     if pose is not None and pose.time.size > 1:
         rate = 1.0 / float(np.median(np.diff(pose.time)))
-        if rate < SLOW_POSE:
+        if rate < MIN_POSE_RATE_HZ:
             remarks.append(
                 Remark(
                     "object pose at ",
@@ -773,15 +775,15 @@ def _touch(laboratory: Laboratory, run: RunRow, arm: str, series: ArmSeries, see
     tilted = given.model_copy(update={"position": (0.0, 0.0, 0.0), "rpy": (*given.rpy[:2], 0.0)})
     pose = in_inertial_frame(tilted, run, seen.values)  # with roll and pitch, which hits do not determine
     impact = impact_time(joints, series["velocity"])
-    first, last = (impact + moment for moment in TOUCHING)
+    first, last = (impact + moment for moment in FLAT_CONTACT_S)
     times = seen.time[(seen.time >= first) & (seen.time <= last)]
     times = times if times.size else np.array([0.5 * (first + last)])
     pads = [model.placement(q) for q in joints.at(times)]
     placed = replace(seen, values=pose)
     objects = [pin.XYZQUATToSE3(row) for row in placed.at(times)]
-    still = np.median(pose[seen.time <= seen.time[0] + REST], axis=0)
+    still = np.median(pose[seen.time <= seen.time[0] + FIRST_POSE_S], axis=0)
     size = np.array(laboratory.scenario.object(run.object).size)
-    ends = np.array([impact, min(impact + FOLLOWED, float(joints.time[-1]), float(seen.time[-1]))])
+    ends = np.array([impact, min(impact + CARRIED_S, float(joints.time[-1]), float(seen.time[-1]))])
     way = np.diff([model.placement(q).translation[:2] for q in joints.at(ends)], axis=0)[0]
     return PadOnFace(
         run=run.name,
@@ -832,7 +834,7 @@ def _check_object(
     at = np.column_stack([np.interp(object_time[during], time, column) for column in position.T])
     size = np.array(scenario.object(run.object).size)
     touching = check_touch(run.path, laboratory.models[arm], run.object, size, at, pose[during])
-    slow = object_time.size > 1 and float(np.median(np.diff(object_time))) > 1.0 / SLOW_POSE
+    slow = object_time.size > 1 and float(np.median(np.diff(object_time))) > 1.0 / MIN_POSE_RATE_HZ
     return (
         remarks if slow else [*remarks, *(Remark(laboratory.label(arm), remark) for remark in touching)]
     )  # a slow tracker does not see where they meet

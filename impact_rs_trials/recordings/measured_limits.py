@@ -22,7 +22,7 @@ from impact_rs_trials.recordings.table_columns import Columns, read_columns
 from impact_rs_trials.recordings.table_layout import find_layout
 
 QUANTITIES = {"position": "position", "velocity": "velocity", "torque": "effort"}  # of a URDF, by signal
-MOST_TURNED = 4.0 * np.pi  # rad; positions beyond are degrees
+MAX_POSITION_RAD = 4.0 * np.pi  # positions beyond are degrees
 
 
 def measured_limits(path: Path, joints: Sequence[str]) -> Limits:
@@ -57,7 +57,7 @@ def measured_limits(path: Path, joints: Sequence[str]) -> Limits:
             key="--measured",
         )
     for (joint, quantity), ends in found.items():
-        if quantity == "position" and max(abs(end) for end in ends) > MOST_TURNED:
+        if quantity == "position" and max(abs(end) for end in ends) > MAX_POSITION_RAD:
             said = f"joint {joint} is at {ends[0]:g} to {ends[1]:g}: expected rad or m, not degrees or mm"
             raise InputError(said, file=path, key="--measured")
     return found

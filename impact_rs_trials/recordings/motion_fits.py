@@ -19,10 +19,10 @@ import pinocchio as pin
 
 from impact_rs_sim.robot import Array
 
-ROUNDS = 3  # Gauss-Newton steps of a turn
-STEP = 2e-3  # s, of Euler's equations
-ALIKE = 1e-9  # relative difference of moments below which a body turns steadily
-AT_REST = 2.0  # standard deviations of a velocity below which a body rests
+GAUSS_NEWTON_STEPS = 3  # of an orientation
+EULER_STEP_S = 2e-3  # of Euler's equations
+EQUAL_MOMENTS = 1e-9  # relative difference below which a body turns steadily
+MAX_REST_SIGMA = 2.0  # standard deviations of the velocity of a body at rest
 
 
 @dataclass(frozen=True)
@@ -69,9 +69,9 @@ def turned(rotation: Array, turning: Array, moments: Array, duration: float) -> 
         moments: Principal moments, ``(3,)``.
         duration: The time [s].
     """
-    if np.ptp(moments) <= ALIKE * float(np.max(moments)):
+    if np.ptp(moments) <= EQUAL_MOMENTS * float(np.max(moments)):
         return np.asarray(pin.exp3(turning * duration) @ rotation), turning
-    own, steps = rotation.T @ turning, max(1, int(np.ceil(abs(duration) / STEP)))
+    own, steps = rotation.T @ turning, max(1, int(np.ceil(abs(duration) / EULER_STEP_S)))
     h = duration / steps
     for _ in range(steps):  # midpoint rule
         middle = own + 0.5 * h * np.cross(moments * own, own) / moments
@@ -148,7 +148,7 @@ def _fit(
     line, place_left = _least_squares(basis, falling)
     steady = np.column_stack((np.ones_like(t), t))
     start, turning = rotations[middle], np.zeros(3)
-    for _ in range(ROUNDS):
+    for _ in range(GAUSS_NEWTON_STEPS):
         expected = [turned(start, turning, moments, moment)[0] for moment in t]
         off = np.array([pin.log3(seen @ one.T) for seen, one in zip(rotations, expected, strict=True)])
         (shift, faster), turn_left = _least_squares(steady, off)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.file_groups import OBJECT, RUN, WORD, FileGroups, run_name
-from impact_rs_trials.recordings.import_checks import MOVED, travel_of
+from impact_rs_trials.recordings.import_checks import MIN_OBJECT_DISPLACEMENT_M, travel_of
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.series import Names
 
@@ -56,7 +56,7 @@ def moving_objects(groups: FileGroups, kind: str, mapping: Mapping) -> MovingObj
         chosen = {run: max(usable, key=lambda name: usable[name][run]) for run in groups.runs}  # noqa: B023
         kinds = {other: by_run for other, by_run in groups.kinds.items() if other not in map(named.get, usable)}
         kinds[pattern] = {run: groups.kinds[named[name]][run] for run, name in chosen.items()}
-        moved = [name for run, name in chosen.items() if usable[name][run] > MOVED]
+        moved = [name for run, name in chosen.items() if usable[name][run] > MIN_OBJECT_DISPLACEMENT_M]
         merged = replace(groups, kinds=kinds, objects={**groups.objects, **chosen})
         return MovingObjects(pattern, merged, tuple(dict.fromkeys(moved)))
     return None

@@ -21,7 +21,7 @@ from impact_rs_trials.recordings.recorded_files import RecordedFile, axes_of, so
 from impact_rs_trials.recordings.sources import open_file
 from impact_rs_trials.recordings.transforms import are_transforms
 
-MOST_POSES = 10  # in a message
+MAX_SHOWN_POSES = 10  # in a message
 OF_THE_ROBOT = re.compile(r"eef|(^|_)ee(_|$)|tcp|tool|flange|hand", re.IGNORECASE)
 OF_A_POSE = re.compile(
     r"pos(ition)?|place|trans(lation)?|rot(ation)?|quat(ernion)?|ori(entation)?|[pqrtwxyz]|xyz|xyzw|wxyz"
@@ -68,8 +68,8 @@ class ObjectSections:
         others = [one.label for one in part.candidates if one.pose and one.source != taken]
         if others:
             self._notes.remarks.append(
-                f"{part.path.name} holds other poses, of which none is taken: {', '.join(others[:MOST_POSES])}"
-                + (f" and {len(others) - MOST_POSES} more" if len(others) > MOST_POSES else "")
+                f"{part.path.name} holds other poses, of which none is taken: {', '.join(others[:MAX_SHOWN_POSES])}"
+                + (f" and {len(others) - MAX_SHOWN_POSES} more" if len(others) > MAX_SHOWN_POSES else "")
             )
 
     def _choose_objects(self, part: RecordedFile, sections: dict[str, dict[str, Any]]) -> None:

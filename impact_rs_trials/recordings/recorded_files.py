@@ -29,7 +29,7 @@ from impact_rs_trials.recordings.file_groups import OBJECT, FileGroups
 from impact_rs_trials.recordings.file_units import UNITS
 from impact_rs_trials.recordings.guesses import Guess, clock_of, other_units, steps_back
 from impact_rs_trials.recordings.hypotheses import DECISIVE
-from impact_rs_trials.recordings.import_checks import FEWEST_SAMPLES, usable_rows
+from impact_rs_trials.recordings.import_checks import MIN_CHECKED_SAMPLES, usable_rows
 from impact_rs_trials.recordings.import_texts import Notes, flow
 from impact_rs_trials.recordings.inner_runs import RUN, run_column_of, run_groups_of, runs_of
 from impact_rs_trials.recordings.joint_search import JointSearch
@@ -41,7 +41,7 @@ from impact_rs_trials.recordings.sources import open_file
 from impact_rs_trials.recordings.table_columns import read_columns, read_rows
 from impact_rs_trials.recordings.table_layout import find_layout
 
-MOST_SHOWN = 3  # groups in a message
+MAX_SHOWN_GROUPS = 3  # in a message
 AXES = ("x", "y", "z")
 QUATERNION = (("x", "y", "z", "w"), ("w", "x", "y", "z"))
 RAW_UNITS = {"position": "rad", "velocity": "rad/s", "torque": "N m"}
@@ -166,7 +166,7 @@ def _of_arrays(pattern: str, path: Path, spread: bool, notes: Notes) -> Recorded
     columns, candidates = ArrayFile.arrays_of(path), candidates_of(path)
     groups, run = run_groups_of(columns), ""
     if groups is not None:
-        listed = ", ".join(f"{groups.before}{name}" for name in groups.names[:MOST_SHOWN])
+        listed = ", ".join(f"{groups.before}{name}" for name in groups.names[:MAX_SHOWN_GROUPS])
         if groups.recorded and not spread:
             run = groups.names[0]
             columns = {new: own for name, own in columns.items() if (new := groups.with_placeholder(name))}
@@ -208,13 +208,13 @@ def read_streams(part: RecordedFile, robot: str, count: int, rate: float | None)
             refused[one.label] = str(error)
             continue
         rows = usable_rows(series)
-        if rows.size > FEWEST_SAMPLES:
+        if rows.size > MIN_CHECKED_SAMPLES:
             kept = replace(series, time=series.time[rows], values=series.values[rows])
             part.streams.append(JointStream(part.pattern, one, kept))
         else:
             refused[one.label] = (
                 f"{rows.size} of {series.time.size} samples have numbers and a later stamp than all before, "
-                f"more than {FEWEST_SAMPLES} are needed; stamps were taken from {part.stamps}, the key time of a "
+                f"more than {MIN_CHECKED_SAMPLES} are needed; stamps were taken from {part.stamps}, the key time of a "
                 "mapping names others, or a rate"
             )
     _put_on_stamps(part)

@@ -19,12 +19,12 @@ from impact_rs_sim.robot import Array, joined_units
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.clock import check_stamps, gaps, tell_gaps
 from impact_rs_trials.recordings.clock_offset import on_one_clock
-from impact_rs_trials.recordings.faults import EXCESS, FEW, MARGIN, without_faults
+from impact_rs_trials.recordings.faults import MAX_LIMIT_FACTOR, MAX_OUTLIER_SHARE, MAX_POSITION_EXCESS, without_faults
 from impact_rs_trials.recordings.file_units import CURRENTS
 from impact_rs_trials.recordings.guesses import at_rest
 from impact_rs_trials.recordings.joint_checks import doubts_of_arm
 from impact_rs_trials.recordings.mapping import JOINT_SIGNALS, REQUIRED, Mapping, SignalName
-from impact_rs_trials.recordings.relations import WRONG_FACTOR, pooled
+from impact_rs_trials.recordings.relations import PLAUSIBLE_FACTORS, pooled
 from impact_rs_trials.recordings.run_finder import BAG_SUFFIXES, FILE_SUFFIXES, find_recordings, find_runs
 from impact_rs_trials.recordings.sampling_times import doubt_of_timestamps
 from impact_rs_trials.recordings.series import Series
@@ -35,13 +35,13 @@ from impact_rs_trials.runs import ArmSignals, Run, Signals
 logger = logging.getLogger(__name__)
 
 ARM = "arm"  # name of the arm of a recording
-LARGEST_GAP = 5.0  # sampling periods, or
-GAP_IN_LOW_PASS = 0.1  # periods of the low-pass, which is what a gap falls into
-LEAST_SAMPLES = 100
-MOST_NAMED = 3  # recordings in a message
-LEAST_TAIL = 4.2  # periods of the low-pass that a piece loses at its ends,
-LEAST_KEPT = 60  # and samples that must be left,
-LEAST_RATE = 10.0  # at most so many per period of the low-pass
+MAX_GAP_PERIODS = 5.0  # sampling periods, or
+MAX_GAP_LOW_PASS_PERIODS = 0.1  # of the filter whose window the gap falls into
+MIN_RECORDING_SAMPLES = 100
+MAX_NAMED_RECORDINGS = 3  # in a message
+MIN_TAIL_LOW_PASS_PERIODS = 4.2  # that a piece loses at its ends,
+MIN_KEPT_SAMPLES = 60  # between these,
+MAX_RATE_PER_LOW_PASS = 10.0  # of them, per period of the low-pass
 
 
 class TooShort(InputError):
@@ -98,7 +98,7 @@ def read_long_enough(path: Path, mapping: Mapping) -> tuple[list[Run], list[tupl
                 raise
             left_out.append((str(item), error.message))
     if not runs:
-        said = "; ".join(f"{Path(name).name}: {why}" for name, why in left_out[:MOST_NAMED])
+        said = "; ".join(f"{Path(name).name}: {why}" for name, why in left_out[:MAX_NAMED_RECORDINGS])
         raise TooShort(f"none of {len(left_out)} recordings is long enough: {said}", file=path)
     return runs, left_out
 
@@ -206,29 +206,31 @@ def nominal_physics(mapping: Mapping, position: Array, model: RobotModel) -> Phy
 def _between_faults(series: dict[SignalName, Series], low_pass: float) -> list[tuple[float, float]]:
     """Stretches in which every joint signal was measured and that are long enough for the low-pass [s]."""
     needed = [series[name].time for name in REQUIRED]
-    if min(own.size for own in needed) < LEAST_SAMPLES:
+    if min(own.size for own in needed) < MIN_RECORDING_SAMPLES:
         return []
     time = series["position"].time
     period = float(np.median(np.diff(time)))
     start, end = max(float(own[0]) for own in needed), min(float(own[-1]) for own in needed)
     cuts = [gap for own in needed for gap in gaps(own, _longest_gap(period, low_pass))]
-    if not cuts and start <= time[0] + LARGEST_GAP * period and end >= time[-1] - LARGEST_GAP * period:
+    if not cuts and start <= time[0] + MAX_GAP_PERIODS * period and end >= time[-1] - MAX_GAP_PERIODS * period:
         return [(float(time[0]), float(time[-1]))]
     firsts = [start, *sorted(gap.end for gap in cuts)]
     lasts = [*sorted(gap.start for gap in cuts), end]
-    least = LEAST_TAIL / low_pass + LEAST_KEPT * max(period, 1.0 / (LEAST_RATE * low_pass))
+    least = MIN_TAIL_LOW_PASS_PERIODS / low_pass + MIN_KEPT_SAMPLES * max(
+        period, 1.0 / (MAX_RATE_PER_LOW_PASS * low_pass)
+    )
     return [(a, b) for a, b in zip(firsts, lasts, strict=True) if b - a >= least]
 
 
 def _longest_gap(period: float, low_pass: float) -> float:
     """What the low-pass bridges [s]."""
-    return max(LARGEST_GAP * period, GAP_IN_LOW_PASS / low_pass)
+    return max(MAX_GAP_PERIODS * period, MAX_GAP_LOW_PASS_PERIODS / low_pass)
 
 
 def _check_time(path: Path, time: Array, what: str, low_pass: float) -> list[str]:
     """Stamps that increase; returns what is said of gaps, which cut the recording into pieces."""
-    if time.size < LEAST_SAMPLES:
-        raise TooShort(f"{what}: {time.size} samples, at least {LEAST_SAMPLES} are needed", file=path)
+    if time.size < MIN_RECORDING_SAMPLES:
+        raise TooShort(f"{what}: {time.size} samples, at least {MIN_RECORDING_SAMPLES} are needed", file=path)
     check_stamps(path, what, time)
     period = float(np.median(np.diff(time)))
     found = gaps(time, _longest_gap(period, low_pass))
@@ -302,11 +304,11 @@ def check_limits(
     limits = mapping.facts.limits
     if name == "position":
         low, high = np.array(limits.position_min_rad), np.array(limits.position_max_rad)
-        wrong, quantity = (values < low - MARGIN) | (values > high + MARGIN), "position"
+        wrong, quantity = (values < low - MAX_POSITION_EXCESS) | (values > high + MAX_POSITION_EXCESS), "position"
         expected = [f"{least:.3g} ... {most:.3g}" for least, most in zip(low, high, strict=True)]
     else:
         most, quantity = (limits.velocity_rad_s, "velocity") if name == "velocity" else (limits.torque_Nm, "effort")
-        wrong = np.abs(values) > EXCESS * np.array(most)
+        wrong = np.abs(values) > MAX_LIMIT_FACTOR * np.array(most)
         expected = [f"at most {limit:.3g}" for limit in most]
     wrong &= wrong.mean(axis=0) > briefly
     if not np.any(wrong):
@@ -336,14 +338,14 @@ def check_velocity(path: Path, time: Array, position: Array, velocity: Array, ma
         InputError: They are not, by a factor of two and more.
     """
     derived = np.gradient(position, time, axis=0)
-    most = EXCESS * np.array(mapping.facts.limits.velocity_rad_s)
+    most = MAX_LIMIT_FACTOR * np.array(mapping.facts.limits.velocity_rad_s)
     apart = (np.abs(derived) > most) | (np.abs(velocity) > most)
-    apart &= apart.mean(axis=0) <= FEW  # single samples say nothing of a unit
+    apart &= apart.mean(axis=0) <= MAX_OUTLIER_SHARE  # single samples say nothing of a unit
     derived, velocity = np.where(apart, 0.0, derived), np.where(apart, 0.0, velocity)
     if not np.any(derived):
         return
     ratio = float(pooled(derived, velocity).factor[0])
-    if not WRONG_FACTOR[0] < ratio < WRONG_FACTOR[1]:
+    if not PLAUSIBLE_FACTORS[0] < ratio < PLAUSIBLE_FACTORS[1]:
         raise InputError(
             f"velocity is {ratio:.3g} times the derivative of position, expected 1: wrong unit (now "
             f"{joined_units(mapping.signals['velocity'].units)}), wrong sign or other joints",

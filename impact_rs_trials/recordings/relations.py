@@ -29,12 +29,12 @@ from numpy.typing import NDArray
 from impact_rs_sim.robot import Array, RobotFacts
 
 # Factors between a measured and an expected signal [-].
-ONE_UNIT = (0.8, 1.25)  # the unit is found: low-passed velocities differ by less, units by 57 and more
-WRONG_FACTOR = (0.5, 2.0)  # outside: wrong unit, sign or joint; rough models, friction and loads stay inside
-HELD_ONCE = (0.5, 1.5)  # of the arm's weight in a torque, which held twice has the factor 2
-TORQUE_UNIT = (0.2, 5.0)  # a unit of torque is possible: N m and mN m differ by 1000
+SAME_UNIT_FACTORS = (0.8, 1.25)  # the unit is found: low-passed velocities differ by less, units by 57 and more
+PLAUSIBLE_FACTORS = (0.5, 2.0)  # outside: wrong unit, sign or joint; rough models, friction and loads stay inside
+SINGLE_GRAVITY_FACTORS = (0.5, 1.5)  # of the gravity torque in a torque; gravity added twice has the factor 2
+TORQUE_UNIT_FACTORS = (0.2, 5.0)  # a unit of torque is possible: N m and mN m differ by 1000
 MAX_FACTOR_ERROR = 0.1  # of a velocity: a low-pass takes away as much
-SURE_ERRORS = 5.0  # standard errors from which a difference is reported: joints, runs and signals are many tests
+MIN_REPORTED_SIGMA = 5.0  # standard errors; joints, runs and signals are many tests
 # Correlations [-].
 MIN_CORRELATION = 0.8  # a factor is believed
 MIN_CORRELATION_OF_COLUMNS = 0.95  # a column without a name is the derivative of another one
@@ -45,9 +45,9 @@ DECISIVE_LOG_LIKELIHOOD = 30.0  # gain of the better reading; models are wrong b
 MIN_SPEED_SHARE = 0.02  # of the data sheet's velocity, rms, from which a joint moves [-]
 FULL_FRICTION_RAD_S = 0.02  # speed from which Coulomb friction is full
 AVERAGED_S = 0.05  # of the moving average: encoders are quantised
-MIN_AVERAGED = 5  # samples of it
-BLOCKS = 20  # of a recording, of which the even ones predict the odd ones, and the other way
-LEAST_MISFIT = 1e-12  # share of the power that a fit of exact numbers leaves
+MIN_AVERAGED_SAMPLES = 5
+CROSS_VALIDATION_BLOCKS = 20  # of a recording; even ones predict odd ones and vice versa
+MIN_MISFIT_SHARE = 1e-12  # of the power, left by a fit of exact numbers
 
 
 @dataclass(frozen=True)
@@ -75,13 +75,15 @@ class LinearRelation:
     @property
     def log_likelihood(self) -> Array:
         """Of each column under the fit, over that of noise alone, ``(n,)``."""
-        return np.asarray(-0.5 * self.independent * np.log(self.misfit / np.maximum(self.power, 1e-300) + LEAST_MISFIT))
+        return np.asarray(
+            -0.5 * self.independent * np.log(self.misfit / np.maximum(self.power, 1e-300) + MIN_MISFIT_SHARE)
+        )
 
     @property
     def log_likelihood_ratio(self) -> Array:
         """Of each column under the fit, over that of the further columns alone, ``(n,)``."""
         power = np.maximum(self.power, 1e-300)
-        left = (self.misfit / power + LEAST_MISFIT) / (self.unexplained / power + LEAST_MISFIT)
+        left = (self.misfit / power + MIN_MISFIT_SHARE) / (self.unexplained / power + MIN_MISFIT_SHARE)
         return np.asarray(-0.5 * self.independent * np.log(left))
 
 
@@ -166,7 +168,9 @@ def fit_with_lag(
 def averaged(time: Array, values: Array) -> tuple[Array, Array]:
     """Moving averages over some hundredths of a second, ``(k,)`` and ``(k, c)``."""
     period = float(np.median(np.diff(time)))
-    width = int(np.clip(round(AVERAGED_S / max(period, 1e-9)), MIN_AVERAGED, max(MIN_AVERAGED, time.size // 20)))
+    width = int(
+        np.clip(round(AVERAGED_S / max(period, 1e-9)), MIN_AVERAGED_SAMPLES, max(MIN_AVERAGED_SAMPLES, time.size // 20))
+    )
     window = np.ones(width) / width
     mean = np.column_stack([np.convolve(column, window, "valid") for column in values.T])
     return np.convolve(time, window, "valid"), mean
@@ -225,7 +229,7 @@ def dry_friction(velocity: Array) -> Array:
 
 def odd_blocks(count: int) -> NDArray[np.bool_]:
     """Which of so many samples lie in odd blocks, ``(count,)``."""
-    return np.asarray(np.floor(np.linspace(0.0, BLOCKS, count, endpoint=False)).astype(int) % 2 == 1)
+    return np.asarray(np.floor(np.linspace(0.0, CROSS_VALIDATION_BLOCKS, count, endpoint=False)).astype(int) % 2 == 1)
 
 
 def held_out_misfit(basis: Array, measured: Array, odd: NDArray[np.bool_]) -> Array:

@@ -11,7 +11,7 @@ import statistics
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-MOST_NAMED = 3  # runs; of more only their number is printed
+MAX_NAMED_RUNS = 3  # of more runs only the number is printed
 
 
 class Amount(NamedTuple):
@@ -70,7 +70,7 @@ def merged(remarks: Iterable[tuple[str, str]], of: int = 0) -> list[str]:
 
     Args:
         remarks: Run and remark; a remark on no run in particular has the run ``""``.
-        of: How many runs there are, so that runs are counted; 0: up to :data:`MOST_NAMED` are named.
+        of: How many runs there are, so that runs are counted; 0: up to :data:`MAX_NAMED_RUNS` are named.
     """
     groups: dict[tuple[object, ...], list[tuple[str, str]]] = {}
     for run, remark in remarks:
@@ -93,7 +93,7 @@ def _whose(runs: Sequence[str], of: int) -> str:
         return ""
     if of:
         return f"{len(runs)} of {of} runs: "
-    return f"{len(runs)} runs: " if len(runs) > MOST_NAMED else f"{', '.join(runs)}: "
+    return f"{len(runs)} runs: " if len(runs) > MAX_NAMED_RUNS else f"{', '.join(runs)}: "
 
 
 def _kind(remark: str) -> tuple[object, ...]:

@@ -17,10 +17,10 @@ import numpy as np
 from impact_rs_sim.robot import Array
 
 PERIODS = float(np.sqrt(20.0) / 6.0)  # rms of r / dq over that of independent errors of the periods: third differences
-FEWEST = 50  # samples
-POWER = 10.0  # power along the velocity over that across it, from which timestamps are wrong: F(50, 50) is at most 3
-NOTICED = 0.03  # of a period, rms, below which derivatives do not suffer
-EVEN = 1e-3  # of a period, by which even timestamps may differ for they are rounded
+MIN_TIMESTAMPS = 50
+MIN_POWER_RATIO = 10.0  # along the velocity over across it, with wrong timestamps; F(50, 50) is at most 3
+MIN_JITTER_PERIODS = 0.03  # rms; less does not harm derivatives
+MAX_ROUNDING_PERIODS = 1e-3  # by which even timestamps differ because they are rounded
 
 
 def doubt_of_timestamps(time: Array, position: Array) -> str | None:
@@ -31,7 +31,7 @@ def doubt_of_timestamps(time: Array, position: Array) -> str | None:
         position: q, ``(k, n)`` [rad].
     """
     count = position.shape[1]
-    if count < 2 or time.size < FEWEST:
+    if count < 2 or time.size < MIN_TIMESTAMPS:
         return None
     period = float(np.median(np.diff(time)))
     off = _off_its_neighbours(time, position)
@@ -39,7 +39,7 @@ def doubt_of_timestamps(time: Array, position: Array) -> str | None:
     steps = np.diff(time)
     held = np.all(np.diff(position, axis=0) == 0.0, axis=1) | (np.abs(steps / period - 1.0) > 0.5)
     usable = ~np.any([held[first : held.size - 3 + first] for first in range(4)], axis=0)  # no gap, no repeated sample
-    if np.count_nonzero(usable) < FEWEST:
+    if np.count_nonzero(usable) < MIN_TIMESTAMPS:
         return None
     off, velocity = off[usable], velocity[usable]
     late = np.zeros(len(off))
@@ -50,9 +50,9 @@ def doubt_of_timestamps(time: Array, position: Array) -> str | None:
     along = np.square(late) * np.sum(np.square(v), axis=1)
     across = (np.sum(np.square(r), axis=1) - along) / (count - 1)
     error = float(np.sqrt(np.mean(np.square(late)))) / PERIODS
-    if np.mean(along) < POWER * np.mean(across) or error < NOTICED * period:
+    if np.mean(along) < MIN_POWER_RATIO * np.mean(across) or error < MIN_JITTER_PERIODS * period:
         return None
-    if np.max(np.abs(steps / period - 1.0)) < EVEN:
+    if np.max(np.abs(steps / period - 1.0)) < MAX_ROUNDING_PERIODS:
         return (
             f"timestamps are nominal: exactly even ({1.0 / period:.4g} Hz), as a number of samples over a rate, while "
             f"all joints together show periods that vary by {100.0 * error / period:.0f} % (rms). Velocities and "

@@ -11,7 +11,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.remarks import Amount, Remark
 
-BASELINE = 0.002  # s, of the differences that give a velocity; short beside a motion, long beside an encoder's steps
+DIFFERENCE_S = 0.002  # of the differences that give a velocity; short for a motion, long for the steps of an encoder
 
 
 class MissingSignal(InputError):
@@ -75,9 +75,9 @@ class Series:
         return replace(self, time=self.time[kept], values=self.values[kept], log=log, remarks=(*self.remarks, said))
 
     def derivative(self) -> Series:
-        """Rate of change, by central differences over :data:`BASELINE` or two sampling periods, ``(k, c)``."""
-        period = float(np.median(np.diff(self.time))) if self.time.size > 1 else BASELINE
-        half, rows = max(1, round(0.5 * BASELINE / max(period, 1e-6))), np.arange(self.time.size)
+        """Rate of change, by central differences over :data:`DIFFERENCE_S` or two sampling periods, ``(k, c)``."""
+        period = float(np.median(np.diff(self.time))) if self.time.size > 1 else DIFFERENCE_S
+        half, rows = max(1, round(0.5 * DIFFERENCE_S / max(period, 1e-6))), np.arange(self.time.size)
         before, after = np.maximum(rows - half, 0), np.minimum(rows + half, self.time.size - 1)
         with np.errstate(divide="ignore", invalid="ignore"):  # of stamps that repeat, which are refused elsewhere
             rate = (self.values[after] - self.values[before]) / (self.time[after] - self.time[before])[:, None]

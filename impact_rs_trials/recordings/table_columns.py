@@ -23,7 +23,7 @@ from impact_rs_trials.recordings.read_once import once
 
 Cells = dict[str, list[str] | NDArray[Any]]
 
-MOST_LISTED = 8  # runs in a message
+MAX_SHOWN_RUNS = 8  # in a message
 DEFAULT_LAYOUT = TableLayout()
 TRAILING = "; the names of the columns may stand in another line: table.header in the mapping says in which"
 
@@ -89,7 +89,7 @@ def read_rows(path: Path, layout: TableLayout, column: str, run: str) -> Columns
     rows = np.flatnonzero([name == run for name in every])
     if not rows.size:
         known = list(dict.fromkeys(every))
-        listed = ", ".join(known[:MOST_LISTED]) + (" ..." if len(known) > MOST_LISTED else "")
+        listed = ", ".join(known[:MAX_SHOWN_RUNS]) + (" ..." if len(known) > MAX_SHOWN_RUNS else "")
         raise InputError(f"no row is of run {run!r}{did_you_mean(run, known)}; found: {listed}", file=path, key=column)
     if path.suffix == ".parquet":
         return _of_parquet(path, (int(rows[0]), int(rows[-1]) + 1)).in_rows(rows - rows[0])

@@ -23,7 +23,7 @@ from impact_rs_trials.recordings.mapping import Mapping, SignalName, SignalSourc
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 from impact_rs_trials.recordings.table_columns import read_columns, read_rows
 
-SHOWN = 8  # column names in a message
+MAX_SHOWN_COLUMNS = 8  # in a message
 BRACKETS = "[](){} \t"  # about the numbers of a cell
 BETWEEN = re.compile(r"[\s,;]+")
 DATE = re.compile(
@@ -146,8 +146,8 @@ class TableFile:
     def _cells(self, column: str, name: str, key: str) -> list[str] | NDArray[Any]:
         if column not in self._columns.cells:
             near, found = did_you_mean(column, self._columns.cells), list(self._columns.cells)
-            more = " ..." if len(found) > SHOWN else ""
-            message = f"no column {column!r} ({name}){near}; found: {', '.join(found[:SHOWN])}{more}"
+            more = " ..." if len(found) > MAX_SHOWN_COLUMNS else ""
+            message = f"no column {column!r} ({name}){near}; found: {', '.join(found[:MAX_SHOWN_COLUMNS])}{more}"
             raise MissingSignal(message, file=self._path, key=f"{key} of the mapping")
         return self._columns.cells[column]
 

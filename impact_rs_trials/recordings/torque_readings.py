@@ -35,7 +35,7 @@ from impact_rs_trials.recordings.plausibility import noticed
 from impact_rs_trials.recordings.relations import (
     DECISIVE_LOG_LIKELIHOOD,
     FULL_FRICTION_RAD_S,
-    WRONG_FACTOR,
+    PLAUSIBLE_FACTORS,
     LinearRelation,
     averaged,
     dry_friction,
@@ -47,14 +47,14 @@ WHOLE_TORQUE = (
     "Its controller adds the weight by itself: take the measured torque or the motor currents, or add the weight that "
     "the controller adds"
 )
-LOOKED_AT = 300  # samples in which readings are compared
-SEARCHED = 30  # samples in which all orders of the joints are compared
-MOST_ORDERED = 7  # joints whose orders are searched: 7! = 5040
-DRY = 0.03  # dry friction of geared joints over their largest torque; data sheets and identifications give 1 to 10 %
-FAINT = 1e-3  # of the largest torque: a tenth of the least of them, which differences of a motion may leave by chance
+READING_SAMPLES = 300  # in which readings are compared
+SEARCHED_SAMPLES = 30  # in which all orders of the joints are compared
+MAX_ORDERED_JOINTS = 7  # whose orders are searched: 7! = 5040
+COULOMB_SHARE = 0.03  # of the largest torque of geared joints; data sheets and identifications give 1 to 10 %
+MIN_TORQUE_SHARE = 1e-3  # of the largest torque: a tenth of the smallest friction, within the error of differences
 DECISIVE = float(np.log(100.0))  # log Bayes factor (Jeffreys 1961)
-SHARE = 0.5  # of what is left over, rms, below which another reading explains more of the torque as well
-LITTLE = 0.3  # of the torque, rms: friction, a load and a rough model leave about as much
+MAX_RESIDUAL_RATIO = 0.5  # rms of the residual; below it another reading explains more of the torque as well
+MAX_RESIDUAL_SHARE = 0.3  # of the torque, rms: friction, a load and a rough model leave about as much
 SIGNALS = ("position", "velocity", "acceleration", "recorded")
 
 
@@ -91,7 +91,7 @@ class MotionTorque:
 
     @staticmethod
     def of(
-        time: Array, position: Array, velocity: Array, torque: Array, model: RobotModel, samples: int = LOOKED_AT
+        time: Array, position: Array, velocity: Array, torque: Array, model: RobotModel, samples: int = READING_SAMPLES
     ) -> MotionTorque:
         """Of signals on the same stamps, after moving averages.
 
@@ -113,7 +113,7 @@ class MotionTorque:
     def relation(self, reading: Array) -> LinearRelation:
         """Fit of the recorded torque by a reading ``(k, n)`` and friction."""
         friction = (dry_friction(self.velocity), self.velocity)
-        return fit(reading, self.recorded, friction, self.independent, WRONG_FACTOR)
+        return fit(reading, self.recorded, friction, self.independent, PLAUSIBLE_FACTORS)
 
     @property
     def measured(self) -> NDArray[np.bool_]:
@@ -145,7 +145,7 @@ def lacks_weight(seen: MotionTorque) -> str | None:
     alone = seen.whole - seen.weight
     without, whole, neither = (seen.likelihood(one) for one in (alone, seen.whole, np.zeros_like(alone)))
     left_without, left = (_rms(seen.left(one), seen) for one in (alone, seen.whole))
-    if without < max(whole, neither) + DECISIVE_LOG_LIKELIHOOD or left_without > SHARE * left:
+    if without < max(whole, neither) + DECISIVE_LOG_LIKELIHOOD or left_without > MAX_RESIDUAL_RATIO * left:
         return None
     most = float(np.max(np.abs(seen.weight)))
     return (
@@ -187,8 +187,8 @@ def is_computed(seen: MotionTorque) -> bool:
         if not fast[joint] or not np.any(seen.recorded[:, joint]):
             continue
         scale = most * abs(float(torque.factor[joint])) + 1e-12  # of a current: that of the motor
-        error = float(np.hypot(dry.standard_error[joint], FAINT * scale))
-        ratio = (DRY * scale / error) ** 2
+        error = float(np.hypot(dry.standard_error[joint], MIN_TORQUE_SHARE * scale))
+        ratio = (COULOMB_SHARE * scale / error) ** 2
         factor += 0.5 * np.log1p(ratio) - 0.5 * (float(dry.factor[joint]) / error) ** 2 * ratio / (1.0 + ratio)
     return factor > DECISIVE
 
@@ -196,7 +196,7 @@ def is_computed(seen: MotionTorque) -> bool:
 def leaves_little(seen: MotionTorque) -> bool:
     """Whether weight, inertia and friction of the arm are most of a torque signal."""
     size = float(np.sqrt(np.mean(np.square(seen.recorded)) * seen.model.joint_count))
-    return _rms(seen.left(seen.whole), seen) < LITTLE * size
+    return _rms(seen.left(seen.whole), seen) < MAX_RESIDUAL_SHARE * size
 
 
 def order_of_joints(seen: MotionTorque) -> tuple[tuple[int, ...], str] | None:
@@ -210,11 +210,11 @@ def order_of_joints(seen: MotionTorque) -> tuple[tuple[int, ...], str] | None:
         better.
     """
     count, before = seen.model.joint_count, _rms(seen.left(seen.whole), seen)
-    if not 1 < count <= MOST_ORDERED or leaves_little(seen):
+    if not 1 < count <= MAX_ORDERED_JOINTS or leaves_little(seen):
         return None
     low, high = seen.model.position_min, seen.model.position_max
     least, most = seen.position.min(axis=0), seen.position.max(axis=0)
-    rows = slice(None, None, max(1, len(seen.position) // SEARCHED))
+    rows = slice(None, None, max(1, len(seen.position) // SEARCHED_SAMPLES))
     scores = {}
     for order in itertools.permutations(range(count)):
         columns = list(order)
@@ -228,7 +228,7 @@ def order_of_joints(seen: MotionTorque) -> tuple[tuple[int, ...], str] | None:
         return None
     own = seen.ordered(best)
     after, gain = _rms(own.left(own.whole), own), own.likelihood(own.whole) - seen.likelihood(seen.whole)
-    if gain < DECISIVE_LOG_LIKELIHOOD or after > SHARE * before:
+    if gain < DECISIVE_LOG_LIKELIHOOD or after > MAX_RESIDUAL_RATIO * before:
         return None
     listed = ", ".join(str(column + 1) for column in best)
     return best, (

@@ -118,10 +118,10 @@ def test_without_an_effort_controller_nothing_is_armed(
     cell: CellNode, other: rclpy.node.Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patience:
-        patience.setattr(cell_node, "LISTENING", 0.01)
+        patience.setattr(cell_node, "DISCOVERY_S", 0.01)
         with pytest.raises(InputError, match=f"^not armed: nothing listens to torques on {COMMANDS}"):
             cell._await_listeners()
-    monkeypatch.setattr(cell_node, "LISTENING", PATIENCE)
+    monkeypatch.setattr(cell_node, "DISCOVERY_S", PATIENCE)
     other.create_subscription(Float64MultiArray, COMMANDS, lambda message: None, 10)
     cell._await_listeners()
 
@@ -227,7 +227,7 @@ def test_without_a_watchdog_that_listens_nothing_is_armed(
     watched: CellNode, other: rclpy.node.Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     other.create_subscription(Float64MultiArray, COMMANDS, lambda message: None, 10)
-    monkeypatch.setattr(cell_node, "LISTENING", 0.01)
+    monkeypatch.setattr(cell_node, "DISCOVERY_S", 0.01)
     with pytest.raises(InputError, match=f"^not armed: nothing listens to torques on {WATCHED}: does the watchdog"):
         watched._await_listeners()
 
@@ -255,7 +255,7 @@ def test_a_publisher_without_a_name_is_waited_for_and_then_a_stranger(
     watched._await_names()
     assert len(looks) == 4 and watched._strangers() == ""
     watchdog_after(10**9)
-    monkeypatch.setattr(cell_node, "LISTENING", 0.01)
+    monkeypatch.setattr(cell_node, "DISCOVERY_S", 0.01)
     watched._await_names()
     assert "can send torques" in watched._strangers()
 
@@ -285,7 +285,7 @@ class Trial:
 def test_what_is_found_while_a_trial_runs_ends_it(cell: CellNode, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cell, "_strangers", lambda: "/stranger can send torques")
     monkeypatch.setattr(cell, "_over", None)
-    monkeypatch.setattr(cell_node, "SURVEY", -1.0)
+    monkeypatch.setattr(cell_node, "PUBLISHER_POLL_S", -1.0)
     trial = Trial()
     cell.work(trial, 0.0)  # type: ignore[arg-type]
     assert trial.failure == "/stranger can send torques"

@@ -16,7 +16,7 @@ from impact_rs_control.controller import Mode
 from impact_rs_control.plan import TrialPlan
 from impact_rs_control.qp import QpStatus
 from impact_rs_sim.scenario import load_scenario
-from impact_rs_trials.bags.outcome import LEAST_LIFT, ArmRecord, TrialRecord, Verdict, Witness, judge
+from impact_rs_trials.bags.outcome import MIN_LIFT_SHARE, ArmRecord, TrialRecord, Verdict, Witness, judge
 from impact_rs_trials.bags.reader import JointColumns, PoseColumns, TrialBag
 from impact_rs_trials.spec import TrialSpec
 
@@ -184,7 +184,7 @@ def test_a_pushed_object_cannot_be_dropped(lift: float) -> None:
 
 
 def test_a_clamped_object_that_rises_too_little_was_dropped() -> None:
-    enough = LEAST_LIFT * GRAB.expected_lift
+    enough = MIN_LIFT_SHARE * GRAB.expected_lift
     assert judge(GRAB, record(GRAB, lift=1.01 * enough)) == Verdict("OK")
     unseen = replace(record(GRAB), object=PoseColumns(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4))))
     assert judge(GRAB, unseen) == Verdict("OK")  # a laboratory without a tracker
