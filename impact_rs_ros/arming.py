@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Before a real arm is led: look at the robot for a moment, then hold it for another, and refuse with the reason."""
+"""Arming before a trial on a real arm: observe the robot, then hold it, and refuse with the reason."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from impact_rs_ros.robot_states import STATES, ArmStates
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags.topics import CLOCK
 
-LOOKING, LOOKING_STATES = 0.5, 50  # s and states: how long the robot is looked at, at least
+LOOKING, LOOKING_STATES = 0.5, 50  # s and states: shortest observation of the robot
 ARMING_TIMEOUT_S = 3.0
 HOLDING_S = 0.2  # of robot time, in which it must stay where it is held before it is led
 PERIOD_TOLERANCE_SHARE = 0.02  # of the period, by which the states of the robot may come faster or slower
@@ -31,11 +31,11 @@ ARMING_POLL_S = 0.002
 
 @dataclass(frozen=True)
 class ArmingLimits:
-    """What a robot must keep to be armed.
+    """Limits of a robot for arming.
 
     Attributes:
-        start: How far a joint may be from where the trial starts [rad].
-        jitter: Largest difference between the time from one state to the next as they arrive, and by their stamps [s].
+        start: Largest distance of a joint from the start of the trial [rad].
+        jitter: Largest difference between the periods of the states by arrival and by timestamps [s].
     """
 
     start: float
@@ -48,10 +48,10 @@ class Arming:
     Args:
         plan: The trial.
         arms: The robot, nothing sent to it yet for this trial.
-        mocap: Reads poses of the object; None: none are wanted.
-        inbox: Where the robot's states and the object's poses come in.
-        limits: What the robot must keep.
-        holder: Who holds the arms while they are looked at, since the trial before; None: none yet.
+        mocap: Reads poses of the object; None: not used.
+        inbox: Subscriptions to the robot's states and the object's poses.
+        limits: Limits of the robot.
+        holder: Holds the arms since the previous trial, also while they are observed; None: not yet.
         monotonic: A clock that never goes back [s].
     """
 
@@ -73,10 +73,10 @@ class Arming:
         self._holder = holder
         self._monotonic = monotonic
         self._timeless = False  # states came whose age is not known
-        self._pose: PoseStamped | None = None  # where the object was last seen
+        self._pose: PoseStamped | None = None  # last pose of the object
 
     def look(self) -> str:
-        """Look at the robot's states for a while, without sending it anything new; returns what was found, in one line.
+        """Observe the robot's states for a while without new commands; returns the result in one line.
 
         Raises:
             InputError: The robot is not at rest where the trial starts, or its states do not come as the trial needs
@@ -115,7 +115,7 @@ class Arming:
         )
 
     def hold(self) -> str:
-        """Hold the arms for a moment; returns where the object is, in words, where its poses are wanted.
+        """Hold the arms for a moment; returns the position of the object in words, if its poses are used.
 
         Raises:
             InputError: They do not stay where they are, or no pose came. They are held on: the brake lets an arm whose
@@ -178,7 +178,7 @@ class Arming:
 
 
 def start_complaint(plan: TrialPlan, states: ArmStates, tolerance: float) -> str:
-    """Why the arms are not at rest where a trial starts; empty: they are.
+    """Reason why the arms are not at rest at the start of a trial; empty: they are.
 
     Args:
         plan: The trial.
@@ -202,7 +202,7 @@ def start_complaint(plan: TrialPlan, states: ArmStates, tolerance: float) -> str
 
 
 def distance_from_scenario(plan: TrialPlan, pose: PoseStamped) -> str:
-    """How far the object is from where the scenario has it, in words; shows a wrong placement of the tracker.
+    """Distance of the object from its position in the scenario, in words; shows a wrong placement of the tracker.
 
     Args:
         plan: The trial.

@@ -58,15 +58,15 @@ class CellNode(LeadingNode[CellTrial]):
 
     def __init__(self) -> None:
         super().__init__()
-        self._topics: dict[str, str] = {}  # where the torques of an arm go: to the watchdog, or to the robot
+        self._topics: dict[str, str] = {}  # torque topic of an arm: the watchdog's, or the robot's
         self._publishers: dict[str, Publisher] = {}  # of torques, by topic
         self._clock = RobotClock(self.node)
-        self._echo = Inbox(self.node, "echo", WATCH, raw=True)  # what the watchdog passes on
+        self._echo = Inbox(self.node, "echo", WATCH, raw=True)  # torques forwarded by the watchdog
         self._passed: dict[str, Array] = {}  # the last torque that it passed on, by arm
-        self._waiting: float | None = None  # since when the cell sends torques that do not come out [s]
-        self._echoed = 0.0  # when the echo was looked at [s]
+        self._waiting: float | None = None  # time of the first torque that was not forwarded [s]
+        self._echoed = 0.0  # time of the last check of the echo [s]
         self._past = False  # the watchdog has died, and the cell sends torques past it
-        self._held: EffortArms | None = None  # the arms that were sent something, which are held unless they are led
+        self._held: EffortArms | None = None  # arms that received torques, held between trials
         self._robots = 1  # publishers of joint states when the trial was armed
         self._surveyed = 0.0
         self._watchdog_brakes = False
@@ -147,7 +147,7 @@ class CellNode(LeadingNode[CellTrial]):
         return CellTrial(plan, arms, limits, mocap, self.inbox, self.outbox)
 
     def _hold(self, arming: Arming) -> str:
-        """Hold the arms for a moment, through the watchdog where there is one; what was found.
+        """Hold the arms for a moment, through the watchdog if there is one; returns the result.
 
         Raises:
             InputError: They do not stay, or the watchdog passes nothing on.
@@ -197,7 +197,7 @@ class CellNode(LeadingNode[CellTrial]):
             self._listen(self._clock.steady())
 
     def _listen(self, now: float) -> None:
-        """Hear what the watchdog passes on; where it has passed nothing on for long, go past it."""
+        """Check the torques that the watchdog forwards; bypass it after a long silence."""
         if 0.0 <= now - self._echoed < ECHO_POLL_S:
             return
         patience = self.parameter("watchdog_timeout")
@@ -206,7 +206,7 @@ class CellNode(LeadingNode[CellTrial]):
         arm_of = {commands_topic(arm): arm for arm in self.arms}
         came = {arm_of[topic]: torque for topic, data in self._echo.take() if (torque := torques_of(data)) is not None}
         self._passed |= came
-        if came or stalled or self._waiting is None:  # what this process did not send cannot be passed on
+        if came or stalled or self._waiting is None:  # torques that this process did not send cannot be forwarded
             self._waiting = now
         if now - self._waiting <= patience or self._held is None or len(self._passed) < len(self.arms):
             return
@@ -222,7 +222,7 @@ class CellNode(LeadingNode[CellTrial]):
         return outcome
 
     def _strangers(self) -> str:
-        """Who publishes what they should not, by name; empty: no one."""
+        """Names of unexpected publishers of reserved topics; empty: not any."""
         own = self.node.get_name(), self.node.get_namespace()
         watchdog = WatchdogNode.kind, own[1]
         robots = {resolved(self.node, commands_topic(arm)) for arm in self.arms}
@@ -256,7 +256,7 @@ class CellNode(LeadingNode[CellTrial]):
         return [resolved(self.node, topic) for topic in self._publishers]
 
     def _await_names(self) -> None:
-        """Wait for the names of those who can send torques: one without a name is a stranger, a watchdog is none."""
+        """Wait for the names of all publishers of torques; unnamed ones are strangers, a watchdog is not."""
         until = time.monotonic() + DISCOVERY_S
         while time.monotonic() < until and any(
             info.node_name == UNKNOWN
@@ -272,7 +272,7 @@ class CellNode(LeadingNode[CellTrial]):
         for arm in self.arms:
             for topic in {self._topics[arm]: None, commands_topic(arm): None}:
                 name = resolved(self.node, topic)
-                echo = topic != self._topics[arm]  # the cell itself listens, to what the watchdog passes on
+                echo = topic != self._topics[arm]  # the cell itself subscribes to the watchdog's output
                 while self._publishers[topic].get_subscription_count() <= echo:
                     if time.monotonic() > until:
                         remedy = "is the effort controller active, is the topic remapped?"

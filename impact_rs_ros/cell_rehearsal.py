@@ -59,13 +59,13 @@ MAX_SETTLING_S = 1.0  # until the arms rest after a trial
 
 @dataclass
 class Checklist:
-    """What a rehearsal found.
+    """Result of a rehearsal.
 
     Attributes:
         driver: Name of the driver's profile.
-        log: Lines that the cell would log, and what happened.
+        log: Lines that the cell would log, and events.
         margins: The checklist.
-        unknown: What could not be checked, and why.
+        unknown: Omitted checks, with reasons.
         blocking: Why the cell cannot run with this driver as it is released.
         stopped: Why the robot stopped itself in the trial; empty: it did not.
         failure: Why the trial was not armed or ended early; empty: it ran to its end.
@@ -97,7 +97,7 @@ class Checklist:
 
     @property
     def verdict(self) -> str:
-        """What the rehearsal says, in one line."""
+        """Result of the rehearsal in one line."""
         if not self.passed:
             return f"rehearsal not passed: {'; '.join(self.objections)}. Do not run this on the robot"
         if self.unknown:
@@ -120,7 +120,7 @@ class Checklist:
 
 
 class VirtualTime:
-    """Time that passes from event to event; also the clock of the robot's stamps."""
+    """Simulated time that advances from event to event; also the clock of the robot's timestamps."""
 
     known = True
 
@@ -133,18 +133,18 @@ class VirtualTime:
         return self.time
 
     def now(self) -> int:
-        """Time of stamps [ns]."""
+        """Time of timestamps [ns]."""
         return DRIVER_CLOCK_START_S * 10**9 + round(1e9 * self.time)
 
     def steady(self) -> float:
-        """Time of which differences are taken [s]."""
+        """Monotonic time for differences [s]."""
         return self.time
 
     def saw(self, stamp: int) -> None:
         """Nothing to learn: this clock is the driver's."""
 
     def at(self, when: float, event: Callable[[], None]) -> None:
-        """An event at ``when`` [s]; those of one moment happen in the order in which they were given."""
+        """Schedule an event at ``when`` [s]; simultaneous events happen in the order of scheduling."""
         self._count += 1
         heapq.heappush(self._events, (when, self._count, event))
 
@@ -215,7 +215,7 @@ class ExternalTorque:
     """External joint torque as a robot estimates it: a momentum observer, as in :mod:`impact_rs_control.detection`.
 
     Args:
-        model: What the robot believes.
+        model: Model of the robot's controller.
         gain: Rate of the filter [1/s].
         period: Between two measurements [s].
     """
@@ -249,14 +249,14 @@ class StandIn:
     the robot brakes is not published), torques that come are ignored, and states end if they do so with this driver.
 
     Args:
-        plan: The trial; the arms stand where it starts.
+        plan: The trial; the arms begin at its start.
         profile: The driver.
         reflexes: Thresholds of the robot's own reflexes, by arm.
         clock: Its clock.
         seed: Of noise and scatter.
 
     Attributes:
-        error: What the driver reports after the robot has stopped itself; empty: it has not.
+        error: Report of the driver after the robot has stopped itself; empty: it has not.
     """
 
     def __init__(
@@ -359,7 +359,7 @@ class StandIn:
 
 
 class _Extremes:
-    """Largest and smallest of what the stand-in shows."""
+    """Largest and smallest values of the stand-in."""
 
     def __init__(self, stand_in: StandIn) -> None:
         self._robot = stand_in
@@ -400,7 +400,7 @@ def rehearse(
         profile: The driver.
         reflexes: Thresholds of the robot's own reflexes, by arm.
         seed: Of noise and scatter.
-        say: Called with a line about what is rehearsed now.
+        say: Called with a line about the present step.
         given: Values of all parameters of ``cell`` and ``watchdog``; None: their defaults with names, gravity
             convention and torque rate of the profile, and with the watchdog.
     """
@@ -474,7 +474,7 @@ class _Cell:
         return watchdog
 
     def arm(self) -> str:
-        """Arm as the node does; what was found.
+        """Arm as the node does; returns the result.
 
         Raises:
             InputError: It is not armed.
@@ -583,7 +583,7 @@ def _margins(robot: StandIn, extremes: _Extremes, reflexes: Mapping[str, Reflexe
 
 
 def _stopped_words(robot: StandIn, trial: CellTrial) -> str:
-    """What the cell made of a robot that stopped itself."""
+    """Response of the cell to a robot that stopped itself."""
     states = "its states ended" if robot.profile.states_end else "its states went on"
     noticed = "the cell ended the trial" if trial.failure else "the cell did not notice, and led it to the end"
     return f"the robot stopped itself ({robot.error}); {states}; {noticed}"

@@ -36,13 +36,13 @@ MAX_REST_AWAY_S = 0.1  # at rest so far from the references
 
 @dataclass(frozen=True)
 class TrialLimits:
-    """What ends a trial; the node's parameters of these names.
+    """Limits that end a trial; the node's parameters of these names.
 
     Attributes:
         state_timeout: A state that is older, or did not come for so long [s].
         answer_timeout: A torque that takes longer [s].
         late_torque_share: A larger share of the last ticks whose torque came after the next state, or never.
-        start_tolerance: A joint that is farther from where the trial starts before it is led [rad].
+        start_tolerance: Distance of a joint from the start of the trial before it is led [rad].
     """
 
     state_timeout: float
@@ -57,10 +57,10 @@ class CellTrial(LeadingTrial):
     Args:
         plan: The trial.
         arms: The robot.
-        limits: What ends the trial.
-        mocap: Reads poses of the object; None: none are wanted.
-        inbox: Where the robot's states, the object's poses and the controller's torques come in.
-        outbox: Where they go out to controller and recorder.
+        limits: Limits that end the trial.
+        mocap: Reads poses of the object; None: not used.
+        inbox: Subscriptions to the robot's states, the object's poses and the controller's torques.
+        outbox: Publishers to controller and recorder.
         clock: A clock that never goes back [s].
     """
 
@@ -85,16 +85,16 @@ class CellTrial(LeadingTrial):
         self._period_ns = round(plan.scene.scenario.timing.control_period * 1e9)
         self._arm_of = {topics.joint_command(arm): arm for arm in plan.arms}
         self._readers = {arm: JointReader(names, ("effort",)) for arm, names in self._maker.joints.items()}
-        self._origin: int | None = None  # the robot's time at tick 0 [ns]; None: the controller has not answered it yet
+        self._origin: int | None = None  # robot time of tick 0 [ns]; None: not answered yet
         self._tick = 0
         self._first: dict[str, bytes] = {}  # the messages of tick 0, by topic
         self._first_sent = 0.0  # when
         self._heard = clock()  # when the last usable state came
-        self._asked: dict[int, float] = {}  # when the controller was asked, by tick that has no answer
+        self._asked: dict[int, float] = {}  # times of states sent to the controller, by unanswered tick
         self._answered = dict.fromkeys(plan.arms, -1)
         self._torques: dict[str, Array] = {}  # the last answer of each arm
         self._late: deque[bool] = deque(maxlen=LATE_WINDOW_TICKS)
-        self._astray: dict[str, int] = {}  # since which tick an arm rests away from its references
+        self._astray: dict[str, int] = {}  # first tick of an arm at rest away from its references
         self._lost = self._poses = 0
         self._slowest = 0.0  # s
 
@@ -177,7 +177,7 @@ class CellTrial(LeadingTrial):
         self._tick_times.append(self._clock() - now)
 
     def _disobedience(self, tick: int, states: ArmStates) -> str:
-        """Which arm rests away from its references with and without an impact; empty: none."""
+        """Message about an arm at rest away from its references with and without an impact; empty: not any."""
         for arm, measured in states.arms.items():
             if (
                 np.abs(measured.velocity).max() > MAX_REST_SPEED
@@ -200,7 +200,7 @@ class CellTrial(LeadingTrial):
         return min(float(np.linalg.norm(place - path.position[tick])) for path in paths)
 
     def _too_many_late(self, late: bool) -> bool:
-        """Count whether the torque of a tick came before the next state; end the trial where too many did not."""
+        """Count torques that came after the next state; end the trial if there are too many."""
         self._late.append(late)
         count, limit = sum(self._late), self._limits.late_torque_share
         if count <= limit * LATE_WINDOW_TICKS:
@@ -274,7 +274,7 @@ class CellTrial(LeadingTrial):
         self.stop(f"{self._time}: no torque of the controller for {took:.4f} s, answer_timeout is {limit:g} s")
 
     def _look_at_the_clock(self) -> None:
-        """Notice what does not come."""
+        """Check for missing messages."""
         silent, limit = self._clock() - self._heard, self._limits.state_timeout
         if silent > limit:
             self.stop(f"{self._time}: no state of the robot for {silent:.4f} s, state_timeout is {limit:g} s")
@@ -286,7 +286,7 @@ class CellTrial(LeadingTrial):
                 self.stop(f"the controller does not answer the first state within {CONNECTION_TIMEOUT_S:g} s")
 
     def _seen(self, data: bytes) -> None:
-        """Pass on where the object is, in trial time and in the world frame."""
+        """Forward the pose of the object, in trial time and in the world frame."""
         if self._origin is None or self._mocap is None:
             return
         try:

@@ -59,7 +59,7 @@ log = logging.getLogger(__name__)
 
 
 class GraphError(RuntimeError):
-    """The nodes cannot be run; the message says why."""
+    """The nodes cannot be run; the message has the reason."""
 
 
 class Graph:
@@ -165,7 +165,7 @@ class Graph:
         rclpy.try_shutdown(context=self._context)
 
     def spin(self, timeout: float) -> None:
-        """Let messages arrive for at most ``timeout`` [s]; returns as soon as one did."""
+        """Wait for messages for at most ``timeout`` [s]; returns at the first one."""
         self._executor.spin_once(timeout_sec=timeout)
 
     def start(self) -> None:
@@ -188,14 +188,14 @@ class Graph:
         self.start()
 
     def wait_until_ready(self) -> None:
-        """Start all nodes again if one is lost, and wait for those of the user."""
+        """Restart all nodes if one is lost, and wait for the user's nodes."""
         if self.lost():
             self.restart()
         else:
             self._await_foreign()
 
     def replace_lost(self) -> list[str]:
-        """Start the lost nodes again, and no others: a campaign that another program has asked for goes on.
+        """Restart the lost nodes only: a campaign requested by another program goes on.
 
         Returns:
             A line about each.
@@ -215,7 +215,7 @@ class Graph:
         return {name: f"node {name} {how}: {self.nodes.last_line(name)}" for name, how in how.items()}
 
     def _stop(self) -> None:
-        """Stop all nodes of ours; a lost one, which may hear no signal but SIGKILL, first."""
+        """Stop all nodes of ours; a lost one, which may react to SIGKILL only, first."""
         for name in self.lost():
             self.nodes.kill(name)
         self.nodes.stop()
@@ -223,7 +223,7 @@ class Graph:
         self._connect()
 
     def _await_ours(self) -> str:
-        """Wait until our nodes offer what they serve; returns why they do not, or an empty text."""
+        """Wait for the services of our nodes; returns the reason of a failure, or an empty text."""
         deadline = time.monotonic() + START_TIMEOUT_S
         while missing := [service for name in self._ours for service in self._missing(name)]:
             self.spin(0.02)
@@ -291,7 +291,7 @@ class Graph:
             self.node.destroy_client(client)
 
     def _wait(self, future: Any, timeout: float) -> Any:
-        """Result of a future, for which ``timeout`` [s] counts from now and from every feedback on a trial."""
+        """Result of a future; ``timeout`` [s] restarts with every feedback on a trial."""
         self._heard = time.monotonic()
         while not future.done():
             self.spin(0.1)
@@ -321,7 +321,7 @@ def run_trials_through_nodes(
         manifest: The campaign.
         keys: Trials to run.
         domain_id: ``ROS_DOMAIN_ID`` of the nodes; None: the environment's.
-        plant_model: Effects that the plant has and no other node is given; None: none.
+        plant_model: Effects of the plant unknown to all other nodes; None: not any.
         without: Nodes that the user provides; they are waited for before every trial.
         notify: Called with a line about what is awaited.
         namespace: ROS namespace of the nodes; empty: the root.
@@ -385,7 +385,7 @@ def run_trial(
 
 
 def _attempt(graph: Graph, goal: RunTrial.Goal) -> tuple[Outcome, str]:
-    """Outcome and message of a trial; ABORTED where the experiment node gives none."""
+    """Outcome and message of a trial; ABORTED if the experiment node gives no outcome."""
     try:
         result = graph.call_trial(goal)
     except GraphError as error:

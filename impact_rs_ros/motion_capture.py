@@ -42,7 +42,7 @@ class TrackerPoses:
         self._turn = np.array([[w, -z, y, x], [z, w, -x, y], [-y, x, w, z], [-x, -y, -z, w]])  # q: left product by it
 
     def read(self, data: bytes) -> PoseStamped | None:
-        """A pose in ``world`` with its original stamp; None: no valid pose, as of an object out of sight.
+        """A pose in ``world`` with its original timestamp; None: no valid pose, for example of an occluded object.
 
         Bytes that are not a message give None as well.
 

@@ -26,7 +26,7 @@ CLOSING_S = 6.0  # of it, for the experiment node to end its trial
 
 
 def ours(without: Sequence[str]) -> list[str]:
-    """The nodes to start where the user provides those of ``without``.
+    """The nodes to start, if the user provides the nodes of ``without``.
 
     Raises:
         InputError: There is no such node.
@@ -39,7 +39,7 @@ def ours(without: Sequence[str]) -> list[str]:
 
 
 class NodeProcesses:
-    """Processes of the nodes; none runs until :meth:`start`.
+    """Processes of the nodes, started by :meth:`start`.
 
     Args:
         arguments: Arguments of every node, behind ``--ros-args``.
@@ -125,11 +125,11 @@ class NodeProcesses:
         self.processes[name].wait()
 
     def output(self, name: str) -> str:
-        """What a quiet node has written since it was started."""
+        """Output of a quiet node since its start."""
         return self._log(name).read_text(errors="replace")
 
     def outputs(self) -> str:
-        """What quiet nodes wrote, warnings and tracebacks, node by node."""
+        """Output of quiet nodes, warnings and tracebacks, node by node."""
         written = {name: self.output(name).strip() for name in self.processes}
         return "\n\n".join(f"node {name} wrote:\n{text}" for name, text in written.items() if text)
 
@@ -139,7 +139,7 @@ class NodeProcesses:
         return lines[-1] if lines else "it wrote nothing" if self._quiet else "see its output above"
 
     def stop(self) -> None:
-        """Stop every node with SIGTERM, and with SIGKILL where it does not end in time."""
+        """Stop every node with SIGTERM, and with SIGKILL after a timeout."""
         running = {name: process for name, process in self.processes.items() if process.poll() is None}
         began = time.monotonic()
         # The experiment first: it closes the running trial.

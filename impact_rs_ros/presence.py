@@ -23,7 +23,7 @@ from std_msgs.msg import Empty
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.qos import ALIVE, LEASE_S, PRESENT
 
-UNKNOWN = "_NODE_NAME_UNKNOWN_"  # the middleware's name of a node of which only a publisher is discovered yet
+UNKNOWN = "_NODE_NAME_UNKNOWN_"  # the middleware's name of a node with only a publisher discovered
 LEASE_GRACE_S = 1.0  # a lease can lapse and be renewed at once when another publisher of the same topic leaves
 LEAVING_S = 5.0  # from a publisher's end to the end of its process, on a busy machine; a frozen node's lease lapses
 
@@ -36,7 +36,7 @@ def announce(node: Node) -> Publisher:
 
 
 class Presence:
-    """Which nodes are alive, as one node sees it.
+    """Liveliness of all nodes, as seen by one node.
 
     Args:
         node: Observing node; its executor delivers the liveliness events.

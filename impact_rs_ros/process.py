@@ -81,11 +81,11 @@ class NodeProgram:
         )
 
     def rehearse(self, spec: TrialSpec) -> None:
-        """Load what a trial needs of this node."""
+        """Load the data of a trial for this node."""
         _ = spec.scene
 
     def connect(self, arms: list[str]) -> None:
-        """Create publishers and subscriptions for these arms, in place of those of an earlier call."""
+        """Create publishers and subscriptions for these arms, replacing those of an earlier call."""
 
     def offer(self) -> None:
         """Offer services and actions."""
@@ -132,7 +132,7 @@ class NodeProgram:
 
     @contextmanager
     def answering(self, response: Any, task: str) -> Iterator[None]:
-        """Answer a request with the reason where it cannot be served: no request ends a node."""
+        """Answer a failing request with the reason: no request ends a node."""
         try:
             yield
         except InputError as error:
@@ -153,7 +153,7 @@ class NodeProgram:
         return "ok", {}
 
     def failure(self) -> str:
-        """Why the present trial, or the last one, failed or was aborted: an error on ``/diagnostics``; empty: none."""
+        """Reason of a failed or aborted present or last trial, an error on ``/diagnostics``; empty: no failure."""
         return ""
 
     def diagnose(self, now: bool = False) -> None:

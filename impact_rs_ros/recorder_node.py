@@ -130,9 +130,9 @@ class OpenTrial:
         """Trial time of a message [ns]; None: it does not belong to this trial."""
         if not self.readable(topic, data):
             return None
-        if topic == topics.TRUTH_MODEL:  # published once, and without a stamp
+        if topic == topics.TRUTH_MODEL:  # published once, and without a timestamp
             return 0
-        if topic == topics.DIAGNOSTICS:  # its stamp is not trial time
+        if topic == topics.DIAGNOSTICS:  # its timestamp is not trial time
             return max(self._last.values(), default=0)
         try:
             seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, self._stamp_at[topic])
@@ -161,7 +161,7 @@ class OpenTrial:
         return f"{self.name}: {outcome} after {self.time:.3f} s, {self.bag.messages} messages in"
 
     def missing(self, expected: dict[str, int]) -> str:
-        """Topics with fewer messages than expected, and both numbers, as text; empty: none."""
+        """Topics with fewer messages than expected, with both numbers, as text; empty: not any."""
         return ", ".join(
             f"{topic} {self.counts[topic]} of {count}"
             for topic, count in expected.items()
@@ -179,7 +179,7 @@ class OpenTrial:
         return Verdict("ABORTED", cut) if cut else verdict
 
     def cut_off(self) -> str:
-        """Which signals end before the trial; empty: none."""
+        """Signals that end before the trial; empty: not any."""
         ends = {}
         for topic in (name(arm) for arm in self._arms for name in JUDGED):
             last, count = 1e-9 * self._last.get(topic, 0), self.counts[topic]
@@ -189,7 +189,7 @@ class OpenTrial:
         return f"{', '.join(ends.values())}; the trial ends at {self._duration:.3f} s" if ends else ""
 
     def note(self) -> str:
-        """Remark on the recording, whatever the outcome, in one line; empty: none."""
+        """Warning about the recording, for any outcome, in one line; may be empty."""
         refused = ", ".join(f"{topic} {count}" for topic, count in self.refused.items())
         return (
             f"{self.refused.total()} messages are not in the bag, unreadable or not of this trial: {refused}"
@@ -422,7 +422,7 @@ class RecorderNode(NodeProgram):
         return response
 
     def _verdict(self, recording: OpenTrial) -> Verdict:
-        """How the trial ended; ABORTED where that cannot be judged."""
+        """Outcome of the trial; ABORTED if unknown."""
         try:
             return recording.verdict()
         except InputError as error:
@@ -432,7 +432,7 @@ class RecorderNode(NodeProgram):
             return Verdict("ABORTED", f"what was recorded cannot be judged: {type(error).__name__}: {error}")
 
     def _complete(self, recording: OpenTrial, expected: dict[str, int]) -> str:
-        """Receive until the expected messages are there; returns what is missing after the timeout."""
+        """Receive until the expected messages have arrived; returns the missing ones after the timeout."""
         deadline = time.monotonic() + self.parameter("completion_timeout")
         while True:
             self._drain()

@@ -131,7 +131,7 @@ class Spectator:
         return self._known
 
     def _show(self, **scene: Any) -> None:
-        """Begin a new scene, of which no state is known yet."""
+        """Begin a new scene without a known state."""
         known = self._known
         self._known = Snapshot(known.situation, self._place, known.number + 1, followed=known.followed, **scene)
 
@@ -184,14 +184,14 @@ class Spectator:
 
 
 def _seen(pose: Any) -> Array | None:
-    """Pose of the object, ``(7,)``; None where it was not seen."""
+    """Pose of the object, ``(7,)``; None: not tracked."""
     at, turned = pose.position, pose.orientation
     found = np.array([at.x, at.y, at.z, turned.x, turned.y, turned.z, turned.w])
     return found if np.isfinite(found).all() and np.any(found[3:]) else None
 
 
 def _with_document(followed: IdentifyMessages, topic: str, text: str) -> IdentifyMessages:
-    """What is known of followed hits, with one more document."""
+    """Documents of followed hits, with one more."""
     name = topic.rpartition("/")[2]
     news: dict[str, Any] = {name: text}
     if name == "change":

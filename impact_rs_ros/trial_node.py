@@ -62,7 +62,7 @@ class LockstepTrial(ABC):
         """A line and numbers for ``/diagnostics``."""
 
     def note(self) -> str:
-        """Remark on a trial that ended well, in one line; empty: none."""
+        """Warning about a successful trial, in one line; may be empty."""
         return f"{self.unreadable} messages could not be read" if self.unreadable else ""
 
     def tick_statistics(self) -> dict[str, object]:

@@ -49,7 +49,7 @@ FINISH_TIMEOUT_S = 1.0  # for plant or controller to end a trial
 
 
 class TrialError(RuntimeError):
-    """A trial was aborted; the message says why, and what to do."""
+    """A trial was aborted; the message has reason and remedy."""
 
 
 @dataclass
@@ -110,7 +110,7 @@ class TrialSession:
         self._states = Inbox(node, "states", WATCH)
         self._events = Inbox(node, "events", EVENT)
         self._newest: dict[str, Any] = {}  # controller states by topic
-        self._attempt = 0  # at a trial, which its requests name
+        self._attempt = 0  # number of the attempt at a trial, in its requests
 
     def watch(self, arms: list[str]) -> None:
         """Subscribe to the controller states and impact events of these arms."""
@@ -148,7 +148,7 @@ class TrialSession:
             directory: Folder of the bag.
             feedback: Progress callback, called every ``feedback_period``.
             cancelled: Returns whether to stop.
-            plant_model: Text of a model file whose effects the plant has; empty: none.
+            plant_model: Text of a model file with effects of the plant; may be empty.
         """
         self._presence.forget(*self._presence.absent())  # discovered late, or started again by another program
         info = TrialInfo.of(plan, key, seed, "nodes")
@@ -158,7 +158,7 @@ class TrialSession:
         self._states.clear()
         self._events.clear()
         self._newest.clear()
-        self._attempt = time.time_ns()  # not that of an earlier process either
+        self._attempt = time.time_ns()  # also unlike an earlier process's
         progress = Progress()
         reason = ""
         try:
@@ -193,7 +193,7 @@ class TrialSession:
         return reason
 
     def _has_duplicate_servers(self) -> bool:
-        """Whether a service of a trial has several servers; that of a killed node is counted for 20 s."""
+        """Whether a service of a trial has several servers; a killed node's is counted for 20 s."""
         return any(self._node.count_services(client.srv_name) > 1 for client in self._finish.values())
 
     def _describe(self, urdfs: dict[str, str]) -> None:
@@ -206,7 +206,7 @@ class TrialSession:
             self._descriptions[topic].publish(String(data=urdf))
 
     def _call(self, name: str, client: Client, request: Any, timeout: float) -> Any:
-        """Answer of a service, which is asked again if none comes; any answer counts, and a node acts only once."""
+        """Answer of a service, with repeated requests; any answer is accepted, and a node acts only once."""
         began = time.monotonic()
         deadline = began + timeout
 
@@ -295,7 +295,7 @@ class TrialSession:
             raise TrialError("; ".join(failures.values()))
 
     def _refusals(self, names: list[str], requests: dict[str, Any], timeout: float) -> dict[str, str]:
-        """Configure some nodes at once; returns the reasons of those that refuse, by node."""
+        """Configure some nodes at once; returns the reasons of refusing nodes, by node."""
         calls = {name: (self._configure[name], requests[name]) for name in names}
         answers, failures = self._call_all(calls, timeout)
         return failures | {name: answer.message for name, answer in answers.items() if not answer.success}

@@ -56,7 +56,7 @@ class Watchdog:
 
     Attributes:
         braking: Whether they were taken over.
-        deposed: Whether the cell, which saw no torque passed on, sends them to the robot itself.
+        deposed: Whether the cell bypasses the watchdog, because it forwarded no torque.
     """
 
     def __init__(self, arms: EffortArms, timeout: float) -> None:
@@ -115,7 +115,7 @@ class WatchdogNode(NodeProgram):
         self._braking = self.node.create_publisher(Bool, on_network(BRAKING_TOPIC), LATCHED)
         self._arm_of: dict[str, str] = {}
         self._watchdog: Watchdog | None = None
-        self._looked = 0.0  # when [s]
+        self._looked = 0.0  # time of the last check [s]
 
     def connect(self, arms: list[str]) -> None:
         self._arm_of = {watched_topic(arm): arm for arm in arms}
@@ -141,7 +141,7 @@ class WatchdogNode(NodeProgram):
         self.diagnose()
 
     def _look(self) -> None:
-        """Pass on what has come, judge the silence up to now, and brake if it is due."""
+        """Forward received torques, check the silence up to now, and brake if due."""
         assert self._watchdog is not None
         watchdog, now = self._watchdog, time.monotonic()
         if now - self._looked > MAX_INBOX_PAUSE_S:

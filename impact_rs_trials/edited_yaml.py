@@ -31,7 +31,7 @@ class Noted(NamedTuple):
 
     Attributes:
         value: The value.
-        comment: The comment, without #; empty: none.
+        comment: The comment, without #; may be empty.
     """
 
     value: Any
@@ -55,7 +55,7 @@ def read_edited(path: Path) -> CommentedMap:
     """The mapping in a file that :func:`impact_rs_sim.schema.load` reads, with its comments.
 
     Raises:
-        InputError: It cannot be read, or not edited: YAML 1.2 does not allow what it holds.
+        InputError: It cannot be read, or not edited: not valid YAML 1.2.
     """
     reader = YAML()
     reader.preserve_quotes = True
@@ -76,7 +76,7 @@ def edited_text(content: CommentedMap) -> str:
 
 
 def scalar(text: str) -> str:
-    """A text for a file, in quotation marks where it is read as something else without them: on, 3 or null."""
+    """A text for a file, in quotation marks if YAML reads another type without them: on, 3 or null."""
     try:
         plain = parse_value(text, "") == text
     except InputError:

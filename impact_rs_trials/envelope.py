@@ -21,12 +21,12 @@ LIMIT_ROUNDING_SHARE = 1e-9  # of a limit that a case is made for
 
 @dataclass(frozen=True)
 class Demand:
-    """What a trial asks of a cell.
+    """Demands of a trial on a cell.
 
     Attributes:
         speed: Largest reference speed of an end effector [m/s].
         joint_speed: Largest ante-impact speed of a joint over its limit [-].
-        impulse: Predicted impulse on the object, sum over its contacts with arms [N s]; 0 where nothing is hit.
+        impulse: Predicted impulse on the object, sum over its contacts with arms [N s]; 0 without an impact.
     """
 
     speed: float
@@ -78,7 +78,7 @@ class CellEnvelope(Schema):
 
 
 def demand_of(spec: TrialSpec) -> Demand:
-    """What a trial asks of a cell, by its references and the impact map."""
+    """Demands of a trial on a cell, by its references and the impact map."""
     plan = spec.plan
     paths = [path for arm in plan.arms.values() for path in (arm.ante_position, arm.post_position)]
     speed = max(float(np.linalg.norm(path.velocity, axis=1).max()) for path in paths)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plan of an experiment (``plan.yaml``): which trials to run, how often, and what they are for.
+"""Plan of an experiment (``plan.yaml``): its trials, their numbers of repeats, and their purpose.
 
 ``impact-rs design`` writes it, ``impact-rs campaign --plan`` runs it. A plan has one part for every scenario, or for
 every variant of one: ``settings`` are the values that a variant has instead of the file's, for example further cases.
@@ -120,7 +120,7 @@ def manifests_of(
     Args:
         plan: The plan.
         plant: Simulator of the plant.
-        file_of: Where a scenario with the settings is written for a campaign that has some, because nodes read files;
+        file_of: Path for a scenario with the settings of a campaign, because nodes read files;
             None: the manifest keeps the settings.
 
     Raises:

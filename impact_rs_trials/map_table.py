@@ -30,7 +30,7 @@ class Answers:
     Attributes:
         after: u^+, joint velocities of every arm and then the twist of the centre, ``(rows, nv)`` [rad/s, m/s]; NaN
             where there is no answer.
-        messages: Why there is none, by row number.
+        messages: Reason of a missing result, by row number.
     """
 
     after: Array

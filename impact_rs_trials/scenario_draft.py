@@ -67,7 +67,7 @@ NORMAL, UP = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class Pose:
-    """Where an arm hits.
+    """Pose of an arm at the impact.
 
     Attributes:
         position: Of E, ``(3,)`` [m].
@@ -89,7 +89,7 @@ class Draft:
         scenario: The same, read.
         speed: Share of the shipped scenario's speeds.
         tried: Poses that were simulated before this one worked.
-        choices: What was chosen and why, by key of the scenario; the head of ``text`` says the same.
+        choices: Choices with reasons, by key of the scenario; also in the head of ``text``.
     """
 
     text: str
@@ -107,13 +107,13 @@ def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambd
     """A working scenario with a box or two for an arm.
 
     Args:
-        facts_name: What the scenario shall call the robot: a name in ``config/robots`` or a path.
+        facts_name: Robot of the scenario: a name in ``config/robots`` or a path.
         facts: The robot.
         kind: Which shipped scenario it is made like.
         report: Called with (what, done, total).
 
     Raises:
-        InputError: An arm with fewer than six joints, which cannot hold a pad upright on its way, or no arm at all.
+        InputError: An arm with fewer than six joints, which cannot keep a pad upright on its path, or no arm.
         Infeasible: No pose works.
     """
     if facts.joint_count < 6:
@@ -166,7 +166,7 @@ def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambd
 
 
 def upright_poses(model: RobotModel, seed: int) -> Iterator[Pose | None]:
-    """Endless random poses with the pad upright and its normal along -y; None where a random place is out of reach.
+    """Endless random poses with the pad upright and its normal along -y; None if a random position is out of reach.
 
     Args:
         model: The arm.
@@ -180,11 +180,11 @@ def upright_poses(model: RobotModel, seed: int) -> Iterator[Pose | None]:
 
 
 def _random_pose(model: RobotModel, reach: float, shoulder: float, rng: np.random.Generator) -> Pose | None:
-    """A pose with the pad upright and its normal along -y, or None where a random place is out of reach.
+    """A pose with the pad upright and its normal along -y; None if a random position is out of reach.
 
     Args:
         model: The arm.
-        reach: How far E gets from joint 2, where the arm begins to stretch [m].
+        reach: Distance of E from joint 2 at which the arm begins to stretch [m].
         shoulder: Height of that joint [m].
         rng: Draws place and guess.
     """
@@ -202,7 +202,7 @@ def _random_pose(model: RobotModel, reach: float, shoulder: float, rng: np.rando
 
 
 def _rated(model: RobotModel, pose: Pose, scenario: Scenario, share: float, motors: Array) -> Pose:
-    """A pose with its score for the way of the fastest case, and for how straight a hit throws the pad back."""
+    """A pose with its scores for the path of the fastest case, and for the deflection of the pad by an impact."""
     velocities = [share * np.array(next(iter(case.robots.values())).ante_velocity) for case in scenario.cases.values()]
     fastest = max(velocities, key=lambda velocity: float(np.linalg.norm(velocity)))
     timing = scenario.timing
@@ -226,7 +226,7 @@ def _deflection(model: RobotModel, q: Array, motors: Array) -> float:
 
 
 def _along(model: RobotModel, start: Array, way: Array, speed: float) -> float:
-    """The least of all scores on a straight way of E, which the joints follow as little as they can."""
+    """Smallest of all scores on a straight path of E, followed with the least joint motion."""
     length = float(np.linalg.norm(way))
     direction = np.append(way / length, np.zeros(3))
     target, q, worst = model.placement(start), start.copy(), 1.0
@@ -257,11 +257,11 @@ def scenario_text(
     """The scenario file.
 
     Args:
-        facts_name: What it shall call the robot.
+        facts_name: Name or path of the robot.
         facts: The robot.
-        kind: Which shipped scenario it is made like; what does not depend on the arm is taken from it, word for word.
+        kind: Shipped template; keys that do not depend on the arm are copied from it.
         model: The arm with its end effector.
-        pose: Where it hits.
+        pose: Pose at the impact.
         speed: Share of the shipped scenario's speeds.
         threshold: Threshold of the detection over the shipped one.
     """
@@ -306,7 +306,7 @@ def scenario_text(
 
 
 def failures_text(failures: Sequence[str]) -> str:
-    """What was simulated before a draft worked, in words."""
+    """Simulated trials before a draft worked, in words."""
     if not failures:
         return "its trials ended well at once"
     return f"{len(failures)} attempt{'s' * (len(failures) > 1)} before it failed, the last with {failures[-1]}"
@@ -315,13 +315,13 @@ def failures_text(failures: Sequence[str]) -> str:
 def choices_of(
     facts: RobotFacts, kind: Kind, model: RobotModel, pose: Pose, speed: float, threshold: float, search: str
 ) -> dict[str, str]:
-    """What a draft chose and why, by key of the scenario.
+    """Choices of a draft with reasons, by key of the scenario.
 
     Args:
         facts: The robot.
         kind: Which shipped scenario the draft is made like.
         model: The arm with its end effector.
-        pose: Where it hits.
+        pose: Pose at the impact.
         speed: Share of the shipped scenario's speeds.
         threshold: Threshold of the detection over the shipped one.
         search: How the pose was found, in words.
@@ -381,7 +381,7 @@ def _robot(
     pose: Pose,
     mirrored: Array | None,
 ) -> CommentedMap:
-    """An arm of a scenario file; a second one is turned by half a turn about the middle of the object."""
+    """An arm of a scenario file; a second one is rotated by 180 degrees about the middle of the object."""
     sign, base, yaw, position = 1.0, np.zeros(3), 0.0, pose.position
     if mirrored is not None:
         sign, yaw = -1.0, np.pi
@@ -436,13 +436,13 @@ def _robot(
 
 
 def _cases(cases: Mapping[str, Any], facts: RobotFacts, pose: Pose, speed: float) -> CommentedMap:
-    """Cases with speeds that the arm can reach; where joints are left over, joint 1 is held as the shipped cases do."""
+    """Cases with speeds that the arm can reach; redundant arms hold joint 1 as in the shipped cases."""
     made: dict[str, CommentedMap] = {}
     seen: list[dict[str, dict[str, Any]]] = []
     first = next(iter(next(iter(cases.values()))["robots"]))
     usual = float(next(iter(cases.values()))["robots"][first]["joint_1"])
     for name, case in cases.items():
-        # A second arm is the first one turned, not mirrored: its joint 1 goes the same way.
+        # A second arm is the first one rotated, not mirrored: its joint 1 moves in the same direction.
         joint_1 = rounded(float(pose.q[0]) + float(case["robots"][first]["joint_1"]) - usual)
         held = {"joint_1": joint_1} if facts.joint_count > 6 else {}
         arms = {

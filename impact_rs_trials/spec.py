@@ -28,7 +28,7 @@ MAX_KEPT_PLANS = 64  # in the memory of a process, about 0.7 MB for each arm; a 
 
 @dataclass(frozen=True)
 class TrialSpec:
-    """What the repeats of a trial have in common.
+    """Common properties of the repeats of a trial.
 
     Attributes:
         scenario_json: Full text of the scenario, JSON, with the friction compensation that its file names.

@@ -199,7 +199,7 @@ def workers(workforce: Workforce) -> Iterator[Map]:
 
 
 def as_they_end(client: Client, function: Callable[..., Any], items: Iterable[Any]) -> Iterator[tuple[Any, Any]]:
-    """Yields every item with its result in the order in which tasks end; a task whose worker dies is repeated.
+    """Yields every item with its result in the order of completion; a task whose worker dies is repeated.
 
     If its workers die repeatedly, the result is a :class:`distributed.scheduler.KilledWorker`.
 

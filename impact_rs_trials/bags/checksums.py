@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checksums of a bag, which reveal any changed bit.
+"""Checksums of a bag, which detect any changed bit.
 
 ``rosbags`` writes MCAP with checksums of 0, which mean "unknown". The writer sets those of the chunks, :func:`seal` the
 two of the file (CRC-32, at the positions that the format defines)::
@@ -31,7 +31,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 NAME: Final = "checksums"
 KIND: Final = "crc32"  # value in the custom data of a sealed bag
 METADATA = "metadata.yaml"
-HEADING = "rosbag2_bagfile_information:\n"  # of metadata.yaml; what lies in the MCAP file stands below it
+HEADING = "rosbag2_bagfile_information:\n"  # of metadata.yaml, above the text in the MCAP file
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD_BYTES = 9  # before the content of a record: kind (1) and size (8)
 CHUNK_CHECKSUM_OFFSET_BYTES = 24  # in the content of a chunk
@@ -42,7 +42,7 @@ _DATA_END, _FOOTER = b"\x0f" + _U64.pack(4), b"\x02" + _U64.pack(20)  # heads of
 
 
 class ChecksumError(Exception):
-    """Bytes have changed since they were written; the message says where."""
+    """Bytes have changed since they were written; the message has the position."""
 
 
 def seal(path: Path) -> None:
@@ -58,12 +58,12 @@ def seal(path: Path) -> None:
 
 
 def metadata_text(inner: str) -> str:
-    """``metadata.yaml`` from the text inside the MCAP file: what ``rosbags`` writes, but for its line breaks."""
+    """``metadata.yaml`` from the text inside the MCAP file, equal to the output of ``rosbags`` except line breaks."""
     return f"{HEADING}{indent(inner, '  ')}\n"
 
 
 def check(bag: Path) -> bool:
-    """Whether a bag is sealed; a sealed one that differs in any bit from what was written is an error.
+    """Whether a bag is sealed; a sealed bag with a changed bit is an error.
 
     Args:
         bag: Its folder.
@@ -101,7 +101,7 @@ def says_so(bag: Path) -> bool:
 
 
 def unsealed_words(count: int) -> str:
-    """Warning about a number of bags without checksums; empty for none."""
+    """Warning about a number of bags without checksums; empty for 0."""
     if not count:
         return ""
     return (
@@ -136,7 +136,7 @@ def whole_messages(path: Path) -> Iterator[tuple[str, int, bytes]]:
 
 
 def _checksums(data: bytes) -> Iterator[tuple[int, int]]:
-    """Where the checksums of data end and footer stand, and what they are to be.
+    """Offsets and expected values of the checksums of data end and footer.
 
     Raises:
         ValueError: The file is no MCAP, or was cut off.

@@ -36,7 +36,7 @@ class Frame:
     Attributes:
         parent: Frame that it is seen from.
         name: Its name.
-        placement: Where it is, in the axes of the parent.
+        placement: Its placement in the axes of the parent.
     """
 
     parent: str
@@ -45,7 +45,7 @@ class Frame:
 
 
 class MessageTypes(Protocol):
-    """Where message classes come from."""
+    """Source of message classes."""
 
     def type(self, name: str) -> Any:
         """Class of the message ``package/msg/Name``."""
@@ -73,7 +73,7 @@ class MessageMaker:
     """Fills the messages of one trial.
 
     Args:
-        types: Where message classes come from.
+        types: Source of message classes.
         plan: The trial.
 
     Attributes:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a trial ended, judged by what was measured and recorded.
+"""Outcome of a trial, by its measured and recorded signals.
 
 Every rule checks one condition and yields findings. The verdict is the gravest finding, of equally grave ones the
 earliest. A limit may be exceeded briefly: an impact takes a wrist beyond its torque limit for some milliseconds. The
@@ -38,7 +38,7 @@ class Verdict:
 
     Attributes:
         outcome: Which of ``OUTCOMES``.
-        reason: When, which joint, which value against which limit, in one line; empty for ``OK``.
+        reason: Time, joint, value and limit in one line; empty for ``OK``.
     """
 
     outcome: Outcome
@@ -47,7 +47,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class ArmRecord:
-    """What was recorded of one arm.
+    """Record of one arm.
 
     Attributes:
         joints: Measured state.
@@ -68,11 +68,11 @@ class ArmRecord:
 
 @dataclass(frozen=True)
 class TrialRecord:
-    """What was recorded of a trial, as far as its outcome depends on it.
+    """Record of a trial, with the signals that its outcome depends on.
 
     Attributes:
         arms: By name.
-        object: What the tracker saw.
+        object: Measurements of the tracker.
     """
 
     arms: dict[str, ArmRecord]
@@ -80,7 +80,7 @@ class TrialRecord:
 
 
 class Witness:
-    """Keeps of a trial that runs in this process what it is judged by.
+    """Tick log of a trial in this process, for its outcome.
 
     Args:
         plan: The trial.
@@ -95,7 +95,7 @@ class Witness:
         self._ticks.append(tick)
 
     def record(self) -> TrialRecord:
-        """What was seen."""
+        """The record so far."""
         return TrialRecord({name: self._arm(name) for name in self._arms}, self._object())
 
     def _arm(self, name: str) -> ArmRecord:
@@ -144,8 +144,8 @@ def judge(plan: TrialPlan, recorded: TrialRecord) -> Verdict:
     """Outcome of a trial that ran to its end, or ran away.
 
     Args:
-        plan: What was meant to happen.
-        recorded: What was measured and commanded.
+        plan: Plan of the trial.
+        recorded: Measured and commanded signals.
     """
     gravity = list(OUTCOMES)
     found = sorted(_findings(plan, recorded), key=lambda one: (gravity.index(one.outcome), one.time))
@@ -167,7 +167,7 @@ def _findings(plan: TrialPlan, recorded: TrialRecord) -> Iterator[_Finding]:
 
 
 def _runaway(name: str, arm: ArmRecord, model: RobotModel) -> Iterator[_Finding]:
-    """The first joint far beyond its speed, and the first numbers that are none."""
+    """First joint over its speed limit, and first non-finite values."""
     joints = arm.joints
     if joints.time.size:
         speed = np.abs(joints.velocity) / model.velocity_max
@@ -255,7 +255,7 @@ def _unsolved(name: str, arm: ArmRecord, period: float) -> Iterator[_Finding]:
 
 
 def _untouched(recorded: TrialRecord) -> Iterator[_Finding]:
-    """Arms without an impact, where one was planned."""
+    """Arms without a planned impact."""
     missed = [name for name, arm in recorded.arms.items() if not arm.hit]
     if missed:
         yield _Finding("NO-IMPACT", 0.0, f"{', '.join(missed)} detected no impact")

@@ -45,7 +45,7 @@ class FrameSource:
 
     Args:
         scene: The scene.
-        prefix: Prefix of every frame, ``cell_a/``, where several graphs share ``/tf``; the prefixed ``world`` then is
+        prefix: Prefix of every frame, ``cell_a/``, if several graphs share ``/tf``; the prefixed ``world`` then is
             a child of the common ``world``, at the same pose.
 
     Attributes:
@@ -120,7 +120,7 @@ def occasional_messages(
 
 
 def keep_tick(streams: Mapping[str, Stream], tick: Tick, truth: Truth | None) -> None:
-    """Add the signals of a tick to the streams of plant and controller; without ``truth``, none below ``/truth``."""
+    """Add the signals of a tick to the streams of plant and controller; topics below ``/truth`` need ``truth``."""
     for arm, measured in tick.measurement.arms.items():
         streams[topics.joint_states(arm)].add(tick.number, measured)
         streams[topics.motor_states(arm)].add(tick.number, measured)

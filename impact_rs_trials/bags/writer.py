@@ -42,7 +42,7 @@ _RECORD = struct.Struct("<BQHIQQ")  # of a message: kind, size, channel, sequenc
 
 
 def _offered(topic: str) -> Qos:
-    """Quality of service of a topic's publisher, with which ``ros2 bag play`` publishes it again."""
+    """Quality of service of a topic's publisher, for ``ros2 bag play``."""
     infinite = QosTime(sec=2147483647, nsec=4294967295)
     offer = topics.offer(topic)
     return Qos(
@@ -125,7 +125,7 @@ class SealedWriter(Writer):
 
 
 def partial_path(path: Path) -> Path:
-    """Where the bag ``path`` lies while it is being written."""
+    """Temporary path of the bag ``path`` while it is being written."""
     return path.parent / ".partial" / path.name
 
 
@@ -223,14 +223,14 @@ class BagWriter:
         self.messages += 1
 
     def save(self) -> None:
-        """Flush all messages to the disk, where they can be read even if the bag is never closed."""
+        """Flush all messages to the disk, readable even if the bag is never closed."""
         self._flush()
         storage = self._writer.storage
         if isinstance(storage, _Storage) and storage.chunk.msgs:
             storage.close_chunk()
 
     def _flush(self) -> None:
-        """Serialize what is pending, topic by topic, and write it in the order of time."""
+        """Serialize pending messages, topic by topic, and write them in temporal order."""
         pending, self._pending = self._pending, []
         rows, self._rows = self._rows, []
         grouped: dict[str, list[tuple[int, Any]]] = defaultdict(list)

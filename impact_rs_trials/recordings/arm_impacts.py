@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Impacts of arms on an object, in runs of another controller: states of joints and object on both sides.
+"""Impacts of arms on an object, in runs of another controller: states of joints and object before and after.
 
 Joint velocities jump (:mod:`joint_jumps`). The object rests or moves before; after, it slides (velocity and
-deceleration are fitted) or flies (if it falls with g). Where it is seen too seldom for that, and comes to rest, the way
-D that it slid gives v with v^2 = 2 mu g D and the friction of the scenario's support.
+deceleration are fitted) or flies (if it falls with g). If it is tracked too slowly for a fit and comes to rest, the
+sliding distance D gives v with v^2 = 2 mu g D and the friction of the scenario's support.
 
-Where a force-torque sensor at the wrist, or an accelerometer, is twice as fast as the joint positions and more, its
-onset says when the impact was, and the motion is fitted about that time (:mod:`contact_onset`).
+If a force-torque sensor at the wrist, or an accelerometer, is at least twice as fast as the joint positions, its
+onset gives the time of the impact, and the motion is fitted about it (:mod:`contact_onset`).
 
 A run may hold several impacts. Each changes the velocities of joints and object by a part of the largest change at
 least, because a pushed object rattles at the pad; the motion of the object is fitted between one and the next.
@@ -57,12 +57,12 @@ MIN_OBJECT_JUMP_SIGMA = 3.0  # standard deviations; an object with a larger velo
 
 @dataclass(frozen=True)
 class _Seen:
-    """What is known of a run beside its impacts: the object in the scene's frame.
+    """Motion of the object of a run, in the scene's frame.
 
     Attributes:
-        laboratory: Knows scenario and arms.
+        laboratory: Scenario and arms.
         run: The run.
-        time: Stamps of the object, ``(p,)`` [s].
+        time: Timestamps of the object, ``(p,)`` [s].
         positions: Of its geometric centre, ``(p, 3)`` [m].
         rotations: ``(p, 3, 3)``.
         start: Of the run [s].
@@ -77,12 +77,12 @@ class _Seen:
 
     @property
     def rate(self) -> float:
-        """Of the object [Hz]."""
+        """Sampling rate of the object [Hz]."""
         return 1.0 / float(np.median(np.diff(self.time))) if self.time.size > 1 else 0.0
 
 
 def impacts_of_run(laboratory: Laboratory, run: RunRow) -> tuple[list[Impact | NoRow], tuple[str, ...]]:
-    """The impacts of a run in their order, or why it gives none; and what the user should know of how it was read.
+    """Impacts of a run in temporal order, or the reason why there is no row; and warnings about reading the run.
 
     Raises:
         InputError: A file is there and cannot be read.
@@ -119,7 +119,7 @@ def impacts_of_run(laboratory: Laboratory, run: RunRow) -> tuple[list[Impact | N
 
 
 def _hits(seen: _Seen, moments: list[Jumps]) -> tuple[list[Jumps], list[Impact | NoRow]]:
-    """Jumps that are impacts on the object and their rows in their order; or none, and why the largest gives no row."""
+    """Jumps that are impacts on the object, with their rows in temporal order; or no jump, with the reason."""
     found: list[Jumps] = []
     reasons: list[NoRow] = []
     largest = 0.0
@@ -138,13 +138,13 @@ def _hits(seen: _Seen, moments: list[Jumps]) -> tuple[list[Jumps], list[Impact |
 
 
 def _pushed(seen: _Seen, jumps: Jumps, change: Array) -> bool:
-    """Whether some pad, which can push and not pull, changes the object's velocity that way."""
+    """Whether the push of a pad explains the object's change of velocity; pads cannot pull."""
     models = seen.laboratory.models
     return any(float(models[arm].placement(jump.position).rotation[:, 2] @ change) > 0.0 for arm, jump in jumps.items())
 
 
 def _between(jumps: Jumps, others: list[Jumps]) -> tuple[float, float]:
-    """Times of the impacts before and after one [s]; infinite where there is none."""
+    """Times of the previous and the next impact [s]; infinite if missing."""
     times = [_time(one) for one in others if one is not jumps]
     at = _time(jumps)
     return max((one for one in times if one < at), default=-np.inf), min(
@@ -161,7 +161,7 @@ def _numbered(one: Impact | NoRow, number: int) -> Impact | NoRow:
 
 
 def _moments(laboratory: Laboratory, arms: Mapping[str, ArmSeries]) -> list[Jumps] | str:
-    """Jumps of all arms, impact by impact in their order; or why there is none."""
+    """Velocity jumps of all arms by impact in temporal order, or the reason why there is no jump."""
     own = {arm: list(jumps_of(series["position"], MIN_JUMP_SHARE)) for arm, series in arms.items()}
     for arm, jumps in own.items():
         if not jumps:
@@ -182,12 +182,12 @@ def _moments(laboratory: Laboratory, arms: Mapping[str, ArmSeries]) -> list[Jump
 
 
 def by_onset(arms: Mapping[str, ArmSeries], moments: list[Jumps], remarks: list[str]) -> list[Jumps]:
-    """Jumps at the times of a force or an acceleration, where it is faster than the joints; of two the sharper one.
+    """Refine the times of jumps by the onset of the fastest force or acceleration, if faster than the joints.
 
     Args:
         arms: Signals of every arm.
         moments: Jumps by the joint positions alone.
-        remarks: What is said is added to them.
+        remarks: Warnings, appended to.
     """
     found: list[Jumps] = []
     used: list[str] = []
@@ -225,7 +225,7 @@ def _size(jumps: Jumps) -> float:
 
 
 def _with_object(seen: _Seen, jumps: Jumps, between: tuple[float, float]) -> Impact | NoRow:
-    """One impact, with the object's motion from the one before to the one after it."""
+    """One impact, with the object's motion between the previous and the next impact."""
     run, laboratory, pose_time = seen.run, seen.laboratory, seen.time
     assert run.object is not None
     time = _time(jumps)
@@ -294,7 +294,7 @@ def _before(time: Array, positions: Array, rotations: Array, rows: Rows, at: flo
 
 
 def _after(time: Array, positions: Array, rotations: Array, rows: Rows, at: float) -> tuple[FittedMotion, str]:
-    """Sliding, or flight where the object falls with g."""
+    """Sliding, or free flight if the object falls with g."""
     first = rows[time[rows] <= at + OBJECT_AFTER_S[0]]
     first = first if first.size >= MIN_OBJECT_SAMPLES else rows[:MIN_OBJECT_SAMPLES]
     slide = move(time[first], positions[first], rotations[first], at)
@@ -308,7 +308,7 @@ def _after(time: Array, positions: Array, rotations: Array, rows: Rows, at: floa
 
 
 def _slid(seen: _Seen, time: float, ante: FittedMotion) -> dict[ColumnGroup, float]:
-    """Way from the impact to rest, if the object comes to rest while it is seen."""
+    """Sliding distance from the impact to rest, if the object comes to rest while tracked."""
     late = seen.positions[seen.time > time]
     if len(late) < 2 * MIN_OBJECT_SAMPLES:
         return {}
@@ -321,7 +321,7 @@ def _slid(seen: _Seen, time: float, ante: FittedMotion) -> dict[ColumnGroup, flo
 
 
 def _by_distance(seen: _Seen, time: float, way: float) -> tuple[Array, tuple[float, float], str]:
-    """Velocity after by the way that the object slid, v = sqrt(2 mu g D); the turn does not follow from it."""
+    """Velocity after by the sliding distance, v = sqrt(2 mu g D); the rotation remains unknown."""
     start, end = seen.positions[seen.time <= time][-1], seen.positions[-1]
     direction = (end - start) * [1.0, 1.0, 0.0]
     speed = float(np.sqrt(2.0 * seen.laboratory.scenario.support.friction * 9.81 * way))

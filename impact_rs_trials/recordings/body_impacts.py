@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Impacts of a tracked body on a fixed plane: where its free flight breaks off, and the state on both sides.
+"""Impacts of a tracked body on a fixed plane: change points of its free flight, and the states before and after.
 
 In free flight the second difference of the height over k samples, (z(i+k) - 2 z(i) + z(i-k)) / (k h)^2, is g; where it
-is not, something touches. k is the smallest number for which rest and flight differ by more than the noise of the
+differs, the body is in contact. k is the smallest number for which rest and flight differ by more than the noise of the
 tracker, which follows from third differences of the recording itself. An impact disturbs at most 2 k differences in a
-row; it is where the two parabolas about them have the same height. Left out, and said, is what does not give a state
-before and after:
+row; its time is where the parabolas before and after have the same height. Omitted with the reason, because they give
+no state before and after:
 
 * too few samples of flight on a side, or several impacts in a row;
 * a body that comes down so slowly that noise decides;
@@ -51,7 +51,7 @@ class TrackedBody:
         position: Of the geometric centre, ``(k, 3)`` [m].
         rotation: From its axes, ``(k, 3, 3)``.
         gravity: ``(3,)`` [m/s^2].
-        spin: Angular velocity before impacts that was not tracked, ``(3,)`` [rad/s]; None: the turn was tracked.
+        spin: Assumed angular velocity before the impacts, ``(3,)`` [rad/s]; None: the orientation was tracked.
     """
 
     run: str
@@ -63,7 +63,7 @@ class TrackedBody:
 
 
 def impacts_of_bodies(runs: Sequence[TrackedBody], body: Body) -> tuple[list[Impact], list[NoRow]]:
-    """Impacts of all runs, and what was left out.
+    """Impacts of all runs, and the omitted ones with reasons.
 
     Args:
         runs: Tracked runs.
@@ -123,7 +123,7 @@ def _impacts_of(run: TrackedBody, body: Body) -> tuple[list[Impact], list[NoRow]
 
 
 def breaks(time: Array, height: Array, gravity: float) -> tuple[NDArray[np.bool_], int] | None:
-    """Which samples do not fly freely, ``(k,)``, ends included, and how far differences reach; None: noise hides it.
+    """Mask of the samples not in free flight, ``(k,)``, ends included, and the half width k; None: too noisy.
 
     Args:
         time: Stamps, ``(k,)`` [s].
@@ -207,7 +207,7 @@ def _impact(run: TrackedBody, body: Body, name: str, before: Rows, after: Rows, 
 
 
 def _window(run: TrackedBody, rows: Rows, side: int) -> Rows:
-    """Samples nearest to the impact, of a flight that is neither too long nor turns too far."""
+    """Samples nearest to the impact, limited in duration and rotation."""
     rows = rows if side > 0 else rows[::-1]
     span = np.abs(run.time[rows] - run.time[rows[0]]) <= MAX_FLIGHT_S
     rows = rows[: max(MIN_FLIGHT_SAMPLES, int(np.argmin(np.append(span, False))))]
@@ -218,7 +218,7 @@ def _window(run: TrackedBody, rows: Rows, side: int) -> Rows:
 
 
 def _meeting(ante: FittedMotion, post: FittedMotion, edge: tuple[float, float]) -> float:
-    """Time at which both have the same height: both fall with g, so the difference is a straight line."""
+    """Time at which both have the same height; both fall with g, so their difference is linear in time."""
     start = edge[0]
     gap = ante.at(start)[0][2] - post.at(start)[0][2]
     slope = ante.at(start)[2][2] - post.at(start)[2][2]

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clocks that differ by a constant: the offset of a stream is found from the motion that two streams share.
+"""Clocks that differ by a constant: the offset of a stream by cross-correlation of the motion that two streams share.
 
-A stream whose stamps are of another clock (``clock: own`` in the mapping) is moved to where it fits the joint
-positions q(t) best. What it should be follows from them: velocities are dq/dt, motor positions follow q, torques and
-commands carry the weight g(q). The offset d maximises the correlation of both over the stretch in which they overlap,
+A stream with timestamps of another clock (``clock: own`` in the mapping) is shifted to fit the joint
+positions q(t) best. They predict it: velocities are dq/dt, motor positions follow q, torques and
+commands contain the gravity torque g(q). The offset d maximises the correlation of both over their overlap,
 
     c(d) = sum x(t) y(t - d) / sqrt(sum x(t)^2 sum y(t - d)^2),
 
 with x and y less their means; around its maximum y = a x + b is fitted to every column by least squares. Objects do not
-move with the joints: in a hit the moment in which the object starts is that in which the joint velocities jump.
+move with the joints: in a hit the object starts to move when the joint velocities jump.
 
 The standard error is that of least squares with residuals r of the samples, sigma_d^-2 = sum (a dx/dt)^2 / mean r^2
 over samples and columns.
@@ -59,13 +59,13 @@ FITTED_SAMPLES = 12  # after the start
 def on_one_clock(
     path: Path, series: dict[SignalName, Series], mapping: Mapping, model: RobotModel
 ) -> dict[SignalName, Series]:
-    """Joint signals on the clock of the positions; remarks say what was moved, and by how much.
+    """Joint signals on the clock of the positions, with a warning about every shift.
 
     Args:
         path: File, for messages.
-        series: Signals as their files have them.
-        mapping: Says which have a clock of their own.
-        model: Nominal arm, for its weight.
+        series: Signals with the timestamps of their files.
+        mapping: Names the signals with another clock.
+        model: Nominal arm, for its gravity torque.
 
     Raises:
         InputError: The motion does not determine an offset.
@@ -80,11 +80,11 @@ def on_one_clock(
 
 
 def with_start_at(path: Path, pose: Series, position: Series, key: str) -> Series:
-    """The pose of an object on the clock of the joints: it starts to move in the impact.
+    """The pose of an object on the clock of the joints: it starts to move at the impact.
 
     Args:
         path: File, for messages.
-        pose: Position first, as its file has it.
+        pose: Position first, with the timestamps of its file.
         position: q, ``(m, n)``, whose velocities jump in the impact.
         key: Key of the mapping, for messages.
 
@@ -103,9 +103,9 @@ def with_start_at(path: Path, pose: Series, position: Series, key: str) -> Serie
 
 
 def start_of_motion(pose: Series, path: Path, key: str) -> tuple[float, float]:
-    """When an object that rests at first starts to move, and the standard error [s].
+    """Time at which an object that rests at first starts to move, and its standard error [s].
 
-    The way s along the motion is fitted by s = v (t - t_0) - a (t - t_0)^2 / 2 to the first samples in which it is
+    The displacement s along the motion is fitted by s = v (t - t_0) - a (t - t_0)^2 / 2 to the first samples that are
     clear of the noise; t_0 is where the parabola is zero.
 
     Args:
@@ -155,8 +155,8 @@ class ClocksApart:
     """An object that does not move from rest when an arm hits it.
 
     Attributes:
-        offset: Start of the object less the impact of the arm; or between the first stamps of both [s].
-        error: Its standard deviation [s]; None: their stamps have no time in common.
+        offset: Start of the object less the impact of the arm; or between the first timestamps of both [s].
+        error: Its standard deviation [s]; None: the timestamps do not overlap.
     """
 
     offset: float
@@ -164,7 +164,7 @@ class ClocksApart:
 
     @property
     def evidence(self) -> str:
-        """What shows it."""
+        """Evidence in words."""
         if self.error is None:
             return (
                 f"the stamps of the object begin {self.offset:+.6g} s after those of the joints, and have no time in "
@@ -182,12 +182,12 @@ class ClocksApart:
 
 
 def clocks_apart(pose: Series, position: Series, jumps: Sequence[JointJump], path: Path) -> ClocksApart | None:
-    """By how much the clock of an object differs from that of the joints; None: nothing shows that it does.
+    """Offset between the clocks of object and joints; None: no evidence of an offset.
 
     Args:
         pose: Position of the object first, ``(k, 3 or more)``.
         position: q, ``(m, n)``.
-        jumps: Where its velocities jump.
+        jumps: Jumps of its velocities.
         path: File, for messages.
     """
     if pose.time[0] > position.time[-1] or pose.time[-1] < position.time[0]:
@@ -209,14 +209,14 @@ def clocks_apart(pose: Series, position: Series, jumps: Sequence[JointJump], pat
 
 
 def shifted(series: Series, offset: float, error: float, found_by: str) -> Series:
-    """A signal with its stamps moved by an offset [s], and a remark that says so."""
+    """A signal with its timestamps shifted by an offset [s], and a warning about it."""
     moved = "stamps moved by ", Amount(offset, "+.6g"), " s (+- ", Amount(1e3 * error, ".2g"), " ms)"
     said = Remark(f"{series.place}: clock of its own; ", *moved, f", by {found_by}")
     return replace(series, time=series.time + offset, remarks=(*series.remarks, said))
 
 
 def offset_between(expected: Series, measured: Series, path: Path, key: str) -> tuple[float, float]:
-    """What to add to the stamps of ``measured`` so that it fits ``expected``, and its standard error [s].
+    """Offset added to the timestamps of ``measured`` for the best fit to ``expected``, and its standard error [s].
 
     Args:
         expected: What it should be, up to a factor and an offset of every column.
@@ -258,12 +258,12 @@ def offset_between(expected: Series, measured: Series, path: Path, key: str) -> 
 
 
 def misfit(expected: Series, measured: Series, offset: float) -> tuple[float, float]:
-    """Mean square of what a line leaves of every column, over its variance; and the standard error of the offset [s].
+    """1 - R^2 of a linear fit per column, averaged, and the standard error of the clock offset [s].
 
     Args:
         expected: What it should be, up to a factor and an offset of every column.
         measured: What was measured, with as many columns.
-        offset: Added to the stamps of ``measured`` [s].
+        offset: Added to the timestamps of ``measured`` [s].
     """
     time = measured.time + offset
     rows = (time >= expected.time[0]) & (time <= expected.time[-1])
@@ -279,7 +279,7 @@ def misfit(expected: Series, measured: Series, offset: float) -> tuple[float, fl
 
 
 def _expected(name: SignalName, position: Series, model: RobotModel) -> Series:
-    """What a signal should be by the positions."""
+    """Prediction of a signal by the positions."""
     if name == "motor_position":
         return position
     if name in ("velocity", "motor_velocity"):

@@ -39,7 +39,7 @@ CONVERGED_STEP = 1e-9  # m or rad
 
 @dataclass(frozen=True)
 class PadOnFace:
-    """One hit, while pad and object touch.
+    """One impact, while pad and object touch.
 
     Attributes:
         run: Name of the run.
@@ -48,10 +48,10 @@ class PadOnFace:
         position: Geometric centre of the object in the world of the motion capture, ``(k, 3)`` [m].
         rotation: Its axes there, ``(k, 3, 3)``.
         size: Of the object, ``(3,)`` [m].
-        standing: Height of its centre over the support while it stands at first [m].
-        standing_height: The same centre's height then, in the world of the motion capture [m].
-        pad_way: Where the pad goes from the impact on, in A, ``(2,)`` [m].
-        object_way: Where the object goes meanwhile, in the world of the motion capture, ``(2,)`` [m].
+        standing: Initial height of its centre over the support [m].
+        standing_height: Initial height of its centre in the world of the motion capture [m].
+        pad_way: Displacement of the pad after the impact, in A, ``(2,)`` [m].
+        object_way: Displacement of the object meanwhile, in the world of the motion capture, ``(2,)`` [m].
     """
 
     run: str
@@ -77,7 +77,7 @@ class ContactFrame:
         scatter: Distance between pad and face, rms over the hits [m].
         tilt: Angle between pad and face, rms over the hits [rad].
         hits: Number of hits.
-        kept: Undetermined direction in A, along which the position keeps its given value, ``(2,)``; None: none.
+        kept: Undetermined direction in A, along which the position keeps its given value, ``(2,)``; None: determined.
     """
 
     position: Array
@@ -109,7 +109,7 @@ def contact_frame(touches: Sequence[PadOnFace], given: Array, given_yaw: float) 
 
     Args:
         touches: The hits; poses already rotated by roll and pitch, which hits do not determine.
-        given: Position that is kept where hits do not determine it, ``(3,)`` [m].
+        given: Position to keep along undetermined directions, ``(3,)`` [m].
         given_yaw: Initial yaw, used if no object moves [rad].
 
     Raises:
@@ -152,7 +152,7 @@ def _undetermined(slopes: Array) -> Array | None:
     """Horizontal direction in which the hits do not determine the position, ``(2,)``; None: there is none.
 
     Args:
-        slopes: Of weighted residuals in x, y and yaw, ``(2 h, 3)``; in x and y those are normals of faces.
+        slopes: Derivatives of the weighted residuals by x, y and yaw, ``(2 h, 3)``; by x and y: normals of faces.
     """
     information, directions = np.linalg.eigh(slopes[:, :2].T @ slopes[:, :2])
     if information[0] * MAX_STANDARD_ERROR_M**2 > 1.0:
@@ -179,7 +179,7 @@ def _first(touches: Sequence[PadOnFace], given_yaw: float) -> Array:
 
 
 def _residuals(touches: Sequence[PadOnFace], found: Array) -> tuple[Array, Array]:
-    """Distance [m] and angle [rad] of every hit in turn, ``(2 h,)``, and their slopes in x, y and yaw, ``(2 h, 3)``."""
+    """Distance [m] and angle [rad] of every impact, ``(2 h,)``, and their derivatives by x, y and yaw, ``(2 h, 3)``."""
     turn = pin.rpy.rpyToMatrix(0.0, 0.0, float(found[2]))
     values, slopes = [], []
     for touch in touches:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The runs that a mapping describes: which are there, what they hit, and what contradicts the mapping in them."""
+"""The runs that a mapping describes, their objects, and contradictions to the mapping."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ MAX_RUNS_COMPARED = 10  # with the first
 
 
 class DescribedRuns:
-    """Runs of files, as a mapping reads them.
+    """Runs in files, read with a mapping.
 
     Args:
         groups: Files by kind and run.
         scenario: Scenario of hits, by name or path; None: unknown.
-        notes: What was found is added to them.
+        notes: Findings, appended to.
     """
 
     def __init__(self, groups: FileGroups, scenario: str | None, notes: Notes) -> None:
         self._groups, self._scenario, self._notes = groups, scenario, notes
 
     def rows(self, mapping: Mapping) -> list[FoundRun]:
-        """Every run that the reader takes; the others are said."""
+        """Every readable run; the others are noted."""
         groups = self._groups
         has_object = any(name.startswith("object") for name in mapping.signals)
         needed = {source.file for source in mapping.signals.values() if source.file is not None}
@@ -128,7 +128,7 @@ class DescribedRuns:
         return rows
 
     def clock_of_object(self, mapping: Mapping, rows: Sequence[FoundRun], signals: dict[str, dict[str, Any]]) -> bool:
-        """Give the object a clock of its own where it does not start to move when the arm hits; whether it was so."""
+        """Give the object its own clock if it does not start to move at the impact of the arm; whether it was given."""
         names = [name for name in OBJECT_SIGNALS if name in signals]
         hits = [row for row in rows if row.hit][:MAX_RUNS_WITH_CLOCK]
         seen = [clocks_of(self._groups.folder / row.run, mapping, row.names) for row in hits] if names else []
@@ -143,7 +143,7 @@ class DescribedRuns:
         return True
 
     def check_first(self, mapping: Mapping, rows: Sequence[FoundRun]) -> None:
-        """What the reader says of the first run."""
+        """Note the reader's warnings about the first run."""
         row = next((row for row in rows if row.hit), rows[0])
         path = self._groups.folder / row.run
         try:
@@ -162,7 +162,7 @@ class DescribedRuns:
             self._notes.remarks.append(f"the reader refuses {row.run} as it is described: {error}")
 
     def compare(self, mapping: Mapping, rows: Sequence[FoundRun], facts: RobotFacts) -> None:
-        """Units and signs of other runs than the first, which the description was made of."""
+        """Compare units and signs of further runs with the first, the source of the description."""
         first, *others = rows
         numbers = np.unique(np.linspace(0, len(others) - 1, min(MAX_RUNS_COMPARED, len(others))).astype(int))
         model = RobotModel(facts, MountedEndEffector().build(), pin.SE3.Identity())

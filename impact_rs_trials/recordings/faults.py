@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples that a sensor did not measure: outliers and frozen values, judged joint by joint and left out.
+"""Samples that a sensor did not measure: outliers (Hampel filter) and frozen values, removed joint by joint.
 
-A sample x_k of a signal is an *outlier* where it stands alone,
+A sample x_k of a signal is an *outlier* of a Hampel filter (median of 5, local median absolute deviation), if
 
     d_k = |x_k - median(x_{k-2} ... x_{k+2})|  >  max(MIN_OUTLIER_SIGMA * 1.4826 * median |d| about it, F)
 
-with a floor F that no joint reaches and leaves within two samples: half the data sheet's velocity or torque, the way
-that the fastest motion goes in a sampling period, and at least 12 steps of the sensor's resolution. It is one as well
-where it lies beyond the data sheet, which of a hit the 50 ms after the impact may do. Steps, as an impact makes them,
+with a floor F that no joint reaches and leaves within two samples: half the data sheet's velocity or torque, the path
+of the fastest motion in a sampling period, and at least 12 steps of the sensor's resolution. A sample beyond the data
+sheet is an outlier as well, except in the 50 ms after an impact. Steps, as an impact makes them,
 are no outliers: three of five samples are on one side.
 
 False alarms: normal noise exceeds 12 standard deviations with a probability of 4e-33 per sample, Laplace noise exceeds
@@ -76,11 +76,11 @@ def without_faults(
     Args:
         series: Signals of one arm in SI units, with checked stamps.
         mapping: Mapping with the robot and its limits.
-        model: Model for the arm's weight; None: torques are not compared with it.
+        model: Model for the gravity torque; None: torques are not compared with it.
         hit: Whether the arm hits something; else it moves freely.
 
     Returns:
-        The signals, and what was left out of each.
+        The signals, and a warning about the removed samples of each.
     """
     cleaned, remarks = dict(series), []
     impact = _impact(cleaned["position"], cleaned["velocity"], mapping) if hit else None
@@ -107,7 +107,7 @@ def without_faults(
 
 
 def _impact(position: Series, velocity: Series, mapping: Mapping) -> float:
-    """When the arm hits, by positions and velocities less their outliers [s]."""
+    """Time of the arm's impact, by positions and velocities without their outliers [s]."""
     alone = _alone(velocity.values, MIN_OUTLIER_SHARE * np.array(mapping.facts.limits.velocity_rad_s))
     kept = _without(position, outliers("position", position, mapping, None))
     return impact_time(kept, _without(velocity, alone))
@@ -117,13 +117,13 @@ def _impact(position: Series, velocity: Series, mapping: Mapping) -> float:
 
 
 def outliers(name: SignalName, series: Series, mapping: Mapping, impact: float | None) -> Mask:
-    """Samples of a joint signal that stand alone or lie beyond the data sheet, ``(k, n)``.
+    """Mask of the outliers of a joint signal by Hampel filter and data sheet, ``(k, n)``.
 
     Args:
         name: Position, velocity or torque of joints or motors.
         series: The signal in SI units.
         mapping: Knows robot and limits.
-        impact: When the impact is [s]; None: free motion.
+        impact: Time of the impact [s]; None: free motion.
     """
     values, time = series.values, series.time
     limits = mapping.facts.limits

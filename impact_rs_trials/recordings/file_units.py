@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Units in which files state their numbers, and their factors to SI.
+"""Units of the numbers in files, and their factors to SI.
 
     value in SI = FACTORS[SI unit][unit] * number in the file
 
-Mappings state the unit of a signal, tables of impacts that of a column. Whatever reads numbers takes factors from here.
+Mappings state the unit of a signal, impact tables the unit of a column. All readers take their factors from here.
 Units of joints in SI are those of :data:`impact_rs_sim.robot.UNITS`.
 """
 
@@ -56,12 +56,12 @@ _IGNORED = str.maketrans("", "", " ^*[]()")
 
 
 def si_unit(quantity: str, unit: str, unit_quantity: str) -> str:
-    """The SI unit of a quantity of a joint, of which another quantity has a known unit.
+    """SI unit of a joint's quantity, from the unit of another quantity of the joint.
 
     Args:
         quantity: The quantity.
-        unit: Unit of the other one, which says whether the joint turns or slides.
-        unit_quantity: The other one.
+        unit: Unit of the other quantity, which shows whether the joint turns or slides.
+        unit_quantity: The other quantity.
     """
     known = next((table for table in (TURNS, SLIDES) if unit in table.get(unit_quantity, {})), UNITS)
     return next(iter(known[quantity]))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a stream of a recording is: hypotheses with one likelihood.
+"""Role of a stream of a recording: hypotheses with one likelihood.
 
 A hypothesis gives the numbers y of a stream a role in the motion q(t) of the joints, with unit u, signs s and factors:
 
@@ -9,7 +9,7 @@ A hypothesis gives the numbers y of a stream a role in the motion q(t) of the jo
     current     y = s (M ddq + h) / K + F + c         torque constants K of one sign, apart by a factor of 30 at most
     other       y = b (M ddq + h) + F + c             a factor b of any size and sign in every joint: in no unit
                 y = a b dq/dt                         one factor b in all joints: at another sampling rate
-                y = b dq/dt                           one of its own in every joint: viscous friction
+                y = b dq/dt                           a different factor in every joint: viscous friction
     copy        y = s a (x + L dx/dt) / u + c         of x = q, dq or ddq, as commanded or filtered signals are
     none        y = F + c                             F: Coulomb and viscous friction where it is a torque; c: offset
 
@@ -17,10 +17,10 @@ Its log likelihood over that of *none* is, with the residuals r of least squares
 
     sum_j  k_j / 2  log(sum r_none^2 / sum r^2)  -  log(k_j) / 2                             (Schwarz 1978)
 
-where k_j is that of two autocorrelated signals (Bartlett 1946), for smooth motions resemble each other by chance. Its
-log prior holds the densities of the factors and what names say. Both can be added and compared between streams, units
-and roles. What names cannot say and data do not show is assumed: the *margin* of a hypothesis is its log posterior
-less that of the next one, and one below log(100) (Jeffreys 1961) is not decisive.
+where k_j is the effective number of two autocorrelated signals (Bartlett 1946), for smooth motions resemble each other
+by chance. Its log prior holds the densities of the factors and the names. Both can be added and compared between
+streams, units and roles. A choice without evidence is assumed: the *margin* of a hypothesis is its log posterior
+less the next one's, and a margin below log(100) (Jeffreys 1961) is not decisive.
 """
 
 from __future__ import annotations
@@ -78,16 +78,16 @@ OUTLIERS = np.errstate(over="ignore", invalid="ignore", divide="ignore")  # of a
 
 @dataclass(frozen=True)
 class RoleHypothesis:
-    """What a stream may be.
+    """A possible role of a stream.
 
     Attributes:
         role: Its role in the motion.
-        unit: Unit of its numbers, or those of all joints.
-        evidence: What shows it, in words.
-        log_likelihood: Over that of no role.
+        unit: Unit of its numbers, or the units of all joints.
+        evidence: Evidence in words.
+        log_likelihood: Log likelihood ratio to no role.
         log_prior: Of unit, signs and factors.
         further: Further keys of the mapping with their values.
-        remarks: What the user should know besides.
+        remarks: Warnings to the user.
     """
 
     role: Role
@@ -100,7 +100,7 @@ class RoleHypothesis:
 
     @property
     def log_posterior(self) -> float:
-        """Up to a constant of the stream."""
+        """Log posterior, up to a constant of the stream."""
         return self.log_likelihood + self.log_prior
 
     @property
@@ -112,12 +112,12 @@ class RoleHypothesis:
 
 @dataclass(frozen=True)
 class RoleChoice:
-    """The likeliest of several hypotheses of one stream.
+    """The likeliest of several hypotheses about one stream.
 
     Attributes:
         best: The likeliest.
-        next: The next one; None: there is no other.
-        margin: Log posterior of the best less that of the next one, or of no role.
+        next: The second likeliest; None: there is no other.
+        margin: Log posterior odds of the best against the next one, or against no role.
     """
 
     best: RoleHypothesis
@@ -131,17 +131,17 @@ class RoleChoice:
 
     @property
     def evidence(self) -> str:
-        """What shows the best, and where that is not decisive the next one."""
+        """Evidence for the best, and the next one if the margin is not decisive."""
         if self.sure or self.next is None:
             return self.best.evidence
         return f"{self.best.evidence}; next: {self.next.name}, log odds {self.margin:.2g}"
 
 
 def choose(hypotheses: Iterable[RoleHypothesis], least: float = 0.0) -> RoleChoice | None:
-    """The likeliest of hypotheses of one stream; None: there is none.
+    """Choose the likeliest hypothesis about one stream; None: there are no hypotheses.
 
     Args:
-        hypotheses: Of one stream.
+        hypotheses: Hypotheses about one stream.
         least: Log posterior of having no role.
     """
     ordered = sorted(hypotheses, key=lambda one: one.log_posterior, reverse=True)
@@ -159,10 +159,10 @@ class JointMotion:
 
     Attributes:
         time: Stamps of the recording, ``(m,)`` [s].
-        rows: Which of the averaged samples these are, ``(k,)``.
+        rows: Indices of the averaged samples, ``(k,)``.
         position: q [rad, m].
         derivative: dq/dt of the positions [rad/s, m/s].
-        velocity: dq, measured where it was [rad/s, m/s].
+        velocity: dq, measured or else the derivative [rad/s, m/s].
         acceleration: ddq, the derivative of the velocity [rad/s^2, m/s^2].
         model: Nominal arm.
     """
@@ -177,7 +177,7 @@ class JointMotion:
 
     @staticmethod
     def of(time: Array, position: Array, velocity: Array | None, model: RobotModel) -> JointMotion:
-        """Of signals ``(m, n)`` at common stamps [s]; without a velocity it is the derivative."""
+        """Motion from signals ``(m, n)`` at common timestamps [s]; without a velocity it is the derivative."""
         motion = AveragedMotion.of(time, position)
         rows = np.unique(np.linspace(0, motion.time.size - 1, COMPARED_SAMPLES).astype(int))
         dq = motion.velocity if velocity is None else averaged(time, velocity)[1]
@@ -201,7 +201,7 @@ class JointMotion:
         return np.array([self.model.inverse_dynamics(*state) for state in states])
 
     def sampled(self, time: Array, values: Array) -> Array:
-        """Another stream ``(m, c)`` on the same stamps, averaged, at these samples."""
+        """Another stream ``(m, c)`` on the same timestamps, averaged, at these samples."""
         return averaged(time, values)[1][self.rows]
 
     def units(self, turns: str, slide: str) -> list[str]:
@@ -283,7 +283,7 @@ def velocities(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
 
 @OUTLIERS
 def copies(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
-    """Which part of the motion a stream may repeat with one factor in all joints, late and beside it by a constant."""
+    """Hypotheses that a stream repeats a part of the motion: one factor for all joints, a lag and an offset."""
     shown = travels(motion.position, SOME_TRAVEL)
     parts = motion.position, motion.velocity, motion.acceleration
     rates = (motion.velocity, motion.acceleration, None)
@@ -301,7 +301,7 @@ def copies(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
 
 @OUTLIERS
 def torques(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
-    """Units of a torque, motor currents, or neither, the likeliest first; none: the motion takes no torque.
+    """Units of a torque, motor currents, or neither, the likeliest first; empty: the motion takes no torque.
 
     Args:
         motion: Of the joints.
@@ -334,7 +334,8 @@ def torques(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
         unit = common(motion.units(turns, slide))
         found.append(RoleHypothesis("torque", unit, said, _gains(relation, shown, density), prior, further))
     weighty = heavy & (np.std(motion.weight, axis=0) > np.std(needed - motion.weight, axis=0))
-    weighty = weighty if np.any(weighty) else heavy  # inertia shows no constant: that of the motors is unknown
+    # Inertia shows no torque constant, because the motors' own inertia is unknown.
+    weighty = weighty if np.any(weighty) else heavy
     usual = float(np.clip(np.median(np.abs(free.factor[weighty])), *INVERSE_TORQUE_CONSTANTS))
     sign = usual_sign(free.factor[heavy])
     within = usual / np.sqrt(MAX_CONSTANT_RATIO), usual * np.sqrt(MAX_CONSTANT_RATIO)
@@ -364,7 +365,7 @@ def torques(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
 
 
 def takes_torque(needed: Array, model: RobotModel) -> NDArray[np.bool_]:
-    """Which joints a motion drives noticeably, by the torque ``(k, n)`` [N m] that it takes; ``(n,)``."""
+    """Joints with a noticeable torque, by the torque ``(k, n)`` [N m] of the motion; ``(n,)``."""
     size = Proportion.of_robots([model.facts], np.asarray(model.pinocchio.gravity.linear)).factor("N m")
     return np.asarray(np.sqrt(np.mean(np.square(needed), axis=0)) > MIN_TORQUE_NM * size)
 
@@ -373,7 +374,7 @@ def takes_torque(needed: Array, model: RobotModel) -> NDArray[np.bool_]:
 
 
 def _gains(relation: LinearRelation, shown: NDArray[np.bool_], log_density: Array | float) -> float:
-    """Log likelihood over that of no role, of the joints that show it, with the density of their factors.
+    """Log likelihood ratio of a role to no role, with the density of the factors, of the joints that show it.
 
     A joint's column is broken, or another joint's, with :data:`PROBABILITY_OF_BROKEN_ORDER`; one joint refutes nothing.
     """
@@ -384,7 +385,7 @@ def _gains(relation: LinearRelation, shown: NDArray[np.bool_], log_density: Arra
 
 
 def _copied(relation: LinearRelation, shown: NDArray[np.bool_]) -> float:
-    """As :func:`_gains` of what has less noise than signal: velocities and copies of the motion."""
+    """As :func:`_gains` for streams with less noise than signal: velocities and copies of the motion."""
     noisy = relation.misfit > (1.0 - MIN_CORRELATION**2) * relation.unexplained
     return _gains(relation, shown, np.where(noisy, -np.inf, LOW_PASSED))
 
@@ -398,7 +399,7 @@ def _signs_prior(signs: Array) -> float:
 
 
 def _contradictions(moving: NDArray[np.bool_], relation: LinearRelation) -> tuple[str, ...]:
-    """Joints whose velocity has another sign than that of the others, or is not the derivative of their position."""
+    """Joints whose velocity has the opposite sign of the others, or is not the derivative of their position."""
     ratio = relation.factor
     related, turned = np.abs(relation.correlation) >= MIN_CORRELATION, np.sign(ratio) != usual_sign(ratio[moving])
     apart, other = np.flatnonzero(moving & ~related), np.flatnonzero(moving & related & turned)
@@ -407,8 +408,8 @@ def _contradictions(moving: NDArray[np.bool_], relation: LinearRelation) -> tupl
         said.append(f"velocities of joints {_joints(apart)} are not the derivative of their positions: other columns?")
     if other.size:
         said.append(
-            f"velocities of joints {_joints(other)} have another sign than those of the others: their positions or "
-            "their velocities are turned round, which nothing here shows; taken that velocities are"
+            f"velocities of joints {_joints(other)} have the opposite sign of the others: their positions or "
+            "their velocities are inverted, and nothing here shows which; taken that velocities are"
         )
     return tuple(said)
 
@@ -428,21 +429,21 @@ def travels(position: Array, share: float) -> NDArray[np.bool_]:
 
 
 def usual_sign(ratio: Array) -> float:
-    """The sign of most; where as many contradict each other, a signal is taken as it is."""
+    """The sign of the majority; 1 if there is no majority."""
     return -1.0 if np.sum(np.sign(ratio)) < 0.0 else 1.0
 
 
 def spread(values: Array) -> str:
-    """Least and largest of numbers, in words."""
+    """Smallest and largest of numbers, in words."""
     low, high = float(np.min(values)), float(np.max(values))
     return f"{low:.3g}" if f"{low:.3g}" == f"{high:.3g}" else f"{low:.3g} ... {high:.3g}"
 
 
 def signs_of(signs: Array) -> Any:
-    """One sign where all are equal, else a list."""
+    """One sign if all are equal, else a list."""
     return float(signs[0]) if np.all(signs == signs[0]) else [float(sign) for sign in signs]
 
 
 def common(units: list[str]) -> Any:
-    """One unit where all are equal, else a list."""
+    """One unit if all are equal, else a list."""
     return units[0] if len(set(units)) == 1 else units

@@ -321,7 +321,7 @@ def _rms(values: Array | list[float]) -> float:
 
 
 def _in_words(broken: Array, whole: float) -> str:
-    """The law that is broken most, by how much."""
+    """The most violated law, with the size of the violation."""
     what = (
         "the momentum that no impulse at the contact points can change (with one of them, the angular momentum about "
         "it) changes",
@@ -341,7 +341,7 @@ def remedies(table: ImpactTable) -> Iterator[Remedy]:
     count = len(sides["before"])
     linear, angular = ([*range(first, first + 3)] for first in (count - 6, count - 3))
     groups = [[place] for place in range(count)]
-    # Where all of an axis is mirrored, lever and velocity, the other two angular velocities seem to be wrong.
+    # If an axis is mirrored in lever and velocity, the other two angular velocities seem to be wrong.
     groups += [[place for place in angular if place != mirrored] for mirrored in angular]
     groups += [linear, angular]
     for places in groups:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a run is as a mapping describes it: of another run, of joints in a hit, of two clocks."""
+"""Checks of a run against its mapping: units and signs, joints in a hit, and the clocks of joints and object."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ SI = {"rad", "m", "rad/s", "m/s", "N m", "N"}
 
 
 def doubt_of(path: Path, mapping: Mapping, names: Names, model: RobotModel) -> str | None:
-    """What contradicts a mapping in the joints of a run.
+    """Contradiction between a mapping and the joints of a run.
 
     Args:
         path: The run.
@@ -47,7 +47,7 @@ def doubt_of(path: Path, mapping: Mapping, names: Names, model: RobotModel) -> s
         model: Of the robot.
 
     Returns:
-        It in words; None: nothing does.
+        The contradiction in words; None: consistent.
 
     Raises:
         InputError: The run cannot be read.
@@ -76,18 +76,18 @@ def doubt_of(path: Path, mapping: Mapping, names: Names, model: RobotModel) -> s
 
 
 def _contradicts(choice: RoleChoice, role: Role) -> bool:
-    """Whether numbers in SI units are surely in another unit, or have another sign."""
+    """Whether numbers in SI units surely have another unit or sign."""
     best = choice.best
     return choice.sure and best.role == role and (_strange(best.unit) or "factor" in best.further)
 
 
 def _strange(unit: Any) -> bool:
-    """Whether a unit that was found for numbers in SI units is another one."""
+    """Whether the unit found for numbers in SI units is not an SI unit."""
     return not {unit} <= SI if isinstance(unit, str) else not set(unit) <= SI
 
 
 def usable_rows(series: Series) -> NDArray[np.signedinteger]:
-    """Numbers of the rows with finite values and a later stamp than all before, as many as are looked at."""
+    """Indices of the rows with finite values and increasing timestamps, up to the number of checked samples."""
     usable = np.isfinite(series.values).all(axis=1) & np.isfinite(series.time)
     latest = np.fmax.accumulate(np.where(np.isfinite(series.time), series.time, -np.inf))
     usable &= np.diff(latest, prepend=-np.inf) > 0.0
@@ -95,7 +95,7 @@ def usable_rows(series: Series) -> NDArray[np.signedinteger]:
 
 
 def travel_of(path: Path, mapping: Mapping, names: Names) -> float | None:
-    """How far the object of a run moves from where it is at first [m]; None: it was not recorded.
+    """Largest displacement of the object of a run from its initial position [m]; None: not recorded.
 
     Args:
         path: The run.
@@ -112,12 +112,12 @@ def travel_of(path: Path, mapping: Mapping, names: Names) -> float | None:
 
 
 def object_moves(path: Path, mapping: Mapping, names: Names) -> bool:
-    """Whether the object of a run was recorded and changes its place; see :func:`travel_of`."""
+    """Whether the object of a run was recorded and moves; see :func:`travel_of`."""
     return (travel_of(path, mapping, names) or 0.0) > MIN_OBJECT_DISPLACEMENT_M
 
 
 def doubts_of_hit(read: AbstractMapping[SignalName, Series], mapping: Mapping) -> list[str]:
-    """What looks wrong in the joints of a run that hits something.
+    """Warnings about the joints of a run with an impact.
 
     Args:
         read: Its signals, with position and torque.
@@ -133,7 +133,7 @@ def doubts_of_hit(read: AbstractMapping[SignalName, Series], mapping: Mapping) -
 
 
 def clocks_of(path: Path, mapping: Mapping, names: Names) -> ClocksApart | None:
-    """What shows that joints and object of a run have two clocks.
+    """Offset between the clocks of joints and object of a run.
 
     Args:
         path: The run.
@@ -141,7 +141,7 @@ def clocks_of(path: Path, mapping: Mapping, names: Names) -> ClocksApart | None:
         names: What the placeholders of the mapping stand for.
 
     Returns:
-        By how much they differ; None: nothing shows it, or the run cannot be read.
+        The offset; None: no evidence, or the run cannot be read.
     """
     wanted: list[SignalName] = ["position", *(name for name in OBJECT_SIGNALS if name in mapping.signals)]
     try:

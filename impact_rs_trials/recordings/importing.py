@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From raw files to a mapping and an experiment file: every value is written with what shows it.
+"""From raw files to a mapping and an experiment file: every value is written with its evidence.
 
     file_groups       files into runs by their names
     recorded_files    layout, candidates, clock and raw numbers of each kind of file, read once (read_once)
     joint_search      the likeliest assignment of streams to the roles of the joints (hypotheses)
     joint_sections    sections of the mapping for the joints,
     object_sections   and for the pose of an object
-    described_runs    the runs, read as the mapping describes them, and what contradicts it
+    described_runs    the runs, read with the mapping, and contradictions to it
 
-Values whose margin to the next reading is not decisive, or that nothing shows, are marked as assumed. Signals are read
-by the readers of the analysis, so what is found is what is used.
+Values without evidence, or without a decisive margin to the next reading, are marked as assumed. Signals are read
+by the readers of the analysis, so the mapping describes the numbers that the analysis uses.
 """
 
 from __future__ import annotations
@@ -52,13 +52,13 @@ class ImportDraft:
     """Files that describe recordings.
 
     Attributes:
-        folder: Folder that the runs are named from.
+        folder: Folder to which the names of runs are relative.
         texts: Contents by file name.
-        lines: What was guessed.
-        remarks: What the user should know besides.
-        hits: How many runs hit something.
-        runs: How many runs there are.
-        readings: By signal of the joints what it may be, what is taken first.
+        lines: Guessed keys with their evidence.
+        remarks: Warnings to the user.
+        hits: Number of runs with impacts.
+        runs: Number of runs.
+        readings: Possible readings by signal of the joints, the chosen one first.
     """
 
     folder: Path
@@ -72,13 +72,13 @@ class ImportDraft:
 
 @dataclass(frozen=True)
 class Wishes:
-    """What the user knows.
+    """Options of an import: the user's knowledge about the files.
 
     Attributes:
         robot: Robot facts, by name or path; ``none``: an object alone; None: guess.
         scenario: Scenario of hits, by name or path; None: unknown.
-        rate: Sampling rate of files without stamps [Hz]; None: they have stamps.
-        dedupe: Whether of samples with one stamp the first is kept.
+        rate: Sampling rate of files without timestamps [Hz]; None: they have timestamps.
+        dedupe: Whether the first of several samples with one timestamp is kept.
     """
 
     robot: str | None = None
@@ -92,11 +92,11 @@ def draft_import(paths: Sequence[Path], output: Path, wishes: Wishes) -> ImportD
 
     Args:
         paths: Files, bags, or folders of them.
-        output: Folder of the description, from which paths of a robot are seen.
+        output: Folder of the description, to which paths of a robot are relative.
         wishes: What the user knows.
 
     Raises:
-        InputError: They cannot be read, or something is missing that nothing shows; the message says what to add.
+        InputError: They cannot be read, or a key is missing without evidence; the message names the remedy.
     """
     with files_read_once():
         files = [file for path in paths for file in find_recordings(path, notes=True)]
@@ -201,7 +201,7 @@ class _Importer:
             self._notes.say("time", flow(keys), part.clock.evidence, part.clock.sure)
             self._notes.remarks += part.clock.remarks
             if not any(STAMP.search(name) for name in part.clock_columns) and (back := steps_back(part.columns)):
-                self._notes.remarks.append(f"{back}; {flow(part.clock.value)} is taken for the clock in its place")
+                self._notes.remarks.append(f"{back}; {flow(part.clock.value)} is taken for the clock instead")
             if part.clock.remarks and not self._wishes.dedupe:
                 self._notes.remarks.append("repeated stamps are refused; --dedupe keeps the first sample of each")
         if self._wishes.dedupe:
@@ -216,7 +216,7 @@ class _Importer:
         if scenario is None:
             self._notes.remarks.append(
                 f"experiment.yaml names scenario.yaml, which is not there: impact-rs scenario new --robot {robot} -o "
-                "scenario.yaml in the same folder, with masses and sizes of your objects and the place of the robot"
+                "scenario.yaml in the same folder, with masses and sizes of your objects and the position of the robot"
             )
             return ARM.format(scenario="scenario.yaml   # to be made, see docs/scenarios.md")
         if scenario.endswith((".yaml", ".yml")):

@@ -5,20 +5,20 @@
 
       v = a (dq/dt - L d^2q/dt^2)
 
-  to first order in a lag L. a is 1 and L is 0; both have the standard errors of the fit. Where the two do not go
-  together at all, columns were mixed up.
-* *Torque* carries the arm's weight, which positions alone give: sum g tau / sum g^2 = 1. A load that the mapping lacks
-  is no factor of a joint: where mass and first moments at the end effector predict the other half of the poses better,
-  the load is the remedy.
-* *Energy*: a torque drives a joint against its friction, so that the power (tau - g) v is rarely negative. Where the
-  weight says nothing, as at a vertical axis, the sign of that correlation does.
+  to first order in a lag L. a is 1 and L is 0; both have the standard errors of the fit. Without correlation,
+  columns were mixed up.
+* *Torque* includes the gravity torque g(q), known by positions alone: sum g tau / sum g^2 = 1. A load that the mapping
+  lacks is no factor of a joint: if mass and first moments at the end effector predict the other half of the poses
+  better, the load is the remedy.
+* *Energy*: a torque drives a joint against its friction, so that the power (tau - g) v is rarely negative. Without
+  gravity torque, as at a vertical axis, the sign of that correlation decides.
 * *Lag of torque*: tau(t + L) is fitted by rigid-body torque, inertia of the motor, Coulomb and viscous friction and an
-  offset in every joint; L minimises sum_j log sum r_j^2 of samples that the fit has not seen (two folds of blocks).
-  A lag is said where it predicts better than all of these do without one.
+  offset in every joint; L minimises sum_j log sum r_j^2 in cross-validation (two folds of blocks).
+  A lag is reported if it predicts better than all of these without a lag.
 * *Repeated samples*: all joints keep their numbers and then change by much more than the resolution, over and over.
 
-A ratio far from 1 counts only if the two signals go together (their correlation); noise and friction lower it and
-do not turn its sign.
+A ratio far from 1 is reported only if the two signals are correlated; noise and friction lower the correlation and
+do not invert its sign.
 """
 
 from __future__ import annotations
@@ -62,14 +62,14 @@ MIN_REST_S = 0.2  # of equal samples that are a rest
 def doubts_of_arm(
     time: Array, arm: ArmSignals, mapping: Mapping, model: RobotModel, contact: bool = False
 ) -> list[str]:
-    """What looks wrong in the signals of an arm: which joint, by how much, and the remedy in the mapping.
+    """Warnings about the signals of an arm: joint, size of the error, and the remedy in the mapping.
 
     Args:
         time: Stamps, ``(k,)`` [s].
         arm: Recorded position, velocity and torque.
         mapping: Knows the robot.
-        model: Nominal arm, for its weight.
-        contact: Whether something else pushes the arm, so that torques say nothing of weight and friction.
+        model: Nominal arm, for its gravity torque.
+        contact: Whether contacts push the arm, so that torques show neither gravity nor friction.
     """
     rows = np.unique(np.linspace(0, time.size - 1, GRAVITY_SAMPLES).astype(int))
     weight, derived = gravity_torques(model, arm.position[rows]), np.gradient(arm.position, time, axis=0)
@@ -126,9 +126,9 @@ def doubts_of_arm(
 
 
 def _load(model: RobotModel, arm: ArmSignals, rows: Array, weight: Array, doubted: dict[int, str]) -> Remark | None:
-    """A load that explains torques better than factors of the doubted joints do, in words; None: it does not.
+    """Warning about a load that explains torques better than factors of the doubted joints; None: it does not.
 
-    Both are fitted to every other block of the poses and predict the rest.
+    Both are judged by cross-validation over blocks of the poses.
     """
     joints = np.flatnonzero(np.ptp(arm.torque, axis=0) > 0.0)
     torque = arm.torque[rows][:, joints]
@@ -153,14 +153,14 @@ def _load(model: RobotModel, arm: ArmSignals, rows: Array, weight: Array, doubte
 
 
 def _torques_of_a_load(model: RobotModel, position: Array) -> Array:
-    """Torques that hold a mass of 1 kg at the end effector, and first moments of 1 kg m along its axes, ``(n, 4)``."""
+    """Regressor of a load: torques by 1 kg at the end effector, and by first moments of 1 kg m, ``(n, 4)``."""
     jacobian, up = model.jacobian(position), -np.asarray(model.pinocchio.gravity.linear)
     moments = np.cross(model.placement(position).rotation.T, up)  # of every axis
     return np.column_stack((jacobian[:3].T @ up, jacobian[3:].T @ moments.T))
 
 
 def _lag_of_velocity(lags: list[tuple[float, float]], period: float, mapping: Mapping) -> list[str]:
-    """Whether velocities are older than positions, by all joints together."""
+    """Lag of velocities behind positions, pooled over all joints."""
     if not lags:
         return []
     values, errors = np.array(lags).T
@@ -176,7 +176,7 @@ def _lag_of_velocity(lags: list[tuple[float, float]], period: float, mapping: Ma
 def _lag_of_torque(
     time: Array, arm: ArmSignals, moving: NDArray[np.bool_], model: RobotModel, mapping: Mapping
 ) -> list[str]:
-    """Whether torques are older than positions, by all joints that move."""
+    """Lag of torques behind positions, pooled over all moving joints."""
     motion, torque = AveragedMotion.of(time, arm.position), averaged(time, arm.torque)[1]
     at, q, dq, ddq = motion.time, motion.position, motion.velocity, motion.acceleration
     inside = np.flatnonzero((at > at[0] + MAX_LAG_S) & (at < at[-1] - MAX_LAG_S))
@@ -215,7 +215,7 @@ def _late(what: str, reference: str, lag: float, error: float, name: SignalName,
 
 
 def _repeats(time: Array, arm: ArmSignals) -> list[str]:
-    """Signals whose samples are repeated while the joints go on."""
+    """Signals whose samples are repeated while the joints move."""
     found: dict[str, list[str]] = {}
     for name in ("position", "velocity", "torque"):
         if (text := _repeated(time, getattr(arm, name))) is not None:
@@ -224,7 +224,7 @@ def _repeats(time: Array, arm: ArmSignals) -> list[str]:
 
 
 def _repeated(time: Array, values: Array) -> str | None:
-    """How often samples are repeated, and the remedy; None: they are not."""
+    """Share of repeated samples, with the remedy; None: not repeated."""
     steps = np.abs(np.diff(values, axis=0))
     changed = np.flatnonzero(np.any(steps > 0.0, axis=1))
     if changed.size < 2:
@@ -246,7 +246,7 @@ def _repeated(time: Array, values: Array) -> str | None:
 
 
 def _remarks(name: SignalName, doubts: dict[int, str], factors: Array, mapping: Mapping) -> list[str]:
-    """One remark for a signal, with the factors that would put it right."""
+    """One warning about a signal, with the correcting factors."""
     if not doubts or name not in mapping.signals:
         return []
     every = factors * np.array(mapping.signals[name].factor)
@@ -258,7 +258,7 @@ def _remarks(name: SignalName, doubts: dict[int, str], factors: Array, mapping: 
 
 
 def _ratio(values: Array, expected: Array) -> float | None:
-    """By how much a signal differs from what it should be; None: about 1, or they do not go together."""
+    """Factor between a signal and its expectation; None: about 1, or not correlated."""
     found = fit(expected[:, None], values[:, None])
     ratio, together = float(found.factor[0]), abs(float(found.correlation[0]))
     return None if PLAUSIBLE_FACTORS[0] < ratio < PLAUSIBLE_FACTORS[1] or together < MIN_CORRELATION else ratio

@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When an arm hits something, and how its joint velocities jump: from recorded positions alone.
+"""Time of an arm's impact, and the jump of its joint velocities (change-point detection in recorded positions).
 
 Joint positions are continuous and their velocities jump. With T the time of the impact, every joint obeys
 
     q(t) = q_0 + dq_minus (t - T) + c_minus (t - T)^2 / 2                                         t <= T
     q(t) = q_0 + dq_plus  (t - T) + c_plus  (t - T)^2 / 2                                         t >  T
 
-in a window about it, linear but for T. A recorded velocity is often low-passed and jumps tens of milliseconds later; an
-encoder is not. So the jump dq_plus - dq_minus is fitted about every time of the run; where it is largest and beyond its
-noise is the impact. There T maximises the likelihood of the residuals r of all joints, each with a scatter of its own,
+in a window about it, linear except for T. A recorded velocity is often low-passed and jumps some 10 ms later; an
+encoder is not. So the jump dq_plus - dq_minus is fitted about every time of the run; the largest one beyond its noise
+is the impact. There T maximises the likelihood of the residuals r of all joints, each with its own scatter,
 
     T = argmin sum_j log sum_k r_jk(T)^2,      sigma_T^-2 = sum_j |(1 - B B^+) dq_j/dT|^2 / sigma_j^2
 
-with B the columns of the linear parameters and sigma_j the scatter of joint j. The noise of a jump has that of T in it.
-Arms vibrate after an impact, and a vibration may bend the motion more than the impact did. So T is sought where the
-jump is clearest beside the scatter of the motion before it.
+with B the columns of the linear parameters and sigma_j the scatter of joint j. The noise of a jump includes the error
+of T. Arms vibrate after an impact, and a vibration may bend the motion more than the impact did. So T is sought at the
+largest ratio of the jump to the scatter of the motion before it.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class JointJump:
 
 
 def impact_time(position: Series, velocity: Series) -> float:
-    """When an arm hits: at the largest jump in its positions, or if they show none where the recorded velocity changes.
+    """Time of an arm's impact: at the largest jump of dq/dt, or else at the largest change of the recorded velocity.
 
     Args:
         position: q, ``(k, n)`` [rad].
@@ -94,7 +94,7 @@ def jumps_of(position: Series, least: float = 0.0) -> Iterator[JointJump]:
 
     Args:
         position: q, ``(k, n)`` [rad].
-        least: Of the largest jump, from which another one counts [-].
+        least: Smallest size of a further jump over the largest one [-].
     """
     kept = np.isfinite(position.values).all(axis=1) & (np.diff(position.time, prepend=-np.inf) > 0.0)
     position = replace(position, time=position.time[kept], values=position.values[kept])
@@ -111,7 +111,7 @@ def jumps_of(position: Series, least: float = 0.0) -> Iterator[JointJump]:
 
 
 def joint_jump(position: Series, near: float) -> JointJump | None:
-    """Joint motion about an impact near a time; None: samples are too few, or no time near it is better than others.
+    """Joint motion about an impact near a time; None: too few samples, or no likelihood maximum near it.
 
     Args:
         position: q, ``(k, n)`` [rad].
@@ -141,7 +141,7 @@ def joint_jump(position: Series, near: float) -> JointJump | None:
 
 
 def jump_at(position: Series, impact: float, error: float) -> JointJump | None:
-    """Joint motion about an impact whose time is known by something else; None: samples are too few.
+    """Joint motion about an impact with a known time; None: too few samples.
 
     Args:
         position: q, ``(k, n)`` [rad].
@@ -157,7 +157,7 @@ def jump_at(position: Series, impact: float, error: float) -> JointJump | None:
 
 
 def _at(time: Array, values: Array, impact: float, half: float, error: float | None = None) -> JointJump:
-    """Fit and standard deviations where the time of the impact is found, or known to an error."""
+    """Fit and standard deviations at the time of the impact, found by the fit or known with an error."""
     inside = np.abs(time - impact) <= half
     t = time[inside] - impact
     fit, residual = _broken(time[inside], values[inside], impact)
@@ -175,7 +175,7 @@ def _at(time: Array, values: Array, impact: float, half: float, error: float | N
 
 
 def _sizes(position: Series) -> tuple[float, Array, Array, Array]:
-    """Half a window [s]; times, sizes of the jumps [rad/s], and how clear they are beside the scatter before them."""
+    """Half a window [s]; times, sizes of the jumps [rad/s], and their ratios to the scatter before them."""
     time, values = position.time, position.values
     period = float(np.median(np.diff(time))) if time.size > 1 else 1.0
     half = _half(period)

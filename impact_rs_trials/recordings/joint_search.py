@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which streams of a recording are positions, velocities and torques of a robot's joints: the likeliest assignment.
+"""Assignment of the streams of a recording to positions, velocities and torques of a robot's joints, by likelihood.
 
-Every stream that may be the positions is one assignment; the others are velocity, torque or neither in its motion
+Every candidate for the positions gives one assignment; the others are velocity, torque or neither in its motion
 (:mod:`hypotheses`). The log posterior of an assignment is the sum over its three streams; few streams are as wide as a
-robot has joints, so all are tried. Several streams may fit one role, as a measured and a commanded torque do. Which of
-them was measured only names can say, for the other one is as likely in its own role: streams of one role are ordered by
-their names, and as the file has them where names are silent.
+robot has joints, so all are tried. Several streams may fit one role, as a measured and a commanded torque do. Only
+names show which of them was measured, for the other one is as likely in its own role: streams of one role are ordered
+by their names, and else in the order of the file.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Reading:
     Attributes:
         stream: The stream.
         choice: Its likeliest hypothesis, and the next.
-        computed: Of a torque: whether it holds no friction of gears, so that nobody measured it.
+        computed: Whether a torque holds no friction of gears, so that it was computed and not measured.
     """
 
     stream: JointStream
@@ -54,7 +54,7 @@ class Reading:
 
     @property
     def best(self) -> RoleHypothesis:
-        """What the stream is taken for."""
+        """Its likeliest hypothesis."""
         return self.choice.best
 
     @property
@@ -64,12 +64,12 @@ class Reading:
 
     @property
     def log_posterior(self) -> float:
-        """With what the name says."""
+        """Log posterior, with the prior by the stream's name."""
         return self.best.log_posterior + self.by_name
 
     @property
     def rank(self) -> tuple[bool, float]:
-        """By which one of several streams in a role is taken: a measurement before what was computed."""
+        """Sort key of the streams in a role: measured before computed, then by name."""
         return not self.computed, self.by_name
 
     @property
@@ -83,13 +83,13 @@ class Reading:
 
 @dataclass(frozen=True)
 class Alternative:
-    """A stream and a unit that a signal may be, beside the others.
+    """An alternative stream and unit of a signal.
 
     Attributes:
         stream: The stream.
-        hypothesis: What it would be.
-        log_posterior: Of positions that of the whole assignment. Of streams in one role it is what names say, for each
-            of them is as likely in a role of its own beside the others.
+        hypothesis: Its hypothesis.
+        log_posterior: Of the whole assignment for positions; else the prior by names, for each stream of one role is as
+            likely in another role.
     """
 
     stream: JointStream
@@ -114,11 +114,11 @@ class Assignment:
 
     Attributes:
         position: The positions.
-        velocity: The velocities; None: they are made of the positions.
-        torques: Streams that fit a torque, the one that is taken first.
-        weightless: Why others are torques without the arm's weight, by label.
-        copies: Which part of the motion further streams repeat, by label.
-        alternatives: By signal what it may be, what is taken first.
+        velocity: The velocities; None: derivatives of the positions.
+        torques: Streams that fit a torque, the chosen one first.
+        weightless: Evidence that others are torques without gravity, by label.
+        copies: Repeated part of the motion by label of further streams.
+        alternatives: Alternatives by signal, the chosen one first.
     """
 
     position: Reading
@@ -130,23 +130,23 @@ class Assignment:
 
     @property
     def time(self) -> Array:
-        """Stamps of the positions, ``(k,)`` [s]."""
+        """Timestamps of the positions, ``(k,)`` [s]."""
         return self.position.stream.series.time
 
     @property
     def log_posterior(self) -> float:
-        """Of all its streams."""
+        """Log posterior of all its streams."""
         torque = max((one.log_posterior for one in self.torques), default=0.0)
         return self.motion_log_posterior + torque
 
     @property
     def motion_log_posterior(self) -> float:
-        """Of positions and velocities."""
+        """Log posterior of positions and velocities."""
         return self.position.log_posterior + (0.0 if self.velocity is None else self.velocity.log_posterior)
 
     @property
     def speeds(self) -> Array:
-        """dq at the stamps of the positions, ``(k, n)`` [rad/s, m/s]."""
+        """dq at the timestamps of the positions, ``(k, n)`` [rad/s, m/s]."""
         if self.velocity is None:
             return replace(self.position.stream.series, values=self.position.values).derivative().values
         return replace(self.velocity.stream.series, values=self.velocity.values).at(self.time)
@@ -171,7 +171,7 @@ class JointSearch:
         ]
 
     def motions(self) -> list[Assignment]:
-        """Positions with their velocities, where some stream is these; the likeliest first."""
+        """Positions with velocity streams, the likeliest first."""
         found = [
             Assignment(place, fitting[0], (), {}, {})
             for place in self.places
@@ -184,11 +184,11 @@ class JointSearch:
         return sorted(found, key=lambda one: one.motion_log_posterior, reverse=True)
 
     def without_velocity(self) -> list[Assignment]:
-        """Positions alone, of streams that names do not call something else."""
+        """Positions alone, from streams without the name of another signal."""
         return [Assignment(place, None, (), {}, {}) for place in self.places if place.by_name >= 0.0]
 
     def best(self, motions: Sequence[Assignment]) -> Assignment:
-        """The likeliest of motions, with its torques, and what its signals may be as well."""
+        """The likeliest of motions, with its torques and the alternatives of its signals."""
         most = max(one.motion_log_posterior for one in motions)
         searched = [
             one for one in motions if one.velocity is None or one.motion_log_posterior > most - MAX_LOG_POSTERIOR_LOSS
@@ -206,7 +206,7 @@ class JointSearch:
         return replace(best, alternatives=listed)
 
     def velocities_at_other_rates(self) -> Iterator[tuple[JointStream, JointStream, float]]:
-        """Positions, streams that are their derivative but for one positive factor in all joints, and that factor."""
+        """Positions, streams proportional to their derivative with one positive factor, and the factor."""
         for place in self.places:
             time = place.stream.series.time
             motion = JointMotion.of(time, place.values, None, self.model)
@@ -218,7 +218,7 @@ class JointSearch:
                         yield place.stream, stream, factor
 
     def _sampled(self, motion: JointMotion, stream: JointStream) -> Array:
-        """A stream at the samples of a motion; many motions have the same stamps."""
+        """A stream at the samples of a motion; many motions share timestamps."""
         time = motion.time
         key = id(stream), hash(time.tobytes())
         if key not in self._averages:
@@ -226,7 +226,7 @@ class JointSearch:
         return self._averages[key]
 
     def _velocities(self, place: Reading, motion: JointMotion) -> list[Reading]:
-        """Streams that are the derivative of the positions, the one that is taken first."""
+        """Streams that are the derivative of the positions, the chosen one first."""
         free = [stream for stream in self.streams if not stream.stands_apart(place.stream)]
         found = [
             Reading(stream, choice)
@@ -239,7 +239,7 @@ class JointSearch:
 
     @OUTLIERS
     def _with_torques(self, found: Assignment) -> Assignment:
-        """With the streams that fit the torque of a motion, or those whose names say so."""
+        """With the streams that fit the torque of a motion, or else by name."""
         time, q, dq = found.time, found.position.values, found.speeds
         motion = JointMotion.of(time, q, None if found.velocity is None else dq, self.model)
         taken = [found.position.stream, *([] if found.velocity is None else [found.velocity.stream])]
@@ -271,7 +271,7 @@ class JointSearch:
         return Assignment(found.position, found.velocity, tuple(fitting), weightless, repeated)
 
     def _is_computed(self, seen: MotionTorque, hypothesis: RoleHypothesis) -> bool:
-        """Whether a torque at motors was computed; torque sensors behind the gears see no friction of theirs."""
+        """Whether a torque at motors was computed; torque sensors behind the gears measure no gear friction."""
         at_motor = hypothesis.role == "current" or not self.model.facts.joint_torque_loop
         return at_motor and is_computed(seen)
 
@@ -299,7 +299,7 @@ class JointSearch:
 
 
 def _named(stream: JointStream, choice: RoleChoice, motion: JointMotion, y: Array) -> RoleChoice:
-    """A choice between torque and current with what the name says of both."""
+    """A choice between torque and current with the prior by the name."""
     every = [
         (one.log_posterior + stream.log_prior(one.role if one.role == "current" else "torque"), one)
         for one in torques(motion, y)
@@ -319,7 +319,7 @@ def _is_named(stream: JointStream) -> bool:
 
 @OUTLIERS
 def _lacks_weight(time: Array, q: Array, dq: Array, raw: Array, model: RobotModel) -> str | None:
-    """What shows that a signal in N m or mN m is a torque without the arm's weight; None: nothing does."""
+    """Evidence that a signal in N m or mN m is a torque without gravity; None: no evidence."""
     for unit in ("N m", "mN m"):
         why = lacks_weight(MotionTorque.of(time, q, dq, TURNS["torque"][unit] * raw, model))
         if why is not None:
@@ -328,7 +328,7 @@ def _lacks_weight(time: Array, q: Array, dq: Array, raw: Array, model: RobotMode
 
 
 def _exclusive(readings: Sequence[Reading]) -> list[Reading]:
-    """Readings of which no two share a column, the likeliest of those that do; the one that is taken first."""
+    """Readings without shared columns, keeping the likeliest of those that share one; the chosen one first."""
     kept: list[Reading] = []
     for one in sorted(readings, key=lambda one: one.log_posterior, reverse=True):
         if not any(one.stream.overlaps(other.stream) for other in kept):

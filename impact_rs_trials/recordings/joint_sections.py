@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sections of a mapping for the signals of the joints, with what shows them."""
+"""Sections of a mapping for the signals of the joints, with their evidence."""
 
 from __future__ import annotations
 
@@ -54,11 +54,11 @@ class JointSections:
     Args:
         parts: Its files.
         groups: Files by kind and run.
-        rate: Sampling rate of files without stamps [Hz]; None: they have stamps.
-        notes: What was found is added to them.
+        rate: Sampling rate of files without timestamps [Hz]; None: they have timestamps.
+        notes: Findings, appended to.
 
     Attributes:
-        readings: By signal what it may be, what is taken first.
+        readings: Possible readings by signal, the chosen one first.
     """
 
     def __init__(self, parts: Sequence[RecordedFile], groups: FileGroups, rate: float | None, notes: Notes) -> None:
@@ -68,7 +68,7 @@ class JointSections:
         self.readings: dict[str, tuple[PossibleReading, ...]] = {}
 
     def describe(self, robot: str, facts: RobotFacts) -> tuple[RecordedFile, dict[str, Any], dict[str, dict[str, Any]]]:
-        """Part of the positions, keys of the mapping beside its signals, and the signals."""
+        """File of the positions, keys of the mapping except its signals, and the signals."""
         model = RobotModel(facts, MountedEndEffector().build(), pin.SE3.Identity())
         for part in self._parts:
             self._refused |= read_streams(part, robot, facts.joint_count, self._rate)
@@ -89,7 +89,7 @@ class JointSections:
         signals = {"position": self._joint_signal(found.position, "position", part, found.alternatives["position"])}
         if found.velocity is None:
             self._notes.say(
-                "signals.velocity", "none", "no signal is the derivative of the positions: velocities are made of them"
+                "signals.velocity", "none", "no signal is the derivative of the positions: velocities are computed"
             )
         else:
             signals["velocity"] = self._joint_signal(found.velocity, "velocity", part, found.alternatives["velocity"])
@@ -132,7 +132,7 @@ class JointSections:
             )
 
     def _order(self, found: Assignment, model: RobotModel) -> tuple[int, ...] | None:
-        """Order in which columns without names go with the torque of the arm; None: as they stand."""
+        """Order of unnamed columns by the torque of the arm; None: the given order."""
         one = found.position.stream
         if one.is_cut or one.candidate.joints or PART_OF_ARM.search(one.candidate.label):
             return None
@@ -149,14 +149,14 @@ class JointSections:
         return None
 
     def _check_motion(self, places: Sequence[Reading], facts: RobotFacts) -> None:
-        """Refuse an arm that does not move, of which noise would be taken for velocity and torque."""
+        """Refuse an arm at rest, whose noise would be taken for velocity and torque."""
         found = [at_rest(one.stream.series.time, one.values, facts) for one in places]
         if found and None not in found:
             stream = places[0].stream
             raise InputError(f"{stream.label}: {found[0]}", file=self._part_of(stream).path)
 
     def _nothing(self, every: Sequence[JointStream], robot: str, count: int) -> InputError:
-        """What is said where no signal is the motion of the joints."""
+        """Error if no signal is the motion of the joints."""
         said = f"no signal of {_joints_of(count)} can be read"
         if every:
             said = (
@@ -181,7 +181,7 @@ class JointSections:
         return [f"{', '.join(labels[:MAX_SHOWN_SIGNALS])}: {why}" for why, labels in by_reason.items()]
 
     def _check_rate(self, rate: float, search: JointSearch) -> None:
-        """Refuse a sampling rate at which a velocity would be that of another one."""
+        """Refuse ``--rate`` if a signal is a constant multiple of dq/dt at that rate; name the fitting rate."""
         for place, other, factor in search.velocities_at_other_rates():
             real = rate * factor
             raise InputError(
@@ -195,7 +195,7 @@ class JointSections:
         self, found: Sequence[Reading], listed: Sequence[Alternative], facts: RobotFacts, robot: str,
         signals: dict[str, dict[str, Any]], part: RecordedFile,
     ) -> dict[str, Any]:  # fmt: skip
-        """The torque of the joints, which is added to the signals; keys of the mapping that go with it."""
+        """Add the torque of the joints to the signals; further keys of the mapping."""
         best, *others = found
         free = [other for other in others if not (part.is_bag and other.stream.candidate.guess == "command")]
         computed = (
@@ -228,7 +228,7 @@ class JointSections:
         self, found: Assignment, search: JointSearch, model: RobotModel, signals: dict[str, dict[str, Any]],
         part: RecordedFile, currents: bool,
     ) -> dict[str, Any]:  # fmt: skip
-        """The commanded torque of a bag, which is added to the signals; keys of the mapping that go with it."""
+        """Add the commanded torque of a bag to the signals; further keys of the mapping."""
         taken = [one.stream for one in (found.position, found.velocity, found.torques[0]) if one is not None]
         free = [one for one in search.streams if not any(one.stands_apart(other) for other in taken)]
         asked = [one for one in free if one.candidate.guess == "command" and self._part_of(one).is_bag]
@@ -245,7 +245,7 @@ class JointSections:
         self, found: Assignment, asked: Sequence[JointStream], model: RobotModel,
         signals: dict[str, dict[str, Any]], part: RecordedFile,
     ) -> dict[str, Any]:  # fmt: skip
-        """The torque that was asked for, which is added to the signals, by how near it is to the measured one."""
+        """Add the commanded torque closest (rms) to the measured one, with or without gravity, to the signals."""
         time, q = found.time, found.position.values
         series = found.torques[0].stream.series
         torque = replace(series, values=found.torques[0].values).at(time)
@@ -253,7 +253,7 @@ class JointSections:
         size = max(float(np.sqrt(np.mean(np.square(torque)))), 1e-12)
 
         def apart(one: JointStream, missing: Array | float) -> float:
-            """How far from the measured torque, over that torque, rms."""
+            """Difference to the measured torque over that torque, rms."""
             return float(np.sqrt(np.mean(np.square(one.series.at(time) + missing - torque)))) / size
 
         tried = [(apart(one, 0.0), apart(one, weight), one) for one in asked]
@@ -261,7 +261,7 @@ class JointSections:
         for alone, lifted, one in tried:
             if one is not taken[2] or min(alone, lifted) > MAX_COMMAND_RMS_RATIO:
                 far = f"{100.0 * min(alone, lifted):.0f} % of the measured torque away from it"
-                self._notes.remarks.append(f"{one.label} is left out: by its name it was asked for, and it is {far}")
+                self._notes.remarks.append(f"{one.label} is left out: by its name it was commanded, and it is {far}")
         alone, lifted, one = taken
         if min(alone, lifted) > MAX_COMMAND_RMS_RATIO:
             return {}
@@ -277,14 +277,14 @@ class JointSections:
     def _joint_signal(
         self, one: Reading, name: str, main: RecordedFile, others: Sequence[Alternative] = (), alike: str = ""
     ) -> dict[str, Any]:
-        """Section of a signal of the joints, which is said, with the layout of its file where that is another one.
+        """Section of a signal of the joints, added to the notes, with the layout of its file if it is not the main one.
 
         Args:
             one: The stream with its unit.
             name: The signal.
             main: File of the positions.
-            others: What the signal may be, what is taken first.
-            alike: Streams that fit the role as well, of which names do not say more.
+            others: Possible readings of the signal, the chosen one first.
+            alike: Streams that fit the role equally well, also by name.
         """
         part, candidate, best = self._part_of(one.stream), one.stream.candidate, one.best
         shown = "by its numbers; see unit"
@@ -326,7 +326,7 @@ class JointSections:
 
 
 def _check_width(found: Assignment, part: RecordedFile, robot: str, count: int) -> None:
-    """Refuse a few joints of a wider arm: columns without names, beside which others are derivatives as well."""
+    """Refuse a few joints of a wider arm: unnamed columns, if other columns are positions and derivatives as well."""
     series = found.position.stream.series
     free = [name for name, cells in part.columns.items() if np.ndim(cells) == 1 and vector_width(cells) == 1]
     free = [name for name in free if name not in part.clock_columns]
@@ -356,7 +356,7 @@ def _check_width(found: Assignment, part: RecordedFile, robot: str, count: int) 
 
 
 def _first_of(names: Sequence[str], candidate: SignalCandidate) -> int | None:
-    """Number of the first of a signal's columns, where these stand side by side; None: they do not."""
+    """Index of the first of a signal's columns if they are adjacent; None: not adjacent."""
     own = candidate.source.get("columns") or []
     first = names.index(own[0]) if own and own[0] in names else None
     return first if first is not None and list(names[first : first + len(own)]) == list(own) else None

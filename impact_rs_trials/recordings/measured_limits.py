@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits of joints from what a recording shows, in place of those that a URDF lacks.
+"""Limits of joints from a recording, for a URDF without limits.
 
-The range of a motion is no limit of the robot, but one within which the robot was: enough to compare a recording with
-its model, and too little for a plan of other motions.
+The range of a motion is no limit of the robot: it suffices to compare a recording with its model, but not to plan
+other motions.
 """
 
 from __future__ import annotations

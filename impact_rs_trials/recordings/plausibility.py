@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plausibility of a laboratory's signals: whether they can belong to arm, object and frames of its scenario.
+"""Plausibility of a laboratory's signals: consistency with arm, object and frames of its scenario.
 
 Implausible signals are refused; the message has the number that shows it and the most likely mistake.
 """
@@ -36,13 +36,13 @@ def gravity_torques(model: RobotModel, position: Array) -> Array:
 
 
 def noticed(model: RobotModel) -> float:
-    """Least weight that can be noticed in the torques of an arm of its size, rms [N m]."""
+    """Smallest gravity torque that is noticeable in the torques of an arm of this size, rms [N m]."""
     size = Proportion.of_robots([model.facts], np.asarray(model.pinocchio.gravity.linear))
     return MIN_GRAVITY_TORQUE_NM * size.factor("N m")
 
 
 def check_weight(path: Path, name: str, model: RobotModel, position: Array, torque: Array, remedy: str) -> None:
-    """Torques hold the arm's own weight once: neither twice, nor with the wrong sign, nor not at all.
+    """Check that torques include the gravity torque once: neither twice, nor with the wrong sign, nor not at all.
 
     Args:
         path: Run, for messages.
@@ -50,7 +50,7 @@ def check_weight(path: Path, name: str, model: RobotModel, position: Array, torq
         model: Nominal arm.
         position: q, ``(k, n)`` [rad].
         torque: Torques at those positions, ``(k, n)`` [N m].
-        remedy: What may be wrong.
+        remedy: Likely mistake.
 
     Raises:
         InputError: They do not.
@@ -73,7 +73,7 @@ def height_on_support(scenario: Scenario, name: str, rotation: Array) -> float:
 
 
 def check_object(path: Path, scenario: Scenario, arm: str, name: str, time: Array, pose: Array) -> list[str]:
-    """At first the object stands on the support and within reach.
+    """Check that the object stands on the support and within reach at first.
 
     Args:
         path: Run, for messages.
@@ -118,14 +118,14 @@ def check_object(path: Path, scenario: Scenario, arm: str, name: str, time: Arra
 
 
 def check_touch(path: Path, model: RobotModel, name: str, size: Array, position: Array, pose: Array) -> list[str]:
-    """Pad and object meet: where they are nearest there is nothing between them, nor is one inside the other.
+    """Check that pad and object touch at their smallest distance: neither a gap nor a penetration.
 
     Args:
         path: Run, for messages.
         model: Nominal arm.
         name: Name of the object.
         size: Of the object, ``(3,)`` [m].
-        position: q at the stamps of the object's pose, ``(p, n)`` [rad].
+        position: q at the timestamps of the object's pose, ``(p, n)`` [rad].
         pose: Geometric centre and quaternion of the object in A, ``(p, 7)``.
 
     Returns:

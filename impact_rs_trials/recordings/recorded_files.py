@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of a recording as an import looks at them: columns, candidates, clock and the raw numbers of streams."""
+"""Files of a recording for an import: columns, candidates, clock and the raw numbers of streams."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ RAW_UNITS = {"position": "rad", "velocity": "rad/s", "torque": "N m"}
 
 @dataclass
 class RecordedFile:
-    """One kind of file: its first one, with what it holds; of several runs inside of it the first."""
+    """One kind of file, represented by its first file (or the first run in it) and its contents."""
 
     pattern: str
     path: Path
@@ -60,16 +60,16 @@ class RecordedFile:
     streams: list[JointStream] = field(default_factory=list)
     run: str = ""
     run_column: str | None = None
-    on_log: bool = False  # times are those at which a bag received its messages
+    on_log: bool = False  # times are the log times of a bag
 
     @property
     def names(self) -> Names:
-        """What the placeholders of a mapping stand for."""
+        """Values of the placeholders of a mapping."""
         return Names(run=self.run or "*")
 
     @property
     def clock_columns(self) -> tuple[str, ...]:
-        """Columns of the stamps."""
+        """Columns of the timestamps."""
         value = () if self.clock is None else self.clock.value
         return (value,) if isinstance(value, str) else tuple(value)
 
@@ -80,7 +80,7 @@ class RecordedFile:
 
     @property
     def is_bag(self) -> bool:
-        """Whether it is a bag, whose messages have stamps."""
+        """Whether it is a bag, whose messages have timestamps."""
         return is_bag_folder(self.path) or self.path.suffix in BAG_SUFFIXES
 
     @property
@@ -120,7 +120,7 @@ class RecordedFile:
         )  # fmt: skip
 
     def own_layout(self, main: RecordedFile) -> dict[str, Any]:
-        """Layout and stamps of the file, as far as they are not those of the main one."""
+        """Layout and timestamps of the file that differ from the main file's."""
         own: dict[str, Any] = {}
         if self is not main:
             if self.layout != main.layout:
@@ -131,7 +131,7 @@ class RecordedFile:
 
 
 def open_recorded(pattern: str, path: Path, spread: bool, notes: Notes) -> RecordedFile:
-    """A file, with what it holds; of several runs inside of it the first.
+    """A file with its contents; with several runs in it, the first.
 
     Args:
         pattern: Its kind among the files of a run; empty: a run is one file.
@@ -162,7 +162,7 @@ def open_recorded(pattern: str, path: Path, spread: bool, notes: Notes) -> Recor
 
 
 def _of_arrays(pattern: str, path: Path, spread: bool, notes: Notes) -> RecordedFile:
-    """A file of arrays; where groups of it are runs, those of the first, with ``{run}`` in their names."""
+    """A file of arrays; if its groups are runs, the arrays of the first, with ``{run}`` in their names."""
     columns, candidates = ArrayFile.arrays_of(path), candidates_of(path)
     groups, run = run_groups_of(columns), ""
     if groups is not None:
@@ -222,7 +222,7 @@ def read_streams(part: RecordedFile, robot: str, count: int, rate: float | None)
 
 
 def settle_clock(part: RecordedFile, model: RobotModel) -> None:
-    """Give stamps whose unit nothing else shows the one in which positions and velocities are the likeliest."""
+    """Choose an ambiguous unit of time by the likelihood of positions and velocities."""
     clock = part.clock
     if clock is None or clock.sure:
         return
@@ -248,7 +248,7 @@ def settle_clock(part: RecordedFile, model: RobotModel) -> None:
 
 
 def _put_on_stamps(part: RecordedFile) -> None:
-    """Put signals without stamps on the clock of the others, as the reader does."""
+    """Put signals without timestamps on the clock of the others, as the reader does."""
     stamped = [one.series for one in part.streams if one.candidate.stamped]
     shifts = [float(np.median(one.log - one.time)) for one in stamped if one.log is not None]
     if shifts:

@@ -45,7 +45,7 @@ MAX_RATE_PER_LOW_PASS = 10.0  # of them, per period of the low-pass
 
 
 class TooShort(InputError):
-    """A recording of which too little is left; among others it is left out, with the reason."""
+    """Recording too short after cleaning; skipped with the reason if others remain."""
 
 
 def is_foreign(path: Path) -> bool:
@@ -152,7 +152,7 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
 
 
 def _unmeasured(path: Path, torque: Series, mapping: Mapping) -> list[str]:
-    """What is said of joints whose torque never changes, which is then left out."""
+    """Warnings about joints whose torque never changes; their torque balance is omitted."""
     constant = np.ptp(torque.values, axis=0) == 0.0
     if np.all(constant):
         raise InputError(f"{torque.place} (torque): no joint's torque ever changes: nothing was measured", file=path)
@@ -204,7 +204,7 @@ def nominal_physics(mapping: Mapping, position: Array, model: RobotModel) -> Phy
 
 
 def _between_faults(series: dict[SignalName, Series], low_pass: float) -> list[tuple[float, float]]:
-    """Stretches in which every joint signal was measured and that are long enough for the low-pass [s]."""
+    """Stretches with all joint signals measured, long enough for the low-pass [s]."""
     needed = [series[name].time for name in REQUIRED]
     if min(own.size for own in needed) < MIN_RECORDING_SAMPLES:
         return []
@@ -223,12 +223,12 @@ def _between_faults(series: dict[SignalName, Series], low_pass: float) -> list[t
 
 
 def _longest_gap(period: float, low_pass: float) -> float:
-    """What the low-pass bridges [s]."""
+    """Longest gap that the low-pass bridges [s]."""
     return max(MAX_GAP_PERIODS * period, MAX_GAP_LOW_PASS_PERIODS / low_pass)
 
 
 def _check_time(path: Path, time: Array, what: str, low_pass: float) -> list[str]:
-    """Stamps that increase; returns what is said of gaps, which cut the recording into pieces."""
+    """Check that timestamps increase; returns warnings about gaps, which cut the recording into pieces."""
     if time.size < MIN_RECORDING_SAMPLES:
         raise TooShort(f"{what}: {time.size} samples, at least {MIN_RECORDING_SAMPLES} are needed", file=path)
     check_stamps(path, what, time)
@@ -241,7 +241,7 @@ def _check_time(path: Path, time: Array, what: str, low_pass: float) -> list[str
 
 
 def check_moves(path: Path, position: Series, mapping: Mapping) -> None:
-    """Some joint moves; an arm at rest shows no velocity, inertia or friction, and its units and signs cannot be seen.
+    """Check that some joint moves; an arm at rest shows neither units and signs nor velocity, inertia and friction.
 
     Args:
         path: Recording, for messages.
@@ -256,7 +256,7 @@ def check_moves(path: Path, position: Series, mapping: Mapping) -> None:
 
 
 def check_arm(path: Path, time: Array, arm: ArmSignals, mapping: Mapping, briefly: float = 0.0) -> None:
-    """Finite, within the robot's limits, and in the unit that the mapping says.
+    """Check that signals are finite, within the robot's limits, and in the unit of the mapping.
 
     Args:
         path: Recording, for messages.
@@ -266,7 +266,7 @@ def check_arm(path: Path, time: Array, arm: ArmSignals, mapping: Mapping, briefl
         briefly: Share of the samples in which a velocity or torque may be beyond its limit, as in an impact [-].
 
     Raises:
-        InputError: It is not; the message names signal, joint, time, value and what was expected.
+        InputError: It is not; the message names signal, joint, time, value and expected range.
     """
     for name in REQUIRED:
         _check_numbers(path, name, time, getattr(arm, name))
@@ -287,7 +287,7 @@ def _check_numbers(path: Path, name: SignalName, time: Array, values: Array) -> 
 def check_limits(
     path: Path, name: SignalName, time: Array, values: Array, mapping: Mapping, briefly: float = 0.0
 ) -> None:
-    """Position, velocity or torque within what the robot can do.
+    """Check that position, velocity or torque are within the limits of the robot.
 
     Args:
         path: Recording, for messages.
@@ -325,7 +325,7 @@ def check_limits(
 
 
 def check_velocity(path: Path, time: Array, position: Array, velocity: Array, mapping: Mapping) -> None:
-    """Velocities are the derivative of positions.
+    """Check that velocities are the derivative of positions.
 
     Args:
         path: Recording, for messages.

@@ -61,7 +61,7 @@ class LinearRelation:
         misfit: Sum of squares that the fit leaves, ``(n,)``.
         power: Sum of squares of the measured columns, ``(n,)``.
         unexplained: Sum of squares that the further columns alone leave, ``(n,)``.
-        independent: How many of the samples have independent errors, of all columns or of each.
+        independent: Number of independent errors, of all columns or of each.
     """
 
     factor: Array
@@ -74,14 +74,14 @@ class LinearRelation:
 
     @property
     def log_likelihood(self) -> Array:
-        """Of each column under the fit, over that of noise alone, ``(n,)``."""
+        """Log likelihood ratio of the fit to noise alone, by column, ``(n,)``."""
         return np.asarray(
             -0.5 * self.independent * np.log(self.misfit / np.maximum(self.power, 1e-300) + MIN_MISFIT_SHARE)
         )
 
     @property
     def log_likelihood_ratio(self) -> Array:
-        """Of each column under the fit, over that of the further columns alone, ``(n,)``."""
+        """Log likelihood ratio of the fit to the further columns alone, by column, ``(n,)``."""
         power = np.maximum(self.power, 1e-300)
         left = (self.misfit / power + MIN_MISFIT_SHARE) / (self.unexplained / power + MIN_MISFIT_SHARE)
         return np.asarray(-0.5 * self.independent * np.log(left))
@@ -100,8 +100,8 @@ def fit(
         expected: x, ``(k, n)``.
         measured: y, ``(k, n)``.
         further: Signals z whose factors are fitted as well, each ``(k, n)``.
-        independent: How many of the samples have independent errors, of all columns or of each, ``(n,)``; None: all.
-        bounds: Least and largest size of the factor; None: any.
+        independent: Number of independent errors, of all columns or of each, ``(n,)``; None: all samples.
+        bounds: Smallest and largest size of the factor; None: any.
     """
     x, y = expected, measured
     if further:
@@ -122,7 +122,7 @@ def effective_samples(first: Array, second: Array) -> Array:
     """Independent pairs of samples of two autocorrelated signals ``(k, n)`` (Bartlett 1946), ``(n,)``.
 
     The correlation of unrelated signals has the variance sum_h rho_1(h) rho_2(h) / k over all lags h, with their
-    autocorrelations rho, and that of 1 / k_effective independent samples.
+    autocorrelations rho; k_effective independent samples give 1 / k_effective.
     """
     count = len(first)
     length = scipy.fft.next_fast_len(2 * count, real=True)
@@ -151,7 +151,7 @@ def fit_with_lag(
         expected: x, ``(k, n)``.
         derivative: dx/dt, ``(k, n)``.
         measured: y, ``(k, n)``.
-        independent: How many of the samples have independent errors.
+        independent: Number of independent errors.
 
     Returns:
         The fit; L of every column and its standard error, ``(n,)`` [s].
@@ -194,7 +194,7 @@ class AveragedMotion:
 
     @staticmethod
     def of(time: Array, position: Array) -> AveragedMotion:
-        """Of positions ``(k, n)`` at stamps ``(k,)`` [s]."""
+        """Averaged motion from positions ``(k, n)`` at timestamps ``(k,)`` [s]."""
         at, q = averaged(time, position)
         return AveragedMotion(at, q, np.gradient(q, at, axis=0), max(1, time.size - at.size + 1))
 
@@ -205,22 +205,22 @@ class AveragedMotion:
 
     @property
     def independent(self) -> float:
-        """How many samples have independent errors."""
+        """Number of independent errors."""
         return self.time.size / self.width
 
     def velocity_relation(self, time: Array, measured: Array) -> LinearRelation:
-        """Fit of a signal ``(k, n)`` at the original stamps by the derivative."""
+        """Fit of a signal ``(k, n)`` at the original timestamps by the derivative."""
         return fit(self.velocity, averaged(time, measured)[1], independent=self.independent)
 
 
 def moves(velocity: Array, facts: RobotFacts) -> NDArray[np.bool_]:
-    """Which joints move, by their velocities ``(k, n)`` [rad/s]; ``(n,)``."""
+    """Mask of the moving joints, by their velocities ``(k, n)`` [rad/s]; ``(n,)``."""
     limits = np.array(facts.limits.velocity_rad_s)
     return np.asarray(np.sqrt(np.mean(np.square(velocity), axis=0)) > MIN_SPEED_SHARE * limits)
 
 
 def dry_friction(velocity: Array) -> Array:
-    """Velocities ``(k, n)`` [rad/s] as Coulomb friction has them: their signs, smooth about zero."""
+    """Regressor of Coulomb friction from velocities ``(k, n)`` [rad/s]: their signs, smooth about zero."""
     return np.asarray(np.tanh(velocity / FULL_FRICTION_RAD_S))
 
 
@@ -228,17 +228,17 @@ def dry_friction(velocity: Array) -> Array:
 
 
 def odd_blocks(count: int) -> NDArray[np.bool_]:
-    """Which of so many samples lie in odd blocks, ``(count,)``."""
+    """Mask of the samples in odd blocks, ``(count,)``."""
     return np.asarray(np.floor(np.linspace(0.0, CROSS_VALIDATION_BLOCKS, count, endpoint=False)).astype(int) % 2 == 1)
 
 
 def held_out_misfit(basis: Array, measured: Array, odd: NDArray[np.bool_]) -> Array:
-    """Sum of squares of samples that the fit has not seen, in two folds, ``(c,)``.
+    """Sum of squared residuals in two-fold cross-validation, ``(c,)``.
 
     Args:
         basis: Regressors, ``(k, f)``.
         measured: Signals, ``(k, c)``.
-        odd: Which samples are of the second fold, ``(k,)``.
+        odd: Mask of the second fold, ``(k,)``.
     """
     left = np.zeros(measured.shape[1])
     for unseen in (odd, ~odd):
@@ -255,7 +255,7 @@ def cross_correlation(first: Array, second: Array) -> tuple[Array, Array, Array]
 
     Args:
         first: Columns less their means, ``(k, c)``.
-        second: The same on the same even grid, ``(m, c)``.
+        second: Columns less their means, on the same even grid, ``(m, c)``.
 
     Returns:
         Correlation by lag, ``(k + m - 1,)``; the lags, and the overlap of both at each lag [samples].

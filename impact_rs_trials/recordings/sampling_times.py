@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether samples were taken at their timestamps, by what all joints have in common.
+"""Test whether samples were taken at their timestamps, by the common timing error of all joints.
 
 A sample that was taken later by d lies off the smooth motion by d times the velocity, in every joint. From the cubic
 polynomial through its four neighbours, which a smooth motion hardly leaves, it is by
@@ -24,7 +24,7 @@ MAX_ROUNDING_PERIODS = 1e-3  # by which even timestamps differ because they are 
 
 
 def doubt_of_timestamps(time: Array, position: Array) -> str | None:
-    """What shows that samples of a motion were not taken at their timestamps; None: nothing does, or it cannot be seen.
+    """Warning that samples of a motion were not taken at their timestamps; None: no evidence.
 
     Args:
         time: Timestamps, increasing, ``(k,)`` [s].
@@ -56,17 +56,17 @@ def doubt_of_timestamps(time: Array, position: Array) -> str | None:
         return (
             f"timestamps are nominal: exactly even ({1.0 / period:.4g} Hz), as a number of samples over a rate, while "
             f"all joints together show periods that vary by {100.0 * error / period:.0f} % (rms). Velocities and "
-            "accelerations that are made of them are wrong by as much: record when each sample was taken"
+            "accelerations computed from them are wrong by as much: record the time of each sample"
         )
     return (
         "samples were not taken at their timestamps: all joints together show periods that differ from them by "
-        f"{1e3 * error:.2g} ms (rms; the period is {1e3 * period:.3g} ms). Velocities and accelerations that are made "
-        "of them are wrong by as much: take the timestamps of the measurement, not of a log"
+        f"{1e3 * error:.2g} ms (rms; the period is {1e3 * period:.3g} ms). Velocities and accelerations computed "
+        "from them are wrong by as much: take the timestamps of the measurement, not of a log"
     )
 
 
 def _off_its_neighbours(time: Array, position: Array) -> Array:
-    """Distance of every sample from the cubic polynomial through the four next to it, ``(k - 4, n)`` [rad]."""
+    """Residual of every sample from the cubic polynomial through its four neighbours, ``(k - 4, n)`` [rad]."""
     ends = [(first, time.size - 4 + first) for first in range(5)]
     middle, *others = (ends[place] for place in (2, 0, 1, 3, 4))
     t = time[slice(*middle)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the signals of one run are, whatever kind of file they lie in."""
+"""Signals of one run from all kinds of files."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ def read_series(
     needed: Collection[SignalName],
     names: Names | None = None,
 ) -> dict[SignalName, Series]:
-    """Signals of one run as its files have them; the velocity is the position's derivative if the mapping has none.
+    """Signals of one run at the timestamps of its files; without a velocity in the mapping: the position's derivative.
 
     Args:
         path: A file, or a run inside of it; a folder of a bag; or, where the mapping names files, a folder of those, or
             the name of a run beside them.
         mapping: Where the signals are.
         wanted: Signals to read, as far as the mapping has them.
-        needed: Of those, the ones that must be there.
+        needed: The required ones among them.
         names: What the placeholders of the mapping stand for; None: the run's name alone.
 
     Raises:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a text table has its names and rows, found from the text.
+"""Lines of names and rows of a text table, found from the text.
 
-Rows are the first lines of which several in a row have as many cells and hold numbers (or vectors of numbers, dates,
-words beside them). The names stand in the line above that has as many cells, or one line higher if units lie between.
+Rows begin at the first of several consecutive lines with equally many cells that hold numbers (or vectors, dates,
+additional words). The names are in the line above with as many cells, or one line higher if units lie between.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ MIN_NUMERIC_SHARE = 0.5  # of the cells of a row
 
 @dataclass(frozen=True)
 class FoundLayout:
-    """A layout, and what shows it.
+    """A layout, with its evidence.
 
     Attributes:
         layout: Line of the names and first row.
-        evidence: What shows it.
+        evidence: Evidence in words.
         skipped: Lines above the names.
     """
 
@@ -37,7 +37,7 @@ class FoundLayout:
 
 
 def find_layout(path: Path) -> FoundLayout:
-    """Where a text table has its names and rows.
+    """Find the lines of names and rows of a text table.
 
     Raises:
         InputError: No table begins in its first lines.
@@ -82,7 +82,7 @@ def _named(cells: dict[int, list[str]], first: int, remarks: set[int]) -> FoundL
 
 
 def _is_row(cells: list[str]) -> bool:
-    """Whether a line holds numbers: half of its cells that are not empty, and its first or second cell."""
+    """Whether a line holds numbers: half of its non-empty cells, and its first or second cell."""
     filled = [cell for cell in cells if cell.strip()]
     numeric = [bool(numbers_in(cell)) for cell in filled]
     return bool(filled) and sum(numeric) >= MIN_NUMERIC_SHARE * len(filled) and not all(map(_is_name, filled[:2]))

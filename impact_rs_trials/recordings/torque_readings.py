@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readings of a torque signal, compared by their likelihood.
 
-A signal may be the torque that drives the joints, that torque without the arm's weight (which many controllers add on
+A signal may be the torque that drives the joints, the torque without gravity (which many controllers add on
 their own), or neither; its columns may stand in another order; and it may be computed by a controller instead of
-measured. Every reading predicts each joint's signal by
+measured. Every reading predicts each joint's signal by least squares,
 
     tau_j = a_j x_j + c_j tanh(dq_j / v) + d_j dq_j + noise,    1/2 <= abs(a_j) <= 2
 
@@ -12,8 +12,8 @@ log likelihood, with k independent samples and the residuals r of the best fit, 
 
     -k/2 sum_j log sum r_j^2                                                                     (noise marginalised)
 
-A torque measured at a motor drives the friction of its gear. One without any was computed: with a dry friction
-c_j ~ N(0, s_j^2) as gears have and its estimate c_j +- e_j, the log Bayes factor of none against some is
+A torque measured at a motor drives the friction of its gear. A torque without friction was computed: with dry friction
+c_j ~ N(0, s_j^2) of usual gears and its estimate c_j +- e_j, the log Bayes factor of no friction against friction is
 
     sum_j  log(1 + s_j^2 / e_j^2) / 2 - c_j^2 s_j^2 / (2 e_j^2 (s_j^2 + e_j^2))
 """
@@ -60,7 +60,7 @@ SIGNALS = ("position", "velocity", "acceleration", "recorded")
 
 @dataclass(frozen=True)
 class MotionTorque:
-    """Torque that a motion takes, at some of its samples, beside the one that was recorded; ``(k, n)`` each.
+    """Inverse dynamics of a motion at some of its samples, and the recorded torque; ``(k, n)`` each.
 
     Attributes:
         position: q [rad].
@@ -68,7 +68,7 @@ class MotionTorque:
         acceleration: ddq [rad/s^2].
         recorded: Torque signal [N m].
         model: Nominal arm.
-        independent: How many of the samples count as independent, for moving averages overlap [-].
+        independent: Number of independent samples; moving averages overlap [-].
     """
 
     position: Array
@@ -93,7 +93,7 @@ class MotionTorque:
     def of(
         time: Array, position: Array, velocity: Array, torque: Array, model: RobotModel, samples: int = READING_SAMPLES
     ) -> MotionTorque:
-        """Of signals on the same stamps, after moving averages.
+        """Inverse dynamics of signals on the same timestamps, after moving averages.
 
         Args:
             time: Stamps, ``(k,)`` [s].
@@ -101,7 +101,7 @@ class MotionTorque:
             velocity: dq, ``(k, n)`` [rad/s].
             torque: Torque signal, ``(k, n)`` [N m].
             model: Nominal arm.
-            samples: How many are looked at.
+            samples: Number of samples to use.
         """
         at, q = averaged(time, position)
         dq, tau = averaged(time, velocity)[1], averaged(time, torque)[1]
@@ -117,11 +117,11 @@ class MotionTorque:
 
     @property
     def measured(self) -> NDArray[np.bool_]:
-        """Joints whose torque changes, ``(n,)``; of the others nothing was measured."""
+        """Mask of the joints whose torque changes, ``(n,)``; others were not measured."""
         return np.asarray(np.ptp(self.recorded, axis=0) > 0.0)
 
     def left(self, reading: Array) -> Array:
-        """Sum of squares of what a reading ``(k, n)`` leaves of the recorded torque, ``(n,)`` [N^2 m^2]."""
+        """Residual sum of squares of a reading ``(k, n)``, ``(n,)`` [N^2 m^2]."""
         return np.where(self.measured, self.relation(reading).misfit, 0.0)
 
     def likelihood(self, reading: Array) -> float:
@@ -129,12 +129,12 @@ class MotionTorque:
         return float(np.sum(self.relation(reading).log_likelihood[self.measured]))
 
     def ordered(self, order: tuple[int, ...], rows: slice = slice(None)) -> MotionTorque:
-        """The same samples, or some, with the joints in another order."""
+        """Reordered joints at all or some samples."""
         return replace(self, **{name: getattr(self, name)[rows, list(order)] for name in SIGNALS})
 
 
 def lacks_weight(seen: MotionTorque) -> str | None:
-    """What shows that a torque signal holds the torque of inertia without the arm's weight; None: nothing does.
+    """Evidence that a torque signal lacks the gravity torque; None: no evidence.
 
     Args:
         seen: Signal and motion.
@@ -156,7 +156,7 @@ def lacks_weight(seen: MotionTorque) -> str | None:
 
 
 def check_holds_weight(path: Path, time: Array, arm: ArmSignals, model: RobotModel) -> None:
-    """A recorded torque holds the arm's weight.
+    """Check that a recorded torque includes the gravity torque.
 
     Args:
         path: Recording, for messages.
@@ -165,7 +165,7 @@ def check_holds_weight(path: Path, time: Array, arm: ArmSignals, model: RobotMod
         model: Nominal arm.
 
     Raises:
-        InputError: It holds the torque of inertia alone.
+        InputError: It holds the inertial torque alone.
     """
     why = lacks_weight(MotionTorque.of(time, arm.position, arm.velocity, arm.torque, model))
     if why is not None:
@@ -186,7 +186,7 @@ def is_computed(seen: MotionTorque) -> bool:
     for joint, most in enumerate(seen.model.torque_max):
         if not fast[joint] or not np.any(seen.recorded[:, joint]):
             continue
-        scale = most * abs(float(torque.factor[joint])) + 1e-12  # of a current: that of the motor
+        scale = most * abs(float(torque.factor[joint])) + 1e-12  # in the unit of the signal, torque or current
         error = float(np.hypot(dry.standard_error[joint], MIN_TORQUE_SHARE * scale))
         ratio = (COULOMB_SHARE * scale / error) ** 2
         factor += 0.5 * np.log1p(ratio) - 0.5 * (float(dry.factor[joint]) / error) ** 2 * ratio / (1.0 + ratio)
@@ -194,19 +194,19 @@ def is_computed(seen: MotionTorque) -> bool:
 
 
 def leaves_little(seen: MotionTorque) -> bool:
-    """Whether weight, inertia and friction of the arm are most of a torque signal."""
+    """Whether gravity, inertia and friction of the arm explain most of a torque signal."""
     size = float(np.sqrt(np.mean(np.square(seen.recorded)) * seen.model.joint_count))
     return _rms(seen.left(seen.whole), seen) < MAX_RESIDUAL_SHARE * size
 
 
 def order_of_joints(seen: MotionTorque) -> tuple[tuple[int, ...], str] | None:
-    """Order of columns in which they are the joints from base to tip, by the torque of the arm, and what shows it.
+    """Order of the columns that makes them joints from base to tip, by the arm's inverse dynamics, with the evidence.
 
     Args:
         seen: Signal and motion as the columns stand.
 
     Returns:
-        Number from 0 of every joint's column; None: the columns as they stand leave little, or no order is clearly
+        Index of every joint's column; None: the given order leaves a small residual, or no other is clearly
         better.
     """
     count, before = seen.model.joint_count, _rms(seen.left(seen.whole), seen)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poses as homogeneous matrices: samples x 4 x 4, or 4 x 4 x samples as MATLAB and archives in HDF5 have them."""
+"""Poses as homogeneous matrices: samples x 4 x 4, or 4 x 4 x samples as in MATLAB and HDF5."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def are_transforms(shape: tuple[int, ...]) -> bool:
 
 
 def poses_of(transforms: Array) -> Array | None:
-    """Places and unit quaternions x y z w, ``(k, 7)``, in the unit of the matrices; None: they are no rigid motions.
+    """Positions and unit quaternions x y z w, ``(k, 7)``, in the unit of the matrices; None: not rigid motions.
 
-    Samples that are not finite were not seen, and stay so.
+    Samples that are not finite were not tracked, and stay so.
 
     Args:
-        transforms: ``(k, 4, 4)`` or ``(4, 4, k)``, a matrix as it is written or turned.
+        transforms: ``(k, 4, 4)`` or ``(4, 4, k)``, matrices or their transposes.
     """
     matrices = transforms if transforms.shape[1:] == (MATRIX_ROWS, MATRIX_ROWS) else np.moveaxis(transforms, 2, 0)
     seen = np.isfinite(matrices).all(axis=(1, 2))

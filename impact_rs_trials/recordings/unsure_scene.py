@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers of a scenario's robots and support that may not be known well: values by name, and the scenario with others.
+"""Uncertain numbers of a scenario's robots and support: values by name, and the scenario with other values.
 
 With several arms the name of an arm stands in front, ``left.tool_mass``.
 
@@ -31,7 +31,7 @@ _OFFSET = re.compile(r"(?:joint(?P<joint>[0-9]+)|flange)_(?P<axis>[xyz])")
 
 
 def known_of_scene(scenario: Scenario) -> dict[str, tuple[float, str]]:
-    """What a scenario assumes of everything that may be unsure, with its unit, by name."""
+    """Nominal values of all uncertain numbers of a scenario, with units, by name."""
     found: dict[str, tuple[float, str]] = {SUPPORT_FRICTION: (scenario.support.friction, "-")}
     if len(scenario.objects) == 1:
         (box,) = scenario.objects.values()
@@ -47,7 +47,7 @@ def known_of_scene(scenario: Scenario) -> dict[str, tuple[float, str]]:
 
 
 def with_another(scenario: Scenario, name: str, value: float) -> Scenario:
-    """The scenario with another value of something that may be unsure.
+    """The scenario with another value of an uncertain number.
 
     Args:
         scenario: The scenario.
@@ -68,7 +68,7 @@ def with_another(scenario: Scenario, name: str, value: float) -> Scenario:
 
 
 def _arms(scenario: Scenario) -> Iterator[tuple[str, Robot]]:
-    """Arms, each with what stands in front of its names."""
+    """Arms, each with the prefix of its names."""
     for arm, robot in scenario.robots.items():
         yield (f"{arm}." if len(scenario.robots) > 1 else ""), robot
 
