@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the commands of the loop share: RUNS, settings, worker processes, and warnings about bags."""
+"""Shared arguments of the commands of the loop: RUNS, settings, worker processes, and warnings about bags."""
 
 from __future__ import annotations
 

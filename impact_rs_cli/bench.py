@@ -41,7 +41,7 @@ class PlantBench:
         settings: What was asked.
         map_tasks: Workers.
         terminal: Shows progress and warnings.
-        secret: What the plant hides.
+        secret: Hidden effect of the plant.
         record: Records a trial; :func:`run_task` on another cell than our plant.
     """
 
@@ -81,7 +81,7 @@ class PlantBench:
                 report(count, len(tasks))
 
     def read(self) -> Against:
-        """All trials against a model; bags are read again only where there are more."""
+        """All trials against a model; bags are read again only if there are more."""
         runs = self._runs()
         assert self._known is not None
         sources = self._known[2]
@@ -105,7 +105,7 @@ class PlantBench:
         return read(self.runs, self.map_tasks, self.terminal)
 
     def design(self, wanted: WantedTrials) -> ExperimentPlan:
-        """The trials that decide most of what is open; where none can be planned so, those of a rule."""
+        """The most decisive trials for the open question; by rule if no plan is possible."""
         limits = Envelope(cell=self.settings.envelope)
         try:
             decide, known = None, wanted.model
@@ -145,11 +145,11 @@ class PlantBench:
 
 
 def simple_design(settings: Settings, wanted: WantedTrials) -> ExperimentPlan:
-    """Trials by rule: at first two repeats of a few conditions, then what the diagnosis asks for, else new conditions.
+    """Trials by rule: two repeats of a few conditions, then the trials that the diagnosis needs, else new conditions.
 
     Args:
         settings: What was asked.
-        wanted: What they are for; without a document: at first, and to try a new model.
+        wanted: Purpose of the trials; without a document: the first ones, or a test of a new model.
     """
     measured = Counter(label_of(one.trial.spec) for here in wanted.done for one in here.trials)
     often: dict[tuple[str, str, str], int] = {}
@@ -171,7 +171,7 @@ def simple_design(settings: Settings, wanted: WantedTrials) -> ExperimentPlan:
         conditions = list(dict.fromkeys([*corners[:2], *free[:2], *hits]))[: max(3, wanted.budget // 2)][:4]
         for place in conditions:
             chosen[place] = 2
-        reason = "Two objects and free motion, to see where the model fails."
+        reason = "Two objects and free motion, to find where the model fails."
     else:
         experiment = None if wanted.document is None else wanted.document.next_experiment
         asked = [

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where hits come from, by the words of a command line or the parameters of a node."""
+"""Sources of hits, by the options of a command line or the parameters of a node."""
 
 from __future__ import annotations
 
@@ -74,8 +74,8 @@ def hit_source_of(hits: HitsArguments, model: Model) -> HitSource:
     """Source of hits.
 
     Args:
-        hits: Where they come from.
-        model: What is believed, with the faults of the readings.
+        hits: Their source.
+        model: Nominal model, with the faults of the readings.
 
     Raises:
         InputError: Options that do not go together, or there is no such scenario.
@@ -99,10 +99,10 @@ class FollowedHits:
     """A follower of hits with its state file, and the full diagnosis that a change calls for.
 
     Args:
-        hits: Where hits come from.
-        follower: Follows them; it has seen none.
-        state: State file; None: none.
-        diagnosis: Makes full diagnoses; None: none is started.
+        hits: Source of hits.
+        follower: Follows them; without hits so far.
+        state: State file; None: not saved.
+        diagnosis: Makes full diagnoses; None: without diagnoses.
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class FollowedHits:
         self._taken = 0
 
     def restore(self) -> int:
-        """Go on where the state file was written; how many hits were seen before.
+        """Restore the state file; returns the number of earlier hits.
 
         Raises:
             InputError: It is no state file of this model and these hits.
@@ -126,7 +126,7 @@ class FollowedHits:
         return count
 
     def arrived(self) -> Iterator[HitDocument]:
-        """What the hits since the last call taught. State is saved after every tenth, and after the last.
+        """Results of the hits since the last call. The state is saved after every tenth, and after the last.
 
         Raises:
             InputError: They cannot be read, or the state cannot be written.
@@ -147,7 +147,7 @@ class FollowedHits:
             save_state(self.follower, self._state)
 
     def diagnose(self) -> str:
-        """Start the diagnosis that the last change calls for, once there are hits enough; what was done, in words.
+        """Start the diagnosis of the last change once there are enough hits; returns a message.
 
         Raises:
             InputError: No process can be started.
@@ -166,7 +166,7 @@ class FollowedHits:
 
 
 def diagnose_options(hits: HitsArguments, effects: Sequence[str] | None = None) -> dict[str, Any]:
-    """Options of ``impact-rs diagnose`` for the same measurements, and the same effects where some were named."""
+    """Options of ``impact-rs diagnose`` for the same measurements and, if given, effects."""
     return {
         "runs": hits.where if hits.table is None else None,
         "impacts": hits.table,
@@ -180,7 +180,7 @@ def diagnose_options(hits: HitsArguments, effects: Sequence[str] | None = None) 
 
 
 def folder_of_diagnoses(given: Path | None, state: Path | None) -> Path:
-    """Where full diagnoses are written: the given folder, else that of the state file, else the working directory."""
+    """Folder of full diagnoses: the given one, else the state file's, else the working directory."""
     if given is not None:
         return given
     return Path() if state is None else state.parent

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node ``identify``: what follows hits (:mod:`impact_rs_analysis.following`) in the node that publishes it."""
+"""The node ``identify``: publishes the results of :mod:`impact_rs_analysis.following`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ HITS_PER_POLL = 3  # in between the node answers
 
 
 class Lessons:
-    """What followed hits teach, as the node takes it.
+    """Results of followed hits, in the format of the node.
 
     Args:
         followed: The hits.
@@ -40,7 +40,7 @@ class Lessons:
         self._arriving: Iterator[HitDocument] = iter(())
 
     def arrived(self) -> Sequence[Lesson]:
-        """What the hits since the last call taught, of many that wait the first.
+        """Results of the hits since the last call; if many wait, of the first ones.
 
         Raises:
             InputError: They cannot be read.
@@ -71,7 +71,7 @@ class Lessons:
         self._diagnosis.stop()
 
     def _refusals(self) -> Iterator[Lesson]:
-        """What gave no hit since the last call."""
+        """Refused trials since the last call."""
         for name, reason in self._followed.follower.hit_source.newly_skipped().items():
             document = RefusedHit(hit=name, reason=reason).model_dump_json()
             yield Lesson(f"{name}: {reason}", refused=document, hit=False)
@@ -88,7 +88,7 @@ class Lessons:
 
 
 class Identify(IdentifyNode):
-    """The node, with what follows hits in it."""
+    """The node, with the follower of hits in it."""
 
     def identifier(self) -> Identifier:
         """See :meth:`IdentifyNode.identifier`."""

@@ -47,7 +47,7 @@ class Measurements:
         terminal: Shows the progress.
         source: Makes the source of evidence for a model; replays go through the store.
         trials: Trials; None: something else.
-        what: What was read, in words.
+        what: Description of the measurements.
         calibration: Faults of the readings.
     """
 
@@ -123,7 +123,7 @@ class Measurements:
 
         Args:
             model: The model.
-            added: Effects found on top of it; for recordings and impacts shown beside the model.
+            added: Effects found in addition; for recordings and impacts shown next to the model.
         """
         return self.against(model).tracks(self._map, added)
 
@@ -132,13 +132,13 @@ class Measurements:
 def measured(
     args: argparse.Namespace, terminal: Terminal, each_arm: bool = False, unsure: Sequence[str] = ()
 ) -> Iterator[Measurements]:
-    """Read RUNS and warn of what was left out; the workers end with the context.
+    """Read RUNS and warn of omitted ones; the workers end with the context.
 
     Args:
         args: Arguments of the command.
         terminal: Shows warnings and progress.
         each_arm: Whether arms of one kind have parameters of their own.
-        unsure: Ranges of what is not known well of a table of impacts, ``NAME=LOW:HIGH``.
+        unsure: Ranges of uncertain quantities of an impact table, ``NAME=LOW:HIGH``.
 
     Raises:
         InputError: There is no usable measurement.
@@ -229,12 +229,12 @@ def _calibration(data: Path, args: argparse.Namespace, terminal: Terminal) -> La
 def experiment_file(given: Path, directory: Path, terminal: Terminal) -> Path:
     """The experiment file that a path on the command line names.
 
-    Relative to the working directory as any path; where no file is there, to the folder of the runs.
+    Relative to the working directory as any path, or else to the folder of the runs.
 
     Args:
         given: The path.
         directory: Folder of the runs.
-        terminal: Says which file was taken where both are possible.
+        terminal: Reports the chosen file if both are possible.
 
     Raises:
         InputError: There is no such file in either folder.
@@ -252,7 +252,7 @@ def experiment_file(given: Path, directory: Path, terminal: Terminal) -> Path:
 
 
 def read_experiment(directory: Path, file: Path, map_tasks: Map, terminal: Terminal) -> Runs:
-    """Read the runs of an experiment file and warn of what was left out.
+    """Read the runs of an experiment file and warn of omitted ones.
 
     Args:
         directory: Folder of the runs.
@@ -282,7 +282,7 @@ def _counted(map_tasks: Map, report_progress: Callable[[int, int], None]) -> Map
 
 
 def read(directory: Path, map_tasks: Map, terminal: Terminal) -> Runs:
-    """Read trials and warn of what was left out."""
+    """Read trials and warn of omitted ones."""
     directory = directory.absolute()  # a worker process may stand elsewhere
     with terminal.progress("reading bags") as report_progress:
         runs = read_runs(directory, _counted(map_tasks, report_progress))

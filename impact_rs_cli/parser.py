@@ -109,7 +109,7 @@ def command_line(words: str, values: Mapping[str, Any]) -> str:
 
     Args:
         words: The command, for example ``robot check``.
-        values: Values by name of the option; those of options that it does not have are left out.
+        values: Values by name of the option; values of unknown options are ignored.
     """
     return shlex.join([*shlex.split(PROGRAM), *command_named(words).words(values)])
 
@@ -132,7 +132,7 @@ def _add(parser: argparse.ArgumentParser, option: Option) -> None:
 
 
 def _type(option: Option) -> Callable[[str], Any]:
-    """What reads a value; argparse reads defaults that are texts with it, too."""
+    """Function that reads a value; argparse reads defaults that are texts with it, too."""
     if option.former:
         return lambda text: dict(option.former).get(text, text)
     if option.kind in (*READ, *WRITTEN) and not option.url:
@@ -150,5 +150,5 @@ def _from(least: float, read: Callable[[str], float]) -> Callable[[str], float]:
             raise argparse.ArgumentTypeError(f"expected at least {least:g}, got {text}")
         return value
 
-    checked.__name__ = read.__name__  # argparse names it where a text is no number
+    checked.__name__ = read.__name__  # argparse names it in the error about a text that is no number
     return checked

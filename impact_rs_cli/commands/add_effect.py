@@ -59,7 +59,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 
 
 def _write(child: Model | None, output: Path, calibration: LaboratoryCalibration | None) -> None:
-    """Write both files, or none of them."""
+    """Write both files or neither."""
     if child is not None:
         with output_folder(output.parent):
             save_model(child, output)

@@ -59,7 +59,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         terminal.warn(f"{failures} trials failed; run the same command again to repeat them")
         return 1
     step = "" if args.quick else "1. "
-    terminal.say("", f"{step}The measured jump, as in the paper: where net feedback crosses zero.")
+    terminal.say("", f"{step}The measured jump, as in the paper: the zero crossing of net feedback.")
     code, report = report_on(jump, None, terminal)
     if code:
         return code
@@ -114,7 +114,7 @@ def walk_the_loop(
     """Compare, diagnose, add, compare, history.
 
     Args:
-        demonstration: What is hidden, and which effects are considered.
+        demonstration: Hidden effect, and considered effects.
         output: Folder of diagnosis, model and reports.
         runs_directory: Folder of the trials.
         terminal: Shows every step.

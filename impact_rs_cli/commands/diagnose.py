@@ -82,7 +82,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 
 
 def options_of(args: argparse.Namespace) -> dict[str, Any]:
-    """The given options that say what is diagnosed, by name; paths are absolute, so that they hold in every folder."""
+    """The given options that select the measurements, by name; paths are absolute, valid in every folder."""
     saying = [one for one in DIAGNOSE.options if one not in JOBS and one.kind not in (*WRITTEN, "json")]
     given = {one.name: getattr(args, one.name) for one in saying if one.words(getattr(args, one.name))}
     options = {one.name: one for one in saying}
@@ -113,7 +113,7 @@ def add_command(effects: Sequence[str], model: Path, source: Path, document: Dia
 
 
 def discover_command(args: argparse.Namespace, model: Model) -> str:
-    """The command that looks for a law in the same measurements.
+    """The command that searches a law in the same measurements.
 
     Args:
         args: Arguments of ``diagnose``.
@@ -144,7 +144,7 @@ def check_effects(model: Model, names: list[str] | None) -> None:
     """Check the names of ``--effects``.
 
     Raises:
-        InputError: An unknown effect, or one that the model has already.
+        InputError: An unknown effect, or an effect of the model.
     """
     known = model.known_effects
     present = {item.name for item in model.effects}

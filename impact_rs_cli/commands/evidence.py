@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``impact-rs evidence``: packages of evidence that laboratories exchange, their check, and what they say together."""
+"""``impact-rs evidence``: packages of evidence that laboratories exchange, their check, and their meta-analysis."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``impact-rs follow``: a model learns from every impact, and says when something has changed."""
+"""``impact-rs follow``: update a model with every impact, and detect changes."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 
 
 def _warn_of_refused(hit_source: HitSource, terminal: Terminal) -> None:
-    """Warn of what gave no hit, once for each."""
+    """Warn of refused trials, once for each."""
     for name, reason in hit_source.newly_skipped().items():
         terminal.warn(f"left out: {name}: {reason}")
 
@@ -115,7 +115,7 @@ def _live(followed: FollowedHits, diagnosis: FullDiagnosis, terminal: Terminal) 
 
 
 def _awaited(diagnosis: FullDiagnosis, terminal: Terminal) -> ChangeDiagnosis | None:
-    """The full diagnosis that was started, when it has ended; None: there is none, or Ctrl-C ended it."""
+    """Result of the started full diagnosis; None: not started, or ended by Ctrl-C."""
     try:
         return _say_diagnosis(diagnosis.ended(wait=True), terminal)
     except KeyboardInterrupt:
@@ -137,7 +137,7 @@ def _say_diagnosis(found: ChangeDiagnosis | None, terminal: Terminal) -> ChangeD
 
 
 def _say(document: HitDocument, diagnosis: FullDiagnosis, terminal: Terminal, every: bool = False) -> None:
-    """Say what a hit taught: changes and odd hits, or every hit."""
+    """Print the result of a hit: changes and outliers, or every hit."""
     if every and document.error is not None:
         terminal.say(
             f"{document.name}: prediction off by {number(document.error)} standard deviations, "

@@ -49,8 +49,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 
 
 def _show(draft: ImportDraft, terminal: Terminal) -> None:
-    table = Table(title="What the files hold")
-    for heading in ("key", "value", "what shows it"):
+    table = Table(title="Contents of the files")
+    for heading in ("key", "value", "evidence"):
         table.add_column(heading)
     for line in draft.lines:
         evidence = line.evidence if line.sure else f"ASSUMED: {line.evidence}"

@@ -75,7 +75,7 @@ def check_trial(path: Path) -> None:
     """Check that a path is the folder of a trial, complete or damaged.
 
     Raises:
-        InputError: It is not; the message says what it is, and names a trial nearby.
+        InputError: It is not; the message describes it, and names a trial nearby.
     """
     if not path.exists():
         raise InputError("no such folder; expected the folder of a trial", file=path)
@@ -116,7 +116,7 @@ def _laboratory_page(args: argparse.Namespace, terminal: Terminal) -> Path:
 
 
 def _beside_model(args: argparse.Namespace, shown: Run, map_tasks: Map, terminal: Terminal) -> Track:
-    """The run beside its twin; all runs are read, because their clocks are estimated together."""
+    """The run and its twin; all runs are read, because their clocks are estimated together."""
     model = load_model(args.model)
     runs = read_experiment(args.path, args.experiment, map_tasks, terminal)
     found = next((own for own in runs.runs if own.path == shown.path), None)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``impact-rs study-design``: robots, poses, motor inertias and pads, ranked by what a hit does."""
+"""``impact-rs study-design``: robots, poses, motor inertias and pads, ranked by the effect of an impact."""
 
 from __future__ import annotations
 

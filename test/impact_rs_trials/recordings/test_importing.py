@@ -759,7 +759,7 @@ def test_poses_of_an_archive_are_homogeneous_matrices(tmp_path: Path, last: bool
     mapping = mapping_in(draft, tmp_path / "lab")
     assert mapping.signals["object_pose"].array == "{run}/Mocap/Box007/transforms"
     assert "holds homogeneous matrices" in said_of(draft, "signals.object_pose")
-    assert any("other poses, of which none is taken: {run}/Mocap/Gripper/transforms" in one for one in draft.remarks)
+    assert any("other poses, which are not used: {run}/Mocap/Gripper/transforms" in one for one in draft.remarks)
     read = read_series(file / "Rec_002", mapping, ["object_pose"], ["object_pose"])["object_pose"]
     np.testing.assert_allclose(read.time, np.arange(TIME.size) / 360.0)
     for pose, matrix in zip(read.values[::50], matrices[::50], strict=True):
