@@ -38,7 +38,7 @@ class PlantBench:
 
     Args:
         directory: Folder of the investigation.
-        settings: What was asked.
+        settings: Settings of the investigation.
         map_tasks: Workers.
         terminal: Shows progress and warnings.
         secret: Hidden effect of the plant.
@@ -148,7 +148,7 @@ def simple_design(settings: Settings, wanted: WantedTrials) -> ExperimentPlan:
     """Trials by rule: two repeats of a few conditions, then the trials that the diagnosis needs, else new conditions.
 
     Args:
-        settings: What was asked.
+        settings: Settings of the investigation.
         wanted: Purpose of the trials; without a document: the first ones, or a test of a new model.
     """
     measured = Counter(label_of(one.trial.spec) for here in wanted.done for one in here.trials)

@@ -191,7 +191,7 @@ def check_outputs(args: argparse.Namespace) -> None:
             raise InputError(f"lies inside the bag {bag}; bags are never changed, choose another folder", file=given)
         for other, value in vars(args).items():
             if other in (*written, "scenario") or not isinstance(value, (str, Path)) or not os.path.exists(value):
-                continue  # the name of a scenario may also be that of a folder
+                continue  # the name of a scenario may also name a folder
             if target == Path(value).resolve():
                 raise InputError(
                     "is an input of this command and would be overwritten; choose another path for the results",

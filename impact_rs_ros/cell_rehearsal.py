@@ -322,7 +322,7 @@ class StandIn:
         self.clock.at(self._next, self._tick)
 
     def _torque(self, arm: str) -> Array:
-        """Torque that acts on an arm: the driver's, or that of the robot's own brake."""
+        """Torque that acts on an arm: the driver's, or the torque of the robot's own brake."""
         model, measured = self.models[arm], self.measured[arm]
         if self.error:
             return holding_torque(model, self._motor_inertia[arm], measured.position, measured.velocity)

@@ -41,14 +41,14 @@ class EffortArms:
 
     Args:
         states: States of the robot, with its models, period and clock.
-        states: What the robot reports.
+        states: States of the robot.
         motor_inertia: B that the torque loop leaves, ``(n,)`` [kg m^2], by arm.
         adds_gravity: Whether the robot compensates gravity itself.
         rate: Of a torque, at most [N m/s].
         send: Sends an arm's effort controller its torques.
 
     Attributes:
-        states: What the robot reports.
+        states: States of the robot.
         adds_gravity: Whether the robot compensates gravity itself.
         limited: Number of torques that were changed because they jumped too far.
         states: States of the robot.

@@ -39,7 +39,7 @@ class Inbox:
 
     Args:
         node: Node that they are for.
-        name: Name of the inbox among those of the node.
+        name: Name of the inbox, unique in its node.
         qos: Quality of service of all subscriptions.
         raw: Return serialized (CDR) messages as received; otherwise decoded messages, without unreadable ones.
 

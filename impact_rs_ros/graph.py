@@ -76,7 +76,7 @@ class Graph:
         domain_id: ``ROS_DOMAIN_ID``.
         namespace: ROS namespace of the nodes; empty: the root.
         foreign: Nodes that the user provides, by the name of the node that each replaces.
-        notify: Called with a line about what is awaited.
+        notify: Called with a line about the awaited node or trial.
     """
 
     def __init__(
@@ -123,7 +123,7 @@ class Graph:
             quiet: Nodes write to a file, shown when one ends, and not to the terminal.
             root: Folder below which requests may write bags and name scenarios; None: the working directory.
             without: Nodes that the user provides; they are waited for, not started.
-            notify: Called with a line about what is awaited.
+            notify: Called with a line about the awaited node or trial.
             namespace: ROS namespace of the nodes; empty: the root.
 
         Raises:
@@ -323,7 +323,7 @@ def run_trials_through_nodes(
         domain_id: ``ROS_DOMAIN_ID`` of the nodes; None: the environment's.
         plant_model: Effects of the plant unknown to all other nodes; None: not any.
         without: Nodes that the user provides; they are waited for before every trial.
-        notify: Called with a line about what is awaited.
+        notify: Called with a line about the awaited node or trial.
         namespace: ROS namespace of the nodes; empty: the root.
 
     Raises:

@@ -3,7 +3,7 @@
 
 Topics, each a JSON document in a string (``docs/following.md`` lists their keys), latched:
 
-    ~/prediction   what the next hit will measure, with intervals, and the parameters believed now
+    ~/prediction   prediction of the next hit, with intervals, and the present parameter estimates
     ~/change       a change of the cell, with its evidence and explanations
     ~/diagnosis    how the full diagnosis of the hits since then has ended
     ~/refused      what gives no hit, and why

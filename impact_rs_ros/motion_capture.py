@@ -47,7 +47,7 @@ class TrackerPoses:
         Bytes that are not a message give None as well.
 
         Raises:
-            InputError: The pose is in another frame than that of the tracker.
+            InputError: The pose is not in the frame of the tracker.
         """
         pose = decoded(data, PoseStamped)
         if pose is None:

@@ -31,7 +31,7 @@ class NodeParameter:
     Attributes:
         name: Name.
         default: Default value; decides the type.
-        description: What it does, in a sentence.
+        description: Description in a sentence.
         unit: Unit, ``-`` if dimensionless.
         range: Least and greatest value; floats only.
         choices: Allowed values; empty: any.
@@ -200,7 +200,7 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
         NodeParameter(
             "arm_jitter_limit",
             0.002,
-            "Largest difference between the interval at which two states arrive and that of their stamps; above it no"
+            "Largest difference between the arrival interval of two states and that by their timestamps; above it no"
             " trial is armed",
             "s",
             (1e-6, 10.0),
@@ -242,9 +242,7 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
         NodeParameter(
             "diagnose", True, "Whether a change starts a full diagnosis of the hits since then, in a process of its own"
         ),
-        NodeParameter(
-            "diagnoses", "", "Folder for these diagnoses; empty: that of the state file, or the working directory"
-        ),
+        NodeParameter("diagnoses", "", "Folder for these diagnoses; empty: the state file's, or the working directory"),
         NodeParameter("poll_period", 0.5, "Time between two looks for finished trials", "s", (0.05, 60.0)),
     ),
     "experiment": (

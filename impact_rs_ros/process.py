@@ -39,7 +39,7 @@ IDLE_WAIT_S = 0.25  # of an idle node in one turn: a signal to end is noticed af
 class NodeProgram:
     """A node and its main loop.
 
-    What a request names is checked where it is used; a mistake raises ``InputError``, which the service answers.
+    Contents of a request are checked at their use; a mistake raises ``InputError``, which the service answers.
     """
 
     kind: ClassVar[str]
@@ -65,7 +65,7 @@ class NodeProgram:
     def start(self) -> None:
         """Prepare the node; called once, before the first turn.
 
-        What the first trial needs is loaded before services are offered, because it takes a second: a caller that
+        The data of the first trial is loaded before services are offered, because it takes a second: a caller that
         discovers a service finds the node ready.
         """
         scenario = load_scenario(self.parameter("scenario"))

@@ -429,7 +429,7 @@ class RecorderNode(NodeProgram):
             return Verdict("ABORTED", str(error))
         except Exception as error:  # another publisher's messages are among the judged ones
             self.log.error(f"cannot judge the trial: {full_traceback(error)}")
-            return Verdict("ABORTED", f"what was recorded cannot be judged: {type(error).__name__}: {error}")
+            return Verdict("ABORTED", f"the recording cannot be judged: {type(error).__name__}: {error}")
 
     def _complete(self, recording: OpenTrial, expected: dict[str, int]) -> str:
         """Receive until the expected messages have arrived; returns the missing ones after the timeout."""

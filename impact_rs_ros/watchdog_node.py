@@ -5,7 +5,7 @@ A JointGroupEffortController of ros2_control holds the last command for ever. Th
 only one that sends it commands: those of the cell come to it on a topic of its own, and it passes each on at once,
 changed no faster than the robot allows in the stream that the robot sees. When none has come for ``command_timeout`` of
 the robot's clock while a joint moves, it takes over: it brakes and holds the arms as the cell does
-(:meth:`impact_rs_ros.effort_arms.EffortArms.rest`), and what the cell sends goes nowhere, until a call of ``~/reset``.
+(:meth:`impact_rs_ros.effort_arms.EffortArms.rest`), and torques of the cell are dropped, until a call of ``~/reset``.
 It says so on ``~/braking`` (latched), where the cell arms nothing.
 
 It shares machine, Python and middleware with the cell: it is no safety function.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """YAML files that are edited or written with comments (ruamel.yaml, round trip).
 
-Comments, order and spelling of what is not changed stay. What is new is written so that PyYAML, which reads these files
-as YAML 1.1 (:mod:`impact_rs_sim.schema`), takes it for what it is.
+Comments, order and spelling of unchanged parts stay. New values are written so that PyYAML, which reads these files as
+YAML 1.1 (:mod:`impact_rs_sim.schema`), reads the same values.
 """
 
 from __future__ import annotations

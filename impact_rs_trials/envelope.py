@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The envelope of a real cell (``envelope.yaml``): which trials may run on it at all.
 
-Speeds are those of the references, impulses those of the impact map; what the arm really does is limited by the cell
-(:mod:`impact_rs_control.arm_limits`). The file says what the operator allows, in physical limits and in names.
+Speeds follow from the references, impulses from the impact map; the motion of the real arm is limited by the cell
+(:mod:`impact_rs_control.arm_limits`). The file has the operator's limits, in physical units and in names.
 """
 
 from __future__ import annotations

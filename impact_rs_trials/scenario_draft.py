@@ -359,7 +359,7 @@ def choices_of(
     }
     if kind == "excite":
         del found["support.height"]
-    return found | {"all other keys": f"those of {kind}, word for word"}
+    return found | {"all other keys": f"as in {kind}, word for word"}
 
 
 def _explained(text: str, choices: Mapping[str, str]) -> str:

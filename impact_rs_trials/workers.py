@@ -29,7 +29,7 @@ ANSWER_TIMEOUT_S = 10.0  # of a scheduler
 WORKERS_TIMEOUT_S = 30.0  # until the first worker of a scheduler is there
 MAX_PENDING_TASKS = 1000  # of the scheduler, so that its memory does not grow with a campaign
 
-_alone = threading.Lock()  # trials of one process share models that must not be used by two threads at a time
+_one_trial_at_a_time = threading.Lock()  # trials of one process share models, which are not thread-safe
 
 
 @dataclass
@@ -244,7 +244,7 @@ def processor_time() -> float:
 def _work(packed: bytes) -> tuple[Any, float]:
     """Result of a task, and its processor time [s]."""
     function, item = pickle.loads(packed)
-    with _alone:
+    with _one_trial_at_a_time:
         begin = time.thread_time()
         result = function(item)
         return result, time.thread_time() - begin

@@ -44,7 +44,7 @@ from impact_rs_trials.recordings.experiment import (
 )
 from impact_rs_trials.recordings.file_units import SLIDES, TURNS, UNITS, si_unit
 from impact_rs_trials.recordings.import_texts import PossibleReading
-from impact_rs_trials.recordings.importing import Wishes, draft_import
+from impact_rs_trials.recordings.importing import ImportOptions, draft_import
 from impact_rs_trials.recordings.laboratory import MAX_IMPACT_SHARE, Laboratory, placed, read_run
 from impact_rs_trials.recordings.mapping import (
     JOINT_SIGNALS,
@@ -56,7 +56,7 @@ from impact_rs_trials.recordings.mapping import (
     TableLayout,
     TimeSource,
 )
-from impact_rs_trials.recordings.plausibility import check_weight
+from impact_rs_trials.recordings.plausibility import check_gravity_torque
 from impact_rs_trials.recordings.recording import check_limits, check_velocity
 from impact_rs_trials.recordings.series import Series
 from impact_rs_trials.recordings.sources import read_series
@@ -187,7 +187,7 @@ class _Guesses:
 def _by_numbers(path: Path, folder: Path, robot: str) -> _Guesses:
     """What ``impact-rs import`` writes of a recording; where it refuses that, why."""
     try:
-        draft = draft_import([path], folder, Wishes(robot=robot))
+        draft = draft_import([path], folder, ImportOptions(robot=robot))
     except InputError as error:
         return _Guesses({}, {}, (f"Chosen by names alone, for impact-rs import says: {error.message}",))
     content = yaml.safe_load(draft.texts["mapping.yaml"])
@@ -296,7 +296,7 @@ def _wrong(
         if name == "torque" or (name == "command" and request.command_includes_gravity):
             model = Physics.nominal(scenario, next(iter(scenario.objects))).robot_model(request.arm)
             remedy = "wrong unit or sign, or without the arm's own weight?"
-            check_weight(path, name, model, position, series.values, remedy)
+            check_gravity_torque(path, name, model, position, series.values, remedy)
     except InputError as error:
         return error.message
     return ""

@@ -12,15 +12,15 @@ from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import whole_folder
-from impact_rs_trials.recordings.importing import ImportDraft, Wishes, draft_import
+from impact_rs_trials.recordings.importing import ImportDraft, ImportOptions, draft_import
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Guess, show the evidence, and write."""
     if args.rate is not None and not args.rate > 0.0:
         raise InputError("expected a sampling rate > 0 Hz", key="--rate", value=args.rate)
-    wishes = Wishes(args.robot, args.scenario, args.rate, args.dedupe)
-    draft = draft_import(args.files, args.output, wishes)
+    options = ImportOptions(args.robot, args.scenario, args.rate, args.dedupe)
+    draft = draft_import(args.files, args.output, options)
     for name in draft.texts:
         if (args.output / name).exists():
             raise InputError("this file exists already; descriptions are never overwritten", file=args.output / name)

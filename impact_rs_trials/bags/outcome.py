@@ -79,7 +79,7 @@ class TrialRecord:
     object: PoseColumns
 
 
-class Witness:
+class TickLog:
     """Tick log of a trial in this process, for its outcome.
 
     Args:
@@ -90,7 +90,7 @@ class Witness:
         self._arms = list(plan.arms)
         self._ticks: list[Tick] = []
 
-    def see(self, tick: Tick) -> None:
+    def append(self, tick: Tick) -> None:
         """Take down one tick."""
         self._ticks.append(tick)
 
@@ -130,7 +130,7 @@ class _Finding:
     """Something that went wrong.
 
     Attributes:
-        outcome: What it makes of the trial.
+        outcome: Resulting outcome of the trial.
         time: Since when [s].
         reason: In one line.
     """

@@ -255,7 +255,7 @@ class TrialBag:
 
     @property
     def reason(self) -> str:
-        """Reason of the outcome, in one line: that of the recorder, or the meaning of the outcome."""
+        """Reason of the outcome, in one line: the recorder's, or the meaning of the outcome."""
         return self.metadata.get("outcome_reason") or OUTCOMES.get(self.outcome, "an outcome that is not known here")
 
     @property

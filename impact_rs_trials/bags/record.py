@@ -19,7 +19,7 @@ from impact_rs_sim.scene import Scene
 from impact_rs_sim.urdf import WORLD, write_description, write_object_description
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import TF_PERIOD_S, Frame, MessageMaker, RosbagsTypes
-from impact_rs_trials.bags.outcome import Verdict, Witness, judge
+from impact_rs_trials.bags.outcome import TickLog, Verdict, judge
 from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.bags.writer import BagWriter
@@ -185,7 +185,7 @@ def record_cell(
             for topic, urdf in descriptions(plan).items():
                 bag.write(topic, 0, maker.robot_description(urdf))
             bag.write(topics.TF_STATIC, 0, maker.transforms(0, frames.static))
-            witness, streaming = Witness(plan), StreamMaker(plan)
+            ticks, streaming = TickLog(plan), StreamMaker(plan)
             streams = {**streaming.of_plant(), **streaming.of_controller()}
             tick: Tick
             try:
@@ -200,11 +200,11 @@ def record_cell(
                             bag.write(
                                 topics.impact_event(arm), now, maker.impact_event(tick.number, arm, command.detection)
                             )
-                    witness.see(tick)
+                    ticks.append(tick)
             finally:  # an interrupted trial is readable up to its end
                 for topic, stream in streams.items():
                     bag.write_rows(topic, *stream.take())
-            verdict = judge(plan, witness.record())
+            verdict = judge(plan, ticks.record())
             bag.finish(verdict.outcome, verdict.reason)
             return verdict, {arm: command.net_feedback for arm, command in tick.commands.items()}
     finally:

@@ -2,7 +2,7 @@
 """Signals of every tick, kept as samples and serialized in bursts.
 
 Filling and serializing a message object per tick and topic costs more than the physics. Here a sample is kept when it
-is measured, and a whole burst is serialized column by column. The bytes are those of the messages that
+is measured, and a whole burst is serialized column by column. The bytes equal the messages that
 :class:`~impact_rs_trials.bags.messages.MessageMaker` makes.
 """
 

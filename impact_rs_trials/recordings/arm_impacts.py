@@ -28,7 +28,7 @@ from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS, clocks_apar
 from impact_rs_trials.recordings.contact_onset import onset_of
 from impact_rs_trials.recordings.experiment import RunRow
 from impact_rs_trials.recordings.impact_columns import SLIDE_DISTANCE, SUPPORT_FRICTION, ColumnGroup
-from impact_rs_trials.recordings.impact_rows import BY_WAY, ArmInImpact, Impact, NoRow
+from impact_rs_trials.recordings.impact_rows import BY_SLIDING_DISTANCE, ArmInImpact, Impact, NoRow
 from impact_rs_trials.recordings.joint_jumps import MIN_JUMP_SHARE, JointJump, jump_at, jumps_of
 from impact_rs_trials.recordings.laboratory import (
     MIN_POSE_RATE_HZ,
@@ -100,7 +100,7 @@ def impacts_of_run(laboratory: Laboratory, run: RunRow) -> tuple[list[Impact | N
     moments = _moments(laboratory, arms)
     if isinstance(moments, str):
         return [NoRow(run.label, moments)], tuple(remarks)
-    moments = by_onset(arms, moments, remarks)
+    moments = refined_by_onset(arms, moments, remarks)
     values = in_inertial_frame(laboratory.motion_capture, run, pose.values)
     rotations = np.array([pin.XYZQUATToSE3(row).rotation for row in values])
     start = float(arms[laboratory.tracker]["position"].time[0])
@@ -181,7 +181,7 @@ def _moments(laboratory: Laboratory, arms: Mapping[str, ArmSeries]) -> list[Jump
     return sorted(moments, key=_time)
 
 
-def by_onset(arms: Mapping[str, ArmSeries], moments: list[Jumps], remarks: list[str]) -> list[Jumps]:
+def refined_by_onset(arms: Mapping[str, ArmSeries], moments: list[Jumps], remarks: list[str]) -> list[Jumps]:
     """Refine the times of jumps by the onset of the fastest force or acceleration, if faster than the joints.
 
     Args:
@@ -326,4 +326,4 @@ def _by_distance(seen: _Seen, time: float, way: float) -> tuple[Array, tuple[flo
     direction = (end - start) * [1.0, 1.0, 0.0]
     speed = float(np.sqrt(2.0 * seen.laboratory.scenario.support.friction * 9.81 * way))
     twist = np.concatenate((speed * direction / np.linalg.norm(direction), np.full(3, np.nan)))
-    return twist, (0.5 * seen.laboratory.friction_noise * speed, np.nan), BY_WAY
+    return twist, (0.5 * seen.laboratory.friction_noise * speed, np.nan), BY_SLIDING_DISTANCE

@@ -26,7 +26,7 @@ from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 from impact_rs_trials.recordings.transforms import are_transforms, poses_of
 
 UNSEALED = (
-    "{} has arrays without checksums (or with blocks of zeros, whose checksum is that of a lost block): accidental "
+    "{} has arrays without checksums (or with blocks of zeros, whose checksum equals a lost block's): accidental "
     "changes of numbers cannot be detected (fletcher32 in h5py)"
 )
 TIME_KEY = "time.array"
@@ -43,7 +43,7 @@ class ArrayFile:
     Args:
         path: The file.
         mapping: Where the signals are.
-        names: What the placeholders of the mapping stand for.
+        names: Values of the placeholders of the mapping.
 
     Raises:
         InputError: It is no such file.

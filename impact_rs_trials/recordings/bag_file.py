@@ -5,7 +5,7 @@ A run has one clock. If header timestamps define it, times of a topic without he
 
     stamp  =  log - median(log - stamp of the joint states)
 
-The common transport delay cancels; a longer delay than that of the joint states remains as an error.
+The common transport delay cancels; the excess over the delay of the joint states remains as an error.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ class BagFile:
     Args:
         path: Folder, or bare ``.db3`` or ``.mcap`` file.
         mapping: Where the signals are.
-        names: What the placeholders of the mapping stand for.
+        names: Values of the placeholders of the mapping.
         wanted: Signals to read.
 
     Raises:

@@ -87,10 +87,10 @@ def impacts_of_bodies(runs: Sequence[TrackedBody], body: Body) -> tuple[list[Imp
 def _impacts_of(run: TrackedBody, body: Body) -> tuple[list[Impact], list[NoRow]]:
     if len(run.time) < 2 * MIN_FLIGHT_SAMPLES + 2:
         return [], [NoRow(run.run, f"{len(run.time)} samples, at least {2 * MIN_FLIGHT_SAMPLES + 2} are needed")]
-    found_breaks = breaks(run.time, run.position[:, 2], float(run.gravity[2]))
-    if found_breaks is None:
+    disturbed_and_reach = disturbed_samples(run.time, run.position[:, 2], float(run.gravity[2]))
+    if disturbed_and_reach is None:
         return [], [NoRow(run.run, "the tracker is so noisy that rest looks like free flight")]
-    off, reach = found_breaks
+    off, reach = disturbed_and_reach
     if not off[reach:-reach].any():
         return [], [NoRow(run.run, "nothing is hit")]
     found: list[Impact] = []
@@ -122,7 +122,7 @@ def _impacts_of(run: TrackedBody, body: Body) -> tuple[list[Impact], list[NoRow]
     return found, left_out
 
 
-def breaks(time: Array, height: Array, gravity: float) -> tuple[NDArray[np.bool_], int] | None:
+def disturbed_samples(time: Array, height: Array, gravity: float) -> tuple[NDArray[np.bool_], int] | None:
     """Mask of the samples not in free flight, ``(k,)``, ends included, and the half width k; None: too noisy.
 
     Args:
@@ -131,18 +131,18 @@ def breaks(time: Array, height: Array, gravity: float) -> tuple[NDArray[np.bool_
         gravity: Along the height, negative [m/s^2].
     """
     # Third differences of white noise are sqrt(20 / 6) times as large as second ones, and impacts are few.
-    noise = 1.4826 * float(np.median(np.abs(np.diff(_bend(time, height, 1))))) / np.sqrt(20.0 / 6.0)
+    noise = 1.4826 * float(np.median(np.abs(np.diff(_second_differences(time, height, 1))))) / np.sqrt(20.0 / 6.0)
     most = round(MAX_DIFFERENCE_S / float(np.median(np.diff(time))))
     for reach in range(1, min(most, (len(time) - 2) // 4) + 1):
         limit = max(MIN_DISTURBANCE_SIGMA * noise / reach**2, MIN_DISTURBANCE_G * abs(gravity))
         if limit <= MAX_NOISE_G * abs(gravity):
             off = np.ones(len(time), dtype=bool)
-            off[reach:-reach] = np.abs(_bend(time, height, reach) - gravity) > limit
+            off[reach:-reach] = np.abs(_second_differences(time, height, reach) - gravity) > limit
             return off, reach
     return None
 
 
-def _bend(time: Array, height: Array, reach: int) -> Array:
+def _second_differences(time: Array, height: Array, reach: int) -> Array:
     """Second differences over ``reach`` samples on either side [m/s^2]."""
     first, last = time[reach:-reach] - time[: -2 * reach], time[2 * reach :] - time[reach:-reach]
     slopes = (height[2 * reach :] - height[reach:-reach]) / last, (height[reach:-reach] - height[: -2 * reach]) / first
@@ -165,7 +165,7 @@ def _impact(run: TrackedBody, body: Body, name: str, before: Rows, after: Rows, 
         fly(run.time[rows], run.position[rows], run.rotation[rows], run.gravity, body.moments, at)
         for rows, at in ((before, edge[0]), (after, edge[1]))
     )
-    time = _meeting(ante, post, edge)
+    time = _crossing_time(ante, post, edge)
     position, rotation, twist = ante.at(time)
     post_twist = post.at(time)[2]
     if run.spin is not None:
@@ -217,7 +217,7 @@ def _window(run: TrackedBody, rows: Rows, side: int) -> Rows:
     return np.asarray(rows if side > 0 else rows[::-1])
 
 
-def _meeting(ante: FittedMotion, post: FittedMotion, edge: tuple[float, float]) -> float:
+def _crossing_time(ante: FittedMotion, post: FittedMotion, edge: tuple[float, float]) -> float:
     """Time at which both have the same height; both fall with g, so their difference is linear in time."""
     start = edge[0]
     gap = ante.at(start)[0][2] - post.at(start)[0][2]

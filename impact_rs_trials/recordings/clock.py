@@ -147,7 +147,7 @@ def gaps(time: Array, longest: float) -> list[Gap]:
     return [Gap(float(time[index]), float(steps[index])) for index in np.flatnonzero(steps > longest)]
 
 
-def tell_gaps(found: list[Gap], start: float) -> str:
+def gaps_in_words(found: list[Gap], start: float) -> str:
     """``0.030 s at t = 1.250 s, ...`` with times since ``start`` [s]."""
     shown = ", ".join(f"{gap.length:.3f} s at t = {gap.start - start:.3f} s" for gap in found[:MAX_SHOWN_GAPS])
     return shown + (f" and {len(found) - MAX_SHOWN_GAPS} more" if len(found) > MAX_SHOWN_GAPS else "")

@@ -10,7 +10,7 @@ commands contain the gravity torque g(q). The offset d maximises the correlation
 with x and y less their means; around its maximum y = a x + b is fitted to every column by least squares. Objects do not
 move with the joints: in a hit the object starts to move when the joint velocities jump.
 
-The standard error is that of least squares with residuals r of the samples, sigma_d^-2 = sum (a dx/dt)^2 / mean r^2
+The standard error follows from least squares with residuals r of the samples, sigma_d^-2 = sum (a dx/dt)^2 / mean r^2
 over samples and columns.
 """
 
@@ -37,8 +37,8 @@ FOUND_BY: dict[SignalName, str] = {
     "velocity": "the derivative of the positions",
     "motor_position": "the positions",
     "motor_velocity": "the derivative of the positions",
-    "torque": "the weight at the positions",
-    "command": "the weight at the positions",
+    "torque": "the gravity torque at the positions",
+    "command": "the gravity torque at the positions",
 }
 OBJECT_SIGNALS: tuple[SignalName, ...] = ("object_pose", "object_position", "object_quaternion")
 MAX_START_DIFFERENCE = (0.010, 1.5)  # s, and periods of the pose, between the impact and the start of the object,
@@ -79,7 +79,7 @@ def on_one_clock(
     return moved
 
 
-def with_start_at(path: Path, pose: Series, position: Series, key: str) -> Series:
+def shifted_to_impact(path: Path, pose: Series, position: Series, key: str) -> Series:
     """The pose of an object on the clock of the joints: it starts to move at the impact.
 
     Args:
@@ -219,8 +219,8 @@ def offset_between(expected: Series, measured: Series, path: Path, key: str) -> 
     """Offset added to the timestamps of ``measured`` for the best fit to ``expected``, and its standard error [s].
 
     Args:
-        expected: What it should be, up to a factor and an offset of every column.
-        measured: What was measured, with as many columns.
+        expected: Predicted signal, up to a factor and an offset of every column.
+        measured: Measured signal, with as many columns.
         path: File, for messages.
         key: Key of the mapping, for messages.
 
@@ -261,8 +261,8 @@ def misfit(expected: Series, measured: Series, offset: float) -> tuple[float, fl
     """1 - R^2 of a linear fit per column, averaged, and the standard error of the clock offset [s].
 
     Args:
-        expected: What it should be, up to a factor and an offset of every column.
-        measured: What was measured, with as many columns.
+        expected: Predicted signal, up to a factor and an offset of every column.
+        measured: Measured signal, with as many columns.
         offset: Added to the timestamps of ``measured`` [s].
     """
     time = measured.time + offset

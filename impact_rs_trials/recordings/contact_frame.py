@@ -50,8 +50,8 @@ class PadOnFace:
         size: Of the object, ``(3,)`` [m].
         standing: Initial height of its centre over the support [m].
         standing_height: Initial height of its centre in the world of the motion capture [m].
-        pad_way: Displacement of the pad after the impact, in A, ``(2,)`` [m].
-        object_way: Displacement of the object meanwhile, in the world of the motion capture, ``(2,)`` [m].
+        pad_displacement: Displacement of the pad after the impact, in A, ``(2,)`` [m].
+        object_displacement: Displacement of the object meanwhile, in the world of the motion capture, ``(2,)`` [m].
     """
 
     run: str
@@ -62,8 +62,8 @@ class PadOnFace:
     size: Array
     standing: float
     standing_height: float
-    pad_way: Array
-    object_way: Array
+    pad_displacement: Array
+    object_displacement: Array
 
 
 @dataclass(frozen=True)
@@ -164,10 +164,14 @@ def _undetermined(slopes: Array) -> Array | None:
 def _first(touches: Sequence[PadOnFace], given_yaw: float) -> Array:
     """Initial x, y and yaw: objects move with the pads, and every pad is at the centre of its face."""
     yaw = given_yaw
-    if sum(float(np.linalg.norm(touch.object_way)) for touch in touches) > MIN_TOTAL_PUSH_M:
-        cosine = sum(float(touch.object_way @ touch.pad_way) for touch in touches)
+    if sum(float(np.linalg.norm(touch.object_displacement)) for touch in touches) > MIN_TOTAL_PUSH_M:
+        cosine = sum(float(touch.object_displacement @ touch.pad_displacement) for touch in touches)
         sine = sum(
-            float(touch.object_way[0] * touch.pad_way[1] - touch.object_way[1] * touch.pad_way[0]) for touch in touches
+            float(
+                touch.object_displacement[0] * touch.pad_displacement[1]
+                - touch.object_displacement[1] * touch.pad_displacement[0]
+            )
+            for touch in touches
         )
         yaw = float(np.arctan2(sine, cosine))
     turn = pin.rpy.rpyToMatrix(0.0, 0.0, yaw)

@@ -19,8 +19,8 @@ from impact_rs_trials.recordings.file_groups import OBJECT, FileGroups
 from impact_rs_trials.recordings.import_checks import (
     MIN_OBJECT_DISPLACEMENT_M,
     clocks_of,
-    doubt_of,
-    doubts_of_hit,
+    impact_warnings,
+    mapping_warning,
     object_moves,
 )
 from impact_rs_trials.recordings.import_texts import FoundRun, Notes, flow
@@ -152,7 +152,7 @@ class DescribedRuns:
                 read = read_series(path, mapping, wanted, wanted, row.names)
                 self._notes.remarks += [remark for one in read.values() for remark in one.remarks]
                 if mapping.robot != NO_ROBOT:
-                    self._notes.remarks += doubts_of_hit(read, mapping)
+                    self._notes.remarks += impact_warnings(read, mapping)
             else:
                 target = path if path.exists() or path.parent.is_file() else path.parent
                 self._notes.remarks += [
@@ -169,7 +169,7 @@ class DescribedRuns:
         apart = 0
         for row in (others[number] for number in numbers):
             try:
-                doubt = doubt_of(self._groups.folder / row.run, mapping, row.names, model)
+                doubt = mapping_warning(self._groups.folder / row.run, mapping, row.names, model)
             except InputError as error:
                 doubt = f"the reader refuses it: {error}"
             if doubt is not None:

@@ -262,7 +262,7 @@ def read_runs(directory: Path, experiment: Experiment, scenario: Scenario | None
         scenario: Scenario with the objects; None: a body without a robot, which is called body.
 
     Raises:
-        InputError: It cannot be used; the message names file, line, column, value and what was expected.
+        InputError: It cannot be used; the message names file, line, column, value and expected range.
     """
     if not directory.is_dir():
         what = "a file where the folder of the recordings is expected" if directory.is_file() else "no such folder"

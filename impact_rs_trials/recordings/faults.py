@@ -16,7 +16,7 @@ the signal is noisy, or in another unit: they stay, and the limits of the data s
 
 A run of identical values is *frozen* where other measurements contradict it: a joint that stands still by its position
 and moves by its velocity (or the other way around), one that stops dead while the others go on, a torque that stays
-while the arm's weight changes. Runs of a sensor that repeats values as a rule (quantised, or sampled more slowly than
+while the gravity torque changes. Runs of a sensor that repeats values as a rule (quantised, or sampled more slowly than
 it is recorded) must be ten times as long as its usual ones. A joint that stands still in the whole recording, with
 velocity 0, counts as resting.
 
@@ -24,7 +24,7 @@ False alarms: none in 2000 simulated recordings of quantised encoders that rest,
 them in ``test_faults.py``), which is less than 0.15 % of recordings at 95 % confidence. Found of 208 joints that freeze
 for half a recording and would have moved by 0.1 rad: 90 % where the velocity has a sensor of its own, 79 % of frozen
 velocities, and 28 % where the velocity is the frozen encoder's own difference, which says something only if the joint
-moves as it freezes. Found as well: all torques whose weight changes by 1 N m, and all single samples of 50 rad/s.
+moves as it freezes. Found as well: all torques whose gravity part changes by 1 N m, and all single samples of 50 rad/s.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def without_faults(
         kept = cleaned["position"]
         moving = _without(kept, frozen.get("position", np.zeros(kept.values.shape, dtype=bool)))
         if moving.time.size:
-            frozen["torque"] = _torque_unlike_weight(cleaned["torque"], moving, mapping, model)
+            frozen["torque"] = _torque_unlike_gravity(cleaned["torque"], moving, mapping, model)
     for stuck, wrong in frozen.items():
         remarks += _remarks(cleaned[stuck], wrong, "frozen", mapping, stuck)
         cleaned[stuck] = _without(cleaned[stuck], wrong)
@@ -108,7 +108,7 @@ def without_faults(
 
 def _impact(position: Series, velocity: Series, mapping: Mapping) -> float:
     """Time of the arm's impact, by positions and velocities without their outliers [s]."""
-    alone = _alone(velocity.values, MIN_OUTLIER_SHARE * np.array(mapping.facts.limits.velocity_rad_s))
+    alone = _hampel_outliers(velocity.values, MIN_OUTLIER_SHARE * np.array(mapping.facts.limits.velocity_rad_s))
     kept = _without(position, outliers("position", position, mapping, None))
     return impact_time(kept, _without(velocity, alone))
 
@@ -145,7 +145,7 @@ def outliers(name: SignalName, series: Series, mapping: Mapping, impact: float |
         beyond[(time >= impact - BEFORE_IMPACT_S) & (time <= impact + AFTER_IMPACT_S)] = False
     if name.startswith("motor"):  # the data sheet has no limits for them
         beyond[:] = False
-    alone = _alone(values, floor)
+    alone = _hampel_outliers(values, floor)
     if name == "torque" and impact is not None:  # a sensor may well see a blow in one sample
         alone[(time >= impact - BEFORE_IMPACT_S) & (time <= impact + AFTER_IMPACT_S)] = False
     alone[:, alone.mean(axis=0) > MAX_OUTLIER_SHARE] = False
@@ -154,7 +154,7 @@ def outliers(name: SignalName, series: Series, mapping: Mapping, impact: float |
     return np.asarray(wrong)
 
 
-def _alone(values: Array, floor: Array) -> Mask:
+def _hampel_outliers(values: Array, floor: Array) -> Mask:
     """Samples far from the median of the five about them, ``(k, n)``."""
     if values.shape[0] < 5:
         return np.zeros(values.shape, dtype=bool)
@@ -278,8 +278,8 @@ def _motion_unlike_way(velocity: Series, position: Series, mapping: Mapping) -> 
     return frozen
 
 
-def _torque_unlike_weight(torque: Series, position: Series, mapping: Mapping, model: RobotModel) -> Mask:
-    """Torques that stay the same while the arm's weight in that joint changes, ``(k, n)``."""
+def _torque_unlike_gravity(torque: Series, position: Series, mapping: Mapping, model: RobotModel) -> Mask:
+    """Torques that stay the same while the gravity torque of that joint changes, ``(k, n)``."""
     time, values = torque.time, torque.values
     least = np.maximum(
         MIN_CHANGE_RESOLUTIONS * _resolution(values),
@@ -289,8 +289,8 @@ def _torque_unlike_weight(torque: Series, position: Series, mapping: Mapping, mo
     for joint in range(values.shape[1]):
         for run in _runs(torque, joint) if np.ptp(values[:, joint]) > 0.0 else ():  # else it was not measured at all
             rows = np.unique(np.linspace(run.start, run.stop - 1, MIN_FROZEN_SAMPLES).astype(int))
-            weight = [float(model.gravity_torque(q)[joint]) for q in position.at(time[rows])]
-            if np.ptp(weight) > least[joint]:
+            gravity = [float(model.gravity_torque(q)[joint]) for q in position.at(time[rows])]
+            if np.ptp(gravity) > least[joint]:
                 frozen[run, joint] = True
     return frozen
 

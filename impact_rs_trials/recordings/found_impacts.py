@@ -55,7 +55,7 @@ STILL = ("", "a motion in a plane, or it was not tracked", "a motion along a lin
 
 @dataclass(frozen=True)
 class FoundImpacts:
-    """What was found.
+    """Found impacts of an experiment.
 
     Attributes:
         impacts: Impacts in the order of the runs.
@@ -207,13 +207,13 @@ def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> tuple[TrackedBody, list
         if not finite.all():
             share = Amount(int(np.sum(~finite)), "d"), " of ", Amount(finite.size, "d")
             remarks.append(Remark(f"{pose.place}: ", *share, " samples are no finite numbers: left out"))
-        remarks += _doubts_of_motion(pose.place, pose.time[finite], pose.values[finite, :3])
+        remarks += _motion_warnings(pose.place, pose.time[finite], pose.values[finite, :3])
         return tracked_body(row.label, pose.time[finite], pose.values[finite], body, plane, spin), remarks
     except InputError as error:
         return error
 
 
-def _doubts_of_motion(place: str, time: Array, position: Array) -> list[str]:
+def _motion_warnings(place: str, time: Array, position: Array) -> list[str]:
     """Warnings about impossible motions of a free body: a constant coordinate, or a jump; positions ``(k, 3)`` [m]."""
     moves = np.ptp(position, axis=0) > 0.0
     said = []

@@ -13,7 +13,7 @@ A hypothesis gives the numbers y of a stream a role in the motion q(t) of the jo
     copy        y = s a (x + L dx/dt) / u + c         of x = q, dq or ddq, as commanded or filtered signals are
     none        y = F + c                             F: Coulomb and viscous friction where it is a torque; c: offset
 
-Its log likelihood over that of *none* is, with the residuals r of least squares and k independent samples,
+Its log likelihood ratio to *none* is, with the residuals r of least squares and k independent samples,
 
     sum_j  k_j / 2  log(sum r_none^2 / sum r^2)  -  log(k_j) / 2                             (Schwarz 1978)
 
@@ -190,7 +190,7 @@ class JointMotion:
         return self.model.facts
 
     @functools.cached_property
-    def weight(self) -> Array:
+    def gravity_torque(self) -> Array:
         """g, ``(k, n)`` [N m, N]."""
         return np.array([self.model.gravity_torque(q) for q in self.position])
 
@@ -308,7 +308,7 @@ def torques(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
         y: The stream, :meth:`JointMotion.sampled`, ``(k, n)``.
     """
     needed = motion.whole
-    shown = takes_torque(needed - needed.mean(axis=0), motion.model) & (np.ptp(y, axis=0) > 0.0)
+    shown = driven_joints(needed - needed.mean(axis=0), motion.model) & (np.ptp(y, axis=0) > 0.0)
     if not np.any(shown):
         return []
     friction = dry_friction(motion.velocity), motion.velocity, np.ones_like(y)
@@ -318,7 +318,7 @@ def torques(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
     heavy = heavy if np.any(heavy) else shown
     listed = ", ".join(str(joint + 1) for joint in np.flatnonzero(heavy))
     said = (
-        f"{spread(free.factor[heavy])} times the torque that weight and inertia of the arm take in joint"
+        f"{spread(free.factor[heavy])} times the torque that gravity and inertia of the arm take in joint"
         f"{'s' if np.sum(heavy) > 1 else ''} {listed}"
     )
     said += "" if np.all(heavy) else "; the others show nothing and are taken like them"
@@ -333,17 +333,17 @@ def torques(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
         prior = float(np.log(PRIOR[turns])) + _signs_prior(signs[heavy])
         unit = common(motion.units(turns, slide))
         found.append(RoleHypothesis("torque", unit, said, _gains(relation, shown, density), prior, further))
-    weighty = heavy & (np.std(motion.weight, axis=0) > np.std(needed - motion.weight, axis=0))
+    gravity_shown = heavy & (np.std(motion.gravity_torque, axis=0) > np.std(needed - motion.gravity_torque, axis=0))
     # Inertia shows no torque constant, because the motors' own inertia is unknown.
-    weighty = weighty if np.any(weighty) else heavy
-    usual = float(np.clip(np.median(np.abs(free.factor[weighty])), *INVERSE_TORQUE_CONSTANTS))
+    gravity_shown = gravity_shown if np.any(gravity_shown) else heavy
+    usual = float(np.clip(np.median(np.abs(free.factor[gravity_shown])), *INVERSE_TORQUE_CONSTANTS))
     sign = usual_sign(free.factor[heavy])
     within = usual / np.sqrt(MAX_CONSTANT_RATIO), usual * np.sqrt(MAX_CONSTANT_RATIO)
     relation = fit(sign * needed, y, friction, samples, within)
     wrong = relation.factor < 0.0
-    constants = np.where(weighty & ~wrong, 1.0 / np.maximum(np.abs(free.factor), 1e-12), 1.0 / usual)
+    constants = np.where(gravity_shown & ~wrong, 1.0 / np.maximum(np.abs(free.factor), 1e-12), 1.0 / usual)
     own = {**({} if sign > 0.0 else {"factor": -1.0}), "torque_constant": [float(f"{one:.3g}") for one in constants]}
-    why = f"{said}: no unit of torque; taken for motor currents, with the constants that the weight shows"
+    why = f"{said}: no unit of torque; taken for motor currents, with the constants shown by the gravity torque"
     each = float(
         np.log(np.log(MAX_CONSTANT_RATIO))
     )  # the first joint's constant is anywhere in the range, the others near it
@@ -364,7 +364,7 @@ def torques(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
     return _ordered(found)
 
 
-def takes_torque(needed: Array, model: RobotModel) -> NDArray[np.bool_]:
+def driven_joints(needed: Array, model: RobotModel) -> NDArray[np.bool_]:
     """Joints with a noticeable torque, by the torque ``(k, n)`` [N m] of the motion; ``(n,)``."""
     size = Proportion.of_robots([model.facts], np.asarray(model.pinocchio.gravity.linear)).factor("N m")
     return np.asarray(np.sqrt(np.mean(np.square(needed), axis=0)) > MIN_TORQUE_NM * size)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cells of a table of impacts as numbers in SI units; errors name row, column and value, and what was expected."""
+"""Cells of a table of impacts as numbers in SI units; errors name row, column, found and expected value."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ class OtherAxes:
     """Axes in which velocities may have been measured, ``measured = s R true``.
 
     Attributes:
-        of: Angular velocities alone, or those of the centre as well.
+        of: Angular velocities alone, or also velocities of the centre.
         rotation: R, ``(3, 3)`` [-].
         sign: s; -1: left-handed axes [-].
         left: What breaks the laws with them, root mean square over the rows [m/s].
@@ -271,7 +271,7 @@ def _turns() -> list[Array]:
 
 
 def _looked_at(table: ImpactTable) -> tuple[list[ImpactRow], list[_Laws]]:
-    """Rows, evenly taken, and the laws of each; none of a table with too few."""
+    """Rows, evenly taken, with the laws of each; empty for a table with too few."""
     chosen = np.unique(np.linspace(0, len(table.rows) - 1, MAX_ROWS).astype(int)).tolist()
     if len(chosen) < MIN_ROWS:
         return [], []

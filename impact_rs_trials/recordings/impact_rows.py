@@ -41,7 +41,7 @@ from impact_rs_trials.recordings.impact_columns import (
 )
 
 TABLE_DIGITS = 9  # significant ones
-BY_WAY = "sliding distance"  # law after the impact: the velocity follows from the displacement to rest
+BY_SLIDING_DISTANCE = "sliding distance"  # law after the impact: the velocity follows from the displacement to rest
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ def table_text(impacts: Sequence[Impact], constants: Mapping[str, float]) -> str
     """
     form = _Form(
         turned=all(impact.turn_tracked for impact in impacts),
-        by_distance=all(impact.model == BY_WAY for impact in impacts),
+        by_distance=all(impact.model == BY_SLIDING_DISTANCE for impact in impacts),
         sessions=any(impact.session for impact in impacts),
         conditions=any(impact.condition not in ("", impact.session) for impact in impacts),
     )

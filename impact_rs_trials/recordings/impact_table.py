@@ -79,7 +79,7 @@ from impact_rs_trials.recordings.impact_columns import (
     name_and_unit,
 )
 from impact_rs_trials.recordings.impact_contents import TableContents, read_with_contents, unread
-from impact_rs_trials.recordings.unsure_scene import known_of_scene, with_another
+from impact_rs_trials.recordings.unsure_scene import nominal_values, with_value
 from impact_rs_trials.since import measured_since
 
 SUFFIXES = (".csv", ".parquet")
@@ -323,7 +323,7 @@ class _Reader:
             known = [own for own in known if not own.startswith("offset")]
         known += [SUPPORT_FRICTION.first] if self._scales(SUPPORT_FRICTION.first) else []
         scenario = self.contents.scenario
-        of_scene = {} if scenario is None else known_of_scene(scenario)
+        of_scene = {} if scenario is None else nominal_values(scenario)
         known += [own for own in of_scene if own not in known]
         if name not in known:
             raise InputError(
@@ -356,7 +356,7 @@ class _Reader:
         if name in UNSEEN_GEOMETRY:
             return replace(self, geometry={name: value}, physics={})
         assert self.contents.scenario is not None
-        scenario = with_another(self.contents.scenario, name, value)
+        scenario = with_value(self.contents.scenario, name, value)
         return replace(self, contents=replace(self.contents, scenario=scenario), physics={})
 
     def _tolerance(self, row: int) -> float:

@@ -24,7 +24,7 @@ from impact_rs_trials.recordings.hypotheses import (
     torques,
     velocities,
 )
-from impact_rs_trials.recordings.joint_checks import doubts_of_arm
+from impact_rs_trials.recordings.joint_checks import arm_warnings
 from impact_rs_trials.recordings.joint_jumps import MIN_JUMP_SHARE, jumps_of
 from impact_rs_trials.recordings.mapping import REQUIRED, Mapping, SignalName
 from impact_rs_trials.recordings.series import Names, Series
@@ -37,13 +37,13 @@ MIN_OBJECT_DISPLACEMENT_M = 0.005  # of an object that was hit
 SI = {"rad", "m", "rad/s", "m/s", "N m", "N"}
 
 
-def doubt_of(path: Path, mapping: Mapping, names: Names, model: RobotModel) -> str | None:
+def mapping_warning(path: Path, mapping: Mapping, names: Names, model: RobotModel) -> str | None:
     """Contradiction between a mapping and the joints of a run.
 
     Args:
         path: The run.
         mapping: Describes it.
-        names: What the placeholders of the mapping stand for.
+        names: Values of the placeholders of the mapping.
         model: Of the robot.
 
     Returns:
@@ -100,7 +100,7 @@ def travel_of(path: Path, mapping: Mapping, names: Names) -> float | None:
     Args:
         path: The run.
         mapping: Describes it.
-        names: What the placeholders of the mapping stand for.
+        names: Values of the placeholders of the mapping.
 
     Raises:
         InputError: The run cannot be read.
@@ -116,7 +116,7 @@ def object_moves(path: Path, mapping: Mapping, names: Names) -> bool:
     return (travel_of(path, mapping, names) or 0.0) > MIN_OBJECT_DISPLACEMENT_M
 
 
-def doubts_of_hit(read: AbstractMapping[SignalName, Series], mapping: Mapping) -> list[str]:
+def impact_warnings(read: AbstractMapping[SignalName, Series], mapping: Mapping) -> list[str]:
     """Warnings about the joints of a run with an impact.
 
     Args:
@@ -129,7 +129,7 @@ def doubts_of_hit(read: AbstractMapping[SignalName, Series], mapping: Mapping) -
         signals["velocity"] = read["position"].derivative().values
     arm = ArmSignals(signals["position"], signals["velocity"], signals["torque"])
     model = RobotModel(mapping.facts, mapping.end_effector.build(), pin.SE3.Identity())
-    return doubts_of_arm(time, arm, mapping, model, contact=True)
+    return arm_warnings(time, arm, mapping, model, contact=True)
 
 
 def clocks_of(path: Path, mapping: Mapping, names: Names) -> ClocksApart | None:
@@ -138,7 +138,7 @@ def clocks_of(path: Path, mapping: Mapping, names: Names) -> ClocksApart | None:
     Args:
         path: The run.
         mapping: Describes it.
-        names: What the placeholders of the mapping stand for.
+        names: Values of the placeholders of the mapping.
 
     Returns:
         The offset; None: no evidence, or the run cannot be read.

@@ -71,7 +71,7 @@ class ImportDraft:
 
 
 @dataclass(frozen=True)
-class Wishes:
+class ImportOptions:
     """Options of an import: the user's knowledge about the files.
 
     Attributes:
@@ -87,27 +87,27 @@ class Wishes:
     dedupe: bool = False
 
 
-def draft_import(paths: Sequence[Path], output: Path, wishes: Wishes) -> ImportDraft:
+def draft_import(paths: Sequence[Path], output: Path, options: ImportOptions) -> ImportDraft:
     """Describe recordings.
 
     Args:
         paths: Files, bags, or folders of them.
         output: Folder of the description, to which paths of a robot are relative.
-        wishes: What the user knows.
+        options: Options of the import.
 
     Raises:
         InputError: They cannot be read, or a key is missing without evidence; the message names the remedy.
     """
     with files_read_once():
         files = [file for path in paths for file in find_recordings(path, notes=True)]
-        return _Importer(group_files(files), output, wishes).draft()
+        return _Importer(group_files(files), output, options).draft()
 
 
 class _Importer:
     """Collects guesses."""
 
-    def __init__(self, groups: FileGroups, output: Path, wishes: Wishes) -> None:
-        self._groups, self._output, self._wishes = groups, output, wishes
+    def __init__(self, groups: FileGroups, output: Path, options: ImportOptions) -> None:
+        self._groups, self._output, self._options = groups, output, options
         self._notes = Notes()
         self._parts = [
             open_recorded(pattern, next(iter(files.values())), groups.spread, self._notes)
@@ -121,10 +121,10 @@ class _Importer:
         signals: dict[str, dict[str, Any]] = {}
         own: dict[str, Any] = {}
         part = self._parts[0]
-        joints = JointSections(self._parts, self._groups, self._wishes.rate, self._notes)
+        joints = JointSections(self._parts, self._groups, self._options.rate, self._notes)
         if facts is not None:
             part, own, signals = joints.describe(robot, facts)
-        tracked = ObjectSections(self._parts, self._groups, self._wishes.rate, self._notes)
+        tracked = ObjectSections(self._parts, self._groups, self._options.rate, self._notes)
         pose_part = tracked.describe(part, facts is not None, signals)
         if facts is None and pose_part is None:
             raise InputError(
@@ -147,13 +147,13 @@ class _Importer:
             content["run_column"] = main.run_column
         content["signals"] = signals
         mapping = validate(Mapping, content | {"robot": robot}, self._output / "mapping.yaml")
-        runs = DescribedRuns(tracked.groups, self._wishes.scenario, self._notes)
+        runs = DescribedRuns(tracked.groups, self._options.scenario, self._notes)
         rows = runs.rows(mapping)
         if facts is not None and runs.clock_of_object(mapping, rows, signals):
             mapping = validate(Mapping, content | {"robot": robot}, self._output / "mapping.yaml")
         texts = {"mapping.yaml": mapping_text(content, self._notes.lines), "runs.csv": runs_text(rows, facts is None)}
         hits = sum(row.hit for row in rows)
-        if hits or facts is None or self._wishes.scenario is not None:
+        if hits or facts is None or self._options.scenario is not None:
             texts["experiment.yaml"] = self._experiment(facts, robot)
         runs.check_first(mapping, rows)
         if facts is not None:
@@ -164,9 +164,9 @@ class _Importer:
         )
 
     def _robot(self) -> str:
-        if self._wishes.robot is not None:
-            self._notes.say("robot", self._wishes.robot, "given with --robot")
-            return self._wishes.robot
+        if self._options.robot is not None:
+            self._notes.say("robot", self._options.robot, "given with --robot")
+            return self._options.robot
         known = sorted(path.stem for path in (config_directory() / "robots").glob("*.yaml"))
         texts = [text for part in self._parts for text in (part.path.parent.name, part.path.stem)]
         texts += [text for part in self._parts for one in part.candidates for text in (one.label, *one.joints)]
@@ -192,9 +192,9 @@ class _Importer:
         )
 
     def _time(self, part: RecordedFile) -> dict[str, Any]:
-        keys = part.clock_keys(self._wishes.rate)
-        if self._wishes.rate is not None:
-            self._notes.say("time.rate", f"{self._wishes.rate:g}", "given with --rate")
+        keys = part.clock_keys(self._options.rate)
+        if self._options.rate is not None:
+            self._notes.say("time.rate", f"{self._options.rate:g}", "given with --rate")
         elif part.on_log:
             self._notes.say("time", flow(keys), f"of the positions: {NO_HEADER}")
         elif part.clock is not None:
@@ -202,9 +202,9 @@ class _Importer:
             self._notes.remarks += part.clock.remarks
             if not any(STAMP.search(name) for name in part.clock_columns) and (back := steps_back(part.columns)):
                 self._notes.remarks.append(f"{back}; {flow(part.clock.value)} is taken for the clock instead")
-            if part.clock.remarks and not self._wishes.dedupe:
+            if part.clock.remarks and not self._options.dedupe:
                 self._notes.remarks.append("repeated stamps are refused; --dedupe keeps the first sample of each")
-        if self._wishes.dedupe:
+        if self._options.dedupe:
             keys["repeated"] = "keep_first"
             self._notes.say("time.repeated", "keep_first", "given with --dedupe")
         return keys
@@ -212,7 +212,7 @@ class _Importer:
     def _experiment(self, facts: RobotFacts | None, robot: str) -> str:
         if facts is None:
             return BODY
-        scenario = self._wishes.scenario
+        scenario = self._options.scenario
         if scenario is None:
             self._notes.remarks.append(
                 f"experiment.yaml names scenario.yaml, which is not there: impact-rs scenario new --robot {robot} -o "

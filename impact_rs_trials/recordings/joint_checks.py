@@ -59,9 +59,7 @@ MIN_MISSED_STEPS = 10.0  # of the resolution; a larger change was missed by the 
 MIN_REST_S = 0.2  # of equal samples that are a rest
 
 
-def doubts_of_arm(
-    time: Array, arm: ArmSignals, mapping: Mapping, model: RobotModel, contact: bool = False
-) -> list[str]:
+def arm_warnings(time: Array, arm: ArmSignals, mapping: Mapping, model: RobotModel, contact: bool = False) -> list[str]:
     """Warnings about the signals of an arm: joint, size of the error, and the remedy in the mapping.
 
     Args:
@@ -72,7 +70,7 @@ def doubts_of_arm(
         contact: Whether contacts push the arm, so that torques show neither gravity nor friction.
     """
     rows = np.unique(np.linspace(0, time.size - 1, GRAVITY_SAMPLES).astype(int))
-    weight, derived = gravity_torques(model, arm.position[rows]), np.gradient(arm.position, time, axis=0)
+    gravity, derived = gravity_torques(model, arm.position[rows]), np.gradient(arm.position, time, axis=0)
     moving = moves(derived, mapping.facts)
     motion, means = AveragedMotion.of(time, arm.position), averaged(time, arm.velocity)[1]
     velocity = motion.velocity_relation(time, arm.velocity)
@@ -83,7 +81,7 @@ def doubts_of_arm(
     lags: list[tuple[float, float]] = []
     factors = {"velocity": np.ones(moving.size), "torque": np.ones(moving.size)}
     for joint in range(moving.size):
-        own, heavy = weight[:, joint], _rms(weight[:, joint]) > noticed(model)
+        own, heavy = gravity[:, joint], _rms(gravity[:, joint]) > noticed(model)
         together = abs(float(velocity.correlation[joint]))
         if moving[joint] and together >= MIN_CORRELATION:
             ratio, error = float(late.factor[joint]), float(late.standard_error[joint])
@@ -101,9 +99,9 @@ def doubts_of_arm(
             mixed.append(Remark(f"of joint {joint + 1} (correlation ", Amount(together, ".2f"), ")"))
         if contact or not np.ptp(arm.torque[:, joint]):  # not measured
             continue
-        if heavy and (ratio_of_weight := _ratio(arm.torque[rows, joint], own)) is not None:
-            torques[joint] = Remark("is ", Amount(ratio_of_weight, ".2g"), " times the arm's weight, expected 1")
-            factors["torque"][joint] = _remedy(ratio_of_weight)
+        if heavy and (ratio_of_gravity := _ratio(arm.torque[rows, joint], own)) is not None:
+            torques[joint] = Remark("is ", Amount(ratio_of_gravity, ".2g"), " times the gravity torque, expected 1")
+            factors["torque"][joint] = _remedy(ratio_of_gravity)
         driving = factors["velocity"][joint] * arm.velocity[rows, joint]
         against = correlation(arm.torque[rows, joint] - own, driving)
         if moving[joint] and not heavy and against < MAX_CORRELATION_DRIVING:
@@ -111,7 +109,7 @@ def doubts_of_arm(
                 "points against its motion (correlation ", Amount(against, ".2f"), "), as if friction drove it"
             )
             factors["torque"][joint] = -1.0
-    load = _load(model, arm, rows, weight, torques) if torques else None
+    load = _load(model, arm, rows, gravity, torques) if torques else None
     is_not = " is not the derivative of its position: columns of other joints?"
     remark = Remark("velocity ", joined(", ", mixed), is_not)
     period = float(np.median(np.diff(time)))
@@ -125,7 +123,7 @@ def doubts_of_arm(
     ]
 
 
-def _load(model: RobotModel, arm: ArmSignals, rows: Array, weight: Array, doubted: dict[int, str]) -> Remark | None:
+def _load(model: RobotModel, arm: ArmSignals, rows: Array, gravity: Array, doubted: dict[int, str]) -> Remark | None:
     """Warning about a load that explains torques better than factors of the doubted joints; None: it does not.
 
     Both are judged by cross-validation over blocks of the poses.
@@ -133,11 +131,11 @@ def _load(model: RobotModel, arm: ArmSignals, rows: Array, weight: Array, doubte
     joints = np.flatnonzero(np.ptp(arm.torque, axis=0) > 0.0)
     torque = arm.torque[rows][:, joints]
     every = np.array([_torques_of_a_load(model, q)[joints] for q in arm.position[rows]])
-    odd, beyond = odd_blocks(rows.size), torque - weight[:, joints]
+    odd, beyond = odd_blocks(rows.size), torque - gravity[:, joints]
     load = held_out_misfit(every.reshape(-1, 4), beyond.reshape(-1, 1), np.repeat(odd, joints.size))
     left = {"load": float(load[0]), "factors": 0.0}
     for place, joint in enumerate(joints):
-        own = weight[:, [joint]]
+        own = gravity[:, [joint]]
         factors = held_out_misfit(own, torque[:, [place]], odd) if joint in doubted else np.square(beyond[:, place])
         left["factors"] += float(np.sum(factors))
     mass = float(np.linalg.lstsq(every.reshape(-1, 4), beyond.ravel(), rcond=None)[0][0])

@@ -27,13 +27,13 @@ from impact_rs_trials.recordings.hypotheses import (
     choose,
     common,
     copies,
+    driven_joints,
     positions,
-    takes_torque,
     torques,
     velocities,
 )
 from impact_rs_trials.recordings.joint_streams import JointStream
-from impact_rs_trials.recordings.torque_readings import MotionTorque, is_computed, lacks_weight
+from impact_rs_trials.recordings.torque_readings import MotionTorque, is_computed, lacks_gravity
 
 MAX_LOG_POSTERIOR_LOSS = 20.0  # below the best, of motions whose torques are compared
 
@@ -254,7 +254,7 @@ class JointSearch:
             if copy is not None and copy.best.log_posterior > least:
                 repeated[stream.label] = copy.best.evidence
                 continue
-            if (why := _lacks_weight(time, q, dq, raw, self.model)) is not None:
+            if (why := _lacks_gravity(time, q, dq, raw, self.model)) is not None:
                 weightless[stream.label] = why
                 continue
             if torque is None or torque.best.role == "other" or torque.best.log_posterior <= DECISIVE:
@@ -284,14 +284,14 @@ class JointSearch:
                     return RoleChoice(one, None, 0.0)
         seen = MotionTorque.of(found.time, found.position.values, found.speeds, raw, self.model)
         said = "the motion takes too little torque to show it"
-        if np.any(takes_torque(seen.whole, seen.model)):
+        if np.any(driven_joints(seen.whole, seen.model)):
             most, left = (
                 np.sqrt(np.mean(np.square(seen.whole), axis=0)),
                 np.sqrt(seen.left(seen.whole) / len(seen.whole)),
             )
             joint = int(np.argmax(most))
             said = (
-                f"weight and inertia of the arm take {most[joint]:.3g} N m rms in joint {joint + 1}, from which the "
+                f"gravity and inertia of the arm take {most[joint]:.3g} N m rms in joint {joint + 1}, from which the "
                 f"signal is {left[joint]:.3g} N m away: another robot, other joints or another quantity?"
             )
         unit = common(motion.units("N m", "N"))
@@ -318,17 +318,17 @@ def _is_named(stream: JointStream) -> bool:
 
 
 @OUTLIERS
-def _lacks_weight(time: Array, q: Array, dq: Array, raw: Array, model: RobotModel) -> str | None:
+def _lacks_gravity(time: Array, q: Array, dq: Array, raw: Array, model: RobotModel) -> str | None:
     """Evidence that a signal in N m or mN m is a torque without gravity; None: no evidence."""
     for unit in ("N m", "mN m"):
-        why = lacks_weight(MotionTorque.of(time, q, dq, TURNS["torque"][unit] * raw, model))
+        why = lacks_gravity(MotionTorque.of(time, q, dq, TURNS["torque"][unit] * raw, model))
         if why is not None:
             return why
     return None
 
 
 def _exclusive(readings: Sequence[Reading]) -> list[Reading]:
-    """Readings without shared columns, keeping the likeliest of those that share one; the chosen one first."""
+    """Readings without shared columns: the likeliest of several that share one; the chosen one first."""
     kept: list[Reading] = []
     for one in sorted(readings, key=lambda one: one.log_posterior, reverse=True):
         if not any(one.stream.overlaps(other.stream) for other in kept):

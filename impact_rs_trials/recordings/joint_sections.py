@@ -38,7 +38,7 @@ from impact_rs_trials.recordings.recorded_files import (
 from impact_rs_trials.recordings.torque_readings import (
     WHOLE_TORQUE,
     MotionTorque,
-    leaves_little,
+    explains_most,
     order_of_joints,
 )
 
@@ -125,7 +125,7 @@ class JointSections:
             repeated = f" ({'; '.join(copies)})" if copies else ""
             seen = "; ".join(stream.label for stream in search.streams)
             raise InputError(
-                f"nothing goes with the torque that weight and inertia of {robot} take in this motion, and a mapping "
+                f"nothing goes with the torque that gravity and inertia of {robot} take in this motion, and a mapping "
                 f"needs torques or currents; signals as wide as its joints: {seen}{repeated}. Another --robot, or a "
                 "mapping by hand (docs/files.md)",
                 file=path,
@@ -139,7 +139,7 @@ class JointSections:
         time, q, dq = found.time, found.position.values, found.speeds
         for torque in found.torques[:MAX_SHOWN_SIGNALS]:
             constant, raw = torque.best.further.get("torque_constant"), torque.stream.series.at(time)
-            if constant is not None and leaves_little(MotionTorque.of(time, q, dq, raw * np.array(constant), model)):
+            if constant is not None and explains_most(MotionTorque.of(time, q, dq, raw * np.array(constant), model)):
                 continue  # currents; else a torque in a wrong order, of which no unit fits
             units = [torque.best.unit] if isinstance(torque.best.unit, str) else torque.best.unit
             factor = np.array([UNITS["torque"][unit] for unit in units])
@@ -219,7 +219,7 @@ class JointSections:
         own: dict[str, Any] = {"torque_measured_at": "motor" if at_motor else "link"}
         if constant is not None:
             self._notes.say(
-                "torque_constant", flow(constant), "by the weight in this recording; take those of a data sheet", False
+                "torque_constant", flow(constant), "by the gravity torque in this recording; prefer a data sheet", False
             )
             own["torque_constant"] = constant
         return own
@@ -249,14 +249,14 @@ class JointSections:
         time, q = found.time, found.position.values
         series = found.torques[0].stream.series
         torque = replace(series, values=found.torques[0].values).at(time)
-        weight = np.array([model.gravity_torque(row) for row in q])
+        gravity = np.array([model.gravity_torque(row) for row in q])
         size = max(float(np.sqrt(np.mean(np.square(torque)))), 1e-12)
 
         def apart(one: JointStream, missing: Array | float) -> float:
             """Difference to the measured torque over that torque, rms."""
             return float(np.sqrt(np.mean(np.square(one.series.at(time) + missing - torque)))) / size
 
-        tried = [(apart(one, 0.0), apart(one, weight), one) for one in asked]
+        tried = [(apart(one, 0.0), apart(one, gravity), one) for one in asked]
         taken = min(tried, key=lambda one: min(one[:2]))
         for alone, lifted, one in tried:
             if one is not taken[2] or min(alone, lifted) > MAX_COMMAND_RMS_RATIO:
@@ -266,11 +266,11 @@ class JointSections:
         if min(alone, lifted) > MAX_COMMAND_RMS_RATIO:
             return {}
         included, both = alone <= lifted, f"{100.0 * alone:.0f} % of the measured torque away from it as it is"
-        said = f"{both}, {100.0 * lifted:.0f} % with the arm's weight added (rms)"
+        said = f"{both}, {100.0 * lifted:.0f} % with the gravity torque added (rms)"
         command = Reading(one, RoleChoice(RoleHypothesis("torque", "N m", said, 0.0), None, np.inf))
         signals["command"] = self._joint_signal(command, "command", part)
         sure = max(alone, lifted) > MIN_GRAVITY_RMS_RATIO * min(alone, lifted)
-        said = f"it is nearer to the measured torque {'as it is' if included else 'with the weight of the arm added'}"
+        said = f"it is nearer to the measured torque {'as it is' if included else 'with the gravity torque added'}"
         self._notes.say("command_includes_gravity", str(included).lower(), said, sure)
         return {"command_includes_gravity": included}
 

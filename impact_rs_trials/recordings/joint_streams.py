@@ -32,7 +32,7 @@ class JointStream:
 
     @property
     def label(self) -> str:
-        """Its name, with that of its file if a run has several."""
+        """Its name, with the file if a run has several."""
         return f"{self.file}: {self.candidate.label}" if self.file else self.candidate.label
 
     @property

@@ -41,7 +41,7 @@ def noticed(model: RobotModel) -> float:
     return MIN_GRAVITY_TORQUE_NM * size.factor("N m")
 
 
-def check_weight(path: Path, name: str, model: RobotModel, position: Array, torque: Array, remedy: str) -> None:
+def check_gravity_torque(path: Path, name: str, model: RobotModel, position: Array, torque: Array, remedy: str) -> None:
     """Check that torques include the gravity torque once: neither twice, nor with the wrong sign, nor not at all.
 
     Args:
@@ -56,13 +56,14 @@ def check_weight(path: Path, name: str, model: RobotModel, position: Array, torq
         InputError: They do not.
     """
     rows = np.unique(np.linspace(0, position.shape[0] - 1, GRAVITY_SAMPLES).astype(int))
-    weight = gravity_torques(model, position[rows])
-    if float(np.sum(np.square(weight))) < noticed(model) ** 2 * rows.size:
+    gravity = gravity_torques(model, position[rows])
+    if float(np.sum(np.square(gravity))) < noticed(model) ** 2 * rows.size:
         return
-    ratio = float(pooled(weight, torque[rows]).factor[0])
+    ratio = float(pooled(gravity, torque[rows]).factor[0])
     if not SINGLE_GRAVITY_FACTORS[0] < ratio < SINGLE_GRAVITY_FACTORS[1]:
         raise InputError(
-            f"{name} holds {ratio:.2f} times the weight of the scenario's arm, expected about 1: {remedy}", file=path
+            f"{name} holds {ratio:.2f} times the gravity torque of the scenario's arm, expected about 1: {remedy}",
+            file=path,
         )
 
 
@@ -84,7 +85,7 @@ def check_object(path: Path, scenario: Scenario, arm: str, name: str, time: Arra
         pose: Geometric centre and quaternion in A, ``(p, 7)``.
 
     Returns:
-        What the user should know.
+        Warnings to the user.
 
     Raises:
         InputError: It does not.
@@ -129,7 +130,7 @@ def check_touch(path: Path, model: RobotModel, name: str, size: Array, position:
         pose: Geometric centre and quaternion of the object in A, ``(p, 7)``.
 
     Returns:
-        What the user should know.
+        Warnings to the user.
 
     Raises:
         InputError: They do not meet.

@@ -137,7 +137,7 @@ def open_recorded(pattern: str, path: Path, spread: bool, notes: Notes) -> Recor
         pattern: Its kind among the files of a run; empty: a run is one file.
         path: The file.
         spread: Whether a run lies in several files.
-        notes: What was found is added to them.
+        notes: Findings, appended to.
 
     Raises:
         InputError: It cannot be read.

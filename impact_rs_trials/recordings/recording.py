@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings of free motion that were not made here: bags (with or without ``metadata.yaml``), tables and arrays.
 
-What cannot be used is refused with one line that names file, topic, field and what was expected.
+Unusable data is refused with one line that names file, topic, field and the expected value.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import ArmPhysics, JointFriction, ObjectPhysics, Physics
 from impact_rs_sim.robot import Array, joined_units
 from impact_rs_sim.robot_model import RobotModel
-from impact_rs_trials.recordings.clock import check_stamps, gaps, tell_gaps
+from impact_rs_trials.recordings.clock import check_stamps, gaps, gaps_in_words
 from impact_rs_trials.recordings.clock_offset import on_one_clock
 from impact_rs_trials.recordings.faults import MAX_LIMIT_FACTOR, MAX_OUTLIER_SHARE, MAX_POSITION_EXCESS, without_faults
 from impact_rs_trials.recordings.file_units import CURRENTS
 from impact_rs_trials.recordings.guesses import at_rest
-from impact_rs_trials.recordings.joint_checks import doubts_of_arm
+from impact_rs_trials.recordings.joint_checks import arm_warnings
 from impact_rs_trials.recordings.mapping import JOINT_SIGNALS, REQUIRED, Mapping, SignalName
 from impact_rs_trials.recordings.relations import PLAUSIBLE_FACTORS, pooled
 from impact_rs_trials.recordings.run_finder import BAG_SUFFIXES, FILE_SUFFIXES, find_recordings, find_runs
-from impact_rs_trials.recordings.sampling_times import doubt_of_timestamps
+from impact_rs_trials.recordings.sampling_times import timestamp_warning
 from impact_rs_trials.recordings.series import Series
 from impact_rs_trials.recordings.sources import read_series
-from impact_rs_trials.recordings.torque_readings import check_holds_weight
+from impact_rs_trials.recordings.torque_readings import check_includes_gravity
 from impact_rs_trials.runs import ArmSignals, Run, Signals
 
 logger = logging.getLogger(__name__)
@@ -76,7 +76,7 @@ def read_recordings(path: Path, mapping: Mapping) -> list[Run]:
     """Every recording at ``path``, checked: a file, a run inside of it or in files of its name, or a folder.
 
     Raises:
-        InputError: A recording cannot be used; the message says what was expected.
+        InputError: A recording cannot be used; the message has the expected value.
     """
     return [piece for item in find_runs(path, mapping) for piece in _pieces(item, mapping)]
 
@@ -129,9 +129,9 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
         arm = ArmSignals(**signals, **command_time)
         check_arm(path, time[rows], arm, mapping)
         if mapping.signals["torque"].units[0] not in CURRENTS:
-            check_holds_weight(path, time[rows], arm, model)
-        nominal = doubt_of_timestamps(time[rows], arm.position)
-        doubts = [*doubts_of_arm(time[rows], arm, mapping, model), *([] if nominal is None else [nominal])]
+            check_includes_gravity(path, time[rows], arm, model)
+        nominal = timestamp_warning(time[rows], arm.position)
+        doubts = [*arm_warnings(time[rows], arm, mapping, model), *([] if nominal is None else [nominal])]
         remarks += [doubt for doubt in doubts if doubt not in remarks]
         found.append(
             Run(
@@ -236,7 +236,7 @@ def _check_time(path: Path, time: Array, what: str, low_pass: float) -> list[str
     found = gaps(time, _longest_gap(period, low_pass))
     if not found:
         return []
-    said = tell_gaps(found, time[0])
+    said = gaps_in_words(found, time[0])
     return [f"{what}: gap of {said} (period {period:.4f} s, low-pass {low_pass:g} Hz); the pieces between are used"]
 
 
@@ -299,7 +299,7 @@ def check_limits(
             out later [-].
 
     Raises:
-        InputError: It is not; the message names signal, joint, time, value and what was expected.
+        InputError: It is not; the message names signal, joint, time, value and expected range.
     """
     limits = mapping.facts.limits
     if name == "position":

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Linear relations between signals: factor, lag, correlation, standard errors and likelihood, column by column.
 
-Positions determine what the other signals of the joints should be: velocities are dq/dt, torques are M ddq + h. A
+Positions predict the other signals of the joints: velocities are dq/dt, torques are M ddq + h. A
 measured signal y_j differs from the expected one x_j by unit and sign, by a lag, by friction and by noise:
 
     y_j = a_j x_j + sum_i c_ij z_ij + noise

@@ -41,7 +41,7 @@ def natural_key(name: str | Path) -> list[tuple[bool, int, str]]:
 
 
 def is_bag_folder(path: Path) -> bool:
-    """Whether a folder is that of a bag."""
+    """Whether a folder is a bag."""
     return (path / "metadata.yaml").is_file()
 
 

@@ -16,14 +16,16 @@ import numpy as np
 
 from impact_rs_sim.robot import Array
 
-PERIODS = float(np.sqrt(20.0) / 6.0)  # rms of r / dq over that of independent errors of the periods: third differences
+PERIODS = float(
+    np.sqrt(20.0) / 6.0
+)  # rms of r / dq over the rms of independent errors of the periods: third differences
 MIN_TIMESTAMPS = 50
 MIN_POWER_RATIO = 10.0  # along the velocity over across it, with wrong timestamps; F(50, 50) is at most 3
 MIN_JITTER_PERIODS = 0.03  # rms; less does not harm derivatives
 MAX_ROUNDING_PERIODS = 1e-3  # by which even timestamps differ because they are rounded
 
 
-def doubt_of_timestamps(time: Array, position: Array) -> str | None:
+def timestamp_warning(time: Array, position: Array) -> str | None:
     """Warning that samples of a motion were not taken at their timestamps; None: no evidence.
 
     Args:

@@ -39,7 +39,7 @@ class TableFile:
     Args:
         path: The file.
         mapping: Where the signals are.
-        names: What the placeholders of the mapping stand for.
+        names: Values of the placeholders of the mapping.
 
     Raises:
         InputError: It is no such file.

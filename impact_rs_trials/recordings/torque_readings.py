@@ -44,8 +44,8 @@ from impact_rs_trials.recordings.relations import (
 from impact_rs_trials.runs import ArmSignals
 
 WHOLE_TORQUE = (
-    "Its controller adds the weight by itself: take the measured torque or the motor currents, or add the weight that "
-    "the controller adds"
+    "Its controller adds gravity by itself: take the measured torque or the motor currents, or add the gravity "
+    "torque that the controller adds"
 )
 READING_SAMPLES = 300  # in which readings are compared
 SEARCHED_SAMPLES = 30  # in which all orders of the joints are compared
@@ -85,7 +85,7 @@ class MotionTorque:
         return np.array([self.model.inverse_dynamics(*state) for state in states])
 
     @functools.cached_property
-    def weight(self) -> Array:
+    def gravity_torque(self) -> Array:
         """g, ``(k, n)`` [N m]."""
         return np.array([self.model.gravity_torque(q) for q in self.position])
 
@@ -133,29 +133,29 @@ class MotionTorque:
         return replace(self, **{name: getattr(self, name)[rows, list(order)] for name in SIGNALS})
 
 
-def lacks_weight(seen: MotionTorque) -> str | None:
+def lacks_gravity(seen: MotionTorque) -> str | None:
     """Evidence that a torque signal lacks the gravity torque; None: no evidence.
 
     Args:
         seen: Signal and motion.
     """
-    weight = float(np.sqrt(np.mean(np.square(seen.weight)) * seen.weight.shape[1]))
-    if weight < noticed(seen.model):
+    gravity = float(np.sqrt(np.mean(np.square(seen.gravity_torque)) * seen.gravity_torque.shape[1]))
+    if gravity < noticed(seen.model):
         return None
-    alone = seen.whole - seen.weight
+    alone = seen.whole - seen.gravity_torque
     without, whole, neither = (seen.likelihood(one) for one in (alone, seen.whole, np.zeros_like(alone)))
     left_without, left = (_rms(seen.left(one), seen) for one in (alone, seen.whole))
     if without < max(whole, neither) + DECISIVE_LOG_LIKELIHOOD or left_without > MAX_RESIDUAL_RATIO * left:
         return None
-    most = float(np.max(np.abs(seen.weight)))
+    most = float(np.max(np.abs(seen.gravity_torque)))
     return (
-        f"holds the torque of inertia without the arm's weight, of which this motion takes up to {most:.3g} N m: it is "
+        f"holds the torque of inertia without gravity, which takes up to {most:.3g} N m: it is "
         f"{left_without:.3g} N m rms away from that torque, {left:.3g} N m from the whole one (log likelihood "
         f"{without - whole:+.0f})"
     )
 
 
-def check_holds_weight(path: Path, time: Array, arm: ArmSignals, model: RobotModel) -> None:
+def check_includes_gravity(path: Path, time: Array, arm: ArmSignals, model: RobotModel) -> None:
     """Check that a recorded torque includes the gravity torque.
 
     Args:
@@ -167,7 +167,7 @@ def check_holds_weight(path: Path, time: Array, arm: ArmSignals, model: RobotMod
     Raises:
         InputError: It holds the inertial torque alone.
     """
-    why = lacks_weight(MotionTorque.of(time, arm.position, arm.velocity, arm.torque, model))
+    why = lacks_gravity(MotionTorque.of(time, arm.position, arm.velocity, arm.torque, model))
     if why is not None:
         raise InputError(f"torque {why}. {WHOLE_TORQUE}", file=path, key="signals.torque of the mapping")
 
@@ -193,7 +193,7 @@ def is_computed(seen: MotionTorque) -> bool:
     return factor > DECISIVE
 
 
-def leaves_little(seen: MotionTorque) -> bool:
+def explains_most(seen: MotionTorque) -> bool:
     """Whether gravity, inertia and friction of the arm explain most of a torque signal."""
     size = float(np.sqrt(np.mean(np.square(seen.recorded)) * seen.model.joint_count))
     return _rms(seen.left(seen.whole), seen) < MAX_RESIDUAL_SHARE * size
@@ -210,7 +210,7 @@ def order_of_joints(seen: MotionTorque) -> tuple[tuple[int, ...], str] | None:
         better.
     """
     count, before = seen.model.joint_count, _rms(seen.left(seen.whole), seen)
-    if not 1 < count <= MAX_ORDERED_JOINTS or leaves_little(seen):
+    if not 1 < count <= MAX_ORDERED_JOINTS or explains_most(seen):
         return None
     low, high = seen.model.position_min, seen.model.position_max
     least, most = seen.position.min(axis=0), seen.position.max(axis=0)
@@ -232,8 +232,8 @@ def order_of_joints(seen: MotionTorque) -> tuple[tuple[int, ...], str] | None:
         return None
     listed = ", ".join(str(column + 1) for column in best)
     return best, (
-        f"base to tip the columns are {listed}: so the torque is {after:.3g} N m rms away from what weight and inertia "
-        f"of the arm take, as they stand {before:.3g} N m (log likelihood {gain:+.0f})"
+        f"base to tip the columns are {listed}: so the torque is {after:.3g} N m rms away from gravity and inertia of "
+        f"the arm, as they stand {before:.3g} N m (log likelihood {gain:+.0f})"
     )
 
 

@@ -30,7 +30,7 @@ _OF_TOOL: dict[str, str] = {"tool_mass": "kg", "tool_length": "m", "pad_x": "m",
 _OFFSET = re.compile(r"(?:joint(?P<joint>[0-9]+)|flange)_(?P<axis>[xyz])")
 
 
-def known_of_scene(scenario: Scenario) -> dict[str, tuple[float, str]]:
+def nominal_values(scenario: Scenario) -> dict[str, tuple[float, str]]:
     """Nominal values of all uncertain numbers of a scenario, with units, by name."""
     found: dict[str, tuple[float, str]] = {SUPPORT_FRICTION: (scenario.support.friction, "-")}
     if len(scenario.objects) == 1:
@@ -46,12 +46,12 @@ def known_of_scene(scenario: Scenario) -> dict[str, tuple[float, str]]:
     return found
 
 
-def with_another(scenario: Scenario, name: str, value: float) -> Scenario:
+def with_value(scenario: Scenario, name: str, value: float) -> Scenario:
     """The scenario with another value of an uncertain number.
 
     Args:
         scenario: The scenario.
-        name: One of :func:`known_of_scene`.
+        name: One of :func:`nominal_values`.
         value: Value, in its unit.
     """
     if name == SUPPORT_FRICTION:

@@ -16,7 +16,7 @@ from impact_rs_control.controller import Mode
 from impact_rs_control.plan import TrialPlan
 from impact_rs_control.qp import QpStatus
 from impact_rs_sim.scenario import load_scenario
-from impact_rs_trials.bags.outcome import MIN_LIFT_SHARE, ArmRecord, TrialRecord, Verdict, Witness, judge
+from impact_rs_trials.bags.outcome import MIN_LIFT_SHARE, ArmRecord, TickLog, TrialRecord, Verdict, judge
 from impact_rs_trials.bags.reader import JointColumns, PoseColumns, TrialBag
 from impact_rs_trials.spec import TrialSpec
 
@@ -296,12 +296,12 @@ def test_the_value_farthest_beyond_either_limit_is_reported(low: float, high: fl
 
 def test_a_witness_keeps_status_and_impact_of_a_trial() -> None:
     plan = plan_of("push", "juice", "case_1", **BRIEF)
-    whole, early = Witness(plan), Witness(plan)
+    whole, early = TickLog(plan), TickLog(plan)
     plant = make_plant(plan, 1)
     for tick in run_closed_loop(plan, plant):
-        whole.see(tick)
+        whole.append(tick)
         if tick.number < 10:
-            early.see(tick)
+            early.append(tick)
     plant.close()
     arm = whole.record().arms["arm"]
     assert arm.hit and not early.record().arms["arm"].hit
