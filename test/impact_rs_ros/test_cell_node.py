@@ -96,7 +96,7 @@ def test_leaving_a_trial_and_closing_the_node_go_on_until_the_arms_rest(
 
 
 def test_arms_that_do_not_rest_call_for_the_emergency_stop(cell: CellNode, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cell_node, "BRAKING", 0.0)
+    monkeypatch.setattr(cell_node, "MAX_BRAKING_S", 0.0)
     said: list[str] = []
     monkeypatch.setattr(cell, "log", type("Log", (), {"error": staticmethod(said.append)}))
     cell._held = Arms(10**9)  # type: ignore[assignment]

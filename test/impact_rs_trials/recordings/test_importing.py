@@ -810,7 +810,7 @@ def test_a_position_that_no_name_pairs_with_a_quaternion_is_assumed(tmp_path: Pa
     file = tracked(tmp_path / "a.npz", {"marker": "first", "body": "second", "turn": "third"})
     draft = draft_import([file], tmp_path / "lab", ImportOptions(robot="none"))
     line = next(line for line in draft.lines if line.key == "signals.object_position")
-    assert not line.sure and "by their order alone" in line.evidence
+    assert not line.sure and "by order alone" in line.evidence
 
 
 def test_matrices_that_are_no_rigid_motion_are_refused(tmp_path: Path) -> None:
@@ -993,7 +993,7 @@ def test_commands_that_are_no_torques_are_left_out_with_the_reason(tmp_path: Pat
     late = np.roll(fer["position"], 5, axis=0)
     for name, command, told in (
         ("places", late, "is left out: it repeats the positions"),
-        ("others", 3.0 * fer["effort"], "is left out: by its name it was asked for, and it is 200 % of the measured"),
+        ("others", 3.0 * fer["effort"], "is left out: by its name it was commanded, and it is 200 % of the measured"),
     ):
         bag = bag_of(tmp_path / name, {"/joint_states": measured, "/controller/commands": numbers(command)}, {})
         draft = import_fer(bag, tmp_path / "lab")

@@ -205,8 +205,8 @@ def test_in_contact_torques_say_nothing_of_weight_and_friction() -> None:
     assert doubt.startswith("velocity") and doubt.endswith("signals.velocity.factor: -1")
 
 
-@pytest.mark.parametrize(("joint", "words"), [(1, "weight"), (3, "weight"), (0, "against its motion")])
-def test_the_sign_of_a_torque_is_named_by_weight_or_friction(joint: int, words: str) -> None:
+@pytest.mark.parametrize(("joint", "words"), [(1, "gravity torque"), (3, "gravity torque"), (0, "against its motion")])
+def test_the_sign_of_a_torque_is_named_by_gravity_or_friction(joint: int, words: str) -> None:
     (doubt,) = doubts({"effort": (joint, -1.0)})
     assert doubt.startswith(f"torque of joint {joint + 1}") and words in doubt
 
