@@ -86,7 +86,7 @@ Look at recorded files and write the files that describe them: mapping.yaml, run
 something is hit.
 
 Tables (.csv, .txt, .tsv, .dat, .parquet, .npy), arrays (.npz, .h5, .mat) and bags are read as they are: lines above
-the names, no names at all, all joints in one cell, decimal commas, stamps in s, ms, us, ns, as seconds beside
+the names, no names at all, all joints in one cell, decimal commas, timestamps in s, ms, us, ns, as seconds and
 nanoseconds or as dates, a file per signal and run, a folder per session, several recordings in one file. What
 a column is, its numbers decide: positions lie within the limits of the robot, velocities are their derivative, torques
 are those of gravity and inertia. Every value is printed and written with its evidence; ASSUMED marks values that
@@ -146,7 +146,7 @@ impact-rs diagnose --impacts tosses.csv -o diagnosis.json
 # a robot hits objects; the scenario says which
 impact-rs impacts lab --experiment lab/experiment.yaml -o impacts.csv
 impact-rs compare --impacts impacts.csv --scenario push""",
-    output="how many impacts were found, what was left out and why; the table as CSV.",
+    output="number of impacts, omitted runs with reasons; the table as CSV.",
     units="in the header of every column.",
     options=(
         argument("directory", "folder of the recordings", kind="folder", metavar="DIR", label="recordings"),
@@ -267,7 +267,7 @@ m/s.""",
             "--budget", kind="number", metavar="SECONDS", unit="s", least=0.0, default=120.0,
             advanced=True, label="processor time",  # twice what 16 runs of a right model take on a slow machine (55 s)
             help="processor time, of all worker processes together; when it is spent, the best answer so far is "
-            "judged, and what was not tried is listed",
+            "judged, and untried explanations are listed",
         ),
         option(
             "--unsure", kind="text", many=True, default=(), metavar="NAME=LOW:HIGH", advanced=True,
@@ -319,7 +319,7 @@ impact-rs follow --impacts tosses.csv --json""",
     output="""\
 a line for every change and every odd hit, the believed parameters, and the prediction of the next hit; with -o the
 followed model as a file.""",
-    units="beside each number; prediction errors are multiples of the standard deviation of a hit.",
+    units="next to each number; prediction errors are multiples of the standard deviation of a hit.",
     options=(
         RUNS,
         MODEL,
@@ -382,10 +382,10 @@ impact-rs compare campaigns/blind/runs --model model_2.yaml
 # a restitution that is a curve over the closing speed, in a table with one row per impact
 impact-rs discover --impacts tosses.csv -o discovery.json
 
-# runs recorded with another controller, and terms of your own beside the shipped grammar
+# runs recorded with another controller, and terms of your own in addition to the shipped grammar
 impact-rs discover lab/ --experiment experiment.yaml --grammar my_terms.yaml -o discovery.json""",
     output="the law as a formula with intervals, laws tied with it; with -o a JSON file, with --report discovery.html.",
-    units="beside each estimate; errors are multiples of repeatability, for recordings N m, for impacts m/s.",
+    units="next to each estimate; errors are multiples of repeatability, for recordings N m, for impacts m/s.",
     options=(
         RUNS,
         MODEL,
@@ -400,7 +400,7 @@ impact-rs discover lab/ --experiment experiment.yaml --grammar my_terms.yaml -o 
         ),
         option(
             "--effects", kind="effect", many=True, metavar="NAME", otherwise="all", label="only these effects",
-            help="effects of the library to consider beside the laws", advanced=True,
+            help="effects of the library to consider in addition to the laws", advanced=True,
         ),
         *SOURCE,
         *JOBS,
@@ -532,7 +532,7 @@ impact-rs show --live --namespace cell_a --no-browser""",
         option("--port", kind="whole", metavar="N", help="with --live: port to listen on", otherwise="a free one"),
         output(
             "new_file", "the page", "FILE.html",
-            otherwise="NAME_OF_THE_BAG.html beside the bag, DIR_RUN.html beside a folder of runs",
+            otherwise="NAME_OF_THE_BAG.html next to the bag, DIR_RUN.html next to a folder of runs",
         ),
         NO_BROWSER._replace(help="do not open the page, only write or serve it"),
         *JOBS,
@@ -611,7 +611,7 @@ laboratory.""",
 impact-rs evidence pack diagnosis.json --data runs --laboratory north --robot franka_fer --object cat_food -o north.json
 impact-rs evidence check north.json --data runs
 impact-rs evidence merge north.json south.json west.json -o merged.json""",
-    output="pack: a file. check: what holds; exit code 1 if a check fails. merge: a table, and a file of everything.",
+    output="pack: a file. check: list of checks; exit code 1 if one fails. merge: a table, and a file of everything.",
     units="as the parameters.",
     actions=(
         Command(

@@ -59,7 +59,7 @@ equals repeat 0 of a campaign with the same seed.""",
 impact-rs trial push cat_food case_2 --scale 0.9 --seed 7 -o trials
 impact-rs analyze trials        # needs trials at three scales or more""",
     output="how the trial ended and its net feedback; in DIR one bag.",
-    units="the scale has none; speeds are in m/s.",
+    units="the scale is dimensionless; speeds are in m/s.",
     options=(
         SCENARIO,
         OBJECT,
@@ -94,7 +94,7 @@ impact-rs campaign push -o campaigns/mine --via nodes --without plant
 impact-rs campaign --plan plan.yaml -o campaigns/planned
 impact-rs analyze campaigns/push""",
     output="how many trials are there and how they ended; in DIR a manifest and one bag per trial.",
-    units="scales have none (post-impact reference velocity over predicted velocity).",
+    units="scales are dimensionless (post-impact reference velocity over predicted velocity).",
     options=(
         optional(SCENARIO),
         output("new_folder", "folder of the campaign, or URL", required=True, url=True, label="folder of the campaign"),
@@ -152,7 +152,7 @@ replayed under every explanation. The plan maximises the probability that the ne
                     without either, how large the effects found are
 
 --runs names the trials measured so far, with their scatter and information. The plan lists the gain of each
-condition. The probability is that of a likelihood-ratio test between two explanations; a diagnosis asks for more
+condition. The probability refers to a likelihood-ratio test between two explanations; a diagnosis asks for more
 (docs/design.md).""",
     examples="""\
 impact-rs design --budget 18 -o plan.yaml
@@ -257,7 +257,7 @@ impact-rs blind score blind_7 --diagnosis diagnosis.json
 impact-rs blind score inquiry                        # of impact-rs investigate inquiry --blind 7
 impact-rs blind make 8 -o blind_8 --scenarios my_push.yaml my_excite.yaml      # for your own robot""",
     output="make: trials in DIR/runs. score: right or wrong, the hidden and the named effect.",
-    units="truth.json names those of the hidden parameters.",
+    units="truth.json has the units of the hidden parameters.",
     actions=(
         Command(
             name="blind make",
@@ -384,7 +384,7 @@ Identify a feedforward for joint friction, so that the net feedback shows the im
 identify runs the scenario's plant in free motion, one arm at a time: along the ante-impact reference with the
 ante-impact controller, and from rest along the post-impact reference with the post-impact controller. The mean
 feedback of these runs is the feedforward. Two more iterations with it correct the remaining feedback. Writes FILE and
-beside it SCENARIO_compensated.yaml, a copy of the scenario that uses it. Existing files are never overwritten.""",
+next to it SCENARIO_compensated.yaml, a copy of the scenario that uses it. Existing files are never overwritten.""",
     examples="""\
 impact-rs friction identify my_push.yaml -o friction/push_friction.yaml
 impact-rs campaign friction/my_push_compensated.yaml -o campaigns/compensated""",

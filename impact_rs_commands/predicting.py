@@ -232,7 +232,7 @@ the drives of the arms that are this robot.""",
 impact-rs robot import my_robot.urdf --tip flange -o my_robot.yaml
 impact-rs robot check my_robot.yaml
 impact-rs robot check my_robot.yaml --scenario my_push.yaml""",
-    output="import: a YAML file, and notes on what a URDF does not hold. check: a table; exit code 1 if a check fails.",
+    output="import: a YAML file, and notes on data missing in a URDF. check: a table; exit code 1 if a check fails.",
     units="SI; angles in rad. Prismatic joints have m, N and kg instead of rad, N m and kg m^2.",
     actions=(
         Command(
@@ -264,12 +264,12 @@ impact-rs robot check my_robot.yaml --scenario my_push.yaml""",
                 option(
                     "--lock", many=True, default=(), metavar="JOINT=PLACE",
                     help="joints that were held, and where [rad, m]: torso_lift=0.15 'head_*=0' 'finger*=0.04'; they "
-                    "become fixed, on the chain and beside it",
+                    "become fixed, on the chain and off it",
                 ),
                 option(
                     "--package-path", many=True, kind="folder", default=(), metavar="DIR",
                     help="folders of packages that the URDF names its meshes by (package://NAME/...)",
-                    otherwise="those of AMENT_PREFIX_PATH, and folders above the URDF",
+                    otherwise="AMENT_PREFIX_PATH, and folders above the URDF",
                 ),
                 option("--source", metavar="TEXT", help="source of the numbers, with their licence"),
                 JSON,

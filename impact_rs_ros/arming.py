@@ -21,7 +21,8 @@ from impact_rs_ros.robot_states import STATES, ArmStates
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags.topics import CLOCK
 
-LOOKING, LOOKING_STATES = 0.5, 50  # s and states: shortest observation of the robot
+MIN_OBSERVED_S = 0.5  # of the robot before it is held
+MIN_OBSERVED_STATES = 50  # in that time
 ARMING_TIMEOUT_S = 3.0
 HOLDING_S = 0.2  # of robot time, in which it must stay where it is held before it is led
 PERIOD_TOLERANCE_SHARE = 0.02  # of the period, by which the states of the robot may come faster or slower
@@ -89,15 +90,17 @@ class Arming:
                 raise InputError(f"not armed: {complaint}")
             arrivals.append(self._monotonic())
             stamps.append(states.stamp)
-            if arrivals[-1] > began + LOOKING and len(stamps) >= LOOKING_STATES:
+            if arrivals[-1] > began + MIN_OBSERVED_S and len(stamps) >= MIN_OBSERVED_STATES:
                 break
         if not stamps and self._timeless:
             raise InputError(f"not armed: no time on {CLOCK}, which use_sim_time asks for")
         if not stamps:
             first = ", ".join(names[0] for names in self._arms.states.joints.values())
             raise InputError(f"not armed: no state of {first} and the other joints on {STATES}: is the robot running?")
-        if len(stamps) < LOOKING_STATES:
-            raise InputError(f"{STATES}: {len(stamps)} states in {ARMING_TIMEOUT_S:g} s, expected {LOOKING_STATES}")
+        if len(stamps) < MIN_OBSERVED_STATES:
+            raise InputError(
+                f"{STATES}: {len(stamps)} states in {ARMING_TIMEOUT_S:g} s, expected {MIN_OBSERVED_STATES}"
+            )
         steps = 1e-9 * np.diff(np.array(stamps))
         if abs(median(steps.tolist()) - period) > PERIOD_TOLERANCE_SHARE * period:
             raise InputError(

@@ -115,7 +115,7 @@ def draw_truth(
 ) -> list[Hidden]:
     """The hidden effects of a campaign; the default number of joints is the shipped arm's.
 
-    Drawn are effects of the physics; those of sensors are hidden where they are named.
+    Effects of the physics are drawn; effects of sensors are hidden if named.
 
     Raises:
         InputError: Unknown kind or effect, or not as many effects as the kind has.

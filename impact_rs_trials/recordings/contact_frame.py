@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pose of the motion-capture frame in A, estimated from contact alone: in a hit the pad lies on a face of the object.
+"""Least-squares pose of the motion-capture frame in A, from contact alone: at a hit the pad lies on an object's face.
 
 The object is at p with axes R_p in the motion-capture frame; that frame is at t and rotated by psi about z in A. The
 centre of the pad is at c with normal m in A, n is the outward normal of the face that is hit, and h half the size of
@@ -105,7 +105,7 @@ class ContactFrame:
 
 
 def contact_frame(touches: Sequence[PadOnFace], given: Array, given_yaw: float) -> ContactFrame:
-    """Place the world of the motion capture so that all hits touch.
+    """Least-squares placement of the world of the motion capture, in which pad and face touch at all hits.
 
     Args:
         touches: The hits; poses already rotated by roll and pitch, which hits do not determine.

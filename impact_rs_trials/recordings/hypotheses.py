@@ -39,6 +39,7 @@ from impact_rs_sim.robot import Array, RobotFacts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.file_units import SLIDES, TURNS
 from impact_rs_trials.recordings.relations import (
+    DECISIVE_LOG_ODDS,
     MIN_CORRELATION,
     SAME_UNIT_FACTORS,
     TORQUE_UNIT_FACTORS,
@@ -53,8 +54,7 @@ from impact_rs_trials.recordings.relations import (
 
 Role = Literal["position", "velocity", "torque", "current", "other", "copy", "none"]
 
-DECISIVE = float(np.log(100.0))  # log Bayes factor (Jeffreys 1961)
-NAMED = float(np.log(20.0))  # log odds of a role that a name hints at: names are right in 20 of 21 files
+NAME_LOG_ODDS = float(np.log(20.0))  # log odds of a role that a name hints at: names are right in 20 of 21 files
 COMPARED_SAMPLES = 400  # of a motion and a stream
 LOG_TORQUE_FACTOR_SIGMA = 0.35  # standard deviation of log a: factors of rough models and loads
 MAX_CONSTANT_RATIO = 30.0  # of the torque constants of one arm
@@ -63,14 +63,12 @@ MAX_FACTOR_RATIO = 1e8  # largest over smallest factor, where its size is unknow
 MIN_TORQUE_NM = 0.3  # of the largest robot's scale, about its mean and rms, from which a motion shows a joint's torque
 MAX_OUTSIDE_SHARE = 0.01  # of the positions beyond the limits, as outliers
 MAX_EXCESS_SHARE = 0.05  # of a joint's range, by which positions may exceed it
-MOST_OF_TRAVEL, SOME_TRAVEL = 0.5, 0.2  # of the joint that travels farthest, from which others show a relation
+MAIN_TRAVEL_SHARE, MIN_TRAVEL_SHARE = 0.5, 0.2  # of the farthest travel of a joint, from which others show a relation
 PRIOR: dict[str, float] = {  # of units and roles
     "rad": 0.8, "deg": 0.19, "mrad": 0.01, "rad/s": 0.8, "deg/s": 0.19, "mrad/s": 0.01,
     "N m": 0.75, "mN m": 0.05, "A": 0.2, "other": 1e-4, "copy": 0.2,
 }  # fmt: skip
-LOW_PASSED = -float(
-    np.log(np.log(SAME_UNIT_FACTORS[1] / SAME_UNIT_FACTORS[0]))
-)  # log density of the log of a factor within one unit
+LOW_PASS_LOG_DENSITY = -float(np.log(np.log(SAME_UNIT_FACTORS[1] / SAME_UNIT_FACTORS[0])))  # of log a in one unit
 PROBABILITY_OF_BROKEN_ORDER = 1e-3  # that the column of one joint holds another one
 SIGN_PRIOR = (0.9, 0.09, 0.01)  # all signals have the sign of the joints, all the opposite one, or they differ
 OUTLIERS = np.errstate(over="ignore", invalid="ignore", divide="ignore")  # of any size; what they spoil fits nothing
@@ -127,7 +125,7 @@ class RoleChoice:
     @property
     def sure(self) -> bool:
         """Whether the margin is decisive."""
-        return bool(self.margin > DECISIVE)
+        return bool(self.margin > DECISIVE_LOG_ODDS)
 
     @property
     def evidence(self) -> str:
@@ -249,7 +247,7 @@ def velocities(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
         y: The stream, :meth:`JointMotion.sampled`, ``(k, n)``.
     """
     shown = moves(motion.derivative, motion.facts)
-    shown = shown if np.any(shown) else travels(motion.position, MOST_OF_TRAVEL)
+    shown = shown if np.any(shown) else travels(motion.position, MAIN_TRAVEL_SHARE)
     samples = effective_samples(motion.derivative, y)
     plain = fit(motion.derivative, y)
     found = []
@@ -284,7 +282,7 @@ def velocities(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
 @OUTLIERS
 def copies(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
     """Hypotheses that a stream repeats a part of the motion: one factor for all joints, a lag and an offset."""
-    shown = travels(motion.position, SOME_TRAVEL)
+    shown = travels(motion.position, MIN_TRAVEL_SHARE)
     parts = motion.position, motion.velocity, motion.acceleration
     rates = (motion.velocity, motion.acceleration, None)
     found = []
@@ -387,7 +385,7 @@ def _gains(relation: LinearRelation, shown: NDArray[np.bool_], log_density: Arra
 def _copied(relation: LinearRelation, shown: NDArray[np.bool_]) -> float:
     """As :func:`_gains` for streams with less noise than signal: velocities and copies of the motion."""
     noisy = relation.misfit > (1.0 - MIN_CORRELATION**2) * relation.unexplained
-    return _gains(relation, shown, np.where(noisy, -np.inf, LOW_PASSED))
+    return _gains(relation, shown, np.where(noisy, -np.inf, LOW_PASS_LOG_DENSITY))
 
 
 def _signs_prior(signs: Array) -> float:

@@ -18,7 +18,7 @@ so that, whatever L is,
 
 All three are speeds of the body with mass m. A column with a wrong sign or unit makes their rms large. Which one, is
 tried out: the factor that makes all three vanish is named, or several where they cannot be distinguished. Without such
-a factor something is said of free bodies alone: joints of real arms do not jump as those of a rigid arm.
+a factor only free bodies are reported: joints of real arms do not jump as the joints of a rigid arm.
 
 Angular velocities, or both velocities, of free bodies may be given in axes of another frame: with z and y exchanged, or
 of a left-handed frame. All 24 turns of a frame onto its own axes are tried out, and their mirrors (:func:`other_axes`).

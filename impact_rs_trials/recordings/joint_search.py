@@ -19,7 +19,6 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.file_units import TURNS, UNITS
 from impact_rs_trials.recordings.hypotheses import (
-    DECISIVE,
     OUTLIERS,
     JointMotion,
     RoleChoice,
@@ -33,6 +32,7 @@ from impact_rs_trials.recordings.hypotheses import (
     velocities,
 )
 from impact_rs_trials.recordings.joint_streams import JointStream
+from impact_rs_trials.recordings.relations import DECISIVE_LOG_ODDS
 from impact_rs_trials.recordings.torque_readings import MotionTorque, is_computed, lacks_gravity
 
 MAX_LOG_POSTERIOR_LOSS = 20.0  # below the best, of motions whose torques are compared
@@ -233,7 +233,7 @@ class JointSearch:
             for stream in free
             if (choice := choose(velocities(motion, self._sampled(motion, stream)))) is not None
             and choice.best.role == "velocity"
-            and choice.best.log_posterior > DECISIVE
+            and choice.best.log_posterior > DECISIVE_LOG_ODDS
         ]
         return _exclusive(found)
 
@@ -250,14 +250,14 @@ class JointSearch:
             raw = stream.series.at(time)
             y = motion.sampled(time, raw)
             copy, torque = choose(copies(motion, y)), choose(torques(motion, y))
-            least = DECISIVE if torque is None else max(DECISIVE, torque.best.log_posterior)
+            least = DECISIVE_LOG_ODDS if torque is None else max(DECISIVE_LOG_ODDS, torque.best.log_posterior)
             if copy is not None and copy.best.log_posterior > least:
                 repeated[stream.label] = copy.best.evidence
                 continue
             if (why := _lacks_gravity(time, q, dq, raw, self.model)) is not None:
                 weightless[stream.label] = why
                 continue
-            if torque is None or torque.best.role == "other" or torque.best.log_posterior <= DECISIVE:
+            if torque is None or torque.best.role == "other" or torque.best.log_posterior <= DECISIVE_LOG_ODDS:
                 continue
             if cut and not torque.sure:
                 continue

@@ -23,7 +23,7 @@ from impact_rs_trials.recordings.candidates import (
 from impact_rs_trials.recordings.file_groups import FileGroups
 from impact_rs_trials.recordings.file_units import UNITS
 from impact_rs_trials.recordings.guesses import are_derivatives, at_rest, steps_back
-from impact_rs_trials.recordings.hypotheses import DECISIVE, RoleChoice, RoleHypothesis
+from impact_rs_trials.recordings.hypotheses import RoleChoice, RoleHypothesis
 from impact_rs_trials.recordings.import_texts import Notes, PossibleReading, flow
 from impact_rs_trials.recordings.joint_search import Alternative, Assignment, JointSearch, Reading
 from impact_rs_trials.recordings.joint_streams import JointStream
@@ -35,6 +35,7 @@ from impact_rs_trials.recordings.recorded_files import (
     settle_clock,
     source_in,
 )
+from impact_rs_trials.recordings.relations import DECISIVE_LOG_ODDS
 from impact_rs_trials.recordings.torque_readings import (
     WHOLE_TORQUE,
     MotionTorque,
@@ -293,10 +294,12 @@ class JointSections:
             self._notes.remarks.append(f"signals.{name}: of {candidate.label} numbers are taken for the joints")
         rival = next((other for other in others if other.stream is not one.stream), None)
         margin = np.inf if rival is None else others[0].log_posterior - rival.log_posterior
-        if rival is not None and margin < DECISIVE:
+        if rival is not None and margin < DECISIVE_LOG_ODDS:
             shown += f"; next: {rival.stream.label}, log odds {margin:.2g}"
         shown += "" if candidate.stamped else f"; {NO_HEADER}"
-        self._notes.say(f"signals.{name}", candidate.label, shown, not one.stream.is_cut and bool(margin > DECISIVE))
+        self._notes.say(
+            f"signals.{name}", candidate.label, shown, not one.stream.is_cut and bool(margin > DECISIVE_LOG_ODDS)
+        )
         said = one.choice.evidence + (f"; so do {alike}: take the one that was measured" if alike else "")
         sure = one.choice.sure and not alike and not one.computed and best.role != "current"
         self._notes.say(f"signals.{name}.unit", flow(best.unit), said, sure)

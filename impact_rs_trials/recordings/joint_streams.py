@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass, replace
 
 from impact_rs_trials.recordings.candidates import SignalCandidate, guess_of, in_order
-from impact_rs_trials.recordings.hypotheses import NAMED, Role
+from impact_rs_trials.recordings.hypotheses import NAME_LOG_ODDS, Role
 from impact_rs_trials.recordings.series import Series
 
 # Properties suggested by a name, in addition to the signal (candidates.guess_of).
@@ -55,8 +55,9 @@ class JointStream:
         guess = self.candidate.guess or guess_of(self.file)
         text = " ".join([self.file, *(self.candidate.source.get("columns") or [self.candidate.label])])
         hinted = {"torque": "current" if CURRENT.search(text) else "torque"}.get(guess, guess)
-        odds = NAMED if hinted == role else -NAMED if hinted and (hinted, role) != ("torque", "current") else 0.0
-        return odds - NAMED * bool(COMMANDED.search(text)) + NAMED * bool(MEASURED.search(text))
+        other = bool(hinted) and (hinted, role) != ("torque", "current")
+        odds = NAME_LOG_ODDS if hinted == role else -NAME_LOG_ODDS if other else 0.0
+        return odds - NAME_LOG_ODDS * bool(COMMANDED.search(text)) + NAME_LOG_ODDS * bool(MEASURED.search(text))
 
     def in_order(self, order: tuple[int, ...]) -> JointStream:
         """The stream with reordered joints."""

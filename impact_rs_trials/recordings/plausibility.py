@@ -22,7 +22,7 @@ from impact_rs_trials.recordings.remarks import Amount, Remark
 FIRST_POSE_S = 0.1  # in which the first pose of the object is taken
 HEIGHT_TOLERANCE_M = 0.05
 MAX_REACH_M = 2.0  # from the base of the arm
-UPRIGHT = np.deg2rad(5.0)  # rad
+MAX_TILT_RAD = np.deg2rad(5.0)  # rad
 MIN_PUSHED_M = 0.002  # of an object that the arm pushed
 MAX_TOUCH_DISTANCE_M = 0.05  # between pad and object at their nearest
 MIN_REPORTED_DISTANCE_M = 0.005
@@ -108,7 +108,7 @@ def check_object(path: Path, scenario: Scenario, arm: str, name: str, time: Arra
         )
     remarks = []
     upwards = np.abs(rotation[2])
-    if np.argmax(upwards) != 2 or np.arccos(min(1.0, float(upwards[2]))) > UPRIGHT:
+    if np.argmax(upwards) != 2 or np.arccos(min(1.0, float(upwards[2]))) > MAX_TILT_RAD:
         remarks.append(
             f"the z axis of {name!r} does not point up at first: motion_capture.bodies says how it lies in the tracked "
             "frame"

@@ -28,13 +28,13 @@ from impact_rs_trials.recordings.candidates import (
 from impact_rs_trials.recordings.file_groups import OBJECT, FileGroups
 from impact_rs_trials.recordings.file_units import UNITS
 from impact_rs_trials.recordings.guesses import Guess, clock_of, other_units, steps_back
-from impact_rs_trials.recordings.hypotheses import DECISIVE
 from impact_rs_trials.recordings.import_checks import MIN_CHECKED_SAMPLES, usable_rows
 from impact_rs_trials.recordings.import_texts import Notes, flow
 from impact_rs_trials.recordings.inner_runs import RUN, run_column_of, run_groups_of, runs_of
 from impact_rs_trials.recordings.joint_search import JointSearch
 from impact_rs_trials.recordings.joint_streams import JointStream
 from impact_rs_trials.recordings.mapping import NO_ROBOT, Mapping, SignalSource, TableLayout
+from impact_rs_trials.recordings.relations import DECISIVE_LOG_ODDS
 from impact_rs_trials.recordings.run_finder import ARRAY_SUFFIXES, BAG_SUFFIXES, is_bag_folder
 from impact_rs_trials.recordings.series import Names
 from impact_rs_trials.recordings.sources import open_file
@@ -242,8 +242,8 @@ def settle_clock(part: RecordedFile, model: RobotModel) -> None:
     place, speed = motion.position.stream.label, motion.velocity.stream.label
     said = f"increases; in {unit}, {rate:.4g} Hz, {speed} is the derivative of {place}"
     margin = tried[0][0] - tried[1][0] if len(tried) > 1 else np.inf
-    said += "" if margin > DECISIVE else f"; next: {tried[1][1]}, log odds {margin:.2g}"
-    part.clock = replace(clock, evidence=said, sure=bool(margin > DECISIVE), further={"unit": unit})
+    said += "" if margin > DECISIVE_LOG_ODDS else f"; next: {tried[1][1]}, log odds {margin:.2g}"
+    part.clock = replace(clock, evidence=said, sure=bool(margin > DECISIVE_LOG_ODDS), further={"unit": unit})
     part.streams = streams
 
 

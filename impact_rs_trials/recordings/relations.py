@@ -40,6 +40,7 @@ MIN_CORRELATION = 0.8  # a factor is believed
 MIN_CORRELATION_OF_COLUMNS = 0.95  # a column without a name is the derivative of another one
 MAX_CORRELATION_DRIVING = -0.5  # of torque and velocity, below which friction would drive the joint
 # Log likelihoods [-] and what they are compared with.
+DECISIVE_LOG_ODDS = float(np.log(100.0))  # log Bayes factor (Jeffreys 1961)
 DECISIVE_LOG_LIKELIHOOD = 30.0  # gain of the better reading; models are wrong by more than noise is
 # Samples and speeds.
 MIN_SPEED_SHARE = 0.02  # of the data sheet's velocity, rms, from which a joint moves [-]

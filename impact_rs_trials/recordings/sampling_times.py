@@ -16,9 +16,7 @@ import numpy as np
 
 from impact_rs_sim.robot import Array
 
-PERIODS = float(
-    np.sqrt(20.0) / 6.0
-)  # rms of r / dq over the rms of independent errors of the periods: third differences
+RMS_PER_PERIOD_ERROR = float(np.sqrt(20.0) / 6.0)  # of r / dq, for independent errors of the periods: third differences
 MIN_TIMESTAMPS = 50
 MIN_POWER_RATIO = 10.0  # along the velocity over across it, with wrong timestamps; F(50, 50) is at most 3
 MIN_JITTER_PERIODS = 0.03  # rms; less does not harm derivatives
@@ -51,7 +49,7 @@ def timestamp_warning(time: Array, position: Array) -> str | None:
         late = np.sum(r * v, axis=1) / np.maximum(np.sum(np.square(v), axis=1), 1e-300)
     along = np.square(late) * np.sum(np.square(v), axis=1)
     across = (np.sum(np.square(r), axis=1) - along) / (count - 1)
-    error = float(np.sqrt(np.mean(np.square(late)))) / PERIODS
+    error = float(np.sqrt(np.mean(np.square(late)))) / RMS_PER_PERIOD_ERROR
     if np.mean(along) < MIN_POWER_RATIO * np.mean(across) or error < MIN_JITTER_PERIODS * period:
         return None
     if np.max(np.abs(steps / period - 1.0)) < MAX_ROUNDING_PERIODS:

@@ -34,6 +34,7 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.plausibility import noticed
 from impact_rs_trials.recordings.relations import (
     DECISIVE_LOG_LIKELIHOOD,
+    DECISIVE_LOG_ODDS,
     FULL_FRICTION_RAD_S,
     PLAUSIBLE_FACTORS,
     LinearRelation,
@@ -52,7 +53,6 @@ SEARCHED_SAMPLES = 30  # in which all orders of the joints are compared
 MAX_ORDERED_JOINTS = 7  # whose orders are searched: 7! = 5040
 COULOMB_SHARE = 0.03  # of the largest torque of geared joints; data sheets and identifications give 1 to 10 %
 MIN_TORQUE_SHARE = 1e-3  # of the largest torque: a tenth of the smallest friction, within the error of differences
-DECISIVE = float(np.log(100.0))  # log Bayes factor (Jeffreys 1961)
 MAX_RESIDUAL_RATIO = 0.5  # rms of the residual; below it another reading explains more of the torque as well
 MAX_RESIDUAL_SHARE = 0.3  # of the torque, rms: friction, a load and a rough model leave about as much
 SIGNALS = ("position", "velocity", "acceleration", "recorded")
@@ -190,7 +190,7 @@ def is_computed(seen: MotionTorque) -> bool:
         error = float(np.hypot(dry.standard_error[joint], MIN_TORQUE_SHARE * scale))
         ratio = (COULOMB_SHARE * scale / error) ** 2
         factor += 0.5 * np.log1p(ratio) - 0.5 * (float(dry.factor[joint]) / error) ** 2 * ratio / (1.0 + ratio)
-    return factor > DECISIVE
+    return factor > DECISIVE_LOG_ODDS
 
 
 def explains_most(seen: MotionTorque) -> bool:
