@@ -295,7 +295,7 @@ def _wrong(
             check_velocity(path, series.time, position, series.values, mapping)
         if name == "torque" or (name == "command" and request.command_includes_gravity):
             model = Physics.nominal(scenario, next(iter(scenario.objects))).robot_model(request.arm)
-            remedy = "wrong unit or sign, or without the arm's own weight?"
+            remedy = "wrong unit or sign, or without the gravity torque?"
             check_gravity_torque(path, name, model, position, series.values, remedy)
     except InputError as error:
         return error.message
