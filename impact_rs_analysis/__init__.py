@@ -27,6 +27,10 @@ from typing import TYPE_CHECKING
 from impact_rs_sim.lazy_names import lazy_names
 
 if TYPE_CHECKING:
+    from impact_rs_analysis.application.measurements import MeasurementOptions as MeasurementOptions
+    from impact_rs_analysis.application.measurements import Measurements as Measurements
+    from impact_rs_analysis.application.measurements import open_measurements as open_measurements
+    from impact_rs_analysis.application.measurements import read_measurements as read_measurements
     from impact_rs_analysis.diagnosis.compare import ComparisonDocument as ComparisonDocument
     from impact_rs_analysis.diagnosis.compare import compare as compare
     from impact_rs_analysis.diagnosis.diagnose import diagnose as diagnose
@@ -38,7 +42,6 @@ if TYPE_CHECKING:
     from impact_rs_analysis.evidence.calibration import LaboratoryCalibration as LaboratoryCalibration
     from impact_rs_analysis.evidence.calibration import calibration_of as calibration_of
     from impact_rs_analysis.evidence.impact_tables import ImpactTableSource as ImpactTableSource
-    from impact_rs_analysis.evidence.reading import read_measurements as read_measurements
     from impact_rs_analysis.evidence.recordings import RecordingSource as RecordingSource
     from impact_rs_analysis.evidence.replays import ReplaySource as ReplaySource
     from impact_rs_analysis.evidence.source import Source as Source
@@ -46,6 +49,7 @@ if TYPE_CHECKING:
     from impact_rs_analysis.measure.analyze import analyze_campaign as analyze_campaign
 
 MODULES = {
+    "application.measurements": ("MeasurementOptions", "Measurements", "open_measurements", "read_measurements"),
     "diagnosis.compare": ("ComparisonDocument", "compare"),
     "diagnosis.diagnose": ("diagnose",),
     "diagnosis.discover": ("discover",),
@@ -53,7 +57,6 @@ MODULES = {
     "diagnosis.history": ("history",),
     "evidence.calibration": ("LaboratoryCalibration", "calibration_of"),
     "evidence.impact_tables": ("ImpactTableSource",),
-    "evidence.reading": ("read_measurements",),
     "evidence.recordings": ("RecordingSource",),
     "evidence.replays": ("ReplaySource",),
     "evidence.source": ("Source",),

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shared arguments of the commands of the loop: RUNS, settings, worker processes, and warnings about bags."""
+"""Shared arguments of the commands of the loop: RUNS, settings and worker processes."""
 
 from __future__ import annotations
 
 import argparse
 import functools
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from typing import Any
 
 from impact_rs_cli.terminal import Action, Terminal
@@ -104,14 +103,6 @@ def check_robots(scenario: Scenario, terminal: Terminal) -> None:
     check_joint_counts(scenario)
     for check in failures_of(scenario):
         terminal.warn(f"robot check failed, trials may diverge: {check.name}: {check.found}")
-
-
-def warn_skipped(skipped: Sequence[tuple[str, str]], terminal: Terminal) -> None:
-    """Warn of bags that were left out, by path and reason."""
-    for path, reason in skipped[:MAX_SHOWN_FILES]:
-        terminal.warn(f"left out {Path(path).name}: {reason.removeprefix(f'{path}: ')}")
-    if len(skipped) > MAX_SHOWN_FILES:
-        terminal.warn(f"left out {len(skipped) - MAX_SHOWN_FILES} more bags; --json lists all")
 
 
 def number(value: float) -> str:

@@ -7,16 +7,16 @@ from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 
-from impact_rs_analysis.following.follow import Follower
-from impact_rs_analysis.following.lessons import HitDocument, PublishedChange, PublishedPrediction, RefusedHit
-from impact_rs_cli.following import (
+from impact_rs_analysis.application.followed_hits import (
     FollowedHits,
-    HitsArguments,
-    calibration_of_hits,
     diagnose_options,
     folder_of_diagnoses,
     hit_source_of,
+    hits_options,
 )
+from impact_rs_analysis.evidence.calibration import calibration_of
+from impact_rs_analysis.following.follow import Follower
+from impact_rs_analysis.following.lessons import HitDocument, PublishedChange, PublishedPrediction, RefusedHit
 from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_ros.identify_node import Identifier, IdentifyNode, Lesson
 from impact_rs_ros.process import run
@@ -95,16 +95,17 @@ class Identify(IdentifyNode):
         runs, impacts, state = (self.parameter(name) for name in ("runs", "impacts", "state"))
         if bool(runs) == bool(impacts):
             raise InputError("expected a folder of trials (runs) or a table of impacts (impacts)", key="runs")
-        hits = HitsArguments(
+        hits = hits_options(
             Path(runs) if runs else None,
             Path(impacts) if impacts else None,
-            self.parameter("impacts_scenario") or None,
-            self.parameter("model"),
+            scenario=self.parameter("impacts_scenario") or None,
         )
-        model = calibration_of_hits(hits).of(load_model(hits.model))
-        folder = self.parameter("diagnoses")
+        file = self.parameter("model")
+        model = calibration_of(hits.data, hits.calibration).of(load_model(file))
+        given = self.parameter("diagnoses")
         state = Path(state) if state else None
-        diagnosis = FullDiagnosis(diagnose_options(hits), folder_of_diagnoses(Path(folder) if folder else None, state))
+        folder = folder_of_diagnoses(Path(given) if given else None, state)
+        diagnosis = FullDiagnosis(diagnose_options(hits, file), folder)
         follower = Follower(hit_source_of(hits, model), model)
         return Lessons(
             FollowedHits(hits, follower, state, diagnosis if self.parameter("diagnose") else None), diagnosis

@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from impact_rs_analysis.application.plant_bench import PlantBench
 from impact_rs_analysis.evidence.command_clock import read_runs_of_scenes
 from impact_rs_analysis.evidence.measured_runs import Runs
 from impact_rs_analysis.investigation.rounds import PlannedTrial
 from impact_rs_analysis.investigation.settings import Settings
-from impact_rs_cli.bench import PlantBench
 from impact_rs_cli.cell_guard import CellGuard
 from impact_rs_cli.terminal import Terminal
 from impact_rs_ros.graph import Graph, run_trial
@@ -21,6 +21,7 @@ from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.campaign import Manifest, TrialReport
 from impact_rs_trials.experiment_plan import SCENARIO_FILE, write_scenario
+from impact_rs_trials.file_names import BAG_METADATA
 from impact_rs_trials.recordings.experiment import FREE_MOTION, HIT, NO_OBJECT, YAML, Experiment, load_experiment
 from impact_rs_trials.recordings.mapping import load_mapping
 from impact_rs_trials.spec import TrialSpec
@@ -58,10 +59,10 @@ class NodesBench(PlantBench):
                 trials[0].scenario,
                 root=self.runs,
                 without=self._without,
-                notify=self.terminal.warn,
+                notify=self.observer.warn,
                 namespace=self._namespace,
             ) as graph,
-            self.terminal.progress("trials") as report,
+            self.observer.progress("trials") as report,
         ):
             for count, one in enumerate(trials, start=1):
                 graph.wait_until_ready()
@@ -76,7 +77,7 @@ class NodesBench(PlantBench):
         """Run one trial."""
         report = self.one(graph, one, repeated=True)
         if report.outcome != "OK":
-            self.terminal.warn(f"{one.path}: {report.outcome}: {report.message}")
+            self.observer.warn(f"{one.path}: {report.outcome}: {report.message}")
         if report.outcome == "ABORTED":
             raise RuntimeError(f"{one.path} was aborted: {report.message}; the same command goes on")
         return report
@@ -156,7 +157,7 @@ class CellBench(NodesBench):
         specs: dict[Path, TrialSpec] = {}
         hits: dict[str, tuple[Scenario, list[str]]] = {}  # with the rows of the table, by the text of the scenario
         free: list[str] = []
-        for path in sorted(self.runs.glob("*/*/*/metadata.yaml")):
+        for path in sorted(self.runs.glob(f"*/*/*/{BAG_METADATA}")):
             bag = TrialBag.open(path.parent)
             spec = specs[path.parent.absolute()] = bag.info.spec
             hit = spec.scenario.excursion is None

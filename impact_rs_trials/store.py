@@ -23,11 +23,11 @@ from typing import TYPE_CHECKING, TextIO
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
+from impact_rs_trials.file_names import BAG_METADATA
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
 
-COMPLETE = "metadata.yaml"
 BAG_FILES = (".mcap", ".db3")  # endings of files of messages
 LOCK = ".lock"
 # Keys of fsspec file systems for size, time and checksum of a file; never the time of reading.
@@ -42,7 +42,7 @@ def is_url(place: str | Path) -> bool:
 def is_bag(folder: Path) -> bool:
     """Whether a folder is a rosbag2 bag, of any program."""
     try:
-        with (folder / COMPLETE).open("rb") as file:
+        with (folder / BAG_METADATA).open("rb") as file:
             return b"rosbag2_bagfile_information" in file.read(4096)
     except OSError:
         return False
@@ -79,7 +79,7 @@ def trials_below(folder: Path) -> list[Path]:
 
 def _is_of_bag(name: str) -> bool:
     """Whether a file of that name belongs to a bag."""
-    return name == COMPLETE or name.endswith(BAG_FILES)
+    return name == BAG_METADATA or name.endswith(BAG_FILES)
 
 
 def _stamp(facts: Iterable[tuple[object, ...]]) -> int:
@@ -232,12 +232,12 @@ class Remote(Store):
         """Whether there is a file of that name, or a bag with its metadata."""
         self._files.invalidate_cache()
         path = f"{self._root}/{name}"
-        return bool(self._files.isfile(path) or self._files.isfile(f"{path}/{COMPLETE}"))
+        return bool(self._files.isfile(path) or self._files.isfile(f"{path}/{BAG_METADATA}"))
 
     def names(self) -> set[str]:
         """Names of all complete bags."""
         self._files.invalidate_cache()
-        return {path.rsplit("/", 2)[-2] for path in self._files.glob(f"{self._root}/*/{COMPLETE}")}
+        return {path.rsplit("/", 2)[-2] for path in self._files.glob(f"{self._root}/*/{BAG_METADATA}")}
 
     def read(self, name: str) -> str:
         """Text of a file."""
@@ -270,7 +270,7 @@ class Remote(Store):
             yield Path(scratch)
             bag, target = Path(scratch) / name, f"{self._root}/{name}"
             self._files.makedirs(target, exist_ok=True)
-            for file in sorted(bag.iterdir(), key=lambda file: file.name == COMPLETE):
+            for file in sorted(bag.iterdir(), key=lambda file: file.name == BAG_METADATA):
                 self._files.put_file(str(file), f"{target}/{file.name}")
 
     @contextmanager
@@ -294,7 +294,7 @@ class Remote(Store):
         return {
             folder: _stamp(facts)
             for folder, facts in bags.items()
-            if any(fact[0] == COMPLETE for fact in facts)
+            if any(fact[0] == BAG_METADATA for fact in facts)
             and not any(part.startswith(".") for part in folder.split("/"))
         }
 

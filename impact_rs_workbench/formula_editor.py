@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import Field
 
-from impact_rs_analysis.diagnosis.formulas import try_out
+from impact_rs_analysis.application.loop_steps import check_formulas
 from impact_rs_sim.effects import library
 from impact_rs_sim.effects.dimensions import check_units
 from impact_rs_sim.effects.formula import FormulaEffect, FormulaFile
@@ -33,11 +33,8 @@ def check(text: str, place: str = PLACE) -> dict[str, Any]:
         InputError: They are not; the message says where.
     """
     effects = [FormulaEffect(spec) for spec in validate(FormulaFile, parse_yaml(text, place), place).effects]
-    for effect in effects:
-        if effect.name in library():
-            raise InputError(f"there is already an effect called {effect.name!r}; give yours another name", file=place)
     units = {effect.name: check_units(effect.spec) for effect in effects}
-    try_out(effects, place)
+    check_formulas(effects, library(), place)
     return {
         "effects": [
             {

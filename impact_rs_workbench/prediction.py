@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
+from impact_rs_analysis.application.nominal_impact import planned_impact, velocities_before
 from impact_rs_analysis.report.figures import MODEL_STYLE
 from impact_rs_analysis.report.scene_3d import scene_data
 from impact_rs_commands.predicting import MAP
@@ -170,7 +171,7 @@ def answer(
         note = f"no interval: {error}"
     if not question.moving:
         note = note or (uniqueness_of(problem, scene.models).warning or "")
-    before = {name: scene.models[name].jacobian(arm.position) @ arm.velocity for name, arm in scene.arms.items()}
+    before = velocities_before(scene)
     bodies = [(name, before[name], twist) for name, twist in found.end_effector_twist.items()]
     bodies.append(("object", scene.object.twist, found.object_twist))
     rows = [
@@ -263,9 +264,7 @@ def _arm(scenario: Scenario, question: Question) -> str:
 
 def _problem(scenario: Scenario, question: Question, model: Model) -> tuple[Scene, ImpactProblem]:
     changed = scenario.with_settings(settings_of(scenario, question))
-    scene = Scene.resolve(changed, question.object, question.case)
-    scene = scene.under(model.apply(scene.physics))
-    return scene, ImpactProblem.at_nominal_impact(scene, question.motor_inertia)
+    return planned_impact(changed, question.object, question.case, model, question.motor_inertia)
 
 
 @dataclass(frozen=True)

@@ -20,12 +20,13 @@ import numpy as np
 import yaml
 from pydantic import Field
 
+from impact_rs_analysis.application.described_folder import check_undescribed, described_folder
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.files import whole_folder
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.schema import Name, Schema, load_mapping, validate
+from impact_rs_trials.file_names import EXPERIMENT_FILE, MAPPING_FILE, RUN_TABLE
 from impact_rs_trials.recordings.candidates import (
     MAX_JOINT_NUMBERS,
     OBJECT_POSE,
@@ -60,9 +61,8 @@ from impact_rs_trials.recordings.plausibility import check_gravity_torque
 from impact_rs_trials.recordings.recording import check_limits, check_velocity
 from impact_rs_trials.recordings.series import Series
 from impact_rs_trials.recordings.sources import read_series
-from impact_rs_workbench.workspace import RUN_TABLE, Workspace
+from impact_rs_workbench.workspace import Workspace
 
-EXPERIMENT = "experiment.yaml"
 MOST_POINTS = 300  # of a preview
 MOST_READINGS = 2  # of a signal, beside the one that is taken, in words
 
@@ -190,7 +190,7 @@ def _by_numbers(path: Path, folder: Path, robot: str) -> _Guesses:
         draft = draft_import([path], folder, ImportOptions(robot=robot))
     except InputError as error:
         return _Guesses({}, {}, (f"Chosen by names alone, for impact-rs import says: {error.message}",))
-    content = yaml.safe_load(draft.texts["mapping.yaml"])
+    content = yaml.safe_load(draft.texts[MAPPING_FILE])
     wanted = (*get_args(ArmSignal), OBJECT_POSE)
     signals = {name: section for name, section in content["signals"].items() if name in wanted}
     if "torque_constant" in content:  # of currents, which runs with contact have not
@@ -340,10 +340,8 @@ def describe(workspace: Workspace, description: Description) -> tuple[list[str],
     scenario_name = workspace.scenario_path(description.scenario)
     scenario = load_scenario(scenario_name)
     files = _mapping_files(scenario)
-    new = [EXPERIMENT, *files.values(), *([] if description.runs is None else [RUN_TABLE])]
-    for name in new:
-        if (folder / name).exists():
-            raise InputError("this file exists already; remove it to describe the folder again", file=folder / name)
+    new = [EXPERIMENT_FILE, *files.values(), *([] if description.runs is None else [RUN_TABLE])]
+    check_undescribed(folder, new)
     mappings = {arm: _mapping_of(workspace, description, scenario, arm, folder / file) for arm, file in files.items()}
     if scenario_name.endswith((".yaml", ".yml")):
         scenario_name = os.path.relpath(scenario_name, folder)
@@ -353,12 +351,10 @@ def describe(workspace: Workspace, description: Description) -> tuple[list[str],
     if motion_capture.estimate:
         experiment["motion_capture"] = {"estimate": True}
     texts = {file: _yaml(_seen_from(folder, mappings[arm])) for arm, file in files.items()}
-    texts[EXPERIMENT] = _yaml(experiment)
+    texts[EXPERIMENT_FILE] = _yaml(experiment)
     if description.runs is not None:
         texts[RUN_TABLE] = _table(description.runs)
-    with whole_folder(folder) as aside:
-        for name, text in texts.items():
-            (aside / name).write_text(text, encoding="utf-8")
+    with described_folder(folder, texts) as aside:
         table = (folder if description.runs is None else aside) / RUN_TABLE
         rows = read_runs(folder, Experiment(scenario=scenario_name, runs=str(table.relative_to(folder))), scenario)
         laboratory = Laboratory.checked(scenario, mappings, motion_capture, lambda arm: {"key": arm})
@@ -371,7 +367,7 @@ def describe(workspace: Workspace, description: Description) -> tuple[list[str],
 def _mapping_files(scenario: Scenario) -> dict[str, str]:
     """Name of the mapping file of every arm."""
     if len(scenario.robots) == 1:
-        return dict.fromkeys(scenario.robots, "mapping.yaml")
+        return dict.fromkeys(scenario.robots, MAPPING_FILE)
     return {arm: f"mapping_{arm}.yaml" for arm in scenario.robots}
 
 

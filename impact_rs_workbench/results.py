@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import functools
 import json
-import os
 import re
 from pathlib import Path
 from typing import Any
 
+from impact_rs_analysis.application.shown_runs import laboratory_run, page_of_trial
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument
 from impact_rs_analysis.diagnosis.discovery_document import is_discovery
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
@@ -27,21 +27,19 @@ from impact_rs_analysis.report.comparison import (
 )
 from impact_rs_analysis.report.labels import phase_text, place_text, tag_of
 from impact_rs_analysis.report.page import number_text, p_text, quantity_text
+from impact_rs_analysis.report.page_names import COMPARISON_DATA, DIAGNOSIS_PAGE, DISCOVERY_PAGE
 from impact_rs_analysis.report.plots import effects_plot
-from impact_rs_analysis.report.trial import TrialPage, run_page, trial_page
+from impact_rs_analysis.report.trial import TrialPage, run_page
 from impact_rs_commands.explaining import DISCOVER
 from impact_rs_commands.measuring import BLIND
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.schema import validate
-from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.blind import RUNS, TRUTH
 from impact_rs_trials.experiment_plan import read_plan
-from impact_rs_trials.recordings.experiment import Experiment, load_experiment, read_runs
-from impact_rs_trials.recordings.laboratory import Laboratory, read_one
-from impact_rs_trials.store import is_bag, trials_below
+from impact_rs_trials.store import trials_below
 from impact_rs_workbench.forms import seen, values_of
-from impact_rs_workbench.workspace import EXPERIMENTS, Workspace, read_json
+from impact_rs_workbench.workspace import Workspace, read_json
 
 MOST_RESTS = 5  # residuals that a diagnosis leaves
 MOST_PAIRS = 8  # of explanations, the least certain first
@@ -53,10 +51,10 @@ def comparison(folder: Path) -> dict[str, Any]:
     Raises:
         InputError: There is no comparison in the folder.
     """
-    path = folder / "compare.json"
+    path = folder / COMPARISON_DATA
     data = read_json(path)
     if data is None:
-        raise InputError("no comparison here; expected compare.json", file=folder)
+        raise InputError(f"no comparison here; expected {COMPARISON_DATA}", file=folder)
     document = validate(ComparisonDocument, data, path)
     several = len({cell.scenario for cell in document.where}) > 1
     part, by_phase = where_part(document), not on_scale(document)
@@ -87,47 +85,22 @@ def comparison(folder: Path) -> dict[str, Any]:
     }
 
 
-def trials(folder: Path) -> list[str]:
-    """Names of the trials in a folder, in order; of a described laboratory the runs of its table, by their paths.
-
-    Raises:
-        InputError: It is no folder, or a laboratory whose table of runs cannot be read.
-    """
-    if not folder.is_dir():
-        raise InputError("expected the folder of a campaign", file=folder)
-    if (experiment := _experiment(folder)) is None:
-        return sorted(path.name for path in folder.iterdir() if is_bag(path))
-    table = read_runs(folder, experiment, Laboratory.of(experiment).scenario)
-    return sorted(os.path.relpath(row.path, folder) for row in table)
-
-
 def trial(path: Path) -> dict[str, Any]:
     """A recorded trial in 3D and over time.
 
     Raises:
         InputError: It is no trial, or it cannot be read.
     """
-    try:
-        return _shown(trial_page(TrialBag.open(path)))
-    except BagError as error:
-        raise InputError(error.reason, file=path) from None
+    return _shown(page_of_trial(path))
 
 
 def run(folder: Path, name: str) -> dict[str, Any]:
     """A run of a described laboratory in 3D and over time, as a comparison reads it.
 
     Raises:
-        InputError: The folder is not described, or there is no such run, or it cannot be read.
+        InputError: See :func:`laboratory_run`.
     """
-    if (experiment := _experiment(folder)) is None:
-        raise InputError("no experiment file here; describe the recordings first", file=folder)
-    return _shown(run_page(read_one(folder, experiment, name, map)))
-
-
-def _experiment(folder: Path) -> Experiment | None:
-    """The experiment that is described in a folder; None: there is none."""
-    file = next((folder / name for name in EXPERIMENTS if (folder / name).is_file()), None)
-    return None if file is None else load_experiment(file)
+    return _shown(run_page(laboratory_run(folder, None, name)))
 
 
 def _shown(page: TrialPage) -> dict[str, Any]:
@@ -321,7 +294,7 @@ def diagnosis(workspace: Workspace, name: str) -> dict[str, Any]:
         "runs": measured_by.get("runs"),
         "calls_for_a_law": document.calls_for_a_law and not discovered,
         "law": measured_by,
-        "report": "discovery.html" if discovered else "diagnosis.html",
+        "report": DISCOVERY_PAGE if discovered else DIAGNOSIS_PAGE,
         "unit": document.error_unit,
         "yardstick": yardstick_of_rest(document),
         "figure": None if figure is None else json.loads(str(figure.to_json())),

@@ -20,6 +20,7 @@ from starlette.responses import FileResponse, HTMLResponse, JSONResponse, PlainT
 from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from impact_rs_analysis.application.shown_runs import run_names
 from impact_rs_analysis.report.page import BUNDLE, PLOTLY, TEMPLATES
 from impact_rs_commands.predicting import EFFECTS
 from impact_rs_sim.errors import InputError, shortened
@@ -195,7 +196,7 @@ def _routes(workbench: Workbench) -> list[Route]:
         Route("/api/choices", _got(lambda _: choices(workspace).model_dump())),
         Route("/api/choices", _posted(keep_choice), methods=["POST"]),
         Route("/api/estimates", _got(lambda _: results.estimates(workspace))),
-        Route("/api/trials", _got(lambda given: results.trials(workspace.existing(given.get("path", ""))))),
+        Route("/api/trials", _got(lambda given: run_names(workspace.existing(given.get("path", ""))))),
         Route("/api/trial", _got(lambda given: results.trial(workspace.existing(given.get("path", ""))))),
         Route(
             "/api/run", _got(lambda given: results.run(workspace.existing(given.get("path", "")), given.get("run", "")))

@@ -18,12 +18,15 @@ from typing import Any, TypeVar
 
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
 from impact_rs_analysis.evidence.calibration import CALIBRATION
+from impact_rs_analysis.report.page_names import COMPARISON_DATA, HISTORY_DATA, PAGES, TABLES
 from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.schema import load_mapping, validate
+from impact_rs_trials.bags.topics import TRIAL_INFO
 from impact_rs_trials.blind import RUNS, TRUTH
 from impact_rs_trials.campaign import MANIFEST, Manifest
+from impact_rs_trials.file_names import BAG_METADATA, EXPERIMENT_FILES, RUN_TABLE
 from impact_rs_trials.recordings.experiment import Experiment
 from impact_rs_trials.recordings.run_finder import FILE_SUFFIXES
 from impact_rs_trials.store import is_bag
@@ -31,15 +34,8 @@ from impact_rs_trials.store import is_bag
 HIDDEN = ".workbench"
 DEEPEST = 5  # folders below the workbench's own that are looked into
 LARGEST_DOCUMENT = 20_000_000  # bytes of a report's numbers
-REPORTS = (
-    "report.html", "compare.html", "diagnosis.html", "discovery.html", "history.html", "investigation.html",
-    "limits.html", "rehearsal.html", "design_study.html",
-)  # fmt: skip
-IN_PAGES = ("limits.csv", "designs.csv")  # tables beside such pages, which are no recordings
 NOMINAL = "nominal"
-EXPERIMENTS = ("experiment.yaml", "experiment.yml")
 LONGEST_HEADER = 10_000  # characters of the first line of a table
-RUN_TABLE: str = Experiment.model_fields["runs"].default
 
 
 Read = TypeVar("Read")
@@ -272,7 +268,7 @@ class Workspace:
                         plans.append(self.name(path))
                     elif kind == "robot":
                         robots.append(self.name(path))
-                elif file in ("compare.json", "history.json"):
+                elif file in (COMPARISON_DATA, HISTORY_DATA):
                     scores += _scores(path)
                 elif file.endswith(".json") and (diagnosis := self._diagnosis(path)) is not None:
                     diagnoses.append(diagnosis)
@@ -280,7 +276,7 @@ class Workspace:
                     packages.append(self.name(path))
                 elif _is_table_of_impacts(path):
                     tables.append(self.name(path))
-                elif file in REPORTS:
+                elif file in PAGES:
                     reports.append(self.name(path))
         config = config_directory()
         return Contents(
@@ -329,7 +325,7 @@ class Workspace:
         return Campaign(self.name(folder), scenario, len(keys & set(os.listdir(folder))), len(keys))
 
     def _laboratory(self, folder: Path, files: list[str], bags: list[str]) -> LabFolder | None:
-        experiment = next((name for name in EXPERIMENTS if name in files), None)
+        experiment = next((name for name in EXPERIMENT_FILES if name in files), None)
         names = [*bags, *(name for name in files if _is_recording(folder / name))]
         if not names and experiment is None:
             return None
@@ -381,7 +377,7 @@ def _names_in(folder: Path) -> list[str]:
 
 def _is_recording(path: Path) -> bool:
     """Whether a file may be a recording, and is no table that a command has written."""
-    return path.suffix in FILE_SUFFIXES and path.name not in (RUN_TABLE, *IN_PAGES) and not _is_table_of_impacts(path)
+    return path.suffix in FILE_SUFFIXES and path.name not in (RUN_TABLE, *TABLES) and not _is_table_of_impacts(path)
 
 
 @once
@@ -429,7 +425,7 @@ def _node(path: str, model: Model, parent: str | None) -> ModelNode:
 def _is_ours(bag: Path) -> bool:
     """Whether a bag is one of our trials: its metadata names the topic that says so."""
     try:
-        return "/trial_info" in (bag / "metadata.yaml").read_text(encoding="utf-8")
+        return TRIAL_INFO in (bag / BAG_METADATA).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         return False
 
@@ -484,7 +480,7 @@ def _scores(path: Path) -> list[dict[str, Any]]:
     found = []
     when = path.stat().st_mtime
     try:
-        if path.name == "compare.json":
+        if path.name == COMPARISON_DATA:
             entry = {"name": "", "digest": document["model"]["digest"], "fit": document["score"], "held_out": None}
             measured = [document["source"], *sorted((one["name"], one["repeats"]) for one in document["conditions"])]
             found.append(

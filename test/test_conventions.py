@@ -151,6 +151,8 @@ def test_imports_run_one_way_from_the_command_line_down_to_physics(graph: grimp.
         ("evidence", "diagnosis"),
         ("evidence", "report"),
         ("diagnosis", "report"),
+        ("report", "application"),
+        ("investigation", "application"),
     ):
         assert not graph.find_shortest_chains(f"{analysis}.{lower}", f"{analysis}.{higher}"), f"{higher} <- {lower}"
 

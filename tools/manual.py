@@ -7,7 +7,8 @@ A page has such a table between two lines::
 
     [//]: # (end of table)
 
-``./run python -m tools.manual`` writes all of them, and ``docs/scenarios.md`` and ``docs/parameters.md``.
+``./run python -m tools.manual`` writes all of them, and ``docs/scenarios.md``, ``docs/parameters.md`` and
+``docs/python.md``.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from impact_rs_sim.robot import RobotFacts
 from impact_rs_sim.scenario_docs import key_table
 from impact_rs_trials.recordings.experiment import Experiment
 from impact_rs_trials.recordings.mapping import Mapping, SignalSource
+from tools import python_reference
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 BETWEEN = re.compile(r"(\[//\]: # \(table: (\w+)\)\n).*?(\[//\]: # \(end of table\)\n)", re.DOTALL)
@@ -71,11 +73,15 @@ def made(text: str) -> str:
 def pages() -> dict[str, str]:
     """Text of every page of the manual, by its name."""
     texts = {path.name: made(path.read_text(encoding="utf-8")) for path in sorted(DOCS.glob("*.md"))}
-    return texts | {"scenarios.md": scenario_docs.markdown(), "parameters.md": node_parameters.markdown()}
+    return texts | {
+        "scenarios.md": scenario_docs.markdown(),
+        "parameters.md": node_parameters.markdown(),
+        "python.md": python_reference.markdown(),
+    }
 
 
 if __name__ == "__main__":
     for name, text in pages().items():
-        if (DOCS / name).read_text(encoding="utf-8") != text:
+        if not (DOCS / name).exists() or (DOCS / name).read_text(encoding="utf-8") != text:
             write_whole(DOCS / name, text)
             print(f"docs/{name}")

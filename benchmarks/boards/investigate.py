@@ -17,12 +17,12 @@ from benchmarks.boards.discovery import RIGHT
 from benchmarks.harness import Row, Work
 from benchmarks.hidden import VISIBLE, Entry, hidden_in, plant_option, recorder, reseeded
 from benchmarks.results import Table
+from impact_rs_analysis.application.plant_bench import PlantBench
 from impact_rs_analysis.diagnosis.scoring import truth_of
 from impact_rs_analysis.investigation.endings import judged
 from impact_rs_analysis.investigation.loop import Investigation
 from impact_rs_analysis.investigation.rounds import WantedTrials, read_rounds
 from impact_rs_analysis.investigation.settings import BlindChoice, Settings, begin
-from impact_rs_cli.bench import PlantBench
 from impact_rs_cli.commands.investigate import secret_of
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.model import load_model

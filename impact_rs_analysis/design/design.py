@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -99,6 +100,9 @@ def planned(
     model = forecast.source.model
     trials = forecast.under(decision)
     can_run = [trial for trial in trials if trial.trial is not None]
+    unseen = _unseen(decision, trials)
+    seen_pairs = tuple(pair for pair in decision.pairs if not unseen & set(pair))
+    decision = replace(decision, pairs=seen_pairs or decision.pairs)
     counts = Discrimination(decision, trials)
     picked = chosen(method, counts, can_run, budget, seed)
     before = counts.total(counts.counted)
@@ -114,10 +118,20 @@ def planned(
         budget=budget,
         seed=seed,
         freedom=int(freedom),
-        summary=_summary(decision, pairs, picked, counts.information(after) if decision.aim == "parameters" else 0.0),
+        summary=_summary(decision, pairs, picked, counts.information(after) if decision.aim == "parameters" else 0.0)
+        + _unseen_in_words([decision.explanations[number].name for number in sorted(unseen)]),
         pairs=tuple(pairs[:MAX_LISTED_PAIRS]),
         campaigns=_campaigns({trial.name: trial for trial in can_run}, picked, words),
     )
+
+
+def _unseen(decision: Decision, trials: Sequence[ForecastTrial]) -> set[int]:
+    """Indices of the explanations without estimates that change no feature of any trial, as a drift over weeks."""
+    return {
+        number
+        for number, one in enumerate(decision.explanations)
+        if one.varied and not one.estimated and not any(np.any(trial.spreads[number]) for trial in trials)
+    }
 
 
 def _pairs(decision: Decision, before: Array, after: Array) -> list[PlannedPair]:
@@ -205,6 +219,11 @@ def _summary(decision: Decision, pairs: Sequence[PlannedPair], picked: Counts, i
         f"{trials} distinguish {len(sure)} of {len(pairs)} pairs of explanations "
         f"with {MIN_DISTINGUISHED_PROBABILITY:.0%} or more{rest}"
     )
+
+
+def _unseen_in_words(names: Sequence[str]) -> str:
+    """Explanations that no trial shows; empty: all are seen."""
+    return f"; no possible trial shows {', '.join(names)}" if names else ""
 
 
 def _percent(value: float) -> str:

@@ -28,6 +28,7 @@ from impact_rs_analysis.evidence.calibration import NO_CALIBRATION, LaboratoryCa
 from impact_rs_analysis.evidence.cluster import ErrorUnit
 from impact_rs_analysis.evidence.discrepancy import DiscrepancyDocument
 from impact_rs_analysis.evidence.levels import Cell, ConditionScore, Level, RecordingDocument, SignalLevel, rounded
+from impact_rs_analysis.evidence.rollouts import RolloutDocument
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.evidence.visited import beyond
 from impact_rs_analysis.measure.arms import ArmDocument, arms_of, assumptions
@@ -65,6 +66,9 @@ class ComparisonDocument(Schema):
         default_factory=DiscrepancyDocument, description="model discrepancy of the simulation"
     )
     remarks: tuple[str, ...] = Field((), description="remarks for the reader")
+    rollouts: RolloutDocument | None = omitted(
+        None, description="open-loop predictions of the motion; null: no torque or too little free motion was measured"
+    )
     agreement: AgreementDocument = omitted(AgreementDocument(), description="which readings agree with each other")
 
 
@@ -84,7 +88,7 @@ def compare(
     skipped = source.left_out
     if runs is not None:
         skipped = tuple((path.removeprefix(f"{runs.directory}/"), why) for path, why in runs.skipped)
-    arms = arms_of(source.worlds)
+    arms, rollouts = arms_of(source.worlds), source.rollouts()
     return ComparisonDocument(
         source=source.kind,
         model=ModelIdentity.of(model),
@@ -104,5 +108,6 @@ def compare(
         recording=source.recording,
         discrepancy=source.discrepancy_document,
         remarks=(*source.comparison_remarks, *remarks, *beyond(source), *assumptions(arms)),
+        rollouts=None if rollouts is None else rollouts.document(),
         agreement=agreement_of(source),
     )

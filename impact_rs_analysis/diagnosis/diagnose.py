@@ -34,6 +34,7 @@ from impact_rs_analysis.diagnosis.document import (
 from impact_rs_analysis.diagnosis.drift import drift_in_words, drift_of, low_confidence_sentence
 from impact_rs_analysis.diagnosis.effect_verdicts import effect_documents
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
+from impact_rs_analysis.diagnosis.held_out_rollouts import held_out_rollouts
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.measurement import experiments_of, measurement_of, with_readings
 from impact_rs_analysis.diagnosis.next_experiment import next_experiment
@@ -132,8 +133,11 @@ def diagnose(
     limit = None if math.isinf(budget.limit) else budget.limit
     spent = BudgetDocument(limit=limit, left_out=tuple(budget.left_out))
     remarks = (*filter(None, [not_tried(spent)]), *document.remarks, *unseen)
-    document = document.model_copy(update={"runs": _runs(whole), "budget": spent, "remarks": remarks})
-    summary = " ".join(filter(None, [summary_of(document), low_confidence_sentence(document.drift)]))
+    rollouts = held_out_rollouts(source, found.hold_out)
+    update = {"runs": _runs(whole), "budget": spent, "remarks": remarks, "rollouts": rollouts}
+    document = document.model_copy(update=update)
+    disagree = "" if rollouts is None else rollouts.disagreement(document.held_out_change_ci95)
+    summary = " ".join(filter(None, [summary_of(document), disagree, low_confidence_sentence(document.drift)]))
     said = {"measurement": measurement_of(document), "calibrate": experiments_of(document), "summary": summary}
     return document.model_copy(update=said)
 
@@ -420,7 +424,7 @@ def _remarks(found: Findings, source: Source) -> list[str]:
         remarks.append(found.unsupported)
     if found.search.ruled_out:
         names = ", ".join(sorted(found.shown(found.search.ruled_out)))
-        remarks.append(f"ruled out by free motion, and not tried in contact: {names}")
+        remarks.append(f"free motion shows no sign of these, so they were not fitted in contact: {names}")
     return remarks
 
 

@@ -15,11 +15,12 @@ from typing import Any, Literal, Self
 from pydantic import Field
 
 from impact_rs_analysis.diagnosis.thresholds import UNADJUSTED_LEVEL
-from impact_rs_analysis.diagnosis.verdict import SMALL, DiagnosisVerdict
+from impact_rs_analysis.diagnosis.verdict import NO_IMPROVEMENT, SMALL, TOO_FEW, UNIDENTIFIABLE, DiagnosisVerdict
 from impact_rs_analysis.evidence.calibration import LaboratoryCalibration
 from impact_rs_analysis.evidence.cluster import TIMES, ErrorUnit
 from impact_rs_analysis.evidence.discrepancy import DiscrepancyDocument
 from impact_rs_analysis.evidence.levels import RecordingDocument
+from impact_rs_analysis.evidence.rollouts import RolloutDocument, shown
 from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
@@ -380,6 +381,54 @@ class ViewDocument(Schema):
     allowed: bool = Field(True, description="whether unseen data are predicted as well as with the best value")
 
 
+class HeldOutRollouts(Schema):
+    """Rollouts of held-out motions before and after."""
+
+    before: RolloutDocument = Field(description="of the model")
+    after: RolloutDocument = Field(description="with the effects found on the other folds")
+    compared: int = Field(description="rollouts that do not overlap, paired at the longest horizon")
+    closer: int = Field(description="of these, rollouts that are closer to the measurement with the effects")
+    p_value: float | None = Field(
+        description="p-value of no difference (Wilcoxon signed-rank test); null: too few rollouts, or no difference"
+    )
+
+    @property
+    def worse(self) -> bool:
+        """Whether rollouts get worse with the effects, beyond the scatter over their starts."""
+        few = 2 * self.closer < self.compared
+        return few and self.p_value is not None and self.p_value < UNADJUSTED_LEVEL
+
+    @property
+    def in_words(self) -> str:
+        """Errors before and after in one line."""
+        pairs = list(zip(self.before.horizons, self.after.horizons, strict=False))
+        tool = ", ".join(f"{shown(one.tool_mm)} → {shown(other.tool_mm)}" for one, other in pairs)
+        time = ", ".join(f"{one.horizon_s:g}" for one, _ in pairs)
+        number, worst = max(enumerate(self.before.last.joints), key=lambda one: one[1].error)
+        joint = ", ".join(
+            f"{shown(one.joints[number].error)} → {shown(other.joints[number].error)}" for one, other in pairs
+        )
+        test = "" if self.p_value is None else f" (Wilcoxon signed-rank test, p = {self.p_value:.2g})"
+        return (
+            f"rollouts of held-out motion, after {time} s: tool off by {tool} mm, {worst.joint} by {joint} "
+            f"{worst.unit}; closer with the effects in {self.closer} of {self.compared} that do not overlap{test}"
+        )
+
+    def disagreement(self, change: tuple[float, float] | None) -> str:
+        """Sentence on a torque balance that improves where rollouts get worse; empty: they do not disagree.
+
+        Args:
+            change: 95 % interval of the change of the held-out error.
+        """
+        if change is None or change[1] >= 0.0 or not self.worse:
+            return ""
+        return (
+            "The two estimators disagree: with these effects the held-out error falls, but open-loop predictions over "
+            f"{self.after.last.horizon_s:g} s get worse in {self.compared - self.closer} of {self.compared} rollouts "
+            f"(Wilcoxon signed-rank test, p = {self.p_value:.2g}), which is evidence of a wrong model class."
+        )
+
+
 class DiagnosisDocument(Schema):
     """``diagnosis.json``."""
 
@@ -428,6 +477,9 @@ class DiagnosisDocument(Schema):
     )
     identifiability: Identifiability = Field(default_factory=Identifiability, description="how well it is determined")
     joints: tuple[JointError, ...] = Field((), description="held-out error by joint, of recordings")
+    rollouts: HeldOutRollouts | None = omitted(
+        None, description="open-loop predictions of held-out motion; null: no effect found, or too little free motion"
+    )
     recording: RecordingDocument | None = Field(None, description="how recordings were read")
     drift: DriftDocument | None = Field(None, description="drift over the campaign; null: order unknown or no repeats")
     proportion: ProportionDocument = Field(
@@ -477,6 +529,13 @@ class DiagnosisDocument(Schema):
             if one.found and one.verdict != SMALL:
                 found[one.effect] = (*found.get(one.effect, ()), one.covariate)
         return found
+
+    @property
+    def addable(self) -> tuple[str, ...]:
+        """Named effects with one value for all measurements, which the measurements determine."""
+        undetermined = (NO_IMPROVEMENT, TOO_FEW, UNIDENTIFIABLE)
+        own = [(name, self.effect(name)) for name in self.named if name not in self.dependent]
+        return tuple(name for name, effect in own if effect is not None and effect.verdict not in undetermined)
 
     @property
     def not_excluded(self) -> dict[str, str]:

@@ -147,7 +147,7 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
     else:
         verdict, reason = NO_IMPROVEMENT, ""
         if name in search.ruled_out:
-            reason = "ruled out by free motion, and not tried in contact"
+            reason = "free motion shows no sign of it, so it was not fitted in contact"
     before = _error(found, found.chosen)
     return EffectDocument(
         name=effect.shown_name,

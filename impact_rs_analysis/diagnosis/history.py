@@ -18,6 +18,7 @@ from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.residuals import residual_size
 from impact_rs_analysis.evidence.calibration import NO_CALIBRATION, LaboratoryCalibration
 from impact_rs_analysis.evidence.cluster import TIMES
+from impact_rs_analysis.evidence.rollouts import RolloutDocument
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, load_model
@@ -61,6 +62,7 @@ class VersionError:
             None where there are too few conditions.
         noise_floor: Both errors if only noise were left; None if nothing was repeated.
         unit: Of the errors, ``TIMES`` for multiples of repeatability.
+        rollouts: Open-loop predictions with the parameters of its file; None: none was possible.
     """
 
     version: Version
@@ -68,9 +70,11 @@ class VersionError:
     error_held_out: float | None
     noise_floor: float | None
     unit: str = TIMES
+    rollouts: RolloutDocument | None = None
 
     def to_json(self) -> dict[str, Any]:
         """One entry of ``history --json``."""
+        document = {} if self.rollouts is None else {"rollouts": self.rollouts.model_dump(mode="json")}
         return {
             "model": self.version.model.name,
             "digest": self.version.model.digest,
@@ -79,6 +83,7 @@ class VersionError:
             "error_fit": self.error_fit,
             "error_held_out": self.error_held_out,
             "noise_floor": self.noise_floor,
+            **document,
         }
 
 
@@ -158,7 +163,9 @@ def history(
         held_out: float | None = error
         if version.effects_added:
             held_out = _held_out(version, source, source_of)
-        found.append(VersionError(version, error, held_out, noise, source.size_unit))
+        rollouts = source.rollouts()
+        document = None if rollouts is None else rollouts.document()
+        found.append(VersionError(version, error, held_out, noise, source.size_unit, document))
     return found
 
 

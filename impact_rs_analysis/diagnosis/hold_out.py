@@ -30,6 +30,7 @@ from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.search import Search
 from impact_rs_analysis.diagnosis.thresholds import MIN_CLUSTERS, MIN_CLUSTERS_OF_EFFECT
+from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.robot import Array
@@ -60,6 +61,7 @@ class HoldOut:
             few clusters or repeats are left for a search.
         failed: Indices of the clusters in which the effects of the fold cannot be simulated, such as a hit that they
             predict to miss; their ``residuals`` are those of the model.
+        added: The effects that predict each fold, with their estimates.
     """
 
     folds: tuple[Fold, ...]
@@ -67,6 +69,7 @@ class HoldOut:
     chosen: tuple[tuple[str, ...], ...]
     searched: tuple[bool, ...]
     failed: tuple[int, ...] = ()
+    added: tuple[Added, ...] = ()
 
     @property
     def found(self) -> tuple[tuple[str, ...], ...]:
@@ -133,7 +136,7 @@ def hold_out(
     if not folds:
         return None
     rest: dict[int, Array | None] = {}
-    names, short = [], 0
+    names, fitted, short = [], [], 0
     searched = [
         _seen_by(chosen, fold.training) >= MIN_CLUSTERS_OF_EFFECT
         and Evidence.of(source, fold.training).null.shortage is None
@@ -142,15 +145,16 @@ def hold_out(
     tasks = list(zip(folds, searched, strict=True))
     limit = budget.remaining / len(folds)
     results = source.spread(partial(_predicted, effects, chosen, dict(known), limit, budget.clock), tasks, "hold-out")
-    for fold, (found, left, left_out) in zip(folds, results, strict=True):
+    for fold, (found, added, left, left_out) in zip(folds, results, strict=True):
         names.append(found)
+        fitted.append(added)
         short += bool(left_out)
         rest.update(zip(fold.held, left, strict=True))
     failed = tuple(sorted(number for number, own in rest.items() if own is None))
     ordered = tuple(item.mean if (own := rest[n]) is None else own for n, item in enumerate(source.clusters))
     if short:
         budget.add(f"all of the search in {short} of {len(folds)} folds of the hold-out")
-    return HoldOut(tuple(folds), ordered, tuple(names), tuple(searched), failed)
+    return HoldOut(tuple(folds), ordered, tuple(names), tuple(searched), failed, tuple(fitted))
 
 
 def _seen_by(chosen: Candidate, clusters: Sequence[int]) -> int:
@@ -166,8 +170,12 @@ def _predicted(
     clock: Clock,
     source: Source,
     task: tuple[Fold, bool],
-) -> tuple[tuple[str, ...], list[Array | None], tuple[str, ...]]:
-    """Effects selected without a fold, mean residuals of its clusters (None: not simulated), and what was not tried."""
+) -> tuple[tuple[str, ...], Added, list[Array | None], tuple[str, ...]]:
+    """Effects selected without a fold, with their estimates, and what they predict of it.
+
+    Returns:
+        Names, effects with estimates, mean residuals of its clusters (None: not simulated), and what was not tried.
+    """
     fold, searched = task
     budget = Budget(limit, clock)
     evidence = Evidence.of(source, fold.training, budget)
@@ -175,10 +183,10 @@ def _predicted(
     found = search.forward_selection() if searched else search.fitted(chosen.names)
     if found is not None and searched:
         found, _ = search.exchange(found)
-    added = () if found is None else found.candidate.split(found.estimate)
+    added: Added = () if found is None else found.candidate.split(found.estimate)
     rest: list[Array | None] = []
     for item in (source.clusters[number] for number in fold.held):
         # Repeats differ in slip: each is predicted from its own start.
         predicted = source.residuals_with(added, [item])
         rest.append(None if predicted is None else predicted[0].mean)
-    return () if found is None else found.candidate.names, rest, tuple(budget.left_out)
+    return () if found is None else found.candidate.names, added, rest, tuple(budget.left_out)

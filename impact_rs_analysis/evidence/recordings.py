@@ -31,6 +31,7 @@ from impact_rs_analysis.evidence.levels import (
 )
 from impact_rs_analysis.evidence.minimum_data import MIN_BLOCKS
 from impact_rs_analysis.evidence.motion_difference import minus_references
+from impact_rs_analysis.evidence.rollouts import FreeMotion
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.evidence.torque_balance import Motion, TorqueBalance, motor_ratios, prepare
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track, track_of_motion
@@ -420,6 +421,48 @@ class RecordingSource(Source):
                 name = label if len(self.motions) == 1 else f"{run.path.name}, {label}"
                 found.append(track_of_motion(name, self.physics, motion, curves))
         return tuple(found)
+
+    def free_motions(self, numbers: Sequence[int] | None = None) -> tuple[FreeMotion, ...]:
+        """See :meth:`Source.free_motions`; empty for differences, and where a joint's torque was not measured."""
+        if self._minus or not all(motion.measured.all() for motion in self.motions):
+            return ()
+        found, first = [], 0
+        for run, motion in zip(self.recordings, self.motions, strict=True):
+            own = motion.time[motion.kept]
+            last = first + own.size
+            for low, high in self._parts(numbers, first, last):
+                found.append(
+                    FreeMotion(
+                        arm=ARM,
+                        physics=self.physics,
+                        time=motion.time,
+                        position=motion.position,
+                        velocity=motion.velocity,
+                        acceleration=motion.acceleration,
+                        torque_time=run.signals.time - run.signals.time[0],
+                        torque=run.signals.arms[ARM].torque,  # unfiltered: a reversal of dry friction is sudden
+                        begin=float(own[low]),
+                        end=float(own[high - 1]),
+                        with_motor=self.mapping.torque_measured_at == "motor",
+                    )
+                )
+            first = last
+        return tuple(found)
+
+    def _parts(self, numbers: Sequence[int] | None, first: int, last: int) -> list[tuple[int, int]]:
+        """Rows of a motion that stretches cover, neighbours together; its samples are ``first`` to ``last`` of all."""
+        if numbers is None:
+            return [(0, last - first)]
+        found: list[tuple[int, int]] = []
+        for number in sorted(numbers):
+            rows = self._stretches[number].rows
+            if not first <= rows.start < last:
+                continue
+            low, high = rows.start - first, rows.stop - first
+            if found and found[-1][1] == low:
+                low = found.pop()[0]
+            found.append((low, high))
+        return found
 
     def rest_with(self, added: Added) -> Array:
         """Recorded minus predicted torque of the model with effects, ``(k, n)`` [N m].

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from impact_rs_analysis.evidence.discrepancy import Discrepancy, Kind, measured_
 from impact_rs_analysis.evidence.levels import Comparison, condition_scores, level_of, signal_levels, where_of
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
 from impact_rs_analysis.evidence.replay_cache import Replay, ReplayCache
+from impact_rs_analysis.evidence.rollouts import MAX_STARTS, FreeMotion, free_of_contact, without
 from impact_rs_analysis.evidence.source import Identity, Item, Made, Source, with_per_arm_parameters
 from impact_rs_analysis.evidence.tracker_start import tracker_start
 from impact_rs_analysis.evidence.tracks import Track, tracks_of_runs
@@ -299,6 +301,20 @@ class ReplaySource(Source):
     def tracks(self, map_tasks: Map, added: Added = ()) -> tuple[Track, ...]:
         """See :meth:`Source.tracks`: the first run of every condition beside its replay."""
         return tracks_of_runs(self.runs, self.model, map_tasks, added)
+
+    def free_motions(self, numbers: Sequence[int] | None = None) -> tuple[FreeMotion, ...]:
+        """See :meth:`Source.free_motions`: runs up to the impact; of many runs some, of all conditions in turn."""
+        chosen = range(len(self.conditions)) if numbers is None else numbers
+        turns = zip_longest(*(self.conditions[number] for number in chosen))
+        runs = [run for turn in turns for run in turn if run is not None and run.signals.time.size]
+        worlds: dict[int, Physics] = {}
+        found = []
+        for run in runs[:MAX_STARTS]:
+            if id(run.setup.physics) not in worlds:
+                worlds[id(run.setup.physics)] = self.model.apply(run.setup.physics)
+            motions = free_of_contact(run, run.impacts, worlds[id(run.setup.physics)], run.setup.windows[0].age)
+            found += [part for motion in motions for part in without(motion, run.gaps)]
+        return tuple(found)
 
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
         """See :meth:`Source.predict`; the first run of every condition is replayed."""

@@ -14,6 +14,7 @@ from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, differenc
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY, Discrepancy, DiscrepancyDocument
 from impact_rs_analysis.evidence.levels import Comparison, RecordingDocument, condition_scores, where_of
 from impact_rs_analysis.evidence.measured_runs import Runs
+from impact_rs_analysis.evidence.rollouts import FreeMotion, Rollouts, rollouts_of
 from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.base import Joints
@@ -318,6 +319,34 @@ class Source(ABC):
         """
         del rest
         return []
+
+    def free_motions(self, numbers: Sequence[int] | None = None) -> tuple[FreeMotion, ...]:
+        """Motions without contact from which the model is rolled out; empty without the torque that drives them.
+
+        Args:
+            numbers: Indices of the clusters that they shall be part of; None: all measurements.
+        """
+        del numbers
+        return ()
+
+    def rollouts(self, parts: Sequence[tuple[FreeMotion, Added]] | None = None) -> Rollouts | None:
+        """Rollouts of the model; None where motions are too short, or an arm has no inertia or a load is not finite.
+
+        Args:
+            parts: Motions, each with effects added to the model; None: all motions, without.
+        """
+        parts = [(motion, ()) for motion in self.free_motions()] if parts is None else parts
+        try:
+            return rollouts_of([motion for motion, _ in parts], [self._rolled(*part) for part in parts])
+        except (InputError, np.linalg.LinAlgError):  # bodies that are none, a link without inertia, a law that diverges
+            return None
+
+    def _rolled(self, motion: FreeMotion, added: Added) -> Physics:
+        """Physics of a motion with effects."""
+        physics = motion.physics
+        for name, values in added:
+            physics = self.known_effects[name].apply_vector(physics, np.array(values))
+        return physics
 
     @abstractmethod
     def residuals_with(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:

@@ -33,6 +33,7 @@ from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, Physics
 from impact_rs_sim.schema import load
 from impact_rs_trials.bags.reader import TrialBag, reason_of
 from impact_rs_trials.campaign import MANIFEST, Manifest
+from impact_rs_trials.file_names import BAG_METADATA
 from impact_rs_trials.spec import recorded_scenario
 from impact_rs_trials.store import trials_in
 from impact_rs_trials.varied_settings import varied_folders
@@ -367,7 +368,7 @@ def analyze_campaign(
     """
     if not directory.is_dir():
         raise InputError("no such folder", file=directory)
-    if (directory / "metadata.yaml").is_file():
+    if (directory / BAG_METADATA).is_file():
         raise InputError("this is a single trial; give the folder it lies in", file=directory)
     bags = trials_in(directory)
     if not bags:

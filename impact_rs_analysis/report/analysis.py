@@ -18,6 +18,7 @@ from impact_rs_analysis.measure.table import Row, result_table, shown_contacts
 from impact_rs_analysis.report.animation import ReplayPart
 from impact_rs_analysis.report.figures import Figure, figures_of
 from impact_rs_analysis.report.page import MAX_CURVE_POINTS, Plot, render, write_files
+from impact_rs_analysis.report.page_names import ANALYSIS_PAGE
 from impact_rs_analysis.report.plots import curves_plot
 from impact_rs_analysis.report.png import write_png
 from impact_rs_sim.errors import InputError
@@ -179,7 +180,7 @@ def write_analysis_report(
     page = _page(analysis, figures, contact)
     text = render("analysis.html.j2", page, replay=page.replay is not None)
     with whole_folder(directory) as aside:
-        written = write_files(aside, {"report.html": text, "analysis.json": data})
+        written = write_files(aside, {ANALYSIS_PAGE: text, "analysis.json": data})
         for count in range(len(drawn) + 1):
             if progress is not None:
                 progress(len(written), 2 + len(drawn))

@@ -37,7 +37,8 @@ from impact_rs_analysis.report.page import (
     track_data,
     write_files,
 )
-from impact_rs_analysis.report.plots import scatter_plot, signals_plot, tracks_plot, where_plots
+from impact_rs_analysis.report.page_names import COMPARISON_DATA, COMPARISON_PAGE
+from impact_rs_analysis.report.plots import rollouts_plot, scatter_plot, signals_plot, tracks_plot, where_plots
 
 MIN_NAMED_SCORE = 1.3  # in multiples of noise; below this score no label is named
 MAX_LISTED_PLACES = 8  # rows of the table of worst residuals
@@ -151,6 +152,7 @@ class ComparisonPage:
         history: Errors of the model and its parents; None without a parent.
         others: Titles of pages of the same measurements, by their relative paths.
         agreement: Which readings agree; None: no relation between them was measured.
+        rollouts_plot: Error of open-loop predictions over time; None: there were none.
     """
 
     title: str
@@ -165,6 +167,7 @@ class ComparisonPage:
     history: HistoryPart | None
     others: Mapping[str, str]
     agreement: AgreementGraph | None
+    rollouts_plot: Plot | None
 
 
 def write_comparison(
@@ -202,10 +205,11 @@ def write_comparison(
         history=history_part(versions) if versions else None,
         others=others,
         agreement=agreement_graph(document.agreement),
+        rollouts_plot=None if document.rollouts is None else Plot("rollouts", rollouts_plot(document.rollouts)),
     )
     data = json.dumps(document.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
     text = render("comparison.html.j2", page, replay=page.tracks.replay is not None)
-    files = {"compare.html": text, "compare.json": data}
+    files = {COMPARISON_PAGE: text, COMPARISON_DATA: data}
     return write_files(directory, files)[0]
 
 

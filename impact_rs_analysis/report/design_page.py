@@ -13,6 +13,7 @@ import plotly.graph_objects as go
 from impact_rs_analysis.measure.design_study import CONFIDENCE_LEVEL, MEASURES, Design, DesignStudy
 from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, PURPLE, RED, SKY
 from impact_rs_analysis.report.page import Plot, render, write_files
+from impact_rs_analysis.report.page_names import DESIGN_STUDY_PAGE, DESIGNS_TABLE
 from impact_rs_analysis.report.plots import TEMPLATE
 
 COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
@@ -80,7 +81,7 @@ def write_design_study(study: DesignStudy, directory: Path) -> Path:
         },
         failed=dict(study.failed),
     )
-    files = {"design_study.html": render("design_study.html.j2", page), "designs.csv": design_table(study)}
+    files = {DESIGN_STUDY_PAGE: render("design_study.html.j2", page), DESIGNS_TABLE: design_table(study)}
     return write_files(directory, files)[0]
 
 

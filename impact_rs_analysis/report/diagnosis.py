@@ -24,6 +24,7 @@ from impact_rs_analysis.report.comparison import TracksPart, WherePart, tracks_p
 from impact_rs_analysis.report.error_history import HistoryPart, history_part
 from impact_rs_analysis.report.labels import Tag, signal_text, tag_of
 from impact_rs_analysis.report.page import Plot, render, write_files
+from impact_rs_analysis.report.page_names import DIAGNOSIS_DATA, DIAGNOSIS_PAGE
 from impact_rs_analysis.report.plots import effects_plot, joints_plot
 
 
@@ -190,7 +191,7 @@ def write_diagnosis(
     )
     data = json.dumps(document.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
     text = render("diagnosis.html.j2", page, replay=page.tracks.replay is not None)
-    return write_files(directory, {"diagnosis.html": text, "diagnosis.json": data})[0]
+    return write_files(directory, {DIAGNOSIS_PAGE: text, DIAGNOSIS_DATA: data})[0]
 
 
 def _title(document: DiagnosisDocument) -> str:

@@ -11,6 +11,7 @@ import plotly.graph_objects as go
 from impact_rs_analysis.diagnosis.discovery_document import DiscoveryDocument, LawDocument
 from impact_rs_analysis.report.figures import BLUE, RED
 from impact_rs_analysis.report.page import Plot, render, write_files
+from impact_rs_analysis.report.page_names import DISCOVERY_PAGE
 from impact_rs_analysis.report.plots import TEMPLATE
 
 BAND = "rgba(0, 114, 178, 0.2)"
@@ -47,7 +48,7 @@ def write_report(document: DiscoveryDocument, directory: Path) -> Path:
     best = document.laws[0] if document.laws else None
     plot = None if best is None or best.curve is None else Plot("law", law_plot(best), caption=_caption(best))
     page = DiscoveryPage("Discovery of a law", document, plot)
-    return write_files(directory, {"discovery.html": render("discovery.html.j2", page)})[0]
+    return write_files(directory, {DISCOVERY_PAGE: render("discovery.html.j2", page)})[0]
 
 
 def law_plot(law: LawDocument) -> go.Figure:

@@ -12,6 +12,7 @@ from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.report.labels import RELEVANCE_LIMIT, REPEATABILITY
 from impact_rs_analysis.report.page import Plot, render, write_files
+from impact_rs_analysis.report.page_names import HISTORY_DATA, HISTORY_PAGE
 from impact_rs_analysis.report.plots import history_plot
 
 
@@ -53,7 +54,7 @@ def write_history(versions: Sequence[VersionError], directory: Path) -> Path:
     """
     page = HistoryPage("Error by model version", history_part(versions))
     data = json.dumps({"history": [entry.to_json() for entry in versions]}, indent=2, allow_nan=False) + "\n"
-    return write_files(directory, {"history.html": render("history.html.j2", page), "history.json": data})[0]
+    return write_files(directory, {HISTORY_PAGE: render("history.html.j2", page), HISTORY_DATA: data})[0]
 
 
 def history_part(versions: Sequence[VersionError]) -> HistoryPart:

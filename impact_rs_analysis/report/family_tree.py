@@ -15,6 +15,7 @@ from impact_rs_analysis.investigation.rounds import Round, measured
 from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_analysis.report.figures import BLUE, RED
 from impact_rs_analysis.report.page import Plot, render, write_files
+from impact_rs_analysis.report.page_names import INVESTIGATION_PAGE
 from impact_rs_analysis.report.plots import TEMPLATE
 
 GREY = "#888888"
@@ -103,7 +104,7 @@ def write_investigation(settings: Settings, rounds: Sequence[Round], directory: 
         bought=tuple(bought),
         plots=tuple(plots),
     )
-    return write_files(directory, {"investigation.html": render("investigation.html.j2", page)})[0]
+    return write_files(directory, {INVESTIGATION_PAGE: render("investigation.html.j2", page)})[0]
 
 
 def family_of(settings: Settings, rounds: Sequence[Round]) -> list[FamilyMember]:

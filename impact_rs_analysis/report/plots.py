@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # figures of an analysis do not need the diagnosis package
     from impact_rs_analysis.diagnosis.document import DiagnosisDocument, JointError
     from impact_rs_analysis.diagnosis.history import VersionError
     from impact_rs_analysis.evidence.levels import Cell, SignalLevel
+    from impact_rs_analysis.evidence.rollouts import RolloutDocument
 
 GREY, GRID, ZERO = "#BBBBBB", "#E6E6E6", "#999999"
 TAG_COLOURS = {Tag.GOOD: GREEN, Tag.MAYBE: ORANGE, Tag.NO: GREY}
@@ -363,6 +364,32 @@ def history_plot(versions: Sequence[VersionError], unit: str) -> go.Figure:
             "fixedrange": True,
         },
     )
+
+
+def rollouts_plot(rollouts: RolloutDocument) -> go.Figure:
+    """Distance of the end effector from where it was over time, and the growth of a constant torque error beside it."""
+    time, error = list(rollouts.time_s), list(rollouts.tool_mm)
+    place = next(row for row, moment in enumerate(time) if moment >= rollouts.horizons[0].horizon_s - 1e-9)
+    guide = [error[place] * (moment / time[place]) ** 2 for moment in time[place:]]
+    drawn = _figure(
+        [
+            go.Scatter(
+                x=time, y=error, name="rollouts, rms over starts", mode="lines", line={"color": BLUE, "width": 2}
+            ),
+            go.Scatter(
+                x=time[place:],
+                y=guide,
+                name="growth of a constant torque error, with the square of the time",
+                mode="lines",
+                line={"color": GREY, "dash": "dash"},
+            ),
+        ]
+    )
+    return drawn.update_layout(
+        height=320,
+        xaxis={"type": "log", "title": {"text": "time after the start [s]"}, "fixedrange": True},
+        yaxis={"type": "log", "title": {"text": "tool error [mm]"}, "fixedrange": True},
+    ).update_traces(hovertemplate="%{x:.3g} s: %{y:.3g} mm")
 
 
 def tracks_plot() -> go.Figure:

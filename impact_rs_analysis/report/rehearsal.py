@@ -13,6 +13,7 @@ import plotly.graph_objects as go
 
 from impact_rs_analysis.report.figures import BLUE, RED
 from impact_rs_analysis.report.page import Plot, render, write_files
+from impact_rs_analysis.report.page_names import REHEARSAL_DATA, REHEARSAL_PAGE
 from impact_rs_analysis.report.plots import GREY, TEMPLATE
 from impact_rs_trials.checked_bound import CheckedBound
 
@@ -74,8 +75,8 @@ def write_rehearsal(
         plots=(Plot("margins", margins_plot(bounds), caption),) if any(one.share is not None for one in bounds) else (),
     )
     files = {
-        "rehearsal.html": render("rehearsal.html.j2", page),
-        "rehearsal.json": json.dumps(document, indent=2, allow_nan=False) + "\n",
+        REHEARSAL_PAGE: render("rehearsal.html.j2", page),
+        REHEARSAL_DATA: json.dumps(document, indent=2, allow_nan=False) + "\n",
     }
     return write_files(directory, files)[0]
 

@@ -19,6 +19,7 @@ from impact_rs_analysis.limits.poses import PlacedLimit
 from impact_rs_analysis.limits.speed import HOLD_PROBABILITY, SpeedLimit
 from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, RED, SKY
 from impact_rs_analysis.report.page import Plot, render, write_files
+from impact_rs_analysis.report.page_names import LIMITS_DATA, LIMITS_PAGE, LIMITS_TABLE
 from impact_rs_analysis.report.plots import GREY, TEMPLATE
 from impact_rs_sim.scenario import Scenario
 
@@ -86,9 +87,9 @@ def write_limits(
         plots=tuple(plots),
     )
     files = {
-        "limits.html": render("speed_limits.html.j2", page),
-        "limits.json": json.dumps(limits_document(scenario, limits, places), indent=2, allow_nan=False) + "\n",
-        "limits.csv": _csv(limits, places),
+        LIMITS_PAGE: render("speed_limits.html.j2", page),
+        LIMITS_DATA: json.dumps(limits_document(scenario, limits, places), indent=2, allow_nan=False) + "\n",
+        LIMITS_TABLE: _csv(limits, places),
     }
     return write_files(directory, files)[0]
 

@@ -17,7 +17,7 @@ from impact_rs_analysis.measure.velocity_jumps import jumps_of
 from impact_rs_analysis.report import write_report
 from impact_rs_analysis.report.analysis import ArmRow, arm_rows, sensitivity_rows
 from impact_rs_cli.arguments import started
-from impact_rs_cli.measurements import read_experiment
+from impact_rs_cli.reading import read_experiment
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.numbers import speed_text

@@ -9,17 +9,18 @@ from pathlib import Path
 from rich.markup import escape
 from rich.table import Table
 
+from impact_rs_analysis.application.loop_steps import compare_measurements, report_comparison
+from impact_rs_analysis.application.measurements import Measurements
 from impact_rs_analysis.diagnosis.agreement import AgreementDocument
-from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
+from impact_rs_analysis.diagnosis.compare import ComparisonDocument
 from impact_rs_analysis.diagnosis.document import TIMES
-from impact_rs_analysis.diagnosis.history import history
 from impact_rs_analysis.diagnosis.jump import JOINT_VELOCITY_JUMP
 from impact_rs_analysis.evidence.aligned_bags import check_free, write_aligned
 from impact_rs_analysis.evidence.cluster import SCALE
 from impact_rs_analysis.evidence.tracks import track_of_run
-from impact_rs_analysis.report.comparison import write_comparison, yardstick_of, yardstick_of_places
+from impact_rs_analysis.report.comparison import yardstick_of, yardstick_of_places
 from impact_rs_cli.arguments import number, on_local_runs
-from impact_rs_cli.measurements import Measurements, measured, only_trials
+from impact_rs_cli.reading import measured, only_trials
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.robot import joined_units
@@ -38,12 +39,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         if args.mcap is not None:
             _write_bags(args.mcap, measurements, measurements.calibration.of(model), terminal)
         if args.output is not None:
-            versions = None
-            if model.parent is not None or measurements.calibration:
-                with measurements.progress():
-                    versions = history(args.model, measurements.uncalibrated, measurements.calibration)
             with output_folder(args.output):
-                path = write_comparison(document, measurements.tracks(model), versions, args.output)
+                path = report_comparison(document, measurements, args.model, model, args.output)
             terminal.say(f"report: {path.resolve()}")
     terminal.result(document.model_dump(mode="json"))
     return 0
@@ -51,8 +48,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 
 def comparison_of(measurements: Measurements, model: Model, terminal: Terminal) -> ComparisonDocument:
     """Compare, and show the result."""
-    with measurements.progress():
-        document = compare(measurements.against(model), model, measurements.calibration)
+    document = compare_measurements(measurements, model)
     _show(document, terminal)
     return document
 
@@ -92,6 +88,8 @@ def _show(document: ComparisonDocument, terminal: Terminal) -> None:
     else:
         _show_levels(document, terminal)
     _show_agreement(document.agreement, yardstick_of(document), terminal)
+    if document.rollouts is not None:
+        terminal.say(document.rollouts.in_words)
     for remark in document.remarks:
         terminal.say(f"note: {remark}")
     if document.not_measured:

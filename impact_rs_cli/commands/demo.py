@@ -11,17 +11,19 @@ from typing import Any
 
 from pydantic import Field
 
+from impact_rs_analysis.application.loop_steps import report_comparison, report_diagnosis
+from impact_rs_analysis.application.measurements import measurements_of_trials, read_trials
 from impact_rs_analysis.diagnosis.add import add_effects
 from impact_rs_analysis.diagnosis.document import write_document
 from impact_rs_analysis.diagnosis.history import history
 from impact_rs_analysis.report.comparison import write_comparison
+from impact_rs_analysis.report.page_names import COMPARISON_PAGE, DIAGNOSIS_PAGE
 from impact_rs_cli.arguments import number
 from impact_rs_cli.commands.analyze import report_on
 from impact_rs_cli.commands.campaign import warn_wrong
 from impact_rs_cli.commands.compare import comparison_of
-from impact_rs_cli.commands.diagnose import diagnosis_of, report_of
+from impact_rs_cli.commands.diagnose import diagnosis_of
 from impact_rs_cli.commands.history import show_history
-from impact_rs_cli.measurements import Measurements, read
 from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_ros.graph import Graph, run_trial
@@ -127,17 +129,16 @@ def walk_the_loop(
     model, considered = load_model(MODEL), list(demonstration.considered)
     (hidden,) = demonstration.hidden.effects
     with workers(Workforce(min(2, os.cpu_count() or 1))) as map_tasks:
-        measurements = Measurements.of_trials(map_tasks, terminal, read(runs_directory, map_tasks, terminal))
+        measurements = measurements_of_trials(read_trials(runs_directory, map_tasks, terminal), map_tasks, terminal)
         terminal.say("", "2. Where does the model fail?")
         before = comparison_of(measurements, model, terminal)
-        with measurements.progress():
-            links = {"../diagnosis.html": "what it lacks", "../compare.html": "the better model"}
-            write_comparison(before, measurements.tracks(model), None, before_reports, links)
+        links = {f"../{DIAGNOSIS_PAGE}": "what it lacks", f"../{COMPARISON_PAGE}": "the better model"}
+        report_comparison(before, measurements, Path(MODEL), model, before_reports, links)
         terminal.say("", f"3. Which effect is missing? Considered here: {', '.join(considered)}.")
         options = {"runs": str(runs_directory.absolute()), "effects": considered}
         document = diagnosis_of(measurements, model, model, considered, terminal, options=options)
         write_document(document, diagnosis_file)
-        report_of(document, measurements, Path(MODEL), model, reports)
+        report_diagnosis(document, measurements, Path(MODEL), model, reports)
         correct = hidden.name in document.named or any(hidden.name in group for group in document.confusable)
         story: dict[str, Any] = {"hidden": hidden.name, "named": list(document.named), "correct": correct}
         if not document.named:
@@ -152,7 +153,7 @@ def walk_the_loop(
         with measurements.progress():
             versions = history(model_file, measurements.against)
         show_history(versions, terminal)
-        links = {f"{MODEL}/compare.html": f"model '{MODEL}'", "diagnosis.html": "what it lacks"}
+        links = {f"{MODEL}/{COMPARISON_PAGE}": f"model '{MODEL}'", DIAGNOSIS_PAGE: "what it lacks"}
         write_comparison(after, measurements.tracks(child), versions, reports, links)
     found = document.effect(name)
     assert found is not None
@@ -164,9 +165,9 @@ def walk_the_loop(
         f"and the error of the model fell from {number(before.score)} to {number(after.score)} times "
         "repeatability.",
         "Reports:",
-        f"  where the model fails   {(before_reports / 'compare.html').resolve()}",
-        f"  what it lacks           {(reports / 'diagnosis.html').resolve()}",
-        f"  the better model        {(reports / 'compare.html').resolve()}",
+        f"  where the model fails   {(before_reports / COMPARISON_PAGE).resolve()}",
+        f"  what it lacks           {(reports / DIAGNOSIS_PAGE).resolve()}",
+        f"  the better model        {(reports / COMPARISON_PAGE).resolve()}",
         "Type next:",
         f"  {command_line('diagnose', {'runs': runs_directory, 'output': 'diagnosis.json'})}",
         f"  {command_line('effects', {})}",
@@ -180,8 +181,8 @@ def walk_the_loop(
         "estimate": estimate.model_dump(mode="json"),
         "history": [entry.to_json() for entry in versions],
         "reports": [
-            str(reports / "diagnosis.html"),
-            str(reports / "compare.html"),
-            str(before_reports / "compare.html"),
+            str(reports / DIAGNOSIS_PAGE),
+            str(reports / COMPARISON_PAGE),
+            str(before_reports / COMPARISON_PAGE),
         ],
     }

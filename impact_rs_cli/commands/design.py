@@ -7,13 +7,13 @@ import argparse
 
 from rich.table import Table
 
+from impact_rs_analysis.application.measurements import read_trials
 from impact_rs_analysis.design.design import WHICH_EFFECT, design
 from impact_rs_analysis.design.possible_trials import Envelope
 from impact_rs_analysis.diagnosis.document import CalibrationExperiment, read_document
 from impact_rs_analysis.diagnosis.measurement import calibration_text, experiments_of
 from impact_rs_analysis.diagnosis.next_experiment import considered, left_open
 from impact_rs_cli.arguments import started
-from impact_rs_cli.measurements import read
 from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         model = considered(document, model)
         earlier, experiments = document.runs.digest, experiments_of(document)
     with started(args) as map_tasks:
-        runs = None if args.runs is None else read(args.runs, map_tasks, terminal)
+        runs = None if args.runs is None else read_trials(args.runs, map_tasks, terminal)
         if runs is not None:
             earlier = runs.digest
         seed = args.seed if args.seed is not None else seed_of(0, earlier) % FOLLOWING_SEEDS if earlier else 0

@@ -6,38 +6,37 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from rich.markup import escape
 from rich.table import Table
 
+from impact_rs_analysis.application.loop_steps import (
+    NO_OPTIONS,
+    check_effects,
+    diagnose_measurements,
+    report_diagnosis,
+    with_formulas,
+)
+from impact_rs_analysis.application.measurements import Measurements
 from impact_rs_analysis.diagnosis.bounds import NO_BOUNDS, Bounds, read_bounds
 from impact_rs_analysis.diagnosis.budget import UNLIMITED, Budget
-from impact_rs_analysis.diagnosis.compare import compare
-from impact_rs_analysis.diagnosis.diagnose import added_of, diagnose
 from impact_rs_analysis.diagnosis.document import (
-    CalibrationIdentity,
     DiagnosisDocument,
     EstimateDocument,
     write_document,
 )
-from impact_rs_analysis.diagnosis.formulas import try_out
-from impact_rs_analysis.diagnosis.history import history
 from impact_rs_analysis.diagnosis.measurement import calibration_text
 from impact_rs_analysis.diagnosis.verdict import NO_IMPROVEMENT, TOO_FEW, UNIDENTIFIABLE
 from impact_rs_analysis.diagnosis.words import not_excluded, shown_unnamed
-from impact_rs_analysis.evidence.calibration import LaboratoryCalibration
-from impact_rs_analysis.report.diagnosis import write_diagnosis
 from impact_rs_cli.arguments import number, on_local_runs
-from impact_rs_cli.measurements import Measurements, measured
 from impact_rs_cli.parser import command_line
+from impact_rs_cli.reading import measured
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_commands.declaration import NAMED, READ, WRITTEN, Option
 from impact_rs_commands.explaining import DIAGNOSE
 from impact_rs_commands.shared import JOBS
-from impact_rs_sim.effects.formula import load_formulas
-from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.robot import joined_units
@@ -45,11 +44,6 @@ from impact_rs_trials.store import is_url
 from impact_rs_trials.workers import processor_time
 
 MAX_SHOWN_EFFECTS = 8
-KNOWN = (
-    "what the calibration says of {names} was taken as right, and not looked for; with --calibration nominal the data "
-    "alone say it"
-)
-NO_OPTIONS: Mapping[str, Any] = MappingProxyType({})
 
 
 @on_local_runs
@@ -62,19 +56,18 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     check_effects(extended, args.effects)
     bounds = read_bounds(args.bounds, extended.known_effects)
     with measured(args, terminal, args.each_arm, args.unsure) as measurements:
-        check_uncalibrated(measurements.calibration, args.effects)
         document = diagnosis_of(
             measurements, model, extended, args.effects, terminal, args.output, bounds,
             options=options_of(args), budget=Budget(args.budget, processor_time),
         )  # fmt: skip
         if args.report is not None:
             with output_folder(args.report):
-                path = report_of(document, measurements, args.model, extended, args.report)
+                path = report_diagnosis(document, measurements, args.model, extended, args.report)
             terminal.say(f"report: {path.resolve()}")
     terminal.result(document.model_dump(mode="json"))
     if args.output is not None:
         terminal.say(f"diagnosis: {args.output}")
-        if names := [name for name in document.named if name not in document.dependent]:
+        if names := document.addable:
             terminal.say(f"next: {add_command(names, args.model, args.output, document)}")
     if document.calls_for_a_law:
         terminal.say(f"a law that the library does not have: {discover_command(args, model)}")
@@ -124,54 +117,6 @@ def discover_command(args: argparse.Namespace, model: Model) -> str:
     return command_line("discover", vars(args) | own)
 
 
-def with_formulas(model: Model, path: Path | None) -> Model:
-    """The model with the formulas of a file.
-
-    Raises:
-        InputError: The file is no formula file, a name is taken, or a formula gives no finite value.
-    """
-    if path is None:
-        return model
-    own = load_formulas(path)
-    for name in own:
-        if name in model.known_effects:
-            raise InputError(f"there is already an effect called {name!r}; give yours another name", file=path)
-    try_out(own.values(), path)
-    return model.model_copy(update={"formulas": (*model.formulas, *(effect.spec for effect in own.values()))})
-
-
-def check_effects(model: Model, names: list[str] | None) -> None:
-    """Check the names of ``--effects``.
-
-    Raises:
-        InputError: An unknown effect, or an effect of the model.
-    """
-    known = model.known_effects
-    present = {item.name for item in model.effects}
-    for name in names or []:
-        if name not in known:
-            raise InputError(
-                f"no effect {name!r}{did_you_mean(name, known)}; known effects: {', '.join(sorted(known))}"
-            )
-        if name in present:
-            raise InputError(f"model {model.name!r} has effect {name!r} already; diagnose looks for missing effects")
-
-
-def check_uncalibrated(calibration: LaboratoryCalibration, names: Sequence[str] | None) -> None:
-    """Check that effects of ``--effects`` are looked for, and not known.
-
-    Raises:
-        InputError: An effect of the calibration.
-    """
-    for place, item in enumerate(calibration.faults.effects):
-        if item.name in (names or ()):
-            raise InputError(
-                f"{item.name} is calibrated and not looked for; --calibration nominal diagnoses without this file",
-                file=calibration.file,
-                key=f"effects.{place}.name",
-            )
-
-
 def diagnosis_of(
     measurements: Measurements,
     model: Model,
@@ -196,19 +141,7 @@ def diagnosis_of(
         options: Options of the command, for the document (:func:`options_of`).
         budget: Processor time of the diagnosis.
     """
-    with measurements.progress():
-        document = diagnose(measurements.against(extended), model, only, terminal.rank, bounds, budget=budget)
-    new = tuple(spec for spec in extended.formulas if spec not in model.formulas)
-    known = CalibrationIdentity.of(measurements.calibration)
-    taken = () if known is None else (KNOWN.format(names=", ".join(known.effects)),)
-    document = document.model_copy(
-        update={
-            "formulas": new,
-            "options": dict(options),
-            "calibration": known,
-            "remarks": (*taken, *document.remarks),
-        }
-    )
+    document = diagnose_measurements(measurements, model, extended, only, terminal.rank, bounds, options, budget)
     if output is not None:
         with output_folder(output.parent):
             write_document(document, output)
@@ -216,34 +149,13 @@ def diagnosis_of(
     return document
 
 
-def report_of(
-    document: DiagnosisDocument, measurements: Measurements, model_file: Path, model: Model, directory: Path
-) -> Path:
-    """Write the report of a diagnosis.
-
-    Args:
-        document: The diagnosis.
-        measurements: Of what.
-        model_file: File of the diagnosed model.
-        model: The same, knowing all formulas that were considered.
-        directory: Folder of the report.
-    """
-    with measurements.progress():
-        source = measurements.against(model)
-        known = measurements.calibration
-        versions = None
-        if model.parent is not None or known:
-            versions = history(model_file, measurements.uncalibrated, known)
-        added = added_of(document, source)
-        tracks = measurements.tracks(model, added)
-    return write_diagnosis(document, compare(source, model, known), tracks, versions, directory)
-
-
 def show(document: DiagnosisDocument, terminal: Terminal) -> None:
     """Print a diagnosis for people."""
     terminal.say(str(document.verdict), document.summary)
     if document.hold_out.folds:
         terminal.say(f"held out: {document.hold_out.what}")
+    if document.rollouts is not None:
+        terminal.say(document.rollouts.in_words)
     if document.joints:
         unit = joined_units(row.unit for row in document.joints)
         table = Table(title=escape(f"Held-out torque error by joint [{unit} rms]"))

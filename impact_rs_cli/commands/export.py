@@ -7,9 +7,10 @@ import argparse
 from contextlib import nullcontext
 from pathlib import Path
 
+from impact_rs_analysis.application.observer import warn_skipped
 from impact_rs_analysis.measure.data_set import extend
 from impact_rs_analysis.measure.export import check_target, export
-from impact_rs_cli.arguments import started, warn_skipped
+from impact_rs_cli.arguments import started
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.descriptions import FORMATS, ExportedScene
 from impact_rs_sim.errors import InputError

@@ -9,18 +9,18 @@ import time
 from rich.markup import escape
 from rich.table import Table
 
+from impact_rs_analysis.application.followed_hits import (
+    FollowedHits,
+    diagnose_options,
+    folder_of_diagnoses,
+    hit_source_of,
+    hits_options,
+)
+from impact_rs_analysis.evidence.calibration import calibration_of
 from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.hits import HitSource
 from impact_rs_analysis.following.lessons import ChangeDiagnosis, FollowDocument, HitDocument, NextHit
 from impact_rs_cli.arguments import number, on_local_runs
-from impact_rs_cli.following import (
-    FollowedHits,
-    HitsArguments,
-    calibration_of_hits,
-    diagnose_options,
-    folder_of_diagnoses,
-    hit_source_of,
-)
 from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_cli.parser import PROGRAM
 from impact_rs_cli.terminal import Terminal
@@ -41,17 +41,18 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         raise InputError("expected a number of hits >= 1", key="--mean-time", value=args.mean_time)
     if args.output is not None and args.output.exists():
         raise InputError("this file exists already; model files are never overwritten", file=args.output)
-    hits = HitsArguments(
-        args.runs, args.impacts, args.scenario, str(args.model), args.contact_tolerance, args.no_discrepancy,
-        args.calibration,
+    hits = hits_options(
+        args.runs, args.impacts, scenario=args.scenario, contact_tolerance=args.contact_tolerance,
+        exact=args.no_discrepancy, calibration=args.calibration,
     )  # fmt: skip
-    model, calibration = load_model(args.model), calibration_of_hits(hits)
+    model, calibration = load_model(args.model), calibration_of(hits.data, hits.calibration)
     whole = calibration.of(model)
     if calibration:
         terminal.say(f"calibration of the readings: {calibration.text}")
     hit_source = hit_source_of(hits, whole)
     follower = Follower(hit_source, whole, args.effects, args.learn, args.mean_time)
-    diagnosis = FullDiagnosis(diagnose_options(hits, args.effects), folder_of_diagnoses(args.diagnoses, args.state))
+    options = diagnose_options(hits, str(args.model), args.effects)
+    diagnosis = FullDiagnosis(options, folder_of_diagnoses(args.diagnoses, args.state))
     followed = FollowedHits(hits, follower, args.state, None if args.no_diagnosis else diagnosis)
     if count := followed.restore():
         terminal.say(f"state: goes on after {count} hits")
@@ -99,7 +100,7 @@ def _warn_of_refused(hit_source: HitSource, terminal: Terminal) -> None:
 
 def _live(followed: FollowedHits, diagnosis: FullDiagnosis, terminal: Terminal) -> list[HitDocument]:
     """Wait for further hits until Ctrl-C."""
-    terminal.say(f"waiting for hits in {followed.hits.where}; Ctrl-C ends")
+    terminal.say(f"waiting for hits in {followed.hits.data}; Ctrl-C ends")
     found: list[HitDocument] = []
     try:
         while True:

@@ -11,7 +11,7 @@ from rich.table import Table
 from impact_rs_analysis.diagnosis.history import VersionError, history, versions
 from impact_rs_analysis.report.error_history import write_history
 from impact_rs_cli.arguments import number, on_local_runs
-from impact_rs_cli.measurements import measured
+from impact_rs_cli.reading import measured
 from impact_rs_cli.terminal import Terminal, output_folder
 
 
@@ -39,12 +39,20 @@ def show_history(found: list[VersionError], terminal: Terminal) -> None:
         table.add_column(heading)
     for heading in ("fit", "held out", "noise"):
         table.add_column(heading, justify="right")
+    rolled = next((entry.rollouts for entry in found if entry.rollouts is not None), None)
+    if rolled is not None:
+        horizons = " / ".join(f"{one.horizon_s:g}" for one in rolled.horizons)
+        table.add_column(f"tool after {horizons} s [mm]", justify="right")
     for entry in found:
+        tool = () if entry.rollouts is None else entry.rollouts.horizons
         table.add_row(
             entry.version.model.name,
             entry.version.effect_added or "–",
             number(entry.error_fit),
             "–" if entry.error_held_out is None else number(entry.error_held_out),
             "–" if entry.noise_floor is None else number(entry.noise_floor),
+            *([" / ".join(number(one.tool_mm) for one in tool) or "–"] if rolled is not None else []),
         )
     terminal.say(table)
+    if rolled is not None:
+        terminal.say("tool: error of rollouts in open loop, rms over measured starts")

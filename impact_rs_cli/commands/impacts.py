@@ -10,8 +10,8 @@ from dataclasses import asdict
 import numpy as np
 
 from impact_rs_cli.arguments import MAX_SHOWN_FILES, started
-from impact_rs_cli.measurements import experiment_file
 from impact_rs_cli.parser import command_line
+from impact_rs_cli.reading import experiment_file
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole

@@ -8,10 +8,11 @@ from dataclasses import asdict
 
 from rich.table import Table
 
+from impact_rs_analysis.application.described_folder import described_folder
 from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.files import whole_folder
+from impact_rs_trials.file_names import EXPERIMENT_FILE, MAPPING_FILE
 from impact_rs_trials.recordings.importing import ImportDraft, ImportOptions, draft_import
 
 
@@ -21,12 +22,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         raise InputError("expected a sampling rate > 0 Hz", key="--rate", value=args.rate)
     options = ImportOptions(args.robot, args.scenario, args.rate, args.dedupe)
     draft = draft_import(args.files, args.output, options)
-    for name in draft.texts:
-        if (args.output / name).exists():
-            raise InputError("this file exists already; descriptions are never overwritten", file=args.output / name)
-    with whole_folder(args.output) as aside:
-        for name, text in draft.texts.items():
-            (aside / name).write_text(text, encoding="utf-8")
+    with described_folder(args.output, draft.texts):
+        pass  # nothing to try: the draft was made from what is there
     terminal.result(
         {
             "folder": str(args.output), "files": list(draft.texts), "runs": draft.runs, "hits": draft.hits,
@@ -37,13 +34,13 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     for remark in draft.remarks:
         terminal.say(f"note: {remark}")
     terminal.say(f"{args.output}: {', '.join(draft.texts)}; {draft.runs} runs, {draft.hits} of them hits")
-    if "experiment.yaml" in draft.texts:
-        described = {"experiment": args.output / "experiment.yaml", "output": "impacts.csv"}
+    if EXPERIMENT_FILE in draft.texts:
+        described = {"experiment": args.output / EXPERIMENT_FILE, "output": "impacts.csv"}
         further = command_line("impacts", {"directory": draft.folder, **described})
     else:
         folders = {file.parent for file in args.files}
         target = args.files[0] if len(args.files) == 1 else folders.pop() if len(folders) == 1 else draft.folder
-        further = command_line("compare", {"runs": target, "mapping": args.output / "mapping.yaml"})
+        further = command_line("compare", {"runs": target, "mapping": args.output / MAPPING_FILE})
     terminal.say(f"next: check the lines marked ASSUMED, then {further}")
     return 0
 

@@ -6,14 +6,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from impact_rs_analysis.application.plant_bench import NO_SECRET, PlantBench
 from impact_rs_analysis.investigation.endings import Ending
 from impact_rs_analysis.investigation.loop import Investigation
 from impact_rs_analysis.investigation.rounds import read_rounds
 from impact_rs_analysis.investigation.settings import BlindChoice, Settings, begin
 from impact_rs_analysis.investigation.story import LOG_FILE
 from impact_rs_analysis.report.family_tree import write_investigation
+from impact_rs_analysis.report.page_names import INVESTIGATION_PAGE
 from impact_rs_cli.arguments import check_robots, started
-from impact_rs_cli.bench import NO_SECRET, PlantBench
 from impact_rs_cli.cell_guard import CellGuard
 from impact_rs_cli.commands.diagnose import check_effects
 from impact_rs_cli.terminal import Terminal, output_folder
@@ -120,4 +121,4 @@ def _show(directory: Path, ending: Ending, terminal: Terminal) -> None:
     terminal.say("", ending.verdict, ending.summary, f"{ending.trials} trials in {ending.rounds} rounds")
     if ending.effects:
         terminal.say(f"model: {directory / ending.model}")
-    terminal.say(f"log: {directory / LOG_FILE}", f"report: {(directory / REPORT / 'investigation.html').resolve()}")
+    terminal.say(f"log: {directory / LOG_FILE}", f"report: {(directory / REPORT / INVESTIGATION_PAGE).resolve()}")

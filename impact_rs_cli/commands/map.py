@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from impact_rs_analysis.application.nominal_impact import planned_impact, velocities_before
 from impact_rs_cli.arguments import settings_of, started
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map import ImpactProblem, predict_impact
+from impact_rs_sim.impact_map import predict_impact
 from impact_rs_sim.impact_map.derivatives import Derivatives, differentiate
 from impact_rs_sim.impact_map.uncertainty import LEVEL, UncertainPrediction, predict
 from impact_rs_sim.impact_map.uniqueness import CHOICE, Uniqueness, uniqueness_of
@@ -20,7 +21,6 @@ from impact_rs_sim.model import load_model
 from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.physics import assumed_words
 from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.scene import Scene
 from impact_rs_trials.map_table import answer_table, check_answers, write_answers
 from impact_rs_trials.recordings.impact_table import read_impact_table
 
@@ -37,9 +37,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         raise InputError("expected SCENARIO OBJECT CASE, or --table FILE -o FILE")
     scenario = load_scenario(args.scenario).with_settings(settings_of(args))
     scenario.object(args.object)
-    scene, model = Scene.resolve(scenario, args.object, args.case), load_model(args.model)
-    scene = scene.under(model.apply(scene.physics))
-    problem = ImpactProblem.at_nominal_impact(scene, args.motor_inertia)
+    model = load_model(args.model)
+    scene, problem = planned_impact(scenario, args.object, args.case, model, args.motor_inertia)
     first_only = args.engine == "bullet" or args.uncertainty or args.derivatives or args.restitution_law
     if args.contact == "settled" and first_only:
         raise InputError(
@@ -53,7 +52,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     prediction = predict(problem, scenario.uncertainty, scene.models) if args.uncertainty else None
     slopes = differentiate(problem, scene.models) if args.derivatives else None
     assumed = {name: [item for item in arm.assumed if item not in UNUSED] for name, arm in scene.physics.arms.items()}
-    before = {name: scene.models[name].jacobian(arm.position) @ arm.velocity for name, arm in scene.arms.items()}
+    before = velocities_before(scene)
     terminal.result(
         {
             "scenario": scenario.name,

@@ -8,16 +8,15 @@ import webbrowser
 from itertools import islice
 from pathlib import Path
 
+from impact_rs_analysis.application.shown_runs import laboratory_run, write_page_of_trial
 from impact_rs_analysis.evidence.tracks import Track, track_of_run
-from impact_rs_analysis.report.trial import write_run, write_trial
+from impact_rs_analysis.report.trial import write_run
 from impact_rs_cli.arguments import started
-from impact_rs_cli.measurements import experiment_file, read_experiment
+from impact_rs_cli.reading import experiment_file, read_experiment
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
-from impact_rs_trials.bags.reader import BagError, TrialBag
-from impact_rs_trials.recordings.experiment import load_experiment
-from impact_rs_trials.recordings.laboratory import read_one
+from impact_rs_trials.file_names import BAG_METADATA
 from impact_rs_trials.runs import Run
 from impact_rs_trials.store import is_bag
 from impact_rs_trials.workers import Map
@@ -84,9 +83,7 @@ def check_trial(path: Path) -> None:
         raise InputError(f"a file; expected the folder of a trial, which holds metadata.yaml{remedy}", file=path)
     if is_bag(path) or any(path.glob("*.mcap")):
         return
-    found = [
-        str(file.parent) for file in islice(path.rglob("metadata.yaml"), MAX_SEARCHED_FOLDERS) if is_bag(file.parent)
-    ]
+    found = [str(file.parent) for file in islice(path.rglob(BAG_METADATA), MAX_SEARCHED_FOLDERS) if is_bag(file.parent)]
     remedy = f"; there are trials below it, for example {min(found)}" if found else ", and there are none below it"
     raise InputError(f"not the folder of a trial: it holds neither metadata.yaml nor an .mcap file{remedy}", file=path)
 
@@ -94,10 +91,7 @@ def check_trial(path: Path) -> None:
 def _trial_page(args: argparse.Namespace) -> Path:
     check_trial(args.path)
     path = _output(args, f"{args.path.absolute().name}.html")
-    try:
-        return write_trial(TrialBag.open(args.path), path).resolve()
-    except BagError as error:
-        raise InputError(error.reason, file=args.path) from None
+    return write_page_of_trial(args.path, path).resolve()
 
 
 def _laboratory_page(args: argparse.Namespace, terminal: Terminal) -> Path:
@@ -105,9 +99,8 @@ def _laboratory_page(args: argparse.Namespace, terminal: Terminal) -> Path:
         raise InputError("--experiment names a folder of runs; select one with --run NAME")
     directory = args.path.absolute()
     args.experiment = experiment_file(args.experiment, directory, terminal)
-    experiment = load_experiment(args.experiment)
     with started(args) as map_tasks:
-        shown = read_one(directory, experiment, args.run_name, map_tasks)
+        shown = laboratory_run(directory, args.experiment, args.run_name, map_tasks)
         path = _output(args, f"{directory.name}_{shown.name}.html")
         beside = None if args.model is None else _beside_model(args, shown, map_tasks, terminal)
     if shown.hit and shown.signals.object_time.size < 2:

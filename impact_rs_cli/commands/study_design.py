@@ -15,6 +15,7 @@ from impact_rs_analysis.measure.design_study import (
     study_designs,
 )
 from impact_rs_analysis.report.design_page import write_design_study
+from impact_rs_analysis.report.page_names import DESIGNS_TABLE
 from impact_rs_cli.arguments import started
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.scenario import load_scenario
@@ -41,7 +42,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     terminal.result(_document(study))
     for name, reason in list(study.failed.items())[:MAX_SHOWN_DESIGNS]:
         terminal.warn(f"no answer for {name}: {reason}")
-    terminal.say(f"report: {page.resolve()}", f"table: {(args.output / 'designs.csv').resolve()}")
+    terminal.say(f"report: {page.resolve()}", f"table: {(args.output / DESIGNS_TABLE).resolve()}")
     return 0
 
 

@@ -14,6 +14,7 @@ from importlib.metadata import entry_points
 from impact_rs_sim.effects.actuation import ACTUATION_DELAY, TORQUE_GAIN, TORQUE_OFFSET
 from impact_rs_sim.effects.base import SINGLE_IMPACT, ArmEffect, Effect, Parameter, SceneEffect
 from impact_rs_sim.effects.contact import (
+    CONTACT_DISSIPATION,
     DRILLING_FRICTION,
     PAD_COMPLIANCE,
     PAD_CREEP,
@@ -23,6 +24,7 @@ from impact_rs_sim.effects.contact import (
     PAD_TILT,
     RESTITUTION,
     RESTITUTION_FALL,
+    RESTITUTION_THRESHOLD,
     ROLLING_RESISTANCE,
     SUPPORT_COMPLIANCE,
     SUPPORT_FRICTION,
@@ -69,6 +71,8 @@ BUILT_IN: tuple[Effect, ...] = (
     SUPPORT_COMPLIANCE,
     ROLLING_RESISTANCE,
     RESTITUTION_FALL,
+    CONTACT_DISSIPATION,
+    RESTITUTION_THRESHOLD,
     TANGENTIAL_RESTITUTION,
     DRILLING_FRICTION,
     LINK_MASS,

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from impact_rs_sim.effects.base import (
     SINGLE_IMPACT,
@@ -26,6 +27,8 @@ from impact_rs_sim.physics import ArmPhysics, ContactCondition, ContactLaw, Phys
 from impact_rs_sim.robot import Array
 
 SLIP_FRICTION_STEP = -0.4  # finite-difference step of a friction coefficient, from sticking to slipping [-]
+DISSIPATION_SERIES = (1.0, -2.0 / 3.0, 4.0 / 9.0, -44.0 / 135.0)  # of hunt_crossley_restitution, by powers of d v
+MAX_OF_SERIES = 0.01  # of d v; the next term of the series is 3e-9 there, the rounding of Lambert's function 2e-6
 
 
 @dataclass(frozen=True)
@@ -150,6 +153,65 @@ class RestitutionFall(ContactLaw):
         return replace(contact, restitution=np.maximum(contact.restitution - self.fall * contact.closing, 0.0))
 
 
+def hunt_crossley_restitution(loss: Array) -> Array:
+    """Restitution of a contact force f = k x^n (1 + d dx/dt), by a = d v, dissipation times closing speed.
+
+    The balance of work over the impact is independent of k and n and gives
+
+        a (1 + e) = log((1 + a) / (1 - a e))        e = (1 + W_0(-(1 + a) exp(-1 - a))) / a
+
+    with Lambert's function W_0 (Hunt and Crossley 1975; Drake's compliant contact has this d). At small speed
+    e = 1 - 2 a / 3, and no rebound is faster than 1 / d.
+
+    Args:
+        loss: a >= 0, ``(m,)`` [-].
+
+    Returns:
+        ``(m,)`` [-].
+    """
+    series = np.polynomial.polynomial.polyval(loss, DISSIPATION_SERIES)
+    above = 1.0 + np.maximum(loss, MAX_OF_SERIES)
+    exact = (1.0 + scipy.special.lambertw(-above * np.exp(-above)).real) / (above - 1.0)
+    return np.where(loss < MAX_OF_SERIES, series, exact)
+
+
+@dataclass(frozen=True)
+class ContactDissipation(ContactLaw):
+    """Restitution of a dissipative contact, e = e_0 g(d v), see :func:`hunt_crossley_restitution`.
+
+    Attributes:
+        dissipation: d [s/m].
+    """
+
+    dissipation: float
+
+    def apply(self, contact: ContactCondition) -> ContactCondition:
+        """See :meth:`ContactLaw.apply`."""
+        share = hunt_crossley_restitution(self.dissipation * np.maximum(contact.closing, 0.0))
+        return replace(contact, restitution=contact.restitution * share)
+
+
+@dataclass(frozen=True)
+class RestitutionThreshold(ContactLaw):
+    """Restitution that falls to 0 at low speed: e = e_0 sqrt(1 - (v_s / v)^n) for v > v_s, else 0.
+
+    Parting from an adhesive contact takes a constant energy m v_s^2 / 2, so that n = 2 (Thornton and Ning 1998, Powder
+    Technology 99). A threshold of a physics engine, below which nothing bounces, is the limit of large n.
+
+    Attributes:
+        speed: v_s [m/s].
+        order: n [-].
+    """
+
+    speed: float
+    order: float
+
+    def apply(self, contact: ContactCondition) -> ContactCondition:
+        """See :meth:`ContactLaw.apply`."""
+        ratio = self.speed / np.maximum(contact.closing, self.speed)
+        return replace(contact, restitution=contact.restitution * np.sqrt(1.0 - ratio**self.order))
+
+
 @dataclass(frozen=True)
 class TangentialRestitution(ContactLaw):
     """Tangential restitution of a sticking contact, u_t^+ = -beta u_t^- with beta = beta_0 - k s >= 0, s the slip.
@@ -198,6 +260,16 @@ def _with_law(physics: Physics, law: ContactLaw) -> Physics:
 def _restitution_fall(physics: Physics, values: Values) -> Physics:
     fall = number(values, "fall")
     return _with_law(physics, RestitutionFall(fall)) if fall else physics
+
+
+def _contact_dissipation(physics: Physics, values: Values) -> Physics:
+    dissipation = number(values, "dissipation")
+    return _with_law(physics, ContactDissipation(dissipation)) if dissipation else physics
+
+
+def _restitution_threshold(physics: Physics, values: Values) -> Physics:
+    speed, order = number(values, "speed"), number(values, "order")
+    return _with_law(physics, RestitutionThreshold(speed, order)) if speed else physics
 
 
 def _tangential_restitution(physics: Physics, values: Values) -> Physics:
@@ -345,6 +417,41 @@ RESTITUTION_FALL = SceneEffect(
     # No body is known to bounce more when it comes faster: a rise would stand for a restitution that is not assumed.
     parameters=(Parameter("fall", "s/m", 0.0, 0.0, 0.5, 0.01, "fall of restitution with the closing speed"),),
     law=_restitution_fall,
+    phases=SINGLE_IMPACT,
+)
+
+CONTACT_DISSIPATION = SceneEffect(
+    name="contact_dissipation",
+    acts_on="contact",
+    sentence="The contact dissipates with speed: fast impacts bounce less, and no rebound exceeds a certain speed.",
+    parameters=(
+        Parameter("dissipation", "s/m", 0.0, 0.0, 5.0, 0.02, "dissipation of Hunt and Crossley's contact", step=0.1),
+    ),
+    law=_contact_dissipation,
+    phases=SINGLE_IMPACT,
+)
+
+RESTITUTION_THRESHOLD = SceneEffect(
+    name="restitution_threshold",
+    acts_on="contact",
+    sentence="Slow impacts stick: below some closing speed nothing bounces.",
+    parameters=(
+        Parameter("speed", "m/s", 0.0, 0.0, 5.0, 0.05, "closing speed below which nothing bounces", step=0.3),
+        Parameter(
+            "order",
+            "-",
+            2.0,
+            2.0,
+            100.0,
+            1.0,
+            "sharpness: 2 of adhesion, large of a physics engine's threshold",
+            firm=True,
+            shape=True,
+            grid=(2.0, 8.0, 40.0),
+            hidden=(2.0, 8.0),
+        ),
+    ),
+    law=_restitution_threshold,
     phases=SINGLE_IMPACT,
 )
 

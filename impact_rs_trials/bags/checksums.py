@@ -28,9 +28,10 @@ from zlib import crc32
 from mcap.records import Channel, Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
+from impact_rs_trials.file_names import BAG_METADATA
+
 NAME: Final = "checksums"
 KIND: Final = "crc32"  # value in the custom data of a sealed bag
-METADATA = "metadata.yaml"
 HEADING = "rosbag2_bagfile_information:\n"  # of metadata.yaml, above the text in the MCAP file
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD_BYTES = 9  # before the content of a record: kind (1) and size (8)
@@ -75,7 +76,7 @@ def check(bag: Path) -> bool:
         ChecksumError: A checksum is wrong, or is missing in a bag that was sealed.
         OSError: It cannot be read.
     """
-    metadata = (bag / METADATA).read_bytes()
+    metadata = (bag / BAG_METADATA).read_bytes()
     sealed = _SAID in metadata
     for path in sorted(bag.glob("*.mcap")):
         data = path.read_bytes()
@@ -88,14 +89,14 @@ def check(bag: Path) -> bool:
         except (struct.error, ValueError):
             raise ChecksumError(f"{path.name} is cut off or damaged") from None
         if sealed and not _holds(data, metadata):
-            raise ChecksumError(f"{METADATA} is not the one that was recorded")
+            raise ChecksumError(f"{BAG_METADATA} is not the one that was recorded")
     return sealed
 
 
 def declares_checksums(bag: Path) -> bool:
     """Whether the metadata of a bag say that it was sealed; nothing is checked."""
     try:
-        return _SAID in (bag / METADATA).read_bytes()
+        return _SAID in (bag / BAG_METADATA).read_bytes()
     except OSError:
         return False
 

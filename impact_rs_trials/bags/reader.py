@@ -30,6 +30,7 @@ from impact_rs_trials.bags.recovery import recover
 from impact_rs_trials.bags.trial_info import OUTCOMES, VIA, TrialInfo
 from impact_rs_trials.bags.types import typestore, typestore_of
 from impact_rs_trials.bags.writer import RECORDED
+from impact_rs_trials.file_names import BAG_METADATA
 from impact_rs_trials.runs import ArmSignals, Run, Signals, run_of_trial
 
 OF_THE_TWIN = (
@@ -161,7 +162,7 @@ def stamped_at(path: Path) -> float | None:
 def _custom(path: Path) -> dict[str, str]:
     """Custom metadata of a bag; empty: missing or not readable."""
     with suppress(OSError, yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError):
-        text = (path / checksums.METADATA).read_text(encoding="utf-8")
+        text = (path / BAG_METADATA).read_text(encoding="utf-8")
         return dict(yaml.load(text, yaml.CSafeLoader)["rosbag2_bagfile_information"]["custom_data"] or {})
     return {}
 
@@ -211,13 +212,13 @@ class TrialBag:
         Raises:
             BagError: The folder is no readable bag, or holds no ``/trial_info``.
         """
-        if path.is_dir() and any(path.glob("*.mcap")) and not (path / checksums.METADATA).exists():
+        if path.is_dir() and any(path.glob("*.mcap")) and not (path / BAG_METADATA).exists():
             return cls._recovered(path)
         with ExitStack() as opened:
             try:
                 if not path.is_dir():
                     raise BagError(path, "a bare file; a trial is a folder with metadata.yaml")
-                if not (path / "metadata.yaml").is_file():
+                if not (path / BAG_METADATA).is_file():
                     reason = "no metadata.yaml: the recording was cut off" if any(path.iterdir()) else "an empty folder"
                     raise BagError(path, reason)
                 sealed = checksums.check(path)

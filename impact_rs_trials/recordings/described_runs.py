@@ -14,6 +14,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import RobotFacts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.file_names import RUN_TABLE
 from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS
 from impact_rs_trials.recordings.file_groups import OBJECT, FileGroups
 from impact_rs_trials.recordings.import_checks import (
@@ -26,7 +27,7 @@ from impact_rs_trials.recordings.import_checks import (
 from impact_rs_trials.recordings.import_texts import FoundRun, Notes, flow
 from impact_rs_trials.recordings.mapping import NO_ROBOT, Mapping, MountedEndEffector, SignalName
 from impact_rs_trials.recordings.recording import read_recordings
-from impact_rs_trials.recordings.run_finder import RUN_TABLE, find_runs
+from impact_rs_trials.recordings.run_finder import find_runs
 from impact_rs_trials.recordings.sources import read_series
 
 MAX_RUNS_WITH_CLOCK = 5  # whose clocks are compared

@@ -26,8 +26,9 @@ from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.schema import PositiveNumber, PositiveVector3, Schema, Vector3, load
+from impact_rs_trials.file_names import EXPERIMENT_FILE, RUN_TABLE
 from impact_rs_trials.recordings.mapping import Mapping, load_mapping
-from impact_rs_trials.recordings.run_finder import RUN_TABLE, find_run, name_of
+from impact_rs_trials.recordings.run_finder import find_run, name_of
 from impact_rs_trials.recordings.table_columns import read_columns
 
 HIT = "hit"
@@ -208,7 +209,7 @@ def load_experiment(path: Path) -> Experiment:
         InputError: It is missing, breaks the schema, or names an unknown scenario or mapping.
     """
     if path.is_dir():
-        raise InputError("a folder where an experiment file is expected, experiment.yaml for example", file=path)
+        raise InputError(f"a folder where an experiment file is expected, {EXPERIMENT_FILE} for example", file=path)
     experiment = load(Experiment, path)
     experiment._file = path
     if experiment.scenario is None:

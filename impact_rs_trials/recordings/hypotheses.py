@@ -10,6 +10,7 @@ A hypothesis gives the numbers y of a stream a role in the motion q(t) of the jo
     other       y = b (M ddq + h) + F + c             a factor b of any size and sign in every joint: in no unit
                 y = a b dq/dt                         one factor b in all joints: at another sampling rate
                 y = b dq/dt                           a different factor in every joint: viscous friction
+    motors      y = (N q + C (M ddq + h) + c) / u     angles of motors: gear ratio N, compliance C of the transmission
     copy        y = s a (x + L dx/dt) / u + c         of x = q, dq or ddq, as commanded or filtered signals are
     none        y = F + c                             F: Coulomb and viscous friction where it is a torque; c: offset
 
@@ -41,6 +42,7 @@ from impact_rs_trials.recordings.file_units import SLIDES, TURNS
 from impact_rs_trials.recordings.relations import (
     DECISIVE_LOG_ODDS,
     MIN_CORRELATION,
+    MIN_CORRELATION_OF_COLUMNS,
     SAME_UNIT_FACTORS,
     TORQUE_UNIT_FACTORS,
     AveragedMotion,
@@ -60,6 +62,7 @@ LOG_TORQUE_FACTOR_SIGMA = 0.35  # standard deviation of log a: factors of rough 
 MAX_CONSTANT_RATIO = 30.0  # of the torque constants of one arm
 INVERSE_TORQUE_CONSTANTS = (1e-2, 1e2)  # current over torque: from large geared joints to the smallest servos [A/(N m)]
 MAX_FACTOR_RATIO = 1e8  # largest over smallest factor, where its size is unknown
+MAX_GEAR_RATIO = 300.0  # of harmonic drives; the log of a ratio is uniform up to it
 MIN_TORQUE_NM = 0.3  # of the largest robot's scale, about its mean and rms, from which a motion shows a joint's torque
 MAX_OUTSIDE_SHARE = 0.01  # of the positions beyond the limits, as outliers
 MAX_EXCESS_SHARE = 0.05  # of a joint's range, by which positions may exceed it
@@ -294,6 +297,40 @@ def copies(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
             said = f"repeats the {what}, in {unit}" if unit != "rad" else f"repeats the {what}"
             prior = float(np.log(PRIOR["copy"] * PRIOR[unit])) + _signs_prior(np.sign(relation.factor[shown]))
             found.append(RoleHypothesis("copy", unit, said, _copied(relation, shown), prior))
+    return _ordered(found)
+
+
+@OUTLIERS
+def motor_positions(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
+    """Units of motor angles, which equal joint angles up to gear ratio and deflection, the likeliest first.
+
+    Args:
+        motion: Motion of the joints.
+        y: The stream, :meth:`JointMotion.sampled`, ``(k, n)``.
+    """
+    shown = travels(motion.position, MIN_TRAVEL_SHARE)
+    further = np.ones_like(y), motion.whole
+    samples = effective_samples(motion.position, y)
+    found = []
+    for turns, slide in (("rad", "m"), ("deg", "mm")):
+        factor = TURNS["position"][turns]
+        relation = fit(motion.position / factor, y, further, samples)
+        if not np.all(np.abs(relation.correlation[shown]) > MIN_CORRELATION_OF_COLUMNS):
+            continue
+        usual = float(np.median(np.abs(relation.factor[shown])))
+        direct = SAME_UNIT_FACTORS[0] < usual < SAME_UNIT_FACTORS[1] and bool(np.all(relation.factor[shown] > 0.0))
+        if not direct and turns != "rad":  # the ratio of angles in radians says as much
+            continue
+        ratio = np.where(shown, relation.factor, usual)
+        apart = factor * y / (1.0 if direct else ratio) - motion.position
+        deflection = float(np.max(np.std(apart[:, shown], axis=0)))
+        if deflection == 0.0:  # the same signal once more
+            continue
+        said = f"follows the positions, {deflection:.3g} rad rms away from them"
+        said += "" if direct else f", with gear ratios {spread(ratio[shown])}"
+        keys = {} if direct else {"factor": [float(f"{1.0 / one:.6g}") for one in ratio]}
+        prior = float(np.log(PRIOR[turns])) - (0.0 if direct else float(np.log(MAX_GEAR_RATIO)))
+        found.append(RoleHypothesis("position", common(motion.units(turns, slide)), said, 0.0, prior, keys))
     return _ordered(found)
 
 

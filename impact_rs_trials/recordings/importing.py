@@ -26,6 +26,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import RobotFacts, load_facts
 from impact_rs_sim.schema import validate
+from impact_rs_trials.file_names import EXPERIMENT_FILE, MAPPING_FILE, RUN_TABLE
 from impact_rs_trials.recordings.described_runs import DescribedRuns
 from impact_rs_trials.recordings.file_groups import FileGroups, group_files
 from impact_rs_trials.recordings.guesses import STAMP, steps_back
@@ -43,7 +44,7 @@ from impact_rs_trials.recordings.joint_sections import NO_HEADER, JointSections
 from impact_rs_trials.recordings.mapping import NO_ROBOT, Mapping, TableLayout
 from impact_rs_trials.recordings.object_sections import ObjectSections, poses_in
 from impact_rs_trials.recordings.read_once import files_read_once
-from impact_rs_trials.recordings.recorded_files import RecordedFile, open_recorded, refuse_several
+from impact_rs_trials.recordings.recorded_files import ImportedFiles, RecordedFile, open_recorded, refuse_several
 from impact_rs_trials.recordings.run_finder import find_recordings
 
 
@@ -121,10 +122,11 @@ class _Importer:
         signals: dict[str, dict[str, Any]] = {}
         own: dict[str, Any] = {}
         part = self._parts[0]
-        joints = JointSections(self._parts, self._groups, self._options.rate, self._notes)
+        files = ImportedFiles(self._parts, self._groups, self._options.rate, self._notes)
+        joints = JointSections(files)
         if facts is not None:
             part, own, signals = joints.describe(robot, facts)
-        tracked = ObjectSections(self._parts, self._groups, self._options.rate, self._notes)
+        tracked = ObjectSections(files)
         pose_part = tracked.describe(part, facts is not None, signals)
         if facts is None and pose_part is None:
             raise InputError(
@@ -146,15 +148,15 @@ class _Importer:
         if main.run_column is not None:
             content["run_column"] = main.run_column
         content["signals"] = signals
-        mapping = validate(Mapping, content | {"robot": robot}, self._output / "mapping.yaml")
+        mapping = validate(Mapping, content | {"robot": robot}, self._output / MAPPING_FILE)
         runs = DescribedRuns(tracked.groups, self._options.scenario, self._notes)
         rows = runs.rows(mapping)
         if facts is not None and runs.clock_of_object(mapping, rows, signals):
-            mapping = validate(Mapping, content | {"robot": robot}, self._output / "mapping.yaml")
-        texts = {"mapping.yaml": mapping_text(content, self._notes.lines), "runs.csv": runs_text(rows, facts is None)}
+            mapping = validate(Mapping, content | {"robot": robot}, self._output / MAPPING_FILE)
+        texts = {MAPPING_FILE: mapping_text(content, self._notes.lines), RUN_TABLE: runs_text(rows, facts is None)}
         hits = sum(row.hit for row in rows)
         if hits or facts is None or self._options.scenario is not None:
-            texts["experiment.yaml"] = self._experiment(facts, robot)
+            texts[EXPERIMENT_FILE] = self._experiment(facts, robot)
         runs.check_first(mapping, rows)
         if facts is not None:
             runs.compare(mapping, rows, facts)
@@ -215,7 +217,7 @@ class _Importer:
         scenario = self._options.scenario
         if scenario is None:
             self._notes.remarks.append(
-                f"experiment.yaml names scenario.yaml, which is not there: impact-rs scenario new --robot {robot} -o "
+                f"{EXPERIMENT_FILE} names scenario.yaml, which is not there: impact-rs scenario new --robot {robot} -o "
                 "scenario.yaml in the same folder, with masses and sizes of your objects and the position of the robot"
             )
             return ARM.format(scenario="scenario.yaml   # to be made, see docs/scenarios.md")

@@ -27,6 +27,7 @@ from impact_rs_trials.recordings.hypotheses import (
     common,
     copies,
     driven_joints,
+    motor_positions,
     positions,
     torques,
     velocities,
@@ -204,6 +205,17 @@ class JointSearch:
         if best.torques:
             listed["torque"] = alternatives((one, one.by_name) for one in best.torques)
         return replace(best, alternatives=listed)
+
+    def motors(self, found: Assignment) -> Reading | None:
+        """Angles of the motors, if a stream with such a name follows the positions; None: no stream does."""
+        taken = [one.stream for one in (found.position, found.velocity, *found.torques[:1]) if one is not None]
+        motion = JointMotion.of(found.time, found.position.values, found.speeds, self.model)
+        for stream in self.streams:
+            if stream.is_of_motors and not any(stream.stands_apart(other) for other in taken):
+                choice = choose(motor_positions(motion, self._sampled(motion, stream)), -np.inf)
+                if choice is not None:
+                    return Reading(stream, choice)
+        return None
 
     def velocities_at_other_rates(self) -> Iterator[tuple[JointStream, JointStream, float]]:
         """Positions, streams proportional to their derivative with one positive factor, and the factor."""

@@ -20,15 +20,15 @@ from impact_rs_trials.recordings.candidates import (
     joints_of,
     vector_width,
 )
-from impact_rs_trials.recordings.file_groups import FileGroups
 from impact_rs_trials.recordings.file_units import UNITS
 from impact_rs_trials.recordings.guesses import are_derivatives, at_rest, steps_back
 from impact_rs_trials.recordings.hypotheses import RoleChoice, RoleHypothesis
-from impact_rs_trials.recordings.import_texts import Notes, PossibleReading, flow
+from impact_rs_trials.recordings.import_texts import PossibleReading, flow
 from impact_rs_trials.recordings.joint_search import Alternative, Assignment, JointSearch, Reading
 from impact_rs_trials.recordings.joint_streams import JointStream
 from impact_rs_trials.recordings.mapping import MountedEndEffector
 from impact_rs_trials.recordings.recorded_files import (
+    ImportedFiles,
     RecordedFile,
     read_streams,
     refuse_several,
@@ -53,17 +53,14 @@ class JointSections:
     """Describes the joints of a recording.
 
     Args:
-        parts: Its files.
-        groups: Files by kind and run.
-        rate: Sampling rate of files without timestamps [Hz]; None: they have timestamps.
-        notes: Findings, appended to.
+        files: Its files; findings are appended to their notes.
 
     Attributes:
         readings: Possible readings by signal, the chosen one first.
     """
 
-    def __init__(self, parts: Sequence[RecordedFile], groups: FileGroups, rate: float | None, notes: Notes) -> None:
-        self._parts, self._groups, self._rate, self._notes = parts, groups, rate, notes
+    def __init__(self, files: ImportedFiles) -> None:
+        self._parts, self._groups, self._rate, self._notes = files.parts, files.groups, files.rate, files.notes
         self._refused: dict[str, str] = {}
         self._order_shown = "columns hold the joints from base to tip"
         self.readings: dict[str, tuple[PossibleReading, ...]] = {}
@@ -97,6 +94,8 @@ class JointSections:
         part.on_log = not found.position.stream.candidate.stamped
         own = {"joints": list(self._joints(found.position.stream.candidate, facts.joint_count))}
         own |= self._torque(found.torques, found.alternatives["torque"], facts, robot, signals, part)
+        if (motors := search.motors(found)) is not None:
+            signals["motor_position"] = self._joint_signal(motors, "motor_position", part)
         own |= self._commands(found, search, model, signals, part, "torque_constant" in own)
         return part, own, signals
 

@@ -13,6 +13,7 @@ from impact_rs_trials.recordings.series import Series
 # Properties suggested by a name, in addition to the signal (candidates.guess_of).
 COMMANDED = re.compile(r"des|ref|target|goal|cmd|cmp|command|comput|set_?point|(^|_)d(_|\d|$)|filt|err", re.IGNORECASE)
 MEASURED = re.compile(r"meas|actual|(^|_)act(_|\d|$)", re.IGNORECASE)
+OF_MOTOR = re.compile(r"motor|rotor|(^|_)theta", re.IGNORECASE)
 CURRENT = re.compile(r"curr|amp", re.IGNORECASE)
 
 
@@ -58,6 +59,12 @@ class JointStream:
         other = bool(hinted) and (hinted, role) != ("torque", "current")
         odds = NAME_LOG_ODDS if hinted == role else -NAME_LOG_ODDS if other else 0.0
         return odds - NAME_LOG_ODDS * bool(COMMANDED.search(text)) + NAME_LOG_ODDS * bool(MEASURED.search(text))
+
+    @property
+    def is_of_motors(self) -> bool:
+        """Whether its name calls it a measurement at the motors."""
+        text = " ".join(self.candidate.source.get("columns") or [self.candidate.label])
+        return bool(OF_MOTOR.search(text)) and not COMMANDED.search(text)
 
     def in_order(self, order: tuple[int, ...]) -> JointStream:
         """The stream with reordered joints."""

@@ -12,12 +12,12 @@ import numpy as np
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.candidates import vector_width, width_of
-from impact_rs_trials.recordings.file_groups import OBJECT, FileGroups
+from impact_rs_trials.recordings.file_groups import OBJECT
 from impact_rs_trials.recordings.guesses import Guess, pose_of, quaternion_order, unit_of_length
-from impact_rs_trials.recordings.import_texts import Notes, flow
+from impact_rs_trials.recordings.import_texts import flow
 from impact_rs_trials.recordings.mapping import NO_ROBOT, SignalName, SignalSource
 from impact_rs_trials.recordings.moving_objects import moving_objects
-from impact_rs_trials.recordings.recorded_files import RecordedFile, axes_of, source_in
+from impact_rs_trials.recordings.recorded_files import ImportedFiles, RecordedFile, axes_of, source_in
 from impact_rs_trials.recordings.sources import open_file
 from impact_rs_trials.recordings.transforms import are_transforms
 
@@ -32,17 +32,14 @@ class ObjectSections:
     """Describes the object of a recording.
 
     Args:
-        parts: Its files.
-        groups: Files by kind and run.
-        rate: Sampling rate of files without timestamps [Hz]; None: they have timestamps.
-        notes: Findings, appended to.
+        files: Its files; findings are appended to their notes.
 
     Attributes:
         groups: Files by kind and run; per-object files are merged to the object that moves.
     """
 
-    def __init__(self, parts: Sequence[RecordedFile], groups: FileGroups, rate: float | None, notes: Notes) -> None:
-        self._parts, self.groups, self._rate, self._notes = parts, groups, rate, notes
+    def __init__(self, files: ImportedFiles) -> None:
+        self._parts, self.groups, self._rate, self._notes = files.parts, files.groups, files.rate, files.notes
 
     def describe(
         self, joints: RecordedFile, with_robot: bool, signals: dict[str, dict[str, Any]]

@@ -130,6 +130,23 @@ class RecordedFile:
         return own
 
 
+@dataclass(frozen=True)
+class ImportedFiles:
+    """Files that are described together, with their common rate and notes.
+
+    Attributes:
+        parts: One file of each kind.
+        groups: Files by kind and run.
+        rate: Sampling rate of files without timestamps [Hz]; None: they have timestamps.
+        notes: Findings, appended to.
+    """
+
+    parts: Sequence[RecordedFile]
+    groups: FileGroups
+    rate: float | None
+    notes: Notes
+
+
 def open_recorded(pattern: str, path: Path, spread: bool, notes: Notes) -> RecordedFile:
     """A file with its contents; with several runs in it, the first.
 

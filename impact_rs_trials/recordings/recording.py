@@ -17,6 +17,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import ArmPhysics, JointFriction, ObjectPhysics, Physics
 from impact_rs_sim.robot import Array, joined_units
 from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.bags.topics import TRIAL_INFO
 from impact_rs_trials.recordings.clock import check_stamps, gaps, gaps_in_words
 from impact_rs_trials.recordings.clock_offset import on_one_clock
 from impact_rs_trials.recordings.faults import MAX_LIMIT_FACTOR, MAX_OUTLIER_SHARE, MAX_POSITION_EXCESS, without_faults
@@ -66,7 +67,7 @@ def _is_trial(path: Path) -> bool:
         return False
     try:
         with Reader(path) as reader:
-            return any(connection.topic == "/trial_info" for connection in reader.connections)
+            return any(connection.topic == TRIAL_INFO for connection in reader.connections)
     except Exception as error:  # a damaged file can fail anywhere inside the library; reading it gives the reason
         logger.debug("%s: cannot be opened (%s: %s)", path, type(error).__name__, error)
         return path.is_dir()

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_trials.file_names import BAG_METADATA, RUN_TABLE
 from impact_rs_trials.recordings.array_file import ArrayFile
 from impact_rs_trials.recordings.inner_runs import RUN
 from impact_rs_trials.recordings.mapping import Mapping
@@ -30,7 +31,6 @@ TABLE_SUFFIXES = (".csv", ".tsv", ".parquet", ".npy", *NOTE_SUFFIXES)
 ARRAY_SUFFIXES = (".npz", ".h5", ".hdf5", ".mat")
 FILE_SUFFIXES = (*BAG_SUFFIXES, *TABLE_SUFFIXES, *ARRAY_SUFFIXES)
 SEARCHED_SUFFIXES = tuple(suffix for suffix in FILE_SUFFIXES if suffix not in NOTE_SUFFIXES)
-RUN_TABLE = "runs.csv"  # of a laboratory; no recording
 PLACEHOLDERS = ("run", "object", "arm")  # of names of files in a mapping
 
 
@@ -42,7 +42,7 @@ def natural_key(name: str | Path) -> list[tuple[bool, int, str]]:
 
 def is_bag_folder(path: Path) -> bool:
     """Whether a folder is a bag."""
-    return (path / "metadata.yaml").is_file()
+    return (path / BAG_METADATA).is_file()
 
 
 def name_of(path: Path) -> str:
@@ -68,7 +68,7 @@ def find_recordings(path: Path, notes: bool = False) -> list[Path]:
         raise InputError("no such file or folder", file=path)
     if is_bag_folder(path):
         return [path]
-    bags = {file.parent for file in path.rglob("metadata.yaml")}
+    bags = {file.parent for file in path.rglob(BAG_METADATA)}
     files = {
         file
         for file in path.rglob("*")

@@ -14,11 +14,12 @@ import pytest
 import yaml
 from trials import recorded
 
+from impact_rs_analysis.application.plant_bench import PlantBench
 from impact_rs_analysis.design.possible_trials import possible_trials
 from impact_rs_analysis.investigation.rounds import PlannedTrial, WantedTrials, trials_of
+from impact_rs_analysis.investigation.rule_design import simple_design
 from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_cli import node_benches
-from impact_rs_cli.bench import PlantBench, simple_design
 from impact_rs_cli.cell_guard import CellGuard, SafetyStop
 from impact_rs_cli.node_benches import CellBench, NodesBench
 from impact_rs_cli.terminal import Terminal

@@ -21,8 +21,8 @@ from trials import made_up
 import impact_rs_cli.commands
 from impact_rs_analysis.measure.analyze import ExperimentSet
 from impact_rs_cli.main import PACKAGES, main, parser
-from impact_rs_cli.measurements import experiment_file
 from impact_rs_cli.parser import PROGRAM
+from impact_rs_cli.reading import experiment_file
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_commands import COMMANDS
 from impact_rs_sim.errors import InputError

@@ -11,13 +11,14 @@ import pytest
 from documents import tied_laws
 from scene_source import of_scene
 
+from impact_rs_analysis.application import plant_bench as bench
+from impact_rs_analysis.application.plant_bench import PlantBench
 from impact_rs_analysis.design.design import WHICH_EFFECT
 from impact_rs_analysis.diagnosis.discovery_document import FOUND, DiscoveryDocument, write_discovery
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, write_document
 from impact_rs_analysis.investigation.rounds import Round, WantedTrials
+from impact_rs_analysis.investigation.rule_design import simple_design
 from impact_rs_analysis.investigation.settings import Settings
-from impact_rs_cli import bench
-from impact_rs_cli.bench import PlantBench, simple_design
 from impact_rs_cli.main import main
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.model import Model, load_model

@@ -20,12 +20,12 @@ import pytest
 from impact_table_cases import arm_table, write_csv
 from processes import killed_at_file, until
 
+from impact_rs_analysis.application import followed_hits
+from impact_rs_analysis.application.followed_hits import FollowedHits, diagnose_options, hit_source_of, hits_options
 from impact_rs_analysis.diagnosis.document import read_document
 from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.state import save_state
-from impact_rs_cli import following
 from impact_rs_cli.commands import follow as follow_command
-from impact_rs_cli.following import FollowedHits, HitsArguments, diagnose_options, hit_source_of
 from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_cli.identify import Lessons
 from impact_rs_cli.main import main
@@ -106,7 +106,7 @@ def test_a_kill_in_the_first_pass_loses_no_hit_and_resumes_as_if_there_was_none(
 
     state = tmp_path / "state.npz"
     with monkeypatch.context() as patch:
-        patch.setattr(following, "save_state", killed)
+        patch.setattr(followed_hits, "save_state", killed)
         assert main([*map(str, words), "--state", str(state)]) == 130
     assert counts == [10, 20, 30]
     rest = document(*words, "--state", state)
@@ -191,9 +191,9 @@ def test_a_hit_that_arrives_is_followed_at_once_and_kept_in_the_state(
 
 def test_the_node_takes_a_few_hits_at_a_time_and_all_in_the_end(table: Path, tmp_path: Path) -> None:
     def lessons() -> Lessons:
-        source = HitsArguments(table, scenario="push")
+        source = hits_options(table, scenario="push")
         follower = Follower(hit_source_of(source, NOMINAL), NOMINAL)
-        diagnosis = FullDiagnosis(diagnose_options(source), tmp_path)
+        diagnosis = FullDiagnosis(diagnose_options(source, "nominal"), tmp_path)
         return Lessons(FollowedHits(source, follower, tmp_path / "state.npz", diagnosis), diagnosis)
 
     first = lessons()

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
+from impact_rs_analysis.application.plant_bench import PlantBench
 from impact_rs_analysis.investigation.endings import Ending
-from impact_rs_cli.bench import PlantBench
 from impact_rs_cli.main import main
 from impact_rs_sim.model import load_model
 from impact_rs_sim.scenario import load_scenario

@@ -8,10 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+import scipy
 from ball_impacts import HOLLOW, MASS, RADIUS, SOLID, Racket, bounced, thrown
 from impact_table_cases import cube, tossed
 
 from impact_rs_sim.effects import library
+from impact_rs_sim.effects.contact import hunt_crossley_restitution
 from impact_rs_sim.impact_map.measured import MeasuredImpact, MeasuredImpacts, points_on_plane, solve_measured
 from impact_rs_sim.impact_map.problem import ImpactMapError
 from impact_rs_sim.impact_map.solve import ExactEngine
@@ -77,6 +79,42 @@ def test_a_ball_leaves_as_its_closed_form_says(
     for _ in range(30):
         twist = thrown(rng)
         np.testing.assert_allclose(after(physics, twist), bounced(twist, racket, share), atol=1e-9)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.5])
+@pytest.mark.parametrize("loss", [0.005, 0.2, 1.0, 6.0])
+def test_a_dissipative_contact_rebounds_as_its_force_integrated_over_time(loss: float, exponent: float) -> None:
+    """f = k x^n (1 + d dx/dt) with m = k = 1, d = ``loss`` at speed 1; kills a wrong branch of Lambert's function."""
+
+    def motion(time: float, state: np.ndarray) -> list[float]:
+        del time
+        depth, speed = max(state[0], 0.0), state[1]
+        return [speed, -(depth**exponent) * (1.0 + loss * speed)]
+
+    def parted(time: float, state: np.ndarray) -> float:
+        return float(state[0]) if time > 1e-3 else 1.0
+
+    parted.terminal = True  # type: ignore[attr-defined]
+    path = scipy.integrate.solve_ivp(motion, (0.0, 100.0), [0.0, 1.0], events=parted, rtol=1e-10, atol=1e-12)
+    assert hunt_crossley_restitution(np.array([loss]))[0] == pytest.approx(-path.y[1, -1], abs=1e-5)
+
+
+def test_the_restitution_of_a_dissipative_contact_is_continuous_and_falls_from_one() -> None:
+    """Kills a wrong term of the series: it meets the closed form at its end."""
+    below, above = hunt_crossley_restitution(np.array([0.01 - 1e-9, 0.01 + 1e-9]))
+    assert below == pytest.approx(above, abs=1e-7)
+    found = hunt_crossley_restitution(np.array([0.0, 0.005, 0.1, 10.0, 1e4]))
+    assert found[0] == 1.0
+    assert np.all(np.diff(found) < 0.0)
+    assert found[-1] * 1e4 == pytest.approx(1.0)  # no rebound is faster than 1 / d
+
+
+def test_parting_from_an_adhesive_contact_takes_the_same_energy_at_every_speed() -> None:
+    """m (v^2 - v_s^2) e_0^2 = m u^2 with e_0 = 0.5; below v_s nothing bounces."""
+    physics = with_effects(ball(), restitution_threshold=(1.2, 2.0))
+    for fall in (0.5, 1.1, 1.5, 4.0):
+        rebound = after(physics, np.array([0.0, 0.0, -fall, 0.0, 0.0, 0.0]))[2]
+        assert rebound == pytest.approx(0.5 * np.sqrt(max(fall**2 - 1.2**2, 0.0)), abs=1e-9)
 
 
 def test_without_friction_a_moment_of_b_times_the_impulse_resists_rolling() -> None:

@@ -144,7 +144,7 @@ def test_a_bag_survives_that_its_writer_is_killed(push_bag: Path, tmp_path: Path
 
 def test_a_finished_bag_that_lost_its_metadata_is_no_success(push_bag: Path, tmp_path: Path) -> None:
     shutil.copytree(push_bag, tmp_path / "bag")
-    (tmp_path / "bag" / checksums.METADATA).unlink()
+    (tmp_path / "bag" / checksums.BAG_METADATA).unlink()
     bag = TrialBag.open(tmp_path / "bag")
     assert bag.outcome == "ABORTED"
     assert bag.counts[STATES] == TrialBag.open(push_bag).counts[STATES]

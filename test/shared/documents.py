@@ -13,6 +13,7 @@ from impact_rs_analysis.diagnosis.compare import ComparisonDocument
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, EstimateDocument, ModelIdentity
 from impact_rs_analysis.diagnosis.history import Version, VersionError
 from impact_rs_analysis.diagnosis.verdict import DiagnosisVerdict
+from impact_rs_analysis.evidence.rollouts import JointRollout, RolloutDocument, RolloutHorizon
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
 from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.model import load_model
@@ -82,6 +83,34 @@ def tracks() -> tuple[Track, ...]:
     hit = ComparedSignal("end-effector velocity y", "m/s", np.cos(time), gap)
     free = ComparedSignal("torque of joint 1", "N m", np.cos(time), np.sin(time))
     return Track("juice, case_2", time, 0.9, curves=(hit,)), Track("slow", time, curves=(free,))
+
+
+def rollouts(share: float = 1.0) -> RolloutDocument:
+    """Rollouts of one joint over two horizons, with so many times their errors."""
+    horizons = tuple(
+        RolloutHorizon(
+            horizon_s=horizon,
+            joints=(
+                JointRollout(joint="joint1", error=size, spread=(0.4 * size, 1.6 * size), unit="deg", as_torque=0.1),
+            ),
+            tool_mm=6.0 * size,
+            tool_spread_mm=(2.4 * size, 9.6 * size),
+            tool_deg=2.0 * size,
+            tool_spread_deg=(0.8 * size, 3.2 * size),
+        )
+        for horizon, size in ((0.1, 0.1 * share), (0.5, 2.5 * share))
+    )
+    time = (0.02, 0.1, 0.3, 0.5)
+    return RolloutDocument(
+        starts=40,
+        starts_apart=12,
+        horizons=horizons,
+        growth="power",
+        exponent=2.0,
+        rate_per_s=6.0,
+        time_s=time,
+        tool_mm=tuple(60.0 * share * moment**2 for moment in time),
+    )
 
 
 def versions() -> list[VersionError]:

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from hypothesis import strategies as st
 
+from impact_rs_analysis.application.followed_hits import FollowedHits, hits_options
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.hits import BagHitSource
-from impact_rs_cli.following import FollowedHits, HitsArguments
 from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_cli.identify import Lessons
 from impact_rs_sim.model import load_model
@@ -106,7 +106,7 @@ class Live:
         self._custom = {key: value for key, value in custom.items() if key != checksums.NAME}
         self.follower = Follower(BagHitSource(folder, NOMINAL, ReplayCache(map)), NOMINAL, ["object_mass"], learnt=4)
         diagnosis = FullDiagnosis({}, folder)
-        self.lessons = Lessons(FollowedHits(HitsArguments(folder), self.follower, None, None), diagnosis)
+        self.lessons = Lessons(FollowedHits(hits_options(folder), self.follower, None, None), diagnosis)
 
     def add(self, change: Callable[[Messages], Messages]) -> str:
         """Record the trial once more, changed; gives its name."""

@@ -3,15 +3,15 @@
 // Measure: campaigns, single trials, plans of trials, rehearsals, recorded and running trials, and practice.
 
 import {says} from '../about.js';
-import {casesOf, commandForm, free, hitsForm, listed, objectsOf, scenarioForm} from '../forms.js';
-import {onJobs, onWatch, whenDone} from '../jobs.js';
+import {casesOf, commandForm, free, listed, objectsOf, scenarioForm} from '../forms.js';
+import {onJobs, onWatch} from '../jobs.js';
 import {go, inSight, Tabbed} from '../navigation.js';
 import {ImpactScene} from '../picture.js';
-import {Pages} from '../results.js';
 import {ask, button, count, h, inFolder, Questions, state, stem} from '../tools.js';
 import {design} from './design.js';
 import {diagnose} from './diagnose.js';
 import {live, watchable, watchJob} from './live.js';
+import {PagePart} from './page_part.js';
 import {reveal} from './practice.js';
 import {recorded, TrialView} from './trials.js';
 
@@ -141,23 +141,12 @@ class TrialPart {
 
 // ---- rehearsal and practice ---------------------------------------------------------------------------------------
 
-/** @implements {Step} */
-class RehearsePart {
-  build() {
-    this.form = hitsForm('rehearse', 'Rehearse',
-      {output: () => `rehearsals/${stem(this.form.value('scenario') ?? 'push')}`});
-    this.pages = new Pages('rehearse', 'rehearsal', 'rehearsal.html', (folder) => this.say(folder));
-    whenDone('rehearse', ([folder]) => { this.pages.wanted = folder; });
-    return h('div', {}, this.form.node, ...this.pages.nodes);
-  }
-
-  update() { this.form.update(); this.pages.update(); }
-
-  async say(folder) {
+const rehearsal = new PagePart('rehearse', {run: 'Rehearse', label: 'rehearsal', page: 'rehearsal.html',
+  output: (part) => `rehearsals/${stem(part.scenario())}`,
+  opened: async (folder) => {
     const {scenario, object, case: case_, passed} = await ask(`/files/${folder}/rehearsal.json`);
     says('measure/rehearse', `${scenario}, ${object}, ${case_}: ${passed ? 'passed' : 'not passed'}.`);
-  }
-}
+  }});
 
 /** Practice campaigns: diagnose one, and reveal what it hid. @implements {Step} */
 class PracticePart {
@@ -194,7 +183,7 @@ const campaign = new CampaignPart(), trial = new TrialPart();
 class Measure extends Tabbed {
   constructor() {
     super('Measure', {campaign: ['Campaign', campaign], trial: ['Single trial', trial], design: ['Design', design],
-      rehearse: ['Rehearsal', new RehearsePart()], recorded: ['Recorded trials', recorded], live: ['Live', live],
+      rehearse: ['Rehearsal', rehearsal], recorded: ['Recorded trials', recorded], live: ['Live', live],
       blind: ['Practise', new PracticePart()]});
   }
 

@@ -5,14 +5,13 @@
 import {says, showAbout} from '../about.js';
 import {ABOUT} from '../explain.js';
 import {darkScheme, draw, erase, legendHeight, LEGEND_BELOW, plotPlace, seen} from '../figures.js';
-import {casesOf, free, hitsForm, listed, modelChoices} from '../forms.js';
-import {whenDone} from '../jobs.js';
+import {casesOf, free, listed, modelChoices} from '../forms.js';
 import {inSight, Tabbed} from '../navigation.js';
 import {ImpactScene} from '../picture.js';
-import {Pages} from '../results.js';
 import {ask, button, fill, fixed, h, interval, labelled, messageArea, number, plain, query, Questions, state, stem,
   table, unit} from '../tools.js';
 import {measure} from './measure.js';
+import {PagePart} from './page_part.js';
 
 /** @typedef {import('../types.d.ts').Step} Step */
 
@@ -324,40 +323,20 @@ class ImpactPart {
   measure() { measure.choose({scenario: this.scenario.value, object: this.object.value, case: this.case.value}); }
 }
 
-/** The speed limits of a scenario. @implements {Step} */
-class LimitsPart {
-  build() {
-    this.form = hitsForm('limits', 'Compute the limits',
-      {output: () => `limits/${stem(this.form.value('scenario') ?? 'push')}`});
-    this.pages = new Pages('limits', 'speed limits', 'limits.html', (folder) => this.say(folder));
-    whenDone('limits', ([folder]) => { this.pages.wanted = folder; });
-    return h('div', {}, this.form.node, ...this.pages.nodes);
-  }
-
-  update() { this.form.update(); this.pages.update(); }
-
-  async say(folder) {
-    const {scenario, limits} = await ask(`/files/${folder}/limits.json`);
-    const [least] = [...limits].sort((a, b) => a.limit_m_s - b.limit_m_s);
+const limits = new PagePart('limits', {run: 'Compute the limits', label: 'speed limits', page: 'limits.html',
+  output: (part) => `limits/${stem(part.scenario())}`,
+  opened: async (folder) => {
+    const {scenario, limits: found} = await ask(`/files/${folder}/limits.json`);
+    const [least] = [...found].sort((a, b) => a.limit_m_s - b.limit_m_s);
     const [limit, planned] = [least.limit_m_s, least.planned_m_s].map((speed) => `${number(speed)} m/s`);
     says('predict/limits', `${scenario}, ${least.object}, ${least.case}: limit ${limit}, planned ${planned}.`);
-  }
-}
+  }});
 
-/** @implements {Step} */
-class DesignsPart {
-  build() {
-    this.form = hitsForm('study-design', 'Rank the designs', {output: () => free((many) => `designs/${many}`,
-      state.workspace ? this.pages.choices().map((one) => one.value) : [])});
-    this.pages = new Pages('study-design', 'design study', 'design_study.html',
-      (folder) => says('predict/designs', `The page below ranks the designs of ${folder}.`));
-    whenDone('study-design', ([folder]) => { this.pages.wanted = folder; });
-    return h('div', {}, this.form.node, ...this.pages.nodes);
-  }
-
-  update() { this.form.update(); this.pages.update(); }
-}
+const designs = new PagePart('study-design', {run: 'Rank the designs', label: 'design study', page: 'design_study.html',
+  output: (part) => free((many) => `designs/${many}`,
+    state.workspace ? part.pages.choices().map((one) => one.value) : []),
+  opened: (folder) => says('predict/designs', `The page below ranks the designs of ${folder}.`)});
 
 export const impact = new ImpactPart();
 export const predict = new Tabbed('Predict the effect of a hit', {impact: ['Impact', impact],
-  limits: ['Speed limit', new LimitsPart()], designs: ['Design study', new DesignsPart()]});
+  limits: ['Speed limit', limits], designs: ['Design study', designs]});

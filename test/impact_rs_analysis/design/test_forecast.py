@@ -138,3 +138,11 @@ def test_the_plan_says_what_each_condition_adds(forecast: Forecast) -> None:
     assert all(f"{one.trials} x {one.what}" in one.buys and "without them" in one.buys for one in conditions)
     assert any("there and back" in one.what for one in conditions)
     assert [pair.after for pair in plan.pairs] == sorted(pair.after for pair in plan.pairs)
+
+
+def test_an_effect_that_no_possible_trial_shows_is_named_and_not_planned_for(forecast: Forecast) -> None:
+    """A drift over a campaign changes no single trial. Kills its pairs, which no plan could distinguish."""
+    plan = planned(forecast, between(forecast, "object_mass", "support_friction", "torque_sensor_drift"), 6)
+    assert "no possible trial shows torque_sensor_drift" in plan.summary
+    assert not any("torque_sensor_drift" in (pair.first, pair.second) for pair in plan.pairs)
+    assert len(plan.pairs) == 3

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy
 from ball_impacts import NOISE, Racket, ball_table, turned_ball_table
 from impact_table_cases import write_csv
 from intervals import assert_covers
@@ -236,6 +237,45 @@ def test_more_restitution_and_a_fall_of_it_are_found_together_where_neither_help
     assert set(document.named) == {"restitution", "restitution_fall"}
     truth = {("restitution", "restitution"): 0.16, ("restitution_fall", "fall"): 0.03}
     assert_intervals(source, document, truth, np.repeat((0.1, 10.0), 3))
+
+
+def rebound_of_force(dissipation: float, speed: float) -> float:
+    """Restitution of a force k x (1 + d dx/dt), integrated over the contact in units of 1 / omega."""
+    ends = scipy.integrate.solve_ivp(
+        lambda _, s: [s[1], -max(s[0], 0.0) * (1.0 + dissipation * s[1])], (0.0, 10.0), [0.0, speed],
+        events=lambda t, s: s[0] if t > 1e-3 else 1.0, rtol=1e-8, atol=1e-10,
+    )  # fmt: skip
+    return float(-ends.y_events[0][0][1] / speed)
+
+
+LAWS_THAT_BEND = ["restitution", "restitution_fall", "contact_dissipation", "restitution_threshold"]
+
+
+@pytest.mark.parametrize(
+    ("racket", "truth"),
+    [
+        (
+            Racket(lambda v: rebound_of_force(0.1, v)),
+            {"restitution": (1.0, 0.0021), "contact_dissipation": (0.1, 0.0014)},
+        ),
+        (
+            Racket(lambda v: 0.6 if v > 4.0 else 0.0),
+            {"restitution": (0.6, 0.019), "restitution_threshold": (4.0, 0.34)},
+        ),
+    ],
+    ids=["dissipation", "threshold"],
+)
+def test_a_restitution_that_bends_with_speed_is_named_by_its_law(
+    tmp_path: Path, racket: Racket, truth: dict[str, tuple[float, float]]
+) -> None:
+    """Kills a straight fall in the place of the curve: its residual is far above the noise."""
+    table = ball_table(tmp_path / "balls.csv", racket, rows=90, noise=(0.02, 2.0), friction=0.2, restitution=0.0)
+    source = ImpactTableSource(read_impact_table(table), NOMINAL)
+    document = diagnose(source, NOMINAL, LAWS_THAT_BEND)
+    assert set(document.named) == set(truth)
+    for name, (value, half_width) in truth.items():
+        first, *_ = document.effect(name).parameters.values()
+        assert_covers(first.interval, value, half_width)
 
 
 @pytest.mark.parametrize("stated", [True, False])

@@ -33,6 +33,7 @@ from impact_rs_analysis.diagnosis.document import (
     CalibrationExperiment,
     CalibrationIdentity,
     DiagnosisDocument,
+    HeldOutRollouts,
     read_document,
 )
 from impact_rs_analysis.diagnosis.history import VersionError
@@ -161,6 +162,31 @@ def test_pages_of_wrong_readings_blame_no_physics_and_say_what_calibrates(tmp_pa
     assert applied in page.text and applied in comparison_page(tmp_path, calibration=known).text
     physics = Page(write_diagnosis(found, documents.comparison(), (), None, tmp_path))
     assert "What model" in physics.text and "Calibrate the readings" not in physics.text
+
+
+def test_rollouts_stand_on_every_page_that_has_them(tmp_path: Path) -> None:
+    """Kills: an error without its unit or spread, a growth that is left out, the wrong horizon of a history."""
+    before, after = documents.rollouts(), documents.rollouts(0.1)
+    page = comparison_page(tmp_path, rollouts=before)
+    assert "Open-loop predictions from 40 measured states" in page.text
+    assert "The error of the joints grows with time to the power 2.0" in page.text
+    assert "0.5 s 2.5 deg 1 to 4 15 mm 6 to 24 5 deg 2 to 8" in page.text
+    assert [trace["name"] for trace in page.data["rollouts"]["data"]] == [
+        "rollouts, rms over starts",
+        "growth of a constant torque error, with the square of the time",
+    ]
+    held = HeldOutRollouts(before=before, after=after, compared=12, closer=11, p_value=0.002)
+    found = documents.diagnosis("recordings").model_copy(update={"rollouts": held})
+    text = Page(write_diagnosis(found, documents.comparison("recordings"), (), None, tmp_path)).text
+    assert (
+        "tool off by 0.6 → 0.06, 15 → 1.5 mm, joint1 by 0.1 → 0.01, 2.5 → 0.25 deg; closer with the effects in 11"
+        in text
+    )
+    versions = [replace(one, rollouts=own) for one, own in zip(documents.versions(), (before, after), strict=True)]
+    history = Page(write_history(versions, tmp_path))
+    assert "tool after 0.5 s" in history.text and "15 mm" in history.text and "1.5 mm" in history.text
+    written = json.loads((tmp_path / "history.json").read_text())["history"]
+    assert [one["rollouts"]["horizons"][1]["tool_mm"] for one in written] == [15.0, 1.5]
 
 
 @pytest.mark.parametrize("name", PAGES)

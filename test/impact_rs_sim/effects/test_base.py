@@ -101,6 +101,8 @@ def test_effects_of_the_contact_are_not_seen_in_free_motion():
         "support_compliance",
         "rolling_resistance",
         "restitution_fall",
+        "contact_dissipation",
+        "restitution_threshold",
         "tangential_restitution",
         "drilling_friction",
         "spin_axes",

@@ -33,13 +33,18 @@ def swing() -> Columns:
 
 def assigned(**streams: np.ndarray) -> Assignment:
     """The assignment of streams by the stems of their columns, in the order of the file."""
+    return searched(**streams)[0]
+
+
+def searched(**streams: np.ndarray) -> tuple[Assignment, JointSearch]:
+    """The assignment with its search."""
     listed = []
     for stem, values in streams.items():
         columns = [f"{stem}_{joint}" for joint in range(1, 8)]
         candidate = SignalCandidate(f"{columns[0]} … {columns[-1]}", {"columns": columns}, False, guess_of(stem), 7)
         listed.append(JointStream("", candidate, Series(stem, TIME, values)))
     search = JointSearch(listed, model())
-    return search.best(search.motions())
+    return search.best(search.motions()), search
 
 
 @pytest.mark.parametrize(
@@ -83,3 +88,24 @@ def test_a_position_beside_it_by_a_constant_is_as_likely_and_its_name_decides() 
     assert found.position.stream.series.place == "q"
     first, second = found.alternatives["position"][:2]
     assert second.stream.series.place == "q_des" and 0.0 < first.log_posterior - second.log_posterior < 30.0
+
+
+@pytest.mark.parametrize("gear", [1.0, 80.0])
+def test_angles_of_motors_are_found_beside_the_positions_with_their_gear_ratio(gear: float) -> None:
+    """theta = N (q + C tau) + c; kills a reading of commanded positions, and of a copy, as motors."""
+    q, dq, tau = (swing()[name] for name in ("position", "velocity", "effort"))
+    found, search = searched(
+        position=q,
+        velocity=dq,
+        torque=tau,
+        position_copy=q,
+        motor_pos_desired=q + 1e-3 * dq,
+        motor_pos=gear * (q + 2e-4 * tau) + 0.3,
+    )
+    motors = search.motors(found)
+    assert motors is not None and motors.stream.series.place == "motor_pos"
+    assert motors.best.unit == "rad"
+    ratio = 1.0 / np.array(motors.best.further.get("factor", np.ones(7)))
+    np.testing.assert_allclose(ratio, gear, rtol=1e-3)
+    alone, search = searched(position=q, velocity=dq, torque=tau, motor_pos=q)
+    assert search.motors(alone) is None  # the same numbers once more show no deflection

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sources of hits, by the options of a command line or the parameters of a node."""
+"""Hits that are followed for a command line or a node: their source, their state file, and full diagnoses."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Protocol
 
-from impact_rs_analysis.evidence.calibration import LaboratoryCalibration, calibration_of
+from impact_rs_analysis.application.measurements import MeasurementOptions, read_table
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY
 from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
@@ -15,62 +15,27 @@ from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.hits import BagHitSource, HitSource, TableHitSource
 from impact_rs_analysis.following.lessons import HitDocument
 from impact_rs_analysis.following.state import restore_state, save_state
-from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE
 from impact_rs_sim.model import Model
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_trials.recordings.impact_table import SUFFIXES, read_impact_table
+from impact_rs_trials.recordings.impact_table import SUFFIXES
 
 SAVE_INTERVAL_HITS = 10  # instants of hits that are there already, between two saved states
 
 
-class HitsArguments(NamedTuple):
-    """Where hits come from.
+def hits_options(runs: Path | None, impacts: Path | None = None, **further: Any) -> MeasurementOptions:
+    """Options of the source of hits.
 
-    Attributes:
+    Args:
         runs: Folder of trials, or a table of impacts; None: ``impacts`` names the table.
         impacts: Table of impacts; None: trials.
-        scenario: Scenario of a table of arms; None: free bodies.
-        model: File of the model.
-        tolerance: Contact tolerance of a table [m]; None: as usual.
-        exact: Whether to ignore the model discrepancy.
-        calibration: LaboratoryCalibration of the readings; None: the one beside the hits, if there is one.
+        further: Other options.
     """
-
-    runs: Path | None
-    impacts: Path | None = None
-    scenario: str | None = None
-    model: str = "nominal"
-    tolerance: float | None = None
-    exact: bool = False
-    calibration: Path | None = None
-
-    @property
-    def table(self) -> Path | None:
-        """The table; None: trials."""
-        if self.impacts is not None:
-            return Path(self.impacts)
-        return Path(self.runs) if self.runs is not None and Path(self.runs).suffix in SUFFIXES else None
-
-    @property
-    def where(self) -> Path:
-        """Folder or table."""
-        path = self.table or self.runs
-        assert path is not None
-        return Path(path)
+    if impacts is None and runs is not None and Path(runs).suffix in SUFFIXES:
+        runs, impacts = None, runs
+    return MeasurementOptions(runs=runs, impacts=impacts, **further)
 
 
-def calibration_of_hits(hits: HitsArguments) -> LaboratoryCalibration:
-    """The calibration of the readings of hits.
-
-    Raises:
-        InputError: It cannot be read, or has an effect of the physics.
-    """
-    return calibration_of(hits.where, hits.calibration)
-
-
-def hit_source_of(hits: HitsArguments, model: Model) -> HitSource:
+def hit_source_of(hits: MeasurementOptions, model: Model) -> HitSource:
     """Source of hits.
 
     Args:
@@ -80,19 +45,31 @@ def hit_source_of(hits: HitsArguments, model: Model) -> HitSource:
     Raises:
         InputError: Options that do not go together, or there is no such scenario.
     """
-    table = hits.table
-    if table is None:
-        if hits.scenario is not None or hits.tolerance is not None:
+    tolerance = hits.contact_tolerance
+    if hits.impacts is None:
+        if hits.scenario is not None or tolerance is not None:
             option = "--scenario" if hits.scenario is not None else "--contact-tolerance"
             raise InputError(f"{option} goes with --impacts only: trials contain their scenario")
-        store = ReplayCache(map)
-        return BagHitSource(hits.where.absolute(), model, store, NO_DISCREPANCY if hits.exact else None)
-    if hits.tolerance is not None and not hits.tolerance >= 0.0:
-        raise InputError("expected a distance >= 0 m", key="--contact-tolerance", value=hits.tolerance)
-    scenario = None if hits.scenario is None else load_scenario(hits.scenario)
-    tolerance = GAP_TOLERANCE if hits.tolerance is None else hits.tolerance
-    discrepancy = NO_MAP_DISCREPANCY if hits.exact else None
-    return TableHitSource(lambda: read_impact_table(table, scenario, tolerance=tolerance), model, discrepancy)
+        return BagHitSource(hits.data.absolute(), model, ReplayCache(map), NO_DISCREPANCY if hits.exact else None)
+    if tolerance is not None and not tolerance >= 0.0:
+        raise InputError("expected a distance >= 0 m", key="--contact-tolerance", value=tolerance)
+    return TableHitSource(lambda: read_table(hits), model, NO_MAP_DISCREPANCY if hits.exact else None)
+
+
+class DiagnosisOfHits(Protocol):
+    """Makes full diagnoses of the hits since one of them, one at a time."""
+
+    def file(self, since: str) -> Path:
+        """The file of a diagnosis."""
+        ...
+
+    def start(self, since: str) -> None:
+        """Start a diagnosis; one that runs is stopped."""
+        ...
+
+    def stop(self) -> None:
+        """Stop the one that runs."""
+        ...
 
 
 class FollowedHits:
@@ -106,7 +83,7 @@ class FollowedHits:
     """
 
     def __init__(
-        self, hits: HitsArguments, follower: Follower, state: Path | None, diagnosis: FullDiagnosis | None
+        self, hits: MeasurementOptions, follower: Follower, state: Path | None, diagnosis: DiagnosisOfHits | None
     ) -> None:
         self.hits, self.follower, self._state, self._diagnosis = hits, follower, state, diagnosis
         self._due = False
@@ -165,14 +142,14 @@ class FollowedHits:
             self.save()
 
 
-def diagnose_options(hits: HitsArguments, effects: Sequence[str] | None = None) -> dict[str, Any]:
-    """Options of ``impact-rs diagnose`` for the same measurements and, if given, effects."""
+def diagnose_options(hits: MeasurementOptions, model: str, effects: Sequence[str] | None = None) -> dict[str, Any]:
+    """Options of ``impact-rs diagnose`` for the same measurements, model and named effects."""
     return {
-        "runs": hits.where if hits.table is None else None,
-        "impacts": hits.table,
+        "runs": hits.runs,
+        "impacts": hits.impacts,
         "scenario": hits.scenario,
-        "model": hits.model,
-        "contact_tolerance": hits.tolerance,
+        "model": model,
+        "contact_tolerance": hits.contact_tolerance,
         "no_discrepancy": hits.exact,
         "calibration": hits.calibration,
         "effects": effects,

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that describe the recordings of a folder, written all or none."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import whole_folder
+
+
+def check_undescribed(folder: Path, names: Iterable[str]) -> None:
+    """Check that no description is overwritten.
+
+    Raises:
+        InputError: One of the files exists.
+    """
+    for name in names:
+        if (folder / name).exists():
+            what = (
+                "this file exists already; descriptions are never overwritten: remove it to describe the folder again"
+            )
+            raise InputError(what, file=folder / name)
+
+
+@contextmanager
+def described_folder(folder: Path, texts: Mapping[str, str]) -> Iterator[Path]:
+    """Write a description; the files come into their folder when the context ends without an error.
+
+    Args:
+        folder: The folder.
+        texts: Texts by name of the file.
+
+    Yields:
+        Folder of the files until then, in which they can be tried.
+
+    Raises:
+        InputError: One of the files exists, or cannot be written.
+    """
+    check_undescribed(folder, texts)
+    with whole_folder(folder) as aside:
+        for name, text in texts.items():
+            (aside / name).write_text(text, encoding="utf-8")
+        yield aside

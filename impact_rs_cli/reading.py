@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measurements that a command line names, read with progress bars and warnings."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from impact_rs_analysis.application.measurements import (
+    MeasurementKind,
+    MeasurementOptions,
+    Measurements,
+    open_measurements,
+    read_laboratory,
+)
+from impact_rs_analysis.diagnosis.bounds import read_ranges
+from impact_rs_analysis.evidence.measured_runs import Runs
+from impact_rs_cli.arguments import started
+from impact_rs_cli.terminal import Terminal
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.workers import Map
+
+EXPECTED_RANGE = "expected NAME=LOW:HIGH, for example size_z=0.09:0.11, or a YAML file"
+NO_MINUS = "--minus goes with recordings of free motion: RUNS and UNLOADED are recordings with one mapping (--mapping)"
+
+
+@contextmanager
+def measured(
+    args: argparse.Namespace, terminal: Terminal, each_arm: bool = False, unsure: Sequence[str] = ()
+) -> Iterator[Measurements]:
+    """Read RUNS and warn of omitted ones; the workers end with the context.
+
+    Args:
+        args: Arguments of the command.
+        terminal: Shows warnings and progress.
+        each_arm: Whether arms of one kind have parameters of their own.
+        unsure: Ranges of uncertain quantities of an impact table, ``NAME=LOW:HIGH``.
+
+    Raises:
+        InputError: There is no usable measurement.
+    """
+    options = measurement_options(args, terminal, each_arm, unsure)
+    with started(args) as map_tasks:
+        measurements = open_measurements(options, map_tasks, terminal)
+        if measurements.calibration:
+            terminal.say(f"calibration of the readings: {measurements.calibration.text}")
+        yield measurements
+
+
+def measurement_options(
+    args: argparse.Namespace, terminal: Terminal, each_arm: bool = False, unsure: Sequence[str] = ()
+) -> MeasurementOptions:
+    """Measurements that a command line selects, see :func:`measured`.
+
+    Raises:
+        InputError: Options that do not go together, or a range or path that there is not.
+    """
+    _check_options(args, unsure)
+    experiment = args.experiment
+    if experiment is not None and args.impacts is None:
+        experiment = experiment_file(experiment, Path(args.runs), terminal)
+    options = MeasurementOptions(
+        runs=None if args.runs is None else Path(args.runs),
+        impacts=None if args.impacts is None else Path(args.impacts),
+        experiment=experiment,
+        mapping=args.mapping,
+        minus=args.minus,
+        scenario=args.scenario,
+        contact_tolerance=args.contact_tolerance,
+        covariates=args.covariates,
+        unsure=read_ranges(unsure, "--unsure", EXPECTED_RANGE),
+        since=args.since,
+        calibration=args.calibration,
+        exact=args.no_discrepancy,
+        each_arm=each_arm,
+    )
+    recordings = options.kind == MeasurementKind.RECORDINGS
+    if args.minus is not None and not recordings:
+        raise InputError(NO_MINUS)
+    if args.since is not None and recordings:
+        raise InputError("--since goes with trials and with --impacts; leave it out for recordings")
+    return options
+
+
+def _check_options(args: argparse.Namespace, unsure: Sequence[str]) -> None:
+    """Refuse options of one kind of measurements that are given with another."""
+    tolerance = args.contact_tolerance
+    if args.impacts is None:
+        if args.scenario is not None:
+            raise InputError(
+                "--scenario goes with --impacts only: trials contain their scenario, and recordings have a mapping"
+            )
+        if tolerance is not None:
+            raise InputError("--contact-tolerance goes with --impacts only: trials are replayed from their poses")
+        if unsure:
+            raise InputError("--unsure goes with --impacts only; ranges of effects are given with --bounds")
+        if args.covariates:
+            raise InputError("--covariates goes with --impacts only: they are columns of the table")
+        if args.experiment is not None and args.minus is not None:
+            raise InputError(NO_MINUS)
+        if args.experiment is not None and args.mapping is not None:
+            raise InputError("--mapping and --experiment exclude each other: the experiment file names the mapping")
+        return
+    if tolerance is not None and not tolerance >= 0.0:
+        raise InputError("expected a distance >= 0 m", key="--contact-tolerance", value=tolerance)
+    if args.minus is not None:
+        raise InputError(NO_MINUS)
+    if args.experiment is not None:
+        raise InputError(
+            "--experiment is for folders of runs; leave it out with --impacts (--scenario names the robots)"
+        )
+    if args.mapping is not None:
+        raise InputError("--mapping is for recordings; leave it out with --impacts, whose columns are fixed")
+
+
+def experiment_file(given: Path, directory: Path, terminal: Terminal) -> Path:
+    """The experiment file that a path on the command line names.
+
+    Relative to the working directory as any path, or else to the folder of the runs.
+
+    Args:
+        given: The path.
+        directory: Folder of the runs.
+        terminal: Reports the chosen file if both are possible.
+
+    Raises:
+        InputError: There is no such file in either folder.
+    """
+    beside = directory / given
+    if given.is_absolute() or beside.absolute() == given.absolute():
+        return given
+    if not given.exists() and not beside.exists():
+        raise InputError(f"no such file in {Path.cwd()} or in the folder of the runs, {directory}", file=given)
+    file = given if given.exists() else beside
+    terminal.say(f"experiment: {file.absolute()}")
+    if file is given and beside.exists() and not given.samefile(beside):
+        terminal.warn(f"there is another {given} in the folder of the runs, which was not read: {beside.absolute()}")
+    return file
+
+
+def read_experiment(directory: Path, file: Path, map_tasks: Map, terminal: Terminal) -> Runs:
+    """Read the runs of an experiment file and warn of omitted ones.
+
+    Args:
+        directory: Folder of the runs.
+        file: The experiment file, see :func:`experiment_file`.
+        map_tasks: Parallel map.
+        terminal: Shows warnings and progress.
+
+    Raises:
+        InputError: The file, its table or a recording cannot be used.
+    """
+    return read_laboratory(directory, experiment_file(file, directory, terminal), map_tasks, terminal)
+
+
+def only_trials(measurements: Measurements, option: str) -> Runs:
+    """The trials, for an option that does not exist for recordings.
+
+    Raises:
+        InputError: Recordings or a table of impacts were read.
+    """
+    if measurements.trials is None:
+        raise InputError(f"{option} is for trials; for {measurements.kind} use --json or the report")
+    return measurements.trials

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Forward dynamics of an arm with rigid joints: motion under given torque, from several states at once.
+
+    (M(q) + B) ddq = tau - h(q, dq) + r(q, dq),    r = tau_fric + tau_load          (cf. paper eq. eom)
+
+Without the resistance r, ddq comes from the articulated-body algorithm of Pinocchio (Featherstone 2008, sec. 7.3), with
+B as its armature. The elasticity of the transmissions is left out: it acts at tens of Hz, above the motion of an arm.
+
+Dry friction changes its sign within some mrad/s, which an explicit method resolves with tiny steps only. The step h is
+therefore that of ARS(2,2,2) (Ascher, Ruuth, Spiteri 1997): of second order, implicit and L-stable in r alone. With
+a(q, dq) the acceleration without r, g = 1 - 1 / sqrt(2) and d = 1 - 1 / (2 g):
+
+    q_2 = q + g h dq                          dq_2 = dq + g h (a_1 + b_2)
+    q'  = q + h (d dq + (1 - d) dq_2)         dq'  = dq + h (d a_1 + (1 - d) a_2 + (1 - g) b_2 + g b')
+
+with b = (M + B)^-1 r at the state of its own stage. Friction that grows with the speed has a potential, so that dq of a
+stage is the minimum of a convex function. Newton's method with a line search finds it (Nocedal and Wright 2006, ch. 3).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from impact_rs_sim.physics import LoadState, Physics
+from impact_rs_sim.robot import Array
+
+Rows = NDArray[np.int_]
+
+GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
+DELTA = 1.0 - 0.5 / GAMMA
+MAX_NEWTON_STEPS = 20  # of a stage; two are usual, and ten where a joint turns round
+MAX_VELOCITY_ERROR = 1e-6  # rad/s, m/s, of a stage
+MAX_SLOPE_RATIO = 0.5  # slope of the function at the end of a step over that at its begin; beyond, the step is shorter
+SLOPE_CHANGE = 1e-6  # rad/s, m/s, for the slope of the resistance by differences
+
+
+class ForwardDynamics:
+    """Forward dynamics of one arm.
+
+    Args:
+        physics: Physics of the scene.
+        arm: Name of the arm.
+        with_motor: Whether the torque accelerates the inertia of the motors, B.
+        with_drive: Whether friction and loads of the motors act on the torque.
+    """
+
+    def __init__(self, physics: Physics, arm: str, with_motor: bool = True, with_drive: bool = True) -> None:
+        self._arm, self._with_drive = physics.arms[arm], with_drive
+        self.model = physics.robot_model(arm)
+        self._pinocchio, self._data = self.model.pinocchio, self.model.data
+        inertia = self._arm.motor_inertia_reduced
+        self.motor_inertia = inertia if with_motor else np.zeros_like(inertia)
+
+    def motion(self, time: Array, position: Array, velocity: Array, torque: Array, step: float) -> tuple[Array, Array]:
+        """Positions and velocities at the end of every step and before the first, ``(K + 1, S, n)`` each.
+
+        Args:
+            time: Of the starts, for loads that depend on time, ``(S,)`` [s].
+            position: q of the starts, ``(S, n)`` [rad].
+            velocity: dq of the starts, ``(S, n)`` [rad/s].
+            torque: Mean driving torque of every step, ``(K, S, n)`` [N m].
+            step: Duration of a step h [s].
+        """
+        q, dq = [position], [velocity]
+        for number, driving in enumerate(torque):
+            found = self._step(time + number * step, q[-1], dq[-1], driving, step)
+            q.append(found[0])
+            dq.append(found[1])
+        return np.array(q), np.array(dq)
+
+    def acceleration(self, position: Array, velocity: Array, torque: Array) -> Array:
+        """(M + B)^-1 (torque - h), ``(S, n)`` [rad/s^2]; all arguments ``(S, n)``."""
+        self._pinocchio.armature = self.motor_inertia
+        states = zip(position, velocity, torque, strict=True)
+        return np.array([pin.aba(self._pinocchio, self._data, *state) for state in states])
+
+    def inertia(self, position: Array) -> Array:
+        """M(q) + B at several positions ``(S, n)`` [rad], ``(S, n, n)`` [kg m^2]."""
+        self._pinocchio.armature = self.motor_inertia  # which the mass matrix of Pinocchio contains
+        upper = np.triu([pin.crba(self._pinocchio, self._data, q).copy() for q in position])
+        return np.asarray(upper + np.triu(upper, 1).swapaxes(1, 2))
+
+    def _step(self, time: Array, q: Array, dq: Array, driving: Array, h: float) -> tuple[Array, Array]:
+        first = self.acceleration(q, dq, driving)
+        middle = q + GAMMA * h * dq
+        explicit = dq + GAMMA * h * first
+        fast = self._resisted(time + GAMMA * h, middle, explicit, driving, GAMMA * h)
+        second = self.acceleration(middle, fast, driving)
+        end = q + h * (DELTA * dq + (1.0 - DELTA) * fast)
+        explicit_end = dq + h * (DELTA * first + (1.0 - DELTA) * second) + (1.0 / GAMMA - 1.0) * (fast - explicit)
+        return end, self._resisted(time + h, end, explicit_end, driving, GAMMA * h)
+
+    def _resisted(self, time: Array, q: Array, explicit: Array, driving: Array, duration: float) -> Array:
+        """Velocity dq with (M + B) (dq - explicit) = duration r(q, dq), ``(S, n)`` [rad/s]."""
+        if not self._arm.loads and (self._arm.friction.is_zero or not self._with_drive):
+            return explicit
+        inertia, resistance = self.inertia(q), self._resistance(time, q, driving)
+
+        def imbalance(dq: Array, rows: Rows) -> Array:
+            momentum = np.einsum("sij,sj->si", inertia[rows], dq - explicit[rows])
+            return np.asarray(momentum - duration * resistance(dq, rows))
+
+        found, rows = explicit.copy(), np.arange(len(q))
+        now = imbalance(found, rows)
+        for _ in range(MAX_NEWTON_STEPS):
+            dq = found[rows]
+            slope = (resistance(dq + SLOPE_CHANGE, rows) - resistance(dq, rows)) / SLOPE_CHANGE
+            implicit = inertia[rows] - duration * np.minimum(slope, 0.0)[:, :, None] * np.eye(q.shape[1])
+            change = np.linalg.solve(implicit, -now[:, :, None])[:, :, 0]
+            after = imbalance(dq + change, rows)
+            begin, end = (np.einsum("si,si->s", change, one) for one in (now, after))
+            long = end > -MAX_SLOPE_RATIO * begin
+            if np.any(long):
+                change[long] *= (begin[long] / (begin[long] - end[long]))[:, None]
+                after[long] = imbalance(dq[long] + change[long], rows[long])
+            found[rows] = dq + change
+            going = np.any(np.abs(change) > MAX_VELOCITY_ERROR, axis=1)
+            rows, now = rows[going], after[going]
+            if not rows.size:
+                break
+        return found
+
+    def _resistance(self, time: Array, q: Array, driving: Array) -> Callable[[Array, Rows], Array]:
+        """Torque of friction and loads at positions, as a function of velocities in some rows, ``(s, n)`` [N m]."""
+        arm, with_drive = self._arm, self._with_drive
+
+        def friction(dq: Array, rows: Rows) -> Array:
+            del rows
+            return arm.friction.torque(dq) if with_drive else np.zeros_like(dq)
+
+        if not arm.loads:
+            return friction
+        jacobian = np.array([self.model.jacobian(row)[:3] for row in q])
+        place = np.array([self.model.placement(row).translation for row in q])
+
+        def torque(dq: Array, rows: Rows) -> Array:
+            rubbed = friction(dq, rows)
+            state = LoadState(
+                time=time[rows],
+                joint_position=q[rows],
+                joint_velocity=dq,
+                position=place[rows],
+                velocity=np.einsum("kan,kn->ka", jacobian[rows], dq),
+                impact_position=arm.impact_position,
+                joint_torque=driving[rows] + rubbed,
+            )
+            on_links, on_motors = arm.load_torques(state, jacobian[rows])
+            return rubbed + on_links + (on_motors if with_drive else 0.0)
+
+        return torque

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``docs/python.md``: exported names of the Python packages, with their signatures and first sentences."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import re
+import textwrap
+from collections.abc import Iterator
+from types import ModuleType
+from typing import Any
+
+PACKAGES = ("impact_rs_sim", "impact_rs_trials", "impact_rs_analysis")
+HEADER = """\
+# Python
+
+*Look up.* Names that the packages export, generated from their signatures and docstrings by `python -m tools.manual`.
+`help(NAME)` explains arguments, results and errors, with shapes and units. Whole scripts: [examples](../examples).
+"""
+
+
+def markdown() -> str:
+    """Text of the page."""
+    return "\n".join([HEADER, *(_package(importlib.import_module(name)) for name in PACKAGES)])
+
+
+def _package(package: ModuleType) -> str:
+    """Section of a package: its sentence, its example, its functions and its classes."""
+    text = inspect.getdoc(package) or ""
+    (example,) = re.findall(r"::\n\n((?:    .*\n|\n)+)", text)
+    exported = {name: getattr(package, name) for name in package.__all__}
+    classes = {name: value for name, value in exported.items() if inspect.isclass(value)}
+    lines = [f"## {package.__name__}", "", _sentence(package), "", "```python", textwrap.dedent(example).strip(), "```"]
+    lines += ["", "Functions:", ""]
+    for name, value in exported.items():
+        if name not in classes:
+            lines.append(f"* `{_signature(name, value)}`: {_sentence(value)}")
+    lines += ["", "Classes:", ""]
+    for name, kind in classes.items():
+        lines.append(f"* `{name}` (`{kind.__module__}`): {_sentence(kind)}")
+        lines += [
+            f"  * `{_signature(f'{name}.{made}', method)}`: {_sentence(method)}" for made, method in _makers(kind)
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _makers(kind: type) -> Iterator[tuple[str, Any]]:
+    """Class methods and static methods of a class, which make its instances, by name."""
+    for name, value in vars(kind).items():
+        if isinstance(value, classmethod | staticmethod) and not name.startswith("_") and value.__func__.__doc__:
+            yield name, value.__func__
+
+
+def _signature(name: str, function: Any) -> str:
+    """Name, arguments and result as the source has them; class methods without their class."""
+    source = textwrap.dedent(inspect.getsource(inspect.unwrap(function)))
+    (found,) = ast.parse(source).body
+    assert isinstance(found, ast.FunctionDef) and not (found.args.kwonlyargs or found.args.vararg or found.args.kwarg)
+    texts = [ast.unparse(argument) for argument in found.args.args if argument.arg != "cls"]
+    defaults = [f" = {ast.unparse(default)}" for default in found.args.defaults]
+    defaults = [""] * (len(texts) - len(defaults)) + defaults
+    arguments = ", ".join(text + default for text, default in zip(texts, defaults, strict=True))
+    returned = "" if found.returns is None else f" -> {ast.unparse(found.returns)}"
+    return f"{name}({arguments}){returned}"
+
+
+def _sentence(documented: Any) -> str:
+    """First paragraph of a docstring on one line, in Markdown."""
+    first = " ".join((inspect.getdoc(documented) or "").split("\n\n")[0].split())
+    return re.sub(r":\w+:`~?([^`]+)`", r"`\1`", first).replace("``", "`")
