@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the commands of the loop share: RUNS, settings, worker processes, and warnings about bags."""
+"""Shared arguments of the commands of the loop: RUNS, settings and worker processes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from impact_rs_sim.schema import parse_value
 from impact_rs_trials.store import is_url, local_copy
 from impact_rs_trials.workers import Map, Workforce, workers
 
-MOST_SHOWN = 5
+MAX_SHOWN_FILES = 5
 
 
 def on_local_runs(run: Action) -> Action:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands between an investigation and a real cell: envelope, questions to the operator, and stops.
+"""Guard between an investigation and a real cell: envelope, questions to the operator, and stops.
 
 ``docs/safety.md`` has the argument. Nothing here moves a robot; the ``cell`` node has limits of its own.
 """
@@ -33,7 +33,7 @@ class CellGuard:
     Args:
         directory: Folder of the investigation.
         envelope: Which trials may run.
-        ask: Asks the operator; False also where there is no one to answer.
+        ask: Asks the operator; False also without an operator.
         brave: Whether new kinds of motion and the start of trials need no answer; a stop always does.
     """
 
@@ -54,10 +54,10 @@ class CellGuard:
         (self._directory / STOPPED).unlink()
 
     def in_order(self, trials: Sequence[PlannedTrial]) -> list[PlannedTrial]:
-        """The trials as they may run: what was approved before in the order of the plan, new kinds by their speed.
+        """Order of the admitted trials: approved kinds in the order of the plan, new kinds by speed.
 
         Raises:
-            InputError: A trial is outside the envelope; then none of them runs.
+            InputError: A trial is outside the envelope; then no trial runs.
         """
         for one in trials:
             self._envelope.check(one.trial.spec)

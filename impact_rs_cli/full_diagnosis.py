@@ -28,7 +28,7 @@ from impact_rs_cli.parser import command_line
 from impact_rs_commands.explaining import DIAGNOSE
 from impact_rs_sim.errors import InputError
 
-PATIENCE = 5.0  # s, that a stopped diagnosis has to end
+DIAGNOSIS_STOP_TIMEOUT_S = 5.0  # of a diagnosis that is being stopped
 
 
 @dataclass(frozen=True)
@@ -42,11 +42,11 @@ class _Running:
 
 
 class FullDiagnosis:
-    """Starts, stops and reads the diagnosis of the hits since a change; there is one at a time.
+    """Starts, stops and reads the diagnosis of the hits since a change, one at a time.
 
     Args:
         options: Options of ``impact-rs diagnose`` by name, without ``since`` and ``output``.
-        folder: Where its files are.
+        folder: Folder of its files.
     """
 
     def __init__(self, options: Mapping[str, Any], folder: Path) -> None:
@@ -63,11 +63,11 @@ class FullDiagnosis:
 
     @property
     def running(self) -> bool:
-        """Whether one has been started and its end was not reported yet."""
+        """Whether a diagnosis has been started and its end was not reported yet."""
         return self._running is not None
 
     def start(self, since: str) -> None:
-        """Start the diagnosis of the hits since one of them; one that runs is stopped.
+        """Start the diagnosis of the hits since one of them; a running diagnosis is stopped.
 
         Raises:
             InputError: No process can be started.
@@ -90,7 +90,7 @@ class FullDiagnosis:
         self._running = _Running(since, process, errors, makes_folder)
 
     def ended(self, wait: bool = False) -> ChangeDiagnosis | None:
-        """How it has ended, once; None: it runs, or there is none.
+        """Result of the diagnosis, once; None: it runs, or was not started.
 
         Args:
             wait: Whether to wait for its end.
@@ -115,19 +115,19 @@ class FullDiagnosis:
         )
 
     def stop(self) -> None:
-        """Stop the one that runs, with its workers."""
+        """Stop the running diagnosis, with its workers."""
         own, self._running = self._running, None
         if own is None:
             return
         _hang_up(own.process)  # it interrupts itself, as soon as it can be: a signal is lost on one that still starts
         if own.process.poll() is None:
             try:
-                own.process.wait(PATIENCE)
+                own.process.wait(DIAGNOSIS_STOP_TIMEOUT_S)
             except subprocess.TimeoutExpired:
                 os.killpg(own.process.pid, signal.SIGKILL)
                 own.process.wait()
         own.errors.close()
-        if own.makes_folder:  # one that had to be killed has not removed it
+        if own.makes_folder:  # a killed diagnosis has not removed it
             with contextlib.suppress(OSError):
                 self._folder.rmdir()
 
@@ -146,12 +146,12 @@ def _end_with_the_other_end(pipe: int) -> None:
     """Wait until the other end of a pipe is closed; then end this process and its group."""
     os.read(pipe, 1)
     os.killpg(0, signal.SIGINT)
-    time.sleep(PATIENCE)
+    time.sleep(DIAGNOSIS_STOP_TIMEOUT_S)
     os.killpg(0, signal.SIGKILL)
 
 
 def main() -> int:
-    """Run a command of ``impact-rs`` that does not outlive what holds the other end of its standard input."""
+    """Run a command of ``impact-rs`` that ends when the other end of its standard input is closed."""
     threading.Thread(target=_end_with_the_other_end, args=(sys.stdin.fileno(),), daemon=True).start()
     return program.main(sys.argv[1:])
 

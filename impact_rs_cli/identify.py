@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node ``identify``: what follows hits (:mod:`impact_rs_analysis.following`) in the node that publishes it."""
+"""The node ``identify``: publishes the results of :mod:`impact_rs_analysis.following`."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from impact_rs_ros.process import run
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
 
-AT_ONCE = 3  # hits of one look; in between the node answers
+HITS_PER_POLL = 3  # in between the node answers
 
 
 class Lessons:
-    """What followed hits teach, as the node takes it.
+    """Results of followed hits, in the format of the node.
 
     Args:
         followed: The hits.
@@ -40,7 +40,7 @@ class Lessons:
         self._arriving: Iterator[HitDocument] = iter(())
 
     def arrived(self) -> Sequence[Lesson]:
-        """What the hits since the last call taught, of many that wait the first.
+        """Results of the hits since the last call; if many wait, of the first ones.
 
         Raises:
             InputError: They cannot be read.
@@ -48,10 +48,10 @@ class Lessons:
         if not self._restored:
             self._followed.restore()
             self._restored = True
-        documents = list(islice(self._arriving, AT_ONCE))
+        documents = list(islice(self._arriving, HITS_PER_POLL))
         if not documents:
             self._arriving = self._followed.arrived()
-            documents = list(islice(self._arriving, AT_ONCE))
+            documents = list(islice(self._arriving, HITS_PER_POLL))
         lessons = [*self._refusals(), *map(self._lesson, documents)]
         if not documents and (begun := self._followed.diagnose()):
             lessons.append(Lesson(begun, hit=False))
@@ -71,7 +71,7 @@ class Lessons:
         self._diagnosis.stop()
 
     def _refusals(self) -> Iterator[Lesson]:
-        """What gave no hit since the last call."""
+        """Refused trials since the last call."""
         for name, reason in self._followed.follower.hit_source.newly_skipped().items():
             document = RefusedHit(hit=name, reason=reason).model_dump_json()
             yield Lesson(f"{name}: {reason}", refused=document, hit=False)
@@ -88,7 +88,7 @@ class Lessons:
 
 
 class Identify(IdentifyNode):
-    """The node, with what follows hits in it."""
+    """The node, with the follower of hits in it."""
 
     def identifier(self) -> Identifier:
         """See :meth:`IdentifyNode.identifier`."""

@@ -14,7 +14,7 @@ from impact_rs_sim.optional_packages import installer
 def offer() -> bool:
     """Ask on a terminal, and install after a yes; True: the packages are there now.
 
-    No question without a terminal, or where ``./run`` did not make the environment.
+    No question without a terminal, or in an environment not made by ``./run``.
     """
     command = installer()
     if command is None or not (sys.stdin.isatty() and sys.stderr.isatty()):

@@ -20,7 +20,7 @@ from impact_rs_cli.parser import CommandParser, Parser, spelled
 from impact_rs_commands import COMMANDS
 from impact_rs_sim.errors import InputError, MissingPackage, full_traceback, shortened
 
-LONGEST_MESSAGE = 2000  # characters of an error; some repeat what they were given
+MAX_ERROR_CHARACTERS = 2000  # of an error; some repeat what they were given
 
 PACKAGES = (  # whose log --debug shows
     "impact_rs_sim",
@@ -47,7 +47,7 @@ Predict, measure and explain simultaneous robot impacts.
 
 
 def parser() -> Parser:
-    """The argument parser with all subcommands, none of them imported."""
+    """The argument parser with all subcommands, without importing them."""
     main_parser = Parser(prog="impact-rs", description=spelled(TEXT))
     main_parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     subparsers = main_parser.add_subparsers(
@@ -71,7 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a command.
 
     Args:
-        argv: Arguments; None: those of the process.
+        argv: Arguments; None: the process's.
 
     Returns:
         0 if the job was done, 1 if it was not, 2 for a mistake in the input, 130 after Ctrl-C.
@@ -115,7 +115,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(args: argparse.Namespace) -> int:
-    """Run the command in its module, which is imported now: ``--help`` waits for no library."""
+    """Run the command in its module, imported only now: ``--help`` waits for no library."""
     module = import_module(f"impact_rs_cli.commands.{args.command.file}")
     code: int = import_module("impact_rs_cli.terminal").run(getattr(module, args.command.function), args)
     return code
@@ -128,7 +128,7 @@ def _os_words(error: OSError) -> str:
 
 
 def _show_log() -> None:
-    """Show on standard error what the packages log."""
+    """Show the log of the packages on standard error."""
     logging.basicConfig(format="%(name)s: %(message)s")
     for package in PACKAGES:
         logging.getLogger(package).setLevel(logging.DEBUG)
@@ -138,7 +138,7 @@ def _fail(error: BaseException, message: str, code: int, debug: bool) -> int:
     if debug:
         print(full_traceback(error), file=sys.stderr)
     with suppress(OSError):  # a full disk may hold standard error, too
-        print(f"impact-rs: {shortened(message, LONGEST_MESSAGE)}", file=sys.stderr)
+        print(f"impact-rs: {shortened(message, MAX_ERROR_CHARACTERS)}", file=sys.stderr)
     return code
 
 

@@ -32,7 +32,7 @@ class NodesBench(PlantBench):
     """The ROS 2 nodes, with our plant among them.
 
     Args:
-        hidden: Effects of the plant that no other node knows; None: none.
+        hidden: Effects of the plant unknown to all other nodes; None: not any.
         without: Nodes that the user provides.
         namespace: ROS namespace of the nodes.
     """
@@ -104,11 +104,11 @@ class NodesBench(PlantBench):
 
 
 class CellBench(NodesBench):
-    """A real cell in the plant's place, guarded; its bags are read as those of a laboratory.
+    """A real cell in the plant's place, guarded; its bags are read as a laboratory's.
 
     Args:
         guard: Admits trials.
-        mapping: Where the signals are in its bags.
+        mapping: Locates the signals in its bags.
 
     Raises:
         InputError: There is no such mapping.
@@ -152,7 +152,7 @@ class CellBench(NodesBench):
     def measured_runs(self) -> Runs:
         """All trials, from measured signals alone: a robot reports no motor states.
 
-        Hits are read in the scene of their own scenario, free motions in that of the first; without hits in their own.
+        Hits are read in the scene of their own scenario, free motions in the first hit's; without hits in their own.
         """
         specs: dict[Path, TrialSpec] = {}
         hits: dict[str, tuple[Scenario, list[str]]] = {}  # with the rows of the table, by the text of the scenario
@@ -173,7 +173,7 @@ class CellBench(NodesBench):
         return read_runs_of_scenes(self.runs.absolute(), experiments, self.map_tasks).named(specs)
 
     def _described(self, number: int, scenario: Scenario, rows: Sequence[str]) -> Experiment:
-        """Description of the trials of one scenario, written beside them."""
+        """Description of the trials of one scenario, written next to them."""
         end = "" if number == 1 else f"_{number}"
         write_whole(self.runs / f"runs{end}.csv", "\n".join(["bag,object,kind,scenario,case,scale", *rows]) + "\n")
         write_scenario(scenario, self.runs / f"scenario{end}.yaml")

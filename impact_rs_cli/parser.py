@@ -16,7 +16,7 @@ from impact_rs_commands import command_named
 from impact_rs_commands.declaration import READ, WRITTEN, Command, Option
 from impact_rs_sim.errors import did_you_mean, shortened
 
-LONGEST_MESSAGE = 1000  # characters; what the user typed is repeated in it
+MAX_USAGE_CHARACTERS = 1000  # of an error that repeats the user's words
 PROGRAM = os.environ.get("IMPACT_RS_PROGRAM", "impact-rs")  # how hints spell it: ./run sets "./run impact-rs"
 
 
@@ -39,7 +39,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print one line and leave with exit code 2."""
-        message = shortened(message, LONGEST_MESSAGE)
+        message = shortened(message, MAX_USAGE_CHARACTERS)
         print(f"{self.prog}: {message}{self._suggestion(message)} (see {self.prog} --help)", file=sys.stderr)
         raise SystemExit(2)
 
@@ -109,7 +109,7 @@ def command_line(words: str, values: Mapping[str, Any]) -> str:
 
     Args:
         words: The command, for example ``robot check``.
-        values: Values by name of the option; those of options that it does not have are left out.
+        values: Values by name of the option; values of unknown options are ignored.
     """
     return shlex.join([*shlex.split(PROGRAM), *command_named(words).words(values)])
 
@@ -132,7 +132,7 @@ def _add(parser: argparse.ArgumentParser, option: Option) -> None:
 
 
 def _type(option: Option) -> Callable[[str], Any]:
-    """What reads a value; argparse reads defaults that are texts with it, too."""
+    """Function that reads a value; argparse reads defaults that are texts with it, too."""
     if option.former:
         return lambda text: dict(option.former).get(text, text)
     if option.kind in (*READ, *WRITTEN) and not option.url:
@@ -150,5 +150,5 @@ def _from(least: float, read: Callable[[str], float]) -> Callable[[str], float]:
             raise argparse.ArgumentTypeError(f"expected at least {least:g}, got {text}")
         return value
 
-    checked.__name__ = read.__name__  # argparse names it where a text is no number
+    checked.__name__ = read.__name__  # argparse names it in the error about a text that is no number
     return checked

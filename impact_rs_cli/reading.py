@@ -30,13 +30,13 @@ NO_MINUS = "--minus goes with recordings of free motion: RUNS and UNLOADED are r
 def measured(
     args: argparse.Namespace, terminal: Terminal, each_arm: bool = False, unsure: Sequence[str] = ()
 ) -> Iterator[Measurements]:
-    """Read RUNS and warn of what was left out; the workers end with the context.
+    """Read RUNS and warn of omitted ones; the workers end with the context.
 
     Args:
         args: Arguments of the command.
         terminal: Shows warnings and progress.
         each_arm: Whether arms of one kind have parameters of their own.
-        unsure: Ranges of what is not known well of a table of impacts, ``NAME=LOW:HIGH``.
+        unsure: Ranges of uncertain quantities of an impact table, ``NAME=LOW:HIGH``.
 
     Raises:
         InputError: There is no usable measurement.
@@ -52,7 +52,7 @@ def measured(
 def measurement_options(
     args: argparse.Namespace, terminal: Terminal, each_arm: bool = False, unsure: Sequence[str] = ()
 ) -> MeasurementOptions:
-    """What a command line asks for, see :func:`measured`.
+    """Measurements that a command line selects, see :func:`measured`.
 
     Raises:
         InputError: Options that do not go together, or a range or path that there is not.
@@ -118,12 +118,12 @@ def _check_options(args: argparse.Namespace, unsure: Sequence[str]) -> None:
 def experiment_file(given: Path, directory: Path, terminal: Terminal) -> Path:
     """The experiment file that a path on the command line names.
 
-    Relative to the working directory as any path; where no file is there, to the folder of the runs.
+    Relative to the working directory as any path, or else to the folder of the runs.
 
     Args:
         given: The path.
         directory: Folder of the runs.
-        terminal: Says which file was taken where both are possible.
+        terminal: Reports the chosen file if both are possible.
 
     Raises:
         InputError: There is no such file in either folder.
@@ -141,7 +141,7 @@ def experiment_file(given: Path, directory: Path, terminal: Terminal) -> Path:
 
 
 def read_experiment(directory: Path, file: Path, map_tasks: Map, terminal: Terminal) -> Runs:
-    """Read the runs of an experiment file and warn of what was left out.
+    """Read the runs of an experiment file and warn of omitted ones.
 
     Args:
         directory: Folder of the runs.

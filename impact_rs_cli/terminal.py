@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the commands share: output, progress bars, and output folders that are removed if they stay empty."""
+"""Output of the commands: terminal, progress bars, and output folders that are removed if they stay empty."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class Terminal:
 
     @contextmanager
     def _bar(self) -> Iterator[Progress]:
-        """A bar on standard error; none where that is no terminal."""
+        """A bar on standard error, if that is a terminal."""
         with Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -106,7 +106,7 @@ class Terminal:
 
     @contextmanager
     def progress(self, what: str) -> Iterator[Report]:
-        """A bar with the time left, on standard error; none where that is no terminal."""
+        """A bar with the remaining time on standard error, if that is a terminal."""
         with self._bar() as bar:
             task = bar.add_task(what, total=None)
 
@@ -146,7 +146,7 @@ class Terminal:
         finally:
             sys.stdout.flush()
             with suppress(OSError, AttributeError):
-                ctypes.CDLL(None).fflush(None)  # what C code printed and not yet wrote
+                ctypes.CDLL(None).fflush(None)  # buffered output of C code
             os.dup2(kept, 1)
             os.close(kept)
 
@@ -191,7 +191,7 @@ def check_outputs(args: argparse.Namespace) -> None:
             raise InputError(f"lies inside the bag {bag}; bags are never changed, choose another folder", file=given)
         for other, value in vars(args).items():
             if other in (*written, "scenario") or not isinstance(value, (str, Path)) or not os.path.exists(value):
-                continue  # the name of a scenario may also be that of a folder
+                continue  # the name of a scenario may also name a folder
             if target == Path(value).resolve():
                 raise InputError(
                     "is an input of this command and would be overwritten; choose another path for the results",

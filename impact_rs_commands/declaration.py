@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a command is, declared once: its options and help, from which everything else is made.
+"""Declarations of commands, the only source of their options, help, forms and command lines.
 
     argparse parser   impact_rs_cli/parser.py
     form of the page  impact_rs_workbench/forms.py, with its check
@@ -20,7 +20,7 @@ Kind = Literal[
     "runs", "model", "experiment", "diagnosis", "formulas", "file", "folder", "new_file", "new_folder",
 ]  # fmt: skip
 
-NAMED: tuple[Kind, ...] = ("scenario", "mapping", "robot")  # the name of one that comes with impact_rs, or its file
+NAMED: tuple[Kind, ...] = ("scenario", "mapping", "robot")  # a name shipped with impact_rs, or a file
 READ: tuple[Kind, ...] = ("runs", "model", "experiment", "diagnosis", "formulas", "file", "folder")
 WRITTEN: tuple[Kind, ...] = ("new_file", "new_folder")
 
@@ -30,16 +30,16 @@ class Option(NamedTuple):
 
     Attributes:
         name: Its name in the program and in a form.
-        help: What it is, without unit and default.
+        help: Description without unit and default.
         flags: How a command line spells it; empty: by its position.
-        kind: What its value is: a number, a name, or what a path leads to.
+        kind: Kind of its value: a number, a name, or a kind of path.
         metavar: How the help writes the value.
         label: How a form calls it.
         unit: Unit; ``-``: a number without one.
         choices: All values that it may have; empty: any of its kind.
-        former: Names of choices in earlier versions, and what they are called now.
-        default: Value where it is left out.
-        otherwise: What happens where it is left out, in words; empty: ``default`` says it.
+        former: Names of choices in earlier versions, with their present names.
+        default: Value if it is omitted.
+        otherwise: Description of the default; empty: ``default`` itself.
         least: Smallest number.
         most: Largest number.
         required: Whether it must be given.
@@ -68,14 +68,14 @@ class Option(NamedTuple):
 
     @property
     def help_text(self) -> str:
-        """What it is, with unit and default."""
+        """Description with unit and default."""
         said = f"{self.help} [{self.unit}]" if self.unit else self.help
         values = self.default if isinstance(self.default, tuple) else (self.default,)
         given = self.otherwise or ("" if self.default is None else " ".join(map(str, values)))
         return "; ".join(part for part in (said, f"default: {given}" if given else "") if part)
 
     def words(self, value: Any) -> list[str]:
-        """The option with a value as words of a command line; none where it would change nothing.
+        """The option with a value as words of a command line; empty for the default.
 
         A single word that begins with ``-`` is written ``--option=-word``, so that it is not read as an option.
         """
@@ -92,11 +92,11 @@ class Command(NamedTuple):
 
     Attributes:
         name: Its word or words, for example ``blind make``.
-        summary: What it does, as the list of commands says it.
-        about: What it does, in its help; empty: the help is that of the command above it.
-        examples: Command lines; those behind ``#`` say what the next one is for.
-        output: What it prints and writes.
-        units: Units of what it prints.
+        summary: Description for the list of commands.
+        about: Description for its help; empty: the help of the command above it.
+        examples: Command lines; lines with ``#`` explain the next one.
+        output: Printed and written results.
+        units: Units of the printed numbers.
         options: Its arguments, positional ones first.
         actions: Commands below it.
         module: Module of ``impact_rs_cli.commands`` that runs it; empty: named as its first word.
@@ -130,7 +130,7 @@ class Command(NamedTuple):
 
     @property
     def written(self) -> tuple[str, ...]:
-        """Names of the options that say where results are written."""
+        """Names of the options with paths of results."""
         return tuple(option.name for option in self.options if option.kind in WRITTEN)
 
     def words(self, values: Mapping[str, Any]) -> list[str]:
@@ -149,7 +149,7 @@ def option(*flags: str, name: str = "", help: str = "", **more: Any) -> Option:
 
 
 def _words(value: Any) -> list[str]:
-    """One value or several as words; a switch has none."""
+    """One value or several as words; empty for a switch."""
     if value is None or isinstance(value, bool):
         return []
     return [_word(one) for one in (value if isinstance(value, (tuple, list)) else (value,))]

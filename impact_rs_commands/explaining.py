@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands that read measurements: estimates, comparison, diagnosis and better models; and what shows them."""
+"""Commands that read measurements: estimates, comparison, diagnosis, better models and figures."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ If settings were varied (impact-rs campaign --sensitivity, impact-rs study), eve
 how far it moves with settings that it should not depend on. More trials do not make this band smaller.
 
 Damaged or foreign bags and failed trials are listed with the reason and left out; trials without impact never enter a
-fit. Published numbers appear beside a set with the published robot, object and velocity only. A warning names each
+fit. Published numbers appear next to a set with the published robot, object and velocity only. A warning names each
 prediction that is further from the estimate than a fifth of the ante-impact speed.
 
 Runs recorded with another controller have no net feedback. With --experiment the speed 20 to 40 ms after the impact is
@@ -54,7 +54,7 @@ impact-rs analyze lab/ --experiment experiment.yaml""",
             help="DIR holds runs recorded with another controller: their experiment file, relative to the working "
             "directory, else to DIR",
         ),
-        contact("predictions shown in the figures (both have a table); with --experiment those of the table"),
+        contact("predictions in the figures (both have a table); with --experiment predictions in the table"),
         *JOBS,
         JSON,
     ),
@@ -86,10 +86,10 @@ Look at recorded files and write the files that describe them: mapping.yaml, run
 something is hit.
 
 Tables (.csv, .txt, .tsv, .dat, .parquet, .npy), arrays (.npz, .h5, .mat) and bags are read as they are: lines above
-the names, no names at all, all joints in one cell, decimal commas, stamps in s, ms, us, ns, as seconds beside
+the names, no names at all, all joints in one cell, decimal commas, timestamps in s, ms, us, ns, as seconds and
 nanoseconds or as dates, a file per signal and run, a folder per session, several recordings in one file. What
 a column is, its numbers decide: positions lie within the limits of the robot, velocities are their derivative, torques
-are those of weight and inertia. Every value is printed and written with what shows it; ASSUMED marks values that
+are those of gravity and inertia. Every value is printed and written with its evidence; ASSUMED marks values that
 nothing shows. Look at those, then compare. Files are never overwritten.""",
     examples="""\
 impact-rs import log.csv --robot franka_fr3 -o my_lab
@@ -99,7 +99,7 @@ impact-rs compare log.csv --mapping my_lab/mapping.yaml
 impact-rs import hits/ --robot kuka_iiwa7 --scenario my_push.yaml -o my_lab
 impact-rs impacts hits --experiment my_lab/experiment.yaml -o impacts.csv
 
-# a tossed body or a ball alone, tracked at 148 Hz without stamps
+# a tossed body or a ball alone, tracked at 148 Hz without timestamps
 impact-rs import tosses/ --robot none --rate 148 -o my_tosses""",
     output="a table of guesses and their evidence; mapping.yaml, runs.csv and experiment.yaml.",
     units="as in the files; the mapping names them.",
@@ -115,12 +115,12 @@ impact-rs import tosses/ --robot none --rate 148 -o my_tosses""",
             help="scenario (name or file) with the robots and objects of the hits",
         ),
         option(
-            "--rate", kind="number", metavar="HZ", unit="Hz", help="sampling rate of files without stamps",
-            label="rate, without stamps", otherwise="from the stamps",
+            "--rate", kind="number", metavar="HZ", unit="Hz", help="sampling rate of files without timestamps",
+            label="rate, without timestamps", otherwise="from the timestamps",
         ),
         option(
-            "--dedupe", kind="switch", label="of repeated stamps keep the first", advanced=True,
-            help="of samples with the same stamp keep the first; without it such files are refused",
+            "--dedupe", kind="switch", label="keep the first of repeated timestamps", advanced=True,
+            help="keep the first of samples with the same timestamp; without it such files are refused",
         ),
         output("new_folder", "folder of the description", required=True, label="folder of the description"),
         JSON,
@@ -146,7 +146,7 @@ impact-rs diagnose --impacts tosses.csv -o diagnosis.json
 # a robot hits objects; the scenario says which
 impact-rs impacts lab --experiment lab/experiment.yaml -o impacts.csv
 impact-rs compare --impacts impacts.csv --scenario push""",
-    output="how many impacts were found, what was left out and why; the table as CSV.",
+    output="number of impacts, omitted runs with reasons; the table as CSV.",
     units="in the header of every column.",
     options=(
         argument("directory", "folder of the recordings", kind="folder", metavar="DIR", label="recordings"),
@@ -184,7 +184,7 @@ impact-rs compare recording.db3 --mapping joint_state
 # on the velocities just after; docs/files.md lists its columns
 impact-rs compare --impacts tosses.csv
 impact-rs compare --impacts pushes.csv --scenario push""",
-    output="score, size of the differences, and where they are largest; with -o compare.html and compare.json.",
+    output="score, size and place of the largest differences; with -o compare.html and compare.json.",
     units="""\
 beside each difference; scores are multiples of repeatability, for recordings N m, for impacts without repeats
 m/s.""",
@@ -267,12 +267,12 @@ m/s.""",
             "--budget", kind="number", metavar="SECONDS", unit="s", least=0.0, default=120.0,
             advanced=True, label="processor time",  # twice what 16 runs of a right model take on a slow machine (55 s)
             help="processor time, of all worker processes together; when it is spent, the best answer so far is "
-            "judged, and what was not tried is listed",
+            "judged, and untried explanations are listed",
         ),
         option(
             "--unsure", kind="text", many=True, default=(), metavar="NAME=LOW:HIGH", advanced=True,
-            label="geometry that is not known well", otherwise="none",
-            help="with --impacts: ranges of what is not known well, in SI units: columns of the body (size_x, radius, "
+            label="uncertain geometry", otherwise="none",
+            help="with --impacts: ranges of uncertain quantities, in SI units: columns of the body (size_x, radius, "
             "mass, ixx ...), offset_x ... of the tracked point from the centre, tilt_x and tilt_y of the plane; of an "
             "arm tool_mass, tool_length, pad_x, pad_y, joint2_z ... and flange_x ... (offsets), support_friction; the "
             "summary says if the verdict turns on them",
@@ -296,7 +296,7 @@ FOLLOW = Command(
     about="""\
 Follow a model from hit to hit: trials of a folder in the order in which they were recorded, or impacts of a table.
 
-The first hits teach the scatter. Then each hit is predicted before it is looked at, updates the believed parameters of
+The first hits give the scatter. Then each hit is predicted before its data are used, updates the parameter estimates of
 the model with their intervals, and is tested for a change of any effect of the library: another object or tool, a worn
 surface, a joint that warms up. A change is announced with its first hit, its evidence, and all effects that explain it;
 where there are several, with what decides between them. At most one alarm in 10,000 hits is false where noise is as the
@@ -306,8 +306,8 @@ A change also starts a full diagnosis of the hits since then, in a process of it
 conditions and three repeats; its verdict is printed when it ends. A further change starts it anew. --no-diagnosis only
 prints the command.
 
-With --live the command waits for further trials or rows until Ctrl-C. With --state a later run goes on where this one
-ended, also where it was killed. Column 'time [s]' of a table says when its rows were measured; without it they are in
+With --live the command waits for further trials or rows until Ctrl-C. With --state a later run continues this one, also
+if it was killed. Column 'time [s]' of a table says when its rows were measured; without it they are in
 order.""",
     examples="""\
 impact-rs follow campaigns/day/runs --model model_2.yaml --state follow.npz -o model_now.yaml
@@ -319,7 +319,7 @@ impact-rs follow --impacts tosses.csv --json""",
     output="""\
 a line for every change and every odd hit, the believed parameters, and the prediction of the next hit; with -o the
 followed model as a file.""",
-    units="beside each number; prediction errors are multiples of the standard deviation of a hit.",
+    units="next to each number; prediction errors are multiples of the standard deviation of a hit.",
     options=(
         RUNS,
         MODEL,
@@ -343,7 +343,7 @@ followed model as a file.""",
         ),
         option(
             "--learn", kind="whole", least=5, default=20, metavar="N", label="hits that teach the scatter",
-            advanced=True, help="hits that teach the scatter before changes are looked for",
+            advanced=True, help="hits that give the scatter before the search for changes begins",
         ),
         option(
             "--mean-time", kind="number", default=10000.0, metavar="N", label="hits to a false alarm", advanced=True,
@@ -382,10 +382,10 @@ impact-rs compare campaigns/blind/runs --model model_2.yaml
 # a restitution that is a curve over the closing speed, in a table with one row per impact
 impact-rs discover --impacts tosses.csv -o discovery.json
 
-# runs recorded with another controller, and terms of your own beside the shipped grammar
+# runs recorded with another controller, and terms of your own in addition to the shipped grammar
 impact-rs discover lab/ --experiment experiment.yaml --grammar my_terms.yaml -o discovery.json""",
     output="the law as a formula with intervals, laws tied with it; with -o a JSON file, with --report discovery.html.",
-    units="beside each estimate; errors are multiples of repeatability, for recordings N m, for impacts m/s.",
+    units="next to each estimate; errors are multiples of repeatability, for recordings N m, for impacts m/s.",
     options=(
         RUNS,
         MODEL,
@@ -400,7 +400,7 @@ impact-rs discover lab/ --experiment experiment.yaml --grammar my_terms.yaml -o 
         ),
         option(
             "--effects", kind="effect", many=True, metavar="NAME", otherwise="all", label="only these effects",
-            help="effects of the library to consider beside the laws", advanced=True,
+            help="effects of the library to consider in addition to the laws", advanced=True,
         ),
         *SOURCE,
         *JOBS,
@@ -428,10 +428,10 @@ together belong together: their parameters were fitted together.""",
 impact-rs add torque_offset --model config/models/nominal.yaml --from diagnosis.json -o model_2.yaml
 impact-rs compare campaigns/blind/runs --model model_2.yaml
 
-# an effect of the measurement goes into calibration.yaml beside the measurements
+# an effect of the measurement goes into calibration.yaml in the folder of the measurements
 impact-rs add torque_delay --from diagnosis.json""",
     output="the effects with their parameters, and the YAML files that hold them.",
-    units="those of the diagnosis and the model file.",
+    units="as in the diagnosis and the model file.",
     options=(
         argument(
             "effect", "effects of the diagnosis, by name", kind="effect", metavar="EFFECT", many=True, label="effects"
@@ -501,7 +501,7 @@ alone.""",
 impact-rs show campaigns/push/cat_food__case_2__s1.000__r0
 impact-rs show campaigns/push/cat_food__case_2__s1.000__r0 -o impact.html --no-browser
 
-# a run recorded with another controller, as compare reads it; with --model beside its twin, window by window
+# a run recorded with another controller, as compare reads it; with --model next to its twin, window by window
 impact-rs show lab --experiment lab/experiment.yaml --run run_03
 impact-rs show lab --experiment lab/experiment.yaml --run run_03 --model model_2.yaml
 
@@ -523,7 +523,7 @@ impact-rs show --live --namespace cell_a --no-browser""",
         option("--run", name="run_name", metavar="NAME", help="with --experiment: name of the run in its table"),
         option(
             "--model", kind="model", metavar="FILE",
-            help="with --experiment: model file, or nominal, whose twin is shown beside the run",
+            help="with --experiment: model file, or nominal, whose twin is shown next to the run",
         ),
         option("--live", kind="switch", help="show the running nodes until Ctrl-C"),
         option(
@@ -532,7 +532,7 @@ impact-rs show --live --namespace cell_a --no-browser""",
         option("--port", kind="whole", metavar="N", help="with --live: port to listen on", otherwise="a free one"),
         output(
             "new_file", "the page", "FILE.html",
-            otherwise="NAME_OF_THE_BAG.html beside the bag, DIR_RUN.html beside a folder of runs",
+            otherwise="NAME_OF_THE_BAG.html next to the bag, DIR_RUN.html next to a folder of runs",
         ),
         NO_BROWSER._replace(help="do not open the page, only write or serve it"),
         *JOBS,
@@ -598,9 +598,9 @@ impact-rs export --mjcf push.xml --drake push.sdf --model push_1.yaml --scenario
 
 EVIDENCE = Command(
     name="evidence",
-    summary="exchange what was found with other laboratories",
+    summary="exchange evidence with other laboratories",
     about="""\
-Pack what was found for other laboratories, check a package, or merge packages of several laboratories.
+Pack evidence for other laboratories, check a package, or merge packages of several laboratories.
 
 pack writes one JSON file: the model, its diagnosis, the SHA-256 of every file of the measurements, versions, and who
 measured which robot and object. check tests that nothing was changed, and with --data that the measurements are those.
@@ -611,23 +611,23 @@ laboratory.""",
 impact-rs evidence pack diagnosis.json --data runs --laboratory north --robot franka_fer --object cat_food -o north.json
 impact-rs evidence check north.json --data runs
 impact-rs evidence merge north.json south.json west.json -o merged.json""",
-    output="pack: a file. check: what holds; exit code 1 if a check fails. merge: a table, and a file of everything.",
-    units="those of the parameters.",
+    output="pack: a file. check: list of checks; exit code 1 if one fails. merge: a table, and a file of everything.",
+    units="as the parameters.",
     actions=(
         Command(
             name="evidence pack",
             summary="one file with model, diagnosis and digests of the measurements",
             function="pack",
             options=(
-                argument("diagnosis", "what diagnose has written", kind="diagnosis", metavar="FILE.json"),
+                argument("diagnosis", "result of diagnose", kind="diagnosis", metavar="FILE.json"),
                 MODEL._replace(help="model that was diagnosed"),
                 option(
                     "--data", kind="folder", required=True, metavar="PATH", help="folder or file that was diagnosed",
                     label="measurements",
                 ),
                 option("--laboratory", required=True, metavar="NAME", help="who measured"),
-                option("--robot", required=True, metavar="NAME", help="which robot; others with the same compare"),
-                option("--object", required=True, metavar="NAME", help="which object; none in free motion"),
+                option("--robot", required=True, metavar="NAME", help="name of the robot, equal in all laboratories"),
+                option("--object", required=True, metavar="NAME", help="name of the object; none in free motion"),
                 option("--note", default="", metavar="TEXT", help="remarks for others", otherwise="none"),
                 output("new_file", "file of the package", "FILE.json", required=True, label="file of the package"),
                 JSON,
@@ -648,7 +648,7 @@ impact-rs evidence merge north.json south.json west.json -o merged.json""",
         ),
         Command(
             name="evidence merge",
-            summary="what several packages say together",
+            summary="meta-analysis of several packages",
             function="merge",
             options=(
                 argument("packages", "packages of evidence", kind="file", many=True, metavar="FILE.json"),
@@ -672,7 +672,7 @@ nothing.""",
 impact-rs workbench
 impact-rs workbench campaigns --no-browser""",
     output="the address of the page.",
-    units="beside every number on the page.",
+    units="next to every number on the page.",
     options=(
         argument(
             "directory", "folder of campaigns, recordings and models", kind="folder", required=False, metavar="DIR",

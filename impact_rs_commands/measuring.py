@@ -59,7 +59,7 @@ equals repeat 0 of a campaign with the same seed.""",
 impact-rs trial push cat_food case_2 --scale 0.9 --seed 7 -o trials
 impact-rs analyze trials        # needs trials at three scales or more""",
     output="how the trial ended and its net feedback; in DIR one bag.",
-    units="the scale has none; speeds are in m/s.",
+    units="the scale is dimensionless; speeds are in m/s.",
     options=(
         SCENARIO,
         OBJECT,
@@ -94,7 +94,7 @@ impact-rs campaign push -o campaigns/mine --via nodes --without plant
 impact-rs campaign --plan plan.yaml -o campaigns/planned
 impact-rs analyze campaigns/push""",
     output="how many trials are there and how they ended; in DIR a manifest and one bag per trial.",
-    units="scales have none (post-impact reference velocity over predicted velocity).",
+    units="scales are dimensionless (post-impact reference velocity over predicted velocity).",
     options=(
         optional(SCENARIO),
         output("new_folder", "folder of the campaign, or URL", required=True, url=True, label="folder of the campaign"),
@@ -145,14 +145,14 @@ Plan the trials that distinguish explanations best, within a budget.
 
 Every trial that the cell can run (scenario, object, case, further speeds, beside the object's centre, free motions) is
 simulated with the model by the compiled twin, in closed loop and within the limits of joints and torques, and
-replayed under every explanation. Chosen is what raises the probability most that the next diagnosis distinguishes them:
+replayed under every explanation. The plan maximises the probability that the next diagnosis distinguishes them:
 
   without --after   which effect is missing, if any: all effects of the library against each other
   with --after      which of the tied effects or laws of a diagnosis or discovery is there, or a suspected one at all;
                     without either, how large the effects found are
 
---runs names the trials measured so far: their scatter counts, and their information. The plan says what each
-condition adds. The probability is that of a likelihood-ratio test between two explanations; a diagnosis asks for more
+--runs names the trials measured so far, with their scatter and information. The plan lists the gain of each
+condition. The probability refers to a likelihood-ratio test between two explanations; a diagnosis asks for more
 (docs/design.md).""",
     examples="""\
 impact-rs design --budget 18 -o plan.yaml
@@ -164,7 +164,7 @@ impact-rs campaign --plan plan_2.yaml -o campaigns/second
 
 impact-rs design --scenarios my_push.yaml my_excite.yaml --speed 0.4 --force 200 --budget 12 -o plan.yaml
 impact-rs design --envelope envelope.yaml --budget 12 -o plan.yaml""",
-    output="what the plan decides, and what each condition adds; with -o a YAML file for impact-rs campaign --plan.",
+    output="explanations to distinguish, gain of each condition; with -o a YAML file for impact-rs campaign --plan.",
     units="speeds in m/s, forces in N, probabilities in percent, information in nat.",
     options=(
         MODEL,
@@ -219,7 +219,7 @@ objects, three cases, five post-impact references, five repeats: 450 trials. The
 the estimates: one setting at a time, on which they should not depend, is halved or doubled.
 
 To continue an interrupted study, run the same command again. Its two campaigns are DIR/push and DIR/grab; tables, means
-and all figures are in DIR/report, beside the published numbers. The tables have predictions for the first and for the
+and all figures are in DIR/report, next to the published numbers. The tables have predictions for the first and for the
 settled contact (see impact-rs map --help).""",
     examples="""\
 impact-rs study -o study
@@ -256,8 +256,8 @@ impact-rs diagnose blind_7/runs -o diagnosis.json
 impact-rs blind score blind_7 --diagnosis diagnosis.json
 impact-rs blind score inquiry                        # of impact-rs investigate inquiry --blind 7
 impact-rs blind make 8 -o blind_8 --scenarios my_push.yaml my_excite.yaml      # for your own robot""",
-    output="make: trials in DIR/runs. score: right or wrong, what was hidden, and what was named.",
-    units="truth.json names those of the hidden parameters.",
+    output="make: trials in DIR/runs. score: right or wrong, the hidden and the named effect.",
+    units="truth.json has the units of the hidden parameters.",
     actions=(
         Command(
             name="blind make",
@@ -271,7 +271,7 @@ impact-rs blind make 8 -o blind_8 --scenarios my_push.yaml my_excite.yaml      #
                 output("new_folder", "folder of the campaign", required=True, label="folder of the campaign"),
                 option(
                     "--kind", choices=("single", "pair", "null", "outside"), default="single", advanced=True,
-                    help="what is hidden",
+                    help="kind of the hidden effect",
                 ),
                 option(
                     "--effect", metavar="NAME", advanced=True, otherwise="drawn from SEED",
@@ -314,7 +314,7 @@ it, or none was left to try the model on.
 All that it did is in DIR, step by step; the same command goes on after Ctrl-C, a kill or a power cut. --budget may
 grow.
 
-With --blind SEED the plant hides what impact-rs blind make SEED hides; impact-rs blind score DIR judges the end.
+With --blind SEED the plant hides the effect of impact-rs blind make SEED; impact-rs blind score DIR judges the end.
 
 With --via cell trials run on a real cell (docs/real_robot.md): only inside the envelope; before every new kind of
 motion, and before every trial, it asks (--yes: it does not); a trial that does not go as planned stops it, and it
@@ -335,11 +335,11 @@ impact-rs blind score inquiry""",
         ),
         option(
             "--blind", kind="whole", least=0, metavar="SEED", label="seed of a hidden effect", otherwise="none",
-            help="hide in the plant what blind make SEED hides",
+            help="hide the effect of blind make SEED in the plant",
         ),
         option(
             "--kind", choices=("single", "pair", "null", "outside"), default="single", advanced=True,
-            help="what --blind hides",
+            help="kind of the effect that --blind hides",
         ),
         option(
             "--effect", metavar="NAME", advanced=True, otherwise="drawn from SEED",
@@ -383,8 +383,8 @@ Identify a feedforward for joint friction, so that the net feedback shows the im
 
 identify runs the scenario's plant in free motion, one arm at a time: along the ante-impact reference with the
 ante-impact controller, and from rest along the post-impact reference with the post-impact controller. The mean
-feedback of these runs is the feedforward. Two more turns with it correct the remaining feedback. Writes FILE and
-beside it SCENARIO_compensated.yaml, a copy of the scenario that uses it. Existing files are never overwritten.""",
+feedback of these runs is the feedforward. Two more iterations with it correct the remaining feedback. Writes FILE and
+next to it SCENARIO_compensated.yaml, a copy of the scenario that uses it. Existing files are never overwritten.""",
     examples="""\
 impact-rs friction identify my_push.yaml -o friction/push_friction.yaml
 impact-rs campaign friction/my_push_compensated.yaml -o campaigns/compensated""",
@@ -403,7 +403,7 @@ accelerations of the end effector [m/s^2, rad/s^2] and of joint 1 [rad/s^2], ove
                 CASES,
                 option(
                     "--runs", kind="whole", default=5, least=1, metavar="N",
-                    help="runs per mean, in each of three turns",
+                    help="runs per mean, in each of three iterations",
                 ),
                 SEED,
                 option(

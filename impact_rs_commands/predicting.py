@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands about one prediction and what it needs: impact map, effects, robots and scenarios."""
+"""Commands about one prediction and its inputs: impact map, effects, robots and scenarios."""
 
 from __future__ import annotations
 
@@ -94,13 +94,13 @@ LIMITS = Command(
     about="""\
 Say how fast the arms of a scenario may hit, object by object and case by case.
 
-The highest closing speed at which all bounds hold in 99 % of the draws of what is not known exactly: the uncertainties
+The highest closing speed at which all bounds hold in 99 % of the draws of uncertain quantities: the uncertainties
 of the scenario, stiffness and damping of joints and pads, and the discrepancy of the twin from another simulator.
-Bounds are joint velocity jumps, joint velocities, joint torques, and what the robot's own reflexes compare with their
+Bounds are joint velocity jumps, joint velocities, joint torques, and the signals that the robot's reflexes compare with
 thresholds: external joint torques and the external force. Those of reflexes stand in the robot facts (section
 reflexes) or are given here; a kind without a bound is named, and limits nothing.
 
---places N moves the hit to N x N places around that of the scenario, for a map of the speed limit.""",
+--places N moves the impact to N x N positions around the scenario's, for a map of the speed limit.""",
     examples="""\
 impact-rs limits push_fr3
 impact-rs limits push_fr3 --objects juice --cases 2 --reflex-torque 80 --reflex-force 200
@@ -119,16 +119,16 @@ a table with a row per object and case; with -o limits.html, limits.json and lim
         *REFLEXES,
         option(
             "--places", kind="whole", least=0, most=25, default=0, metavar="N", label="places of a map, per side",
-            help="also N x N places around that of the scenario, with the object and the case that allow least",
+            help="also N x N positions around the scenario's, with the object and the case that allow least",
         ),
         option(
             "--span", kind="number", least=0.0, default=0.1, metavar="M", unit="m", label="reach of the map",
             advanced=True,
-            help="how far these places reach along x and z, either way",
+            help="largest distance of these positions along x and z, either way",
         ),
         option(
             "--draws", kind="whole", least=20, default=200, metavar="N", advanced=True,
-            help="draws of what is not known exactly",
+            help="draws of uncertain quantities",
         ),
         SETTINGS,
         output("new_folder", "folder for the page and the tables", label="folder of the page"),
@@ -139,7 +139,7 @@ a table with a row per object and case; with -o limits.html, limits.json and lim
 
 STUDY_DESIGN = Command(
     name="study-design",
-    summary="rank robots, poses, motor inertias and pads by what a hit does",
+    summary="rank robots, poses, motor inertias and pads by the effect of an impact",
     about="""\
 Predict the hit of every combination of robot, random pose, motor inertia and pad, and rank them: impulse on the object,
 largest joint jump over the joint's velocity limit, and sensitivity of the object's velocity to motor inertia. Every
@@ -152,7 +152,7 @@ impact-rs study-design -o design
 impact-rs study-design -o design --robots franka_fr3 ur5e --poses 50 --rank-by sensitivity
 impact-rs study-design -o design --scenario my_push.yaml --object parcel --speed 0.3""",
     output="the first designs; in DIR a page with pictures and designs.csv with all of them.",
-    units="impulse in N s, the rest has none; speeds in m/s.",
+    units="impulse in N s, the rest is dimensionless; speeds in m/s.",
     options=(
         output("new_folder", "folder of page and table", required=True, label="folder of the page"),
         option(
@@ -208,7 +208,7 @@ impact-rs effects
 impact-rs effects torque_offset
 impact-rs effects --formulas cable.yaml""",
     output="a table of effects, or the parameters of one with bounds.",
-    units="beside every parameter.",
+    units="next to every parameter.",
     options=(
         argument("name", "one effect", kind="effect", metavar="NAME", required=False, otherwise="all"),
         option(
@@ -232,7 +232,7 @@ the drives of the arms that are this robot.""",
 impact-rs robot import my_robot.urdf --tip flange -o my_robot.yaml
 impact-rs robot check my_robot.yaml
 impact-rs robot check my_robot.yaml --scenario my_push.yaml""",
-    output="import: a YAML file, and notes on what a URDF does not hold. check: a table; exit code 1 if a check fails.",
+    output="import: a YAML file, and notes on data missing in a URDF. check: a table; exit code 1 if a check fails.",
     units="SI; angles in rad. Prismatic joints have m, N and kg instead of rad, N m and kg m^2.",
     actions=(
         Command(
@@ -248,7 +248,7 @@ impact-rs robot check my_robot.yaml --scenario my_push.yaml""",
                     otherwise="the only leaf of the tree",
                 ),
                 option(
-                    "--limits", many=True, default=(), metavar="JOINT.QUANTITY=VALUE", otherwise="those of the URDF",
+                    "--limits", many=True, default=(), metavar="JOINT.QUANTITY=VALUE", otherwise="as in the URDF",
                     help="limits that the URDF lacks or has as 0: elbow.effort=10 '*.velocity=3' '*.position=-3:3'; * "
                     "is every joint",
                 ),
@@ -259,19 +259,19 @@ impact-rs robot check my_robot.yaml --scenario my_push.yaml""",
                 ),
                 option(
                     "--inertia-at", choices=("centre", "joint"), default="centre",
-                    help="where the moments of inertia are about: the centre of mass, as the format says, or the joint",
+                    help="reference point of the moments of inertia: the centre of mass (as in URDF), or the joint",
                 ),
                 option(
                     "--lock", many=True, default=(), metavar="JOINT=PLACE",
                     help="joints that were held, and where [rad, m]: torso_lift=0.15 'head_*=0' 'finger*=0.04'; they "
-                    "become fixed, on the chain and beside it",
+                    "become fixed, on the chain and off it",
                 ),
                 option(
                     "--package-path", many=True, kind="folder", default=(), metavar="DIR",
                     help="folders of packages that the URDF names its meshes by (package://NAME/...)",
-                    otherwise="those of AMENT_PREFIX_PATH, and folders above the URDF",
+                    otherwise="AMENT_PREFIX_PATH, and folders above the URDF",
                 ),
-                option("--source", metavar="TEXT", help="where the numbers come from, with their licence"),
+                option("--source", metavar="TEXT", help="source of the numbers, with their licence"),
                 JSON,
             ),
         ),

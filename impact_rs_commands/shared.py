@@ -16,11 +16,11 @@ CASE = argument("case", "name of a case of the scenario; 2 is short for case_2",
 OBJECTS = option("--objects", kind="object", many=True, metavar="NAME", help="objects", otherwise="all of the scenario")
 CASES = option("--cases", kind="case", many=True, metavar="NAME", help="cases", otherwise="all of the scenario")
 SEED = option("--seed", kind="whole", default=0, least=0, metavar="N", help="seed of scatter and noise")
-REFLEXES = (  # what stops a robot by itself
+REFLEXES = (  # thresholds at which a robot stops by itself
     option(
         "--reflex-torque", kind="number", least=0.0, metavar="NM", unit="N m",
         help="external torque at which a joint stops the robot", label="reflex at a joint torque of",
-        otherwise="those of the robot facts",
+        otherwise="as in the robot facts",
     ),
     option(
         "--reflex-force", kind="number", least=0.0, metavar="N", unit="N",
@@ -100,7 +100,7 @@ SOURCE = (
     option(
         "--covariates", kind="text", many=True, default=(), metavar="COLUMN", label="circumstances of the rows",
         advanced=True, otherwise="none",
-        help="with --impacts: columns that say under which circumstances rows were measured, for example session or "
+        help="with --impacts: columns with circumstances of the measurement, for example session or "
         "temperature; diagnose says whether an effect depends on them (numbers: linearly, words: level by level)",
     ),
     option(
@@ -122,7 +122,7 @@ SOURCE = (
 
 
 def contact(help: str) -> Option:
-    """The option ``--contact``; ``help`` says what it decides."""
+    """The option ``--contact``; ``help`` describes its effect."""
     return option("--contact", choices=("first", "settled"), default="first", help=help, advanced=True)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Before a real arm is led: look at the robot for a moment, then hold it for another, and refuse with the reason."""
+"""Arming before a trial on a real arm: observe the robot, then hold it, and refuse with the reason."""
 
 from __future__ import annotations
 
@@ -14,28 +14,29 @@ from geometry_msgs.msg import PoseStamped
 
 from impact_msgs_py.conversions import pose_from_message
 from impact_rs_control.plan import TrialPlan
-from impact_rs_ros.effort_arms import REST, EffortArms
+from impact_rs_ros.effort_arms import MAX_REST_SPEED, EffortArms
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.motion_capture import MOCAP, TrackerPoses
 from impact_rs_ros.robot_states import STATES, ArmStates
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags.topics import CLOCK
 
-LOOKING, LOOKING_STATES = 0.5, 50  # s and states: how long the robot is looked at, at least
-PATIENCE = 3.0  # s, to get that far
-HOLDING = 0.2  # s of the robot's time, that it must stay where it is held before it is led
-PERIOD_TOLERANCE = 0.02  # of the period, that the states of the robot may come faster or slower
-POSE_AGE = 0.5  # s, that a pose of the object may be old
-SLICE = 0.002  # s, between two looks
+MIN_OBSERVED_S = 0.5  # of the robot before it is held
+MIN_OBSERVED_STATES = 50  # in that time
+ARMING_TIMEOUT_S = 3.0
+HOLDING_S = 0.2  # of robot time, in which it must stay where it is held before it is led
+PERIOD_TOLERANCE_SHARE = 0.02  # of the period, by which the states of the robot may come faster or slower
+MAX_POSE_AGE_S = 0.5  # of the object
+ARMING_POLL_S = 0.002
 
 
 @dataclass(frozen=True)
 class ArmingLimits:
-    """What a robot must keep to be armed.
+    """Limits of a robot for arming.
 
     Attributes:
-        start: How far a joint may be from where the trial starts [rad].
-        jitter: Largest difference between the time from one state to the next as they arrive, and by their stamps [s].
+        start: Largest distance of a joint from the start of the trial [rad].
+        jitter: Largest difference between the periods of the states by arrival and by timestamps [s].
     """
 
     start: float
@@ -48,10 +49,10 @@ class Arming:
     Args:
         plan: The trial.
         arms: The robot, nothing sent to it yet for this trial.
-        mocap: Reads poses of the object; None: none are wanted.
-        inbox: Where the robot's states and the object's poses come in.
-        limits: What the robot must keep.
-        holder: Who holds the arms while they are looked at, since the trial before; None: none yet.
+        mocap: Reads poses of the object; None: not used.
+        inbox: Subscriptions to the robot's states and the object's poses.
+        limits: Limits of the robot.
+        holder: Holds the arms since the previous trial, also while they are observed; None: not yet.
         monotonic: A clock that never goes back [s].
     """
 
@@ -73,10 +74,10 @@ class Arming:
         self._holder = holder
         self._monotonic = monotonic
         self._timeless = False  # states came whose age is not known
-        self._pose: PoseStamped | None = None  # where the object was last seen
+        self._pose: PoseStamped | None = None  # last pose of the object
 
     def look(self) -> str:
-        """Look at the robot's states for a while, without sending it anything new; returns what was found, in one line.
+        """Observe the robot's states for a while without new commands; returns the result in one line.
 
         Raises:
             InputError: The robot is not at rest where the trial starts, or its states do not come as the trial needs
@@ -89,17 +90,19 @@ class Arming:
                 raise InputError(f"not armed: {complaint}")
             arrivals.append(self._monotonic())
             stamps.append(states.stamp)
-            if arrivals[-1] > began + LOOKING and len(stamps) >= LOOKING_STATES:
+            if arrivals[-1] > began + MIN_OBSERVED_S and len(stamps) >= MIN_OBSERVED_STATES:
                 break
         if not stamps and self._timeless:
             raise InputError(f"not armed: no time on {CLOCK}, which use_sim_time asks for")
         if not stamps:
             first = ", ".join(names[0] for names in self._arms.states.joints.values())
             raise InputError(f"not armed: no state of {first} and the other joints on {STATES}: is the robot running?")
-        if len(stamps) < LOOKING_STATES:
-            raise InputError(f"{STATES}: {len(stamps)} states in {PATIENCE:g} s, expected {LOOKING_STATES}")
+        if len(stamps) < MIN_OBSERVED_STATES:
+            raise InputError(
+                f"{STATES}: {len(stamps)} states in {ARMING_TIMEOUT_S:g} s, expected {MIN_OBSERVED_STATES}"
+            )
         steps = 1e-9 * np.diff(np.array(stamps))
-        if abs(median(steps.tolist()) - period) > PERIOD_TOLERANCE * period:
+        if abs(median(steps.tolist()) - period) > PERIOD_TOLERANCE_SHARE * period:
             raise InputError(
                 f"{STATES}: a state every {1e3 * median(steps.tolist()):.3f} ms; timing.control_period of the scenario "
                 f"is {1e3 * period:g} ms"
@@ -115,7 +118,7 @@ class Arming:
         )
 
     def hold(self) -> str:
-        """Hold the arms for a moment; returns where the object is, in words, where its poses are wanted.
+        """Hold the arms for a moment; returns the position of the object in words, if its poses are used.
 
         Raises:
             InputError: They do not stay where they are, or no pose came. They are held on: the brake lets an arm whose
@@ -123,7 +126,7 @@ class Arming:
         """
         latest = self._arms.states.latest
         assert latest is not None
-        until = latest.stamp + round(1e9 * HOLDING)
+        until = latest.stamp + round(1e9 * HOLDING_S)
         self._arms.rest()
         for states in self._states(self._arms):
             if complaint := start_complaint(self._plan, states, self._limits.start):
@@ -134,20 +137,22 @@ class Arming:
                 )
             if states.stamp >= until:
                 return self._object()
-        raise InputError(f"not armed: less than {HOLDING:g} s of states in {PATIENCE:g} s while the robot was held")
+        raise InputError(
+            f"not armed: less than {HOLDING_S:g} s of states in {ARMING_TIMEOUT_S:g} s while the robot was held"
+        )
 
     def _object(self) -> str:
         if self._mocap is None:
             return ""
         if self._pose is None:
-            raise InputError(f"not armed: no pose of the object on {MOCAP} in the last {POSE_AGE:g} s")
+            raise InputError(f"not armed: no pose of the object on {MOCAP} in the last {MAX_POSE_AGE_S:g} s")
         return f", object {distance_from_scenario(self._plan, self._pose)}"
 
     def _states(self, holder: EffortArms | None) -> Iterator[ArmStates]:
         """Usable states for a while, each as it comes; poses of the object are read on the way."""
-        until, first = self._monotonic() + PATIENCE, True
+        until, first = self._monotonic() + ARMING_TIMEOUT_S, True
         while self._monotonic() < until:
-            self._inbox.wait(SLICE)
+            self._inbox.wait(ARMING_POLL_S)
             for topic, data in self._inbox.take():
                 if topic == MOCAP and self._mocap is not None:
                     self._see(self._mocap.read(data))
@@ -164,7 +169,7 @@ class Arming:
                 if states.complaint:
                     raise InputError(f"not armed: {STATES}: {states.complaint}")
                 if first:  # of a robot that was only just found
-                    until, first = self._monotonic() + PATIENCE, False
+                    until, first = self._monotonic() + ARMING_TIMEOUT_S, False
                 yield states
             if holder is not None:
                 holder.rest()
@@ -172,11 +177,11 @@ class Arming:
     def _see(self, pose: PoseStamped | None) -> None:
         if pose is not None:
             stamp = pose.header.stamp.sec * 10**9 + pose.header.stamp.nanosec
-            self._pose = pose if abs(1e-9 * (self._arms.states.clock.now() - stamp)) <= POSE_AGE else None
+            self._pose = pose if abs(1e-9 * (self._arms.states.clock.now() - stamp)) <= MAX_POSE_AGE_S else None
 
 
 def start_complaint(plan: TrialPlan, states: ArmStates, tolerance: float) -> str:
-    """Why the arms are not at rest where a trial starts; empty: they are.
+    """Reason why the arms are not at rest at the start of a trial; empty: they are.
 
     Args:
         plan: The trial.
@@ -193,14 +198,14 @@ def start_complaint(plan: TrialPlan, states: ArmStates, tolerance: float) -> str
                 f"joint {index + 1} of {name} is {away[index]:+.4f} rad from where the trial starts, start_tolerance "
                 f"is {tolerance:g} rad; move the arm to [{start}]"
             )
-        if not np.all(np.abs(arm.velocity) <= REST):
+        if not np.all(np.abs(arm.velocity) <= MAX_REST_SPEED):
             fastest = np.abs(arm.velocity).max()
-            return f"{name} moves at {fastest:.3g} rad/s; a trial starts at rest, below {REST:g} rad/s"
+            return f"{name} moves at {fastest:.3g} rad/s; a trial starts at rest, below {MAX_REST_SPEED:g} rad/s"
     return ""
 
 
 def distance_from_scenario(plan: TrialPlan, pose: PoseStamped) -> str:
-    """How far the object is from where the scenario has it, in words; shows a wrong placement of the tracker.
+    """Distance of the object from its position in the scenario, in words; shows a wrong placement of the tracker.
 
     Args:
         plan: The trial.

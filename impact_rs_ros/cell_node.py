@@ -21,7 +21,7 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.arming import Arming, ArmingLimits
 from impact_rs_ros.cell_trial import CellTrial, TrialLimits
 from impact_rs_ros.effort_arms import (
-    BRAKING,
+    MAX_BRAKING_S,
     EffortArms,
     arms_of,
     commands_topic,
@@ -37,7 +37,7 @@ from impact_rs_ros.process import run
 from impact_rs_ros.qos import COMMAND, LATCHED, WATCH
 from impact_rs_ros.robot_clock import RobotClock
 from impact_rs_ros.robot_states import STATES
-from impact_rs_ros.trial_node import MATCHING, SLICE, LeadingNode
+from impact_rs_ros.trial_node import SUBSCRIBER_POLL_S, TRIAL_SLICE_S, LeadingNode
 from impact_rs_ros.watchdog_node import BRAKING_TOPIC, TORQUES, WatchdogNode
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
@@ -45,9 +45,9 @@ from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
 
-LISTENING = 1.0  # s, until the effort controllers, and the names of those who can send torques, must have been found
-ECHOES = 0.005  # s, between two looks at what it passed on
-SURVEY = 0.1  # s, between two looks at who else publishes what only this cell or one robot may publish
+DISCOVERY_S = 1.0  # in which the effort controllers, and the names of all publishers of torques, must be found
+ECHO_POLL_S = 0.005  # between two checks of the torques that the watchdog passed on
+PUBLISHER_POLL_S = 0.1  # between two checks who else publishes topics reserved for this cell or one robot
 
 
 class CellNode(LeadingNode[CellTrial]):
@@ -58,15 +58,15 @@ class CellNode(LeadingNode[CellTrial]):
 
     def __init__(self) -> None:
         super().__init__()
-        self._topics: dict[str, str] = {}  # where the torques of an arm go: to the watchdog, or to the robot
+        self._topics: dict[str, str] = {}  # torque topic of an arm: the watchdog's, or the robot's
         self._publishers: dict[str, Publisher] = {}  # of torques, by topic
         self._clock = RobotClock(self.node)
-        self._echo = Inbox(self.node, "echo", WATCH, raw=True)  # what the watchdog passes on
+        self._echo = Inbox(self.node, "echo", WATCH, raw=True)  # torques forwarded by the watchdog
         self._passed: dict[str, Array] = {}  # the last torque that it passed on, by arm
-        self._waiting: float | None = None  # since when the cell sends torques that do not come out [s]
-        self._echoed = 0.0  # when the echo was looked at [s]
+        self._waiting: float | None = None  # time of the first torque that was not forwarded [s]
+        self._echoed = 0.0  # time of the last check of the echo [s]
         self._past = False  # the watchdog has died, and the cell sends torques past it
-        self._held: EffortArms | None = None  # the arms that were sent something, which are held unless they are led
+        self._held: EffortArms | None = None  # arms that received torques, held between trials
         self._robots = 1  # publishers of joint states when the trial was armed
         self._surveyed = 0.0
         self._watchdog_brakes = False
@@ -100,19 +100,19 @@ class CellNode(LeadingNode[CellTrial]):
         if self.running or self._held is None:
             super().turn()
             return
-        self._rest(SLICE)
+        self._rest(TRIAL_SLICE_S)
         self.serve(0.0)
         self.diagnose()
 
     def wait(self) -> None:
         if self._held is not None:
-            self._rest(MATCHING)
+            self._rest(SUBSCRIBER_POLL_S)
 
     def work(self, trial: CellTrial, until: float) -> None:
         now = time.monotonic()
         if self._past and trial.begun and not trial.over:
             trial.stop(f"the watchdog passed no torques on for {self.parameter('watchdog_timeout'):g} s: is it alive?")
-        if trial.begun and not trial.over and now - self._surveyed > SURVEY:
+        if trial.begun and not trial.over and now - self._surveyed > PUBLISHER_POLL_S:
             self._surveyed = now
             if complaint := self._strangers():
                 trial.stop(complaint)
@@ -147,7 +147,7 @@ class CellNode(LeadingNode[CellTrial]):
         return CellTrial(plan, arms, limits, mocap, self.inbox, self.outbox)
 
     def _hold(self, arming: Arming) -> str:
-        """Hold the arms for a moment, through the watchdog where there is one; what was found.
+        """Hold the arms for a moment, through the watchdog if there is one; returns the result.
 
         Raises:
             InputError: They do not stay, or the watchdog passes nothing on.
@@ -172,12 +172,12 @@ class CellNode(LeadingNode[CellTrial]):
 
     def brake(self) -> None:
         """Go on until the torques that the robot was sent last may stay."""
-        until = time.monotonic() + BRAKING
+        until = time.monotonic() + MAX_BRAKING_S
         while self._held is not None and not self._held.held:
             if time.monotonic() > until:
-                self.log.error(f"the arms did not come to rest within {BRAKING:g} s: press the emergency stop")
+                self.log.error(f"the arms did not come to rest within {MAX_BRAKING_S:g} s: press the emergency stop")
                 return
-            self._rest(MATCHING)
+            self._rest(SUBSCRIBER_POLL_S)
 
     def _rest(self, seconds: float) -> None:
         if self._held is not None:
@@ -197,8 +197,8 @@ class CellNode(LeadingNode[CellTrial]):
             self._listen(self._clock.steady())
 
     def _listen(self, now: float) -> None:
-        """Hear what the watchdog passes on; where it has passed nothing on for long, go past it."""
-        if 0.0 <= now - self._echoed < ECHOES:
+        """Check the torques that the watchdog forwards; bypass it after a long silence."""
+        if 0.0 <= now - self._echoed < ECHO_POLL_S:
             return
         patience = self.parameter("watchdog_timeout")
         stalled, self._echoed = now - self._echoed > patience / 2.0, now
@@ -206,7 +206,7 @@ class CellNode(LeadingNode[CellTrial]):
         arm_of = {commands_topic(arm): arm for arm in self.arms}
         came = {arm_of[topic]: torque for topic, data in self._echo.take() if (torque := torques_of(data)) is not None}
         self._passed |= came
-        if came or stalled or self._waiting is None:  # what this process did not send cannot be passed on
+        if came or stalled or self._waiting is None:  # torques that this process did not send cannot be forwarded
             self._waiting = now
         if now - self._waiting <= patience or self._held is None or len(self._passed) < len(self.arms):
             return
@@ -222,7 +222,7 @@ class CellNode(LeadingNode[CellTrial]):
         return outcome
 
     def _strangers(self) -> str:
-        """Who publishes what they should not, by name; empty: no one."""
+        """Names of unexpected publishers of reserved topics; empty: not any."""
         own = self.node.get_name(), self.node.get_namespace()
         watchdog = WatchdogNode.kind, own[1]
         robots = {resolved(self.node, commands_topic(arm)) for arm in self.arms}
@@ -256,31 +256,31 @@ class CellNode(LeadingNode[CellTrial]):
         return [resolved(self.node, topic) for topic in self._publishers]
 
     def _await_names(self) -> None:
-        """Wait for the names of those who can send torques: one without a name is a stranger, a watchdog is none."""
-        until = time.monotonic() + LISTENING
+        """Wait for the names of all publishers of torques; unnamed ones are strangers, a watchdog is not."""
+        until = time.monotonic() + DISCOVERY_S
         while time.monotonic() < until and any(
             info.node_name == UNKNOWN
             for topic in self._torque_ways()
             for info in self.node.get_publishers_info_by_topic(topic)
         ):
-            self.inbox.wait(MATCHING)
-            self._rest(MATCHING)
+            self.inbox.wait(SUBSCRIBER_POLL_S)
+            self._rest(SUBSCRIBER_POLL_S)
 
     def _await_listeners(self) -> None:
         """Wait for who takes the torques, who may have been found after the states."""
-        until = time.monotonic() + LISTENING
+        until = time.monotonic() + DISCOVERY_S
         for arm in self.arms:
             for topic in {self._topics[arm]: None, commands_topic(arm): None}:
                 name = resolved(self.node, topic)
-                echo = topic != self._topics[arm]  # the cell itself listens, to what the watchdog passes on
+                echo = topic != self._topics[arm]  # the cell itself subscribes to the watchdog's output
                 while self._publishers[topic].get_subscription_count() <= echo:
                     if time.monotonic() > until:
                         remedy = "is the effort controller active, is the topic remapped?"
                         if topic != commands_topic(arm):
                             remedy = "does the watchdog have the scenario of the trial?"
                         raise InputError(f"not armed: nothing listens to torques on {name}: {remedy}")
-                    self.inbox.wait(MATCHING)
-                    self._rest(MATCHING)
+                    self.inbox.wait(SUBSCRIBER_POLL_S)
+                    self._rest(SUBSCRIBER_POLL_S)
 
 
 def main() -> None:

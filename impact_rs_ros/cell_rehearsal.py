@@ -34,7 +34,7 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.arming import Arming, ArmingLimits
 from impact_rs_ros.cell_trial import CellTrial, TrialLimits
 from impact_rs_ros.driver_profiles import DriverProfile
-from impact_rs_ros.effort_arms import REST, EffortArms, arms_of, rest_until
+from impact_rs_ros.effort_arms import MAX_REST_SPEED, EffortArms, arms_of, rest_until
 from impact_rs_ros.node_parameters import defaults_of
 from impact_rs_ros.robot_states import STATES, joint_names
 from impact_rs_ros.watchdog_node import Watchdog
@@ -47,25 +47,25 @@ from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.streams import StreamMaker
 from impact_rs_trials.checked_bound import CheckedBound
 
-BEGAN = 1_700_000_000  # s, what the driver's clock shows at the start
-LIFETIME = 8.0  # s of simulated time, for which the plant draws its noise
-COMPUTING = 0.0003  # s, that the controller takes for a torque; assumed
-LOOKS = 0.002  # s, between two looks of the watchdog
-HOP = 0.0003  # s, that the watchdog adds to the way of a torque; measured by benchmarks/timing/watchdog_hop.py
-DIES = 0.02  # s before the nominal impact, when the cell falls silent
-STOPPING = 1.5  # s, in which arms must rest after that; as the test of the watchdog node asks
-SETTLING = 1.0  # s, that the arms may take to rest after a trial
+DRIVER_CLOCK_START_S = 1_700_000_000  # of the driver
+NOISE_DURATION_S = 8.0  # of simulated time, for which the plant draws its noise
+CONTROLLER_TIME_S = 0.0003  # for one torque; assumed
+WATCHDOG_POLL_S = 0.002
+WATCHDOG_HOP_S = 0.0003  # added to the path of a torque; measured by benchmarks/timing/watchdog_hop.py
+SILENT_BEFORE_IMPACT_S = 0.02  # before the nominal impact, when the cell falls silent
+MAX_STOPPING_S = 1.5  # until the arms rest after that; as in the test of the watchdog node
+MAX_SETTLING_S = 1.0  # until the arms rest after a trial
 
 
 @dataclass
 class Checklist:
-    """What a rehearsal found.
+    """Result of a rehearsal.
 
     Attributes:
         driver: Name of the driver's profile.
-        log: Lines that the cell would log, and what happened.
+        log: Lines that the cell would log, and events.
         margins: The checklist.
-        unknown: What could not be checked, and why.
+        unknown: Omitted checks, with reasons.
         blocking: Why the cell cannot run with this driver as it is released.
         stopped: Why the robot stopped itself in the trial; empty: it did not.
         failure: Why the trial was not armed or ended early; empty: it ran to its end.
@@ -97,7 +97,7 @@ class Checklist:
 
     @property
     def verdict(self) -> str:
-        """What the rehearsal says, in one line."""
+        """Result of the rehearsal in one line."""
         if not self.passed:
             return f"rehearsal not passed: {'; '.join(self.objections)}. Do not run this on the robot"
         if self.unknown:
@@ -120,7 +120,7 @@ class Checklist:
 
 
 class VirtualTime:
-    """Time that passes from event to event; also the clock of the robot's stamps."""
+    """Simulated time that advances from event to event; also the clock of the robot's timestamps."""
 
     known = True
 
@@ -133,18 +133,18 @@ class VirtualTime:
         return self.time
 
     def now(self) -> int:
-        """Time of stamps [ns]."""
-        return BEGAN * 10**9 + round(1e9 * self.time)
+        """Time of timestamps [ns]."""
+        return DRIVER_CLOCK_START_S * 10**9 + round(1e9 * self.time)
 
     def steady(self) -> float:
-        """Time of which differences are taken [s]."""
+        """Monotonic time for differences [s]."""
         return self.time
 
     def saw(self, stamp: int) -> None:
         """Nothing to learn: this clock is the driver's."""
 
     def at(self, when: float, event: Callable[[], None]) -> None:
-        """An event at ``when`` [s]; those of one moment happen in the order in which they were given."""
+        """Schedule an event at ``when`` [s]; simultaneous events happen in the order of scheduling."""
         self._count += 1
         heapq.heappush(self._events, (when, self._count, event))
 
@@ -177,7 +177,7 @@ class VirtualInbox:
 
 
 class VirtualOutbox:
-    """Outbox of the cell: the controller behind it answers the states of all arms after ``COMPUTING``."""
+    """Outbox of the cell: the controller behind it answers the states of all arms after ``CONTROLLER_TIME_S``."""
 
     due = False
 
@@ -194,7 +194,7 @@ class VirtualOutbox:
         self._gathered[self._arm_of[topic]] = sample
         if len(self._gathered) == len(self._arm_of):
             gathered, self._gathered = self._gathered, {}
-            self._clock.at(self._clock.time + COMPUTING, lambda: self._answer(tick, gathered))
+            self._clock.at(self._clock.time + CONTROLLER_TIME_S, lambda: self._answer(tick, gathered))
         return b""
 
     def _answer(self, tick: int, measured: Mapping[str, ArmMeasurement]) -> None:
@@ -215,7 +215,7 @@ class ExternalTorque:
     """External joint torque as a robot estimates it: a momentum observer, as in :mod:`impact_rs_control.detection`.
 
     Args:
-        model: What the robot believes.
+        model: Model of the robot's controller.
         gain: Rate of the filter [1/s].
         period: Between two measurements [s].
     """
@@ -249,14 +249,14 @@ class StandIn:
     the robot brakes is not published), torques that come are ignored, and states end if they do so with this driver.
 
     Args:
-        plan: The trial; the arms stand where it starts.
+        plan: The trial; the arms begin at its start.
         profile: The driver.
         reflexes: Thresholds of the robot's own reflexes, by arm.
         clock: Its clock.
         seed: Of noise and scatter.
 
     Attributes:
-        error: What the driver reports after the robot has stopped itself; empty: it has not.
+        error: Report of the driver after the robot has stopped itself; empty: it has not.
     """
 
     def __init__(
@@ -266,7 +266,7 @@ class StandIn:
         self.models, timing = scene.models, scene.scenario.timing
         self.period = timing.control_period if profile.period is None else profile.period
         lasting = scene.scenario.model_copy(
-            update={"timing": timing.model_copy(update={"duration": LIFETIME, "control_period": self.period})}
+            update={"timing": timing.model_copy(update={"duration": NOISE_DURATION_S, "control_period": self.period})}
         )
         initial = {name: arm.initial for name, arm in plan.arms.items()}
         self.plant = Plant.for_trial(lasting, scene.physics, initial, scene.object, seed)
@@ -291,7 +291,7 @@ class StandIn:
     @property
     def at_rest(self) -> bool:
         """Whether all joints are slower than ``REST``."""
-        return all(np.abs(one.velocity).max() <= REST for one in self.measured.values())
+        return all(np.abs(one.velocity).max() <= MAX_REST_SPEED for one in self.measured.values())
 
     def command(self, arm: str, torque: Array) -> None:
         """A torque is on its way to the effort controller of an arm."""
@@ -322,7 +322,7 @@ class StandIn:
         self.clock.at(self._next, self._tick)
 
     def _torque(self, arm: str) -> Array:
-        """Torque that acts on an arm: the driver's, or that of the robot's own brake."""
+        """Torque that acts on an arm: the driver's, or the torque of the robot's own brake."""
         model, measured = self.models[arm], self.measured[arm]
         if self.error:
             return holding_torque(model, self._motor_inertia[arm], measured.position, measured.velocity)
@@ -359,7 +359,7 @@ class StandIn:
 
 
 class _Extremes:
-    """Largest and smallest of what the stand-in shows."""
+    """Largest and smallest values of the stand-in."""
 
     def __init__(self, stand_in: StandIn) -> None:
         self._robot = stand_in
@@ -400,7 +400,7 @@ def rehearse(
         profile: The driver.
         reflexes: Thresholds of the robot's own reflexes, by arm.
         seed: Of noise and scatter.
-        say: Called with a line about what is rehearsed now.
+        say: Called with a line about the present step.
         given: Values of all parameters of ``cell`` and ``watchdog``; None: their defaults with names, gravity
             convention and torque rate of the profile, and with the watchdog.
     """
@@ -457,7 +457,7 @@ class _Cell:
             self.robot.command(arm, torque)
             return
         data = bytes(serialize_message(Float64MultiArray(data=torque.tolist())))
-        self.clock.at(self.clock.time + HOP, lambda: watchdog.heard(arm, data, self.clock.steady()))
+        self.clock.at(self.clock.time + WATCHDOG_HOP_S, lambda: watchdog.heard(arm, data, self.clock.steady()))
 
     def _watch(self, own: Mapping[str, Any]) -> Watchdog:
         """A watchdog between the cell and the robot."""
@@ -468,13 +468,13 @@ class _Cell:
             watchdog.look(self.clock.steady())
             if watchdog.braking:
                 watchdog.arms.rest()
-            self.clock.at(self.clock.time + LOOKS, look)
+            self.clock.at(self.clock.time + WATCHDOG_POLL_S, look)
 
         self.clock.at(0.0, look)
         return watchdog
 
     def arm(self) -> str:
-        """Arm as the node does; what was found.
+        """Arm as the node does; returns the result.
 
         Raises:
             InputError: It is not armed.
@@ -508,7 +508,7 @@ def _rehearse_trial(cell: _Cell, found: Checklist) -> None:
         if cell.robot.error:
             found.log.append(_stopped_words(cell.robot, trial))
         ended = cell.clock.time
-        while not cell.arms.held and cell.clock.time < ended + SETTLING:
+        while not cell.arms.held and cell.clock.time < ended + MAX_SETTLING_S:
             rest_until(cell.arms, cell.inbox, cell.clock.time + cell.robot.period, cell.clock)  # type: ignore[arg-type]
         if cell.arms.held:
             rest = f"the arms rest {cell.clock.time - ended:.2f} s later"
@@ -523,11 +523,11 @@ def _rehearse_trial(cell: _Cell, found: Checklist) -> None:
             CheckedBound("age of a state", cell.arms.states.oldest, cell.parameters["state_timeout"], "s", ""),
             CheckedBound(
                 "answer of the controller", float(str(status["slowest_answer [s]"])),
-                cell.parameters["answer_timeout"], "s", f"{COMPUTING:g} s of it assumed for computing",
+                cell.parameters["answer_timeout"], "s", f"{CONTROLLER_TIME_S:g} s of it assumed for computing",
             ),
         ]  # fmt: skip
         if not cell.robot.error:
-            found.margins.append(CheckedBound("rest after the trial", cell.clock.time - ended, SETTLING, "s", ""))
+            found.margins.append(CheckedBound("rest after the trial", cell.clock.time - ended, MAX_SETTLING_S, "s", ""))
     except InputError as error:
         found.failure = str(error)
         found.log.append(f"refused: {error}")
@@ -583,7 +583,7 @@ def _margins(robot: StandIn, extremes: _Extremes, reflexes: Mapping[str, Reflexe
 
 
 def _stopped_words(robot: StandIn, trial: CellTrial) -> str:
-    """What the cell made of a robot that stopped itself."""
+    """Response of the cell to a robot that stopped itself."""
     states = "its states ended" if robot.profile.states_end else "its states went on"
     noticed = "the cell ended the trial" if trial.failure else "the cell did not notice, and led it to the end"
     return f"the robot stopped itself ({robot.error}); {states}; {noticed}"
@@ -595,14 +595,14 @@ def _rehearse_death(cell: _Cell, found: Checklist) -> None:
     try:
         cell.arm()
         trial = cell.trial()
-        dies = round(1e9 * (plan.scene.scenario.timing.nominal_impact - DIES))
+        dies = round(1e9 * (plan.scene.scenario.timing.nominal_impact - SILENT_BEFORE_IMPACT_S))
         while not trial.over and trial.now < dies:
             trial.work(cell.clock.time + cell.robot.period)
         cell.alive = False
         died = cell.clock.time
         fastest = max(float(np.abs(one.velocity).max()) for one in cell.robot.measured.values())
         rested = died
-        while cell.clock.time < died + STOPPING + 0.5:
+        while cell.clock.time < died + MAX_STOPPING_S + 0.5:
             cell.inbox.wait(cell.robot.period)
             cell.inbox.waiting.clear()
             if not cell.robot.at_rest:
@@ -613,7 +613,7 @@ def _rehearse_death(cell: _Cell, found: Checklist) -> None:
             + (f"; the robot stopped itself ({cell.robot.error})" if cell.robot.error else "")
         )
         found.margins.append(
-            CheckedBound("time to stop when the cell dies", rested - died, STOPPING, "s", "by the watchdog")
+            CheckedBound("time to stop when the cell dies", rested - died, MAX_STOPPING_S, "s", "by the watchdog")
         )
     except InputError as error:  # a robot that stops itself while it is armed
         found.log.append(f"with a watchdog: refused: {error}")

@@ -18,31 +18,31 @@ import numpy as np
 from impact_rs_control.arm_limits import torque_complaint
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.arming import start_complaint
-from impact_rs_ros.effort_arms import REST, EffortArms
+from impact_rs_ros.effort_arms import MAX_REST_SPEED, EffortArms
 from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.joint_signals import JointReader
 from impact_rs_ros.motion_capture import MOCAP, TrackerPoses
 from impact_rs_ros.robot_states import STATES, ArmStates
-from impact_rs_ros.trial_node import CONNECTING, LeadingTrial
+from impact_rs_ros.trial_node import CONNECTION_TIMEOUT_S, LeadingTrial
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
 
-REPEAT = 0.25  # s, until the controller is sent the first state again
-TICKS = 100  # the last ones, of which late torques are a share
-AWAY = 0.03  # m from both references; an arm that obeys does not rest there
-IDLE = 0.1  # s
+REPEAT_S = 0.25  # until the first state is sent to the controller again
+LATE_WINDOW_TICKS = 100  # the last ones, for the share of late torques
+MAX_REST_ERROR_M = 0.03  # from both references; an arm that obeys does not rest beyond it
+MAX_REST_AWAY_S = 0.1  # at rest so far from the references
 
 
 @dataclass(frozen=True)
 class TrialLimits:
-    """What ends a trial; the node's parameters of these names.
+    """Limits that end a trial; the node's parameters of these names.
 
     Attributes:
         state_timeout: A state that is older, or did not come for so long [s].
         answer_timeout: A torque that takes longer [s].
         late_torque_share: A larger share of the last ticks whose torque came after the next state, or never.
-        start_tolerance: A joint that is farther from where the trial starts before it is led [rad].
+        start_tolerance: Distance of a joint from the start of the trial before it is led [rad].
     """
 
     state_timeout: float
@@ -57,10 +57,10 @@ class CellTrial(LeadingTrial):
     Args:
         plan: The trial.
         arms: The robot.
-        limits: What ends the trial.
-        mocap: Reads poses of the object; None: none are wanted.
-        inbox: Where the robot's states, the object's poses and the controller's torques come in.
-        outbox: Where they go out to controller and recorder.
+        limits: Limits that end the trial.
+        mocap: Reads poses of the object; None: not used.
+        inbox: Subscriptions to the robot's states, the object's poses and the controller's torques.
+        outbox: Publishers to controller and recorder.
         clock: A clock that never goes back [s].
     """
 
@@ -85,16 +85,16 @@ class CellTrial(LeadingTrial):
         self._period_ns = round(plan.scene.scenario.timing.control_period * 1e9)
         self._arm_of = {topics.joint_command(arm): arm for arm in plan.arms}
         self._readers = {arm: JointReader(names, ("effort",)) for arm, names in self._maker.joints.items()}
-        self._origin: int | None = None  # the robot's time at tick 0 [ns]; None: the controller has not answered it yet
+        self._origin: int | None = None  # robot time of tick 0 [ns]; None: not answered yet
         self._tick = 0
         self._first: dict[str, bytes] = {}  # the messages of tick 0, by topic
         self._first_sent = 0.0  # when
         self._heard = clock()  # when the last usable state came
-        self._asked: dict[int, float] = {}  # when the controller was asked, by tick that has no answer
+        self._asked: dict[int, float] = {}  # times of states sent to the controller, by unanswered tick
         self._answered = dict.fromkeys(plan.arms, -1)
         self._torques: dict[str, Array] = {}  # the last answer of each arm
-        self._late: deque[bool] = deque(maxlen=TICKS)
-        self._astray: dict[str, int] = {}  # since which tick an arm rests away from its references
+        self._late: deque[bool] = deque(maxlen=LATE_WINDOW_TICKS)
+        self._astray: dict[str, int] = {}  # first tick of an arm at rest away from its references
         self._lost = self._poses = 0
         self._slowest = 0.0  # s
 
@@ -177,16 +177,19 @@ class CellTrial(LeadingTrial):
         self._tick_times.append(self._clock() - now)
 
     def _disobedience(self, tick: int, states: ArmStates) -> str:
-        """Which arm rests away from its references with and without an impact; empty: none."""
+        """Message about an arm at rest away from its references with and without an impact; empty: not any."""
         for arm, measured in states.arms.items():
-            if np.abs(measured.velocity).max() > REST or self._distance(arm, measured.position, tick) <= AWAY:
+            if (
+                np.abs(measured.velocity).max() > MAX_REST_SPEED
+                or self._distance(arm, measured.position, tick) <= MAX_REST_ERROR_M
+            ):
                 self._astray.pop(arm, None)
                 continue
             since = self._astray.setdefault(arm, tick)
-            if (tick - since) * self._period_ns >= 1e9 * IDLE:
+            if (tick - since) * self._period_ns >= 1e9 * MAX_REST_AWAY_S:
                 return (
-                    f"{arm} has rested for {IDLE:g} s more than {AWAY:g} m from its references: has the robot stopped "
-                    "itself? See the log of its driver"
+                    f"{arm} has rested for {MAX_REST_AWAY_S:g} s more than {MAX_REST_ERROR_M:g} m from its "
+                    "references: has the robot stopped itself? See the log of its driver"
                 )
         return ""
 
@@ -197,10 +200,10 @@ class CellTrial(LeadingTrial):
         return min(float(np.linalg.norm(place - path.position[tick])) for path in paths)
 
     def _too_many_late(self, late: bool) -> bool:
-        """Count whether the torque of a tick came before the next state; end the trial where too many did not."""
+        """Count torques that came after the next state; end the trial if there are too many."""
         self._late.append(late)
         count, limit = sum(self._late), self._limits.late_torque_share
-        if count <= limit * TICKS:
+        if count <= limit * LATE_WINDOW_TICKS:
             return False
         self.stop(
             f"{self._time}: {count} of the last {len(self._late)} torques came after the next state or never, "
@@ -219,7 +222,7 @@ class CellTrial(LeadingTrial):
                 topics.joint_states(arm): self._outbox.now(topics.joint_states(arm), 0, measured)
                 for arm, measured in states.arms.items()
             }
-        elif now - self._first_sent > REPEAT:
+        elif now - self._first_sent > REPEAT_S:
             self._first_sent = now
             for topic, data in self._first.items():
                 self._outbox.repeat(topic, data)
@@ -271,7 +274,7 @@ class CellTrial(LeadingTrial):
         self.stop(f"{self._time}: no torque of the controller for {took:.4f} s, answer_timeout is {limit:g} s")
 
     def _look_at_the_clock(self) -> None:
-        """Notice what does not come."""
+        """Check for missing messages."""
         silent, limit = self._clock() - self._heard, self._limits.state_timeout
         if silent > limit:
             self.stop(f"{self._time}: no state of the robot for {silent:.4f} s, state_timeout is {limit:g} s")
@@ -279,11 +282,11 @@ class CellTrial(LeadingTrial):
             waited = self._clock() - next(iter(self._asked.values()))
             if self._origin is not None and waited > self._limits.answer_timeout:
                 self._too_slow(waited)
-            elif self._origin is None and waited > CONNECTING:
-                self.stop(f"the controller does not answer the first state within {CONNECTING:g} s")
+            elif self._origin is None and waited > CONNECTION_TIMEOUT_S:
+                self.stop(f"the controller does not answer the first state within {CONNECTION_TIMEOUT_S:g} s")
 
     def _seen(self, data: bytes) -> None:
-        """Pass on where the object is, in trial time and in the world frame."""
+        """Forward the pose of the object, in trial time and in the world frame."""
         if self._origin is None or self._mocap is None:
             return
         try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The controller as a node: answers every measured state with a torque of the same stamp."""
+"""The controller as a node: answers every measured state with a torque of the same timestamp."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class ControllerTrial(LockstepTrial):
         self._gathered: dict[str, ArmMeasurement] = {}
         self._qp = dict.fromkeys(QpStatus, 0)
         self._skipped = 0
-        self._outside = 0  # messages whose stamp lies outside the trial
+        self._outside = 0  # messages with a timestamp outside the trial
 
     def work(self, until: float) -> None:
         while (left := until - time.monotonic()) > 0.0:
@@ -85,7 +85,7 @@ class ControllerTrial(LockstepTrial):
         return inside
 
     def _answer(self, arm: str, signals: JointSignals) -> None:
-        """Take the measured state of one arm; compute torques when those of all arms are there."""
+        """Take the measured state of one arm; compute torques once all arms have one."""
         tick = round(signals.stamp / self._period_ns)
         if tick <= self._tick:
             if tick == self._tick:  # the plant repeats its request

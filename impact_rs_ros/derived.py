@@ -84,7 +84,7 @@ class DerivedMessages:
             yield topics.CLOCK, time, bytes(self._store.serialize_cdr(self._maker.clock(tick), topics.CLOCK_TYPE))
 
     def _object_at(self, time: int) -> tuple[Array, Array] | None:
-        """Position and quaternion where the object was last seen at a time [ns]; None: not yet."""
+        """Last position and quaternion of the object at a time [ns] (zero-order hold); None: not yet."""
         row = bisect_right(self._seen, time, key=lambda seen: seen[0])
         if row == 0:
             return None

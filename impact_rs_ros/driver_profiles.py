@@ -24,12 +24,12 @@ class DriverProfile:
         joints: Parameter ``joints`` of the cell.
         states: Topic of the joint states.
         commands: Topic of the torques.
-        period: Between two states [s]; None: that of the scenario.
+        period: Between two states [s]; None: the scenario's.
         adds_gravity: Whether it adds the weight of the arm to a commanded torque.
         torque_rate: Fastest change of a torque that it takes [N m/s].
         state_latency: From the measurement until the cell has the state [s]; assumed.
         command_latency: From the cell's torque until the driver has it [s]; assumed.
-        source: Where the other numbers come from.
+        source: Source of the other numbers.
         states_end: Whether joint states end when the robot has stopped itself.
         blocking: Why the cell cannot run with this driver as it is released; empty: nothing is known.
     """
@@ -137,7 +137,7 @@ def profile_of(scenario: Scenario, name: str | None = None) -> DriverProfile:
 
     Args:
         scenario: The scenario.
-        name: Name of a profile; None: that of the first arm's robot, or ``ros2_control``.
+        name: Name of a profile; None: the profile of the first arm's robot, or ``ros2_control``.
 
     Raises:
         InputError: There is no such profile.

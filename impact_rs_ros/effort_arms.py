@@ -22,8 +22,8 @@ from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.robot_states import STATES, ArmStates, Clock, RobotStates, joint_names
 from impact_rs_sim.robot import Array
 
-REST = 0.02  # rad/s, m/s; slower is at rest: the holding torque then changes by a thousandth of what an arm weighs
-BRAKING = 0.6  # s, that arms may take to rest before they are left; six times the time constant of the brake
+MAX_REST_SPEED = 0.02  # rad/s, m/s; the holding torque then changes by a thousandth of the gravity torque
+MAX_BRAKING_S = 0.6  # until arms rest before they are left; six time constants of the brake
 
 
 def commands_topic(arm: str) -> str:
@@ -40,17 +40,19 @@ class EffortArms:
     """The arms of one trial.
 
     Args:
-        states: What the robot reports; has its models, period and clock.
+        states: States of the robot, with its models, period and clock.
+        states: States of the robot.
         motor_inertia: B that the torque loop leaves, ``(n,)`` [kg m^2], by arm.
         adds_gravity: Whether the robot compensates gravity itself.
         rate: Of a torque, at most [N m/s].
         send: Sends an arm's effort controller its torques.
 
     Attributes:
-        states: What the robot reports.
+        states: States of the robot.
         adds_gravity: Whether the robot compensates gravity itself.
         limited: Number of torques that were changed because they jumped too far.
-        held: Whether the last torques may stay: the arms rest, and get no more than what holds them.
+        states: States of the robot.
+        held: Whether the last torques may stay: the arms rest, with no more than the holding torque.
     """
 
     def __init__(
@@ -69,7 +71,7 @@ class EffortArms:
         self._rate = rate
         self._send = send
         self._sent: dict[str, tuple[float, Array]] = {}  # when [s], and what, by arm
-        self._braked: ArmStates | None = None  # the state that the brake has answered
+        self._braked: ArmStates | None = None  # last state that the brake answered
 
     def command(self, arm: str, torque: Array) -> None:
         """Send a controller's torque, ``(n,)`` [N m], with gravity; there must be a state."""
@@ -79,7 +81,7 @@ class EffortArms:
         self._set(arm, torque)
 
     def pass_on(self, arm: str, wanted: Array) -> bool:
-        """Send what another process wants the effort controller to have, ``(n,)`` [N m], as far as the rate allows.
+        """Send the torques of another process to the effort controller, ``(n,)`` [N m], limited in rate.
 
         Returns:
             Whether it was sent; not if there is no state yet, or not one finite torque per joint.
@@ -116,7 +118,7 @@ class EffortArms:
             torque = model.gravity_torque(arm.position)
             if fresh:
                 torque = holding_torque(model, self._motor_inertia[name], arm.position, arm.velocity)
-            still = bool(np.all(np.abs(arm.velocity) <= REST))
+            still = bool(np.all(np.abs(arm.velocity) <= MAX_REST_SPEED))
             reached.append(self._set(name, torque) and fresh and still)
         self.held = all(reached)
 
@@ -125,7 +127,7 @@ class EffortArms:
         return self._limited(arm, torque - self._weight(arm) if self.adds_gravity else torque)
 
     def _limited(self, arm: str, wanted: Array) -> bool:
-        """Send what the effort controller shall have as far as the rate allows; whether all of it could be sent."""
+        """Send torques to the effort controller, limited in rate; whether they were sent in full."""
         now = self.states.clock.steady()
         if arm not in self._sent:  # an arm at rest that its weight was carried for
             self._sent[arm] = now - self.states.period, 0.0 * wanted if self.adds_gravity else self._weight(arm)
@@ -146,7 +148,7 @@ class EffortArms:
 
 
 def torques_of(data: bytes) -> Array | None:
-    """Numbers of a serialized ``std_msgs/Float64MultiArray``; None where the bytes are not one."""
+    """Numbers of a serialized ``std_msgs/Float64MultiArray``; None if the bytes are not one."""
     try:
         return np.array(deserialize_message(data, Float64MultiArray).data)
     except Exception:  # the middleware raises whatever it likes
@@ -185,8 +187,8 @@ def rest_until(arms: EffortArms, inbox: Inbox, until: float, monotonic: Callable
 
     Args:
         arms: The arms.
-        inbox: Where the robot's states come in; everything else in it is thrown away.
-        until: When to return [s].
+        inbox: Subscription to the robot's states; other messages are dropped.
+        until: Time of return [s].
         monotonic: A clock that never goes back [s].
     """
     while (left := until - monotonic()) > 0.0:

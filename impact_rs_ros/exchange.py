@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Publishing and subscribing without the node's executor, where microseconds count.
+"""Publishing and subscribing without the node's executor, for latencies of microseconds.
 
 An rclpy executor builds a wait set of all entities of a node for every single callback. Messages of the lockstep, and
 those that the recorder stores, are received by a separate node, which rclpy's events executor serves. That takes a
@@ -27,19 +27,19 @@ from impact_rs_ros.names import on_network, resolved
 from impact_rs_ros.qos import offered
 from impact_rs_trials.bags.streams import Stream
 
-BURST = 40  # samples that are published together, some ten ticks
-BURST_AGE = 0.1  # s, wall clock: a slow trial still shows progress
+BURST_SAMPLES = 40  # published together, some ten ticks
+MAX_BURST_AGE_S = 0.1  # wall clock: a slow trial still shows progress
 
 
 class Inbox:
-    """Subscriptions whose messages the owner takes when it wants to; none until :meth:`connect`.
+    """Subscriptions polled by their owner; empty until :meth:`connect`.
 
     They belong to a hidden node, ``_NODE_NAME``, with the remappings and namespace of the owner. Topics are named as in
     :mod:`impact_rs_ros.names`, here and in :class:`Outbox`.
 
     Args:
         node: Node that they are for.
-        name: Name of the inbox among those of the node.
+        name: Name of the inbox, unique in its node.
         qos: Quality of service of all subscriptions.
         raw: Return serialized (CDR) messages as received; otherwise decoded messages, without unreadable ones.
 
@@ -79,7 +79,7 @@ class Inbox:
 
     @property
     def name(self) -> str:
-        """Full name of the hidden node, which ``ros2 node info`` shows the subscriptions of."""
+        """Full name of the hidden node, with the subscriptions in ``ros2 node info``."""
         return str(self._node.get_fully_qualified_name())
 
     def _receive(self, topic: str, data: bytes) -> None:
@@ -120,7 +120,7 @@ class Inbox:
 
 
 class Outbox:
-    """Publishers that count what they publish; none until :meth:`connect`.
+    """Publishers that count their messages; empty until :meth:`connect`.
 
     Args:
         node: Node that publishes.
@@ -165,7 +165,7 @@ class Outbox:
         return data
 
     def repeat(self, topic: str, data: bytes) -> None:
-        """Publish a message again that may have been lost; its stamp is unchanged, and it is counted once."""
+        """Publish a message again that may have been lost; its timestamp is unchanged, and it is counted once."""
         self._publishers[topic].publish(data)
 
     def keep(self, topic: str, tick: int, sample: Any) -> None:
@@ -180,7 +180,7 @@ class Outbox:
     @property
     def due(self) -> bool:
         """Whether the next burst is large or old enough."""
-        return self._samples >= BURST or time.monotonic() - self._flushed > BURST_AGE
+        return self._samples >= BURST_SAMPLES or time.monotonic() - self._flushed > MAX_BURST_AGE_S
 
     def flush(self) -> None:
         """Publish the burst."""

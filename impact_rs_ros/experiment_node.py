@@ -17,7 +17,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import Executor, MultiThreadedExecutor
 
 from impact_rs_control.plan import TrialPlan
-from impact_rs_ros.process import IDLE, NodeProgram, run
+from impact_rs_ros.process import IDLE_WAIT_S, NodeProgram, run
 from impact_rs_ros.trial_session import Progress, TrialResult, TrialSession
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.model import parse_model
@@ -88,7 +88,7 @@ class ExperimentNode(NodeProgram):
     def close(self) -> None:
         self._cancelling.set()
         while self._busy.locked():  # the running trial still needs answers of nodes to close its bag
-            self.serve(IDLE)
+            self.serve(IDLE_WAIT_S)
         with self._busy:
             for server in self._servers:
                 server.destroy()

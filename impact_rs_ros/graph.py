@@ -37,11 +37,11 @@ from impact_rs_trials.bags.trial_info import Outcome, TrialKey
 from impact_rs_trials.campaign import Manifest, TrialReport, keep_failure, report_of_bag
 from impact_rs_trials.store import open_store
 
-START_TIMEOUT = 60.0  # s, for all nodes to answer; imports take some seconds on a busy machine
-STARTS = 3  # attempts to start the nodes, if one is killed or freezes meanwhile
-FOREIGN_TIMEOUT = 120.0  # s, for the user's own node in place of one of ours; it may have to be started by hand
-RESULT_TIMEOUT = 10.0  # s, for the answer of a service, or to a goal
-SILENCE = 60.0  # s without feedback on a trial; longer than the experiment node waits for any other node
+START_TIMEOUT_S = 60.0  # for all nodes to answer; imports take some seconds on a busy machine
+MAX_STARTS = 3  # of the nodes, if one is killed or freezes meanwhile
+FOREIGN_TIMEOUT_S = 120.0  # for a user's node in place of one of ours, which may have to be started by hand
+RESULT_TIMEOUT_S = 10.0  # for the answer of a service or to a goal
+MAX_SILENCE_S = 60.0  # without feedback on a trial; longer than the experiment node waits for any other node
 
 _CONFIGURABLE = {"configure_trial": ConfigureTrial, "finish_trial": FinishTrial}
 SERVICES: dict[str, dict[str, Any]] = {
@@ -59,7 +59,7 @@ log = logging.getLogger(__name__)
 
 
 class GraphError(RuntimeError):
-    """The nodes cannot be run; the message says why."""
+    """The nodes cannot be run; the message has the reason."""
 
 
 class Graph:
@@ -76,7 +76,7 @@ class Graph:
         domain_id: ``ROS_DOMAIN_ID``.
         namespace: ROS namespace of the nodes; empty: the root.
         foreign: Nodes that the user provides, by the name of the node that each replaces.
-        notify: Called with a line about what is awaited.
+        notify: Called with a line about the awaited node or trial.
     """
 
     def __init__(
@@ -123,7 +123,7 @@ class Graph:
             quiet: Nodes write to a file, shown when one ends, and not to the terminal.
             root: Folder below which requests may write bags and name scenarios; None: the working directory.
             without: Nodes that the user provides; they are waited for, not started.
-            notify: Called with a line about what is awaited.
+            notify: Called with a line about the awaited node or trial.
             namespace: ROS namespace of the nodes; empty: the root.
 
         Raises:
@@ -165,7 +165,7 @@ class Graph:
         rclpy.try_shutdown(context=self._context)
 
     def spin(self, timeout: float) -> None:
-        """Let messages arrive for at most ``timeout`` [s]; returns as soon as one did."""
+        """Wait for messages for at most ``timeout`` [s]; returns at the first one."""
         self._executor.spin_once(timeout_sec=timeout)
 
     def start(self) -> None:
@@ -173,7 +173,7 @@ class Graph:
 
         If a node is killed or freezes meanwhile, all are started again.
         """
-        for _ in range(STARTS):
+        for _ in range(MAX_STARTS):
             for name in self._ours:
                 self.nodes.start(name)
             if not (cause := self._await_ours()):
@@ -188,14 +188,14 @@ class Graph:
         self.start()
 
     def wait_until_ready(self) -> None:
-        """Start all nodes again if one is lost, and wait for those of the user."""
+        """Restart all nodes if one is lost, and wait for the user's nodes."""
         if self.lost():
             self.restart()
         else:
             self._await_foreign()
 
     def replace_lost(self) -> list[str]:
-        """Start the lost nodes again, and no others: a campaign that another program has asked for goes on.
+        """Restart the lost nodes only: a campaign requested by another program goes on.
 
         Returns:
             A line about each.
@@ -215,7 +215,7 @@ class Graph:
         return {name: f"node {name} {how}: {self.nodes.last_line(name)}" for name, how in how.items()}
 
     def _stop(self) -> None:
-        """Stop all nodes of ours; a lost one, which may hear no signal but SIGKILL, first."""
+        """Stop all nodes of ours; a lost one, which may react to SIGKILL only, first."""
         for name in self.lost():
             self.nodes.kill(name)
         self.nodes.stop()
@@ -223,8 +223,8 @@ class Graph:
         self._connect()
 
     def _await_ours(self) -> str:
-        """Wait until our nodes offer what they serve; returns why they do not, or an empty text."""
-        deadline = time.monotonic() + START_TIMEOUT
+        """Wait for the services of our nodes; returns the reason of a failure, or an empty text."""
+        deadline = time.monotonic() + START_TIMEOUT_S
         while missing := [service for name in self._ours for service in self._missing(name)]:
             self.spin(0.02)
             for name, line in self.lost().items():
@@ -232,24 +232,24 @@ class Graph:
                     raise GraphError(line)
                 return line
             if time.monotonic() > deadline:
-                return f"no node offers {', '.join(missing)} within {START_TIMEOUT:g} s"
+                return f"no node offers {', '.join(missing)} within {START_TIMEOUT_S:g} s"
         return ""
 
     def _await_foreign(self) -> None:
         """Wait for the nodes that the user provides, and notify once about each."""
         for name in self.foreign:
-            deadline = time.monotonic() + FOREIGN_TIMEOUT
+            deadline = time.monotonic() + FOREIGN_TIMEOUT_S
             notified = False
             while missing := self._missing(name):
                 what = f"{'actions' if name == 'experiment' else 'services'} {', '.join(missing)}"
                 if not notified:
-                    self._notify(f"waiting for a {name}: {what}; for {FOREIGN_TIMEOUT:g} s at most")
+                    self._notify(f"waiting for a {name}: {what}; for {FOREIGN_TIMEOUT_S:g} s at most")
                     notified = True
                 for line in self.lost().values():
                     raise GraphError(line)
                 if time.monotonic() > deadline:
                     raise GraphError(
-                        f"no {name} came within {FOREIGN_TIMEOUT:g} s: no node offers the {what} in ROS domain "
+                        f"no {name} came within {FOREIGN_TIMEOUT_S:g} s: no node offers the {what} in ROS domain "
                         f"{self._domain_id}"
                     )
                 self.spin(0.1)
@@ -271,17 +271,17 @@ class Graph:
             if feedback is not None:
                 feedback(message)
 
-        handle = self._wait(self.run_trial.send_goal_async(goal, feedback_callback=hear), RESULT_TIMEOUT)
+        handle = self._wait(self.run_trial.send_goal_async(goal, feedback_callback=hear), RESULT_TIMEOUT_S)
         if not handle.accepted:
             raise GraphError(f"the experiment node rejected the trial: {self.nodes.last_line('experiment')}")
-        answer: RunTrial.Result = self._wait(handle.get_result_async(), SILENCE).result
+        answer: RunTrial.Result = self._wait(handle.get_result_async(), MAX_SILENCE_S).result
         return answer
 
-    def call(self, kind: Any, name: str, request: Any, timeout: float = RESULT_TIMEOUT) -> Any:
+    def call(self, kind: Any, name: str, request: Any, timeout: float = RESULT_TIMEOUT_S) -> Any:
         """Call a service of a node, and wait at most ``timeout`` [s] for its answer."""
         client = self.node.create_client(kind, name)
         try:
-            deadline = time.monotonic() + RESULT_TIMEOUT
+            deadline = time.monotonic() + RESULT_TIMEOUT_S
             while not client.service_is_ready():
                 if time.monotonic() > deadline:
                     raise GraphError(f"there is no service {client.srv_name}")
@@ -291,7 +291,7 @@ class Graph:
             self.node.destroy_client(client)
 
     def _wait(self, future: Any, timeout: float) -> Any:
-        """Result of a future, for which ``timeout`` [s] counts from now and from every feedback on a trial."""
+        """Result of a future; ``timeout`` [s] restarts with every feedback on a trial."""
         self._heard = time.monotonic()
         while not future.done():
             self.spin(0.1)
@@ -321,9 +321,9 @@ def run_trials_through_nodes(
         manifest: The campaign.
         keys: Trials to run.
         domain_id: ``ROS_DOMAIN_ID`` of the nodes; None: the environment's.
-        plant_model: Effects that the plant has and no other node is given; None: none.
+        plant_model: Effects of the plant unknown to all other nodes; None: not any.
         without: Nodes that the user provides; they are waited for before every trial.
-        notify: Called with a line about what is awaited.
+        notify: Called with a line about the awaited node or trial.
         namespace: ROS namespace of the nodes; empty: the root.
 
     Raises:
@@ -385,7 +385,7 @@ def run_trial(
 
 
 def _attempt(graph: Graph, goal: RunTrial.Goal) -> tuple[Outcome, str]:
-    """Outcome and message of a trial; ABORTED where the experiment node gives none."""
+    """Outcome and message of a trial; ABORTED if the experiment node gives no outcome."""
     try:
         result = graph.call_trial(goal)
     except GraphError as error:

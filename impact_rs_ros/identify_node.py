@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Publishes what every finished trial teaches: prediction of the next hit, believed parameters, changes.
+"""Publishes results after every finished trial: prediction of the next hit, parameter estimates, changes.
 
 Topics, each a JSON document in a string (``docs/following.md`` lists their keys), latched:
 
-    ~/prediction   what the next hit will measure, with intervals, and the parameters believed now
+    ~/prediction   prediction of the next hit, with intervals, and the present parameter estimates
     ~/change       a change of the cell, with its evidence and explanations
     ~/diagnosis    how the full diagnosis of the hits since then has ended
     ~/refused      what gives no hit, and why
@@ -30,14 +30,14 @@ from impact_rs_trials.spec import TrialSpec
 
 @dataclass(frozen=True)
 class Lesson:
-    """What one hit taught, or a diagnosis that a change had called for.
+    """Results of one hit, or of a diagnosis after a change.
 
     Attributes:
         line: In a line.
-        change: A change as a JSON document; empty: none.
+        change: A change as a JSON document; empty: no change.
         words: The same in words.
-        diagnosis: How a full diagnosis has ended, as a JSON document; empty: none has.
-        refused: What gives no hit, and why, as a JSON document; empty: it is a hit, or a diagnosis.
+        diagnosis: Result of a full diagnosis, as a JSON document; empty: not ended.
+        refused: Refused trial with the reason, as a JSON document; empty: it is a hit, or a diagnosis.
         hit: Whether it is about a hit.
     """
 
@@ -53,17 +53,17 @@ class Identifier(Protocol):
     """Follows hits as they arrive."""
 
     def arrived(self) -> Sequence[Lesson]:
-        """What the hits since the last call taught; raises ``InputError`` where they cannot be read."""
+        """Results of the hits since the last call; raises ``InputError`` if they cannot be read."""
 
     def prediction(self) -> str:
         """Prediction of the next hit and the parameters believed, as a JSON document; empty: not yet."""
 
     def close(self) -> None:
-        """Stop what was started."""
+        """Stop started processes."""
 
 
 class IdentifyNode(NodeProgram):
-    """Looks for finished trials, and publishes what they teach."""
+    """Polls for finished trials, and publishes their results."""
 
     kind = "identify"
 
@@ -108,7 +108,7 @@ class IdentifyNode(NodeProgram):
         return f"changed: {self._last}" if self._last else "ok", numbers
 
     def _look(self) -> None:
-        """Take the hits that have arrived, if a look is due."""
+        """Take the hits that have arrived, if a poll is due."""
         now = time.monotonic()
         if self._identifier is None or now - self._looked < self.parameter("poll_period"):
             return
@@ -148,6 +148,6 @@ class IdentifyNode(NodeProgram):
         self._spent = time.monotonic() - now
 
     def _refuse(self, line: str, document: str) -> None:
-        """Count and publish what gives no hit."""
+        """Count and publish a refused trial."""
         self._refusals, self._refusal = self._refusals + 1, line
         self._refused.publish(String(data=document))

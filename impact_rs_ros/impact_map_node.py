@@ -67,7 +67,7 @@ class ImpactMapNode(NodeProgram):
             if contact == "first":
                 several = uniqueness_of(problem, models)
                 response.spread = several.relative
-                response.message = several.warning  # empty as ever where u^+ is unique
+                response.message = several.warning  # empty if u^+ is unique
             _fill_more(response, request, problem, scenario, models, contact)
             engine = result.engine  # the settled contact has only one
             response.success = True
@@ -195,7 +195,7 @@ def _fill_more(
     models: Mapping[str, RobotModel],
     contact: str,
 ) -> None:
-    """Add intervals and derivatives where they are requested."""
+    """Add intervals and derivatives if requested."""
     if not (request.uncertainty or request.derivatives):
         return
     if contact != "first":

@@ -12,8 +12,8 @@ import numpy as np
 from impact_rs_sim.robot import Array
 
 FIELDS = ("position", "velocity", "effort")
-MOST_JOINTS = 1024  # in one message; bounds the time to decode it
-MOST_NAME_BYTES = 65536  # of all names of one message; bounds the memory it can take
+MAX_JOINTS = 1024  # in one message; bounds the time to decode it
+MAX_NAME_BYTES = 65536  # of all names of one message; bounds its memory
 
 
 @dataclass(frozen=True)
@@ -34,14 +34,14 @@ class JointSignals:
 
     @property
     def readable(self) -> bool:
-        """Whether the bytes were a message; otherwise stamp, names and values are meaningless."""
+        """Whether the bytes were a message; otherwise timestamp, names and values are meaningless."""
         return bool(self.names)
 
 
 def joint_signals(data: bytes) -> JointSignals:
     """Decode a serialized ``sensor_msgs/JointState``, ten times as fast as rclpy.
 
-    Never raises: for bytes that are not such a message, or one of more than ``MOST_JOINTS`` joints, the result has a
+    Never raises: for bytes that are not such a message, or one of more than ``MAX_JOINTS`` joints, the result has a
     complaint, stamp 0 and no values.
 
     XCDR1: a value is aligned to its size, counted from the end of the encapsulation header of four bytes; a sequence
@@ -55,7 +55,7 @@ def joint_signals(data: bytes) -> JointSignals:
 
 
 def _decoded(data: bytes) -> JointSignals:
-    """The message; raises ``ValueError`` or ``struct.error`` where the bytes are none."""
+    """The message; raises ``ValueError`` or ``struct.error`` for other bytes."""
     if data[:2] not in (b"\0\1", b"\0\0"):
         raise ValueError("no XCDR1")
     order = "<" if data[1] else ">"
@@ -66,13 +66,13 @@ def _decoded(data: bytes) -> JointSignals:
     first = at
     (names,) = integer(data, at)
     at += 4
-    if names > MOST_JOINTS:
+    if names > MAX_JOINTS:
         raise ValueError("too many joints")
     for _ in range(names):
         at += -at % 4
         at += 4 + integer(data, at)[0]
     last = at
-    if last > len(data) or last - first > MOST_NAME_BYTES:
+    if last > len(data) or last - first > MAX_NAME_BYTES:
         raise ValueError("names without end")
     values = []
     for _ in range(3):
@@ -88,7 +88,7 @@ def _decoded(data: bytes) -> JointSignals:
 
 
 def names_of(signals: JointSignals) -> list[str]:
-    """Names of the joints; none where the message cannot be read."""
+    """Names of the joints; empty if the message cannot be read."""
     data = signals.names
     if not data:
         return []
@@ -104,7 +104,7 @@ def names_of(signals: JointSignals) -> list[str]:
 
 
 class JointReader:
-    """Reads the signals of given joints in a fixed order, and says what makes a message useless.
+    """Reads the signals of given joints in a fixed order, with a complaint about unusable messages.
 
     Args:
         names: Names of the joints, in the order of the result.
@@ -117,7 +117,7 @@ class JointReader:
         self._orders: dict[bytes, list[int] | None] = {}  # by serialized names; None: already in order
 
     def read(self, data: bytes) -> JointSignals:
-        """Signals in the order of the joints; where ``complaint`` is set, only the stamp can be used.
+        """Signals in the order of the joints; with a ``complaint`` only the timestamp can be used.
 
         Never raises; for bytes that are not a message ``readable`` is false and the stamp is 0.
         """

@@ -31,7 +31,7 @@ def decoded(data: bytes, kind: Any) -> Any | None:
     """A serialized message as an object of the class ``kind``; None: the bytes are not such a message."""
     try:
         return deserialize_message(data, kind)
-    except Exception:  # of rclpy or the middleware, by what is wrong with the bytes
+    except Exception:  # of rclpy or the middleware, depending on the bytes
         return None
 
 

@@ -28,7 +28,7 @@ LOCALHOST = "LOCALHOST"
 
 
 def set_middleware(environment: MutableMapping[str, str]) -> None:
-    """Restrict communication to this machine where none of ``CHOICES`` is set; to be called before ``rclpy.init``.
+    """Restrict communication to this machine unless one of ``CHOICES`` is set; call before ``rclpy.init``.
 
     Fast DDS gets ``config/loopback.xml``: UDP on 127.0.0.1. The discovery range ``LOCALHOST`` would not do: it makes
     transports of its own, shared memory among them, whatever ``FASTDDS_BUILTIN_TRANSPORTS`` says, and opens ports to

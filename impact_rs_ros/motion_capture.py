@@ -23,7 +23,7 @@ from impact_rs_sim.rotations import quaternion_of
 MOCAP = "/mocap/object_pose"
 WORLD = "world"
 COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
-NOT_UNIT = 0.01  # tolerated error of a quaternion's length; a tracker that lost the object sends zeros or NaN
+MAX_NORM_ERROR = 0.01  # of a quaternion; a tracker that lost the object sends zeros or NaN
 
 
 class TrackerPoses:
@@ -42,12 +42,12 @@ class TrackerPoses:
         self._turn = np.array([[w, -z, y, x], [z, w, -x, y], [-y, x, w, z], [-x, -y, -z, w]])  # q: left product by it
 
     def read(self, data: bytes) -> PoseStamped | None:
-        """A pose in ``world`` with its original stamp; None: no valid pose, as of an object out of sight.
+        """A pose in ``world`` with its original timestamp; None: no valid pose, for example of an occluded object.
 
         Bytes that are not a message give None as well.
 
         Raises:
-            InputError: The pose is in another frame than that of the tracker.
+            InputError: The pose is not in the frame of the tracker.
         """
         pose = decoded(data, PoseStamped)
         if pose is None:
@@ -57,7 +57,7 @@ class TrackerPoses:
             raise InputError(f"expected {self.frame}, see mocap_frame", key=f"frame_id of {MOCAP}", value=found)
         seen = pose_from_message(pose.pose)
         position, quaternion = seen[:3], seen[3:]
-        if not (np.isfinite(seen).all() and abs(np.linalg.norm(quaternion) - 1.0) < NOT_UNIT):
+        if not (np.isfinite(seen).all() and abs(np.linalg.norm(quaternion) - 1.0) < MAX_NORM_ERROR):
             return None
         moved = np.concatenate((self._origin + self._rotation @ position, self._turn @ quaternion))
         pose.pose = pose_to_message(moved)

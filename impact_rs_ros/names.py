@@ -25,7 +25,7 @@ SHARED = frozenset({topics.TF, topics.TF_STATIC, topics.DIAGNOSTICS})
 
 
 def on_network(topic: str) -> str:
-    """Name of a topic for rclpy, which puts the namespace of the node before it.
+    """Relative name of a topic for rclpy, which prepends the namespace of the node.
 
     Args:
         topic: Its name in the root namespace.

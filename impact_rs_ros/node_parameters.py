@@ -21,7 +21,7 @@ from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import load_mapping
 
 Value = bool | float | str
-FULL_TURN = 6.283185  # rad
+FULL_TURN_RAD = 6.283185
 
 
 @dataclass(frozen=True)
@@ -31,11 +31,11 @@ class NodeParameter:
     Attributes:
         name: Name.
         default: Default value; decides the type.
-        description: What it does, in a sentence.
-        unit: Unit, ``-`` where it has none.
+        description: Description in a sentence.
+        unit: Unit, ``-`` if dimensionless.
         range: Least and greatest value; floats only.
         choices: Allowed values; empty: any.
-        former: Values of older versions, which are accepted as well.
+        former: Also accepted values of older versions.
     """
 
     name: str
@@ -48,7 +48,7 @@ class NodeParameter:
 
     @property
     def expected(self) -> str:
-        """Allowed values, as text; empty: any, or those of the range."""
+        """Allowed values, as text; empty: any, or the range."""
         return f"one of {', '.join(self.choices)}" if self.choices else ""
 
     def descriptor(self) -> ParameterDescriptor:
@@ -179,7 +179,7 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
                 f"Rotation of the motion-capture frame in world about the fixed {axis} axis; roll, then pitch, then yaw"
                 " (REP-103)",
                 "rad",
-                (-FULL_TURN, FULL_TURN),
+                (-FULL_TURN_RAD, FULL_TURN_RAD),
             )
             for name, axis in (("roll", "x"), ("pitch", "y"), ("yaw", "z"))
         ),
@@ -200,7 +200,7 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
         NodeParameter(
             "arm_jitter_limit",
             0.002,
-            "Largest difference between the interval at which two states arrive and that of their stamps; above it no"
+            "Largest difference between the arrival interval of two states and that by their timestamps; above it no"
             " trial is armed",
             "s",
             (1e-6, 10.0),
@@ -242,9 +242,7 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
         NodeParameter(
             "diagnose", True, "Whether a change starts a full diagnosis of the hits since then, in a process of its own"
         ),
-        NodeParameter(
-            "diagnoses", "", "Folder for these diagnoses; empty: that of the state file, or the working directory"
-        ),
+        NodeParameter("diagnoses", "", "Folder for these diagnoses; empty: the state file's, or the working directory"),
         NodeParameter("poll_period", 0.5, "Time between two looks for finished trials", "s", (0.05, 60.0)),
     ),
     "experiment": (
@@ -359,7 +357,7 @@ def values_of(path: Path, kind: str) -> dict[str, Any]:
     own = {section: _own(content, section) for section in content if section.rpartition("/")[2] in (name, "**")}
     if not any(own.values()):
         raise InputError(f"no section of the {kind}, expected /**/{name} with ros__parameters in it", file=path)
-    for section in sorted(own, key=len):  # that of the node goes before that of all
+    for section in sorted(own, key=len):  # the node's own section overrides the common one
         for key, wanted in own[section].items():
             place = f"{section}.{key}"
             if key in known:
@@ -372,13 +370,13 @@ def values_of(path: Path, kind: str) -> dict[str, Any]:
 
 
 def _own(content: dict[str, Any], section: str) -> dict[str, Any]:
-    """Values of a section of a parameter file; none where it has no ``ros__parameters``."""
+    """Values of a section of a parameter file; empty without ``ros__parameters``."""
     given = content[section].get("ros__parameters") if isinstance(content[section], dict) else None
     return given if isinstance(given, dict) else {}
 
 
 def _check(parameter: NodeParameter, kind: str, wanted: Any, path: Path, place: str) -> None:
-    """Refuse what the node refuses."""
+    """Refuse values that the node refuses."""
     expected = {bool: "true or false", float: "a number with a point", str: "a text"}[type(parameter.default)]
     limits = parameter.range
     if type(wanted) is not type(parameter.default):
@@ -405,7 +403,7 @@ def text(node: Node, kind: str) -> str:
 
 
 def markdown() -> str:
-    """Text of ``docs/parameters.md``: parameters of every node once, then those of each."""
+    """Text of ``docs/parameters.md``: common parameters once, then the parameters of each node."""
     lines = [
         "# Node parameters",
         "",

@@ -20,13 +20,13 @@ from impact_rs_sim.paths import config_directory
 from impact_rs_sim.scenario import scenario_path
 
 NODES = ("plant", "impact_map", "controller", "recorder", "experiment")
-REFUSED = 2  # exit code of a node with a parameter that is not allowed; to start it again does not help
-STOP_TIMEOUT = 10.0  # s, for all nodes to end after SIGTERM
-CLOSING = 6.0  # s of it, for the experiment node to end its trial
+REFUSED_EXIT_CODE = 2  # of a node with a parameter that is not allowed; starting it again does not help
+STOP_TIMEOUT_S = 10.0  # for all nodes to end after SIGTERM
+CLOSING_S = 6.0  # of it, for the experiment node to end its trial
 
 
 def ours(without: Sequence[str]) -> list[str]:
-    """The nodes to start where the user provides those of ``without``.
+    """The nodes to start, if the user provides the nodes of ``without``.
 
     Raises:
         InputError: There is no such node.
@@ -39,7 +39,7 @@ def ours(without: Sequence[str]) -> list[str]:
 
 
 class NodeProcesses:
-    """Processes of the nodes; none runs until :meth:`start`.
+    """Processes of the nodes, started by :meth:`start`.
 
     Args:
         arguments: Arguments of every node, behind ``--ros-args``.
@@ -117,7 +117,7 @@ class NodeProcesses:
 
     def refused(self, name: str) -> bool:
         """Whether a node ended because of a mistake of the user."""
-        return self.processes[name].poll() == REFUSED
+        return self.processes[name].poll() == REFUSED_EXIT_CODE
 
     def kill(self, name: str) -> None:
         """End a node by force."""
@@ -125,11 +125,11 @@ class NodeProcesses:
         self.processes[name].wait()
 
     def output(self, name: str) -> str:
-        """What a quiet node has written since it was started."""
+        """Output of a quiet node since its start."""
         return self._log(name).read_text(errors="replace")
 
     def outputs(self) -> str:
-        """What quiet nodes wrote, warnings and tracebacks, node by node."""
+        """Output of quiet nodes, warnings and tracebacks, node by node."""
         written = {name: self.output(name).strip() for name in self.processes}
         return "\n\n".join(f"node {name} wrote:\n{text}" for name, text in written.items() if text)
 
@@ -139,7 +139,7 @@ class NodeProcesses:
         return lines[-1] if lines else "it wrote nothing" if self._quiet else "see its output above"
 
     def stop(self) -> None:
-        """Stop every node with SIGTERM, and with SIGKILL where it does not end in time."""
+        """Stop every node with SIGTERM, and with SIGKILL after a timeout."""
         running = {name: process for name, process in self.processes.items() if process.poll() is None}
         began = time.monotonic()
         # The experiment first: it closes the running trial.
@@ -148,8 +148,8 @@ class NodeProcesses:
                 process = running.pop(name)
                 process.terminate()  # SIGTERM: a node that is still importing ends without a traceback
                 if name == "experiment":
-                    _wait_for(process, began + CLOSING)
-        deadline = began + STOP_TIMEOUT
+                    _wait_for(process, began + CLOSING_S)
+        deadline = began + STOP_TIMEOUT_S
         for process in self.processes.values():
             _wait_for(process, deadline)
 

@@ -20,7 +20,7 @@ from impact_rs_ros.joint_signals import JointReader
 from impact_rs_ros.message_types import RosidlTypes
 from impact_rs_ros.names import frame_prefix
 from impact_rs_ros.process import run
-from impact_rs_ros.trial_node import CONNECTING, LeadingNode, LeadingTrial
+from impact_rs_ros.trial_node import CONNECTION_TIMEOUT_S, LeadingNode, LeadingTrial
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import parse_model
 from impact_rs_sim.plant import Plant
@@ -37,7 +37,7 @@ class Pace:
     """How long the plant waits for a torque; the node's parameters of these names.
 
     Attributes:
-        realtime: Pace the ticks by the wall clock, and hold the last torque where none came in time. A late torque
+        realtime: Pace the ticks by the wall clock, and hold the last torque if the next is late. A late torque
             acts from the next tick on.
         missed_limit: Largest share of ticks without a torque in time; above it the trial is aborted [-].
         repeat_after: Time after which the sample is published again [s].
@@ -161,7 +161,7 @@ class PlantTrial(LeadingTrial):
             self._outbox.flush()
 
     def _await_torques(self, asked: float) -> bool:
-        """Whether this tick's torques are there; if they do not come, returns, and aborts after the timeout."""
+        """Whether this tick's torques have arrived; aborts the trial after the timeout."""
         pace = self._pace
         paced = pace.realtime and 0 < self._tick < self._last  # the last state has its answer, late or not
         deadline = self._started + self._tick * self._period if paced else asked + pace.repeat_after
@@ -192,7 +192,7 @@ class PlantTrial(LeadingTrial):
             self._missed += 1
             return True
         self._silent_since = self._silent_since or asked
-        patience = pace.answer_timeout if self._tick else max(CONNECTING, pace.answer_timeout)
+        patience = pace.answer_timeout if self._tick else max(CONNECTION_TIMEOUT_S, pace.answer_timeout)
         if time.monotonic() - self._silent_since > patience:
             who = ", ".join(sorted(self._missing))
             self.stop(
@@ -205,7 +205,7 @@ class PlantTrial(LeadingTrial):
         return False
 
     def _acts(self, arm: str, stamp: int) -> bool:
-        """Whether a torque of this stamp [ns] acts: that of this tick, or in real time the newest of the late ones."""
+        """Whether a torque of this timestamp [ns] acts: this tick's, or in real time the newest late one."""
         return stamp == self.now or (self._pace.realtime and self._answered.get(arm, stamp) < stamp < self.now)
 
 

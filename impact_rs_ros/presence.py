@@ -21,11 +21,11 @@ from rclpy.publisher import Publisher
 from std_msgs.msg import Empty
 
 from impact_rs_ros.exchange import Inbox
-from impact_rs_ros.qos import ALIVE, LEASE, PRESENT
+from impact_rs_ros.qos import ALIVE, LEASE_S, PRESENT
 
-UNKNOWN = "_NODE_NAME_UNKNOWN_"  # the middleware's name of a node of which only a publisher is discovered yet
-GRACE = 1.0  # s; a lease can lapse and be renewed at once when another publisher of the same topic leaves
-LEAVING = 5.0  # s, from a publisher's end to that of its process, on a busy machine; a frozen node's lease lapses
+UNKNOWN = "_NODE_NAME_UNKNOWN_"  # the middleware's name of a node with only a publisher discovered
+LEASE_GRACE_S = 1.0  # a lease can lapse and be renewed at once when another publisher of the same topic leaves
+LEAVING_S = 5.0  # from a publisher's end to the end of its process, on a busy machine; a frozen node's lease lapses
 
 
 def announce(node: Node) -> Publisher:
@@ -36,7 +36,7 @@ def announce(node: Node) -> Publisher:
 
 
 class Presence:
-    """Which nodes are alive, as one node sees it.
+    """Liveliness of all nodes, as seen by one node.
 
     Args:
         node: Observing node; its executor delivers the liveliness events.
@@ -83,7 +83,7 @@ class Presence:
             for name in self.absent()
             if name in names
             and name in self._known
-            and self._since[name] < now - (GRACE if self._lapsed[name] else LEAVING)
+            and self._since[name] < now - (LEASE_GRACE_S if self._lapsed[name] else LEAVING_S)
         ]
 
     def duplicates(self) -> dict[str, bool]:
@@ -91,7 +91,7 @@ class Presence:
 
         It is not within a lease after a change: one of the two may have died.
         """
-        latest = time.monotonic() - LEASE - GRACE
+        latest = time.monotonic() - LEASE_S - LEASE_GRACE_S
         return {name: self._since[name] < latest for name, count in self._alive.items() if count > 1}
 
     def full_name(self, name: str) -> str:

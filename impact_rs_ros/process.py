@@ -32,14 +32,14 @@ from impact_rs_trials.spec import TrialSpec
 SUPERVISOR = "IMPACT_RS_SUPERVISOR"  # process id of the runner; a node does not outlive it
 OWN_SERVICES = ("impact_rs.", "std_srvs.")  # packages of the service types that rclpy does not offer by itself
 HARDWARE = "impact_rs"  # hardware_id on /diagnostics
-THROTTLE = 5.0  # s, between two equal lines of the log
-IDLE = 0.25  # s, how long an idle node waits for work in one turn: a signal to end is noticed then, a request at once
+THROTTLE_S = 5.0  # between two equal lines of the log
+IDLE_WAIT_S = 0.25  # of an idle node in one turn: a signal to end is noticed after it, a request at once
 
 
 class NodeProgram:
     """A node and its main loop.
 
-    What a request names is checked where it is used; a mistake raises ``InputError``, which the service answers.
+    Contents of a request are checked at their use; a mistake raises ``InputError``, which the service answers.
     """
 
     kind: ClassVar[str]
@@ -65,7 +65,7 @@ class NodeProgram:
     def start(self) -> None:
         """Prepare the node; called once, before the first turn.
 
-        What the first trial needs is loaded before services are offered, because it takes a second: a caller that
+        The data of the first trial is loaded before services are offered, because it takes a second: a caller that
         discovers a service finds the node ready.
         """
         scenario = load_scenario(self.parameter("scenario"))
@@ -81,11 +81,11 @@ class NodeProgram:
         )
 
     def rehearse(self, spec: TrialSpec) -> None:
-        """Load what a trial needs of this node."""
+        """Load the data of a trial for this node."""
         _ = spec.scene
 
     def connect(self, arms: list[str]) -> None:
-        """Create publishers and subscriptions for these arms, in place of those of an earlier call."""
+        """Create publishers and subscriptions for these arms, replacing those of an earlier call."""
 
     def offer(self) -> None:
         """Offer services and actions."""
@@ -127,12 +127,12 @@ class NodeProgram:
         except Exception as error:
             self.log.error(
                 f"what came in could not be served, and is left out: {full_traceback(error)}",
-                throttle_duration_sec=THROTTLE,
+                throttle_duration_sec=THROTTLE_S,
             )
 
     @contextmanager
     def answering(self, response: Any, task: str) -> Iterator[None]:
-        """Answer a request with the reason where it cannot be served: no request ends a node."""
+        """Answer a failing request with the reason: no request ends a node."""
         try:
             yield
         except InputError as error:
@@ -145,7 +145,7 @@ class NodeProgram:
     def turn(self) -> None:
         """One turn of the main loop; must return within a fraction of a second."""
         due = self._diagnosed + self.parameter("diagnostics_period") - time.monotonic()
-        self.serve(min(IDLE, max(0.0, due)))
+        self.serve(min(IDLE_WAIT_S, max(0.0, due)))
         self.diagnose()
 
     def status(self) -> tuple[str, Mapping[str, object]]:
@@ -153,7 +153,7 @@ class NodeProgram:
         return "ok", {}
 
     def failure(self) -> str:
-        """Why the present trial, or the last one, failed or was aborted: an error on ``/diagnostics``; empty: none."""
+        """Reason of a failed or aborted present or last trial, an error on ``/diagnostics``; empty: no failure."""
         return ""
 
     def diagnose(self, now: bool = False) -> None:

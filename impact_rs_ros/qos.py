@@ -75,7 +75,7 @@ LATCHED = offered(topics.TRIAL_INFO)
 """Topics with one message per trial (``/trial_info``, ``/robot_description``); late subscribers receive it, too."""
 
 
-LEASE = 1.5  # s
+LEASE_S = 1.5
 
 
 def _alive(durability: QoSDurabilityPolicy) -> QoSProfile:
@@ -85,7 +85,7 @@ def _alive(durability: QoSDurabilityPolicy) -> QoSProfile:
         history=QoSHistoryPolicy.KEEP_LAST,
         depth=1,
         liveliness=QoSLivelinessPolicy.AUTOMATIC,
-        liveliness_lease_duration=Duration(seconds=LEASE),
+        liveliness_lease_duration=Duration(seconds=LEASE_S),
     )
 
 

@@ -40,16 +40,16 @@ from impact_rs_trials.bags.types import typestore
 from impact_rs_trials.bags.writer import BagWriter, partial_path
 from impact_rs_trials.spec import TrialSpec
 
-MATCHING = 2.0  # s, for publishers to be discovered; less than a caller waits for the answer before it repeats
-SAVING = 0.2  # s, how much of a trial is lost when the recorder is killed
+MATCHING_S = 2.0  # for publishers to be discovered; shorter than a caller's wait before it repeats a request
+SAVE_PERIOD_S = 0.2  # of a trial that is lost when the recorder is killed
 # Topics that need not be recorded from the first message on.
 UNAWAITED = (topics.TF, topics.TF_STATIC, topics.DIAGNOSTICS, topics.TRUTH_MODEL)
 JUDGED = (topics.joint_states, topics.controller_state)  # signals of an arm that reach the end of a trial
 EVERY_TICK = (*JUDGED, topics.joint_command)  # signals of an arm from tick 0 on
 ENDS_EARLY = ("DIVERGED", "LIMIT")  # outcomes for which a plant may stop early
-ROUNDING = 1e-6  # s, of stamps; far less than a period
-_HEADER_FIRST = 4  # offset of the stamp, after the CDR encapsulation
-_SEQUENCE_FIRST = 8  # the same, after the length of a sequence
+STAMP_ROUNDING_S = 1e-6  # of timestamps; far less than a period
+_HEADER_STAMP_BYTES = 4  # offset of the timestamp, after the CDR encapsulation
+_SEQUENCE_STAMP_BYTES = 8  # offset of the timestamp, after the length of a sequence
 
 
 class OpenTrial:
@@ -80,7 +80,7 @@ class OpenTrial:
         self._arms = arms
         self._plan = plan
         self._stamp_at = {
-            topic: _SEQUENCE_FIRST if kind == topics.TF_MESSAGE else _HEADER_FIRST
+            topic: _SEQUENCE_STAMP_BYTES if kind == topics.TF_MESSAGE else _HEADER_STAMP_BYTES
             for topic, kind in topics.recorded(arms).items()
         }
         self._derived = None if plan is None else DerivedMessages(plan, tracked)
@@ -104,7 +104,7 @@ class OpenTrial:
         if topic in self._awaited and self._plan is not None:
             if now and topic not in self._last:  # belongs to an abandoned trial that still runs
                 return
-            if 1e-9 * now > self._duration + ROUNDING:
+            if 1e-9 * now > self._duration + STAMP_ROUNDING_S:
                 self.refused[topic] += 1
                 return
         if topic != topics.DIAGNOSTICS:
@@ -130,9 +130,9 @@ class OpenTrial:
         """Trial time of a message [ns]; None: it does not belong to this trial."""
         if not self.readable(topic, data):
             return None
-        if topic == topics.TRUTH_MODEL:  # published once, and without a stamp
+        if topic == topics.TRUTH_MODEL:  # published once, and without a timestamp
             return 0
-        if topic == topics.DIAGNOSTICS:  # its stamp is not trial time
+        if topic == topics.DIAGNOSTICS:  # its timestamp is not trial time
             return max(self._last.values(), default=0)
         try:
             seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, self._stamp_at[topic])
@@ -161,7 +161,7 @@ class OpenTrial:
         return f"{self.name}: {outcome} after {self.time:.3f} s, {self.bag.messages} messages in"
 
     def missing(self, expected: dict[str, int]) -> str:
-        """Topics with fewer messages than expected, and both numbers, as text; empty: none."""
+        """Topics with fewer messages than expected, with both numbers, as text; empty: not any."""
         return ", ".join(
             f"{topic} {self.counts[topic]} of {count}"
             for topic, count in expected.items()
@@ -179,17 +179,17 @@ class OpenTrial:
         return Verdict("ABORTED", cut) if cut else verdict
 
     def cut_off(self) -> str:
-        """Which signals end before the trial; empty: none."""
+        """Signals that end before the trial; empty: not any."""
         ends = {}
         for topic in (name(arm) for arm in self._arms for name in JUDGED):
             last, count = 1e-9 * self._last.get(topic, 0), self.counts[topic]
             period = last / (count - 1) if self._plan is None and count > 1 else 0.0  # else the last tick has a stamp
-            if not last > self._duration - 1.5 * period - ROUNDING:
+            if not last > self._duration - 1.5 * period - STAMP_ROUNDING_S:
                 ends[topic] = f"{topic} ends at {last:.3f} s"
         return f"{', '.join(ends.values())}; the trial ends at {self._duration:.3f} s" if ends else ""
 
     def note(self) -> str:
-        """Remark on the recording, whatever the outcome, in one line; empty: none."""
+        """Warning about the recording, for any outcome, in one line; may be empty."""
         refused = ", ".join(f"{topic} {count}" for topic, count in self.refused.items())
         return (
             f"{self.refused.total()} messages are not in the bag, unreadable or not of this trial: {refused}"
@@ -277,7 +277,7 @@ class RecorderNode(NodeProgram):
             InputError: A topic that every trial needs has no publisher, or one whose QoS does not match. Or plant or
                 controller has not discovered the recorder.
         """
-        deadline = time.monotonic() + MATCHING
+        deadline = time.monotonic() + MATCHING_S
         needed = topics.needed(self._arms)
         self._subscriptions.begin()
         while (unmatched := self._unmatched(needed)) or self._subscriptions.awaited():
@@ -292,7 +292,7 @@ class RecorderNode(NodeProgram):
             wrong.append(f"{', '.join(unreceived)}: published, but not received; is the publisher's QoS reliable?")
         if undiscovered:  # the beginning of the trial would be lost
             wrong.append(
-                f"{' and '.join(undiscovered)} did not discover the recorder's subscriptions within {MATCHING:g} s"
+                f"{' and '.join(undiscovered)} did not discover the recorder's subscriptions within {MATCHING_S:g} s"
             )
         if undiscovered or not set(needed).isdisjoint(unmatched):
             raise InputError(f"recorder: {'; '.join(wrong)}")
@@ -322,7 +322,7 @@ class RecorderNode(NodeProgram):
                 continue
             self._recording.store(topic, data)
         self._messages = self._recording.counts.total()
-        if time.monotonic() > self._saved + SAVING:
+        if time.monotonic() > self._saved + SAVE_PERIOD_S:
             self._recording.bag.save()
             self._saved = time.monotonic()
 
@@ -422,17 +422,17 @@ class RecorderNode(NodeProgram):
         return response
 
     def _verdict(self, recording: OpenTrial) -> Verdict:
-        """How the trial ended; ABORTED where that cannot be judged."""
+        """Outcome of the trial; ABORTED if unknown."""
         try:
             return recording.verdict()
         except InputError as error:
             return Verdict("ABORTED", str(error))
         except Exception as error:  # another publisher's messages are among the judged ones
             self.log.error(f"cannot judge the trial: {full_traceback(error)}")
-            return Verdict("ABORTED", f"what was recorded cannot be judged: {type(error).__name__}: {error}")
+            return Verdict("ABORTED", f"the recording cannot be judged: {type(error).__name__}: {error}")
 
     def _complete(self, recording: OpenTrial, expected: dict[str, int]) -> str:
-        """Receive until the expected messages are there; returns what is missing after the timeout."""
+        """Receive until the expected messages have arrived; returns the missing ones after the timeout."""
         deadline = time.monotonic() + self.parameter("completion_timeout")
         while True:
             self._drain()

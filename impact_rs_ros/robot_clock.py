@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The clock of the robot's stamps: this machine's, or with ``use_sim_time`` that of a simulator."""
+"""The clock of the robot's timestamps: this machine's, or a simulator's with ``use_sim_time``."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from impact_rs_ros.node_parameters import value
 from impact_rs_ros.qos import WATCH
 from impact_rs_trials.bags import topics
 
-STOPPED = 0.5  # s, without news a simulator has stopped
+MAX_CLOCK_SILENCE_S = 0.5  # of a simulator that runs
 
 
 class RobotClock:
-    """Time of stamps, and time that never goes back.
+    """Time of timestamps, and monotonic time.
 
     Args:
-        node: Its parameter ``use_sim_time`` says which clock.
+        node: Node with the parameter ``use_sim_time``.
     """
 
     def __init__(self, node: Node) -> None:
@@ -27,13 +27,13 @@ class RobotClock:
         self._inbox: Inbox | None = None
         self._simulated = self._seen = 0  # by /clock, and by the newest state
         self._steady = self._read = 0.0  # s; the latter when it was last read, by the simulator
-        self._asked = self._moved = time.monotonic()  # when that was, and when the simulator last went on
+        self._asked = self._moved = time.monotonic()  # times of the last query, and of the simulator's last advance
         if value(node, "use_sim_time"):  # past the executor of the node, which does not run while a trial does
             self._inbox = Inbox(node, "clock", WATCH)
             self._inbox.connect({topics.CLOCK: topics.CLOCK_TYPE})
 
     def now(self) -> int:
-        """Time that stamps are compared with [ns]."""
+        """Time for comparisons with timestamps [ns]."""
         if self._inbox is None:
             return int(self._node.get_clock().now().nanoseconds)
         self._inbox.gather()
@@ -42,7 +42,7 @@ class RobotClock:
         return max(self._simulated, self._seen) if self._simulated else 0
 
     def steady(self) -> float:
-        """Time of which differences are taken [s]; it never goes back, also when the clock of the machine is set.
+        """Monotonic time for differences [s], also when the clock of the machine is set.
 
         It follows a simulator, however slow, and this machine where the simulator has stopped.
         """
@@ -53,22 +53,22 @@ class RobotClock:
         passed = max(0.0, simulated - self._read) if self._read else 0.0
         if passed:
             self._moved = real
-        stopped = real - max(self._asked, self._moved + STOPPED)
+        stopped = real - max(self._asked, self._moved + MAX_CLOCK_SILENCE_S)
         self._steady += passed or max(0.0, stopped)
         self._read, self._asked = simulated, real
         return self._steady
 
     def saw(self, stamp: int) -> None:
-        """A state with this stamp [ns] has come: in a simulation it is that late at least, ``/clock`` may follow."""
+        """Note the timestamp [ns] of a received state: a lower bound of the simulated time, as ``/clock`` may lag."""
         self._seen = max(self._seen, stamp)
 
     @property
     def known(self) -> bool:
-        """Whether the time is known; that of a simulator is not until it was published."""
+        """Whether the time is known; simulated time only after its first message."""
         return self.now() != 0
 
     def forget(self) -> None:
-        """Forget the time of a simulator, which may have been started again."""
+        """Forget the time of a simulator, which may have been restarted."""
         if self._inbox is not None:
             self._inbox.clear()
             self._simulated = self._seen = 0

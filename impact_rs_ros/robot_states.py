@@ -24,25 +24,25 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.sensors import ArmMeasurement
 
 STATES = "/joint_states"  # of joint_state_broadcaster
-NEWER = 0.5  # of the period, that a state is measured after the one before it
+MIN_STEP_PERIODS = 0.5  # between the measurements of two states
 RECENT, EXTRA = 100, 10  # messages, and how many of them may repeat a state or come between two
 
 
 class Clock(Protocol):
-    """Time of the robot's stamps, and time that never goes back."""
+    """Time of the robot's timestamps, and monotonic time."""
 
     @property
     def known(self) -> bool:
         """Whether the time is known."""
 
     def now(self) -> int:
-        """Time that stamps are compared with [ns]."""
+        """Time for comparisons with timestamps [ns]."""
 
     def steady(self) -> float:
-        """Time of which differences are taken [s]."""
+        """Monotonic time for differences [s]."""
 
     def saw(self, stamp: int) -> None:
-        """A state with this stamp [ns] has come."""
+        """Note the timestamp [ns] of a received state."""
 
 
 def joint_names(pattern: str, arms: Mapping[str, int]) -> dict[str, list[str]]:
@@ -81,7 +81,7 @@ class ArmStates:
     """One message of the joint states.
 
     Attributes:
-        stamp: On the robot's clock [ns].
+        stamp: Timestamp on the robot's clock [ns].
         arms: Measured state by arm; the motor's is not known, and equals the link's.
         complaint: Why they are not usable, in one line; empty: they are.
     """
@@ -109,7 +109,7 @@ class StateReader:
         self._count = 0
 
     def read(self, data: bytes) -> ArmStates | None:
-        """The arms' state; None: of other joints, a gripper's for example, or not readable, which counts as silence."""
+        """The arms' state; None: other joints, such as a gripper's, or not readable, which counts as silence."""
         found = joint_signals(data)
         if not found.readable:
             self.unreadable += 1
@@ -152,7 +152,7 @@ class RobotStates:
 
     Attributes:
         models, joints, period, clock: As above.
-        latest: The last usable state; None: there was none yet.
+        latest: The last usable state; None: not yet.
         commanded: Torque of a controller by arm, ``(n,)`` [N m]; empty: the arms are held.
         oldest: Largest age of a state when it came [s].
     """
@@ -190,7 +190,7 @@ class RobotStates:
         return float("inf") if self.latest is None else self.clock.steady() - self._measured
 
     def read(self, data: bytes) -> ArmStates | None:
-        """The state in a message, with a complaint where it is not usable; None: there is no new state in it."""
+        """The state in a message, with a complaint if it is not usable; None: no new state."""
         states = self._reader.read(data)
         if states is None:
             return None
@@ -206,14 +206,14 @@ class RobotStates:
         return states
 
     def _age_of(self, states: ArmStates) -> float:
-        """Age by its stamp [s]; negative: from the future."""
+        """Age by its timestamp [s]; negative: from the future."""
         return 1e-9 * (self.clock.now() - states.stamp)
 
     def _is_new(self, states: ArmStates) -> bool:
         """Whether it was measured a period after the newest one, and is no repetition nor from a second source."""
-        least = NEWER * self.period * 1e9
+        least = MIN_STEP_PERIODS * self.period * 1e9
         new = self._newest is None or states.stamp - self._newest > least
-        # A stamp of long ago is old, or of a robot that was started again: what follows tells.
+        # An old timestamp is late, or of a restarted robot: the next states show which.
         new = new or (self._newest is not None and self._newest - states.stamp > self._timeout * 1e9)
         self._extra.append(not new)
         if new:

@@ -42,7 +42,7 @@ def scenario_below(name: str, own: str, root: str) -> str:
         root: As for :func:`below`.
 
     Raises:
-        InputError: It is none of these.
+        InputError: Neither the own scenario, a shipped name, nor a path below the root.
     """
     if not name or name == own or NAME.fullmatch(name):
         return name or own

@@ -33,10 +33,10 @@ from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.snapshot import IdentifyMessages, Situation, Snapshot
 
 STATES = "/joint_states"  # of a robot without a trial, beside its /robot_description
-SILENT = 1.0  # s without a joint state, after which the robot counts as at rest
-PRESENT_EVERY = 0.5  # s, between two counts of publishers
+MAX_JOINT_SILENCE_S = 1.0  # without a joint state, after which the robot is taken to be at rest
+PUBLISHER_POLL_S = 0.5  # between two counts of publishers
 FOLLOWED = {f"/identify/{name}": topics.STRING for name in ("prediction", "change", "diagnosis", "refused")}
-MOST_CHANGES = 20  # that are kept, the newest
+MAX_KEPT_CHANGES = 20  # the newest
 DESCRIBING = {topics.TRIAL_INFO: topics.TRIAL_INFO_TYPE, topics.ROBOT_DESCRIPTION: topics.STRING}
 
 
@@ -107,12 +107,12 @@ class Spectator:
     def _now(self) -> Snapshot:
         """The known state with the present situation."""
         clock = time.monotonic()
-        if clock - self._looked > PRESENT_EVERY:
+        if clock - self._looked > PUBLISHER_POLL_S:
             self._looked = clock
             published = STATES if self._info is None else topics.TRIAL_INFO
             self._present = any(self._publishers(topic) for topic in (topics.TRIAL_INFO, published))
         situation: Situation
-        if clock - self._heard < SILENT:
+        if clock - self._heard < MAX_JOINT_SILENCE_S:
             situation = "running"
         elif self._known.positions:
             situation = "over" if self._present else "gone"
@@ -131,7 +131,7 @@ class Spectator:
         return self._known
 
     def _show(self, **scene: Any) -> None:
-        """Begin a new scene, of which no state is known yet."""
+        """Begin a new scene without a known state."""
         known = self._known
         self._known = Snapshot(known.situation, self._place, known.number + 1, followed=known.followed, **scene)
 
@@ -184,17 +184,17 @@ class Spectator:
 
 
 def _seen(pose: Any) -> Array | None:
-    """Pose of the object, ``(7,)``; None where it was not seen."""
+    """Pose of the object, ``(7,)``; None: not tracked."""
     at, turned = pose.position, pose.orientation
     found = np.array([at.x, at.y, at.z, turned.x, turned.y, turned.z, turned.w])
     return found if np.isfinite(found).all() and np.any(found[3:]) else None
 
 
 def _with_document(followed: IdentifyMessages, topic: str, text: str) -> IdentifyMessages:
-    """What is known of followed hits, with one more document."""
+    """Documents of followed hits, with one more."""
     name = topic.rpartition("/")[2]
     news: dict[str, Any] = {name: text}
     if name == "change":
         before = [change for change in followed.changes if change != text]  # a node that was started again repeats it
-        news = {"changes": (*before, text)[-MOST_CHANGES:]}
+        news = {"changes": (*before, text)[-MAX_KEPT_CHANGES:]}
     return replace(followed, **news)

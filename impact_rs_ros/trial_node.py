@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.message_types import RosidlTypes
-from impact_rs_ros.process import THROTTLE, NodeProgram
+from impact_rs_ros.process import THROTTLE_S, NodeProgram
 from impact_rs_ros.qos import AWAITED
 from impact_rs_sim.errors import full_traceback
 from impact_rs_trials.bags.messages import MessageMaker
@@ -24,9 +24,9 @@ from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.spec import TrialSpec
 
-SLICE = 0.02  # s, how long a running trial may keep a node from its services
-MATCHING = 0.002  # s, between two checks whether all topics have subscribers
-CONNECTING = 8.0  # s, that a newly started controller may take to receive the first state
+TRIAL_SLICE_S = 0.02  # of a running trial between two services of its node
+SUBSCRIBER_POLL_S = 0.002  # between two checks whether all topics have subscribers
+CONNECTION_TIMEOUT_S = 8.0  # for a newly started controller to receive the first state
 
 
 class LockstepTrial(ABC):
@@ -62,7 +62,7 @@ class LockstepTrial(ABC):
         """A line and numbers for ``/diagnostics``."""
 
     def note(self) -> str:
-        """Remark on a trial that ended well, in one line; empty: none."""
+        """Warning about a successful trial, in one line; may be empty."""
         return f"{self.unreadable} messages could not be read" if self.unreadable else ""
 
     def tick_statistics(self) -> dict[str, object]:
@@ -134,11 +134,11 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
             super().turn()
             return
         unreadable = self.trial.unreadable
-        self.work(self.trial, time.monotonic() + SLICE)
+        self.work(self.trial, time.monotonic() + TRIAL_SLICE_S)
         if self.trial.unreadable != unreadable:
             self.log.warning(
                 f"{self.trial.note()} on {', '.join(self.received(self.arms))}: who else publishes?",
-                throttle_duration_sec=THROTTLE,
+                throttle_duration_sec=THROTTLE_S,
             )
         self.serve(0.0)
         self.diagnose()
@@ -267,7 +267,7 @@ class LeadingNode(TrialNode[AnyLeadingTrial]):
 
     def wait(self) -> None:
         """Serve requests for some milliseconds, before or after the ticks of a trial."""
-        self.serve(MATCHING)
+        self.serve(SUBSCRIBER_POLL_S)
 
     def work(self, trial: AnyLeadingTrial, until: float) -> None:
         if self._over is None:

@@ -29,8 +29,8 @@ from impact_rs_ros import node_parameters
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.message_types import RosidlTypes
 from impact_rs_ros.names import on_network, resolved
-from impact_rs_ros.presence import GRACE, Presence
-from impact_rs_ros.qos import EVENT, LATCHED, LEASE, WATCH
+from impact_rs_ros.presence import LEASE_GRACE_S, Presence
+from impact_rs_ros.qos import EVENT, LATCHED, LEASE_S, WATCH
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_sim.rotations import quaternion_of
@@ -40,16 +40,16 @@ from impact_rs_trials.bags.record import descriptions
 from impact_rs_trials.bags.trial_info import Outcome, TrialInfo, TrialKey
 from impact_rs_trials.bags.writer import partial_path
 
-ATTEMPT = 1.0  # s, after which a request is repeated; it can be lost while a restarted node is being discovered
-LOOK = 0.1  # s, between two checks whether the node that is to answer is alive
+ATTEMPT_S = 1.0  # after which a request is repeated; it can be lost while a restarted node is being discovered
+ALIVE_POLL_S = 0.1  # between two checks whether the answering node is alive
 MEMBERS = ("recorder", "controller", "plant")
 ALL = (*MEMBERS, "experiment")  # nodes of a trial, whose names must be unique
-LAST_SAMPLE = 0.5  # s, how long the last controller state may take
-FINISH = 1.0  # s, how long plant or controller may take to end a trial
+LAST_SAMPLE_TIMEOUT_S = 0.5  # for the last controller state
+FINISH_TIMEOUT_S = 1.0  # for plant or controller to end a trial
 
 
 class TrialError(RuntimeError):
-    """A trial was aborted; the message says why, and what to do."""
+    """A trial was aborted; the message has reason and remedy."""
 
 
 @dataclass
@@ -110,7 +110,7 @@ class TrialSession:
         self._states = Inbox(node, "states", WATCH)
         self._events = Inbox(node, "events", EVENT)
         self._newest: dict[str, Any] = {}  # controller states by topic
-        self._attempt = 0  # at a trial, which its requests name
+        self._attempt = 0  # number of the attempt at a trial, in its requests
 
     def watch(self, arms: list[str]) -> None:
         """Subscribe to the controller states and impact events of these arms."""
@@ -148,7 +148,7 @@ class TrialSession:
             directory: Folder of the bag.
             feedback: Progress callback, called every ``feedback_period``.
             cancelled: Returns whether to stop.
-            plant_model: Text of a model file whose effects the plant has; empty: none.
+            plant_model: Text of a model file with effects of the plant; may be empty.
         """
         self._presence.forget(*self._presence.absent())  # discovered late, or started again by another program
         info = TrialInfo.of(plan, key, seed, "nodes")
@@ -158,7 +158,7 @@ class TrialSession:
         self._states.clear()
         self._events.clear()
         self._newest.clear()
-        self._attempt = time.time_ns()  # not that of an earlier process either
+        self._attempt = time.time_ns()  # also unlike an earlier process's
         progress = Progress()
         reason = ""
         try:
@@ -183,9 +183,9 @@ class TrialSession:
 
         Its services can answer before its ``~/alive`` is discovered, which takes up to a lease.
         """
-        deadline = time.monotonic() + LEASE
+        deadline = time.monotonic() + LEASE_S
         while self._has_duplicate_servers() and not self._presence.duplicates() and time.monotonic() < deadline:
-            time.sleep(LOOK)
+            time.sleep(ALIVE_POLL_S)
         try:
             self._check_alone()
         except TrialError as duplicate:
@@ -193,7 +193,7 @@ class TrialSession:
         return reason
 
     def _has_duplicate_servers(self) -> bool:
-        """Whether a service of a trial has several servers; that of a killed node is counted for 20 s."""
+        """Whether a service of a trial has several servers; a killed node's is counted for 20 s."""
         return any(self._node.count_services(client.srv_name) > 1 for client in self._finish.values())
 
     def _describe(self, urdfs: dict[str, str]) -> None:
@@ -206,12 +206,12 @@ class TrialSession:
             self._descriptions[topic].publish(String(data=urdf))
 
     def _call(self, name: str, client: Client, request: Any, timeout: float) -> Any:
-        """Answer of a service, which is asked again if none comes; any answer counts, and a node acts only once."""
+        """Answer of a service, with repeated requests; any answer is accepted, and a node acts only once."""
         began = time.monotonic()
         deadline = began + timeout
 
         def check() -> None:
-            if time.monotonic() > began + GRACE:  # a restarted node is discovered late
+            if time.monotonic() > began + LEASE_GRACE_S:  # a restarted node is discovered late
                 self._check_present(name)
 
         answered = threading.Event()
@@ -224,9 +224,9 @@ class TrialSession:
                     continue
                 futures.append(client.call_async(request))
                 futures[-1].add_done_callback(lambda _: answered.set())
-                attempt = time.monotonic() + min(left, max(ATTEMPT, timeout / 4.0))
+                attempt = time.monotonic() + min(left, max(ATTEMPT_S, timeout / 4.0))
                 while time.monotonic() < attempt:
-                    if answered.wait(LOOK):
+                    if answered.wait(ALIVE_POLL_S):
                         return next(future.result() for future in futures if future.done())
                     check()
         finally:
@@ -258,7 +258,7 @@ class TrialSession:
     def _check_alone(self) -> None:
         """Raise ``TrialError`` if two nodes share a name; waits until it is certain that neither of them has ended."""
         while (duplicates := self._presence.duplicates()) and not any(duplicates.values()):
-            time.sleep(LOOK)
+            time.sleep(ALIVE_POLL_S)
         for name in (name for name, certain in duplicates.items() if certain):
             raise TrialError(
                 f"two nodes are called {self._presence.full_name(name)}: stop one of them, or give one another "
@@ -295,7 +295,7 @@ class TrialSession:
             raise TrialError("; ".join(failures.values()))
 
     def _refusals(self, names: list[str], requests: dict[str, Any], timeout: float) -> dict[str, str]:
-        """Configure some nodes at once; returns the reasons of those that refuse, by node."""
+        """Configure some nodes at once; returns the reasons of refusing nodes, by node."""
         calls = {name: (self._configure[name], requests[name]) for name in names}
         answers, failures = self._call_all(calls, timeout)
         return failures | {name: answer.message for name, answer in answers.items() if not answer.success}
@@ -340,7 +340,7 @@ class TrialSession:
         if not answer.success:
             raise TrialError(answer.message)
         end = plan.scene.scenario.timing.ticks * plan.scene.scenario.timing.control_period
-        deadline = time.monotonic() + LAST_SAMPLE
+        deadline = time.monotonic() + LAST_SAMPLE_TIMEOUT_S
         while not progress.time >= end - 1e-9 and time.monotonic() < deadline:
             time.sleep(0.001)
             self._look(progress)
@@ -364,7 +364,7 @@ class TrialSession:
         request = FinishTrial.Request(attempt=self._attempt, aborted=aborted, reason=reason)
         lost = self._presence.lost("plant", "controller")
         calls = {name: (self._finish[name], request) for name in ("plant", "controller") if name not in lost}
-        answers, failures = self._call_all(calls, FINISH)
+        answers, failures = self._call_all(calls, FINISH_TIMEOUT_S)
         if not aborted:
             failures |= {name: answer.message for name, answer in answers.items() if not answer.success}
             reason = self._cause("; ".join(failures.values())) if failures else ""
@@ -389,7 +389,7 @@ class TrialSession:
     def _close_bag(self, request: FinishTrial.Request) -> FinishTrial.Response:
         """Let the recorder close the bag; raises ``TrialError`` if it does not answer."""
         # The recorder may wait for late messages.
-        patience = FINISH if request.aborted else node_parameters.value(self._node, "finish_timeout")
+        patience = FINISH_TIMEOUT_S if request.aborted else node_parameters.value(self._node, "finish_timeout")
         self._check_present("recorder")
         answer: FinishTrial.Response = self._call("recorder", self._finish["recorder"], request, patience)
         return answer

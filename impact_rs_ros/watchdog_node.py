@@ -5,7 +5,7 @@ A JointGroupEffortController of ros2_control holds the last command for ever. Th
 only one that sends it commands: those of the cell come to it on a topic of its own, and it passes each on at once,
 changed no faster than the robot allows in the stream that the robot sees. When none has come for ``command_timeout`` of
 the robot's clock while a joint moves, it takes over: it brakes and holds the arms as the cell does
-(:meth:`impact_rs_ros.effort_arms.EffortArms.rest`), and what the cell sends goes nowhere, until a call of ``~/reset``.
+(:meth:`impact_rs_ros.effort_arms.EffortArms.rest`), and torques of the cell are dropped, until a call of ``~/reset``.
 It says so on ``~/braking`` (latched), where the cell arms nothing.
 
 It shares machine, Python and middleware with the cell: it is no safety function.
@@ -22,8 +22,8 @@ from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
 from impact_rs_ros.effort_arms import (
-    BRAKING,
-    REST,
+    MAX_BRAKING_S,
+    MAX_REST_SPEED,
     EffortArms,
     arms_of,
     commands_topic,
@@ -43,8 +43,8 @@ from impact_rs_trials.spec import TrialSpec
 
 BRAKING_TOPIC = "/watchdog/braking"
 TORQUES = "std_msgs/msg/Float64MultiArray"
-SLICE = 0.02  # s, between two looks at services
-STALLED = 0.01  # s between two looks at the inbox; after that everything that has come is heard before anything is sent
+SERVICE_POLL_S = 0.02
+MAX_INBOX_PAUSE_S = 0.01  # between two reads of the inbox; after a longer one all of it is read before anything is sent
 
 
 class Watchdog:
@@ -56,7 +56,7 @@ class Watchdog:
 
     Attributes:
         braking: Whether they were taken over.
-        deposed: Whether the cell, which saw no torque passed on, sends them to the robot itself.
+        deposed: Whether the cell bypasses the watchdog, because it forwarded no torque.
     """
 
     def __init__(self, arms: EffortArms, timeout: float) -> None:
@@ -82,7 +82,7 @@ class Watchdog:
         if self.braking or self.deposed or not self._heard or self.arms.states.latest is None:
             return False
         speed = max(float(np.abs(arm.velocity).max()) for arm in self.arms.states.latest.arms.values())
-        return now - min(self._heard.values()) > self._timeout and speed > REST
+        return now - min(self._heard.values()) > self._timeout and speed > MAX_REST_SPEED
 
     def look(self, now: float) -> bool:
         """Whether the arms are taken over just now."""
@@ -115,7 +115,7 @@ class WatchdogNode(NodeProgram):
         self._braking = self.node.create_publisher(Bool, on_network(BRAKING_TOPIC), LATCHED)
         self._arm_of: dict[str, str] = {}
         self._watchdog: Watchdog | None = None
-        self._looked = 0.0  # when [s]
+        self._looked = 0.0  # time of the last check [s]
 
     def connect(self, arms: list[str]) -> None:
         self._arm_of = {watched_topic(arm): arm for arm in arms}
@@ -133,7 +133,7 @@ class WatchdogNode(NodeProgram):
         self._braking.publish(Bool(data=False))
 
     def turn(self) -> None:
-        until = time.monotonic() + SLICE
+        until = time.monotonic() + SERVICE_POLL_S
         while (left := until - time.monotonic()) > 0.0:
             self._inbox.wait(min(left, 0.002))
             self._look()
@@ -141,10 +141,10 @@ class WatchdogNode(NodeProgram):
         self.diagnose()
 
     def _look(self) -> None:
-        """Pass on what has come, judge the silence up to now, and brake if it is due."""
+        """Forward received torques, check the silence up to now, and brake if due."""
         assert self._watchdog is not None
         watchdog, now = self._watchdog, time.monotonic()
-        if now - self._looked > STALLED:
+        if now - self._looked > MAX_INBOX_PAUSE_S:
             self._inbox.gather()
         self._looked = now
         self._take()
@@ -185,12 +185,12 @@ class WatchdogNode(NodeProgram):
 
     def brake(self) -> None:
         """Go on until the torques that the robot was sent last may stay: nobody else can change them."""
-        watchdog, until = self._watchdog, time.monotonic() + BRAKING
+        watchdog, until = self._watchdog, time.monotonic() + MAX_BRAKING_S
         while watchdog is not None and watchdog.commanded and not watchdog.arms.held:
             if time.monotonic() > until:
-                self.log.error(f"the arms did not come to rest within {BRAKING:g} s: press the emergency stop")
+                self.log.error(f"the arms did not come to rest within {MAX_BRAKING_S:g} s: press the emergency stop")
                 return
-            rest_until(watchdog.arms, self._inbox, time.monotonic() + SLICE, time.monotonic)
+            rest_until(watchdog.arms, self._inbox, time.monotonic() + SERVICE_POLL_S, time.monotonic)
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         del request

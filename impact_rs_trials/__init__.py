@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trials: what one is, where it is recorded, and campaigns of them; other people's recordings as well.
+"""Trials, their bags and campaigns; foreign recordings and impact tables.
 
 Record a trial of the simulated plant, and read its bag::
 

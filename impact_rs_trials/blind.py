@@ -113,9 +113,9 @@ def draw_truth(
     joints: Joints | None = None,
     worlds: Sequence[Physics] = (),
 ) -> list[Hidden]:
-    """The hidden effects of a campaign; of the joints of the shipped arm where no number is given.
+    """The hidden effects of a campaign; the default number of joints is the shipped arm's.
 
-    Drawn are effects of the physics; those of sensors are hidden where they are named.
+    Effects of the physics are drawn; effects of sensors are hidden if named.
 
     Raises:
         InputError: Unknown kind or effect, or not as many effects as the kind has.
@@ -188,7 +188,7 @@ class Secret:
         outsides: Collection[str] = OUTSIDE,
         scenarios: Sequence[str] = SCENARIOS,
     ) -> Self:
-        """What a seed hides; arguments and errors as of :func:`make`."""
+        """Draw the hidden effects of a seed; arguments and errors as for :func:`make`."""
         joints = _joints(scenarios)
         worlds = [spec.plan.scene.physics for spec, _ in specs(size, scenarios)]
         hidden = draw_truth(seed, kind, effect, magnitude, joints, worlds)
@@ -209,7 +209,7 @@ class Secret:
 
     @property
     def model(self) -> Model | None:
-        """The hidden effects of the library as the plant node takes them; None: there are none."""
+        """The hidden effects of the library in the format of the plant node; None: not any."""
         effects = tuple(
             ModelEffect(
                 name=item["name"],
@@ -233,7 +233,7 @@ class Secret:
             raise InputError("this folder holds another blind campaign; choose another folder", file=directory)
 
     def keep(self, directory: Path) -> None:
-        """Write the truth, beside a folder for the trials; only ``blind score`` reads it."""
+        """Write the truth and create a folder for the trials; only ``blind score`` reads the truth."""
         (directory / RUNS).mkdir(parents=True, exist_ok=True)
         write_whole(directory / TRUTH, self.truth)
 
@@ -267,7 +267,7 @@ Recorder = Callable[[BlindTask, TrialPlan, TrialInfo, Path, Physics], str]
 
 
 def run_task(task: BlindTask, record: Recorder = _record) -> str:
-    """Record one trial, unless it has a complete bag already. Returns the outcome.
+    """Record one trial, unless a complete bag exists. Returns the outcome.
 
     Args:
         task: The trial.
@@ -340,15 +340,15 @@ def make(
 
     Args:
         directory: Folder of the campaign.
-        seed: What is drawn depends on it.
+        seed: Seed of the draws.
         map_tasks: Who does the work.
         kind: One of ``KINDS``.
-        effect: What to hide, two as ``first+second``; None: drawn.
+        effect: Effect to hide, two as ``first+second``; None: drawn.
         size: One of ``SIZES``.
-        magnitude: Size in parameter scales, of an outside effect in multiples of a noticeable one; None: drawn.
+        magnitude: Size in parameter scales; for an outside effect in multiples of a noticeable one; None: drawn.
         work: Records a trial; :func:`run_task` on another cell than our plant.
         outsides: Names of the effects outside the library that it knows.
-        scenarios: Names or paths of what is recorded, of one arm: pushes, and motions there and back.
+        scenarios: Names or paths of the recorded scenarios of one arm: pushes, and motions there and back.
 
     Raises:
         InputError: Unknown kind, effect, size or scenario, arms with different numbers of joints, or a folder that
@@ -383,7 +383,7 @@ def _joints(scenarios: Sequence[str]) -> tuple[JointType, ...]:
 
 
 def named(item: Hidden, joints: Joints) -> dict[str, Any]:
-    """Parameters of a hidden effect with their units, as the truth says them."""
+    """Parameters of a hidden effect with their units, in the format of the truth."""
     scalars = library()[item.name].scalars(joints)
     return {
         scalar.name: {"value": value, "unit": scalar.unit} for scalar, value in zip(scalars, item.values, strict=True)

@@ -61,7 +61,7 @@ class PlannedTrials(Schema):
 
 
 class Manifest(Schema):
-    """What a campaign folder holds (``manifest.yaml``)."""
+    """Manifest of a campaign folder (``manifest.yaml``)."""
 
     scenario: str = Field(description="name or path of the scenario file")
     objects: tuple[str, ...] = Field(min_length=1, description="names of the objects")
@@ -136,7 +136,7 @@ class Trial:
     """One trial, with all that is needed to run it anywhere.
 
     Attributes:
-        spec: What it has in common with its repeats.
+        spec: Common properties of its repeats.
         repeat: Number of the repeat, from 0.
         seed: Seed of its random numbers.
         plant: Simulator of its plant.
@@ -165,8 +165,8 @@ class TrialReport:
     Attributes:
         key: Which trial.
         outcome: One of ``OUTCOMES``.
-        message: What went wrong, if anything, in one line.
-        trace: Traceback of the process that ran it, or what its nodes wrote, where there is one.
+        message: Reason of a failure in one line; else empty.
+        trace: Traceback of the process that ran it, or the output of its nodes, if any.
     """
 
     key: TrialKey
@@ -224,7 +224,7 @@ def make_manifest(
 
 
 def open_campaign(place: str | Path | Store, manifest: Manifest) -> list[TrialKey]:
-    """Prepare the place of a campaign, a folder or a URL, and return the trials that are still to be run.
+    """Prepare the folder or URL of a campaign, and return the missing trials.
 
     Raises:
         InputError: It holds another campaign, or cannot be written.
@@ -237,7 +237,7 @@ def open_campaign(place: str | Path | Store, manifest: Manifest) -> list[TrialKe
 
 
 def still_to_run(store: Store, manifest: Manifest) -> list[TrialKey]:
-    """The trials of a campaign that are not there yet, in the order with which it began.
+    """The missing trials of a campaign, in the order of its start.
 
     Raises:
         InputError: The place holds another campaign, or cannot be read.
@@ -278,7 +278,7 @@ def report_of_bag(key: TrialKey, path: Path) -> TrialReport:
 
     Args:
         key: The trial.
-        path: Its bag, which is complete: incomplete ones have another name.
+        path: Its complete bag; incomplete ones have another name.
     """
     try:
         bag = TrialBag.open(path)
@@ -328,7 +328,7 @@ TrialRunner = Callable[[Path, Trial], TrialReport]
 def run_campaign(
     place: str | Path | Store, manifest: Manifest, workforce: Workforce | None = None, run: TrialRunner = run_one
 ) -> Iterator[TrialReport]:
-    """Run what is missing; yields a report per trial as it ends.
+    """Run the missing trials; yields a report at the end of each.
 
     Stopping the iteration, or an interrupt, leaves a folder in which the campaign can be resumed.
 
@@ -352,7 +352,7 @@ def run_campaign(
 def run_campaigns(
     campaigns: Mapping[Store, Manifest], workforce: Workforce | None = None, run: TrialRunner = run_one
 ) -> Iterator[tuple[Store, TrialReport]]:
-    """Run what is missing in several campaigns that the caller owns; yields place and report of a trial as it ends.
+    """Run the missing trials of several campaigns of the caller; yields folder or URL and report at the end of each.
 
     Raises:
         InputError: As :func:`run_campaign`.
@@ -395,7 +395,7 @@ def _run_task(run: TrialRunner, task: tuple[Store, Trial]) -> TrialReport:
 
 
 def run_in(store: Store, run: TrialRunner, trial: Trial) -> TrialReport:
-    """Run one trial where it is missing; a broken one does not end a campaign.
+    """Run one trial if it is missing; a failed one does not end a campaign.
 
     Raises:
         InputError: This machine does not see the campaign's folder.

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A measured value beside its bound: one line of a rehearsal's checklist."""
+"""A measured value and its bound: one line of a rehearsal's checklist."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
-ROUNDING = 1e-6  # of a bound
+BOUND_ROUNDING_SHARE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -13,9 +13,9 @@ class CheckedBound:
     """One line of the checklist.
 
     Attributes:
-        name: What was measured.
+        name: Name of the measured quantity.
         value: Largest value, of ``at_least`` the smallest.
-        bound: What it is held against.
+        bound: Its bound.
         unit: Unit of both.
         where: Joint, time or remark.
         at_least: Whether the bound is a lower one.
@@ -30,9 +30,9 @@ class CheckedBound:
 
     @property
     def margin(self) -> float:
-        """How far the value is from the bound, in the unit; negative: beyond. Rounding errors are none."""
+        """Margin of the value to the bound, in the unit; negative: beyond. Rounding errors are ignored."""
         left = self.value - self.bound if self.at_least else self.bound - self.value
-        return 0.0 if abs(left) <= ROUNDING * abs(self.bound) else left
+        return 0.0 if abs(left) <= BOUND_ROUNDING_SHARE * abs(self.bound) else left
 
     @property
     def holds(self) -> bool:
@@ -41,7 +41,7 @@ class CheckedBound:
 
     @property
     def share(self) -> float | None:
-        """Value over bound [-]; None: the bound is a lower one, or 0."""
+        """Value over bound [-]; None: a lower bound, or 0."""
         return None if self.at_least or self.bound == 0.0 else self.value / self.bound
 
     def to_json(self) -> dict[str, object]:

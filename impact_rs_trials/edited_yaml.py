@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """YAML files that are edited or written with comments (ruamel.yaml, round trip).
 
-Comments, order and spelling of what is not changed stay. What is new is written so that PyYAML, which reads these files
-as YAML 1.1 (:mod:`impact_rs_sim.schema`), takes it for what it is.
+Comments, order and spelling of unchanged parts stay. New values are written so that PyYAML, which reads these files as
+YAML 1.1 (:mod:`impact_rs_sim.schema`), reads the same values.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.schema import parse_value, read_text
 
 COMMENT_COLUMN = 48  # of comments behind short values, as in the shipped scenarios
-DIGITS = 6  # significant ones of numbers that are written anew
+YAML_DIGITS = 6  # significant ones, of newly written numbers
 
 
 class Noted(NamedTuple):
@@ -31,7 +31,7 @@ class Noted(NamedTuple):
 
     Attributes:
         value: The value.
-        comment: The comment, without #; empty: none.
+        comment: The comment, without #; may be empty.
     """
 
     value: Any
@@ -55,7 +55,7 @@ def read_edited(path: Path) -> CommentedMap:
     """The mapping in a file that :func:`impact_rs_sim.schema.load` reads, with its comments.
 
     Raises:
-        InputError: It cannot be read, or not edited: YAML 1.2 does not allow what it holds.
+        InputError: It cannot be read, or not edited: not valid YAML 1.2.
     """
     reader = YAML()
     reader.preserve_quotes = True
@@ -76,7 +76,7 @@ def edited_text(content: CommentedMap) -> str:
 
 
 def scalar(text: str) -> str:
-    """A text for a file, in quotation marks where it is read as something else without them: on, 3 or null."""
+    """A text for a file, in quotation marks if YAML reads another type without them: on, 3 or null."""
     try:
         plain = parse_value(text, "") == text
     except InputError:
@@ -96,7 +96,7 @@ def section(entries: Mapping[str, Any]) -> CommentedMap:
 
 
 def row(values: Iterable[Any]) -> CommentedSeq:
-    """A list in one line, numbers with :data:`DIGITS` significant digits."""
+    """A list in one line, numbers with :data:`YAML_DIGITS` significant digits."""
     made = CommentedSeq(rounded(value) if isinstance(value, float) else value for value in values)
     made.fa.set_flow_style()
     return made
@@ -110,8 +110,8 @@ def in_one_line(content: Mapping[str, Any]) -> CommentedMap:
 
 
 def rounded(value: float) -> float:
-    """A float with :data:`DIGITS` significant digits, without the sign of -0."""
-    return float(f"{value:.{DIGITS}g}") + 0.0
+    """A float with :data:`YAML_DIGITS` significant digits, without the sign of -0."""
+    return float(f"{value:.{YAML_DIGITS}g}") + 0.0
 
 
 def separate(content: CommentedMap, *keys: str) -> None:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The envelope of a real cell (``envelope.yaml``): which trials may run on it at all.
 
-Speeds are those of the references, impulses those of the impact map; what the arm really does is limited by the cell
-(:mod:`impact_rs_control.arm_limits`). The file says what the operator allows, in physical limits and in names.
+Speeds follow from the references, impulses from the impact map; the motion of the real arm is limited by the cell
+(:mod:`impact_rs_control.arm_limits`). The file has the operator's limits, in physical units and in names.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.schema import PositiveNumber, Schema
 from impact_rs_trials.spec import TrialSpec
 
-ROUNDING = 1e-9  # of a limit that a case is made for
+LIMIT_ROUNDING_SHARE = 1e-9  # of a limit that a case is made for
 
 
 @dataclass(frozen=True)
 class Demand:
-    """What a trial asks of a cell.
+    """Demands of a trial on a cell.
 
     Attributes:
         speed: Largest reference speed of an end effector [m/s].
         joint_speed: Largest ante-impact speed of a joint over its limit [-].
-        impulse: Predicted impulse on the object, sum over its contacts with arms [N s]; 0 where nothing is hit.
+        impulse: Predicted impulse on the object, sum over its contacts with arms [N s]; 0 without an impact.
     """
 
     speed: float
@@ -63,7 +63,7 @@ class CellEnvelope(Schema):
             ("speed of a joint over its limit", motion.joint_speed, self.joint_speed, ""),
             ("predicted impulse", motion.impulse, self.impulse, " N s"),
         ):
-            if not value <= limit * (1.0 + ROUNDING):
+            if not value <= limit * (1.0 + LIMIT_ROUNDING_SHARE):
                 return f"{what} {value:.3g}{unit}, the envelope allows {limit:g}{unit}"
         return ""
 
@@ -78,7 +78,7 @@ class CellEnvelope(Schema):
 
 
 def demand_of(spec: TrialSpec) -> Demand:
-    """What a trial asks of a cell, by its references and the impact map."""
+    """Demands of a trial on a cell, by its references and the impact map."""
     plan = spec.plan
     paths = [path for arm in plan.arms.values() for path in (arm.ante_position, arm.post_position)]
     speed = max(float(np.linalg.norm(path.velocity, axis=1).max()) for path in paths)

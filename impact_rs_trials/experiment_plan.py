@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plan of an experiment (``plan.yaml``): which trials to run, how often, and what they are for.
+"""Plan of an experiment (``plan.yaml``): its trials, their numbers of repeats, and their purpose.
 
 ``impact-rs design`` writes it, ``impact-rs campaign --plan`` runs it. A plan has one part for every scenario, or for
 every variant of one: ``settings`` are the values that a variant has instead of the file's, for example further cases.
@@ -41,10 +41,10 @@ class PlannedPair(Schema):
 class PlannedCampaign(Schema):
     """Trials of a plan in one scenario."""
 
-    folder: Name = Field(description="folder below that of the plan's trials")
+    folder: Name = Field(description="folder below the folder of the plan's trials")
     scenario: str = Field(description="name or path of the scenario file")
     settings: dict[str, Any] = Field({}, description="values that the scenario has instead of its own, by dotted key")
-    conditions: tuple[PlannedTrials, ...] = Field(min_length=1, description="what is run, and how often")
+    conditions: tuple[PlannedTrials, ...] = Field(min_length=1, description="conditions with numbers of repeats")
 
     @property
     def resolved(self) -> Scenario:
@@ -69,8 +69,8 @@ class ExperimentPlan(Schema):
     budget: int = Field(ge=1, description="largest number of trials")
     seed: int = Field(0, ge=0, description="seed of the trials")
     freedom: int = Field(0, ge=0, description="degrees of freedom of the scatter after the plan; 0: not stated")
-    summary: str = Field("", description="what the plan buys, in words")
-    pairs: tuple[PlannedPair, ...] = Field((), description="what it decides, least certain first")
+    summary: str = Field("", description="gain of the plan, in words")
+    pairs: tuple[PlannedPair, ...] = Field((), description="explanations to distinguish, least certain first")
     campaigns: tuple[PlannedCampaign, ...] = Field(min_length=1, description="the trials, by scenario")
 
     @model_validator(mode="after")
@@ -120,7 +120,7 @@ def manifests_of(
     Args:
         plan: The plan.
         plant: Simulator of the plant.
-        file_of: Where a scenario with the settings is written for a campaign that has some, because nodes read files;
+        file_of: Path for a scenario with the settings of a campaign, because nodes read files;
             None: the manifest keeps the settings.
 
     Raises:

@@ -56,12 +56,12 @@ def identify(
         cases: Names of cases; None: all.
         runs: Runs to average, for each set, arm and controller.
         seed: Seed of scatter and noise.
-        effects: Effects of the plant beyond the scenario; None: none.
+        effects: Effects of the plant in addition to the scenario; None: not any.
         map_tasks: Maps over worker processes.
         progress: Progress callback, called with the number of finished arms and of all arms.
 
     Raises:
-        InputError: Unknown object or case, a scenario in which nothing is hit, fewer than one run, a negative seed.
+        InputError: Unknown object or case, a scenario without an impact, fewer than one run, a negative seed.
     """
     if seed < 0:
         raise InputError(f"seed = {seed}: expected a whole number >= 0")
@@ -127,7 +127,7 @@ def _copy_of(scenario: Path, folder: Path, compensation: str) -> str:
 
 
 def write_compensation(compensation: FrictionCompensation, scenario_name: str, path: Path) -> Path:
-    """Write the compensation, and beside it a copy of the scenario that names it.
+    """Write the compensation, and next to it a copy of the scenario that names it.
 
     Returns:
         Path of the copy, which loads.

@@ -20,7 +20,7 @@ from impact_rs_trials.recordings.impact_columns import CONDITION, DQ_AFTER, V_AF
 from impact_rs_trials.recordings.impact_table import SUFFIXES, ImpactRow, ImpactTable
 from impact_rs_trials.workers import Map
 
-_AT_A_TIME = 50  # rows of a task; one takes some milliseconds
+_ROWS_PER_TASK = 50  # one row takes some milliseconds
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Answers:
     Attributes:
         after: u^+, joint velocities of every arm and then the twist of the centre, ``(rows, nv)`` [rad/s, m/s]; NaN
             where there is no answer.
-        messages: Why there is none, by row number.
+        messages: Reason of a missing result, by row number.
     """
 
     after: Array
@@ -44,7 +44,7 @@ def answer_table(table: ImpactTable, map_tasks: Map = map) -> Answers:
         table: The questions.
         map_tasks: The map of a workforce (:func:`impact_rs_trials.workers.workers`); absent: this process.
     """
-    chunks = [table.rows[start : start + _AT_A_TIME] for start in range(0, len(table.rows), _AT_A_TIME)]
+    chunks = [table.rows[start : start + _ROWS_PER_TASK] for start in range(0, len(table.rows), _ROWS_PER_TASK)]
     after: list[Array] = []
     messages: dict[int, str] = {}
     for answered, said in map_tasks(_answer, chunks):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs: signals of arms and object over time, measured or simulated, with the scene in which they were recorded.
+"""Runs: signals of arms and object over time, measured or simulated, with their scene.
 
 Every reader returns a :class:`Run`: :meth:`~impact_rs_trials.bags.reader.TrialBag.run` for trials made here,
 :func:`~impact_rs_trials.recordings.laboratory.read_laboratory` for runs of another controller,
@@ -45,7 +45,7 @@ class ArmSignals:
         motor_position: theta [rad].
         motor_velocity: dtheta [rad/s].
         torque_rate: dtau_J [N m/s].
-        command_time: Times at which desired torques were sent, ``(m,)`` [s].
+        command_time: Times of the desired torques, ``(m,)`` [s].
         command: tau_d with gravity, held until the next, ``(m, n)`` [N m].
         wrench_time: Times of the wrench, ``(w,)`` [s].
         wrench: Force and torque of a sensor at the wrist, ``(w, 6)`` [N, N m].
@@ -81,7 +81,7 @@ class ArmSignals:
         return cls(**{name: np.stack([getattr(arm, name) for arm in arms]) for name in names})
 
     def at(self, rows: slice | NDArray[np.bool_]) -> ArmSignals:
-        """Some of the samples, without commands and wrench, which have clocks of their own."""
+        """Selected samples, without commands and wrench, which have other timestamps."""
         return ArmSignals(
             **{
                 item.name: value[rows] if (value := getattr(self, item.name)).size else value
@@ -98,7 +98,7 @@ class Signals:
     Attributes:
         time: Samples of the joints, ``(k,)`` [s].
         arms: Signals by arm.
-        object_time: Times at which the object was tracked, ``(p,)`` [s]; empty if it was not.
+        object_time: Timestamps of the tracked object, ``(p,)`` [s]; empty: not tracked.
         object_position: Position of its geometric centre in A, ``(p, 3)`` [m].
         object_quaternion: Its orientation in A, x y z w, ``(p, 4)``.
     """
@@ -165,13 +165,13 @@ class Run:
         place: Scenario, object and case or condition.
         hit: Whether there is an impact.
         physics: Nominal physics of the scene.
-        signals: Signals, those of the joints on an even grid.
+        signals: Signals; joint signals on an even grid.
         object: Nominal state of the object before the impact, out of reach in free motion; None without a scenario.
         drive_period: Period of the torque loop [s]; 0 without a scenario.
         axis: Axis of A along which the scenario moves, for figures.
         spec: Plan of a trial made here; None for runs of other controllers.
-        begin: When it begins in its file [s]; a file is cut where a sensor was frozen.
-        recorded: When it was recorded, seconds since 1970; None: not known.
+        begin: Start in its file [s]; frozen sensors cut a file into runs.
+        recorded: Time of the recording, seconds since 1970; None: unknown.
         gaps: Begin and end of gaps in the recording [s]; signals there are interpolated.
         remarks: Remarks on how it was read.
     """

@@ -52,22 +52,22 @@ Report = Callable[[str, int, int], None]
 Kind = Literal["push", "grab", "excite"]
 KINDS: tuple[Kind, ...] = ("push", "grab", "excite")
 
-POSES = 150  # that are looked at
-BEST = 6  # that are simulated
+SEARCHED_POSES = 150
+SIMULATED_POSES = 6  # the best ones
 SEED = 0
-STEP = 0.02  # m, along the way
+PATH_STEP_M = 0.02  # along the path of the pad
 COMFORTABLE = {"revolute": 0.3, "prismatic": 0.1}  # rad, m from a limit; more is no better
-MOST_DEFLECTED = 0.5  # velocity across the pad's normal over that along it, by an impulse along it; less is better
-REGULAR = 0.1  # smallest singular value of the Jacobian (m, rad); more is no better
-SPEEDS = (1.0, 0.8, 0.6, 0.45)  # of the shipped scenario's, until the joints are fast enough
-THRESHOLDS = (1.0, 1.5, 2.0, 3.0, 4.0)  # of the detection, over the shipped one: a heavy arm needs more
-QUIET = 1.3  # a threshold that shall hold in every trial has to hold in these few when it is so much less
+MAX_DEFLECTION_RATIO = 0.5  # velocity across the pad's normal over velocity along it, by an impulse along it
+MIN_SINGULAR_VALUE = 0.1  # of the Jacobian (m, rad); more is no better
+SPEED_FACTORS = (1.0, 0.8, 0.6, 0.45)  # of the shipped scenario, until the joints are fast enough
+THRESHOLD_FACTORS = (1.0, 1.5, 2.0, 3.0, 4.0)  # of the detection in the shipped scenario: a heavy arm needs more
+QUIET_THRESHOLD_FACTOR = 1.3  # a threshold for every trial has to hold in these few when lowered by it
 NORMAL, UP = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Where an arm hits.
+    """Pose of an arm at the impact.
 
     Attributes:
         position: Of E, ``(3,)`` [m].
@@ -89,7 +89,7 @@ class Draft:
         scenario: The same, read.
         speed: Share of the shipped scenario's speeds.
         tried: Poses that were simulated before this one worked.
-        choices: What was chosen and why, by key of the scenario; the head of ``text`` says the same.
+        choices: Choices with reasons, by key of the scenario; also in the head of ``text``.
     """
 
     text: str
@@ -107,13 +107,13 @@ def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambd
     """A working scenario with a box or two for an arm.
 
     Args:
-        facts_name: What the scenario shall call the robot: a name in ``config/robots`` or a path.
+        facts_name: Robot of the scenario: a name in ``config/robots`` or a path.
         facts: The robot.
         kind: Which shipped scenario it is made like.
         report: Called with (what, done, total).
 
     Raises:
-        InputError: An arm with fewer than six joints, which cannot hold a pad upright on its way, or no arm at all.
+        InputError: An arm with fewer than six joints, which cannot keep a pad upright on its path, or no arm.
         Infeasible: No pose works.
     """
     if facts.joint_count < 6:
@@ -127,26 +127,26 @@ def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambd
     effector = next(iter(shipped.robots.values())).end_effector
     model = RobotModel(facts, replace(effector.build(), mount_yaw=0.0))
     starts = []
-    for number, start in enumerate(itertools.islice(upright_poses(model, SEED), POSES)):
-        report("poses", number, POSES)
+    for number, start in enumerate(itertools.islice(upright_poses(model, SEED), SEARCHED_POSES)):
+        report("poses", number, SEARCHED_POSES)
         if start is not None:
             starts.append(start)
     drive = assumed_drive(facts, model.end_effector, shipped.timing.drive_period)
     motors = np.array(drive.get("motor_inertia_reduced", drive["motor_inertia_rotor"]))
     failures: list[str] = []
-    for round_, speed in enumerate(SPEEDS):
+    for round_, speed in enumerate(SPEED_FACTORS):
         rated = sorted((_rated(model, start, shipped, speed, motors) for start in starts), key=lambda one: -one.score)
         texts = (
             (pose, scenario_text(facts_name, facts, kind, model, pose, speed)) for pose in rated if pose.score > 0.0
         )
         clear = (pose for pose, text in texts if _can_be_planned(_read(text, facts)))
-        for number, pose in enumerate(itertools.islice(clear, BEST)):
-            report("trials of poses", round_ * BEST + number, len(SPEEDS) * BEST)
-            for threshold in THRESHOLDS:
+        for number, pose in enumerate(itertools.islice(clear, SIMULATED_POSES)):
+            report("trials of poses", round_ * SIMULATED_POSES + number, len(SPEED_FACTORS) * SIMULATED_POSES)
+            for threshold in THRESHOLD_FACTORS:
                 text = scenario_text(facts_name, facts, kind, model, pose, speed, threshold)
                 try:
                     scenario = _read(text, facts)
-                    lower = scenario.control.detection.threshold / QUIET
+                    lower = scenario.control.detection.threshold / QUIET_THRESHOLD_FACTOR
                     _try(scenario.with_settings({"control.detection.threshold": lower}))
                 except _TooEarly as error:
                     failures.append(str(error))
@@ -155,18 +155,18 @@ def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambd
                     break
                 else:
                     search = (
-                        f"of {POSES} random places {len(starts)} could be reached with the pad upright, and "
+                        f"of {SEARCHED_POSES} random places {len(starts)} could be reached with the pad upright, and "
                         f"{sum(one.score > 0.0 for one in rated)} kept clear of all limits on their way; this one has "
                         f"score {pose.score:.2f} of 1, and {failures_text(failures)}"
                     )
                     choices = choices_of(facts, kind, model, pose, speed, threshold, search)
                     return Draft(_explained(text, choices), scenario, speed, len(failures), choices)
     why = f"; the last that was simulated: {failures[-1]}" if failures else ""
-    raise Infeasible(f"no pose of {facts_name} among {POSES} works for a {kind}{why}")
+    raise Infeasible(f"no pose of {facts_name} among {SEARCHED_POSES} works for a {kind}{why}")
 
 
 def upright_poses(model: RobotModel, seed: int) -> Iterator[Pose | None]:
-    """Endless random poses with the pad upright and its normal along -y; None where a random place is out of reach.
+    """Endless random poses with the pad upright and its normal along -y; None if a random position is out of reach.
 
     Args:
         model: The arm.
@@ -180,11 +180,11 @@ def upright_poses(model: RobotModel, seed: int) -> Iterator[Pose | None]:
 
 
 def _random_pose(model: RobotModel, reach: float, shoulder: float, rng: np.random.Generator) -> Pose | None:
-    """A pose with the pad upright and its normal along -y, or None where a random place is out of reach.
+    """A pose with the pad upright and its normal along -y; None if a random position is out of reach.
 
     Args:
         model: The arm.
-        reach: How far E gets from joint 2, where the arm begins to stretch [m].
+        reach: Distance of E from joint 2 at which the arm begins to stretch [m].
         shoulder: Height of that joint [m].
         rng: Draws place and guess.
     """
@@ -202,7 +202,7 @@ def _random_pose(model: RobotModel, reach: float, shoulder: float, rng: np.rando
 
 
 def _rated(model: RobotModel, pose: Pose, scenario: Scenario, share: float, motors: Array) -> Pose:
-    """A pose with its score for the way of the fastest case, and for how straight a hit throws the pad back."""
+    """A pose with its scores for the path of the fastest case, and for the deflection of the pad by an impact."""
     velocities = [share * np.array(next(iter(case.robots.values())).ante_velocity) for case in scenario.cases.values()]
     fastest = max(velocities, key=lambda velocity: float(np.linalg.norm(velocity)))
     timing = scenario.timing
@@ -212,7 +212,7 @@ def _rated(model: RobotModel, pose: Pose, scenario: Scenario, share: float, moto
         after = fastest[scenario.axis_index] * np.eye(3)[scenario.axis_index]
         ways = [-0.5 * timing.approach * fastest, 0.5 * timing.push * max(scenario.velocity_scales) * after]
     worst = min(_along(model, pose.q, way, float(np.linalg.norm(fastest))) for way in ways)
-    return replace(pose, score=worst * max(0.0, 1.0 - _deflection(model, pose.q, motors) / MOST_DEFLECTED))
+    return replace(pose, score=worst * max(0.0, 1.0 - _deflection(model, pose.q, motors) / MAX_DEFLECTION_RATIO))
 
 
 def _deflection(model: RobotModel, q: Array, motors: Array) -> float:
@@ -226,24 +226,24 @@ def _deflection(model: RobotModel, q: Array, motors: Array) -> float:
 
 
 def _along(model: RobotModel, start: Array, way: Array, speed: float) -> float:
-    """The least of all scores on a straight way of E, which the joints follow as little as they can."""
+    """Smallest of all scores on a straight path of E, followed with the least joint motion."""
     length = float(np.linalg.norm(way))
     direction = np.append(way / length, np.zeros(3))
     target, q, worst = model.placement(start), start.copy(), 1.0
     comfortable = np.array([COMFORTABLE[joint.type] for joint in model.facts.joints])
-    for travelled in np.arange(0.0, length + STEP, STEP):
+    for travelled in np.arange(0.0, length + PATH_STEP_M, PATH_STEP_M):
         jacobian = model.jacobian(q)
         inverse = np.linalg.pinv(jacobian)
         margin = float((np.minimum(q - model.position_min, model.position_max - q) / comfortable).min())
         regular = float(np.linalg.svd(jacobian, compute_uv=False)[5])
         fast = float((np.abs(inverse @ direction) * speed / model.velocity_max).max())
         loaded = float((np.abs(model.gravity_torque(q)) / model.torque_max).max())
-        shares = (margin, regular / REGULAR, 2.0 * (1.0 - fast), 2.0 * (1.0 - loaded))
+        shares = (margin, regular / MIN_SINGULAR_VALUE, 2.0 * (1.0 - fast), 2.0 * (1.0 - loaded))
         worst = min(worst, float(np.prod(np.clip(shares, 0.0, 1.0))))
         if worst == 0.0:
             break
         placement = model.placement(q)
-        wanted = target.translation + direction[:3] * (travelled + STEP)
+        wanted = target.translation + direction[:3] * (travelled + PATH_STEP_M)
         error = np.append(
             wanted - placement.translation, placement.rotation @ pin.log3(placement.rotation.T @ target.rotation)
         )
@@ -257,11 +257,11 @@ def scenario_text(
     """The scenario file.
 
     Args:
-        facts_name: What it shall call the robot.
+        facts_name: Name or path of the robot.
         facts: The robot.
-        kind: Which shipped scenario it is made like; what does not depend on the arm is taken from it, word for word.
+        kind: Shipped template; keys that do not depend on the arm are copied from it.
         model: The arm with its end effector.
-        pose: Where it hits.
+        pose: Pose at the impact.
         speed: Share of the shipped scenario's speeds.
         threshold: Threshold of the detection over the shipped one.
     """
@@ -306,7 +306,7 @@ def scenario_text(
 
 
 def failures_text(failures: Sequence[str]) -> str:
-    """What was simulated before a draft worked, in words."""
+    """Simulated trials before a draft worked, in words."""
     if not failures:
         return "its trials ended well at once"
     return f"{len(failures)} attempt{'s' * (len(failures) > 1)} before it failed, the last with {failures[-1]}"
@@ -315,13 +315,13 @@ def failures_text(failures: Sequence[str]) -> str:
 def choices_of(
     facts: RobotFacts, kind: Kind, model: RobotModel, pose: Pose, speed: float, threshold: float, search: str
 ) -> dict[str, str]:
-    """What a draft chose and why, by key of the scenario.
+    """Choices of a draft with reasons, by key of the scenario.
 
     Args:
         facts: The robot.
         kind: Which shipped scenario the draft is made like.
         model: The arm with its end effector.
-        pose: Where it hits.
+        pose: Pose at the impact.
         speed: Share of the shipped scenario's speeds.
         threshold: Threshold of the detection over the shipped one.
         search: How the pose was found, in words.
@@ -354,12 +354,12 @@ def choices_of(
         + (
             f" times {threshold:g}: with less a trial took its own motion for an impact"
             if threshold > 1.0
-            else f"; trials run at 1/{QUIET:g} of it saw no impact too early"
+            else f"; trials run at 1/{QUIET_THRESHOLD_FACTOR:g} of it saw no impact too early"
         ),
     }
     if kind == "excite":
         del found["support.height"]
-    return found | {"all other keys": f"those of {kind}, word for word"}
+    return found | {"all other keys": f"as in {kind}, word for word"}
 
 
 def _explained(text: str, choices: Mapping[str, str]) -> str:
@@ -381,7 +381,7 @@ def _robot(
     pose: Pose,
     mirrored: Array | None,
 ) -> CommentedMap:
-    """An arm of a scenario file; a second one is turned by half a turn about the middle of the object."""
+    """An arm of a scenario file; a second one is rotated by 180 degrees about the middle of the object."""
     sign, base, yaw, position = 1.0, np.zeros(3), 0.0, pose.position
     if mirrored is not None:
         sign, yaw = -1.0, np.pi
@@ -436,13 +436,13 @@ def _robot(
 
 
 def _cases(cases: Mapping[str, Any], facts: RobotFacts, pose: Pose, speed: float) -> CommentedMap:
-    """Cases with speeds that the arm can reach; where joints are left over, joint 1 is held as the shipped cases do."""
+    """Cases with speeds that the arm can reach; redundant arms hold joint 1 as in the shipped cases."""
     made: dict[str, CommentedMap] = {}
     seen: list[dict[str, dict[str, Any]]] = []
     first = next(iter(next(iter(cases.values()))["robots"]))
     usual = float(next(iter(cases.values()))["robots"][first]["joint_1"])
     for name, case in cases.items():
-        # A second arm is the first one turned, not mirrored: its joint 1 goes the same way.
+        # A second arm is the first one rotated, not mirrored: its joint 1 moves in the same direction.
         joint_1 = rounded(float(pose.q[0]) + float(case["robots"][first]["joint_1"]) - usual)
         held = {"joint_1": joint_1} if facts.joint_count > 6 else {}
         arms = {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was measured from a moment on: ``--since`` names a run, a row, or a time."""
+"""Measurements from a moment on: ``--since`` names a run, a row, or a time."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from impact_rs_sim.errors import InputError, did_you_mean
 
 
 def measured_since(when: str, stamps: Mapping[str, float], timed: bool = True) -> set[str]:
-    """Names of what was measured from a moment on.
+    """Names of the measurements from a moment on.
 
     Args:
         when: The first of the names, or a time: a date with or without a time of day (ISO 8601, local where it has no
             zone), or a number of seconds as the stamps have it.
-        stamps: When each was measured [s], seconds since 1970 where dates are meant, or any number in this order.
-        timed: Whether the stamps are times; otherwise only a name is a moment.
+        stamps: Times of the measurements [s], seconds since 1970 for dates, or any increasing number.
+        timed: Whether these are times; otherwise only a name is a moment.
 
     Raises:
         InputError: There is no such name or time, or nothing was measured since.
@@ -40,7 +40,7 @@ def measured_since(when: str, stamps: Mapping[str, float], timed: bool = True) -
 
 
 def _time(text: str) -> float | None:
-    """Seconds since 1970, or since the moment from which a table counts; None: no time."""
+    """Seconds since 1970, or since the origin of a table's time; None: not a time."""
     try:
         return float(text)
     except ValueError:

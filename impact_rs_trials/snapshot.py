@@ -16,13 +16,13 @@ stopped. ``gone``: they have stopped, and the nodes have ended."""
 
 @dataclass(frozen=True)
 class IdentifyMessages:
-    """The newest JSON documents of a node ``identify``, as published; empty: none yet.
+    """The newest JSON documents of a node ``identify``, as published; empty: not yet.
 
     Attributes:
         prediction: Of the next hit, with the parameters believed.
-        changes: Changes of the cell, in the order in which they were found.
+        changes: Changes of the cell, in the order of detection.
         diagnosis: How the last full diagnosis ended.
-        refused: What gave no hit last, and why.
+        refused: Last trial without a hit, with the reason.
     """
 
     prediction: str = ""
@@ -39,16 +39,16 @@ class Snapshot:
         situation: Whether nodes and joint states are there.
         place: ROS domain and namespace, as text.
         number: Increases when the scene changes; the scene of an unchanged number is the same.
-        title: Name of the trial; empty: none is known.
-        physics: Nominal physics of the scene of the trial; None: no trial is known.
-        description: URDF of the robot without a trial; empty: none was published.
+        title: Name of the trial; empty: unknown.
+        physics: Nominal physics of the scene of the trial; None: unknown.
+        description: URDF of the robot without a trial; empty: not published.
         complaint: Why the published trial cannot be shown; empty: it can.
         time: Trial time of the positions [s]; None: unknown.
         positions: Joint positions by their names in the URDF [rad, m].
-        velocities: Joint velocities by the same names [rad/s, m/s]; empty where they are not published.
+        velocities: Joint velocities by the same names [rad/s, m/s]; empty if not published.
         object: Position of the object's centre in A [m] and quaternion x y z w, ``(7,)``; None: unknown.
-        forces: By arm, true force of the arm on the object, axes of A, ``(3,)`` [N]; empty where it is not published.
-        followed: What the node ``identify`` of the graph has published.
+        forces: By arm, true force of the arm on the object, axes of A, ``(3,)`` [N]; empty if not published.
+        followed: Documents of the node ``identify`` of the graph.
     """
 
     situation: Situation

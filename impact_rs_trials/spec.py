@@ -23,12 +23,12 @@ from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import RECORDED, validate
 
-KEPT = 64  # plans in the memory of a process, about 0.7 MB for each arm; a campaign of the paper has 18 sets
+MAX_KEPT_PLANS = 64  # in the memory of a process, about 0.7 MB for each arm; a campaign of the paper has 18 sets
 
 
 @dataclass(frozen=True)
 class TrialSpec:
-    """What the repeats of a trial have in common.
+    """Common properties of the repeats of a trial.
 
     Attributes:
         scenario_json: Full text of the scenario, JSON, with the friction compensation that its file names.
@@ -76,7 +76,7 @@ def recorded_scenario(text: str, file: str | Path) -> Scenario:
         raise error.in_file(file) from None
 
 
-@functools.lru_cache(maxsize=KEPT)
+@functools.lru_cache(maxsize=MAX_KEPT_PLANS)
 def _scenario(text: str) -> Scenario:
     try:
         data = json.loads(text)
@@ -85,11 +85,11 @@ def _scenario(text: str) -> Scenario:
     return validate(Scenario, data, "recorded scenario", RECORDED)
 
 
-@functools.lru_cache(maxsize=KEPT)
+@functools.lru_cache(maxsize=MAX_KEPT_PLANS)
 def _scene(scenario_json: str, object_name: str, case: str) -> Scene:
     return Scene.resolve(_scenario(scenario_json), object_name, case)
 
 
-@functools.lru_cache(maxsize=KEPT)
+@functools.lru_cache(maxsize=MAX_KEPT_PLANS)
 def _plan(spec: TrialSpec) -> TrialPlan:
     return plan_trial(spec.scene, spec.scale, spec.motor_inertia)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 BAG_FILES = (".mcap", ".db3")  # endings of files of messages
 LOCK = ".lock"
-# What file systems of fsspec call size, time and checksum of a file; never the time at which it was read.
+# Keys of fsspec file systems for size, time and checksum of a file; never the time of reading.
 CHANGES = ("size", "mtime", "created", "updated", "last_modified", "LastModified", "etag", "ETag")
 
 
@@ -144,7 +144,7 @@ class Folder(Store):
         return str(self.path)
 
     def exists(self, name: str) -> bool:
-        """Whether there is something of that name; half-written bags have none."""
+        """Whether a name exists; half-written bags have temporary names."""
         return (self.path / name).exists()
 
     def names(self) -> set[str]:
@@ -152,7 +152,7 @@ class Folder(Store):
         return set(os.listdir(self.path)) if self.path.is_dir() else set()
 
     def stamps(self) -> dict[str, int]:
-        """Stamps of whatever looks like a bag, damaged ones too, from sizes and times of its files."""
+        """Fingerprints of all bags, also damaged ones, from sizes and times of their files."""
         if not self.path.is_dir():
             raise InputError("no such file or folder" if self.path.suffix else "no such folder", file=self.path)
         found = {}
@@ -178,7 +178,7 @@ class Folder(Store):
         write_whole(self.path / name, text)
 
     def remove(self, name: str) -> None:
-        """Remove a file, and its folder where that is empty then."""
+        """Remove a file, and its folder if it is empty then."""
         path = self.path / name
         try:
             path.unlink(missing_ok=True)
@@ -190,7 +190,7 @@ class Folder(Store):
 
     @contextmanager
     def adding(self, name: str) -> Iterator[Path]:
-        """The folder itself: a bag is written where it stays."""
+        """The folder itself: bags are written in place."""
         del name
         yield self.path
 
@@ -319,11 +319,11 @@ def open_store(place: str | Path | Store) -> Store:
 def local_copy(
     place: str | Path, files: tuple[str, ...] = (), progress: Callable[[int, int], None] = lambda done, total: None
 ) -> Iterator[Path]:
-    """A folder of this machine with what is at a place: the folder itself, or a temporary copy of all bags at a URL.
+    """A local folder with the bags of a folder or URL: the folder itself, or a temporary copy.
 
     Args:
         place: Path or URL.
-        files: Names of further files that are copied where they exist.
+        files: Names of further files to copy if they exist.
         progress: Progress callback, called with the number of copied bags and of all bags.
     """
     store = open_store(place)
@@ -355,7 +355,7 @@ def owned(store: Store, what: str = "campaign") -> Iterator[None]:
 
     Args:
         store: The folder.
-        what: What lies in it, for the error.
+        what: Its contents, for the error.
     """
     if not isinstance(store, Folder):
         yield
@@ -372,7 +372,7 @@ def owned(store: Store, what: str = "campaign") -> Iterator[None]:
 
 
 def _locked(path: Path, what: str) -> TextIO:
-    """An open file with an exclusive lock, which goes when the file is closed."""
+    """An open file with an exclusive lock, released when the file is closed."""
     while True:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -23,13 +23,13 @@ FOLDER = "sensitivity"
 
 @dataclass(frozen=True)
 class Setting:
-    """A setting of the experiment, and where a scenario has it.
+    """A setting of the experiment, with its keys in a scenario.
 
     Attributes:
         name: Name, as in names of folders.
-        label: What it is, in words.
+        label: Description.
         keys: Dotted keys that are varied together; ``*`` stands for every arm.
-        factors: What it is multiplied by.
+        factors: Factors of its variants.
     """
 
     name: str
@@ -38,7 +38,7 @@ class Setting:
     factors: tuple[float, float] = (0.5, 2.0)
 
     def varied(self, scenario: dict[str, Any], factor: float) -> dict[str, float]:
-        """Its keys in a scenario with their values times a factor; empty where the scenario does not use it."""
+        """Its keys in a scenario with their values times a factor; empty if the scenario does not use it."""
         found: dict[str, float] = {}
         for key in self.keys:
             for name in scenario["robots"] if "*" in key else ("",):
@@ -88,7 +88,7 @@ def folder_name(setting: str, factor: float) -> str:
 
 
 def varied_folders(directory: Path) -> dict[tuple[str, float], str]:
-    """Varied campaigns in the folder of a campaign: where they are, by setting and factor."""
+    """Paths of the varied campaigns in the folder of a campaign, by setting and factor."""
     found = {}
     for path in sorted((directory / FOLDER).glob("*_x*")):
         setting, _, factor = path.name.rpartition("_x")

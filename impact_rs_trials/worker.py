@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a campaign's worker process does when it starts (a ``dask`` preload module)."""
+"""Start-up of a campaign's worker process (a ``dask`` preload module)."""
 
 from __future__ import annotations
 

@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 Map = Callable[[Callable[..., Any], Sequence[Any]], Iterator[Any]]
 
 MEMORY_LIMIT = "1GiB"  # of a worker process here; measured: 0.2 GiB after five trials
-ANSWER_TIMEOUT = 10.0  # s, for a scheduler to answer
-WORKERS_TIMEOUT = 30.0  # s, for its first worker to be there
-ON_THE_WAY = 1000  # tasks that the scheduler knows of at a time, so that its memory does not grow with a campaign
+ANSWER_TIMEOUT_S = 10.0  # of a scheduler
+WORKERS_TIMEOUT_S = 30.0  # until the first worker of a scheduler is there
+MAX_PENDING_TASKS = 1000  # of the scheduler, so that its memory does not grow with a campaign
 
-_alone = threading.Lock()  # trials of one process share models that must not be used by two threads at a time
+_one_trial_at_a_time = threading.Lock()  # trials of one process share models, which are not thread-safe
 
 
 @dataclass
@@ -129,7 +129,7 @@ def _connected(address: str) -> Client:
         # A client that fails to start stays behind with a thread and closes itself whenever it is collected, on
         # whatever thread that happens, even on the starting loop of the next client, which then never starts.
         asyncio.run(_answers(address))
-        return Client(address, timeout=ANSWER_TIMEOUT, set_as_default=False)
+        return Client(address, timeout=ANSWER_TIMEOUT_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise InputError(f"no scheduler answers at {address!r}: {expected} ({error})") from None
 
@@ -137,7 +137,7 @@ def _connected(address: str) -> Client:
 async def _answers(address: str) -> None:
     from distributed.comm import connect
 
-    await (await connect(address, timeout=ANSWER_TIMEOUT)).close()
+    await (await connect(address, timeout=ANSWER_TIMEOUT_S)).close()
 
 
 def _check_workers(client: Client, address: str) -> None:
@@ -147,11 +147,11 @@ def _check_workers(client: Client, address: str) -> None:
         InputError: It is not so.
     """
     try:
-        client.wait_for_workers(1, timeout=WORKERS_TIMEOUT)
+        client.wait_for_workers(1, timeout=WORKERS_TIMEOUT_S)
     except TimeoutError:
         start = f"dask worker {address} --nthreads 1 --nworkers N"
         raise InputError(
-            f"the scheduler at {address!r} has no workers after {WORKERS_TIMEOUT:g} s; start some: {start}"
+            f"the scheduler at {address!r} has no workers after {WORKERS_TIMEOUT_S:g} s; start some: {start}"
         ) from None
     for name, worker in client.scheduler_info(n_workers=-1)["workers"].items():
         if worker["nthreads"] != 1:
@@ -199,7 +199,7 @@ def workers(workforce: Workforce) -> Iterator[Map]:
 
 
 def as_they_end(client: Client, function: Callable[..., Any], items: Iterable[Any]) -> Iterator[tuple[Any, Any]]:
-    """Yields every item with its result in the order in which tasks end; a task whose worker dies is repeated.
+    """Yields every item with its result in the order of completion; a task whose worker dies is repeated.
 
     If its workers die repeatedly, the result is a :class:`distributed.scheduler.KilledWorker`.
 
@@ -217,7 +217,7 @@ def as_they_end(client: Client, function: Callable[..., Any], items: Iterable[An
         pending[future.key] = item
         return future
 
-    ended = as_completed([submit(item) for item in islice(left, ON_THE_WAY)], loop=client.loop)
+    ended = as_completed([submit(item) for item in islice(left, MAX_PENDING_TASKS)], loop=client.loop)
     for future in ended:
         item = pending.pop(future.key)
         try:
@@ -244,7 +244,7 @@ def processor_time() -> float:
 def _work(packed: bytes) -> tuple[Any, float]:
     """Result of a task, and its processor time [s]."""
     function, item = pickle.loads(packed)
-    with _alone:
+    with _one_trial_at_a_time:
         begin = time.thread_time()
         result = function(item)
         return result, time.thread_time() - begin

@@ -28,7 +28,7 @@ from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.schema import Name, Schema, load_mapping, validate
 from impact_rs_trials.file_names import EXPERIMENT_FILE, MAPPING_FILE, RUN_TABLE
 from impact_rs_trials.recordings.candidates import (
-    MOST_WIDE,
+    MAX_JOINT_NUMBERS,
     OBJECT_POSE,
     Proposal,
     SignalCandidate,
@@ -45,8 +45,8 @@ from impact_rs_trials.recordings.experiment import (
 )
 from impact_rs_trials.recordings.file_units import SLIDES, TURNS, UNITS, si_unit
 from impact_rs_trials.recordings.import_texts import PossibleReading
-from impact_rs_trials.recordings.importing import Wishes, draft_import
-from impact_rs_trials.recordings.laboratory import IMPACT_SHARE, Laboratory, placed, read_run
+from impact_rs_trials.recordings.importing import ImportOptions, draft_import
+from impact_rs_trials.recordings.laboratory import MAX_IMPACT_SHARE, Laboratory, placed, read_run
 from impact_rs_trials.recordings.mapping import (
     JOINT_SIGNALS,
     QUANTITY,
@@ -57,7 +57,7 @@ from impact_rs_trials.recordings.mapping import (
     TableLayout,
     TimeSource,
 )
-from impact_rs_trials.recordings.plausibility import check_weight
+from impact_rs_trials.recordings.plausibility import check_gravity_torque
 from impact_rs_trials.recordings.recording import check_limits, check_velocity
 from impact_rs_trials.recordings.series import Series
 from impact_rs_trials.recordings.sources import read_series
@@ -78,7 +78,7 @@ class PreviewRequest(Schema):
     signal: SignalName = Field(description="what it is taken for")
     source: SignalSource = Field(description="where it is")
     position: SignalSource = Field(description="where the joint positions are, whose clock the others are brought to")
-    joints: tuple[str, ...] = Field(min_length=1, max_length=MOST_WIDE, description="joints in order")
+    joints: tuple[str, ...] = Field(min_length=1, max_length=MAX_JOINT_NUMBERS, description="joints in order")
     command_includes_gravity: bool = Field(True, description="whether the command holds the arm's own weight")
     time: TimeSource = Field(default_factory=TimeSource, description="time stamps")
     table: TableLayout = Field(default_factory=TableLayout, description="where a text table has its names and rows")
@@ -96,7 +96,7 @@ class RunEntry(Schema):
 class ArmDescription(Schema):
     """What was recorded of one arm."""
 
-    joints: tuple[str, ...] = Field(min_length=1, max_length=MOST_WIDE, description="joints in order")
+    joints: tuple[str, ...] = Field(min_length=1, max_length=MAX_JOINT_NUMBERS, description="joints in order")
     command_includes_gravity: bool = Field(True, description="whether the command holds the arm's own weight")
     signals: dict[ArmSignal, SignalSource] = Field(description="where each signal is")
     time: TimeSource = Field(default_factory=TimeSource, description="time stamps")
@@ -187,7 +187,7 @@ class _Guesses:
 def _by_numbers(path: Path, folder: Path, robot: str) -> _Guesses:
     """What ``impact-rs import`` writes of a recording; where it refuses that, why."""
     try:
-        draft = draft_import([path], folder, Wishes(robot=robot))
+        draft = draft_import([path], folder, ImportOptions(robot=robot))
     except InputError as error:
         return _Guesses({}, {}, (f"Chosen by names alone, for impact-rs import says: {error.message}",))
     content = yaml.safe_load(draft.texts[MAPPING_FILE])
@@ -290,13 +290,13 @@ def _wrong(
         _ = mapping.facts  # whose joints have these units
         position = read["position"].at(series.time)
         if name in REQUIRED:
-            check_limits(path, name, series.time, series.values, mapping, IMPACT_SHARE)
+            check_limits(path, name, series.time, series.values, mapping, MAX_IMPACT_SHARE)
         if name == "velocity":
             check_velocity(path, series.time, position, series.values, mapping)
         if name == "torque" or (name == "command" and request.command_includes_gravity):
             model = Physics.nominal(scenario, next(iter(scenario.objects))).robot_model(request.arm)
-            remedy = "wrong unit or sign, or without the arm's own weight?"
-            check_weight(path, name, model, position, series.values, remedy)
+            remedy = "wrong unit or sign, or without the gravity torque?"
+            check_gravity_torque(path, name, model, position, series.values, remedy)
     except InputError as error:
         return error.message
     return ""

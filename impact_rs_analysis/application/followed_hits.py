@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hits that are followed for a command line or a node: where they come from, their state file, and full diagnoses."""
+"""Hits that are followed for a command line or a node: their source, their state file, and full diagnoses."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_trials.recordings.impact_table import SUFFIXES
 
-SAVED = 10  # instants of hits that are there already, between two states
+SAVE_INTERVAL_HITS = 10  # instants of hits that are there already, between two saved states
 
 
 def hits_options(runs: Path | None, impacts: Path | None = None, **further: Any) -> MeasurementOptions:
-    """Where hits come from.
+    """Options of the source of hits.
 
     Args:
         runs: Folder of trials, or a table of impacts; None: ``impacts`` names the table.
@@ -39,8 +39,8 @@ def hit_source_of(hits: MeasurementOptions, model: Model) -> HitSource:
     """Source of hits.
 
     Args:
-        hits: Where they come from.
-        model: What is believed, with the faults of the readings.
+        hits: Their source.
+        model: Nominal model, with the faults of the readings.
 
     Raises:
         InputError: Options that do not go together, or there is no such scenario.
@@ -76,10 +76,10 @@ class FollowedHits:
     """A follower of hits with its state file, and the full diagnosis that a change calls for.
 
     Args:
-        hits: Where hits come from.
-        follower: Follows them; it has seen none.
-        state: State file; None: none.
-        diagnosis: Makes full diagnoses; None: none is started.
+        hits: Source of hits.
+        follower: Follows them; without hits so far.
+        state: State file; None: not saved.
+        diagnosis: Makes full diagnoses; None: without diagnoses.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class FollowedHits:
         self._taken = 0
 
     def restore(self) -> int:
-        """Go on where the state file was written; how many hits were seen before.
+        """Restore the state file; returns the number of earlier hits.
 
         Raises:
             InputError: It is no state file of this model and these hits.
@@ -103,7 +103,7 @@ class FollowedHits:
         return count
 
     def arrived(self) -> Iterator[HitDocument]:
-        """What the hits since the last call taught. State is saved after every tenth, and after the last.
+        """Results of the hits since the last call. The state is saved after every tenth, and after the last.
 
         Raises:
             InputError: They cannot be read, or the state cannot be written.
@@ -124,7 +124,7 @@ class FollowedHits:
             save_state(self.follower, self._state)
 
     def diagnose(self) -> str:
-        """Start the diagnosis that the last change calls for, once there are hits enough; what was done, in words.
+        """Start the diagnosis of the last change once there are enough hits; returns a message.
 
         Raises:
             InputError: No process can be started.
@@ -138,7 +138,7 @@ class FollowedHits:
 
     def _handled(self) -> None:
         self._taken += 1
-        if self._taken % SAVED == 0 or not self.follower.hit_source.waiting:
+        if self._taken % SAVE_INTERVAL_HITS == 0 or not self.follower.hit_source.waiting:
             self.save()
 
 
@@ -157,7 +157,7 @@ def diagnose_options(hits: MeasurementOptions, model: str, effects: Sequence[str
 
 
 def folder_of_diagnoses(given: Path | None, state: Path | None) -> Path:
-    """Where full diagnoses are written: the given folder, else that of the state file, else the working directory."""
+    """Folder of full diagnoses: the given one, else the state file's, else the working directory."""
     if given is not None:
         return given
     return Path() if state is None else state.parent

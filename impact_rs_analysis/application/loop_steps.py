@@ -57,7 +57,7 @@ def report_comparison(
 
     Args:
         document: The comparison.
-        measurements: Of what.
+        measurements: The measurements.
         model_file: File of the model.
         model: The model.
         directory: Folder of the report.
@@ -111,7 +111,7 @@ def check_effects(model: Model, names: Sequence[str] | None) -> None:
     """Check the names of effects that are to be considered.
 
     Raises:
-        InputError: An unknown effect, or one that the model has already.
+        InputError: An unknown effect, or an effect of the model.
     """
     known = model.known_effects
     present = {item.name for item in model.effects}
@@ -152,8 +152,8 @@ def diagnose_measurements(
     """Effects that are missing in a model.
 
     Args:
-        measurements: What was measured.
-        model: The model as its file says it.
+        measurements: The measurements.
+        model: The model of its file.
         extended: The same with further formulas (:func:`with_formulas`); None: without.
         only: Names of the effects to consider; None: all.
         rank: Called with effects and their held-out error during the search.
@@ -187,7 +187,7 @@ def report_diagnosis(
 
     Args:
         document: The diagnosis.
-        measurements: Of what.
+        measurements: The measurements.
         model_file: File of the diagnosed model.
         model: The same, knowing all formulas that were considered.
         directory: Folder of the report.
@@ -220,7 +220,7 @@ class Addition:
     document: DiagnosisDocument
 
     def write(self, output: Path | None) -> None:
-        """Write both files, or none of them.
+        """Write both files or neither.
 
         Args:
             output: File of the new model.

@@ -69,9 +69,9 @@ class MeasurementOptions:
         contact_tolerance: Of a table of impacts: how much further off than the nearest a point may be that touches [m];
             None: as usual.
         covariates: Further columns of a table of impacts on which an effect may depend.
-        unsure: Ranges of properties of a table of impacts that are not known well, by name.
+        unsure: Ranges of uncertain quantities of an impact table, by name.
         since: Only what was measured from this time on, or from this run or row on.
-        calibration: Model file of faults of the readings; None: the one beside the measurements, if there is one.
+        calibration: Model file of faults of the readings; None: the one next to the measurements, if there is one.
         exact: Whether the model discrepancy of simulation or impact map is ignored.
         each_arm: Whether arms of one kind have parameters of their own.
     """
@@ -99,7 +99,7 @@ class MeasurementOptions:
 
     @functools.cached_property
     def kind(self) -> MeasurementKind:
-        """What is there; files without a description are opened to see whether they are trials."""
+        """Kind of the measurements; files without a description are opened to find whether they are trials."""
         if self.impacts is not None:
             return MeasurementKind.IMPACTS
         if self.experiment is not None:
@@ -117,7 +117,7 @@ class Measurements:
         observer: Shows progress and warnings.
         source: Makes the source of evidence for a model.
         trials: Trials or runs; None: something else.
-        kind: What was read.
+        kind: Kind of the measurements.
         calibration: Faults of the readings.
     """
 
@@ -167,7 +167,7 @@ class Measurements:
 
         Args:
             model: The model.
-            added: Effects found on top of it; for recordings and impacts shown beside the model.
+            added: Effects found in addition; for recordings and impacts shown next to the model.
         """
         return self.against(model).tracks(self._map, added)
 
@@ -212,7 +212,7 @@ def measurements_of_trials(trials: Runs, map_tasks: Map = map, observer: Observe
 
 
 def read_measurements(data: str | Path, model: Model | str | Path = "nominal", map_tasks: Map = map) -> Source:
-    """Measurements of a folder beside the predictions of a model, in one call.
+    """Measurements of a folder next to the predictions of a model, in one call.
 
     Trials of impact_rs, runs of a laboratory, whose folder has an ``experiment.yaml``, or recordings of free motion.
     The ``calibration.yaml`` there, if there is one, corrects the readings.
@@ -232,7 +232,7 @@ def read_measurements(data: str | Path, model: Model | str | Path = "nominal", m
 
 
 def read_trials(directory: Path, map_tasks: Map = map, observer: Observer = SILENT) -> Runs:
-    """Read every trial below a folder, and warn of what was left out.
+    """Read every trial below a folder, and warn of omitted ones.
 
     Args:
         directory: The folder.
@@ -249,7 +249,7 @@ def read_trials(directory: Path, map_tasks: Map = map, observer: Observer = SILE
 
 
 def read_laboratory(directory: Path, experiment: Path, map_tasks: Map = map, observer: Observer = SILENT) -> Runs:
-    """Read the runs of an experiment file, and warn of what was left out.
+    """Read the runs of an experiment file, and warn of omitted ones.
 
     Args:
         directory: Folder of the runs.

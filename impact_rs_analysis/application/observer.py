@@ -10,7 +10,7 @@ from typing import Protocol
 
 from impact_rs_analysis.evidence.replay_cache import Progress
 
-MOST_SHOWN = 5  # bags that were left out
+MAX_SHOWN_FILES = 5  # bags that were left out
 
 Report = Callable[[int, int], None]  # items done, and all items
 
@@ -61,7 +61,7 @@ SILENT = Silent()
 
 def warn_skipped(skipped: Sequence[tuple[str, str]], observer: Observer) -> None:
     """Warn of bags that were left out, by path and reason."""
-    for path, reason in skipped[:MOST_SHOWN]:
+    for path, reason in skipped[:MAX_SHOWN_FILES]:
         observer.warn(f"left out {Path(path).name}: {reason.removeprefix(f'{path}: ')}")
-    if len(skipped) > MOST_SHOWN:
-        observer.warn(f"left out {len(skipped) - MOST_SHOWN} more bags; --json lists all")
+    if len(skipped) > MAX_SHOWN_FILES:
+        observer.warn(f"left out {len(skipped) - MAX_SHOWN_FILES} more bags; --json lists all")

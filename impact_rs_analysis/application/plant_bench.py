@@ -35,10 +35,10 @@ class PlantBench:
 
     Args:
         directory: Folder of the investigation.
-        settings: What was asked.
+        settings: Settings of the investigation.
         map_tasks: Workers.
         observer: Shows progress and warnings.
-        secret: What the plant hides.
+        secret: Hidden effect of the plant.
         record: Records a trial; :func:`run_task` on another cell than our plant.
     """
 
@@ -78,7 +78,7 @@ class PlantBench:
                 report(count, len(tasks))
 
     def read(self) -> Against:
-        """All trials against a model; bags are read again only where there are more."""
+        """All trials against a model; bags are read again only if there are more."""
         runs = self._runs()
         assert self._known is not None
         sources = self._known[2]
@@ -102,7 +102,7 @@ class PlantBench:
         return read_trials(self.runs, self.map_tasks, self.observer)
 
     def design(self, wanted: WantedTrials) -> ExperimentPlan:
-        """The trials that decide most of what is open; where none can be planned so, those of a rule."""
+        """The most decisive trials for the open question; by rule if no plan is possible."""
         limits = Envelope(cell=self.settings.envelope)
         try:
             decide, known = None, wanted.model

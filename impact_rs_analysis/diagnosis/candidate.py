@@ -234,6 +234,18 @@ class Candidate:
         steps = np.where(np.abs(room) < MIN_STEP_ROOM_SHARE * np.abs(steps), -steps, room)
         return np.array([self.consistent_step(self.point, index, step) for index, step in enumerate(steps.tolist())])
 
+    def difference_ends(self, joints: Joints, share: float, central: bool) -> list[tuple[Array, Array]]:
+        """Both points of the finite difference of every parameter, ``(p,)`` each."""
+        ends = []
+        for index, step in enumerate((share * self.steps(joints)).tolist()):
+            low, high = self.point.copy(), self.point.copy()
+            high[index] += step
+            if central:
+                back = np.clip(self.point[index] - step, self.lower[index], self.upper[index]) - self.point[index]
+                low[index] += self.consistent_step(self.point, index, float(back)) if back else 0.0
+            ends.append((low, high))
+        return ends
+
     def consistent_step(self, vector: Array, index: int, step: float) -> float:
         """A step of one parameter from a point; backwards or shorter where it is not physically consistent."""
         if not self.inertial[index]:
@@ -324,12 +336,12 @@ class Candidate:
 
 
 def required_predictions(
-    candidate: Candidate, numbers: Sequence[int], source: Source, share: float = 1.0
+    candidate: Candidate, numbers: Sequence[int], source: Source, share: float = 1.0, central: bool = False
 ) -> list[tuple[int, Added]]:
     """Predictions that :func:`linearise` needs, listed so that those of many effects run in one batch."""
     at_nominal = not candidate.origin and bool(np.all(candidate.point == candidate.nominal))
-    here, steps = candidate.split(candidate.point), candidate.steps(source.joints)
-    moved = [candidate.split(candidate.point + share * row) for row in np.diag(steps)]
+    here, ends = candidate.split(candidate.point), candidate.difference_ends(source.joints, share, central)
+    moved = [[candidate.split(end) for end in (both if central else both[1:])] for both in ends]
     result: list[tuple[int, Added]] = []
     for number in numbers:
         result.append((number, candidate.origin))
@@ -337,7 +349,7 @@ def required_predictions(
             result.append((number, here))
         for effect, part in candidate.parts:
             if can_change(effect, source.clusters[number]):
-                result += [(number, added) for added in moved[part]]
+                result += [(number, added) for both in moved[part] for added in both]
     return result
 
 
@@ -348,6 +360,7 @@ def linearise(
     source: Source,
     what: str = "sensitivities",
     share: float = 1.0,
+    central: bool = False,
 ) -> Candidate | None:
     """Sensitivities about the candidate's point by finite differences; None if a replay has no contact.
 
@@ -358,11 +371,13 @@ def linearise(
         source: Predicts the features.
         what: Purpose, shown as progress.
         share: Finite-difference step over the step of each parameter. Whole steps reach past stiction of joints and
-            contacts; near an optimum they are biased by curvature.
+            contacts; near an optimum forward differences over them are biased by curvature.
+        central: Whether differences are central, at twice the cost: without that bias over whole steps, which average
+            what is rough on a smaller scale, as the torques of a pad that meets an edge first.
     """
     at_nominal = not candidate.origin and bool(np.all(candidate.point == candidate.nominal))
-    steps = candidate.steps(source.joints)
-    results = iter(source.predict(required_predictions(candidate, numbers, source, share), what))
+    ends = candidate.difference_ends(source.joints, share, central)
+    results = iter(source.predict(required_predictions(candidate, numbers, source, share, central), what))
     offsets, jacobians = [], []
     for item in clusters:
         base = next(results)
@@ -374,10 +389,12 @@ def linearise(
             if not can_change(effect, item):
                 continue
             for index in range(part.start, part.stop):
-                there = next(results)
-                if there is None:
+                low = next(results) if central else here
+                high = next(results)
+                if low is None or high is None:
                     return None
-                jacobian[:, index] = (there - here) / item.sigma * candidate.scale[index] / (share * steps[index])
+                span = (ends[index][1][index] - ends[index][0][index]) / candidate.scale[index]
+                jacobian[:, index] = (high - low) / item.sigma / span
         offsets.append((here - base) / item.sigma)
         jacobians.append(jacobian)
     return replace(candidate, offsets=tuple(offsets), jacobians=tuple(jacobians), share=share)

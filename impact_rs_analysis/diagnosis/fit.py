@@ -462,6 +462,12 @@ class Fit:
         return self.error_at_point - self.misfit < MIN_RELATIVE_DECREASE * self.error_at_point
 
     @property
+    def stalled(self) -> bool:
+        """Whether the linear model promises a lower error that no simulated step has, as where features are rough."""
+        promised = self.error_at_point - self.problem.error(self.problem.solve())
+        return not np.any(self.change) and promised > MIN_RELATIVE_DECREASE * self.error_at_point
+
+    @property
     def out_of_time(self) -> bool:
         """Whether the processor time is spent; further steps of this fit are then listed as not tried."""
         return self.evidence.budget.leaves_out(f"further steps of the fit of {' and '.join(self.candidate.names)}")
@@ -736,8 +742,7 @@ def replay_and_refit(fitted: Fit, near: bool = False) -> Fit:
             return best
         best = here
         if look > 0 or not near:
-            share = DIFFERENCE_STEP_SHARES[-1]
-            fresh = linearise(fresh, clusters, like.numbers, like.source, "final sensitivities", share) or fresh
+            fresh = linearise(fresh, clusters, like.numbers, like.source, "final sensitivities", central=True) or fresh
         fitted = _confirmed(chord_method(fresh, evidence))
         if fitted.out_of_time or np.all(np.abs(fitted.estimate - point) < MAX_FINAL_CORRECTION * candidate.scale):
             break

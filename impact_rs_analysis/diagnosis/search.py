@@ -493,7 +493,12 @@ class Search:
         return self._kept(chord_method(start, evidence, give_up))
 
     def _measured_again(self, fitted: Fit) -> Fit:
-        return self._kept(replay_and_refit(fitted, near=fitted.candidate.names in self._known))
+        """Final fit; where it stalls a downhill simplex goes on, once for all clusters: folds start from there."""
+        near = fitted.candidate.names in self._known
+        found = replay_and_refit(fitted, near)
+        if self.source.repeated and not near and found.stalled and not found.out_of_time:
+            found = replay_and_refit(nelder_mead(found))
+        return self._kept(found)
 
     def _kept(self, fitted: Fit) -> Fit:
         self.ended[fitted.candidate.names] = fitted.candidate

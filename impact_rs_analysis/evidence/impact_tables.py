@@ -96,7 +96,7 @@ from impact_rs_sim.recent import Recent
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.impact_checks import OtherAxes, doubts_of, other_axes
 from impact_rs_trials.recordings.impact_columns import CONDITION, N_NOISE, P_NOISE, V_NOISE, W_NOISE
-from impact_rs_trials.recordings.impact_table import WIDER, ImpactTable
+from impact_rs_trials.recordings.impact_table import MAX_TOLERANCE_FACTOR, ImpactTable
 from impact_rs_trials.workers import Map
 
 MAX_SMALL_BLOCKS = 120  # at most, where effects may depend on covariates
@@ -396,7 +396,7 @@ class ImpactTableSource(Source):
         Joints and object of an arm apart, other contact points where they decide, and what is not known well.
         """
         found = [View(name, part) for name, part in self._parts().items()]
-        for times in (1.0 / WIDER, WIDER):
+        for times in (1.0 / MAX_TOLERANCE_FACTOR, MAX_TOLERANCE_FACTOR):
             if self._contacts_matter(times):
                 how = f"points within {1e3 * times * self.table.tolerance:g} mm"
                 found.append(View(how, self._with_contacts(times), "--contact-tolerance"))
@@ -673,7 +673,7 @@ class ImpactTableSource(Source):
         """The same measurements with the contact points of another tolerance.
 
         Args:
-            times: The tolerance over that of the table, ``WIDER`` or its inverse [-].
+            times: The tolerance over that of the table, ``MAX_TOLERANCE_FACTOR`` or its inverse [-].
         """
         rows = []
         for row in self.table.rows:
@@ -719,9 +719,10 @@ class ImpactTableSource(Source):
             return None
         return (
             f"which points touch is unsure in {count} of {len(self.table.rows)} rows: with "
-            f"{1e3 * WIDER * self.table.tolerance:g} in place of {1e3 * self.table.tolerance:g} mm predictions move by "
-            f"{self._contacts_moved(WIDER):.2g} m/s, beside {self._in_energy(self.measured - self.predicted):.2g} m/s "
-            "between measurement and model (--contact-tolerance)"
+            f"{1e3 * MAX_TOLERANCE_FACTOR * self.table.tolerance:g} in place of {1e3 * self.table.tolerance:g} mm "
+            f"predictions move by {self._contacts_moved(MAX_TOLERANCE_FACTOR):.2g} m/s, beside "
+            f"{self._in_energy(self.measured - self.predicted):.2g} m/s between measurement and model "
+            "(--contact-tolerance)"
         )
 
     def scatter_of_neighbours(self, rest: Array) -> float | None:

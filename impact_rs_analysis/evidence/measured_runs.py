@@ -23,7 +23,7 @@ from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.recent import Recent
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
-from impact_rs_trials.bags.checksums import says_so, unsealed_words
+from impact_rs_trials.bags.checksums import declares_checksums, unsealed_words
 from impact_rs_trials.bags.reader import BagError, TrialBag, reason_of, recorded_at, stamped_at
 from impact_rs_trials.runs import DriveName, Run, Signals, label_of
 from impact_rs_trials.since import measured_since
@@ -393,7 +393,7 @@ def read_runs(directory: Path, map_tasks: Map) -> Runs:
     bags = trials_below(directory)
     found = Runs.of(directory, map_tasks(read_trial, bags))
     skipped = {path for path, _ in found.skipped}
-    remark = unsealed_words(sum(not says_so(bag) for bag in bags if str(bag) not in skipped))
+    remark = unsealed_words(sum(not declares_checksums(bag) for bag in bags if str(bag) not in skipped))
     of_runs = dict.fromkeys(remark for run in found.runs for remark in run.remarks)
     return replace(found, remarks=(*((remark,) if remark else ()), *of_runs))
 

@@ -15,7 +15,7 @@ from impact_rs_sim.mechanics import Simulator
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant import Plant
 from impact_rs_sim.scenario import Scenario
-from impact_rs_trials.bags.outcome import Verdict, Witness, judge
+from impact_rs_trials.bags.outcome import TickLog, Verdict, judge
 from impact_rs_trials.runs import Run, run_of_trial, signals_of_ticks
 from impact_rs_trials.spec import TrialSpec
 
@@ -67,17 +67,17 @@ def simulated_and_judged(
     initial = {name: arm.initial for name, arm in plan.arms.items()}
     scenario = quiet(scene.scenario) if seed is None else scene.scenario
     plant = Plant.for_trial(scenario, physics, initial, scene.object, seed=seed or 0, simulator=simulator)
-    witness = Witness(plan)
-    return observed(spec, plant, witness), judge(plan, witness.record())
+    log = TickLog(plan)
+    return observed(spec, plant, log), judge(plan, log.record())
 
 
-def observed(spec: TrialSpec, plant: RobotCell, witness: Witness | None = None) -> Run:
+def observed(spec: TrialSpec, plant: RobotCell, log: TickLog | None = None) -> Run:
     """A trial on a plant up to the end of its last window; closes the plant.
 
     Args:
         spec: The trial.
         plant: Where it runs.
-        witness: Sees every tick.
+        log: Takes down every tick.
     """
     plan = spec.plan
     ticks, until = [], observed_until(plan)
@@ -85,8 +85,8 @@ def observed(spec: TrialSpec, plant: RobotCell, witness: Witness | None = None) 
         with without_garbage_collection():
             for tick in run_closed_loop(plan, plant):
                 ticks.append(tick)
-                if witness is not None:
-                    witness.see(tick)
+                if log is not None:
+                    log.append(tick)
                 if tick.measurement.time >= until:
                     break
     finally:

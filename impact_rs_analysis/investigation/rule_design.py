@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trials by rule, where none can be planned by what they decide."""
+"""Trials by rule, if no plan by expected decisions is possible."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from impact_rs_trials.spec import TrialSpec
 
 
 def simple_design(settings: Settings, wanted: WantedTrials) -> ExperimentPlan:
-    """Trials by rule: at first two repeats of a few conditions, then what the diagnosis asks for, else new conditions.
+    """Trials by rule: two repeats of a few conditions, then the trials that the diagnosis needs, else new conditions.
 
     Args:
-        settings: What was asked.
-        wanted: What they are for; without a document: at first, and to try a new model.
+        settings: Settings of the investigation.
+        wanted: Purpose of the trials; without a document: the first ones, or a test of a new model.
     """
     measured = Counter(label_of(one.trial.spec) for here in wanted.done for one in here.trials)
     often: dict[tuple[str, str, str], int] = {}
@@ -43,7 +43,7 @@ def simple_design(settings: Settings, wanted: WantedTrials) -> ExperimentPlan:
         conditions = list(dict.fromkeys([*corners[:2], *free[:2], *hits]))[: max(3, wanted.budget // 2)][:4]
         for place in conditions:
             chosen[place] = 2
-        reason = "Two objects and free motion, to see where the model fails."
+        reason = "Two objects and free motion, to find where the model fails."
     else:
         experiment = None if wanted.document is None else wanted.document.next_experiment
         asked = [

@@ -101,7 +101,7 @@ def publish(analysis: Analysis, directory: Path, terminal: Terminal, contact: st
 
 
 def _show(analysis: Analysis, terminal: Terminal) -> None:
-    """Show the table of each contact, and which trials are not in it."""
+    """Show the table of each contact, and the omitted trials."""
     rows = result_table(analysis)
     for contact in shown_contacts(rows) if rows else ():
         terminal.say(_table(rows, contact))

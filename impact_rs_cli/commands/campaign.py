@@ -196,7 +196,7 @@ def through_nodes(
 ) -> Iterator[tuple[Store, TrialReport]]:
     """Run the missing trials through the ROS 2 nodes, without those that the user provides.
 
-    Yields as :func:`owned_campaigns`; ``say`` prints which nodes the command waits for.
+    Yields as :func:`owned_campaigns`; ``say`` prints the awaited nodes.
 
     Raises:
         InputError: The campaign does not lie in a folder, another process works on it, or ROS has no such namespace.

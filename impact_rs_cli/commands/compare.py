@@ -25,7 +25,7 @@ from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.robot import joined_units
 
-MOST_PLACES = 8
+MAX_SHOWN_CONDITIONS = 8
 
 
 @on_local_runs
@@ -154,7 +154,7 @@ def _show_levels(document: ComparisonDocument, terminal: Terminal) -> None:
         places.add_column(heading)
     places.add_column("", no_wrap=True)  # of two arms it begins with the arm's name
     places.add_column("error", justify="right")
-    shown = [cell for cell in document.where if cell.matters][:MOST_PLACES]
+    shown = [cell for cell in document.where if cell.matters][:MAX_SHOWN_CONDITIONS]
     if not shown:
         terminal.say("all residuals are below their relevance limits")
         return

@@ -38,7 +38,7 @@ from impact_rs_trials.workers import Workforce, workers
 SCENARIO, OBJECT, CASE = "push", "cat_food", "case_2"
 COMPANION = "excite"
 OBJECTS, CASES = ["parcel", "juice"], ["case_1", "case_2"]
-REPEATS = 2
+REPEATS = 2  # of every trial
 MODEL = "nominal"
 
 
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         terminal.warn(f"{failures} trials failed; run the same command again to repeat them")
         return 1
     step = "" if args.quick else "1. "
-    terminal.say("", f"{step}The measured jump, as in the paper: where net feedback crosses zero.")
+    terminal.say("", f"{step}The measured jump, as in the paper: the zero crossing of net feedback.")
     code, report = report_on(jump, None, terminal)
     if code:
         return code
@@ -116,7 +116,7 @@ def walk_the_loop(
     """Compare, diagnose, add, compare, history.
 
     Args:
-        demonstration: What is hidden, and which effects are considered.
+        demonstration: Hidden effect, and considered effects.
         output: Folder of diagnosis, model and reports.
         runs_directory: Folder of the trials.
         terminal: Shows every step.

@@ -23,8 +23,8 @@ from impact_rs_sim.seeds import seed_of
 from impact_rs_trials.envelope import CellEnvelope
 from impact_rs_trials.experiment_plan import ExperimentPlan, write_plan
 
-MOST_PAIRS = 8
-SEEDS = 2**31  # of plans that follow others
+MAX_SHOWN_PAIRS = 8
+FOLLOWING_SEEDS = 2**31  # range of seeds of plans that follow others
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         runs = None if args.runs is None else read_trials(args.runs, map_tasks, terminal)
         if runs is not None:
             earlier = runs.digest
-        seed = args.seed if args.seed is not None else seed_of(0, earlier) % SEEDS if earlier else 0
+        seed = args.seed if args.seed is not None else seed_of(0, earlier) % FOLLOWING_SEEDS if earlier else 0
         with terminal.stages() as stage:
             plan = design(
                 model, args.scenarios, args.budget, map_tasks, decide, runs, args.method, envelope, seed, stage
@@ -82,6 +82,6 @@ def _show(plan: ExperimentPlan, terminal: Terminal) -> None:
         pairs = Table(title="Probability that the next diagnosis distinguishes them, least certain first")
         for name in ("explanation", "against", "before", "after"):
             pairs.add_column(name)
-        for pair in plan.pairs[:MOST_PAIRS]:
+        for pair in plan.pairs[:MAX_SHOWN_PAIRS]:
             pairs.add_row(pair.first, pair.second, f"{pair.before:.1%}", f"{pair.after:.1%}")
         terminal.say(pairs)

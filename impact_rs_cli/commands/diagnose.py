@@ -43,7 +43,7 @@ from impact_rs_sim.robot import joined_units
 from impact_rs_trials.store import is_url
 from impact_rs_trials.workers import processor_time
 
-MOST_SHOWN = 8
+MAX_SHOWN_EFFECTS = 8
 
 
 @on_local_runs
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 
 
 def options_of(args: argparse.Namespace) -> dict[str, Any]:
-    """The given options that say what is diagnosed, by name; paths are absolute, so that they hold in every folder."""
+    """The given options that select the measurements, by name; paths are absolute, valid in every folder."""
     saying = [one for one in DIAGNOSE.options if one not in JOBS and one.kind not in (*WRITTEN, "json")]
     given = {one.name: getattr(args, one.name) for one in saying if one.words(getattr(args, one.name))}
     options = {one.name: one for one in saying}
@@ -106,7 +106,7 @@ def add_command(effects: Sequence[str], model: Path, source: Path, document: Dia
 
 
 def discover_command(args: argparse.Namespace, model: Model) -> str:
-    """The command that looks for a law in the same measurements.
+    """The command that searches a law in the same measurements.
 
     Args:
         args: Arguments of ``diagnose``.
@@ -171,7 +171,7 @@ def show(document: DiagnosisDocument, terminal: Terminal) -> None:
     table.add_column("alone", justify="right", no_wrap=True)
     table.add_column("without → with", justify="right", no_wrap=True)
     table.add_column("p", justify="right", no_wrap=True)
-    for effect in shown[:MOST_SHOWN]:
+    for effect in shown[:MAX_SHOWN_EFFECTS]:
         error = f"{number(effect.held_out_error_without or 0.0)} → {number(effect.held_out_error_after or 0.0)}"
         alone = "–" if effect.held_out_error_alone is None else number(effect.held_out_error_alone)
         table.add_row(effect.name, str(effect.verdict), alone, error, p_text(effect.p_value, document.design.least_p))
@@ -183,8 +183,8 @@ def show(document: DiagnosisDocument, terminal: Terminal) -> None:
                 terminal.say(f"  moves {size.signal} ({size.phase}) by up to {number(size.value)} {size.unit}")
     if document.dependences:
         terminal.say(dependences_table(document))
-    if len(shown) > MOST_SHOWN:
-        terminal.say(f"and {len(shown) - MOST_SHOWN} more effects, none of them better")
+    if len(shown) > MAX_SHOWN_EFFECTS:
+        terminal.say(f"and {len(shown) - MAX_SHOWN_EFFECTS} more effects, none of them better")
     if missing := [effect.name for effect in document.effects if not effect.measured]:
         terminal.say(f"not measured here: {', '.join(missing)}")
     if beyond_zero := shown_unnamed(document):

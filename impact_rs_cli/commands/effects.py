@@ -30,7 +30,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         table = Table(title=f"Library of physical effects; {PROGRAM} effects NAME explains one")
         table.add_column("effect", no_wrap=True)
         table.add_column("acts on", no_wrap=True)
-        table.add_column("what it is")
+        table.add_column("description")
         for effect in chosen.values():
             table.add_row(effect.name, effect.acts_on, effect.sentence)
         terminal.say(table)
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         what = "a fault of a reading; to calibrate it" if effect.of_measurement else "to determine it"
         terminal.say(f"{what}: {effect.calibration}")
     table = Table(title="Parameters")
-    for heading in ("parameter", "unit", "no effect at", "bounds", "noticeable", "what it is"):
+    for heading in ("parameter", "unit", "no effect at", "bounds", "noticeable", "description"):
         table.add_column(heading)
     for parameter in effect.parameters:
         table.add_row(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``impact-rs evidence``: packages of evidence that laboratories exchange, their check, and what they say together."""
+"""``impact-rs evidence``: packages of evidence that laboratories exchange, their check, and their meta-analysis."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from impact_rs_sim.files import write_whole
 from impact_rs_sim.model import load_model
 from impact_rs_sim.numbers import estimate_in_line
 
-MOST_LEFT_OUT = 8  # that are shown; all are in the JSON document
+MAX_SHOWN_LEFT_OUT = 8  # all are in the JSON document
 
 
 def pack(args: argparse.Namespace, terminal: Terminal) -> int:
@@ -87,7 +87,7 @@ def _show(merged: MergedEvidence, terminal: Terminal) -> None:
         terminal.say(f"ODD: {laboratory} does not agree with the others in {', '.join(where)}; left out there")
     for text in merged.in_common:
         terminal.warn(f"in common: {text}; where these are measurements, their estimates depend on each other")
-    for text in merged.left_out[:MOST_LEFT_OUT]:
+    for text in merged.left_out[:MAX_SHOWN_LEFT_OUT]:
         terminal.say(f"left out: {text}")
-    if len(merged.left_out) > MOST_LEFT_OUT:
-        terminal.say(f"left out: {len(merged.left_out) - MOST_LEFT_OUT} more; --json lists all")
+    if len(merged.left_out) > MAX_SHOWN_LEFT_OUT:
+        terminal.say(f"left out: {len(merged.left_out) - MAX_SHOWN_LEFT_OUT} more; --json lists all")

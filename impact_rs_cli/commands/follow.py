@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``impact-rs follow``: a model learns from every impact, and says when something has changed."""
+"""``impact-rs follow``: update a model with every impact, and detect changes."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model, save_model
 from impact_rs_sim.numbers import estimate_text
 
-POLLED = 0.5  # s, between two looks for new hits
-MOST_SHOWN = 13  # predicted numbers
+POLL_S = 0.5  # between two checks for new hits
+MAX_SHOWN_NUMBERS = 13  # of a prediction
 
 
 @on_local_runs
@@ -93,7 +93,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 
 
 def _warn_of_refused(hit_source: HitSource, terminal: Terminal) -> None:
-    """Warn of what gave no hit, once for each."""
+    """Warn of refused trials, once for each."""
     for name, reason in hit_source.newly_skipped().items():
         terminal.warn(f"left out: {name}: {reason}")
 
@@ -110,13 +110,13 @@ def _live(followed: FollowedHits, diagnosis: FullDiagnosis, terminal: Terminal) 
             _warn_of_refused(followed.follower.hit_source, terminal)
             _say_more(followed, terminal)
             _say_diagnosis(diagnosis.ended(), terminal)
-            time.sleep(POLLED)
+            time.sleep(POLL_S)
     except KeyboardInterrupt:
         return found
 
 
 def _awaited(diagnosis: FullDiagnosis, terminal: Terminal) -> ChangeDiagnosis | None:
-    """The full diagnosis that was started, when it has ended; None: there is none, or Ctrl-C ended it."""
+    """Result of the started full diagnosis; None: not started, or ended by Ctrl-C."""
     try:
         return _say_diagnosis(diagnosis.ended(wait=True), terminal)
     except KeyboardInterrupt:
@@ -138,7 +138,7 @@ def _say_diagnosis(found: ChangeDiagnosis | None, terminal: Terminal) -> ChangeD
 
 
 def _say(document: HitDocument, diagnosis: FullDiagnosis, terminal: Terminal, every: bool = False) -> None:
-    """Say what a hit taught: changes and odd hits, or every hit."""
+    """Print the result of a hit: changes and outliers, or every hit."""
     if every and document.error is not None:
         terminal.say(
             f"{document.name}: prediction off by {number(document.error)} standard deviations, "
@@ -186,9 +186,9 @@ def _show_prediction(prediction: NextHit, terminal: Terminal) -> None:
     for heading in ("signal", "", "prediction", "95 % interval", "unit"):
         table.add_column(heading, no_wrap=True)
     shown = [value for value in prediction.values if value.phase != "free"] or list(prediction.values)
-    for value in shown[:MOST_SHOWN]:
+    for value in shown[:MAX_SHOWN_NUMBERS]:
         estimate, low, high = estimate_text(value.value, value.ci95)
         table.add_row(value.signal, value.index, estimate, f"{low} ... {high}", value.unit)
     terminal.say(table)
-    if len(shown) > MOST_SHOWN:
-        terminal.say(f"and {len(shown) - MOST_SHOWN} more numbers ({PROGRAM} follow --json)")
+    if len(shown) > MAX_SHOWN_NUMBERS:
+        terminal.say(f"and {len(shown) - MAX_SHOWN_NUMBERS} more numbers ({PROGRAM} follow --json)")

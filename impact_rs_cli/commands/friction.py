@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``impact-rs friction``: what the controller feeds forward against joint friction."""
+"""``impact-rs friction``: feedforward of the controller against joint friction."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from dataclasses import asdict
 
 import numpy as np
 
-from impact_rs_cli.arguments import MOST_SHOWN, started
+from impact_rs_cli.arguments import MAX_SHOWN_FILES, started
 from impact_rs_cli.parser import command_line
 from impact_rs_cli.reading import experiment_file
 from impact_rs_cli.terminal import Terminal
@@ -30,7 +30,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     with started(args) as map_tasks:
         found = find_impacts(args.directory.absolute(), experiment, map_tasks)
     if not found.impacts:
-        reasons = "; ".join(f"{one.name}: {one.reason}" for one in found.left_out[:MOST_SHOWN])
+        reasons = "; ".join(f"{one.name}: {one.reason}" for one in found.left_out[:MAX_SHOWN_FILES])
         raise InputError(f"no impact was found in {found.runs} runs; {reasons}", file=args.directory)
     write_whole(args.output, table_text(found.impacts, found.constants))
     _show(found, terminal)
@@ -57,5 +57,5 @@ def _show(found: FoundImpacts, terminal: Terminal) -> None:
     for one in found.left_out:
         reasons.setdefault(one.reason, []).append(one.name)
     for reason, names in reasons.items():
-        shown = ", ".join(names[:MOST_SHOWN]) + (" ..." if len(names) > MOST_SHOWN else "")
+        shown = ", ".join(names[:MAX_SHOWN_FILES]) + (" ..." if len(names) > MAX_SHOWN_FILES else "")
         terminal.say(f"left out {len(names)}: {reason} ({shown})")

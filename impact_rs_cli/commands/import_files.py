@@ -13,15 +13,15 @@ from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.file_names import EXPERIMENT_FILE, MAPPING_FILE
-from impact_rs_trials.recordings.importing import ImportDraft, Wishes, draft_import
+from impact_rs_trials.recordings.importing import ImportDraft, ImportOptions, draft_import
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Guess, show the evidence, and write."""
     if args.rate is not None and not args.rate > 0.0:
         raise InputError("expected a sampling rate > 0 Hz", key="--rate", value=args.rate)
-    wishes = Wishes(args.robot, args.scenario, args.rate, args.dedupe)
-    draft = draft_import(args.files, args.output, wishes)
+    options = ImportOptions(args.robot, args.scenario, args.rate, args.dedupe)
+    draft = draft_import(args.files, args.output, options)
     with described_folder(args.output, draft.texts):
         pass  # nothing to try: the draft was made from what is there
     terminal.result(
@@ -46,8 +46,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 
 
 def _show(draft: ImportDraft, terminal: Terminal) -> None:
-    table = Table(title="What the files hold")
-    for heading in ("key", "value", "what shows it"):
+    table = Table(title="Contents of the files")
+    for heading in ("key", "value", "evidence"):
         table.add_column(heading)
     for line in draft.lines:
         evidence = line.evidence if line.sure else f"ASSUMED: {line.evidence}"

@@ -53,10 +53,10 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 
 
 def settings_of(args: argparse.Namespace) -> Settings:
-    """What was asked, by the options.
+    """Settings of the investigation, by the options.
 
     Raises:
-        InputError: Options that exclude each other, or name what does not exist.
+        InputError: Options that exclude each other, or unknown names.
     """
     model = load_model(args.model)
     check_effects(model, args.effects)
@@ -94,7 +94,7 @@ def settings_of(args: argparse.Namespace) -> Settings:
 
 
 def secret_of(settings: Settings) -> Secret:
-    """What the plant hides; of the seed, not of the file with the truth."""
+    """Hidden effect of the plant, drawn by the seed, not read from the file with the truth."""
     if (blind := settings.blind) is None:
         return NO_SECRET
     return Secret.drawn(blind.seed, blind.kind, blind.effect, blind.magnitude)
@@ -103,7 +103,7 @@ def secret_of(settings: Settings) -> Secret:
 def bench_of(
     args: argparse.Namespace, settings: Settings, secret: Secret, map_tasks: Map, terminal: Terminal
 ) -> PlantBench:
-    """Where trials run."""
+    """Bench that runs the trials."""
     directory = Path(args.directory)
     if settings.via == "inprocess":
         return PlantBench(directory, settings, map_tasks, terminal, secret)

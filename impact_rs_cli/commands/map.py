@@ -24,9 +24,9 @@ from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.map_table import answer_table, check_answers, write_answers
 from impact_rs_trials.recordings.impact_table import read_impact_table
 
-MOST_SWITCHES = 3  # that are shown; all are in the JSON document
+MAX_SHOWN_SWITCHES = 3  # all are in the JSON document
 UNUSED = ("drive.stiffness", "drive.damping")  # by the rigid impact map
-LEAST_SWITCHES = 0.01  # share of the draws from which one is shown
+MIN_SWITCH_SHARE = 0.01  # of the draws; rarer switches are not shown
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
@@ -181,7 +181,7 @@ def _say_uncertainty(prediction: UncertainPrediction, terminal: Terminal) -> Non
         else f"{prediction.draws} draws, contacts switch in {prediction.switched:.0%}"
     )
     terminal.say(f"  {LEVEL:.0%} intervals from the stated uncertainties ({how}):")
-    for what, share in [one for one in prediction.switches.items() if one[1] >= LEAST_SWITCHES][:MOST_SWITCHES]:
+    for what, share in [one for one in prediction.switches.items() if one[1] >= MIN_SWITCH_SHARE][:MAX_SHOWN_SWITCHES]:
         terminal.say(f"    in {share:.0%} of the draws {what}")
     for index, name in enumerate(prediction.names):
         if ".velocity." not in name:

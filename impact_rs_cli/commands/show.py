@@ -21,7 +21,7 @@ from impact_rs_trials.runs import Run
 from impact_rs_trials.store import is_bag
 from impact_rs_trials.workers import Map
 
-MOST_LOOKED_AT = 1000  # folders searched for a trial to suggest
+MAX_SEARCHED_FOLDERS = 1000  # for a trial to suggest
 LIVE_ALONE = ("namespace", "port")  # options that only --live has
 LABORATORY_ALONE = ("run_name", "model", "jobs", "scheduler")  # and those of --experiment
 OF_PAGES = ("path", "output", "experiment", *LABORATORY_ALONE)  # and options that mean nothing with --live
@@ -74,7 +74,7 @@ def check_trial(path: Path) -> None:
     """Check that a path is the folder of a trial, complete or damaged.
 
     Raises:
-        InputError: It is not; the message says what it is, and names a trial nearby.
+        InputError: It is not; the message describes it, and names a trial nearby.
     """
     if not path.exists():
         raise InputError("no such folder; expected the folder of a trial", file=path)
@@ -83,7 +83,7 @@ def check_trial(path: Path) -> None:
         raise InputError(f"a file; expected the folder of a trial, which holds metadata.yaml{remedy}", file=path)
     if is_bag(path) or any(path.glob("*.mcap")):
         return
-    found = [str(file.parent) for file in islice(path.rglob(BAG_METADATA), MOST_LOOKED_AT) if is_bag(file.parent)]
+    found = [str(file.parent) for file in islice(path.rglob(BAG_METADATA), MAX_SEARCHED_FOLDERS) if is_bag(file.parent)]
     remedy = f"; there are trials below it, for example {min(found)}" if found else ", and there are none below it"
     raise InputError(f"not the folder of a trial: it holds neither metadata.yaml nor an .mcap file{remedy}", file=path)
 
@@ -109,7 +109,7 @@ def _laboratory_page(args: argparse.Namespace, terminal: Terminal) -> Path:
 
 
 def _beside_model(args: argparse.Namespace, shown: Run, map_tasks: Map, terminal: Terminal) -> Track:
-    """The run beside its twin; all runs are read, because their clocks are estimated together."""
+    """The run and its twin; all runs are read, because their clocks are estimated together."""
     model = load_model(args.model)
     runs = read_experiment(args.path, args.experiment, map_tasks, terminal)
     found = next((own for own in runs.runs if own.path == shown.path), None)

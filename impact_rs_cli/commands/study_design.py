@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``impact-rs study-design``: robots, poses, motor inertias and pads, ranked by what a hit does."""
+"""``impact-rs study-design``: robots, poses, motor inertias and pads, ranked by the effect of an impact."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from impact_rs_cli.arguments import started
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.scenario import load_scenario
 
-SHOWN = 8  # designs of the table; all are in the file
+MAX_SHOWN_DESIGNS = 8  # all are in the file
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         page = write_design_study(study, args.output)
     _show(study, args.rank_by, terminal)
     terminal.result(_document(study))
-    for name, reason in list(study.failed.items())[:SHOWN]:
+    for name, reason in list(study.failed.items())[:MAX_SHOWN_DESIGNS]:
         terminal.warn(f"no answer for {name}: {reason}")
     terminal.say(f"report: {page.resolve()}", f"table: {(args.output / DESIGNS_TABLE).resolve()}")
     return 0
@@ -52,7 +52,7 @@ def _show(study: DesignStudy, measure: str, terminal: Terminal) -> None:
     table = Table(title=f"Most {what.label} of {len(study.designs)} designs")
     for heading in ("robot/pose/motor inertia/pad", f"[{what.unit}]", f"{CONFIDENCE_LEVEL:.0%} interval", "rank"):
         table.add_column(heading, no_wrap=True)
-    for design, best, worst in study.ranked(measure)[:SHOWN]:
+    for design, best, worst in study.ranked(measure)[:MAX_SHOWN_DESIGNS]:
         found = design.measures[measure]
         interval = f"{found.low:.3g} ... {found.high:.3g}"
         table.add_row(design.name, f"{found.value:.3g}", interval, f"{best} to {worst}")

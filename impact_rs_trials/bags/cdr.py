@@ -24,7 +24,7 @@ from rosbags.typesys.store import Typestore
 from impact_rs_sim.robot import Array
 
 LITTLE_ENDIAN = b"\x00\x01"
-HEADER = 4  # bytes of the encapsulation header
+ENCAPSULATION_BYTES = 4  # before the content of every CDR message
 
 _FORMATS = {
     "bool": "?",
@@ -50,11 +50,11 @@ class _NoColumnsError(Exception):
 
 @dataclass(frozen=True)
 class _RowLayout:
-    """Where the parts of a message lie.
+    """Memory layout of a message.
 
     Attributes:
         numbers: Field path, NumPy format, shape and byte offset of all numbers that may change.
-        texts: Field paths of strings and lists of strings, which must not change.
+        texts: Field paths of strings and lists of strings, which are constant.
         fixed: Byte ranges that are the same in all messages: lengths and strings.
     """
 
@@ -75,7 +75,7 @@ class _RowLayout:
 
 
 def _fields(store: Typestore, kind: str) -> list[tuple[str, tuple[Nodetype, Any]]]:
-    """Field names and their types, as ``rosbags`` nests them: a node type and what it is made of."""
+    """Field names and their types, nested as in ``rosbags``: a node type and its arguments."""
     return store.fielddefs[kind][1]  # type: ignore[return-value]
 
 
@@ -85,7 +85,7 @@ class _Walker:
     def __init__(self, store: Typestore, data: bytes | memoryview) -> None:
         self._store = store
         self._data = data
-        self._at = HEADER
+        self._at = ENCAPSULATION_BYTES
         self._numbers: list[tuple[str, str, tuple[int, ...], int]] = []
         self._texts: list[str] = []
         self._fixed: list[tuple[int, int]] = []
@@ -127,7 +127,7 @@ class _Walker:
         self._at += size * (shape[0] if shape else 1)
 
     def _align(self, size: int) -> None:
-        self._at += -(self._at - HEADER) % size
+        self._at += -(self._at - ENCAPSULATION_BYTES) % size
 
     def _length(self) -> int:
         self._align(4)
@@ -137,11 +137,11 @@ class _Walker:
 
 
 class Template:
-    """Makes the bytes of messages from columns; strings and lengths are those of an example.
+    """Serializes messages from columns; strings and lengths are copied from an example.
 
     Args:
         data: A serialized message.
-        dtype: Where its numbers stand, by field path.
+        dtype: Offsets of its numbers, by field path.
     """
 
     def __init__(self, data: bytes, dtype: np.dtype[Any]) -> None:
@@ -164,7 +164,7 @@ class Template:
         """Serialized messages.
 
         Args:
-            columns: One row per message, by field path (``header.stamp.sec``); the example's value where there is none.
+            columns: One row per message, by field path (``header.stamp.sec``); default: the example's value.
             count: Number of messages.
         """
         data = bytearray(self._data * count)
@@ -204,7 +204,7 @@ def _encode_table(store: Typestore, kind: str, messages: Sequence[Any], first: b
         text = get(messages[0])
         if any(get(message) != text for message in messages):
             return None
-    # A bytearray, because copying a structured array would lose what lies between its fields: lengths and strings.
+    # A bytearray, because copying a structured array would lose the bytes between its fields: lengths and strings.
     table = np.frombuffer(bytearray(first * len(messages)), layout.dtype(len(first)))
     for path, _, shape, _ in layout.numbers:
         column = np.array(list(map(attrgetter(path), messages)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checksums of a bag, which reveal any changed bit.
+"""Checksums of a bag, which detect any changed bit.
 
 ``rosbags`` writes MCAP with checksums of 0, which mean "unknown". The writer sets those of the chunks, :func:`seal` the
 two of the file (CRC-32, at the positions that the format defines)::
@@ -9,9 +9,9 @@ two of the file (CRC-32, at the positions that the format defines)::
 
 A bag holds its ``metadata.yaml`` twice, as a file and inside the MCAP file. In a sealed bag both have the same text, so
 that the same checksums protect the file. :func:`check` verifies all of it if the metadata of the bag declare checksums;
-those of earlier versions and of other programs do not.
+bags of earlier versions and of other programs do not.
 
-The ``mcap`` package reads what is left of a file that was never closed. It could write and check whole files as well,
+The ``mcap`` package reads the rest of a file that was never closed. It could write and check whole files as well,
 but takes one Python object per message and index entry: for a trial of 12,000 messages 86 ms instead of 40 ms to write,
 14 ms instead of 1 ms to check.
 """
@@ -32,18 +32,18 @@ from impact_rs_trials.file_names import BAG_METADATA
 
 NAME: Final = "checksums"
 KIND: Final = "crc32"  # value in the custom data of a sealed bag
-HEADING = "rosbag2_bagfile_information:\n"  # of metadata.yaml; what lies in the MCAP file stands below it
+HEADING = "rosbag2_bagfile_information:\n"  # of metadata.yaml, above the text in the MCAP file
 MAGIC = b"\x89MCAP0\r\n"
-HEAD = 9  # bytes of a record before its content: its kind and size
-CHUNK_CHECKSUM = 24  # its offset in the content of a chunk
-MESSAGE = 0x05  # kind of a record
+RECORD_HEAD_BYTES = 9  # before the content of a record: kind (1) and size (8)
+CHUNK_CHECKSUM_OFFSET_BYTES = 24  # in the content of a chunk
+MESSAGE_OPCODE = 0x05  # of a record with a message (MCAP specification)
 _SAID = f"{NAME}: {KIND}\n".encode()
 _U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
 _DATA_END, _FOOTER = b"\x0f" + _U64.pack(4), b"\x02" + _U64.pack(20)  # heads of these records
 
 
 class ChecksumError(Exception):
-    """Bytes have changed since they were written; the message says where."""
+    """Bytes have changed since they were written; the message has the position."""
 
 
 def seal(path: Path) -> None:
@@ -59,12 +59,12 @@ def seal(path: Path) -> None:
 
 
 def metadata_text(inner: str) -> str:
-    """``metadata.yaml`` from the text inside the MCAP file: what ``rosbags`` writes, but for its line breaks."""
+    """``metadata.yaml`` from the text inside the MCAP file, equal to the output of ``rosbags`` except line breaks."""
     return f"{HEADING}{indent(inner, '  ')}\n"
 
 
 def check(bag: Path) -> bool:
-    """Whether a bag is sealed; a sealed one that differs in any bit from what was written is an error.
+    """Whether a bag is sealed; a sealed bag with a changed bit is an error.
 
     Args:
         bag: Its folder.
@@ -85,7 +85,7 @@ def check(bag: Path) -> bool:
             for place, value in _checksums(data):
                 (found,) = _U32.unpack_from(data, place)
                 if found != value and (sealed or found):
-                    raise ChecksumError(f"damaged: its checksum is {found:08x}, that of what is there {value:08x}")
+                    raise ChecksumError(f"damaged: its checksum is {found:08x}, its contents have {value:08x}")
         except (struct.error, ValueError):
             raise ChecksumError(f"{path.name} is cut off or damaged") from None
         if sealed and not _holds(data, metadata):
@@ -93,7 +93,7 @@ def check(bag: Path) -> bool:
     return sealed
 
 
-def says_so(bag: Path) -> bool:
+def declares_checksums(bag: Path) -> bool:
     """Whether the metadata of a bag say that it was sealed; nothing is checked."""
     try:
         return _SAID in (bag / BAG_METADATA).read_bytes()
@@ -102,7 +102,7 @@ def says_so(bag: Path) -> bool:
 
 
 def unsealed_words(count: int) -> str:
-    """Warning about a number of bags without checksums; empty for none."""
+    """Warning about a number of bags without checksums; empty for 0."""
     if not count:
         return ""
     return (
@@ -137,21 +137,23 @@ def whole_messages(path: Path) -> Iterator[tuple[str, int, bytes]]:
 
 
 def _checksums(data: bytes) -> Iterator[tuple[int, int]]:
-    """Where the checksums of data end and footer stand, and what they are to be.
+    """Offsets and expected values of the checksums of data end and footer.
 
     Raises:
         ValueError: The file is no MCAP, or was cut off.
         struct.error: It was cut off.
     """
-    view, footer = memoryview(data), len(data) - len(MAGIC) - HEAD - 20
-    if not (data.startswith(MAGIC) and data.endswith(MAGIC) and data[footer : footer + HEAD] == _FOOTER):
+    view, footer = memoryview(data), len(data) - len(MAGIC) - RECORD_HEAD_BYTES - 20
+    if not (data.startswith(MAGIC) and data.endswith(MAGIC) and data[footer : footer + RECORD_HEAD_BYTES] == _FOOTER):
         raise ValueError("no MCAP")
-    end = _U64.unpack_from(data, footer + HEAD)[0] or footer  # of the data section: the summary follows, or the footer
-    start = end - HEAD - 4
-    if start < 0 or data[start : start + HEAD] != _DATA_END:
+    end = (
+        _U64.unpack_from(data, footer + RECORD_HEAD_BYTES)[0] or footer
+    )  # of the data section: the summary follows, or the footer
+    start = end - RECORD_HEAD_BYTES - 4
+    if start < 0 or data[start : start + RECORD_HEAD_BYTES] != _DATA_END:
         raise ValueError("no data end")
-    yield start + HEAD, crc32(view[:start])
-    yield footer + HEAD + 16, crc32(view[end : footer + HEAD + 16])
+    yield start + RECORD_HEAD_BYTES, crc32(view[:start])
+    yield footer + RECORD_HEAD_BYTES + 16, crc32(view[end : footer + RECORD_HEAD_BYTES + 16])
 
 
 def _holds(data: bytes, metadata: bytes) -> bool:

@@ -26,7 +26,7 @@ from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.bags.types import typestore
 
-TF_PERIOD = 0.02  # s, viewers need no more
+TF_PERIOD_S = 0.02  # viewers need no shorter one
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Frame:
     Attributes:
         parent: Frame that it is seen from.
         name: Its name.
-        placement: Where it is, in the axes of the parent.
+        placement: Its placement in the axes of the parent.
     """
 
     parent: str
@@ -45,7 +45,7 @@ class Frame:
 
 
 class MessageTypes(Protocol):
-    """Where message classes come from."""
+    """Source of message classes."""
 
     def type(self, name: str) -> Any:
         """Class of the message ``package/msg/Name``."""
@@ -73,7 +73,7 @@ class MessageMaker:
     """Fills the messages of one trial.
 
     Args:
-        types: Where message classes come from.
+        types: Source of message classes.
         plan: The trial.
 
     Attributes:

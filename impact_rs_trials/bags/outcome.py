@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a trial ended, judged by what was measured and recorded.
+"""Outcome of a trial, by its measured and recorded signals.
 
 Every rule checks one condition and yields findings. The verdict is the gravest finding, of equally grave ones the
 earliest. A limit may be exceeded briefly: an impact takes a wrist beyond its torque limit for some milliseconds. The
@@ -22,14 +22,14 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.bags.reader import JointColumns, PoseColumns
 from impact_rs_trials.bags.trial_info import OUTCOMES, Outcome
 
-LEAST_LIFT = 0.5  # of the lift that the reference asks for; less, and the object slipped or fell
-LONGEST = 0.005  # s beyond a limit of position or speed, or tilted; no more than that is a spike of a sensor
-LONGEST_TORQUE = 0.05  # s beyond a limit of torque; the impact of a healthy grab takes 6 ms, up to 1.9 times the limit
-LONGEST_UNSOLVED = 0.05  # s without a solution of the QP
-COMMANDED = 1.001  # of the limit; separates a command at its limit from one beyond it
-MEASURED = 1.05  # of the limit; a joint at its limit measures up to that, with noise and the ringing of its spring
-LARGEST_TILT = np.radians(20.0)  # of the object, from upright; healthy ones turn by 2 degrees
-ROUNDING = 1e-9  # s, of a sum of periods
+MIN_LIFT_SHARE = 0.5  # of the commanded lift; below it the object slipped or fell
+MAX_VIOLATION_S = 0.005  # beyond a limit of position, speed or tilt; a shorter violation is a spike of a sensor
+MAX_TORQUE_VIOLATION_S = 0.05  # the impact of a healthy grab takes 6 ms, with up to 1.9 times the limit
+MAX_UNSOLVED_S = 0.05  # without a solution of the QP
+COMMANDED_LIMIT_FACTOR = 1.001  # of the limit; separates a command at its limit from one beyond it
+MEASURED_LIMIT_FACTOR = 1.05  # of the limit; noise and the ringing of its spring take a joint at its limit so far
+MAX_TILT_RAD = np.radians(20.0)  # of the object from upright; healthy ones turn by 2 degrees
+PERIOD_ROUNDING_S = 1e-9  # of a sum of periods
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Verdict:
 
     Attributes:
         outcome: Which of ``OUTCOMES``.
-        reason: When, which joint, which value against which limit, in one line; empty for ``OK``.
+        reason: Time, joint, value and limit in one line; empty for ``OK``.
     """
 
     outcome: Outcome
@@ -47,7 +47,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class ArmRecord:
-    """What was recorded of one arm.
+    """Record of one arm.
 
     Attributes:
         joints: Measured state.
@@ -68,19 +68,19 @@ class ArmRecord:
 
 @dataclass(frozen=True)
 class TrialRecord:
-    """What was recorded of a trial, as far as its outcome depends on it.
+    """Record of a trial, with the signals that its outcome depends on.
 
     Attributes:
         arms: By name.
-        object: What the tracker saw.
+        object: Measurements of the tracker.
     """
 
     arms: dict[str, ArmRecord]
     object: PoseColumns
 
 
-class Witness:
-    """Keeps of a trial that runs in this process what it is judged by.
+class TickLog:
+    """Tick log of a trial in this process, for its outcome.
 
     Args:
         plan: The trial.
@@ -90,12 +90,12 @@ class Witness:
         self._arms = list(plan.arms)
         self._ticks: list[Tick] = []
 
-    def see(self, tick: Tick) -> None:
+    def append(self, tick: Tick) -> None:
         """Take down one tick."""
         self._ticks.append(tick)
 
     def record(self) -> TrialRecord:
-        """What was seen."""
+        """The record so far."""
         return TrialRecord({name: self._arm(name) for name in self._arms}, self._object())
 
     def _arm(self, name: str) -> ArmRecord:
@@ -130,7 +130,7 @@ class _Finding:
     """Something that went wrong.
 
     Attributes:
-        outcome: What it makes of the trial.
+        outcome: Resulting outcome of the trial.
         time: Since when [s].
         reason: In one line.
     """
@@ -144,8 +144,8 @@ def judge(plan: TrialPlan, recorded: TrialRecord) -> Verdict:
     """Outcome of a trial that ran to its end, or ran away.
 
     Args:
-        plan: What was meant to happen.
-        recorded: What was measured and commanded.
+        plan: Plan of the trial.
+        recorded: Measured and commanded signals.
     """
     gravity = list(OUTCOMES)
     found = sorted(_findings(plan, recorded), key=lambda one: (gravity.index(one.outcome), one.time))
@@ -167,7 +167,7 @@ def _findings(plan: TrialPlan, recorded: TrialRecord) -> Iterator[_Finding]:
 
 
 def _runaway(name: str, arm: ArmRecord, model: RobotModel) -> Iterator[_Finding]:
-    """The first joint far beyond its speed, and the first numbers that are none."""
+    """First joint over its speed limit, and first non-finite values."""
     joints = arm.joints
     if joints.time.size:
         speed = np.abs(joints.velocity) / model.velocity_max
@@ -195,16 +195,40 @@ def _beyond_limits(name: str, arm: ArmRecord, model: RobotModel, period: float) 
     joints, torque = arm.joints, model.torque_max
     stops = (model.position_min, model.position_max)
     for what, quantity, time, values, (low, high), margin, longest in (
-        ("position", "position", joints.time, joints.position, stops, 1.0, LONGEST),
-        ("speed", "velocity", joints.time, joints.velocity, (-model.velocity_max, model.velocity_max), 1.0, LONGEST),
-        ("torque", "effort", joints.time, joints.effort, (-torque, torque), MEASURED, LONGEST_TORQUE),
-        ("commanded torque", "effort", arm.command_time, arm.command, (-torque, torque), COMMANDED, LONGEST_TORQUE),
+        ("position", "position", joints.time, joints.position, stops, 1.0, MAX_VIOLATION_S),
+        (
+            "speed",
+            "velocity",
+            joints.time,
+            joints.velocity,
+            (-model.velocity_max, model.velocity_max),
+            1.0,
+            MAX_VIOLATION_S,
+        ),
+        (
+            "torque",
+            "effort",
+            joints.time,
+            joints.effort,
+            (-torque, torque),
+            MEASURED_LIMIT_FACTOR,
+            MAX_TORQUE_VIOLATION_S,
+        ),
+        (
+            "commanded torque",
+            "effort",
+            arm.command_time,
+            arm.command,
+            (-torque, torque),
+            COMMANDED_LIMIT_FACTOR,
+            MAX_TORQUE_VIOLATION_S,
+        ),
     ):
         if not time.size:
             continue
         beyond = (values < margin * low) | (values > margin * high)
         lasted = beyond.sum(axis=0) * period
-        for joint in np.flatnonzero(lasted > longest + ROUNDING):
+        for joint in np.flatnonzero(lasted > longest + PERIOD_ROUNDING_S):
             rows = np.flatnonzero(beyond[:, joint])
             excess = np.maximum(values[rows, joint] - high[joint], low[joint] - values[rows, joint])
             worst = values[rows[np.argmax(excess)], joint]
@@ -221,7 +245,7 @@ def _beyond_limits(name: str, arm: ArmRecord, model: RobotModel, period: float) 
 def _unsolved(name: str, arm: ArmRecord, period: float) -> Iterator[_Finding]:
     """A controller whose limits contradicted each other for too long."""
     rows = np.flatnonzero(arm.qp_status != QpStatus.SOLVED)
-    if rows.size * period > LONGEST_UNSOLVED + ROUNDING:
+    if rows.size * period > MAX_UNSOLVED_S + PERIOD_ROUNDING_S:
         since, lasted = float(arm.command_time[rows[0]]), 1e3 * rows.size * period
         yield _Finding(
             "INFEASIBLE",
@@ -231,7 +255,7 @@ def _unsolved(name: str, arm: ArmRecord, period: float) -> Iterator[_Finding]:
 
 
 def _untouched(recorded: TrialRecord) -> Iterator[_Finding]:
-    """Arms without an impact, where one was planned."""
+    """Arms without a planned impact."""
     missed = [name for name, arm in recorded.arms.items() if not arm.hit]
     if missed:
         yield _Finding("NO-IMPACT", 0.0, f"{', '.join(missed)} detected no impact")
@@ -243,7 +267,7 @@ def _too_early(plan: TrialPlan, recorded: TrialRecord) -> Iterator[_Finding]:
     begin = timing.window[0]
     for name, arm in recorded.arms.items():
         for row in np.flatnonzero(arm.mode != Mode.ANTE)[:1]:
-            if float(arm.command_time[row]) < begin - ROUNDING:
+            if float(arm.command_time[row]) < begin - PERIOD_ROUNDING_S:
                 time = float(arm.command_time[row])
                 yield _Finding(
                     "EARLY",
@@ -261,9 +285,9 @@ def _tipped(seen: PoseColumns) -> Iterator[_Finding]:
     x, y, z, w = seen.quaternion.T
     vertical = np.stack((2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x**2 + y**2)), axis=-1)
     tilt = np.arccos(np.clip(vertical @ vertical[0], -1.0, 1.0))
-    rows = np.flatnonzero(tilt > LARGEST_TILT)
-    if rows.size * np.median(np.diff(seen.time)) > LONGEST + ROUNDING:
-        since, worst, limit = float(seen.time[rows[0]]), np.degrees(tilt.max()), np.degrees(LARGEST_TILT)
+    rows = np.flatnonzero(tilt > MAX_TILT_RAD)
+    if rows.size * np.median(np.diff(seen.time)) > MAX_VIOLATION_S + PERIOD_ROUNDING_S:
+        since, worst, limit = float(seen.time[rows[0]]), np.degrees(tilt.max()), np.degrees(MAX_TILT_RAD)
         yield _Finding(
             "TIPPED", since, f"the object leaned by {worst:.0f} degrees against {limit:.0f} degrees from {since:.3f} s"
         )
@@ -275,7 +299,7 @@ def _dropped(plan: TrialPlan, seen: PoseColumns) -> Iterator[_Finding]:
         return
     meant = plan.expected_lift
     lift = float(seen.position[-1, 2] - seen.position[0, 2])
-    if meant > 0.0 and lift < LEAST_LIFT * meant:
+    if meant > 0.0 and lift < MIN_LIFT_SHARE * meant:
         yield _Finding(
             "DROPPED",
             float(seen.time[-1]),

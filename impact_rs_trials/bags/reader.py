@@ -37,8 +37,8 @@ OF_THE_TWIN = (
     "the twin made these trials, and it is what the model replays them with: the simulator explains itself, so that no "
     "difference between simulators shows"
 )
-STAMPED_TOGETHER = 1e-6  # s, between joint and motor states of one tick
-FRAME = 12  # byte at which the frame of a serialized message with a header stands
+MAX_STAMP_DIFFERENCE_S = 1e-6  # between joint and motor states of one tick
+FRAME_OFFSET_BYTES = 12  # of the frame name in a serialized message with a header
 
 
 class BagError(Exception):
@@ -141,7 +141,7 @@ Columns = TypeVar("Columns", JointColumns, ControllerColumns, PoseColumns)
 
 
 def recorded_at(path: Path) -> float:
-    """When a bag was recorded, seconds since 1970, by its metadata alone; where that says nothing, when it was written.
+    """Time of a bag's recording, seconds since 1970, by its metadata alone, or else the time of writing.
 
     Args:
         path: Folder of the bag; its messages may be damaged.
@@ -151,7 +151,7 @@ def recorded_at(path: Path) -> float:
 
 
 def stamped_at(path: Path) -> float | None:
-    """When the recorder stamped a bag, seconds since 1970, simulated or not, by its metadata alone; None: it did not.
+    """Time stamp by the recorder of a bag, seconds since 1970, simulated or not, by its metadata alone; None: missing.
 
     Args:
         path: Folder of the bag; its messages may be damaged.
@@ -160,7 +160,7 @@ def stamped_at(path: Path) -> float | None:
 
 
 def _custom(path: Path) -> dict[str, str]:
-    """Custom metadata of a bag; empty: there are none that can be read."""
+    """Custom metadata of a bag; empty: missing or not readable."""
     with suppress(OSError, yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError):
         text = (path / BAG_METADATA).read_text(encoding="utf-8")
         return dict(yaml.load(text, yaml.CSafeLoader)["rosbag2_bagfile_information"]["custom_data"] or {})
@@ -168,12 +168,12 @@ def _custom(path: Path) -> dict[str, str]:
 
 
 def _recorded(metadata: Mapping[str, str]) -> float | None:
-    """When a bag was recorded, seconds since 1970; None: by another program, or simulated, when time means nothing."""
+    """Time of a bag's recording, seconds since 1970; None: by another program, or simulated."""
     return None if metadata.get("via") in VIA.values() else _stamp(metadata)
 
 
 def _stamp(metadata: Mapping[str, str]) -> float | None:
-    """When a bag was written, by its recorder, seconds since 1970; None: it has no stamp."""
+    """Time of writing a bag by its recorder, seconds since 1970; None: without a time stamp."""
     with suppress(KeyError, ValueError, TypeError):
         return datetime.fromisoformat(metadata[RECORDED]).timestamp()
     return None
@@ -187,7 +187,7 @@ class TrialBag:
         reader: Open; the bag closes it.
         info: Identity of the trial.
         metadata: Custom metadata of the recorder.
-        sealed: Whether it has checksums, all correct; bags of 0.1.0 and of other programs have none.
+        sealed: Whether it has checksums, all correct; bags of 0.1.0 and of other programs lack them.
 
     Attributes:
         counts: Number of messages by topic.
@@ -251,12 +251,12 @@ class TrialBag:
 
     @property
     def outcome(self) -> str:
-        """One of ``OUTCOMES``; ``ABORTED`` where the recorder wrote nothing."""
+        """One of ``OUTCOMES``; ``ABORTED`` if the recorder wrote no outcome."""
         return self.metadata.get("outcome", "ABORTED")
 
     @property
     def reason(self) -> str:
-        """Reason of the outcome, in one line: that of the recorder, or the meaning of the outcome."""
+        """Reason of the outcome, in one line: the recorder's, or the meaning of the outcome."""
         return self.metadata.get("outcome_reason") or OUTCOMES.get(self.outcome, "an outcome that is not known here")
 
     @property
@@ -304,7 +304,7 @@ class TrialBag:
         """The trial as a run; ``/truth`` is not read.
 
         Raises:
-            BagError: A topic is missing, damaged, has NaN, gaps or stamps that run backwards.
+            BagError: A topic is missing, damaged, has NaN, gaps or decreasing timestamps.
             InputError: The scenario in it cannot be read.
         """
         remarks = (OF_THE_TWIN,) if self.info.simulator == "twin" else ()
@@ -352,7 +352,7 @@ class TrialBag:
         ):
             if size != time.size:
                 raise BagError(self.path, f"{topic} has {size} messages, {topics.joint_states(arm)} has {time.size}")
-        if np.any(other := np.abs(motor.time - time) > STAMPED_TOGETHER):
+        if np.any(other := np.abs(motor.time - time) > MAX_STAMP_DIFFERENCE_S):
             first = float(time[np.argmax(other)])
             both = f"{topics.motor_states(arm)} and {topics.joint_states(arm)}"
             raise BagError(self.path, f"{both} have different stamps at t = {first:.3f} s")
@@ -377,7 +377,7 @@ class TrialBag:
         )
 
     def _check_joints(self, topic: str, arm: str, time: Array) -> None:
-        """Every message names the same joints, in the order of the robot where they are those of the robot."""
+        """Check that every message names the same joints, in the order of the robot if they are the robot's."""
         _, rows = _raw(self.path, self._reader, topic, self._ahead)
         names, part = _joints_of(rows[0])
         if (place := next((n for n, row in enumerate(rows) if row[part] != rows[0][part]), None)) is not None:
@@ -390,16 +390,16 @@ class TrialBag:
             )
 
     def impact_time(self, arm: str) -> float:
-        """Detected impact time of an arm [s]; NaN where nothing was detected."""
+        """Detected impact time of an arm [s]; NaN: not detected."""
         found = self.messages(topics.impact_event(arm))
         return float(found[0].detected_time) if found else math.nan
 
 
 def _joints_of(row: bytes) -> tuple[list[str], slice]:
-    """Names of the joints in a serialized ``sensor_msgs/JointState``, and where they stand."""
+    """Names of the joints in a serialized ``sensor_msgs/JointState``, and their offsets."""
     order = "<" if row[1] else ">"
-    (length,) = struct.unpack_from(f"{order}I", row, FRAME)
-    at = FRAME + 4 + length
+    (length,) = struct.unpack_from(f"{order}I", row, FRAME_OFFSET_BYTES)
+    at = FRAME_OFFSET_BYTES + 4 + length
     start = at = at + -at % 4
     (count,) = struct.unpack_from(f"{order}I", row, at)
     at += 4
@@ -418,7 +418,7 @@ def columns_of(kind: str, rows: Sequence[bytes], store: Typestore | None = None)
     Args:
         kind: ``package/msg/Name`` of all of them.
         rows: The messages.
-        store: Type definitions by which they were written; None: those of this version.
+        store: Type definitions of the writer; None: this version's.
     """
     columns = decode(store or typestore(), kind, rows)
     if columns:
@@ -429,7 +429,7 @@ def columns_of(kind: str, rows: Sequence[bytes], store: Typestore | None = None)
 def _raw(
     path: Path, reader: Reader, topic: str, ahead: Mapping[str, list[bytes]] = MappingProxyType({})
 ) -> tuple[Connection | None, list[bytes]]:
-    """Connection and serialized messages of a topic, or those read ``ahead``; None where the bag lacks it."""
+    """Connection and serialized messages of a topic, perhaps read ``ahead``; None if the bag lacks it."""
     connections = [c for c in reader.connections if c.topic == topic]
     if not connections:
         return None, []

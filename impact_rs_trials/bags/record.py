@@ -18,13 +18,13 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.urdf import WORLD, write_description, write_object_description
 from impact_rs_trials.bags import topics
-from impact_rs_trials.bags.messages import TF_PERIOD, Frame, MessageMaker, RosbagsTypes
-from impact_rs_trials.bags.outcome import Verdict, Witness, judge
+from impact_rs_trials.bags.messages import TF_PERIOD_S, Frame, MessageMaker, RosbagsTypes
+from impact_rs_trials.bags.outcome import TickLog, Verdict, judge
 from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.bags.writer import BagWriter
 
-FIXED = 1e-9  # [-], m; tolerance within which a placement does not depend on the joint positions
+FIXED_TOLERANCE = 1e-9  # [-], m; a placement that changes by less does not depend on the joint positions
 
 
 def descriptions(plan: TrialPlan) -> dict[str, str]:
@@ -45,7 +45,7 @@ class FrameSource:
 
     Args:
         scene: The scene.
-        prefix: Prefix of every frame, ``cell_a/``, where several graphs share ``/tf``; the prefixed ``world`` then is
+        prefix: Prefix of every frame, ``cell_a/``, if several graphs share ``/tf``; the prefixed ``world`` then is
             a child of the common ``world``, at the same pose.
 
     Attributes:
@@ -56,7 +56,7 @@ class FrameSource:
         self._models = scene.models
         self._prefix = prefix
         self._supported = scene.physics.support_height is not None
-        self._every = max(1, round(TF_PERIOD / scene.scenario.timing.control_period))
+        self._every = max(1, round(TF_PERIOD_S / scene.scenario.timing.control_period))
         self._object = pin.SE3(scene.object.rotation, scene.object.position)
         self._fixed: set[str] = set()
         at_rest, moved = (
@@ -64,7 +64,9 @@ class FrameSource:
             for q in (0.0, 1.0)
         )
         self.static = [
-            one for one, other in zip(at_rest, moved, strict=True) if one.placement.isApprox(other.placement, FIXED)
+            one
+            for one, other in zip(at_rest, moved, strict=True)
+            if one.placement.isApprox(other.placement, FIXED_TOLERANCE)
         ]
         self._fixed = {one.name for one in self.static}
 
@@ -118,7 +120,7 @@ def occasional_messages(
 
 
 def keep_tick(streams: Mapping[str, Stream], tick: Tick, truth: Truth | None) -> None:
-    """Add the signals of a tick to the streams of plant and controller; without ``truth``, none below ``/truth``."""
+    """Add the signals of a tick to the streams of plant and controller; topics below ``/truth`` need ``truth``."""
     for arm, measured in tick.measurement.arms.items():
         streams[topics.joint_states(arm)].add(tick.number, measured)
         streams[topics.motor_states(arm)].add(tick.number, measured)
@@ -183,7 +185,7 @@ def record_cell(
             for topic, urdf in descriptions(plan).items():
                 bag.write(topic, 0, maker.robot_description(urdf))
             bag.write(topics.TF_STATIC, 0, maker.transforms(0, frames.static))
-            witness, streaming = Witness(plan), StreamMaker(plan)
+            ticks, streaming = TickLog(plan), StreamMaker(plan)
             streams = {**streaming.of_plant(), **streaming.of_controller()}
             tick: Tick
             try:
@@ -198,11 +200,11 @@ def record_cell(
                             bag.write(
                                 topics.impact_event(arm), now, maker.impact_event(tick.number, arm, command.detection)
                             )
-                    witness.see(tick)
+                    ticks.append(tick)
             finally:  # an interrupted trial is readable up to its end
                 for topic, stream in streams.items():
                     bag.write_rows(topic, *stream.take())
-            verdict = judge(plan, witness.record())
+            verdict = judge(plan, ticks.record())
             bag.finish(verdict.outcome, verdict.reason)
             return verdict, {arm: command.net_feedback for arm, command in tick.commands.items()}
     finally:

@@ -16,7 +16,7 @@ from impact_rs_trials.bags.writer import BagWriter
 
 
 def recover(cut: Path, whole: Path) -> bool:
-    """Write the readable messages of a cut-off trial to a new bag, whose reason says until when it was recorded.
+    """Write the readable messages of a truncated trial to a new bag, with the end of the recording in its reason.
 
     Args:
         cut: Folder of the bag that was cut off; it stays as it is.

@@ -2,7 +2,7 @@
 """Signals of every tick, kept as samples and serialized in bursts.
 
 Filling and serializing a message object per tick and topic costs more than the physics. Here a sample is kept when it
-is measured, and a whole burst is serialized column by column. The bytes are those of the messages that
+is measured, and a whole burst is serialized column by column. The bytes equal the messages that
 :class:`~impact_rs_trials.bags.messages.MessageMaker` makes.
 """
 
@@ -26,7 +26,7 @@ from impact_rs_trials.bags.cdr import Template
 from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes, reference_columns
 from impact_rs_trials.bags.types import typestore
 
-SECOND = 1_000_000_000  # ns
+NS_PER_S = 1_000_000_000
 
 
 def _component(name: str, index: int) -> Callable[[Any], float]:
@@ -98,7 +98,7 @@ class Stream:
         ticks, samples = np.array(self._ticks), self._samples
         self._ticks, self._samples = [], []
         times = ticks * self._period_ns
-        seconds, nanoseconds = np.divmod(times, SECOND)
+        seconds, nanoseconds = np.divmod(times, NS_PER_S)
         columns: dict[str, Any] = {"header.stamp.sec": seconds, "header.stamp.nanosec": nanoseconds}
         columns |= {path: list(map(get, samples)) for path, get in self._fields.items()}
         columns |= {path: table[ticks] for path, table in self._tables.items()}
@@ -106,7 +106,7 @@ class Stream:
 
     def one(self, tick: int, sample: Any) -> bytes:
         """One sample, serialized at once."""
-        seconds, nanoseconds = divmod(tick * self._period_ns, SECOND)
+        seconds, nanoseconds = divmod(tick * self._period_ns, NS_PER_S)
         columns: dict[str, Any] = {"header.stamp.sec": seconds, "header.stamp.nanosec": nanoseconds}
         columns |= {path: get(sample) for path, get in self._fields.items()}
         (row,) = self._template.rows(columns, 1)

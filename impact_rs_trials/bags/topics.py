@@ -106,7 +106,7 @@ TRANSFORMS = Offer(100)
 """``/tf``, as tf2 offers it."""
 
 LATCHED = Offer(1, latched=True)
-"""What is published once per trial."""
+"""Topics with one message per trial."""
 
 
 def offer(topic: str) -> Offer:
@@ -148,7 +148,7 @@ def recorded(arms: list[str], truth: bool = True) -> dict[str, str]:
 
 
 def needed(arms: list[str]) -> list[str]:
-    """Topics without which a trial cannot be analysed; a plant that publishes no others still gives a whole bag."""
+    """Topics needed to analyse a trial; a plant that publishes only these gives a complete bag."""
     return [name(arm) for arm in arms for name in (joint_states, joint_command, controller_state, impact_event)]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Identity of a trial: what was run, from which seed, with which reference."""
+"""Identity of a trial: scenario, case, seed and reference."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from impact_rs_sim.version import git_revision, package_version
 from impact_rs_trials.spec import TrialSpec
 
 Outcome = Literal["ABORTED", "DIVERGED", "LIMIT", "INFEASIBLE", "NO-IMPACT", "EARLY", "TIPPED", "DROPPED", "OK"]
-OUTCOMES: dict[str, str] = {  # the gravest first: it is the verdict where several apply
+OUTCOMES: dict[str, str] = {  # the gravest first: it is the outcome if several apply
     "ABORTED": "the trial did not end",
     "DIVERGED": "a joint ran away",
     "LIMIT": "a joint exceeded its limits",
@@ -116,7 +116,7 @@ class TrialInfo:
 
     @property
     def simulator(self) -> Simulator:
-        """What moved the plant, where it was one of ours."""
+        """Simulator of the plant, if it was one of ours."""
         return "twin" if self.via == VIA["twin"] else "bullet"
 
     @property
@@ -126,7 +126,7 @@ class TrialInfo:
 
     @property
     def spec(self) -> TrialSpec:
-        """What its repeats have in common with it; references and physics follow from it."""
+        """Common properties of its repeats; references and physics follow from it."""
         return TrialSpec(self.scenario_json, self.object, self.case_name, self.velocity_scale, self.motor_inertia)
 
     @staticmethod

@@ -34,15 +34,15 @@ from impact_rs_trials.bags.types import typestore
 MISSING = "missing"  # key of the metadata: topics without a message
 RECORDED = "recorded"  # key of the metadata: date and time (UTC) of the recording; stamps are trial time, from 0
 FILES = ("scenario_json", "model_yaml")  # with a friction compensation 200 kB, which YAML takes a second for
-LARGEST_BLOCK = 100_000  # messages kept in memory; several trials' worth
-LARGEST_CHUNK = 2**20  # bytes of a chunk before it is compressed, as in rosbags
-COMPRESSION = 1  # level of zstd; 3, its default, takes twice the time for a bag that is smaller by a few percent
+MAX_BLOCK_MESSAGES = 100_000  # kept in memory; several trials' worth
+MAX_CHUNK_BYTES = 2**20  # before compression, as in rosbags
+ZSTD_LEVEL = 1  # 3, the default of zstd, takes twice the time for a bag smaller by a few percent
 
 _RECORD = struct.Struct("<BQHIQQ")  # of a message: kind, size, channel, sequence, time, time of publication
 
 
 def _offered(topic: str) -> Qos:
-    """Quality of service of a topic's publisher, with which ``ros2 bag play`` publishes it again."""
+    """Quality of service of a topic's publisher, for ``ros2 bag play``."""
     infinite = QosTime(sec=2147483647, nsec=4294967295)
     offer = topics.offer(topic)
     return Qos(
@@ -64,7 +64,7 @@ class _Storage(McapWriter):
     def __init__(self, path: Path, compression: CompressionMode) -> None:
         super().__init__(path, compression)
         if compression == CompressionMode.STORAGE:
-            self.compressor = partial(zstd.compress, level=COMPRESSION)
+            self.compressor = partial(zstd.compress, level=ZSTD_LEVEL)
 
     def write_many(self, messages: Sequence[tuple[int, Connection, bytes | memoryview]]) -> None:
         """Write messages with their times [ns], in the order of time."""
@@ -77,10 +77,10 @@ class _Storage(McapWriter):
             channel, start, size = connection.id, chunk.bio.tell(), _RECORD.size + len(data)
             self.channel_stats[channel] += 1
             chunk.msgs[channel].append((nanoseconds, start))
-            head = (checksums.MESSAGE, size - checksums.HEAD, channel, 0, nanoseconds, nanoseconds)
+            head = (checksums.MESSAGE_OPCODE, size - checksums.RECORD_HEAD_BYTES, channel, 0, nanoseconds, nanoseconds)
             chunk.bio.write(_RECORD.pack(*head))
             chunk.bio.write(data)
-            if start + size > LARGEST_CHUNK:
+            if start + size > MAX_CHUNK_BYTES:
                 self.close_chunk()
                 chunk = self.chunk
         self.message_start_time = min(self.message_start_time, messages[0][0])
@@ -90,7 +90,7 @@ class _Storage(McapWriter):
         start, content = self.bio.tell(), self.chunk.bio.getbuffer()
         super().close_chunk()
         end = self.bio.tell()
-        self.bio.seek(start + checksums.HEAD + checksums.CHUNK_CHECKSUM)
+        self.bio.seek(start + checksums.RECORD_HEAD_BYTES + checksums.CHUNK_CHECKSUM_OFFSET_BYTES)
         self.bio.write(crc32(content).to_bytes(4, "little"))
         self.bio.seek(end)
         self.bio.flush()
@@ -125,7 +125,7 @@ class SealedWriter(Writer):
 
 
 def partial_path(path: Path) -> Path:
-    """Where the bag ``path`` lies while it is being written."""
+    """Temporary path of the bag ``path`` while it is being written."""
     return path.parent / ".partial" / path.name
 
 
@@ -203,7 +203,7 @@ class BagWriter:
         self._pending.append((topic, nanoseconds, message))
         self._present.add(topic)
         self.messages += 1
-        if len(self._pending) >= LARGEST_BLOCK:
+        if len(self._pending) >= MAX_BLOCK_MESSAGES:
             self._flush()
 
     def write_rows(self, topic: str, nanoseconds: Sequence[int], rows: Sequence[bytes | memoryview]) -> None:
@@ -223,14 +223,14 @@ class BagWriter:
         self.messages += 1
 
     def save(self) -> None:
-        """Flush all messages to the disk, where they can be read even if the bag is never closed."""
+        """Flush all messages to the disk, readable even if the bag is never closed."""
         self._flush()
         storage = self._writer.storage
         if isinstance(storage, _Storage) and storage.chunk.msgs:
             storage.close_chunk()
 
     def _flush(self) -> None:
-        """Serialize what is pending, topic by topic, and write it in the order of time."""
+        """Serialize pending messages, topic by topic, and write them in temporal order."""
         pending, self._pending = self._pending, []
         rows, self._rows = self._rows, []
         grouped: dict[str, list[tuple[int, Any]]] = defaultdict(list)

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Impacts of arms on an object, in runs of another controller: states of joints and object on both sides.
+"""Impacts of arms on an object, in runs of another controller: states of joints and object before and after.
 
 Joint velocities jump (:mod:`joint_jumps`). The object rests or moves before; after, it slides (velocity and
-deceleration are fitted) or flies (if it falls with g). Where it is seen too seldom for that, and comes to rest, the way
-D that it slid gives v with v^2 = 2 mu g D and the friction of the scenario's support.
+deceleration are fitted) or flies (if it falls with g). If it is tracked too slowly for a fit and comes to rest, the
+sliding distance D gives v with v^2 = 2 mu g D and the friction of the scenario's support.
 
-Where a force-torque sensor at the wrist, or an accelerometer, is twice as fast as the joint positions and more, its
-onset says when the impact was, and the motion is fitted about that time (:mod:`contact_onset`).
+If a force-torque sensor at the wrist, or an accelerometer, is at least twice as fast as the joint positions, its
+onset gives the time of the impact, and the motion is fitted about it (:mod:`contact_onset`).
 
 A run may hold several impacts. Each changes the velocities of joints and object by a part of the largest change at
 least, because a pushed object rattles at the pad; the motion of the object is fitted between one and the next.
@@ -28,17 +28,17 @@ from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS, clocks_apar
 from impact_rs_trials.recordings.contact_onset import onset_of
 from impact_rs_trials.recordings.experiment import RunRow
 from impact_rs_trials.recordings.impact_columns import SLIDE_DISTANCE, SUPPORT_FRICTION, ColumnGroup
-from impact_rs_trials.recordings.impact_rows import BY_WAY, ArmInImpact, Impact, NoRow
-from impact_rs_trials.recordings.joint_jumps import SMALLEST, JointJump, jump_at, jumps_of
+from impact_rs_trials.recordings.impact_rows import BY_SLIDING_DISTANCE, ArmInImpact, Impact, NoRow
+from impact_rs_trials.recordings.joint_jumps import MIN_JUMP_SHARE, JointJump, jump_at, jumps_of
 from impact_rs_trials.recordings.laboratory import (
-    SLOW_POSE,
+    MIN_POSE_RATE_HZ,
     ArmSeries,
     Laboratory,
     in_inertial_frame,
     on_clock_of_joints,
 )
 from impact_rs_trials.recordings.mapping import SignalName
-from impact_rs_trials.recordings.motion_fits import AT_REST, FittedMotion, contact_noise, fly, move, rest
+from impact_rs_trials.recordings.motion_fits import MAX_REST_SIGMA, FittedMotion, contact_noise, fly, move, rest
 from impact_rs_trials.recordings.plausibility import check_touch
 
 Jumps = Mapping[str, JointJump]  # of every arm, in one impact
@@ -46,23 +46,23 @@ Rows = NDArray[np.signedinteger]
 
 ONSETS: dict[SignalName, str] = {"wrench": "the force at the wrist", "acceleration": "the acceleration"}
 NEEDED: tuple[SignalName, ...] = ("position", "velocity")
-TOGETHER = 0.1  # s, within which all arms hit
-BEFORE = 0.2  # s before the impact, in which the object rests or moves
-AFTER = (0.06, 0.15)  # s after it: of a first fit, and at most
-SLIDING = 0.8  # of the time until rest, that is fitted
-FALLS = 0.5  # of g, from which an object flies
-LEAST_OBJECT = 5  # samples of the object on a side
-JUMPS = 3.0  # standard deviations, from which the object is hit
+MAX_SPREAD_OF_IMPACTS_S = 0.1  # between the first and the last arm that hits
+OBJECT_BEFORE_S = 0.2  # before the impact, in which the object rests or moves
+OBJECT_AFTER_S = (0.06, 0.15)  # after the impact: window of a first fit, and longest window
+FITTED_SLIDING_SHARE = 0.8  # of the time until rest
+MIN_FALL_SHARE = 0.5  # of g; an object that falls faster flies
+MIN_OBJECT_SAMPLES = 5  # before and after the impact, each
+MIN_OBJECT_JUMP_SIGMA = 3.0  # standard deviations; an object with a larger velocity jump was hit
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """What is known of a run beside its impacts: the object in the scene's frame.
+    """Motion of the object of a run, in the scene's frame.
 
     Attributes:
-        laboratory: Knows scenario and arms.
+        laboratory: Scenario and arms.
         run: The run.
-        time: Stamps of the object, ``(p,)`` [s].
+        time: Timestamps of the object, ``(p,)`` [s].
         positions: Of its geometric centre, ``(p, 3)`` [m].
         rotations: ``(p, 3, 3)``.
         start: Of the run [s].
@@ -77,12 +77,12 @@ class _Seen:
 
     @property
     def rate(self) -> float:
-        """Of the object [Hz]."""
+        """Sampling rate of the object [Hz]."""
         return 1.0 / float(np.median(np.diff(self.time))) if self.time.size > 1 else 0.0
 
 
 def impacts_of_run(laboratory: Laboratory, run: RunRow) -> tuple[list[Impact | NoRow], tuple[str, ...]]:
-    """The impacts of a run in their order, or why it gives none; and what the user should know of how it was read.
+    """Impacts of a run in temporal order, or the reason why there is no row; and warnings about reading the run.
 
     Raises:
         InputError: A file is there and cannot be read.
@@ -100,7 +100,7 @@ def impacts_of_run(laboratory: Laboratory, run: RunRow) -> tuple[list[Impact | N
     moments = _moments(laboratory, arms)
     if isinstance(moments, str):
         return [NoRow(run.label, moments)], tuple(remarks)
-    moments = by_onset(arms, moments, remarks)
+    moments = refined_by_onset(arms, moments, remarks)
     values = in_inertial_frame(laboratory.motion_capture, run, pose.values)
     rotations = np.array([pin.XYZQUATToSE3(row).rotation for row in values])
     start = float(arms[laboratory.tracker]["position"].time[0])
@@ -108,7 +108,7 @@ def impacts_of_run(laboratory: Laboratory, run: RunRow) -> tuple[list[Impact | N
     found, result = _hits(seen, moments)
     own = [jumps[laboratory.tracker] for jumps in moments]
     apart = clocks_apart(pose, arms[laboratory.tracker]["position"], own, run.path)
-    if apart is not None and (abs(apart.offset) < BEFORE or isinstance(result[0], NoRow)):
+    if apart is not None and (abs(apart.offset) < OBJECT_BEFORE_S or isinstance(result[0], NoRow)):
         return [NoRow(run.label, apart.in_words(laboratory.mappings[laboratory.tracker]))], tuple(remarks)
     if 0 < len(found) < len(moments):
         remarks.append(
@@ -119,7 +119,7 @@ def impacts_of_run(laboratory: Laboratory, run: RunRow) -> tuple[list[Impact | N
 
 
 def _hits(seen: _Seen, moments: list[Jumps]) -> tuple[list[Jumps], list[Impact | NoRow]]:
-    """Jumps that are impacts on the object and their rows in their order; or none, and why the largest gives no row."""
+    """Jumps that are impacts on the object, with their rows in temporal order; or no jump, with the reason."""
     found: list[Jumps] = []
     reasons: list[NoRow] = []
     largest = 0.0
@@ -129,7 +129,7 @@ def _hits(seen: _Seen, moments: list[Jumps]) -> tuple[list[Jumps], list[Impact |
             reasons.append(result)
             continue
         change = (result.after - result.before)[:3]
-        if not found or (np.linalg.norm(change) >= SMALLEST * largest and _pushed(seen, jumps, change)):
+        if not found or (np.linalg.norm(change) >= MIN_JUMP_SHARE * largest and _pushed(seen, jumps, change)):
             found = sorted([*found, jumps], key=_time)
             largest = max(largest, float(np.linalg.norm(change)))
     if not found:
@@ -138,13 +138,13 @@ def _hits(seen: _Seen, moments: list[Jumps]) -> tuple[list[Jumps], list[Impact |
 
 
 def _pushed(seen: _Seen, jumps: Jumps, change: Array) -> bool:
-    """Whether some pad, which can push and not pull, changes the object's velocity that way."""
+    """Whether the push of a pad explains the object's change of velocity; pads cannot pull."""
     models = seen.laboratory.models
     return any(float(models[arm].placement(jump.position).rotation[:, 2] @ change) > 0.0 for arm, jump in jumps.items())
 
 
 def _between(jumps: Jumps, others: list[Jumps]) -> tuple[float, float]:
-    """Times of the impacts before and after one [s]; infinite where there is none."""
+    """Times of the previous and the next impact [s]; infinite if missing."""
     times = [_time(one) for one in others if one is not jumps]
     at = _time(jumps)
     return max((one for one in times if one < at), default=-np.inf), min(
@@ -161,8 +161,8 @@ def _numbered(one: Impact | NoRow, number: int) -> Impact | NoRow:
 
 
 def _moments(laboratory: Laboratory, arms: Mapping[str, ArmSeries]) -> list[Jumps] | str:
-    """Jumps of all arms, impact by impact in their order; or why there is none."""
-    own = {arm: list(jumps_of(series["position"], SMALLEST)) for arm, series in arms.items()}
+    """Velocity jumps of all arms by impact in temporal order, or the reason why there is no jump."""
+    own = {arm: list(jumps_of(series["position"], MIN_JUMP_SHARE)) for arm, series in arms.items()}
     for arm, jumps in own.items():
         if not jumps:
             return (
@@ -173,7 +173,7 @@ def _moments(laboratory: Laboratory, arms: Mapping[str, ArmSeries]) -> list[Jump
     moments = []
     for jump in own[first]:
         near = {arm: min(own[arm], key=lambda one: abs(one.time - jump.time)) for arm in others}  # noqa: B023
-        if all(abs(one.time - jump.time) <= TOGETHER for one in near.values()):
+        if all(abs(one.time - jump.time) <= MAX_SPREAD_OF_IMPACTS_S for one in near.values()):
             moments.append({first: jump, **near})
     if not moments:
         each = ", ".join(f"arm {arm!r} at {jumps[0].time - _start(arms):.3f} s" for arm, jumps in own.items())
@@ -181,13 +181,13 @@ def _moments(laboratory: Laboratory, arms: Mapping[str, ArmSeries]) -> list[Jump
     return sorted(moments, key=_time)
 
 
-def by_onset(arms: Mapping[str, ArmSeries], moments: list[Jumps], remarks: list[str]) -> list[Jumps]:
-    """Jumps at the times of a force or an acceleration, where it is faster than the joints; of two the sharper one.
+def refined_by_onset(arms: Mapping[str, ArmSeries], moments: list[Jumps], remarks: list[str]) -> list[Jumps]:
+    """Refine the times of jumps by the onset of the fastest force or acceleration, if faster than the joints.
 
     Args:
         arms: Signals of every arm.
         moments: Jumps by the joint positions alone.
-        remarks: What is said is added to them.
+        remarks: Warnings, appended to.
     """
     found: list[Jumps] = []
     used: list[str] = []
@@ -225,19 +225,19 @@ def _size(jumps: Jumps) -> float:
 
 
 def _with_object(seen: _Seen, jumps: Jumps, between: tuple[float, float]) -> Impact | NoRow:
-    """One impact, with the object's motion from the one before to the one after it."""
+    """One impact, with the object's motion between the previous and the next impact."""
     run, laboratory, pose_time = seen.run, seen.laboratory, seen.time
     assert run.object is not None
     time = _time(jumps)
-    early = np.flatnonzero((pose_time >= max(time - BEFORE, between[0])) & (pose_time < time))
-    late = np.flatnonzero((pose_time > time) & (pose_time <= min(time + AFTER[1], between[1])))
-    if early.size < LEAST_OBJECT:
-        return NoRow(run.label, f"{early.size} samples of the object before the impact, of {LEAST_OBJECT}")
+    early = np.flatnonzero((pose_time >= max(time - OBJECT_BEFORE_S, between[0])) & (pose_time < time))
+    late = np.flatnonzero((pose_time > time) & (pose_time <= min(time + OBJECT_AFTER_S[1], between[1])))
+    if early.size < MIN_OBJECT_SAMPLES:
+        return NoRow(run.label, f"{early.size} samples of the object before the impact, of {MIN_OBJECT_SAMPLES}")
     ante = _before(pose_time, seen.positions, seen.rotations, early, time)
     scenario = laboratory.scenario
     outcomes = _slid(seen, time, ante) if between[1] == np.inf else {}
     turn_tracked = True
-    if seen.rate < SLOW_POSE or late.size < LEAST_OBJECT:
+    if seen.rate < MIN_POSE_RATE_HZ or late.size < MIN_OBJECT_SAMPLES:
         way = outcomes.get(SLIDE_DISTANCE)
         if way is None:
             return NoRow(
@@ -255,7 +255,7 @@ def _with_object(seen: _Seen, jumps: Jumps, between: tuple[float, float]) -> Imp
             outcomes = {SUPPORT_FRICTION: sliding / -STANDARD_GRAVITY[2], **outcomes}
     noise = (float(np.hypot(noise[0], ante.noise[0])), float(np.hypot(noise[1], ante.noise[1])))
     before = ante.at(time)[2]
-    if float(np.linalg.norm(post_twist[:3] - before[:3])) < JUMPS * noise[0]:
+    if float(np.linalg.norm(post_twist[:3] - before[:3])) < MIN_OBJECT_JUMP_SIGMA * noise[0]:
         return NoRow(run.label, "the velocity of the object does not change beyond its noise")
     position, rotation, _ = ante.at(time)
     size = np.array(scenario.object(run.object).size)
@@ -285,34 +285,34 @@ def _with_object(seen: _Seen, jumps: Jumps, between: tuple[float, float]) -> Imp
 
 def _before(time: Array, positions: Array, rotations: Array, rows: Rows, at: float) -> FittedMotion:
     """Rest, unless the object moves beyond the noise."""
-    if rows.size >= LEAST_OBJECT + 1:
+    if rows.size >= MIN_OBJECT_SAMPLES + 1:
         moving = move(time[rows], positions[rows], rotations[rows], at)
         speed = float(np.linalg.norm(moving.at(at)[2][:3]))
-        if speed > 3.0 * AT_REST * moving.noise[0]:
+        if speed > 3.0 * MAX_REST_SIGMA * moving.noise[0]:
             return moving
     return rest(positions[rows], rotations[rows], at)
 
 
 def _after(time: Array, positions: Array, rotations: Array, rows: Rows, at: float) -> tuple[FittedMotion, str]:
-    """Sliding, or flight where the object falls with g."""
-    first = rows[time[rows] <= at + AFTER[0]]
-    first = first if first.size >= LEAST_OBJECT else rows[:LEAST_OBJECT]
+    """Sliding, or free flight if the object falls with g."""
+    first = rows[time[rows] <= at + OBJECT_AFTER_S[0]]
+    first = first if first.size >= MIN_OBJECT_SAMPLES else rows[:MIN_OBJECT_SAMPLES]
     slide = move(time[first], positions[first], rotations[first], at)
-    if slide.acceleration[2] < FALLS * STANDARD_GRAVITY[2]:
+    if slide.acceleration[2] < MIN_FALL_SHARE * STANDARD_GRAVITY[2]:
         gravity = np.array(STANDARD_GRAVITY)
         return fly(time[rows], positions[rows], rotations[rows], gravity, np.ones(3), at), "free flight"
     speed, slows = float(np.linalg.norm(slide.at(at)[2][:3])), float(np.linalg.norm(slide.acceleration))
-    lasts = SLIDING * speed / slows if slows > 0.0 else AFTER[1]
-    kept = rows[time[rows] <= at + max(min(lasts, AFTER[1]), float(time[first[-1]] - at))]
+    lasts = FITTED_SLIDING_SHARE * speed / slows if slows > 0.0 else OBJECT_AFTER_S[1]
+    kept = rows[time[rows] <= at + max(min(lasts, OBJECT_AFTER_S[1]), float(time[first[-1]] - at))]
     return move(time[kept], positions[kept], rotations[kept], at), "sliding"
 
 
 def _slid(seen: _Seen, time: float, ante: FittedMotion) -> dict[ColumnGroup, float]:
-    """Way from the impact to rest, if the object comes to rest while it is seen."""
+    """Sliding distance from the impact to rest, if the object comes to rest while tracked."""
     late = seen.positions[seen.time > time]
-    if len(late) < 2 * LEAST_OBJECT:
+    if len(late) < 2 * MIN_OBJECT_SAMPLES:
         return {}
-    end = late[-LEAST_OBJECT:]
+    end = late[-MIN_OBJECT_SAMPLES:]
     noise = max(ante.scatter[0], 1e-4)
     if float(np.max(np.ptp(end, axis=0))) > 4.0 * noise:
         return {}
@@ -321,9 +321,9 @@ def _slid(seen: _Seen, time: float, ante: FittedMotion) -> dict[ColumnGroup, flo
 
 
 def _by_distance(seen: _Seen, time: float, way: float) -> tuple[Array, tuple[float, float], str]:
-    """Velocity after by the way that the object slid, v = sqrt(2 mu g D); the turn does not follow from it."""
+    """Velocity after by the sliding distance, v = sqrt(2 mu g D); the rotation remains unknown."""
     start, end = seen.positions[seen.time <= time][-1], seen.positions[-1]
     direction = (end - start) * [1.0, 1.0, 0.0]
     speed = float(np.sqrt(2.0 * seen.laboratory.scenario.support.friction * 9.81 * way))
     twist = np.concatenate((speed * direction / np.linalg.norm(direction), np.full(3, np.nan)))
-    return twist, (0.5 * seen.laboratory.friction_noise * speed, np.nan), BY_WAY
+    return twist, (0.5 * seen.laboratory.friction_noise * speed, np.nan), BY_SLIDING_DISTANCE

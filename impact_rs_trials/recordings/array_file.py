@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""NPZ, HDF5 and MAT files: an array per signal, samples x joints, and one or several arrays of time stamps.
+"""NPZ, HDF5 and MAT files: an array per signal, samples x joints, and one or several arrays of timestamps.
 
 MATLAB writes vectors as matrices, structures as ``data.q`` (here ``data/q``), and since version 7.3 an HDF5 file in
-which every array lies the other way round.
+which every array is transposed.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 from impact_rs_trials.recordings.transforms import are_transforms, poses_of
 
 UNSEALED = (
-    "{} has arrays without checksums (or with blocks of zeros, whose checksum is that of a lost block): accidental "
+    "{} has arrays without checksums (or with blocks of zeros, whose checksum equals a lost block's): accidental "
     "changes of numbers cannot be detected (fletcher32 in h5py)"
 )
 TIME_KEY = "time.array"
 HDF5 = (".h5", ".hdf5")
-REAL = "iuf"  # kinds of NumPy types whose numbers are taken: no complex ones, truth values, texts or durations
+REAL = "iuf"  # kinds of NumPy types that are real numbers: neither complex numbers, booleans, texts nor durations
 
 
 class ArrayFile:
     """One NPZ, HDF5 or MAT file.
 
     Attributes:
-        unsealed: Arrays without checksums that detect a change; those of an NPZ file always have some.
+        unsealed: Arrays without checksums; arrays of an NPZ file always have one.
 
     Args:
         path: The file.
         mapping: Where the signals are.
-        names: What the placeholders of the mapping stand for.
+        names: Values of the placeholders of the mapping.
 
     Raises:
         InputError: It is no such file.
@@ -123,7 +123,7 @@ class ArrayFile:
         return Series(place, time + source.delay, self._mapping.to_si(name, values), remarks=remarks).sampled()
 
     def _time(self, source: SignalSource, name: SignalName, values: Array) -> Array:
-        """Stamps of the samples of a signal [s]."""
+        """Timestamps of the samples of a signal [s]."""
         clock = self._mapping.time
         if clock.rate is not None:
             width = self._mapping.width(name)
@@ -146,7 +146,7 @@ class ArrayFile:
         return seconds_of(stamps, UNITS["time"][clock.unit])
 
     def _stamps(self, name: str, meaning: str, key: str) -> NDArray[Any]:
-        """An array of time, in whole numbers where it holds those; a vector of MATLAB has one axis."""
+        """An array of time, as integers if it holds integers; a vector of MATLAB has one axis."""
         as_numbers, as_stored = self._array(name, meaning, key), self._arrays[name.strip("/")]
         stamps = as_stored if np.issubdtype(as_stored.dtype, np.integer) else as_numbers
         return stamps.ravel() if stamps.ndim == 2 and 1 in stamps.shape else stamps
@@ -164,14 +164,14 @@ class ArrayFile:
 
 
 def _arrays_of(source: SignalSource, mapping: Mapping) -> list[str]:
-    """Names of the arrays of a signal and of its stamps."""
+    """Names of the arrays of a signal and of its timestamps."""
     time = source.time_array or mapping.time.array
     return [*([source.array] if source.array else []), *([time] if isinstance(time, str) else time)]
 
 
 @once
 def _read(path: Path, within: set[str] | None = None) -> tuple[dict[str, Array], frozenset[str]]:
-    """Arrays by name, and which of them carry no checksums; of HDF5 files others than those within are left empty."""
+    """Arrays by name, and the names without checksums; HDF5 arrays not in ``within`` are not loaded (left empty)."""
     if path.suffix == ".npz":
         return _read_npz(path), frozenset()
     if path.suffix in HDF5:
@@ -199,7 +199,7 @@ def _read_npz(path: Path) -> dict[str, Array]:
 
 
 def _read_hdf5(path: Path, within: set[str] | None = None) -> tuple[dict[str, Array], frozenset[str]]:
-    """Arrays by name, and which of them carry no checksums."""
+    """Arrays by name, and the names without checksums."""
     require("h5py", path)
     import h5py
 
@@ -219,7 +219,7 @@ def _read_hdf5(path: Path, within: set[str] | None = None) -> tuple[dict[str, Ar
         if item.is_virtual or item.external:
             raise InputError(f"array {name!r} is made of other files, expected its numbers in this one", file=path)
         arrays[name] = np.zeros(0) if item.shape is None else np.asarray(item)
-        # The checksum of zeros is zero: a block that a disk has lost looks like zeros that were measured.
+        # The checksum of zeros is zero: a lost block of the disk looks like measured zeros.
         if not (item.fletcher32 and all(arrays[name][chunk].any() for chunk in item.iter_chunks())):
             unsealed.add(name)
 
@@ -235,6 +235,6 @@ def _read_hdf5(path: Path, within: set[str] | None = None) -> tuple[dict[str, Ar
 
 
 def _holds_numbers(attributes: AbstractMapping[str, Any]) -> bool:
-    """Whether an array is one of numbers; MATLAB stores texts, truth values and the size of empty ones as integers."""
+    """Whether an array holds numbers; MATLAB stores texts, booleans and the size of empty arrays as integers, too."""
     kind = attributes.get("MATLAB_class", b"double")
     return kind not in (b"char", b"logical", b"cell") and not attributes.get("MATLAB_empty", 0)

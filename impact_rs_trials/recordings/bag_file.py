@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags, SQLite or MCAP: a topic, a message type and a field per signal.
 
-A run has one clock. If it is that of the header stamps, times of a topic without them are computed from log times:
+A run has one clock. If header timestamps define it, times of a topic without headers are computed from log times:
 
     stamp  =  log - median(log - stamp of the joint states)
 
-The common transport delay cancels; a longer delay than that of the joint states remains as an error.
+The common transport delay cancels; the excess over the delay of the joint states remains as an error.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from impact_rs_trials.recordings.read_once import once
 from impact_rs_trials.recordings.remarks import Amount, Remark
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 
-DRIFT = 0.002  # s, drift between log and header stamps above which a remark is made
-LATE = (-0.005, 0.05)  # s, range of the log delay behind the joint states outside which a remark is made
+MAX_STAMP_DRIFT_S = 0.002  # between log and header timestamps without a warning
+EXPECTED_LOG_DELAY_S = (-0.005, 0.05)  # behind the joint states; outside of this range comes a warning
 
 FIELDLESS: tuple[SignalName, ...] = ("object_pose", "wrench", "acceleration")  # what its message type says where it is
 
@@ -76,11 +76,11 @@ def register(store: Typestore, connection: Connection) -> None:
 
 
 class OpenedBag:
-    """Messages of a bag, by topic, read when they are asked for.
+    """Messages of a bag by topic, read on demand.
 
     Attributes:
         messages: Log time [ns] and message, by topic.
-        unread: What the user should know of files in its folder that are not read.
+        unread: Warnings about unread files in its folder.
     """
 
     def __init__(self, path: Path, store: Typestore) -> None:
@@ -90,7 +90,7 @@ class OpenedBag:
         self.unread: tuple[str, ...] = ()
 
     def read(self, choose: Callable[[list[Connection]], list[Connection]]) -> list[Connection]:
-        """Read the messages of those connections that are chosen and not read yet.
+        """Read the messages of the chosen connections unless they are read already.
 
         Raises:
             InputError: It is not a readable bag.
@@ -126,7 +126,7 @@ def _opened(path: Path, definitions: tuple[str, ...]) -> OpenedBag:
 
 
 def read_topics(path: Path, topics: Collection[str]) -> None:
-    """Read messages of several topics in one pass, for those who ask for them later (:mod:`read_once`).
+    """Read messages of several topics in one pass, for later use (:mod:`read_once`).
 
     Raises:
         InputError: It is not a readable bag.
@@ -140,7 +140,7 @@ class BagFile:
     Args:
         path: Folder, or bare ``.db3`` or ``.mcap`` file.
         mapping: Where the signals are.
-        names: What the placeholders of the mapping stand for.
+        names: Values of the placeholders of the mapping.
         wanted: Signals to read.
 
     Raises:
@@ -231,7 +231,7 @@ class BagFile:
     def _clock(
         self, name: SignalName, source: SignalSource, topic: str, headers: list[Any], log: Array
     ) -> tuple[Array, tuple[str, ...]]:
-        """Stamps on the clock of the run, and remarks on them."""
+        """Timestamps on the clock of the run, and warnings about them."""
         clock = self._mapping.time.stamp
         stamped = headers[0] is not None
         if clock == "log" and source.stamp != "header":
@@ -257,10 +257,10 @@ class BagFile:
             )
         if clock == "log":
             return stamps + float(np.median(log - stamps)), ()
-        if "position" not in self._mapping.signals:  # no joint states that it could be late against
+        if "position" not in self._mapping.signals:  # no joint states to be late against
             return stamps, ()
         late = float(np.median(log - stamps)) - self._log_after_stamp()[0]
-        if name in WIDTH and not LATE[0] < late < LATE[1]:
+        if name in WIDTH and not EXPECTED_LOG_DELAY_S[0] < late < EXPECTED_LOG_DELAY_S[1]:
             return stamps, (
                 Remark(
                     f"{topic}: logged ",
@@ -272,7 +272,7 @@ class BagFile:
         return stamps, ()
 
     def _log_after_stamp(self) -> tuple[float, str]:
-        """How long after their stamps joint states are logged [s], and a remark where that changes; without them 0."""
+        """Median log delay of the joint states [s], 0 without them, and a warning if it drifts."""
         if "position" not in self._mapping.signals:
             return 0.0, ""
         if self._shift is None:
@@ -283,7 +283,7 @@ class BagFile:
             tenth = max(1, later.size // 10)
             drift = float(np.median(later[-tenth:]) - np.median(later[:tenth]))
             drifts = Remark(" (which drifts by ", Amount(1e3 * drift, ".1f"), " ms during the run)")
-            remark = drifts if abs(drift) > DRIFT else ""
+            remark = drifts if abs(drift) > MAX_STAMP_DRIFT_S else ""
             self._shift = float(np.median(later)), remark
         return self._shift
 
@@ -292,7 +292,7 @@ class BagFile:
     def _numbers(
         self, place: str, connection: Connection, name: SignalName, source: SignalSource, messages: list[Any]
     ) -> tuple[list[int], Array]:
-        """Which messages hold a signal, and its numbers ``(k, n)``, joints in the mapping's order."""
+        """Indices of the messages with a signal, and its numbers ``(k, n)``, joints in the mapping's order."""
         assert source.field is not None
         orders: dict[tuple[str, ...], list[int] | None] = {}
         kept: list[int] = []
@@ -332,7 +332,7 @@ class BagFile:
         return kept, np.array(rows) * self._mapping.factor(name) + self._mapping.offset(name)
 
     def _field(self, place: str, message: Any, path: str) -> Any:
-        """What lies at a path of fields and indices, ``points.0.effort``."""
+        """Value at a path of fields and indices, ``points.0.effort``."""
         found = message
         try:
             for part in path.split("."):
@@ -347,7 +347,7 @@ class BagFile:
         return found
 
     def _order(self, place: str, names: tuple[str, ...]) -> list[int] | None:
-        """Where the mapping's joints are among the names of a message; None where none of them is."""
+        """Indices of the mapping's joints among the names of a message; None if it names no such joint."""
         found = [[i for i, name in enumerate(names) if fnmatchcase(name, joint)] for joint in self._joints]
         if not any(found):
             return None
@@ -392,7 +392,7 @@ class BagFile:
         return found
 
     def _child(self, place: str, source: SignalSource, messages: list[Any]) -> str:
-        """The one child frame of transforms that the mapping means."""
+        """The one child frame of transforms that the mapping selects."""
         children = sorted({transform.child_frame_id for message in messages for transform in message.transforms})
         wanted = self._names.fill(source.child_frame or "*")
         chosen = [child for child in children if fnmatchcase(child, wanted)]
@@ -442,7 +442,7 @@ class BagFile:
 
 
 def _check_pages(path: Path) -> None:
-    """SQLite reads a file that was cut off as far as it goes; its head says how many pages there are."""
+    """Refuse a truncated SQLite file by the page count in its header; SQLite itself reads the rest without an error."""
     for file in sorted(path.glob("*.db3")) if path.is_dir() else [path]:
         if file.suffix != ".db3":
             continue
@@ -458,7 +458,7 @@ def _check_pages(path: Path) -> None:
 
 
 def _files_beside(path: Path, reader: Reader) -> tuple[str, ...]:
-    """A remark on files of messages in the folder of a bag that its metadata do not name."""
+    """A warning about message files in the folder of a bag that its metadata do not name."""
     if not path.is_dir():
         return ()
     named = {Path(str(storage.path)).name for storage in getattr(reader.storage, "storages", ())}
@@ -477,6 +477,6 @@ def _xyz(vector: Any) -> list[float]:
 
 
 def _stands_for(pattern: str, name: str) -> str:
-    """What the first ``*`` of a pattern stands for in a name that it fits."""
+    """Text of the first ``*`` of a pattern in a matching name."""
     before, _, after = pattern.partition("*")
     return name[len(before) : len(name) - len(after)]

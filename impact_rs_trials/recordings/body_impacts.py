@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Impacts of a tracked body on a fixed plane: where its free flight breaks off, and the state on both sides.
+"""Impacts of a tracked body on a fixed plane: change points of its free flight, and the states before and after.
 
 In free flight the second difference of the height over k samples, (z(i+k) - 2 z(i) + z(i-k)) / (k h)^2, is g; where it
-is not, something touches. k is the smallest number for which rest and flight differ by more than the noise of the
+differs, the body is in contact. k is the smallest number for which rest and flight differ by more than the noise of the
 tracker, which follows from third differences of the recording itself. An impact disturbs at most 2 k differences in a
-row; it is where the two parabolas about them have the same height. Left out, and said, is what does not give a state
-before and after:
+row; its time is where the parabolas before and after have the same height. Omitted with the reason, because they give
+no state before and after:
 
 * too few samples of flight on a side, or several impacts in a row;
 * a body that comes down so slowly that noise decides;
@@ -29,16 +29,16 @@ from impact_rs_trials.recordings.motion_fits import FittedMotion, contact_noise,
 
 Rows = NDArray[np.signedinteger]
 
-FEWEST = 5  # samples of flight on a side
-LONGEST_FLIGHT = 0.12  # s, of the samples that are used; longer ones feel drag
-LONGEST = 2  # disturbed differences in a row, over k; a single impact, between two samples or on one, makes no more
-LONGEST_REACH = 0.04  # s, k h: longer than the noise of trackers asks for, shorter than flights between bounces
-NOISE_FACTOR = 4.0  # standard deviations of a second difference from which it is disturbed,
-SHARE_OF_GRAVITY = 0.5  # and at least so much of g
-TOO_NOISY = 0.9  # of g, of the limit beyond which rest looks like flight
-SLOW = 5.0  # standard deviations of the velocity that a body must come down with
-NEXT_CORNER = 2  # samples at least, in which the next corner comes and two impacts look like one
-TURN_OF_WINDOW = 1.2  # rad, that a body may turn on either side of the middle of a window
+MIN_FLIGHT_SAMPLES = 5  # on either side of an impact
+MAX_FLIGHT_S = 0.12  # of the used samples; longer flights feel drag
+MAX_DISTURBED = 2  # consecutive disturbed differences, over k; a single impact, on or between samples, disturbs no more
+MAX_DIFFERENCE_S = 0.04  # k h: enough for the noise of trackers, shorter than flights between bounces
+MIN_DISTURBANCE_SIGMA = 4.0  # standard deviations of a second difference, beyond which it is disturbed,
+MIN_DISTURBANCE_G = 0.5  # and at least so much of g
+MAX_NOISE_G = 0.9  # of g; a larger limit makes rest look like flight
+MIN_APPROACH_SIGMA = 5.0  # standard deviations of the normal velocity with which a body must come down
+MIN_NEXT_CORNER_SAMPLES = 2  # within which a second corner hits, and two impacts look like one
+MAX_ROTATION_RAD = 1.2  # of a body on either side of the middle of a window
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class TrackedBody:
         position: Of the geometric centre, ``(k, 3)`` [m].
         rotation: From its axes, ``(k, 3, 3)``.
         gravity: ``(3,)`` [m/s^2].
-        spin: Angular velocity before impacts that was not tracked, ``(3,)`` [rad/s]; None: the turn was tracked.
+        spin: Assumed angular velocity before the impacts, ``(3,)`` [rad/s]; None: the orientation was tracked.
     """
 
     run: str
@@ -63,7 +63,7 @@ class TrackedBody:
 
 
 def impacts_of_bodies(runs: Sequence[TrackedBody], body: Body) -> tuple[list[Impact], list[NoRow]]:
-    """Impacts of all runs, and what was left out.
+    """Impacts of all runs, and the omitted ones with reasons.
 
     Args:
         runs: Tracked runs.
@@ -85,12 +85,12 @@ def impacts_of_bodies(runs: Sequence[TrackedBody], body: Body) -> tuple[list[Imp
 
 
 def _impacts_of(run: TrackedBody, body: Body) -> tuple[list[Impact], list[NoRow]]:
-    if len(run.time) < 2 * FEWEST + 2:
-        return [], [NoRow(run.run, f"{len(run.time)} samples, at least {2 * FEWEST + 2} are needed")]
-    found_breaks = breaks(run.time, run.position[:, 2], float(run.gravity[2]))
-    if found_breaks is None:
+    if len(run.time) < 2 * MIN_FLIGHT_SAMPLES + 2:
+        return [], [NoRow(run.run, f"{len(run.time)} samples, at least {2 * MIN_FLIGHT_SAMPLES + 2} are needed")]
+    disturbed_and_reach = disturbed_samples(run.time, run.position[:, 2], float(run.gravity[2]))
+    if disturbed_and_reach is None:
         return [], [NoRow(run.run, "the tracker is so noisy that rest looks like free flight")]
-    off, reach = found_breaks
+    off, reach = disturbed_and_reach
     if not off[reach:-reach].any():
         return [], [NoRow(run.run, "nothing is hit")]
     found: list[Impact] = []
@@ -98,14 +98,18 @@ def _impacts_of(run: TrackedBody, body: Body) -> tuple[list[Impact], list[NoRow]
     flights = _stretches(~off)
     for (a, b), (c, d) in zip(flights, flights[1:], strict=False):
         name = run.run if not found and not left_out else f"{run.run}, impact {len(found) + len(left_out) + 1}"
-        if c - b - 1 > LONGEST * reach:
+        if c - b - 1 > MAX_DISTURBED * reach:
             left_out.append(NoRow(name, "several impacts in a row, or a contact that lasts"))
             continue
         # A difference about sample i reaches k samples further; the last of them may lie beyond the impact.
         before, after = np.arange(a - reach, b + reach), np.arange(c - reach + 1, d + reach + 1)
-        if min(before.size, after.size) < FEWEST:
+        if min(before.size, after.size) < MIN_FLIGHT_SAMPLES:
             left_out.append(
-                NoRow(name, f"too few samples of free flight: {before.size} before, {after.size} after, of {FEWEST}")
+                NoRow(
+                    name,
+                    f"too few samples of free flight: {before.size} before, {after.size} after, of "
+                    f"{MIN_FLIGHT_SAMPLES}",
+                )
             )
             continue
         result = _impact(run, body, name, before, after, reach)
@@ -118,8 +122,8 @@ def _impacts_of(run: TrackedBody, body: Body) -> tuple[list[Impact], list[NoRow]
     return found, left_out
 
 
-def breaks(time: Array, height: Array, gravity: float) -> tuple[NDArray[np.bool_], int] | None:
-    """Which samples do not fly freely, ``(k,)``, ends included, and how far differences reach; None: noise hides it.
+def disturbed_samples(time: Array, height: Array, gravity: float) -> tuple[NDArray[np.bool_], int] | None:
+    """Mask of the samples not in free flight, ``(k,)``, ends included, and the half width k; None: too noisy.
 
     Args:
         time: Stamps, ``(k,)`` [s].
@@ -127,18 +131,18 @@ def breaks(time: Array, height: Array, gravity: float) -> tuple[NDArray[np.bool_
         gravity: Along the height, negative [m/s^2].
     """
     # Third differences of white noise are sqrt(20 / 6) times as large as second ones, and impacts are few.
-    noise = 1.4826 * float(np.median(np.abs(np.diff(_bend(time, height, 1))))) / np.sqrt(20.0 / 6.0)
-    most = round(LONGEST_REACH / float(np.median(np.diff(time))))
+    noise = 1.4826 * float(np.median(np.abs(np.diff(_second_differences(time, height, 1))))) / np.sqrt(20.0 / 6.0)
+    most = round(MAX_DIFFERENCE_S / float(np.median(np.diff(time))))
     for reach in range(1, min(most, (len(time) - 2) // 4) + 1):
-        limit = max(NOISE_FACTOR * noise / reach**2, SHARE_OF_GRAVITY * abs(gravity))
-        if limit <= TOO_NOISY * abs(gravity):
+        limit = max(MIN_DISTURBANCE_SIGMA * noise / reach**2, MIN_DISTURBANCE_G * abs(gravity))
+        if limit <= MAX_NOISE_G * abs(gravity):
             off = np.ones(len(time), dtype=bool)
-            off[reach:-reach] = np.abs(_bend(time, height, reach) - gravity) > limit
+            off[reach:-reach] = np.abs(_second_differences(time, height, reach) - gravity) > limit
             return off, reach
     return None
 
 
-def _bend(time: Array, height: Array, reach: int) -> Array:
+def _second_differences(time: Array, height: Array, reach: int) -> Array:
     """Second differences over ``reach`` samples on either side [m/s^2]."""
     first, last = time[reach:-reach] - time[: -2 * reach], time[2 * reach :] - time[reach:-reach]
     slopes = (height[2 * reach :] - height[reach:-reach]) / last, (height[reach:-reach] - height[: -2 * reach]) / first
@@ -155,13 +159,13 @@ def _impact(run: TrackedBody, body: Body, name: str, before: Rows, after: Rows, 
     period = float(np.median(np.diff(run.time)))
     before, after = _window(run, before, -1), _window(run, after, 1)
     edge = (float(run.time[before[-1]]), float(run.time[after[0]]))
-    if edge[1] - edge[0] > (LONGEST + 2.0) * reach * period:
+    if edge[1] - edge[0] > (MAX_DISTURBED + 2.0) * reach * period:
         return NoRow(name, f"the tracker does not see the impact: {edge[1] - edge[0]:.3f} s without a sample")
     ante, post = (
         fly(run.time[rows], run.position[rows], run.rotation[rows], run.gravity, body.moments, at)
         for rows, at in ((before, edge[0]), (after, edge[1]))
     )
-    time = _meeting(ante, post, edge)
+    time = _crossing_time(ante, post, edge)
     position, rotation, twist = ante.at(time)
     post_twist = post.at(time)[2]
     if run.spin is not None:
@@ -175,10 +179,13 @@ def _impact(run: TrackedBody, body: Body, name: str, before: Rows, after: Rows, 
         speeds = twist[2] + np.cross(twist[3:], corners - position)[:, 2]
         approach = -float(speeds[int(np.argmin(corners[:, 2]))])
         gap = float(heights[1] - heights[0])
-        if gap < max(NEXT_CORNER, reach) * period * max(approach, 0.0):
+        if gap < max(MIN_NEXT_CORNER_SAMPLES, reach) * period * max(approach, 0.0):
             return NoRow(name, "lands on an edge or a face: another corner comes too soon after the first")
-    if approach < SLOW * noise[0]:
-        return NoRow(name, f"comes down at {approach:.2f} m/s, less than {SLOW:g} standard deviations of the velocity")
+    if approach < MIN_APPROACH_SIGMA * noise[0]:
+        return NoRow(
+            name,
+            f"comes down at {approach:.2f} m/s, less than {MIN_APPROACH_SIGMA:g} standard deviations of the velocity",
+        )
     if post_twist[2] < twist[2]:
         return NoRow(name, "goes on downwards faster than it came: not this plane")
     extent = 0.0 if body.size is None else float(np.max(body.size))
@@ -200,18 +207,18 @@ def _impact(run: TrackedBody, body: Body, name: str, before: Rows, after: Rows, 
 
 
 def _window(run: TrackedBody, rows: Rows, side: int) -> Rows:
-    """Samples nearest to the impact, of a flight that is neither too long nor turns too far."""
+    """Samples nearest to the impact, limited in duration and rotation."""
     rows = rows if side > 0 else rows[::-1]
-    span = np.abs(run.time[rows] - run.time[rows[0]]) <= LONGEST_FLIGHT
-    rows = rows[: max(FEWEST, int(np.argmin(np.append(span, False))))]
+    span = np.abs(run.time[rows] - run.time[rows[0]]) <= MAX_FLIGHT_S
+    rows = rows[: max(MIN_FLIGHT_SAMPLES, int(np.argmin(np.append(span, False))))]
     turned = np.array([np.linalg.norm(pin.log3(run.rotation[row] @ run.rotation[rows[0]].T)) for row in rows])
-    near = turned <= 2.0 * TURN_OF_WINDOW
-    rows = rows[: max(FEWEST, int(np.argmin(np.append(near, False))))]
+    near = turned <= 2.0 * MAX_ROTATION_RAD
+    rows = rows[: max(MIN_FLIGHT_SAMPLES, int(np.argmin(np.append(near, False))))]
     return np.asarray(rows if side > 0 else rows[::-1])
 
 
-def _meeting(ante: FittedMotion, post: FittedMotion, edge: tuple[float, float]) -> float:
-    """Time at which both have the same height: both fall with g, so the difference is a straight line."""
+def _crossing_time(ante: FittedMotion, post: FittedMotion, edge: tuple[float, float]) -> float:
+    """Time at which both have the same height; both fall with g, so their difference is linear in time."""
     start = edge[0]
     gap = ante.at(start)[0][2] - post.at(start)[0][2]
     slope = ante.at(start)[2][2] - post.at(start)[2][2]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Contents of a foreign recording, and which of them may be which signal of which arm.
+"""Contents of a foreign recording, and candidates for the signals of every arm.
 
-Names hint at it: a proposal is made from them, which a person looks at and changes.
+A proposal follows from their names; the user checks and changes it.
 """
 
 from __future__ import annotations
@@ -28,32 +28,32 @@ from impact_rs_trials.recordings.table_columns import read_columns
 from impact_rs_trials.recordings.table_file import BETWEEN, BRACKETS
 from impact_rs_trials.recordings.transforms import are_transforms
 
-MOST_WIDE = 40  # numbers in a sample of what may be joints
-DEEPEST = 3  # fields of a message inside of each other
+MAX_JOINT_NUMBERS = 40  # in a sample of a stream that may hold joints
+MAX_NESTED_FIELDS = 3  # of a message
 POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 STATIC = "/tf_static"  # frames that do not move are no pose of an object
 OBJECT_POSE: Final = "object_pose"
 # Parts of an arm from base to tip, for joints that are named after them and not numbered.
 PARTS = ("rail", "base", "shoulder_pan", "shoulder_lift", "shoulder", "upper_arm", "elbow", "forearm", "wrist")
 PART_OF_ARM = re.compile(rf"({'|'.join(PARTS)})(_?\d)?(_joint)?(?=[^a-z]|$)", re.IGNORECASE)
-MOST_BESIDE = 2  # numbers of a gripper beside those of the joints
-MOST_LOOKED_AT = 50  # rows
+MAX_GRIPPER_NUMBERS = 2  # in addition to those of the joints
+MAX_ROWS_READ = 50  # of a table whose columns are listed
 FINGERS = re.compile("finger|gripper|hand", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class SignalCandidate:
-    """A field or column of a recording that may be a signal.
+    """A field or column of a recording that may hold a signal.
 
     Attributes:
-        label: How a list calls it.
-        source: Where it is, as a mapping says it; without unit.
-        pose: Whether it is the pose of something; else numbers of joints.
-        guess: The signal that its name hints at; empty: none.
-        width: How many numbers a sample has.
-        joints: Names of its joints, base to tip where the names show it; empty: the recording names none.
-        stamped: Whether its samples have stamps of their own; messages of a bag without a header have none.
-        first: Of a part of a wider signal, how many of its numbers stand before; None: it is whole.
+        label: Its name in lists.
+        source: Its keys in a mapping, without unit.
+        pose: Whether it is a pose; else numbers of joints.
+        guess: The signal suggested by its name; empty: unknown.
+        width: Numbers per sample.
+        joints: Names of its joints, base to tip if the names show it; empty: not named.
+        stamped: Whether its samples have timestamps; messages of a bag without a header do not.
+        first: Index of a part's first number in a wider signal; None: it is whole.
     """
 
     label: str
@@ -68,11 +68,11 @@ class SignalCandidate:
 
 @dataclass(frozen=True)
 class Proposal:
-    """What the signals of an arm may be.
+    """Proposed signals of an arm.
 
     Attributes:
         joints: Names of its joints, base to tip.
-        signals: Numbers of candidates, by signal.
+        signals: Indices of candidates, by signal.
     """
 
     joints: tuple[str, ...]
@@ -80,11 +80,11 @@ class Proposal:
 
 
 def candidates_of(path: Path, layout: TableLayout | None = None) -> list[SignalCandidate]:
-    """What may be signals in a recording.
+    """Candidates for signals in a recording.
 
     Args:
         path: The recording.
-        layout: Where a text table has its names and rows; None: names first, then rows.
+        layout: Lines of names and rows of a text table; None: names first, then rows.
 
     Raises:
         InputError: It cannot be read.
@@ -99,11 +99,11 @@ def candidates_of(path: Path, layout: TableLayout | None = None) -> list[SignalC
 
 
 def propose(candidates: Sequence[SignalCandidate], arms: dict[str, int]) -> dict[str, Proposal]:
-    """What the signals of every arm may be.
+    """Proposed signals of every arm.
 
     Args:
-        candidates: What there is.
-        arms: How many joints each arm has.
+        candidates: Candidates of the recording.
+        arms: Number of joints, by arm.
     """
     found = {}
     for place, (arm, count) in enumerate(arms.items()):
@@ -121,7 +121,7 @@ def propose(candidates: Sequence[SignalCandidate], arms: dict[str, int]) -> dict
                 if not any(other in candidates[number].label for other in arms if other != arm)
             ]
             if own or common:
-                # Where no name is that of an arm, they stand in the order of the arms.
+                # Without a name of an arm they are in the order of the arms.
                 signals[name] = own[0] if own else common[min(place, len(common) - 1)]
             elif name in REQUIRED and (numeric := [n for n, one in enumerate(candidates) if not one.pose]):
                 signals[name] = numeric[0]
@@ -131,10 +131,10 @@ def propose(candidates: Sequence[SignalCandidate], arms: dict[str, int]) -> dict
 
 
 def joints_of(names: Sequence[str], arm: str, several: bool, count: int) -> tuple[str, ...]:
-    """The joints of an arm among those that a recording names; numbered where it names none.
+    """The joints of an arm among the names of a recording; numbered if there are no names.
 
     Args:
-        names: What the recording names, base to tip.
+        names: Joint names in the recording, base to tip.
         arm: Name of the arm.
         several: Whether there are other arms.
         count: How many joints it has.
@@ -148,17 +148,17 @@ def joints_of(names: Sequence[str], arm: str, several: bool, count: int) -> tupl
 
 
 def parts_of(candidate: SignalCandidate, count: int) -> list[SignalCandidate]:
-    """As many neighbouring numbers of a wider signal as an arm has joints: a gripper may stand beside them.
+    """Parts of a wider signal with as many numbers as an arm has joints; the others may be a gripper's.
 
     Args:
-        candidate: What may be wider.
+        candidate: A signal that may be wider.
         count: How many joints the arm has.
 
     Returns:
-        The first numbers, those behind them, and so on; none where it is not a little wider, or names its joints.
+        The first numbers, the next ones, and so on; empty if it is not a little wider, or names its joints.
     """
     beside, source = candidate.width - count, candidate.source
-    if candidate.pose or candidate.joints or "names" in source or not 0 < beside <= MOST_BESIDE or count == 1:
+    if candidate.pose or candidate.joints or "names" in source or not 0 < beside <= MAX_GRIPPER_NUMBERS or count == 1:
         return []  # of one joint every column is a candidate of its own
     found = []
     for first in range(beside + 1):
@@ -175,11 +175,11 @@ def parts_of(candidate: SignalCandidate, count: int) -> list[SignalCandidate]:
 
 
 def in_order(candidate: SignalCandidate, order: Sequence[int]) -> SignalCandidate:
-    """The same numbers with the joints in another order.
+    """A candidate with reordered joints.
 
     Args:
         candidate: Signal of joints without names.
-        order: Which of its numbers, from 0, belongs to each joint, base to tip.
+        order: Index, from 0, of each joint's number, base to tip.
     """
     source = dict(candidate.source)
     if "{joint}" in source.get("column", ""):
@@ -191,19 +191,19 @@ def in_order(candidate: SignalCandidate, order: Sequence[int]) -> SignalCandidat
 
 
 def width_of(shape: tuple[int, ...]) -> int:
-    """How many numbers a sample of an array has, samples x numbers or the other way round, as in MATLAB; 0: none."""
+    """Numbers per sample of an array, samples x numbers or transposed as in MATLAB; 0: not a signal."""
     if len(shape) != 2:
         return 0
-    width = shape[0] if shape[0] <= MOST_WIDE < shape[1] else shape[1]
-    return width if width <= MOST_WIDE else 0
+    width = shape[0] if shape[0] <= MAX_JOINT_NUMBERS < shape[1] else shape[1]
+    return width if width <= MAX_JOINT_NUMBERS else 0
 
 
 def single_candidates(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]], key: str) -> list[SignalCandidate]:
-    """Columns or arrays with one number a sample, which is a signal of a robot with one joint.
+    """Columns or arrays with one number per sample: signals of a robot with one joint.
 
     Args:
         columns: Contents by name.
-        key: How a mapping names them, ``column`` or ``array``.
+        key: Their key in a mapping, ``column`` or ``array``.
     """
     return [
         SignalCandidate(name, {key: name}, False, guess_of(name), 1)
@@ -260,7 +260,7 @@ def _base_to_tip(name: str) -> tuple[int, list[Any]]:
     return part, [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", name)]
 
 
-def _holds_pose(message: Any, depth: int = DEEPEST) -> bool:
+def _holds_pose(message: Any, depth: int = MAX_NESTED_FIELDS) -> bool:
     if hasattr(message, "transforms"):
         return True
     if any(hasattr(message, a) and hasattr(message, b) for a, b in POSE_PARTS):
@@ -269,14 +269,14 @@ def _holds_pose(message: Any, depth: int = DEEPEST) -> bool:
     return depth > 0 and any(_holds_pose(part, depth - 1) for part in inner if part is not None)
 
 
-def _numbers(message: Any, before: str = "", depth: int = DEEPEST) -> Iterator[tuple[str, int]]:
-    """Fields that hold several numbers, by path, and how many."""
+def _numbers(message: Any, before: str = "", depth: int = MAX_NESTED_FIELDS) -> Iterator[tuple[str, int]]:
+    """Path and size of the fields with several numbers."""
     for name, value in vars(message).items():
         if name.startswith("__"):
             continue
         place = f"{before}{name}"
         if isinstance(value, np.ndarray):
-            if value.ndim == 1 and 0 < value.size <= MOST_WIDE and np.issubdtype(value.dtype, np.floating):
+            if value.ndim == 1 and 0 < value.size <= MAX_JOINT_NUMBERS and np.issubdtype(value.dtype, np.floating):
                 yield place, int(value.size)
         elif depth > 0 and hasattr(value, "__msgtype__") and name != "header":
             yield from _numbers(value, f"{place}.", depth - 1)
@@ -330,7 +330,7 @@ def _alike_but_a_word(columns: Sequence[str]) -> Iterator[SignalCandidate]:
             if len(words) > 1:
                 groups.setdefault(words[place], []).append(column)
         for word, own in groups.items():
-            if 1 < len(own) <= MOST_WIDE and (guess := guess_of(word)):
+            if 1 < len(own) <= MAX_JOINT_NUMBERS and (guess := guess_of(word)):
                 yield SignalCandidate(f"{own[0]} … {own[-1]}", {"columns": own}, False, guess, len(own))
 
 
@@ -351,15 +351,15 @@ def _in_arrays(path: Path) -> list[SignalCandidate]:
 
 
 def vector_width(cells: Sequence[str] | NDArray[Any]) -> int:
-    """How many numbers every cell of a column holds; 0: something else, or not as many in all."""
+    """Numbers per cell of a column; 0: it holds something else, or the cells differ."""
     if not isinstance(cells, list):
         return 1
-    widths = {len(numbers_in(cell)) for cell in cells[:MOST_LOOKED_AT] if cell.strip()}
+    widths = {len(numbers_in(cell)) for cell in cells[:MAX_ROWS_READ] if cell.strip()}
     return widths.pop() if len(widths) == 1 else 0
 
 
 def numbers_in(cell: str) -> list[float]:
-    """Numbers of a cell, ``0.1 0.2`` or ``[0.1, 0.2]``; none where it holds anything else."""
+    """Numbers of a cell, ``0.1 0.2`` or ``[0.1, 0.2]``; empty if it holds anything else."""
     try:
         return [decimal(part) for part in BETWEEN.split(cell.strip(BRACKETS)) if part]
     except ValueError:
@@ -371,7 +371,7 @@ def _is_of_an_object(name: str) -> bool:
 
 
 def guess_of(name: str) -> str:
-    """The signal that a name hints at; empty: none."""
+    """The signal suggested by a name; empty: unknown."""
     low = name.lower()
     for part, signal in (("command", "command"), ("cmd", "command"), ("desired", "command"), ("vel", "velocity"),
                          ("dq", "velocity"), ("pos", "position"), ("eff", "torque"), ("tau", "torque"),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Time stamps: their errors, gaps between samples, and the regular grid closest to them."""
+"""Timestamps: their errors, gaps between samples, and the regular grid closest to them."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 
-ON_THE_GRID = 0.02  # periods by which a stamp may be off the grid and still count as on it
-SHOWN = 5  # gaps in a message
+MAX_GRID_ERROR_PERIODS = 0.02  # of a timestamp on a regular grid
+MAX_SHOWN_GAPS = 5  # in a message
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Gap:
     """A stretch without samples.
 
     Attributes:
-        start: Stamp of the last sample before it [s].
+        start: Timestamp of the last sample before it [s].
         length: Until the next sample [s].
     """
 
@@ -31,12 +31,12 @@ class Gap:
 
     @property
     def end(self) -> float:
-        """Stamp of the first sample after it [s]."""
+        """Timestamp of the first sample after it [s]."""
         return self.start + self.length
 
 
 def check_stamps(path: Path, what: str, time: Array) -> None:
-    """Stamps must be finite and strictly increasing.
+    """Check that timestamps are finite and strictly increasing.
 
     Args:
         path: File, for messages.
@@ -44,7 +44,7 @@ def check_stamps(path: Path, what: str, time: Array) -> None:
         time: Stamps, ``(k,)`` [s].
 
     Raises:
-        InputError: They are not; the message says where, and what to do.
+        InputError: They are not; the message names place and remedy.
     """
     if not np.isfinite(time).all():
         raise InputError(f"{what}: sample {int(np.argmin(np.isfinite(time)))} has no finite time", file=path)
@@ -69,18 +69,18 @@ def check_stamps(path: Path, what: str, time: Array) -> None:
 
 
 def check_jumps(path: Path, what: str, time: Array, log: Array | None, largest: float, pauses: bool) -> None:
-    """Stamps must not jump.
+    """Check that timestamps do not jump.
 
     Args:
         path: File, for messages.
         what: Topic or column, for messages.
         time: Stamps, increasing, ``(k,)`` [s].
-        log: A second clock that distinguishes jumps from pauses, ``(k,)`` [s]; None: there is none.
+        log: A second clock that distinguishes jumps from pauses, ``(k,)`` [s]; None: not available.
         largest: Largest step that is no jump [s].
-        pauses: Whether a pause, which the second clock shows as well, is as bad.
+        pauses: Whether a pause, which the second clock shows as well, is an error, too.
 
     Raises:
-        InputError: They do; the message says where, and what to do.
+        InputError: They do; the message names place and remedy.
     """
     steps = np.diff(time)
     long = steps > largest
@@ -102,13 +102,13 @@ def check_jumps(path: Path, what: str, time: Array, log: Array | None, largest: 
 
 
 def seconds_of(stamps: NDArray[Any], unit: float) -> Array:
-    """Stamps in seconds, ``(k,)``.
+    """Timestamps in seconds, ``(k,)``.
 
-    Nanoseconds of a wall clock have more digits than a floating-point number: of whole numbers, seconds and rest are
-    taken apart first, so that no more is lost than in a message that has both.
+    Nanoseconds of a wall clock have more digits than a floating-point number: seconds and rest of integers are
+    separated first, with the rounding of a message that has both.
 
     Args:
-        stamps: As the file has them, ``(k,)``.
+        stamps: Timestamps of the file, ``(k,)``.
         unit: Their unit [s].
     """
     if not np.issubdtype(stamps.dtype, np.integer):
@@ -118,7 +118,7 @@ def seconds_of(stamps: NDArray[Any], unit: float) -> Array:
 
 
 def seconds_of_pair(path: Path, place: str, seconds: NDArray[Any], nanoseconds: NDArray[Any]) -> Array:
-    """Stamps in seconds, of whole seconds and the nanoseconds beside them, ``(k,)``.
+    """Timestamps in seconds from whole seconds and nanoseconds, ``(k,)``.
 
     Args:
         path: File, for messages.
@@ -127,7 +127,7 @@ def seconds_of_pair(path: Path, place: str, seconds: NDArray[Any], nanoseconds: 
         nanoseconds: 0 to 999 999 999, ``(k,)``.
 
     Raises:
-        InputError: They are no such numbers.
+        InputError: The numbers are out of range.
     """
     if seconds.shape != nanoseconds.shape or seconds.ndim != 1:
         said = f"{place}: {seconds.shape} and {nanoseconds.shape}, expected two numbers a sample"
@@ -147,17 +147,17 @@ def gaps(time: Array, longest: float) -> list[Gap]:
     return [Gap(float(time[index]), float(steps[index])) for index in np.flatnonzero(steps > longest)]
 
 
-def tell_gaps(found: list[Gap], start: float) -> str:
+def gaps_in_words(found: list[Gap], start: float) -> str:
     """``0.030 s at t = 1.250 s, ...`` with times since ``start`` [s]."""
-    shown = ", ".join(f"{gap.length:.3f} s at t = {gap.start - start:.3f} s" for gap in found[:SHOWN])
-    return shown + (f" and {len(found) - SHOWN} more" if len(found) > SHOWN else "")
+    shown = ", ".join(f"{gap.length:.3f} s at t = {gap.start - start:.3f} s" for gap in found[:MAX_SHOWN_GAPS])
+    return shown + (f" and {len(found) - MAX_SHOWN_GAPS} more" if len(found) > MAX_SHOWN_GAPS else "")
 
 
 def even_grid(time: Array) -> Array:
     """Times of equal distance from the first stamp to the last, ``(k,)`` [s].
 
-    The distance is the mean of the steps that are no gaps, for a median is one of the steps, and those of wall clocks
-    are rounded. Where every stamp is one of the grid's there are as many of both, and samples are taken as they are.
+    The distance is the mean step without gaps; the median would be one of the steps, which are rounded on wall clocks.
+    If every timestamp lies on the grid, both have the same number, and samples need no interpolation.
     """
     length, steps = time[-1] - time[0], np.diff(time)
     usual = np.abs(steps / np.median(steps) - 1.0) < 0.5
@@ -166,13 +166,15 @@ def even_grid(time: Array) -> Array:
 
 
 def grid_from(time: Array, main: Array) -> Array:
-    """The even grid of the stamps ``main``, carried on to the first and the last of ``time``, ``(k,)`` [s].
+    """The even grid of the timestamps ``main``, extended to the first and the last of ``time``, ``(k,)`` [s].
 
-    What matters most is then as on its own, wherever the samples beyond the gaps about it lie.
+    Samples of the main piece then do not depend on the samples beyond its gaps.
     """
     grid = even_grid(main)
     period = grid[1] - grid[0]
-    before, after = (int(length / period + ON_THE_GRID) for length in (grid[0] - time[0], time[-1] - grid[-1]))
+    before, after = (
+        int(length / period + MAX_GRID_ERROR_PERIODS) for length in (grid[0] - time[0], time[-1] - grid[-1])
+    )
     if before == after == 0:
         return grid
     return np.concatenate(

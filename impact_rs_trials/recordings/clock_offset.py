@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clocks that differ by a constant: the offset of a stream is found from the motion that two streams share.
+"""Clocks that differ by a constant: the offset of a stream by cross-correlation of the motion that two streams share.
 
-A stream whose stamps are of another clock (``clock: own`` in the mapping) is moved to where it fits the joint
-positions q(t) best. What it should be follows from them: velocities are dq/dt, motor positions follow q, torques and
-commands carry the weight g(q). The offset d maximises the correlation of both over the stretch in which they overlap,
+A stream with timestamps of another clock (``clock: own`` in the mapping) is shifted to fit the joint
+positions q(t) best. They predict it: velocities are dq/dt, motor positions follow q, torques and
+commands contain the gravity torque g(q). The offset d maximises the correlation of both over their overlap,
 
     c(d) = sum x(t) y(t - d) / sqrt(sum x(t)^2 sum y(t - d)^2),
 
 with x and y less their means; around its maximum y = a x + b is fitted to every column by least squares. Objects do not
-move with the joints: in a hit the moment in which the object starts is that in which the joint velocities jump.
+move with the joints: in a hit the object starts to move when the joint velocities jump.
 
-The standard error is that of least squares with residuals r of the samples, sigma_d^-2 = sum (a dx/dt)^2 / mean r^2
+The standard error follows from least squares with residuals r of the samples, sigma_d^-2 = sum (a dx/dt)^2 / mean r^2
 over samples and columns.
 """
 
@@ -37,35 +37,35 @@ FOUND_BY: dict[SignalName, str] = {
     "velocity": "the derivative of the positions",
     "motor_position": "the positions",
     "motor_velocity": "the derivative of the positions",
-    "torque": "the weight at the positions",
-    "command": "the weight at the positions",
+    "torque": "the gravity torque at the positions",
+    "command": "the gravity torque at the positions",
 }
 OBJECT_SIGNALS: tuple[SignalName, ...] = ("object_pose", "object_position", "object_quaternion")
-AGREE = (0.010, 1.5)  # s, and periods of the pose, within which an object starts when it is hit,
-SURE = 5.0  # and standard deviations
-LEAST_OVERLAP = 0.5  # of the shorter stream
-CLEAR = 0.7  # least correlation from which an offset is believed
-APART = 0.05  # by which the correlation must fall beside the peak, else several offsets fit
-MOST_SAMPLES = 200_000  # of a common grid
-REFINED = 3.0  # samples of it about the largest correlation, in which an offset is fitted
-LEAST_NOISE = 5e-5  # m; no tracker resolves less
-BEND_OF_NOISE = 3.77  # median length of second differences of noise 1 on every axis: sqrt(6) times that of chi with 3
-CLEAR_OF_NOISE = 5.0  # noises from which an object moves
-STEADY = 4  # samples in a row that are clear of the noise
-STARTING = 5  # samples of rest, at least
-FITTED = 12  # samples after the start
+MAX_START_DIFFERENCE = (0.010, 1.5)  # s, and periods of the pose, between the impact and the start of the object,
+MAX_START_SIGMA = 5.0  # and standard deviations
+MIN_OVERLAP_SHARE = 0.5  # of the shorter stream
+MIN_LAG_CORRELATION = 0.7  # of an offset that is believed
+MIN_PEAK_DROP = 0.05  # of the correlation beside its peak; with less, several offsets fit
+MAX_GRID_SAMPLES = 200_000  # of the common grid
+REFINED_SAMPLES = 3.0  # of the grid about the largest correlation, in which the offset is fitted
+MIN_TRACKER_NOISE_M = 5e-5  # no tracker resolves less
+MEDIAN_SECOND_DIFFERENCE = 3.77  # of unit noise on three axes, length: sqrt(6) times the median of chi with 3 degrees
+MIN_MOTION_SIGMA = 5.0  # standard deviations of the noise, beyond which an object moves
+MIN_MOVING_SAMPLES = 4  # in a row
+MIN_REST_SAMPLES = 5  # before the start
+FITTED_SAMPLES = 12  # after the start
 
 
 def on_one_clock(
     path: Path, series: dict[SignalName, Series], mapping: Mapping, model: RobotModel
 ) -> dict[SignalName, Series]:
-    """Joint signals on the clock of the positions; remarks say what was moved, and by how much.
+    """Joint signals on the clock of the positions, with a warning about every shift.
 
     Args:
         path: File, for messages.
-        series: Signals as their files have them.
-        mapping: Says which have a clock of their own.
-        model: Nominal arm, for its weight.
+        series: Signals with the timestamps of their files.
+        mapping: Names the signals with another clock.
+        model: Nominal arm, for its gravity torque.
 
     Raises:
         InputError: The motion does not determine an offset.
@@ -79,12 +79,12 @@ def on_one_clock(
     return moved
 
 
-def with_start_at(path: Path, pose: Series, position: Series, key: str) -> Series:
-    """The pose of an object on the clock of the joints: it starts to move in the impact.
+def shifted_to_impact(path: Path, pose: Series, position: Series, key: str) -> Series:
+    """The pose of an object on the clock of the joints: it starts to move at the impact.
 
     Args:
         path: File, for messages.
-        pose: Position first, as its file has it.
+        pose: Position first, with the timestamps of its file.
         position: q, ``(m, n)``, whose velocities jump in the impact.
         key: Key of the mapping, for messages.
 
@@ -103,9 +103,9 @@ def with_start_at(path: Path, pose: Series, position: Series, key: str) -> Serie
 
 
 def start_of_motion(pose: Series, path: Path, key: str) -> tuple[float, float]:
-    """When an object that rests at first starts to move, and the standard error [s].
+    """Time at which an object that rests at first starts to move, and its standard error [s].
 
-    The way s along the motion is fitted by s = v (t - t_0) - a (t - t_0)^2 / 2 to the first samples in which it is
+    The displacement s along the motion is fitted by s = v (t - t_0) - a (t - t_0)^2 / 2 to the first samples that are
     clear of the noise; t_0 is where the parabola is zero.
 
     Args:
@@ -118,21 +118,21 @@ def start_of_motion(pose: Series, path: Path, key: str) -> tuple[float, float]:
     """
     place = pose.values[:, :3]
     bend = np.linalg.norm(np.diff(place, n=2, axis=0), axis=1)
-    noise = float(np.median(bend)) / BEND_OF_NOISE + LEAST_NOISE
-    rest = np.median(place[: max(STARTING, place.shape[0] // 20)], axis=0)
-    clear = np.linalg.norm(place - rest, axis=1) > CLEAR_OF_NOISE * noise
+    noise = float(np.median(bend)) / MEDIAN_SECOND_DIFFERENCE + MIN_TRACKER_NOISE_M
+    rest = np.median(place[: max(MIN_REST_SAMPLES, place.shape[0] // 20)], axis=0)
+    clear = np.linalg.norm(place - rest, axis=1) > MIN_MOTION_SIGMA * noise
     steady = clear.copy()
-    for later in range(1, STEADY):
+    for later in range(1, MIN_MOVING_SAMPLES):
         steady[:-later] &= clear[later:]
         steady[-later:] = False
     first = int(np.argmax(steady))
-    if not steady.any() or first < STARTING:
+    if not steady.any() or first < MIN_REST_SAMPLES:
         raise InputError(
             "the object does not rest at first and move later, so its motion does not determine the offset of its "
             "clock: set signals.NAME.delay and leave the key out", file=path, key=key, value="own",
         )  # fmt: skip
-    rest = np.median(place[max(0, first - 5 * STARTING) : first - 1], axis=0)
-    rows = slice(first, first + FITTED)
+    rest = np.median(place[max(0, first - 5 * MIN_REST_SAMPLES) : first - 1], axis=0)
+    rows = slice(first, first + FITTED_SAMPLES)
     time, way = pose.time[rows], place[rows] - rest
     direction = way[-1] / np.linalg.norm(way[-1])
     t, s = time - time[0], way @ direction
@@ -155,8 +155,8 @@ class ClocksApart:
     """An object that does not move from rest when an arm hits it.
 
     Attributes:
-        offset: Start of the object less the impact of the arm; or between the first stamps of both [s].
-        error: Its standard deviation [s]; None: their stamps have no time in common.
+        offset: Start of the object less the impact of the arm; or between the first timestamps of both [s].
+        error: Its standard deviation [s]; None: the timestamps do not overlap.
     """
 
     offset: float
@@ -164,7 +164,7 @@ class ClocksApart:
 
     @property
     def evidence(self) -> str:
-        """What shows it."""
+        """Evidence in words."""
         if self.error is None:
             return (
                 f"the stamps of the object begin {self.offset:+.6g} s after those of the joints, and have no time in "
@@ -182,12 +182,12 @@ class ClocksApart:
 
 
 def clocks_apart(pose: Series, position: Series, jumps: Sequence[JointJump], path: Path) -> ClocksApart | None:
-    """By how much the clock of an object differs from that of the joints; None: nothing shows that it does.
+    """Offset between the clocks of object and joints; None: no evidence of an offset.
 
     Args:
         pose: Position of the object first, ``(k, 3 or more)``.
         position: q, ``(m, n)``.
-        jumps: Where its velocities jump.
+        jumps: Jumps of its velocities.
         path: File, for messages.
     """
     if pose.time[0] > position.time[-1] or pose.time[-1] < position.time[0]:
@@ -200,23 +200,27 @@ def clocks_apart(pose: Series, position: Series, jumps: Sequence[JointJump], pat
     if nearest is None:
         return None
     offset, uncertain = start - nearest.time, float(np.hypot(error, nearest.time_error))
-    allowed = max(AGREE[0], AGREE[1] * float(np.median(np.diff(pose.time))), SURE * uncertain)
+    allowed = max(
+        MAX_START_DIFFERENCE[0],
+        MAX_START_DIFFERENCE[1] * float(np.median(np.diff(pose.time))),
+        MAX_START_SIGMA * uncertain,
+    )
     return ClocksApart(float(offset), uncertain) if abs(offset) > allowed else None
 
 
 def shifted(series: Series, offset: float, error: float, found_by: str) -> Series:
-    """A signal with its stamps moved by an offset [s], and a remark that says so."""
+    """A signal with its timestamps shifted by an offset [s], and a warning about it."""
     moved = "stamps moved by ", Amount(offset, "+.6g"), " s (+- ", Amount(1e3 * error, ".2g"), " ms)"
     said = Remark(f"{series.place}: clock of its own; ", *moved, f", by {found_by}")
     return replace(series, time=series.time + offset, remarks=(*series.remarks, said))
 
 
 def offset_between(expected: Series, measured: Series, path: Path, key: str) -> tuple[float, float]:
-    """What to add to the stamps of ``measured`` so that it fits ``expected``, and its standard error [s].
+    """Offset added to the timestamps of ``measured`` for the best fit to ``expected``, and its standard error [s].
 
     Args:
-        expected: What it should be, up to a factor and an offset of every column.
-        measured: What was measured, with as many columns.
+        expected: Predicted signal, up to a factor and an offset of every column.
+        measured: Measured signal, with as many columns.
         path: File, for messages.
         key: Key of the mapping, for messages.
 
@@ -225,19 +229,20 @@ def offset_between(expected: Series, measured: Series, path: Path, key: str) -> 
     """
     period = max(float(np.median(np.diff(one.time))) for one in (expected, measured)) / 2.0
     first, second = (_evenly(one, period) for one in (expected, measured))
-    if max(len(first), len(second)) > MOST_SAMPLES:
-        raise InputError(f"streams of more than {MOST_SAMPLES} samples; cut them first", file=path, key=key)
+    if max(len(first), len(second)) > MAX_GRID_SAMPLES:
+        raise InputError(f"streams of more than {MAX_GRID_SAMPLES} samples; cut them first", file=path, key=key)
     correlation, lags, overlap = cross_correlation(first, second)
-    allowed = overlap >= LEAST_OVERLAP * min(len(first), len(second))
+    allowed = overlap >= MIN_OVERLAP_SHARE * min(len(first), len(second))
     correlation = np.where(allowed, np.abs(correlation), 0.0)
     best = int(np.argmax(correlation))
     width = _peak_width(correlation, best)
     beside = np.abs(np.arange(correlation.size) - best) > width
     second_best = float(np.max(correlation[beside], initial=0.0))
-    if correlation[best] < CLEAR or second_best > correlation[best] - APART:
+    if correlation[best] < MIN_LAG_CORRELATION or second_best > correlation[best] - MIN_PEAK_DROP:
         raise InputError(
             f"the motion does not determine the offset of this clock (correlation {correlation[best]:.2f}, elsewhere "
-            f"{second_best:.2f}; expected at least {CLEAR} at one place): set signals.NAME.delay and leave the key out",
+            f"{second_best:.2f}; expected at least {MIN_LAG_CORRELATION} at one lag): set signals.NAME.delay and leave "
+            "the key out",
             file=path,
             key=key,
             value="own",
@@ -245,7 +250,7 @@ def offset_between(expected: Series, measured: Series, path: Path, key: str) -> 
     near = float(expected.time[0] - measured.time[0] + lags[best] * period)
     fitted = scipy.optimize.minimize_scalar(
         lambda offset: misfit(expected, measured, offset)[0],
-        bounds=(near - REFINED * period, near + REFINED * period),
+        bounds=(near - REFINED_SAMPLES * period, near + REFINED_SAMPLES * period),
         method="bounded",
         options={"xatol": 1e-7},
     )
@@ -253,12 +258,12 @@ def offset_between(expected: Series, measured: Series, path: Path, key: str) -> 
 
 
 def misfit(expected: Series, measured: Series, offset: float) -> tuple[float, float]:
-    """Mean square of what a line leaves of every column, over its variance; and the standard error of the offset [s].
+    """1 - R^2 of a linear fit per column, averaged, and the standard error of the clock offset [s].
 
     Args:
-        expected: What it should be, up to a factor and an offset of every column.
-        measured: What was measured, with as many columns.
-        offset: Added to the stamps of ``measured`` [s].
+        expected: Predicted signal, up to a factor and an offset of every column.
+        measured: Measured signal, with as many columns.
+        offset: Added to the timestamps of ``measured`` [s].
     """
     time = measured.time + offset
     rows = (time >= expected.time[0]) & (time <= expected.time[-1])
@@ -274,7 +279,7 @@ def misfit(expected: Series, measured: Series, offset: float) -> tuple[float, fl
 
 
 def _expected(name: SignalName, position: Series, model: RobotModel) -> Series:
-    """What a signal should be by the positions."""
+    """Prediction of a signal by the positions."""
     if name == "motor_position":
         return position
     if name in ("velocity", "motor_velocity"):

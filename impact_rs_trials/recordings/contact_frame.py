@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pose of the motion-capture frame in A, estimated from contact alone: in a hit the pad lies on a face of the object.
+"""Least-squares pose of the motion-capture frame in A, from contact alone: at a hit the pad lies on an object's face.
 
 The object is at p with axes R_p in the motion-capture frame; that frame is at t and rotated by psi about z in A. The
 centre of the pad is at c with normal m in A, n is the outward normal of the face that is hit, and h half the size of
@@ -27,19 +27,19 @@ import pinocchio as pin
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 
-DISTANCE = 0.001  # m, standard deviation of the distance between pad and face
-FLUSH = 0.02  # rad, standard deviation of the angle between them
-KNOWN = 0.005  # m; a direction with a larger standard error counts as undetermined
-PUSHED = 0.005  # m; if all objects together move by less, they do not determine the initial psi
-STEPS = 20
-TOUCHING = (0.02, 0.1)  # s from the impact on, in which the pad lies flat on the face and pushes it
-FOLLOWED = 0.3  # s from the impact on, in which the object goes where the pad goes
-CLOSE = 1e-9  # m or rad, convergence tolerance of a step
+DISTANCE_SIGMA_M = 0.001  # standard deviation of the distance between pad and face
+ANGLE_SIGMA_RAD = 0.02  # standard deviation of the angle between them
+MAX_STANDARD_ERROR_M = 0.005  # a direction with a larger one is undetermined
+MIN_TOTAL_PUSH_M = 0.005  # of all objects together; less displacement does not determine the initial psi
+MAX_GAUSS_NEWTON_STEPS = 20
+FLAT_CONTACT_S = (0.02, 0.1)  # after the impact, in which the pad lies flat on the face and pushes it
+CARRIED_S = 0.3  # after the impact, in which the object moves with the pad
+CONVERGED_STEP = 1e-9  # m or rad
 
 
 @dataclass(frozen=True)
 class PadOnFace:
-    """One hit, while pad and object touch.
+    """One impact, while pad and object touch.
 
     Attributes:
         run: Name of the run.
@@ -48,10 +48,10 @@ class PadOnFace:
         position: Geometric centre of the object in the world of the motion capture, ``(k, 3)`` [m].
         rotation: Its axes there, ``(k, 3, 3)``.
         size: Of the object, ``(3,)`` [m].
-        standing: Height of its centre over the support while it stands at first [m].
-        standing_height: The same centre's height then, in the world of the motion capture [m].
-        pad_way: Where the pad goes from the impact on, in A, ``(2,)`` [m].
-        object_way: Where the object goes meanwhile, in the world of the motion capture, ``(2,)`` [m].
+        standing: Initial height of its centre over the support [m].
+        standing_height: Initial height of its centre in the world of the motion capture [m].
+        pad_displacement: Displacement of the pad after the impact, in A, ``(2,)`` [m].
+        object_displacement: Displacement of the object meanwhile, in the world of the motion capture, ``(2,)`` [m].
     """
 
     run: str
@@ -62,8 +62,8 @@ class PadOnFace:
     size: Array
     standing: float
     standing_height: float
-    pad_way: Array
-    object_way: Array
+    pad_displacement: Array
+    object_displacement: Array
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class ContactFrame:
         scatter: Distance between pad and face, rms over the hits [m].
         tilt: Angle between pad and face, rms over the hits [rad].
         hits: Number of hits.
-        kept: Undetermined direction in A, along which the position keeps its given value, ``(2,)``; None: none.
+        kept: Undetermined direction in A, along which the position keeps its given value, ``(2,)``; None: determined.
     """
 
     position: Array
@@ -105,11 +105,11 @@ class ContactFrame:
 
 
 def contact_frame(touches: Sequence[PadOnFace], given: Array, given_yaw: float) -> ContactFrame:
-    """Place the world of the motion capture so that all hits touch.
+    """Least-squares placement of the world of the motion capture, in which pad and face touch at all hits.
 
     Args:
         touches: The hits; poses already rotated by roll and pitch, which hits do not determine.
-        given: Position that is kept where hits do not determine it, ``(3,)`` [m].
+        given: Position to keep along undetermined directions, ``(3,)`` [m].
         given_yaw: Initial yaw, used if no object moves [rad].
 
     Raises:
@@ -119,8 +119,8 @@ def contact_frame(touches: Sequence[PadOnFace], given: Array, given_yaw: float) 
         raise InputError("motion_capture.estimate: no hit has both joint positions and a pose of the object")
     height = float(np.mean([touch.standing - touch.standing_height for touch in touches]))
     found = _first(touches, given_yaw)
-    weights = np.tile([1.0 / DISTANCE, 1.0 / FLUSH], len(touches))
-    for _ in range(STEPS):
+    weights = np.tile([1.0 / DISTANCE_SIGMA_M, 1.0 / ANGLE_SIGMA_RAD], len(touches))
+    for _ in range(MAX_GAUSS_NEWTON_STEPS):
         before = found.copy()
         kept = _undetermined(weights[:, None] * _residuals(touches, found)[1])
         free = np.eye(3) if kept is None else np.array([[-kept[1], kept[0], 0.0], [0.0, 0.0, 1.0]]).T
@@ -129,7 +129,7 @@ def contact_frame(touches: Sequence[PadOnFace], given: Array, given_yaw: float) 
         values, slopes = _residuals(touches, found)
         design = weights[:, None] * slopes @ free
         found = found + free @ np.linalg.lstsq(design, -weights * values, rcond=None)[0]
-        if np.max(np.abs(found - before)) < CLOSE:
+        if np.max(np.abs(found - before)) < CONVERGED_STEP:
             break
     values, slopes = _residuals(touches, found)
     # Two residuals per hit, less the estimated parameters; the standard deviations above are a lower bound.
@@ -152,10 +152,10 @@ def _undetermined(slopes: Array) -> Array | None:
     """Horizontal direction in which the hits do not determine the position, ``(2,)``; None: there is none.
 
     Args:
-        slopes: Of weighted residuals in x, y and yaw, ``(2 h, 3)``; in x and y those are normals of faces.
+        slopes: Derivatives of the weighted residuals by x, y and yaw, ``(2 h, 3)``; by x and y: normals of faces.
     """
     information, directions = np.linalg.eigh(slopes[:, :2].T @ slopes[:, :2])
-    if information[0] * KNOWN**2 > 1.0:
+    if information[0] * MAX_STANDARD_ERROR_M**2 > 1.0:
         return None
     direction = directions[:, 0]
     return np.asarray(direction * np.sign(direction[int(np.argmax(np.abs(direction)))]))
@@ -164,10 +164,14 @@ def _undetermined(slopes: Array) -> Array | None:
 def _first(touches: Sequence[PadOnFace], given_yaw: float) -> Array:
     """Initial x, y and yaw: objects move with the pads, and every pad is at the centre of its face."""
     yaw = given_yaw
-    if sum(float(np.linalg.norm(touch.object_way)) for touch in touches) > PUSHED:
-        cosine = sum(float(touch.object_way @ touch.pad_way) for touch in touches)
+    if sum(float(np.linalg.norm(touch.object_displacement)) for touch in touches) > MIN_TOTAL_PUSH_M:
+        cosine = sum(float(touch.object_displacement @ touch.pad_displacement) for touch in touches)
         sine = sum(
-            float(touch.object_way[0] * touch.pad_way[1] - touch.object_way[1] * touch.pad_way[0]) for touch in touches
+            float(
+                touch.object_displacement[0] * touch.pad_displacement[1]
+                - touch.object_displacement[1] * touch.pad_displacement[0]
+            )
+            for touch in touches
         )
         yaw = float(np.arctan2(sine, cosine))
     turn = pin.rpy.rpyToMatrix(0.0, 0.0, yaw)
@@ -179,7 +183,7 @@ def _first(touches: Sequence[PadOnFace], given_yaw: float) -> Array:
 
 
 def _residuals(touches: Sequence[PadOnFace], found: Array) -> tuple[Array, Array]:
-    """Distance [m] and angle [rad] of every hit in turn, ``(2 h,)``, and their slopes in x, y and yaw, ``(2 h, 3)``."""
+    """Distance [m] and angle [rad] of every impact, ``(2 h,)``, and their derivatives by x, y and yaw, ``(2 h, 3)``."""
     turn = pin.rpy.rpyToMatrix(0.0, 0.0, float(found[2]))
     values, slopes = [], []
     for touch in touches:

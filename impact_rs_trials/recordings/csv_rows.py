@@ -18,21 +18,21 @@ WITH_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 def csv_rows(
     path: Path, header: int | None = None, first: int | None = None, point: str = "."
 ) -> list[tuple[int, list[str]]]:
-    """Cells of every row with the line it stands in, counted from 1.
+    """Cells of every row with its line number, counted from 1.
 
-    Cells are separated by commas, semicolons or tabs, whichever the first row has most of, or by blanks where it has
+    Cells are separated by commas, semicolons or tabs, whichever the first row has most of, or by blanks if it has
     none of them. Empty lines and lines that begin with # are skipped. A quoted cell ends in its line: with a stray
     quotation mark a cell would go on until the next one and swallow the rows between them.
 
     Args:
         path: The file, in UTF-8.
-        header: Line of the names, which may begin with #; lines above it are no rows. 0: the file has no names; None:
-            they stand in the first line that is not skipped.
+        header: Line of the names, which may begin with #; lines above it are skipped. 0: the file has no names; None:
+            the first line that is not skipped.
         first: Line of the first row below the names; None: the next.
         point: Decimal sign; a comma then separates no cells, and becomes a point between two digits.
 
     Raises:
-        InputError: It cannot be read, or a line is no row; the message names the line.
+        InputError: It cannot be read, or a line is not a row; the message names the line.
     """
     every = read_lines(path)
     lines = [(number, line) for number, line in every if line.strip() and not line.lstrip().startswith("#")]
@@ -75,7 +75,7 @@ def read_lines(path: Path) -> list[tuple[int, str]]:
 
 
 def decimal_sign(lines: Sequence[str]) -> str:
-    """Comma where lines are cells between semicolons or tabs that hold one comma each, between digits, at most."""
+    """Comma if cells, separated by semicolons or tabs, hold at most one comma each, between digits."""
     rows = [re.split(r"[;\t]", line) for line in lines]
     cells = [cell.strip() for row in rows for cell in row if len(row) > 1]
     with_comma = [bool(WITH_COMMA.fullmatch(cell)) for cell in cells]
@@ -83,13 +83,13 @@ def decimal_sign(lines: Sequence[str]) -> str:
 
 
 def separator_of(line: str, point: str = ".") -> str | None:
-    """What separates the cells of a line: comma, semicolon or tab, whichever it has most of; None: blanks."""
+    """Separator of the cells of a line: comma, semicolon or tab, whichever is most frequent; None: blanks."""
     separator = max(";\t" if point == "," else ",;\t", key=line.count)
     return None if separator not in line and len(line.split()) > 1 else separator
 
 
 def split_line(line: str, point: str = ".") -> list[str]:
-    """Cells of a line that may be no row; where quotation marks do not pair up, what stands between separators."""
+    """Cells of any line; split at every separator if its quotation marks do not pair up."""
     separator = separator_of(line, point)
     if separator is None:
         cells = line.split()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The runs that a mapping describes: which are there, what they hit, and what contradicts the mapping in them."""
+"""The runs that a mapping describes, their objects, and contradictions to the mapping."""
 
 from __future__ import annotations
 
@@ -17,31 +17,37 @@ from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.file_names import RUN_TABLE
 from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS
 from impact_rs_trials.recordings.file_groups import OBJECT, FileGroups
-from impact_rs_trials.recordings.import_checks import MOVED, clocks_of, doubt_of, doubts_of_hit, object_moves
+from impact_rs_trials.recordings.import_checks import (
+    MIN_OBJECT_DISPLACEMENT_M,
+    clocks_of,
+    impact_warnings,
+    mapping_warning,
+    object_moves,
+)
 from impact_rs_trials.recordings.import_texts import FoundRun, Notes, flow
 from impact_rs_trials.recordings.mapping import NO_ROBOT, Mapping, MountedEndEffector, SignalName
 from impact_rs_trials.recordings.recording import read_recordings
 from impact_rs_trials.recordings.run_finder import find_runs
 from impact_rs_trials.recordings.sources import read_series
 
-MOST_RUNS = 5  # whose clocks are looked at
-MOST_COMPARED = 10  # runs beside the first
+MAX_RUNS_WITH_CLOCK = 5  # whose clocks are compared
+MAX_RUNS_COMPARED = 10  # with the first
 
 
 class DescribedRuns:
-    """Runs of files, as a mapping reads them.
+    """Runs in files, read with a mapping.
 
     Args:
         groups: Files by kind and run.
         scenario: Scenario of hits, by name or path; None: unknown.
-        notes: What was found is added to them.
+        notes: Findings, appended to.
     """
 
     def __init__(self, groups: FileGroups, scenario: str | None, notes: Notes) -> None:
         self._groups, self._scenario, self._notes = groups, scenario, notes
 
     def rows(self, mapping: Mapping) -> list[FoundRun]:
-        """Every run that the reader takes; the others are said."""
+        """Every readable run; the others are noted."""
         groups = self._groups
         has_object = any(name.startswith("object") for name in mapping.signals)
         needed = {source.file for source in mapping.signals.values() if source.file is not None}
@@ -74,7 +80,9 @@ class DescribedRuns:
                 "the folders that runs lie in; impacts makes a column of it, for --covariates session",
             )  # fmt: skip
         if has_object and mapping.robot != NO_ROBOT and any(row.hit for row in rows):
-            self._notes.say("kind in runs.csv", "hit", f"the object moves by more than {1e3 * MOVED:g} mm")
+            self._notes.say(
+                "kind in runs.csv", "hit", f"the object moves by more than {1e3 * MIN_OBJECT_DISPLACEMENT_M:g} mm"
+            )
             rows = self._with_objects(rows)
         return rows
 
@@ -121,9 +129,9 @@ class DescribedRuns:
         return rows
 
     def clock_of_object(self, mapping: Mapping, rows: Sequence[FoundRun], signals: dict[str, dict[str, Any]]) -> bool:
-        """Give the object a clock of its own where it does not start to move when the arm hits; whether it was so."""
+        """Give the object its own clock if it does not start to move at the impact of the arm; whether it was given."""
         names = [name for name in OBJECT_SIGNALS if name in signals]
-        hits = [row for row in rows if row.hit][:MOST_RUNS]
+        hits = [row for row in rows if row.hit][:MAX_RUNS_WITH_CLOCK]
         seen = [clocks_of(self._groups.folder / row.run, mapping, row.names) for row in hits] if names else []
         apart = [one for one in seen if one is not None]
         if 2 * len(apart) <= len(seen):
@@ -136,7 +144,7 @@ class DescribedRuns:
         return True
 
     def check_first(self, mapping: Mapping, rows: Sequence[FoundRun]) -> None:
-        """What the reader says of the first run."""
+        """Note the reader's warnings about the first run."""
         row = next((row for row in rows if row.hit), rows[0])
         path = self._groups.folder / row.run
         try:
@@ -145,7 +153,7 @@ class DescribedRuns:
                 read = read_series(path, mapping, wanted, wanted, row.names)
                 self._notes.remarks += [remark for one in read.values() for remark in one.remarks]
                 if mapping.robot != NO_ROBOT:
-                    self._notes.remarks += doubts_of_hit(read, mapping)
+                    self._notes.remarks += impact_warnings(read, mapping)
             else:
                 target = path if path.exists() or path.parent.is_file() else path.parent
                 self._notes.remarks += [
@@ -155,14 +163,14 @@ class DescribedRuns:
             self._notes.remarks.append(f"the reader refuses {row.run} as it is described: {error}")
 
     def compare(self, mapping: Mapping, rows: Sequence[FoundRun], facts: RobotFacts) -> None:
-        """Units and signs of other runs than the first, which the description was made of."""
+        """Compare units and signs of further runs with the first, the source of the description."""
         first, *others = rows
-        numbers = np.unique(np.linspace(0, len(others) - 1, min(MOST_COMPARED, len(others))).astype(int))
+        numbers = np.unique(np.linspace(0, len(others) - 1, min(MAX_RUNS_COMPARED, len(others))).astype(int))
         model = RobotModel(facts, MountedEndEffector().build(), pin.SE3.Identity())
         apart = 0
         for row in (others[number] for number in numbers):
             try:
-                doubt = doubt_of(self._groups.folder / row.run, mapping, row.names, model)
+                doubt = mapping_warning(self._groups.folder / row.run, mapping, row.names, model)
             except InputError as error:
                 doubt = f"the reader refuses it: {error}"
             if doubt is not None:

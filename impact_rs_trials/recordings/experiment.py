@@ -39,26 +39,26 @@ BODY = "body"  # object of runs without a robot
 COLUMNS = ("bag", "object", "kind")
 SESSION = "session"  # column of the table of runs that the table of impacts has as well
 YAML = (".yaml", ".yml")
-FRICTION_NOISE = 0.1  # relative standard deviation of a scenario's friction, where nothing is said
-MOST_LISTED = 20  # names of runs in an error
+FRICTION_SIGMA_SHARE = 0.1  # relative standard deviation of a scenario's friction if it gives none
+MAX_LISTED_RUNS = 20  # in an error
 
 Result = TypeVar("Result")
 
 
 class FramePlacement(Schema):
-    """Where one frame is in another."""
+    """Placement of one frame in another."""
 
     position: Vector3 = Field((0.0, 0.0, 0.0), description="origin of the frame [m]")
     rpy: Vector3 = Field((0.0, 0.0, 0.0), description="roll, pitch and yaw of the frame [rad]")
 
     @property
     def placement(self) -> pin.SE3:
-        """The same as a transform."""
+        """The placement as a transform."""
         return pin.SE3(pin.rpy.rpyToMatrix(*self.rpy), np.array(self.position))
 
 
 class MotionCapture(FramePlacement):
-    """Where the world of the motion capture is in the inertial frame A of the scenario."""
+    """Placement of the world of the motion capture in the inertial frame A of the scenario."""
 
     estimate: bool = Field(
         False,
@@ -67,7 +67,7 @@ class MotionCapture(FramePlacement):
     )
     bodies: dict[str, FramePlacement] = Field(
         default_factory=dict,
-        description="by object: its geometric centre and axes in the frame that is tracked; absent: that frame itself",
+        description="by object: its geometric centre and axes in the tracked frame; absent: the tracked frame itself",
     )
 
 
@@ -82,12 +82,12 @@ class Body(Schema):
         None, description="principal moments about the centre, along its own axes [kg m^2]; absent: homogeneous"
     )
     place: FramePlacement = Field(
-        default_factory=FramePlacement, description="its geometric centre and axes in the frame that is tracked"
+        default_factory=FramePlacement, description="its geometric centre and axes in the tracked frame"
     )
     spin: Vector3 | None = Field(
         None,
-        description="angular velocity before the impacts of a ball whose turn was not tracked, along the axes of the "
-        "tracker; zeros where it was dropped or thrown without spin [rad/s]",
+        description="angular velocity before the impacts of a ball without tracked rotation, along the axes of the "
+        "tracker; zeros if it was dropped or thrown without spin [rad/s]",
     )
 
     @property
@@ -114,8 +114,8 @@ class Plane(Schema):
 
     height: float = Field(0.0, description="distance of the plane from the origin along its normal [m]")
     normal: Vector3 = Field((0.0, 0.0, 1.0), description="its normal, towards the body [-]")
-    friction: Annotated[float, Field(ge=0.0)] = Field(0.3, description="Coulomb coefficient that is assumed [-]")
-    restitution: Annotated[float, Field(ge=0.0, le=1.0)] = Field(0.0, description="restitution that is assumed [-]")
+    friction: Annotated[float, Field(ge=0.0)] = Field(0.3, description="assumed Coulomb coefficient [-]")
+    restitution: Annotated[float, Field(ge=0.0, le=1.0)] = Field(0.0, description="assumed restitution [-]")
     gravity: Vector3 = Field((0.0, 0.0, -9.81), description="free fall in the tracker's world [m/s^2]")
 
 
@@ -130,7 +130,7 @@ class Experiment(Schema):
     plane: Plane | None = Field(None, description="the plane that the body hits; absent: z = 0")
     mapping: str | dict[str, str] = Field(
         "joint_state_effort_controller",
-        description="name or path of the mapping; of several arms one by the name of each, or one for all, in which "
+        description="name or path of the mapping; with several arms one by the name of each, or one for all, in which "
         "{arm} stands for that name",
     )
     runs: str = Field(RUN_TABLE, description="table of runs, a path from the recordings' folder or from this file's")
@@ -139,9 +139,9 @@ class Experiment(Schema):
         description="world frame of the motion capture in the scenario's inertial frame; absent: they are the same",
     )
     friction_noise: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
-        FRICTION_NOISE,
-        description="relative standard deviation of the friction of the scenario's support [-]; velocities that follow "
-        "from the way to rest have half of it",
+        FRICTION_SIGMA_SHARE,
+        description="relative standard deviation of the friction of the scenario's support [-]; velocities computed "
+        "from the sliding distance have half of it",
     )
     _file: Path | None = PrivateAttr(None)
 
@@ -157,12 +157,12 @@ class Experiment(Schema):
 
     @property
     def file(self) -> Path | None:
-        """Where it was read from."""
+        """File that it was read from."""
         return self._file
 
     @property
     def folder(self) -> Path:
-        """Folder of the file, from which its paths are seen."""
+        """Folder of the file, to which its paths are relative."""
         return Path() if self.file is None else self.file.parent
 
     def load_scenario(self) -> Scenario:
@@ -206,7 +206,7 @@ def load_experiment(path: Path) -> Experiment:
     """Read an experiment file.
 
     Raises:
-        InputError: It is missing, breaks the schema, or names a scenario or mapping that there is not.
+        InputError: It is missing, breaks the schema, or names an unknown scenario or mapping.
     """
     if path.is_dir():
         raise InputError(f"a folder where an experiment file is expected, {EXPERIMENT_FILE} for example", file=path)
@@ -231,10 +231,10 @@ class RunRow:
 
     Attributes:
         path: File or folder of the recording.
-        object: Name of the object that is hit; None in free motion.
+        object: Name of the object that was hit; None in free motion.
         hit: Whether something is hit.
         condition: Further columns, joined by ``/``.
-        session: Column ``session``, of which the condition is a part; empty: the table has none.
+        session: Column ``session``, a part of the condition; empty: the table has no such column.
     """
 
     path: Path
@@ -250,20 +250,20 @@ class RunRow:
 
     @property
     def label(self) -> str:
-        """The name, behind that of the session, in which it may be the only one of this name."""
+        """The name, prefixed with the session, because names may repeat between sessions."""
         return f"{self.session}/{self.name}" if self.session else self.name
 
 
 def read_runs(directory: Path, experiment: Experiment, scenario: Scenario | None) -> list[RunRow]:
-    """The table of runs, checked: every recording is there, every object is known, and none is named twice.
+    """The table of runs, checked: every recording exists and is named once, and every object is known.
 
     Args:
         directory: Folder of the recordings.
         experiment: Names the table.
-        scenario: Knows the objects; None: a body without a robot, which is called body.
+        scenario: Scenario with the objects; None: a body without a robot, which is called body.
 
     Raises:
-        InputError: It cannot be used; the message names file, line, column, value and what was expected.
+        InputError: It cannot be used; the message names file, line, column, value and expected range.
     """
     if not directory.is_dir():
         what = "a file where the folder of the recordings is expected" if directory.is_file() else "no such folder"
@@ -306,15 +306,15 @@ def read_runs(directory: Path, experiment: Experiment, scenario: Scenario | None
 
 
 def run_named(table: Sequence[RunRow], directory: Path, name: str) -> RunRow:
-    """The run of a name: that of its recording, or its path in the folder where several are called alike.
+    """Find a run by the name of its recording, or by its path in the folder if the name is ambiguous.
 
     Args:
         table: All runs.
         directory: Folder of the recordings.
-        name: What is looked for; the ending of a file may be left out.
+        name: Name or path, with or without the ending of the file.
 
     Raises:
-        InputError: There is none of this name, or there are several.
+        InputError: No run or several runs have this name.
     """
     paths = {run.path: Path(os.path.relpath(run.path, directory)) for run in table}
     known = {
@@ -328,14 +328,14 @@ def run_named(table: Sequence[RunRow], directory: Path, name: str) -> RunRow:
         raise InputError(f"several runs are called that: {several}; name one by its path", key="run", value=name)
     names = [run.name for run in table]
     near = did_you_mean(name, names)
-    listed = f"{', '.join(names[:MOST_LISTED])}{' ...' if len(names) > MOST_LISTED else ''}"
+    listed = f"{', '.join(names[:MAX_LISTED_RUNS])}{' ...' if len(names) > MAX_LISTED_RUNS else ''}"
     raise InputError(
         f"the table of runs names no such run{near or f'; expected one of {listed}'}", key="run", value=name
     )
 
 
 def _table(path: Path) -> list[tuple[int, dict[str, str]]]:
-    """Cells of every row by column, with the line it stands in, without empty rows and remarks in quotes."""
+    """Cells of every row by column, with its line number, without empty rows and quoted comments."""
     table = read_columns(path, recorded=False)
     if not table.cells:
         raise InputError(f"an empty table; expected the columns {', '.join(COLUMNS)}", file=path)

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples that a sensor did not measure: outliers and frozen values, judged joint by joint and left out.
+"""Samples that a sensor did not measure: outliers (Hampel filter) and frozen values, removed joint by joint.
 
-A sample x_k of a signal is an *outlier* where it stands alone,
+A sample x_k of a signal is an *outlier* of a Hampel filter (median of 5, local median absolute deviation), if
 
-    d_k = |x_k - median(x_{k-2} ... x_{k+2})|  >  max(ALONE * 1.4826 * median |d| about it, F)
+    d_k = |x_k - median(x_{k-2} ... x_{k+2})|  >  max(MIN_OUTLIER_SIGMA * 1.4826 * median |d| about it, F)
 
-with a floor F that no joint reaches and leaves within two samples: half the data sheet's velocity or torque, the way
-that the fastest motion goes in a sampling period, and at least 12 steps of the sensor's resolution. It is one as well
-where it lies beyond the data sheet, which of a hit the 50 ms after the impact may do. Steps, as an impact makes them,
+with a floor F that no joint reaches and leaves within two samples: half the data sheet's velocity or torque, the path
+of the fastest motion in a sampling period, and at least 12 steps of the sensor's resolution. A sample beyond the data
+sheet is an outlier as well, except in the 50 ms after an impact. Steps, as an impact makes them,
 are no outliers: three of five samples are on one side.
 
 False alarms: normal noise exceeds 12 standard deviations with a probability of 4e-33 per sample, Laplace noise exceeds
@@ -16,7 +16,7 @@ the signal is noisy, or in another unit: they stay, and the limits of the data s
 
 A run of identical values is *frozen* where other measurements contradict it: a joint that stands still by its position
 and moves by its velocity (or the other way around), one that stops dead while the others go on, a torque that stays
-while the arm's weight changes. Runs of a sensor that repeats values as a rule (quantised, or sampled more slowly than
+while the gravity torque changes. Runs of a sensor that repeats values as a rule (quantised, or sampled more slowly than
 it is recorded) must be ten times as long as its usual ones. A joint that stands still in the whole recording, with
 velocity 0, counts as resting.
 
@@ -24,7 +24,7 @@ False alarms: none in 2000 simulated recordings of quantised encoders that rest,
 them in ``test_faults.py``), which is less than 0.15 % of recordings at 95 % confidence. Found of 208 joints that freeze
 for half a recording and would have moved by 0.1 rad: 90 % where the velocity has a sensor of its own, 79 % of frozen
 velocities, and 28 % where the velocity is the frozen encoder's own difference, which says something only if the joint
-moves as it freezes. Found as well: all torques whose weight changes by 1 N m, and all single samples of 50 rad/s.
+moves as it freezes. Found as well: all torques whose gravity part changes by 1 N m, and all single samples of 50 rad/s.
 """
 
 from __future__ import annotations
@@ -39,28 +39,28 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.joint_jumps import impact_time
 from impact_rs_trials.recordings.mapping import Mapping, SignalName
-from impact_rs_trials.recordings.relations import MIN_SPEED_SHARE, WRONG_FACTOR, pooled
+from impact_rs_trials.recordings.relations import MIN_SPEED_SHARE, PLAUSIBLE_FACTORS, pooled
 from impact_rs_trials.recordings.remarks import Amount, Remark
 from impact_rs_trials.recordings.series import Series
 
 Mask = NDArray[np.bool_]
 
-MARGIN = 0.1  # rad or m, how far a measured position may lie outside the data sheet's limits
-EXCESS = 1.2  # times those of the data sheet, which a measured velocity or torque may be
-ALONE = 12.0  # robust standard deviations
-ABOUT = 50  # samples to either side that the standard deviation is taken from
-FLOOR = 0.5  # of the data sheet's velocity or torque
-FEW = 0.02  # of a joint's samples, which outliers may be
-AFTER_IMPACT = 0.05  # s, in which velocities and torques of a hit may be beyond the data sheet
-BEFORE_IMPACT = 0.01  # s
-LEAST_TIME = 0.05  # s, of a frozen run
-LEAST_RUN = 20  # samples
-USUAL_RUNS = 10  # times the usual run of identical values
-OFTEN = 0.9  # share of a run that is no evidence, because the joint may rest in it
-EDGE = 0.02  # s before and after the edge of a run, in which the speed is taken
-STEADY = (0.8, 1.25)  # ratio of speeds in neighbouring stretches of a joint that neither brakes nor speeds up
-RESOLUTIONS = 10  # of a sensor, a change that it certainly sees
-WEIGHT = 0.01  # of the data sheet's torque, a change of weight that a torque sensor certainly sees
+MAX_POSITION_EXCESS = 0.1  # rad or m, of a measured position beyond the data sheet's limits
+MAX_LIMIT_FACTOR = 1.2  # of the data sheet, for a measured velocity or torque
+MIN_OUTLIER_SIGMA = 12.0  # robust standard deviations of the Hampel filter: 1.4826 median absolute deviations
+MAD_HALF_WINDOW = 50  # samples on either side, of the median absolute deviation
+MIN_OUTLIER_SHARE = 0.5  # of the data sheet's velocity or torque
+MAX_OUTLIER_SHARE = 0.02  # of a joint's samples
+AFTER_IMPACT_S = 0.05  # in which the velocities and torques of an impact may be beyond the data sheet
+BEFORE_IMPACT_S = 0.01
+MIN_FROZEN_S = 0.05  # of a frozen run
+MIN_FROZEN_SAMPLES = 20
+MIN_FROZEN_RATIO = 10  # of a frozen run to the usual run of identical values
+SPEED_QUANTILE = 0.9  # of a run and its neighbours; the fastest tenth is no evidence, because the joint may rest in it
+EDGE_S = 0.02  # before and after the edge of a run, for the speed there
+STEADY_SPEED_RATIO = (0.8, 1.25)  # of neighbouring stretches of a joint that neither brakes nor accelerates
+MIN_CHANGE_RESOLUTIONS = 10  # of a sensor; a larger change is certainly measured
+MIN_GRAVITY_CHANGE_SHARE = 0.01  # of the data sheet's torque; a torque sensor certainly measures more than that
 
 PAIRS: tuple[tuple[SignalName, SignalName], ...] = (("position", "velocity"), ("motor_position", "motor_velocity"))
 
@@ -76,11 +76,11 @@ def without_faults(
     Args:
         series: Signals of one arm in SI units, with checked stamps.
         mapping: Mapping with the robot and its limits.
-        model: Model for the arm's weight; None: torques are not compared with it.
+        model: Model for the gravity torque; None: torques are not compared with it.
         hit: Whether the arm hits something; else it moves freely.
 
     Returns:
-        The signals, and what was left out of each.
+        The signals, and a warning about the removed samples of each.
     """
     cleaned, remarks = dict(series), []
     impact = _impact(cleaned["position"], cleaned["velocity"], mapping) if hit else None
@@ -99,7 +99,7 @@ def without_faults(
         kept = cleaned["position"]
         moving = _without(kept, frozen.get("position", np.zeros(kept.values.shape, dtype=bool)))
         if moving.time.size:
-            frozen["torque"] = _torque_unlike_weight(cleaned["torque"], moving, mapping, model)
+            frozen["torque"] = _torque_unlike_gravity(cleaned["torque"], moving, mapping, model)
     for stuck, wrong in frozen.items():
         remarks += _remarks(cleaned[stuck], wrong, "frozen", mapping, stuck)
         cleaned[stuck] = _without(cleaned[stuck], wrong)
@@ -107,8 +107,8 @@ def without_faults(
 
 
 def _impact(position: Series, velocity: Series, mapping: Mapping) -> float:
-    """When the arm hits, by positions and velocities less their outliers [s]."""
-    alone = _alone(velocity.values, FLOOR * np.array(mapping.facts.limits.velocity_rad_s))
+    """Time of the arm's impact, by positions and velocities without their outliers [s]."""
+    alone = _hampel_outliers(velocity.values, MIN_OUTLIER_SHARE * np.array(mapping.facts.limits.velocity_rad_s))
     kept = _without(position, outliers("position", position, mapping, None))
     return impact_time(kept, _without(velocity, alone))
 
@@ -117,38 +117,44 @@ def _impact(position: Series, velocity: Series, mapping: Mapping) -> float:
 
 
 def outliers(name: SignalName, series: Series, mapping: Mapping, impact: float | None) -> Mask:
-    """Samples of a joint signal that stand alone or lie beyond the data sheet, ``(k, n)``.
+    """Mask of the outliers of a joint signal by Hampel filter and data sheet, ``(k, n)``.
 
     Args:
         name: Position, velocity or torque of joints or motors.
         series: The signal in SI units.
         mapping: Knows robot and limits.
-        impact: When the impact is [s]; None: free motion.
+        impact: Time of the impact [s]; None: free motion.
     """
     values, time = series.values, series.time
     limits = mapping.facts.limits
-    fastest = EXCESS * np.array(limits.velocity_rad_s)
+    fastest = MAX_LIMIT_FACTOR * np.array(limits.velocity_rad_s)
     if name.endswith("position"):
-        floor = np.maximum(fastest * float(np.median(np.diff(time))), ALONE * _resolution(values))
-        low, high = np.array(limits.position_min_rad) - MARGIN, np.array(limits.position_max_rad) + MARGIN
+        floor = np.maximum(fastest * float(np.median(np.diff(time))), MIN_OUTLIER_SIGMA * _resolution(values))
+        low, high = (
+            np.array(limits.position_min_rad) - MAX_POSITION_EXCESS,
+            np.array(limits.position_max_rad) + MAX_POSITION_EXCESS,
+        )
         beyond = (values < low) | (values > high)
     else:
         most = np.array(limits.torque_Nm if name == "torque" else limits.velocity_rad_s)
-        floor, beyond = np.maximum(FLOOR * most, ALONE * _resolution(values)), np.abs(values) > EXCESS * most
+        floor, beyond = (
+            np.maximum(MIN_OUTLIER_SHARE * most, MIN_OUTLIER_SIGMA * _resolution(values)),
+            np.abs(values) > MAX_LIMIT_FACTOR * most,
+        )
     if impact is not None and not name.endswith("position"):
-        beyond[(time >= impact - BEFORE_IMPACT) & (time <= impact + AFTER_IMPACT)] = False
+        beyond[(time >= impact - BEFORE_IMPACT_S) & (time <= impact + AFTER_IMPACT_S)] = False
     if name.startswith("motor"):  # the data sheet has no limits for them
         beyond[:] = False
-    alone = _alone(values, floor)
+    alone = _hampel_outliers(values, floor)
     if name == "torque" and impact is not None:  # a sensor may well see a blow in one sample
-        alone[(time >= impact - BEFORE_IMPACT) & (time <= impact + AFTER_IMPACT)] = False
-    alone[:, alone.mean(axis=0) > FEW] = False
+        alone[(time >= impact - BEFORE_IMPACT_S) & (time <= impact + AFTER_IMPACT_S)] = False
+    alone[:, alone.mean(axis=0) > MAX_OUTLIER_SHARE] = False
     wrong = alone | beyond
-    wrong[:, wrong.mean(axis=0) > FEW] = False
+    wrong[:, wrong.mean(axis=0) > MAX_OUTLIER_SHARE] = False
     return np.asarray(wrong)
 
 
-def _alone(values: Array, floor: Array) -> Mask:
+def _hampel_outliers(values: Array, floor: Array) -> Mask:
     """Samples far from the median of the five about them, ``(k, n)``."""
     if values.shape[0] < 5:
         return np.zeros(values.shape, dtype=bool)
@@ -163,8 +169,8 @@ def _alone(values: Array, floor: Array) -> Mask:
             ends[row] = np.minimum(*straight)
     found = beside > floor
     for row, joint in np.argwhere(found):
-        about = beside[max(0, row - ABOUT) : row + ABOUT + 1, joint]
-        found[row, joint] = beside[row, joint] > ALONE * 1.4826 * float(np.median(about))
+        about = beside[max(0, row - MAD_HALF_WINDOW) : row + MAD_HALF_WINDOW + 1, joint]
+        found[row, joint] = beside[row, joint] > MIN_OUTLIER_SIGMA * 1.4826 * float(np.median(about))
     return np.asarray(found)
 
 
@@ -185,11 +191,11 @@ def _runs(series: Series, joint: int) -> list[slice]:
     edges = np.flatnonzero(np.diff(values) != 0.0)
     first, last = np.append(0, edges + 1), np.append(edges, values.size - 1)
     usual = float(np.median((last - first + 1)[1:-1])) if first.size > 2 else 1.0
-    least = max(LEAST_RUN, USUAL_RUNS * usual)
+    least = max(MIN_FROZEN_SAMPLES, MIN_FROZEN_RATIO * usual)
     return [
         slice(int(a), int(b) + 1)
         for a, b in zip(first, last, strict=True)
-        if b - a + 1 >= least and time[b] - time[a] >= LEAST_TIME
+        if b - a + 1 >= least and time[b] - time[a] >= MIN_FROZEN_S
     ]
 
 
@@ -203,9 +209,9 @@ def _still_in_motion(position: Series, velocity: Series, mapping: Mapping, impac
     for joint in range(values.shape[1]):
         for run in _runs(position, joint):
             way = np.append(0.0, np.cumsum(0.5 * (speed[run, joint][1:] + speed[run, joint][:-1]) * np.diff(time[run])))
-            speeds = np.quantile(np.abs(_speeds(time[run], way)), OFTEN)
-            by_velocity = speeds > moves[joint] and np.ptp(way) > RESOLUTIONS * resolution[joint]
-            at_impact = impact is not None and abs(time[run.start] - impact) < AFTER_IMPACT
+            speeds = np.quantile(np.abs(_speeds(time[run], way)), SPEED_QUANTILE)
+            by_velocity = speeds > moves[joint] and np.ptp(way) > MIN_CHANGE_RESOLUTIONS * resolution[joint]
+            at_impact = impact is not None and abs(time[run.start] - impact) < AFTER_IMPACT_S
             if by_velocity or (not at_impact and _stops_dead(position, run, joint, moves, resolution)):
                 frozen[run, joint] = True
     return frozen
@@ -220,7 +226,7 @@ def _stops_dead(position: Series, run: slice, joint: int, moves: Array, resoluti
 
 def _dead_edge(time: Array, values: Array, edge: int, joint: int, moves: Array, resolution: Array) -> bool:
     """The same of the sample ``edge``, from which on the joint stands still."""
-    width = max(3, int(np.searchsorted(time - time[0], EDGE)))
+    width = max(3, int(np.searchsorted(time - time[0], EDGE_S)))
     moved = edge - 1  # the last sample of the motion
     if moved < 2 * width or edge + width >= time.size:
         return False
@@ -231,18 +237,18 @@ def _dead_edge(time: Array, values: Array, edge: int, joint: int, moves: Array, 
     before, earlier = speed(moved - width, moved), speed(moved - 2 * width, moved - width)
     after = speed(edge, edge + width)
     way = abs(values[moved, joint] - values[moved - width, joint])
-    if abs(before[joint]) < moves[joint] or way < 2.0 * RESOLUTIONS * resolution[joint]:
+    if abs(before[joint]) < moves[joint] or way < 2.0 * MIN_CHANGE_RESOLUTIONS * resolution[joint]:
         return False
-    if not STEADY[0] < abs(before[joint]) / max(abs(earlier[joint]), 1e-12) < STEADY[1]:
+    if not STEADY_SPEED_RATIO[0] < abs(before[joint]) / max(abs(earlier[joint]), 1e-12) < STEADY_SPEED_RATIO[1]:
         return False
     others = np.arange(values.shape[1]) != joint
     share = np.abs(before[others]) / moves[others], np.abs(after[others]) / moves[others]
-    return bool(np.max(share[0], initial=0.0) > 1.0 and np.sum(share[1]) > STEADY[0] * np.sum(share[0]))
+    return bool(np.max(share[0], initial=0.0) > 1.0 and np.sum(share[1]) > STEADY_SPEED_RATIO[0] * np.sum(share[0]))
 
 
 def _speeds(time: Array, place: Array) -> Array:
-    """Mean speeds over stretches of at least ``LEAST_TIME`` and half of a least run, ``(p,)``."""
-    parts = max(1, min(int((time[-1] - time[0]) / LEAST_TIME), 2 * time.size // LEAST_RUN))
+    """Mean speeds over stretches of at least ``MIN_FROZEN_S`` and half of a least run, ``(p,)``."""
+    parts = max(1, min(int((time[-1] - time[0]) / MIN_FROZEN_S), 2 * time.size // MIN_FROZEN_SAMPLES))
     edges = np.linspace(float(time[0]), float(time[-1]), parts + 1)
     return np.asarray(np.diff(np.interp(edges, time, place)) / (edges[1] - edges[0]))
 
@@ -260,25 +266,31 @@ def _motion_unlike_way(velocity: Series, position: Series, mapping: Mapping) -> 
     for joint in range(values.shape[1]):
         for run in _runs(velocity, joint):
             beside = np.abs(_speeds(time[run], places[run, joint]) - values[run.start, joint])
-            if np.quantile(beside, OFTEN) > moves[joint] + 2.0 * least[joint] + 4.0 * steps[joint] / LEAST_TIME:
+            if (
+                np.quantile(beside, SPEED_QUANTILE)
+                > moves[joint] + 2.0 * least[joint] + 4.0 * steps[joint] / MIN_FROZEN_S
+            ):
                 frozen[run, joint] = True
         live = ~frozen[:, joint]
         ratio = float(pooled(derived[live, joint], values[live, joint]).factor[0])
-        if not WRONG_FACTOR[0] < ratio < WRONG_FACTOR[1]:
+        if not PLAUSIBLE_FACTORS[0] < ratio < PLAUSIBLE_FACTORS[1]:
             frozen[:, joint] = False
     return frozen
 
 
-def _torque_unlike_weight(torque: Series, position: Series, mapping: Mapping, model: RobotModel) -> Mask:
-    """Torques that stay the same while the arm's weight in that joint changes, ``(k, n)``."""
+def _torque_unlike_gravity(torque: Series, position: Series, mapping: Mapping, model: RobotModel) -> Mask:
+    """Torques that stay the same while the gravity torque of that joint changes, ``(k, n)``."""
     time, values = torque.time, torque.values
-    least = np.maximum(RESOLUTIONS * _resolution(values), WEIGHT * np.array(mapping.facts.limits.torque_Nm))
+    least = np.maximum(
+        MIN_CHANGE_RESOLUTIONS * _resolution(values),
+        MIN_GRAVITY_CHANGE_SHARE * np.array(mapping.facts.limits.torque_Nm),
+    )
     frozen = np.zeros(values.shape, dtype=bool)
     for joint in range(values.shape[1]):
         for run in _runs(torque, joint) if np.ptp(values[:, joint]) > 0.0 else ():  # else it was not measured at all
-            rows = np.unique(np.linspace(run.start, run.stop - 1, LEAST_RUN).astype(int))
-            weight = [float(model.gravity_torque(q)[joint]) for q in position.at(time[rows])]
-            if np.ptp(weight) > least[joint]:
+            rows = np.unique(np.linspace(run.start, run.stop - 1, MIN_FROZEN_SAMPLES).astype(int))
+            gravity = [float(model.gravity_torque(q)[joint]) for q in position.at(time[rows])]
+            if np.ptp(gravity) > least[joint]:
                 frozen[run, joint] = True
     return frozen
 

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which of many files belong to one run, and which hold the same of different runs, by their names.
+"""Groups of files by the words and numbers of their names: files of one run, and files of one kind in many runs.
 
     hit_1.csv, hit_2.csv                                       a file per run
     IIWA_7_hit_{run}.csv, object_1_hit_{run}.csv               a file per signal and run in one folder
-    object_{object}_hit_{run}.csv                              the same, where the name of the object differs as well
-    q_loaded.csv, tau_loaded.csv, q_empty.csv, tau_empty.csv   the same, where words in place of numbers name the runs
+    object_{object}_hit_{run}.csv                              also with different names of the object
+    q_loaded.csv, tau_loaded.csv, q_empty.csv, tau_empty.csv   also with words instead of numbers for the runs
     run_1/joints.csv, run_1/pose.csv, run_2/joints.csv, ...    a folder per run
-    run_1/joints.csv, run_1/object_2.csv, run_2/object_1.csv   the same, where the number is that of the object
+    run_1/joints.csv, run_1/object_2.csv, run_2/object_1.csv   also with numbers for the objects
     monday/hit_1.csv, tuesday/hit_1.csv, ...                   any of these in a folder per session
 
 Names that differ in numbers alone are of one kind; the last number that differs is the run's, or several at the end
-where files of all kinds have them. A run is known by its folder and its number: two sessions may count from 1.
+if files of all kinds have them. Folder and number identify a run: two sessions may count from 1.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ class FileGroups:
     """Files by kind and run.
 
     Attributes:
-        folder: Folder that runs are named from.
+        folder: Folder to which the names of runs are relative.
         kinds: Files by run, by name of the kind with ``{run}`` for the run and ``{object}`` for its object.
-        runs: Names of the runs as seen from the folder, in natural order.
-        spread: Whether a run lies in several files, so that every signal needs its ``file``.
-        objects: Objects by run, as far as names of files say them.
-        left_out: Files whose names say no run, beside others that do.
+        runs: Names of the runs relative to the folder, in natural order.
+        spread: Whether a run has several files, so that every signal needs its ``file``.
+        objects: Objects by run, if the names of files contain them.
+        left_out: Files whose names contain no run, in addition to others that do.
     """
 
     folder: Path
@@ -56,7 +56,7 @@ class FileGroups:
 
     @property
     def sessions(self) -> dict[str, str]:
-        """Folder of every run as seen from :attr:`folder`; empty where folders do not hold several runs."""
+        """Folder of every run relative to :attr:`folder`; empty if no folder holds several runs."""
         found = {run: os.path.dirname(run) for run in self.runs}
         several = 1 < len(set(found.values())) < len(self.runs)
         return {run: session or "." for run, session in found.items()} if several else {}
@@ -69,7 +69,7 @@ def group_files(files: Sequence[Path]) -> FileGroups:
         files: Files and folders of bags, at least one.
 
     Raises:
-        InputError: Two files would be the same of one run.
+        InputError: Two files have the same kind and run.
     """
     if any(file.is_absolute() for file in files):
         files = [file.absolute() for file in files]
@@ -98,7 +98,7 @@ def _shape(name: str) -> str:
 
 
 def _named_by_words(files: Sequence[Path]) -> dict[Path, tuple[str, str]]:
-    """Kind and run of every file, where names hint at a signal and end or begin with a run; empty: they do not."""
+    """Kind and run of files whose names suggest a signal and end or begin with a run; empty: other names."""
     stems, ending = [file.stem for file in files], files[0].suffix
     if len({file.parent for file in files}) > 1 or {file.suffix for file in files} != {ending}:
         return {}
@@ -124,7 +124,7 @@ def _named_by_words(files: Sequence[Path]) -> dict[Path, tuple[str, str]]:
 
 
 def _are_signals(parts: Sequence[str]) -> bool:
-    """Whether parts of names hint at signals, each at another."""
+    """Whether parts of names suggest signals, each a different one."""
     hints = [guess_of(part) for part in parts]
     return all(hints) and len(set(hints)) == len(hints)
 
@@ -139,7 +139,7 @@ def _are_runs(by_folder: dict[Path, list[str]]) -> bool:
 
 
 def _numbered_objects(files: Sequence[Path]) -> dict[Path, tuple[str, str]]:
-    """Kind and object of every file, where folders are runs with a file of each kind; empty: it is not so.
+    """Kind and object of every file if folders are runs with a file of each kind; else empty.
 
     One kind has the same name in all folders. The number of another is an object's: it comes back in other folders, or
     is not the number of its folder.
@@ -170,7 +170,7 @@ def _numbered_objects(files: Sequence[Path]) -> dict[Path, tuple[str, str]]:
 
 
 def _with_numbered_objects(root: Path, named: Mapping[Path, tuple[str, str]]) -> FileGroups:
-    """Files by kind and folder, of kind and object of every file."""
+    """Files by kind and folder, from the kind and object of every file."""
     kinds: dict[str, dict[str, Path]] = {}
     objects: dict[str, str] = {}
     for file, (kind, number) in named.items():
@@ -183,7 +183,7 @@ def _with_numbered_objects(root: Path, named: Mapping[Path, tuple[str, str]]) ->
 
 
 def _with_runs(shapes: Sequence[Sequence[Path]]) -> Iterator[tuple[Path, tuple[str, str]]]:
-    """Name of the kind and run of every file, of files by shape of their names; the run is empty where none is said."""
+    """Kind and run of every file, from files grouped by the shape of their names; no run in the name: empty."""
     differing = [_differing(alike) for alike in shapes]
     runs: set[str] = set()
     for count in range(min((len(places) for places in differing if places), default=0), 0, -1):
@@ -209,26 +209,26 @@ def _with_runs(shapes: Sequence[Sequence[Path]]) -> Iterator[tuple[Path, tuple[s
 
 
 def _differing(alike: Sequence[Path]) -> list[int]:
-    """Places of the numbers that differ between names of one shape."""
+    """Indices of the numbers that differ between names of one shape."""
     columns = zip(*(NUMBER.findall(file.name) for file in alike), strict=True)
     return [place for place, column in enumerate(columns) if len(set(column)) > 1]
 
 
 def _split(name: str, first: int, last: int) -> tuple[str, str]:
-    """Name of a kind and run, of a file whose run goes from one of its numbers to another."""
+    """Kind and run of a file, with the run from one of its numbers to another."""
     numbers = list(NUMBER.finditer(name))
     start, end = numbers[first].start(), numbers[last].end()
     return f"{name[:start]}{RUN}{name[end:]}", name[start:end]
 
 
 def _shared(shapes: Sequence[Sequence[Path]], alike: Sequence[Path]) -> set[str]:
-    """Numbers that names of all other shapes have, where nothing else distinguishes runs."""
+    """Numbers in the names of all other shapes, for runs that nothing else distinguishes."""
     others = [{number for file in own for number in NUMBER.findall(file.name)} for own in shapes if own is not alike]
     return set.intersection(*others) if others else set()
 
 
 def _grouped(root: Path, named: Mapping[Path, tuple[str, str]]) -> FileGroups:
-    """Files by kind and run, of kind and run of every file; where none says a run, it is the folder."""
+    """Files by kind and run, from the kind and run of every file; without runs in the names they are the folders."""
     numbered = any(run for _, run in named.values())
     left_out = tuple(file for file, (_, run) in named.items() if numbered and not run)
     if not numbered and any(file.parent == root for file in named):
@@ -246,14 +246,14 @@ def _grouped(root: Path, named: Mapping[Path, tuple[str, str]]) -> FileGroups:
 
 
 def _with_objects(kinds: dict[str, dict[str, Path]]) -> tuple[dict[str, dict[str, Path]], dict[str, str]]:
-    """Kinds that differ in one word and have no run in common are one, with a file of another kind for each run."""
+    """Merge kinds that differ in one word, the name of the object, and have no run in common."""
     families: dict[tuple[str, str], dict[str, str]] = {}
     for kind in kinds:
         for word in WORD.finditer(kind) if RUN in kind else ():
             if word[0] not in (RUN.strip("{}"), Path(kind).suffix[1:]):
                 families.setdefault((kind[: word.start()], kind[word.end() :]), {})[word[0]] = kind
     for (before, after), family in families.items():
-        # One that has all runs of another is beside it, as a robot, and not in its place.
+        # A kind with all runs of another kind complements it, as a robot's file does, and is no alternative.
         own = {word: kind for word, kind in family.items() if not _is_beside(kinds, kind, family.values())}
         runs = [run for kind in own.values() for run in kinds[kind]]
         rest = {kind: by_run for kind, by_run in kinds.items() if kind not in own.values()}

@@ -1,25 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Units in which files state their numbers, and their factors to SI.
+"""Units of the numbers in files, and their factors to SI.
 
     value in SI = FACTORS[SI unit][unit] * number in the file
 
-Mappings state the unit of a signal, tables of impacts that of a column. Whatever reads numbers takes factors from here.
-Units of joints in SI are those of :data:`impact_rs_sim.robot.UNITS`.
+Mappings state the unit of a signal, impact tables the unit of a column. All readers take their factors from here.
+SI units of joints are listed in :data:`impact_rs_sim.robot.UNITS`.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-DEGREE = np.pi / 180.0  # rad
+RAD_PER_DEG = np.pi / 180.0
 
 FACTORS: dict[str, dict[str, float]] = {  # by SI unit, which is the first of its units
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "m": {"m": 1.0, "mm": 1e-3},
     "m/s": {"m/s": 1.0, "mm/s": 1e-3},
     "m/s^2": {"m/s^2": 1.0, "g": 9.80665},
-    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": DEGREE},
-    "rad/s": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": DEGREE},
+    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": RAD_PER_DEG},
+    "rad/s": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": RAD_PER_DEG},
     "kg": {"kg": 1.0, "g": 1e-3},
     "kg m^2": {"kg m^2": 1.0},
     "N": {"N": 1.0, "mN": 1e-3},
@@ -56,12 +56,12 @@ _IGNORED = str.maketrans("", "", " ^*[]()")
 
 
 def si_unit(quantity: str, unit: str, unit_quantity: str) -> str:
-    """The SI unit of a quantity of a joint, of which another quantity has a known unit.
+    """SI unit of a joint's quantity, from the unit of another quantity of the joint.
 
     Args:
         quantity: The quantity.
-        unit: Unit of the other one, which says whether the joint turns or slides.
-        unit_quantity: The other one.
+        unit: Unit of the other quantity, which shows whether the joint turns or slides.
+        unit_quantity: The other quantity.
     """
     known = next((table for table in (TURNS, SLIDES) if unit in table.get(unit_quantity, {})), UNITS)
     return next(iter(known[quantity]))

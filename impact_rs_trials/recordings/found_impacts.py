@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Impacts in the runs of an experiment: of a body on a plane, or of arms on an object."""
+"""Impacts in the runs of an experiment: a body on a plane, or arms on an object."""
 
 from __future__ import annotations
 
@@ -36,33 +36,33 @@ from impact_rs_trials.recordings.sources import read_series
 from impact_rs_trials.workers import Map
 
 SPIN = (
-    "the turn of the ball was not tracked: its spin before the impacts is that of body.spin, on which its friction "
-    "depends, and none is compared after them"
+    "the rotation of the ball was not tracked: its spin before the impacts is body.spin, on which its friction "
+    "depends, and its spin after them is not compared"
 )
 NO_TURN = (
-    "of {} of {} impacts the velocity after follows from the way to rest, from which no angular velocity follows: the "
+    "in {} of {} impacts the velocity after follows from the sliding distance, which gives no angular velocity: the "
     "table has no columns w_after"
 )
 WAYS = (
-    "of all impacts the way to rest is the outcome (slide_distance): the object was seen too seldom for a velocity, so "
+    "the outcome of all impacts is the sliding distance (slide_distance): the object was tracked too slowly, so "
     "the table has no columns v_after and w_after, and predictions depend on the friction of the support"
 )
-FARTHEST = 1e4  # m, at which a tracker sees nothing
-BESIDE = 4  # samples about a step whose speeds are compared with its own
-JUMP = 5.0  # times the speed before and after, which no impact on a fixed plane makes
+MAX_TRACKED_M = 1e4  # farther than any tracker sees
+NEIGHBOUR_SAMPLES = 4  # about a step, whose speeds are compared with its own
+MAX_SPEED_RATIO = 5.0  # of a step to the speeds around it; no impact on a fixed plane exceeds it
 STILL = ("", "a motion in a plane, or it was not tracked", "a motion along a line, or they were not tracked")
 
 
 @dataclass(frozen=True)
 class FoundImpacts:
-    """What was found.
+    """Found impacts of an experiment.
 
     Attributes:
         impacts: Impacts in the order of the runs.
-        left_out: Runs and impacts that give no row, with the reason.
-        runs: How many runs were looked at.
-        constants: ColumnGroup of the table with one value: what the body is, and what is assumed of the contact.
-        remarks: What the user should know of how the runs were read.
+        left_out: Runs and impacts without a row, with the reason.
+        runs: Number of searched runs.
+        constants: Constant columns of the table: properties of the body, and assumptions about the contact.
+        remarks: Warnings about reading the runs.
     """
 
     impacts: tuple[Impact, ...]
@@ -77,8 +77,8 @@ def find_impacts(directory: Path, experiment: Experiment, map_tasks: Map) -> Fou
 
     Args:
         directory: Folder of the recordings.
-        experiment: Says what they are.
-        map_tasks: Who reads them.
+        experiment: Description of the runs.
+        map_tasks: Maps a function over the runs, serially or by workers.
 
     Raises:
         InputError: The experiment, its table of runs or a file cannot be used.
@@ -144,7 +144,7 @@ def _with_condition(impact: Impact, rows: dict[str, RunRow]) -> Impact:
 
 
 def body_columns(body: Body, plane: Plane) -> dict[str, float]:
-    """Columns of a table of impacts that say what the body is and what is assumed of the contact."""
+    """Columns of an impact table with the properties of the body and the assumptions about the contact."""
     found: list[tuple[ColumnGroup, Sequence[float]]] = [(MASS, (body.mass,))]
     if body.radius is None or body.inertia is not None:
         found.append((MOMENTS, body.moments.tolist()))
@@ -164,10 +164,10 @@ def tracked_body(
     Args:
         name: Of the run.
         time: Stamps, ``(k,)`` [s].
-        pose: Of the tracked frame, place and quaternion x y z w, ``(k, 7)``.
-        body: Where its centre is in that frame.
-        plane: Where it is in the tracker's world.
-        spin: Angular velocity before impacts in that world, if the turn was not tracked, ``(3,)`` [rad/s].
+        pose: Pose of the tracked frame, position and quaternion x y z w, ``(k, 7)``.
+        body: Body, with its placement in that frame.
+        plane: Plane in the tracker's world.
+        spin: Angular velocity before impacts in that world, if the orientation was not tracked, ``(3,)`` [rad/s].
     """
     normal = np.array(plane.normal) / np.linalg.norm(plane.normal)
     level = pin.Quaternion.FromTwoVectors(normal, np.array([0.0, 0.0, 1.0])).matrix()
@@ -184,7 +184,7 @@ def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> tuple[TrackedBody, list
     row, mapping, body, plane = task
     turned = "object_quaternion" in mapping.signals or "object_pose" in mapping.signals
     if not turned and body.spin is None:
-        said = "the turn of the body was not tracked (object_quaternion), and how it bounces depends on its spin"
+        said = "the orientation of the body was not tracked (object_quaternion), and how it bounces depends on its spin"
         return InputError(f"{said}; of a ball body.spin says it, [0, 0, 0] for one that was dropped without any")
     wanted = [name for name in OBJECT_SIGNALS if name in mapping.signals]
     try:
@@ -202,29 +202,33 @@ def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> tuple[TrackedBody, list
             raise InputError("time stamps stand still or run backwards; time.repeated: keep_first keeps one of each")
         spin = None if turned else np.array(body.spin)
         farthest = float(np.max(np.abs(pose.values[finite, :3]), initial=0.0))
-        if farthest > FARTHEST:
+        if farthest > MAX_TRACKED_M:
             raise InputError(f"{pose.place} is up to {farthest:.3g} m from the tracker's origin: wrong unit or column?")
         if not finite.all():
             share = Amount(int(np.sum(~finite)), "d"), " of ", Amount(finite.size, "d")
             remarks.append(Remark(f"{pose.place}: ", *share, " samples are no finite numbers: left out"))
-        remarks += _doubts_of_motion(pose.place, pose.time[finite], pose.values[finite, :3])
+        remarks += _motion_warnings(pose.place, pose.time[finite], pose.values[finite, :3])
         return tracked_body(row.label, pose.time[finite], pose.values[finite], body, plane, spin), remarks
     except InputError as error:
         return error
 
 
-def _doubts_of_motion(place: str, time: Array, position: Array) -> list[str]:
-    """What a free body does not do: keep a coordinate while it moves, or jump between two samples; ``(k, 3)`` [m]."""
+def _motion_warnings(place: str, time: Array, position: Array) -> list[str]:
+    """Warnings about impossible motions of a free body: a constant coordinate, or a jump; positions ``(k, 3)`` [m]."""
     moves = np.ptp(position, axis=0) > 0.0
     said = []
     if still := [axis for axis, own in zip("xyz", moves, strict=True) if not own and moves.any()]:
         said.append(f"{place}: {' and '.join(still)} the same in all samples: {STILL[len(still)]}")
     steps = np.linalg.norm(np.diff(position, axis=0), axis=1) / np.diff(time)
-    if steps.size <= 2 * BESIDE:
+    if steps.size <= 2 * NEIGHBOUR_SAMPLES:
         return said
-    around = np.array([np.roll(steps, shift) for shift in range(-BESIDE, BESIDE + 1) if abs(shift) > 1]).max(axis=0)
-    inside = slice(BESIDE, -BESIDE)  # rolled steps come from the other end
-    jumps = BESIDE + np.flatnonzero(steps[inside] > JUMP * np.maximum(around[inside], np.median(steps)))
+    around = np.array(
+        [np.roll(steps, shift) for shift in range(-NEIGHBOUR_SAMPLES, NEIGHBOUR_SAMPLES + 1) if abs(shift) > 1]
+    ).max(axis=0)
+    inside = slice(NEIGHBOUR_SAMPLES, -NEIGHBOUR_SAMPLES)  # rolled steps come from the other end
+    jumps = NEIGHBOUR_SAMPLES + np.flatnonzero(
+        steps[inside] > MAX_SPEED_RATIO * np.maximum(around[inside], np.median(steps))
+    )
     if jumps.size:
         far = np.linalg.norm(position[jumps[0] + 1] - position[jumps[0]])
         said.append(
@@ -233,7 +237,7 @@ def _doubts_of_motion(place: str, time: Array, position: Array) -> list[str]:
                 Amount(1e3 * float(far)),
                 " mm between two samples at t = ",
                 Amount(float(time[jumps[0]] - time[0]), ".3f"),
-                f" s, {JUMP:g} times as fast as before and after: columns, units or a marker that changed?",
+                f" s, {MAX_SPEED_RATIO:g} times as fast as before and after: columns, units or a marker that changed?",
             )
         )
     return said

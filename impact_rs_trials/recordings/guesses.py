@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What raw numbers are that belong to no joint: clocks and poses, each with the evidence for it.
+"""Detection of clocks and poses in raw numbers, each with its evidence.
 
     clock     the column that increases and gives a sampling rate of 1 Hz to 100 kHz in its unit
-    pose      a unit quaternion beside three numbers within reach
+    pose      a unit quaternion and three numbers within reach
 
 Roles of the joints' streams are found by their likelihood (:mod:`hypotheses`).
 """
@@ -22,9 +22,9 @@ from impact_rs_sim.robot import Array, RobotFacts
 from impact_rs_trials.recordings.clock import seconds_of
 from impact_rs_trials.recordings.file_units import UNITS
 from impact_rs_trials.recordings.relations import (
-    MIN_AVERAGED,
+    MIN_AVERAGED_SAMPLES,
     MIN_CORRELATION_OF_COLUMNS,
-    ONE_UNIT,
+    SAME_UNIT_FACTORS,
     AveragedMotion,
     averaged,
 )
@@ -33,24 +33,24 @@ from impact_rs_trials.recordings.table_file import DATE
 STAMP = re.compile(r"(^|[^a-z])(t|time|times|timestamp|stamp|sec|secs|nsec)([^a-z]|$)|time|stamp", re.IGNORECASE)
 NANOSECONDS = re.compile(r"nano|n_?sec|(^|[^a-z])ns([^a-z]|$)", re.IGNORECASE)
 STAMP_UNITS = ("s", "ms", "us", "ns")
-RATES = (1.0, 1e5)  # Hz, that a recording may have
-STILL = 1e-3  # of the range of a joint, below which it does not move; encoders and sag make less
-MOST_SHOWN = 3  # steps back in a message
+RATES_HZ = (1.0, 1e5)  # of a recording: lowest and highest
+MIN_RANGE_SHARE = 1e-3  # of a joint's range, travelled by a joint that moves; encoders and sag make less
+MAX_SHOWN_STEPS = 3  # backwards in time, in a message
 OUTLIERS = np.errstate(over="ignore", invalid="ignore")  # may be of any size; what they spoil fits nothing
-UNIT_LENGTH = 0.02  # by which a quaternion may be off length 1
-REACH = 20.0  # m; a position beyond it is in millimetres
+MAX_NORM_ERROR = 0.02  # of a quaternion of length 1
+MAX_DISTANCE_M = 20.0  # of an object; a position beyond it is in millimetres
 
 
 @dataclass(frozen=True)
 class Guess:
-    """A value of a key, and what shows it.
+    """A value of a key, with its evidence.
 
     Attributes:
         value: The value.
-        evidence: What shows it, in words.
-        sure: Whether something shows it; else it is assumed.
+        evidence: Evidence in words.
+        sure: Whether there is evidence; else the value is assumed.
         further: Further keys of the same section with their values.
-        remarks: What the user should know besides.
+        remarks: Warnings to the user.
     """
 
     value: Any
@@ -61,7 +61,7 @@ class Guess:
 
 
 def clock_of(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> Guess | None:
-    """The column of the stamps, with its unit, or those of whole seconds and of nanoseconds; None: none can be."""
+    """The column of timestamps, with its unit, or the columns of whole seconds and nanoseconds; None: not found."""
     columns = {
         name: cells for name, cells in columns.items() if not (isinstance(cells, np.ndarray) and np.iscomplexobj(cells))
     }
@@ -75,7 +75,7 @@ def clock_of(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> Gue
 
 
 def steps_back(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> str | None:
-    """Which column is called a clock and would be one, did it not step back, and where; None: none is."""
+    """Warning about a column with the name of a clock that steps backwards; None: there is no such column."""
     for name, cells in columns.items():
         try:
             stamps = np.asarray(cells, dtype=float) if STAMP.search(name) else np.zeros(0)
@@ -85,14 +85,16 @@ def steps_back(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> s
         if stamps.ndim != 1 or stamps.size < 3 or not np.isfinite(stamps).all() or not 0.0 < np.mean(steps < 0.0) < 0.5:
             continue
         rows = np.flatnonzero(steps < 0.0) + 1
-        listed = [f"from {stamps[row - 1]:.10g} to {stamps[row]:.10g} at sample {row + 1}" for row in rows[:MOST_SHOWN]]
-        more = f" and {rows.size - MOST_SHOWN} times more" if rows.size > MOST_SHOWN else ""
+        listed = [
+            f"from {stamps[row - 1]:.10g} to {stamps[row]:.10g} at sample {row + 1}" for row in rows[:MAX_SHOWN_STEPS]
+        ]
+        more = f" and {rows.size - MAX_SHOWN_STEPS} times more" if rows.size > MAX_SHOWN_STEPS else ""
         return f"{name!r} steps back {', '.join(listed)}{more}: the clock was set, or rows are not in order"
     return None
 
 
 def _clock_of_two(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> Guess | None:
-    """Whole seconds that stay for many samples, and nanoseconds beside them that begin anew with each."""
+    """Whole seconds that stay for many samples, and nanoseconds that begin anew with each second."""
     whole = {name: stamps for name, cells in columns.items() if (stamps := _whole(cells)) is not None}
     for name, rest in whole.items():
         if not (NANOSECONDS.search(name) and rest.max() < 10**9):
@@ -102,7 +104,7 @@ def _clock_of_two(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -
                 continue
             steps = np.diff(seconds * 10**9 + rest)
             usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else np.inf
-            if np.all(steps >= 0) and RATES[0] <= 1e9 / usual <= RATES[1]:
+            if np.all(steps >= 0) and RATES_HZ[0] <= 1e9 / usual <= RATES_HZ[1]:
                 said = f"whole seconds and nanoseconds; together they increase, at {1e9 / usual:.4g} Hz"
                 repeats = int(np.sum(steps == 0))
                 remarks = (f"{repeats} of {rest.size} stamps repeat the one before",) if repeats else ()
@@ -111,7 +113,7 @@ def _clock_of_two(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -
 
 
 def _whole(cells: Sequence[str] | NDArray[Any]) -> NDArray[np.int64] | None:
-    """A column of whole numbers from 0 on; None: it is none."""
+    """A column of non-negative integers; None: it holds other numbers."""
     try:
         numbers = np.asarray(cells, dtype=float)
     except (ValueError, TypeError):
@@ -151,10 +153,10 @@ def _clock(name: str, cells: Sequence[str] | NDArray[Any]) -> Guess | None:
 
 
 def other_units(clock: Guess, stamps: Array) -> list[str]:
-    """Units that stamps may have as well as the one that was assumed; none where something shows it.
+    """Units that fit the timestamps as well as the assumed one; empty if there is evidence for the unit.
 
     Args:
-        clock: What :func:`clock_of` found.
+        clock: Result of :func:`clock_of`.
         stamps: Its column, ``(k,)``.
     """
     steps = np.diff(stamps)
@@ -164,10 +166,10 @@ def other_units(clock: Guess, stamps: Array) -> list[str]:
 
 
 def _plausible(unit: str, stamps: Array, step: float) -> bool:
-    """Whether stamps in a unit give a sampling rate, and a year, that can be."""
+    """Whether timestamps in a unit give a plausible sampling rate and year."""
     seconds = UNITS["time"][unit]
     start = float(seconds_of(stamps[:1], seconds)[0])
-    return RATES[0] <= 1.0 / (step * seconds) <= RATES[1] and start < 5e9
+    return RATES_HZ[0] <= 1.0 / (step * seconds) <= RATES_HZ[1] and start < 5e9
 
 
 def _year(seconds: float) -> str:
@@ -175,37 +177,37 @@ def _year(seconds: float) -> str:
 
 
 def at_rest(time: Array, position: Array, facts: RobotFacts) -> str | None:
-    """That no joint moves, so that units, signs, inertia and friction cannot be seen; None: some joint does.
+    """Warning that no joint moves, so that units, signs, inertia and friction remain unknown; None: some joint moves.
 
     Args:
         time: Stamps, ``(k,)`` [s].
         position: q, ``(k, n)`` [rad].
-        facts: Know the ranges of the joints.
+        facts: Facts with the ranges of the joints.
     """
-    if time.size < 2 * MIN_AVERAGED:
+    if time.size < 2 * MIN_AVERAGED_SAMPLES:
         return None
     ranges = np.array(facts.limits.position_max_rad) - np.array(facts.limits.position_min_rad)
     moved = np.ptp(averaged(time, position)[1], axis=0)
-    if np.any(moved > STILL * ranges):
+    if np.any(moved > MIN_RANGE_SHARE * ranges):
         return None
     joint = int(np.argmax(moved / ranges))
     unit = facts.units[joint].position
     return (
         f"no motion, nothing to identify: joint {joint + 1} moves most, by {moved[joint]:.2g} {unit} in "
-        f"{time[-1] - time[0]:.3g} s, expected at least {STILL * ranges[joint]:.2g} {unit}"
+        f"{time[-1] - time[0]:.3g} s, expected at least {MIN_RANGE_SHARE * ranges[joint]:.2g} {unit}"
     )
 
 
 @OUTLIERS
 def are_derivatives(time: Array, values: Array, raw: Array) -> NDArray[np.bool_]:
-    """Which columns of signals ``(k, c)`` are the derivatives of the columns beside them in ``values``, ``(c,)``."""
+    """Which columns of signals ``(k, c)`` are the derivatives of the same columns of ``values``, ``(c,)``."""
     found = AveragedMotion.of(time, values).velocity_relation(time, raw)
-    one_unit = (found.factor > ONE_UNIT[0]) & (found.factor < ONE_UNIT[1])
+    one_unit = (found.factor > SAME_UNIT_FACTORS[0]) & (found.factor < SAME_UNIT_FACTORS[1])
     return np.asarray(one_unit & (found.correlation > MIN_CORRELATION_OF_COLUMNS))
 
 
 def pose_of(raw: Array) -> Guess | None:
-    """Unit and order of poses ``(k, 7)``; None: they hold no unit quaternion."""
+    """Unit and quaternion order of poses ``(k, 7)``; None: they hold no unit quaternion."""
     place, quaternion = raw[:, :3], raw[:, 3:]
     order = quaternion_order(quaternion)
     if order is None:
@@ -218,18 +220,18 @@ def pose_of(raw: Array) -> Guess | None:
 def unit_of_length(place: Array) -> Guess:
     """Unit of positions ``(k, 3)`` of an object near a robot."""
     largest = float(np.nanmax(np.abs(place)))
-    unit = "mm" if largest > REACH else "m"
-    return Guess(unit, f"up to {largest:.3g} from the origin, which is a place near a robot in {unit}")
+    unit = "mm" if largest > MAX_DISTANCE_M else "m"
+    return Guess(unit, f"up to {largest:.3g} from the origin, which is a position near a robot in {unit}")
 
 
 def quaternion_order(quaternion: Array) -> Guess | None:
-    """Order of unit quaternions ``(k, 4)``; None: they are none."""
+    """Order of unit quaternions ``(k, 4)``; None: their length is not 1."""
     seen = quaternion[np.isfinite(quaternion).all(axis=1)]
-    if not len(seen) or not np.all(np.abs(np.linalg.norm(seen, axis=1) - 1.0) < UNIT_LENGTH):
+    if not len(seen) or not np.all(np.abs(np.linalg.norm(seen, axis=1) - 1.0) < MAX_NORM_ERROR):
         return None
     middle = np.abs(np.median(seen, axis=0))
     if middle[0] > 0.9 or middle[3] > 0.9:
         order = "xyzw" if middle[3] > middle[0] else "wxyz"
         which = "last" if order == "xyzw" else "first"
         return Guess(order, f"the {which} number of the unit quaternion is near 1, as w of a body that hardly turns")
-    return Guess("xyzw", "which number of the unit quaternion is w, nothing shows; taken as x y z w", False)
+    return Guess("xyzw", "nothing shows which number of the unit quaternion is w; taken as x y z w", False)

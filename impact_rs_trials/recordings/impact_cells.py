@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cells of a table of impacts as numbers in SI units; errors name row, column and value, and what was expected."""
+"""Cells of a table of impacts as numbers in SI units; errors name row, column, found and expected value."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from impact_rs_trials.recordings import table_columns
 from impact_rs_trials.recordings.file_units import FACTORS
 from impact_rs_trials.recordings.impact_columns import ColumnGroup, Range, name_and_unit, with_unit
 
-LARGEST_NUMBER = 1e12  # in any unit; no measured number is larger, and squares of much larger ones are infinite
+MAX_NUMBER = 1e12  # in any unit: larger than any measured number, and its square is finite
 
 
 @dataclass(frozen=True)
@@ -27,9 +27,9 @@ class FoundColumn:
 
     Attributes:
         header: Its header.
-        unit: Its unit, as the header says; of text empty.
+        unit: Its unit, from the header; empty for text.
         factor: From that unit to SI.
-        range: Which numbers it may hold.
+        range: Range of its numbers.
     """
 
     header: str
@@ -46,7 +46,7 @@ class ImpactCells:
         path: The file.
         columns: Cells by header.
         found: Known columns by name.
-        others: Headers of columns that are not known.
+        others: Headers of unknown columns.
         scale: Factors by name of a column, for variants of the table [-].
     """
 
@@ -67,26 +67,26 @@ class ImpactCells:
         return column in self.found
 
     def header(self, column: ColumnGroup) -> str:
-        """Header of the first column of a quantity that is there."""
+        """Header of the first existing column of a quantity."""
         return next(self.found[name].header for name in column.names if name in self.found)
 
     def error(self, row: int, where: str, value: object, message: str) -> InputError:
-        """What is wrong in a row.
+        """Error in a row.
 
         Args:
             row: Position of the row.
-            where: The column, or what was made of several.
-            value: What is there.
-            message: What was expected.
+            where: The column, or a quantity from several columns.
+            value: Value of the cell.
+            message: Expected value.
         """
         return InputError(message, file=self.path, key=f"{name_of_row(row + 1)}, {where}", value=value)
 
     def column_error(self, row: int, name: str, value: object, message: str) -> InputError:
-        """What is wrong in the cell of a known column."""
+        """Error in the cell of a known column."""
         return self.error(row, f"column {self.found[name].header!r}", value, message)
 
     def text(self, row: int, name: str) -> str:
-        """A cell as text; empty where it is empty, or the table has no such column."""
+        """A cell as text; empty if it is empty, or the table has no such column."""
         return _text(self.columns[self.found[name].header][row]) if name in self.found else ""
 
     def value(self, row: int, name: str) -> float:
@@ -105,8 +105,8 @@ class ImpactCells:
             raise self.column_error(row, name, cell, f"expected a number [{unit}]") from None
         if not np.isfinite(number):
             raise self.column_error(row, name, number, f"expected a finite number [{unit}]")
-        if abs(number) > LARGEST_NUMBER:
-            raise self.column_error(row, name, number, f"expected a number up to {LARGEST_NUMBER:g} [{unit}]")
+        if abs(number) > MAX_NUMBER:
+            raise self.column_error(row, name, number, f"expected a number up to {MAX_NUMBER:g} [{unit}]")
         number *= self.scale.get(name, 1.0)
         if not column.range.holds(number * column.factor):
             raise self.column_error(row, name, number, f"expected {column.range.words} [{unit}]")

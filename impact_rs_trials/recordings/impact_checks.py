@@ -18,7 +18,7 @@ so that, whatever L is,
 
 All three are speeds of the body with mass m. A column with a wrong sign or unit makes their rms large. Which one, is
 tried out: the factor that makes all three vanish is named, or several where they cannot be distinguished. Without such
-a factor something is said of free bodies alone: joints of real arms do not jump as those of a rigid arm.
+a factor only free bodies are reported: joints of real arms do not jump as the joints of a rigid arm.
 
 Angular velocities, or both velocities, of free bodies may be given in axes of another frame: with z and y exchanged, or
 of a left-handed frame. All 24 turns of a frame onto its own axes are tried out, and their mirrors (:func:`other_axes`).
@@ -50,19 +50,19 @@ from impact_rs_trials.recordings.impact_columns import (
 )
 from impact_rs_trials.recordings.impact_table import ImpactRow, ImpactTable
 
-UNITS = (-1.0, np.pi / 180.0, 180.0 / np.pi, 1e-3, 1e3)  # deg for rad, mm for m, and the other way around
-MOST_ROWS = 200  # of a table, evenly taken
-LEAST_ROWS = 5
-NOTICED = 0.03  # of the whole change of velocity; below it noise and the geometry of the contact decide
-CURED = 0.25  # of the squares; a factor that leaves more of them is no explanation
-CURED_ROWS = 0.75  # of the rows that break a law, which have to get better with it
-ALIKE = 1.5  # times what the best factor leaves; the data do not distinguish factors within it
-SHOWN = 3
-ALIGNED = 1e-6  # rad and -, rounding of turns by right angles and of their axes
-BESIDE = 8  # rows on either side of one from which a column may be in another unit
-OTHER_UNIT = 20.0  # ratio of sizes that units differ by (57 and more), with its scatter,
-STEADY = 3.0  # and that of velocities before the impacts, below which these do not change
-ALONE = 0.5  # of the whole change; so much is reported although no single factor explains it
+UNIT_FACTORS = (-1.0, np.pi / 180.0, 180.0 / np.pi, 1e-3, 1e3)  # sign, deg for rad, mm for m, and their inverses
+MAX_ROWS = 200  # of a table, evenly taken
+MIN_ROWS = 5
+MIN_VIOLATION_SHARE = 0.03  # of the whole change of velocity; below it noise and the geometry of the contact decide
+MAX_REMAINING_SHARE = 0.25  # of the squares; a factor that leaves more is no explanation
+MIN_CURED_ROWS_SHARE = 0.75  # of the rows that break a law, which a factor has to improve
+MAX_MISFIT_RATIO = 1.5  # to the best factor's; the data do not distinguish factors within it
+MAX_SHOWN_ROWS = 3  # in a message
+MAX_ALIGNMENT_ERROR = 1e-6  # rad and -, rounding of rotations by right angles and of their axes
+NEIGHBOUR_ROWS = 8  # on either side of a row from which a column may be in another unit
+MIN_UNIT_RATIO = 20.0  # of sizes in two units (57 and more), less their scatter,
+MAX_SIZE_RATIO = 3.0  # of velocities before the impacts, below which their unit stays
+MIN_UNEXPLAINED_SHARE = 0.5  # of the whole change; so much is reported although no single factor explains it
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class OtherAxes:
     """Axes in which velocities may have been measured, ``measured = s R true``.
 
     Attributes:
-        of: Angular velocities alone, or those of the centre as well.
+        of: Angular velocities alone, or also velocities of the centre.
         rotation: R, ``(3, 3)`` [-].
         sign: s; -1: left-handed axes [-].
         left: What breaks the laws with them, root mean square over the rows [m/s].
@@ -113,11 +113,13 @@ class OtherAxes:
         """Which velocities are in which axes."""
         what = "angular velocities" if self.of == "spins" else "velocities and angular velocities"
         angle = float(np.linalg.norm(self.vector))
-        if angle < ALIGNED:
+        if angle < MAX_ALIGNMENT_ERROR:
             return f"{what} are in left-handed axes"
         axis = self.vector / angle
         shares = [
-            f"{'' if share > 0 else '-'}{name}" for name, share in zip(AXES, axis, strict=True) if abs(share) > ALIGNED
+            f"{'' if share > 0 else '-'}{name}"
+            for name, share in zip(AXES, axis, strict=True)
+            if abs(share) > MAX_ALIGNMENT_ERROR
         ]
         about = shares[0] if len(shares) == 1 else f"({', '.join(f'{share:.3g}' for share in axis)})"
         hand = " left-handed" if self.sign < 0.0 else ""
@@ -178,7 +180,7 @@ def doubts_of(table: ImpactTable) -> list[str]:
     whole = _rms([float(np.linalg.norm(law.root @ (a - b))) for law, b, a in zip(laws, before, after, strict=True)])
     speeds = np.linalg.norm(broken, axis=1)
     size = _rms(speeds)
-    if size <= NOTICED * whole:
+    if size <= MIN_VIOLATION_SHARE * whole:
         return scaled
     found = []
     for remedy in remedies(table):
@@ -188,23 +190,27 @@ def doubts_of(table: ImpactTable) -> list[str]:
                 for law, b, a in zip(laws, before, after, strict=True)
             ]
         )
-        wrong = speeds > NOTICED * whole
-        if np.any(wrong) and float(np.mean(tried[wrong] < speeds[wrong])) >= CURED_ROWS:
+        wrong = speeds > MIN_VIOLATION_SHARE * whole
+        if np.any(wrong) and float(np.mean(tried[wrong] < speeds[wrong])) >= MIN_CURED_ROWS_SHARE:
             found.append((_rms(tried), remedy))
     law = _in_words(np.sqrt(np.mean(np.square(broken), axis=0)), whole)
     left = min((rest for rest, _ in found), default=np.inf)
-    axes = [other for other in other_axes(table) if ALIKE * other.left < left and other.left**2 < CURED * size**2]
+    axes = [
+        other
+        for other in other_axes(table)
+        if MAX_MISFIT_RATIO * other.left < left and other.left**2 < MAX_REMAINING_SHARE * size**2
+    ]
     if axes:
-        where = ", or ".join(other.in_words for other in axes[:SHOWN])
+        where = ", or ".join(other.in_words for other in axes[:MAX_SHOWN_ROWS])
         return [f"{law}: wrong axes? {axes[0].left:.2g} m/s are left where {where}", *scaled]
-    if left**2 < CURED * size**2:
+    if left**2 < MAX_REMAINING_SHARE * size**2:
         simplest: list[Remedy] = []
         for rest, remedy in found:
-            if rest <= ALIKE * left and not any(remedy.covers(other) for other in simplest):
+            if rest <= MAX_MISFIT_RATIO * left and not any(remedy.covers(other) for other in simplest):
                 simplest.append(remedy)
-        words = [f"factor: {remedy.factor:.4g} for {', '.join(remedy.columns)}" for remedy in simplest[:SHOWN]]
+        words = [f"factor: {remedy.factor:.4g} for {', '.join(remedy.columns)}" for remedy in simplest[:MAX_SHOWN_ROWS]]
         return [f"{law}: wrong sign or unit? {left:.2g} m/s are left with {', or '.join(words)}", *scaled]
-    if size > ALONE * whole and not table.arms:
+    if size > MIN_UNEXPLAINED_SHARE * whole and not table.arms:
         return [f"{law}: no factor of one signal explains it; are contact points, axes and inertia right?", *scaled]
     return scaled
 
@@ -247,9 +253,9 @@ def other_axes(table: ImpactTable) -> list[OtherAxes]:
         if sign < 0.0 or not np.allclose(rotation, np.eye(3))
     ]
     best = min(other.left for other in tried)
-    if not ALIKE * best < here:
+    if not MAX_MISFIT_RATIO * best < here:
         return []
-    alike = sorted((other for other in tried if other.left <= ALIKE * best), key=lambda other: other.left)
+    alike = sorted((other for other in tried if other.left <= MAX_MISFIT_RATIO * best), key=lambda other: other.left)
     # A ball on one plane keeps its spin about the normal: its sense, and so the hand of the axes, is not seen.
     return [other for other in alike if other.sign > 0.0] or alike
 
@@ -265,9 +271,9 @@ def _turns() -> list[Array]:
 
 
 def _looked_at(table: ImpactTable) -> tuple[list[ImpactRow], list[_Laws]]:
-    """Rows, evenly taken, and the laws of each; none of a table with too few."""
-    chosen = np.unique(np.linspace(0, len(table.rows) - 1, MOST_ROWS).astype(int)).tolist()
-    if len(chosen) < LEAST_ROWS:
+    """Rows, evenly taken, with the laws of each; empty for a table with too few."""
+    chosen = np.unique(np.linspace(0, len(table.rows) - 1, MAX_ROWS).astype(int)).tolist()
+    if len(chosen) < MIN_ROWS:
         return [], []
     rows = [table.rows[number] for number in chosen]
     models: dict[int, dict[str, RobotModel]] = {}
@@ -279,15 +285,15 @@ def _looked_at(table: ImpactTable) -> tuple[list[ImpactRow], list[_Laws]]:
 
 def _other_scale(table: ImpactTable, rows: Sequence[ImpactRow], before: Array, after: Array) -> list[str]:
     """Velocities after impacts that are of another size from a row on, where those before are not; ``(k, nv)``."""
-    if len(rows) < 2 * BESIDE:
+    if len(rows) < 2 * NEIGHBOUR_ROWS:
         return []
     before_jumps, after_jumps = _jumps_of_size(before), _jumps_of_size(after)
-    steady = np.all((before_jumps < STEADY) & (before_jumps > 1.0 / STEADY), axis=1)
+    steady = np.all((before_jumps < MAX_SIZE_RATIO) & (before_jumps > 1.0 / MAX_SIZE_RATIO), axis=1)
     sizes = np.where(steady[:, None], np.maximum(after_jumps, 1.0 / after_jumps), 1.0)
     place, column = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
-    if sizes[place, column] < OTHER_UNIT:
+    if sizes[place, column] < MIN_UNIT_RATIO:
         return []
-    row, name = rows[int(place) + BESIDE].number, _signals(table, DQ_AFTER, V_AFTER, W_AFTER)[int(column)]
+    row, name = rows[int(place) + NEIGHBOUR_ROWS].number, _signals(table, DQ_AFTER, V_AFTER, W_AFTER)[int(column)]
     return [
         f"{name} is {after_jumps[place, column]:.2g} times as large from row {row} on, while nothing changes "
         "before the impacts: another unit?"
@@ -295,10 +301,10 @@ def _other_scale(table: ImpactTable, rows: Sequence[ImpactRow], before: Array, a
 
 
 def _jumps_of_size(columns: Array) -> Array:
-    """Median size of some rows over that of as many before them, ``(k - 2 BESIDE + 1, nv)`` [-]; 1 where it is 0."""
-    windows = np.lib.stride_tricks.sliding_window_view(np.abs(columns), BESIDE, axis=0)
+    """Ratio of median sizes after and before a row, ``(k - 2 NEIGHBOUR_ROWS + 1, nv)`` [-]; 1 if one is 0."""
+    windows = np.lib.stride_tricks.sliding_window_view(np.abs(columns), NEIGHBOUR_ROWS, axis=0)
     sizes = np.median(windows, axis=-1)
-    earlier, later = sizes[:-BESIDE], sizes[BESIDE:]
+    earlier, later = sizes[:-NEIGHBOUR_ROWS], sizes[NEIGHBOUR_ROWS:]
     known = (earlier > 0.0) & (later > 0.0)
     return np.where(known, later / np.where(known, earlier, 1.0), 1.0)
 
@@ -315,7 +321,7 @@ def _rms(values: Array | list[float]) -> float:
 
 
 def _in_words(broken: Array, whole: float) -> str:
-    """The law that is broken most, by how much."""
+    """The most violated law, with the size of the violation."""
     what = (
         "the momentum that no impulse at the contact points can change (with one of them, the angular momentum about "
         "it) changes",
@@ -335,11 +341,11 @@ def remedies(table: ImpactTable) -> Iterator[Remedy]:
     count = len(sides["before"])
     linear, angular = ([*range(first, first + 3)] for first in (count - 6, count - 3))
     groups = [[place] for place in range(count)]
-    # Where all of an axis is mirrored, lever and velocity, the other two angular velocities seem to be wrong.
+    # If an axis is mirrored in lever and velocity, the other two angular velocities seem to be wrong.
     groups += [[place for place in angular if place != mirrored] for mirrored in angular]
     groups += [linear, angular]
     for places in groups:
-        for factor in UNITS if len(places) == len(AXES) else (-1.0,):
+        for factor in UNIT_FACTORS if len(places) == len(AXES) else (-1.0,):
             for tried in (("before", "after"), ("after",), ("before",)):
                 scaled = {side: np.ones(count) for side in sides}
                 for side in tried:

@@ -2,7 +2,7 @@
 """Columns of a table of impacts: names, units, ranges and meaning. Reading, writing, checks and documentation use them.
 
 A header is a name and a unit in brackets, ``mass [kg]`` (:attr:`ColumnGroup.headers`). All vectors are in axes of the
-world A; twists are those of the geometric centre; *before* and *after* are just before and just after the impact.
+world A; twists refer to the geometric centre; *before* and *after* are just before and just after the impact.
 
 :func:`documentation` makes the table of the manual.
 """
@@ -18,12 +18,12 @@ from impact_rs_sim.impact_map import measured
 from impact_rs_sim.robot import UNITS, JointUnits
 
 AXES = "xyz"
-MOST_POINTS = 8  # contact points that a row may name
+MAX_CONTACT_POINTS = 8  # of a row
 
 
 @dataclass(frozen=True)
 class Range:
-    """Which numbers a column may hold.
+    """Range of the numbers of a column.
 
     Attributes:
         words: The range in words, behind "expected".
@@ -48,10 +48,8 @@ class ColumnGroup:
     Attributes:
         names: Their names, without units.
         unit: SI unit; empty: a column of text.
-        meaning: What they are, for the documentation.
-        needed: Which tables need them, for the documentation; empty: none.
-        range: Which numbers they may hold.
-        instead_of: Name of the first of the columns in whose place they stand; these are not read beside those.
+        meaning: Description for the documentation.
+        range: Range of the numbers.
     """
 
     names: tuple[str, ...]
@@ -116,12 +114,12 @@ class JointColumnGroup:
 
 
 def arm_label(arm: str, arms: Iterable[str]) -> str:
-    """What stands before the names of the columns of an arm: its name and a dot where there are several."""
+    """Prefix of the names of the columns of an arm: its name and a dot if there are several."""
     return f"{arm}." if len(tuple(arms)) > 1 else ""
 
 
 def with_unit(name: str, unit: str) -> str:
-    """A header: the name, and its unit in brackets where it has one."""
+    """A header: the name, and its unit in brackets if it has one."""
     return f"{name} [{unit}]" if unit else name
 
 
@@ -132,7 +130,7 @@ def name_and_unit(header: str) -> tuple[str, str]:
 
 
 def is_joint_column(name: str) -> bool:
-    """Whether a name is that of a joint of some arm."""
+    """Whether a name belongs to a joint of some arm."""
     return JOINT_NAME.fullmatch(name) is not None
 
 
@@ -178,7 +176,7 @@ FALL_HEIGHT = ColumnGroup(
 SUPPORT_FRICTION = ColumnGroup(
     (measured.SUPPORT_FRICTION,),
     "-",
-    "measured Coulomb coefficient of the support on which the object slid; absent or empty: the scenario's",
+    "measured Coulomb coefficient of the support under the sliding object; absent or empty: the scenario's",
     range=POSITIVE,
     instead_of=V_AFTER.first,
 )
@@ -195,19 +193,19 @@ SIZE = ColumnGroup(
     "extent of the box along its own axes; a free body needs it, or contact points and moments",
     range=POSITIVE,
 )
-RADIUS = ColumnGroup(("radius",), "m", "of a free body that is a ball; it touches below its centre", range=POSITIVE)
-SHELL = ColumnGroup(("shell",), "-", "of a ball: 1 hollow (2/3 m r²), 0 or absent solid (2/5 m r²)", range=FLAG)
+RADIUS = ColumnGroup(("radius",), "m", "radius of a free ball, which touches below its centre", range=POSITIVE)
+SHELL = ColumnGroup(("shell",), "-", "ball: 1 hollow (2/3 m r²), 0 or absent solid (2/5 m r²)", range=FLAG)
 POINTS = tuple(
     ColumnGroup(
         _vector("p", tail),
         "m",
-        f"contact point in A; further ones `px2`, `py2`, `pz2` up to {MOST_POINTS}, empty if a row has fewer; all "
-        "empty: from the geometry",
+        f"contact point in A; further ones `px2`, `py2`, `pz2` up to {MAX_CONTACT_POINTS}, empty if a row has fewer; "
+        "all empty: from the geometry",
     )
-    for tail in ("", *map(str, range(2, MOST_POINTS + 1)))
+    for tail in ("", *map(str, range(2, MAX_CONTACT_POINTS + 1)))
 )
 NORMAL = ColumnGroup(
-    _vector("n"), "-", "unit normal into the body; absent: up, or that of the nearest faces of pad and object"
+    _vector("n"), "-", "unit normal into the body; absent: up, or the normal of the nearest faces of pad and object"
 )
 FRICTION = ColumnGroup(
     (measured.FRICTION,),
@@ -220,29 +218,29 @@ RESTITUTION = ColumnGroup(
     (measured.RESTITUTION,), "-", "assumed Newton restitution; absent: 0, or the scenario's", range=SHARE
 )
 Q = JointColumnGroup(
-    "q{}", "position", "joint positions; of several arms `left.q1` ..., by the names of the scenario", "arm"
+    "q{}", "position", "joint positions; with several arms `left.q1` ..., by the names of the scenario", "arm"
 )
 DQ_BEFORE = JointColumnGroup("dq{}_before", "velocity", "joint velocities before", "arm")
 DQ_AFTER = JointColumnGroup("dq{}_after", "velocity", "joint velocities after; absent: the object alone is compared")
 MOTOR_INERTIA = JointColumnGroup(
     "B{}",
     "inertia",
-    "assumed motor inertia; absent: B_θ of the scenario, which its torque loop leaves",
+    "assumed motor inertia; absent: reduced inertia B_θ of the scenario",
     range=NOT_NEGATIVE,
 )
 OBJECT = ColumnGroup(("object",), "", "the scenario's object; needed if it has several")
 CONDITION = ColumnGroup(("condition",), "", "rows of one condition are repeats of each other")
-TIME = ColumnGroup(("time",), "s", "when the row was measured, from any moment on; `follow` takes rows in this order")
+TIME = ColumnGroup(("time",), "s", "time of the measurement, with any origin; `follow` takes rows in this order")
 TOLERANCE = ColumnGroup(
     ("contact_tolerance",),
     "m",
-    "how much further off than the nearest a touching point may be; absent: `--contact-tolerance`",
+    "largest extra distance of a touching point beyond the nearest one; absent: `--contact-tolerance`",
     range=NOT_NEGATIVE,
 )
 V_NOISE = ColumnGroup(
     ("v_noise",),
     "m/s",
-    "standard deviation of a measured change of velocity; absent beside other noise: not known",
+    "standard deviation of a measured change of velocity; absent next to other noise: unknown",
     range=NOT_NEGATIVE,
 )
 W_NOISE = ColumnGroup(("w_noise",), "rad/s", "likewise, of angular velocity", range=NOT_NEGATIVE)
@@ -253,7 +251,7 @@ DISTANCE_NOISE = ColumnGroup(
 V_NOISE_AXES = ColumnGroup(
     _vector("v_noise_"),
     "m/s",
-    f"`{V_NOISE.first}` along each axis of A, in its place: a camera sees depth worse than the other two",
+    f"`{V_NOISE.first}` along each axis of A, in its place: a camera measures depth less accurately",
     range=NOT_NEGATIVE,
 )
 W_NOISE_AXES = ColumnGroup(
@@ -262,7 +260,7 @@ W_NOISE_AXES = ColumnGroup(
 P_NOISE = ColumnGroup(
     ("p_noise",),
     "m",
-    "standard deviation of the position of the contact points, all together, along each axis",
+    "common standard deviation of the positions of all contact points, along each axis",
     range=NOT_NEGATIVE,
 )
 N_NOISE = ColumnGroup(

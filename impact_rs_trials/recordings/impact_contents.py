@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a table of impacts is about: free bodies, balls or arms, and what was measured after the impacts."""
+"""Contents of an impact table: free bodies, balls or arms, and the signals measured after the impacts."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ MIN_SIMILARITY = 0.75  # ratio of difflib, from which an unknown column is taken
 
 @dataclass(frozen=True)
 class TableContents:
-    """What a table is about.
+    """Contents of a table.
 
     Attributes:
         scenario: Robots, pads and support of rows of arms; None: free bodies.
-        questions: Whether velocities after the impact are to be predicted.
+        questions: Whether velocities after the impact are to be predicted and not read.
         ball: Whether the bodies are balls.
         joints: Whether some joint has a velocity after the impact.
-        centre: Whether the velocity of the centre after the impact is compared: no distance stands in its place.
+        centre: Whether the velocity of the centre after the impact is compared, not a distance.
         turning: Whether the body has an angular velocity after the impact.
     """
 
@@ -67,7 +67,7 @@ class TableContents:
 
     @classmethod
     def of(cls, cells: ImpactCells, scenario: Scenario | None, questions: bool) -> TableContents:
-        """What the columns of a table say."""
+        """Contents by the columns of a table."""
         return cls(
             scenario,
             questions,
@@ -95,10 +95,10 @@ class TableContents:
 def read_with_contents(
     path: Path, scenario: Scenario | None, questions: bool, covariates: Sequence[str]
 ) -> tuple[ImpactCells, TableContents, dict[str, str]]:
-    """Cells of a table, what it is about, and the headers of its covariates by name.
+    """Cells and contents of a table, and the headers of its covariates by name.
 
     Raises:
-        InputError: It is no table, a column is missing, has a wrong unit or no meaning, or two contradict each other.
+        InputError: Not a table; a column is missing, has a wrong unit or no meaning; or two columns contradict.
     """
     known = [*COLUMNS, *(one for columns in JOINT_COLUMNS for one in _of_joints(scenario, columns))]
     cells = read_cells(path, known)
@@ -142,7 +142,7 @@ def _declared(cells: ImpactCells, covariates: Sequence[str]) -> dict[str, str]:
 def _check_others(
     cells: ImpactCells, known: Sequence[ColumnGroup], scenario: Scenario | None, declared: dict[str, str]
 ) -> None:
-    """Refuse unknown columns that are of joints, or resemble a known one."""
+    """Refuse unknown columns that belong to joints, or resemble a known one."""
     undeclared = [header for header in cells.others if header not in declared.values()]
     joints = [header for header in undeclared if is_joint_column(name_and_unit(header)[0])]
     if joints and scenario is None:
@@ -197,7 +197,7 @@ def _needed(cells: ImpactCells, contents: TableContents) -> Iterator[ColumnGroup
 
 
 def _check_distances(cells: ImpactCells, contents: TableContents) -> None:
-    """Refuse a table with a distance that no law makes of a velocity."""
+    """Refuse a table with a distance that no law predicts from a velocity."""
     if SLIDE_DISTANCE in cells and contents.scenario is None:
         said = "a free body has no support on which it slides; flight_distance and fall_height say how far it flew"
         raise InputError(f"column {cells.header(SLIDE_DISTANCE)!r}: {said}", file=cells.path)
@@ -211,7 +211,7 @@ def _check_distances(cells: ImpactCells, contents: TableContents) -> None:
 
 
 def _check_ball(cells: ImpactCells, contents: TableContents) -> None:
-    """Refuse a ball with the shape of something else."""
+    """Refuse a ball with another shape."""
     if not contents.ball:
         if SHELL in cells:
             said = f"column {cells.header(SHELL)!r} without {RADIUS.header!r}: it is of balls"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Impacts that were found in runs, and the table that compare and diagnose read."""
+"""Impacts found in runs, and the impact table for compare and diagnose."""
 
 from __future__ import annotations
 
@@ -40,17 +40,16 @@ from impact_rs_trials.recordings.impact_columns import (
     arm_label,
 )
 
-DIGITS = 9
-BY_WAY = "sliding distance"  # law after the impact, where the velocity follows from the way to rest
+TABLE_DIGITS = 9  # significant ones
+BY_SLIDING_DISTANCE = "sliding distance"  # law after the impact: the velocity follows from the displacement to rest
 
 
 @dataclass(frozen=True)
 class NoRow:
-    """An impact or a run that gives no row.
+    """An impact or a run without a row.
 
     Attributes:
-        name: Which.
-        reason: Why.
+        name: Name of the impact or run.
     """
 
     name: str
@@ -78,26 +77,26 @@ class ArmInImpact:
 
 @dataclass(frozen=True)
 class Impact:
-    """One impact, with the state on both sides.
+    """One impact, with the states before and after.
 
     Attributes:
-        run: Where it was found.
-        condition: Condition of the run; empty: none was said.
-        session: Session of the run; empty: none was said. Where it is the whole condition, its impacts are no repeats.
+        run: Its run.
+        condition: Condition of the run; empty: unknown.
+        session: Session of the run; empty: unknown. A condition that is only a session has no repeats.
         object_name: Object of the scenario; empty: a free body.
         time: Since the start of the run [s].
         position: Of the geometric centre, ``(3,)`` [m].
-        rotation: From its axes to those of the world, ``(3, 3)``.
+        rotation: From its axes to the axes of the world, ``(3, 3)``.
         before: Twist just before, ``(6,)`` [m/s, rad/s].
         after: Twist just after, ``(6,)`` [m/s, rad/s].
         noise: Standard deviation of a change of velocity [m/s] and of angular velocity [rad/s].
-        tolerance: By how much the pose is known at its corners [m].
-        contact_noise: Standard deviations of the place of the contact [m] and of its normal [rad], by the pose.
-        model: Law that was fitted after the impact.
+        tolerance: Uncertainty of the pose at the corners [m].
+        contact_noise: Standard deviations of the contact position [m] and its normal [rad], by the pose.
+        model: Fitted law after the impact.
         arms: Arms by name; empty: a free body.
-        outcomes: What was measured later, by its column: friction of the support [-], distance [m].
-        turn_tracked: Whether angular velocities after were measured; if not, none is known. That of a free body before
-            is assumed then.
+        outcomes: Later measurements by column: friction of the support [-], distance [m].
+        turn_tracked: Whether angular velocities after were measured; if not, they are unknown, and a free body's
+            angular velocity before is assumed.
     """
 
     run: str
@@ -127,7 +126,7 @@ class Impact:
 def table_text(impacts: Sequence[Impact], constants: Mapping[str, float]) -> str:
     """The table of impacts as CSV.
 
-    Where all velocities after follow from the slide distance, that distance is the outcome and they are left out, so
+    If all velocities after follow from the slide distance, that distance is the outcome and they are omitted, so
     that the friction of the support stays a parameter.
 
     Args:
@@ -136,7 +135,7 @@ def table_text(impacts: Sequence[Impact], constants: Mapping[str, float]) -> str
     """
     form = _Form(
         turned=all(impact.turn_tracked for impact in impacts),
-        by_distance=all(impact.model == BY_WAY for impact in impacts),
+        by_distance=all(impact.model == BY_SLIDING_DISTANCE for impact in impacts),
         sessions=any(impact.session for impact in impacts),
         conditions=any(impact.condition not in ("", impact.session) for impact in impacts),
     )
@@ -150,13 +149,13 @@ def table_text(impacts: Sequence[Impact], constants: Mapping[str, float]) -> str
 
 @dataclass(frozen=True)
 class _Form:
-    """What all rows of a table have in common.
+    """Common properties of all rows of a table.
 
     Attributes:
         turned: Whether angular velocities after were measured.
-        by_distance: Whether the slide distance stands in place of velocities after.
+        by_distance: Whether the slide distance replaces velocities after.
         sessions: Whether some run has a session.
-        conditions: Whether conditions say more than sessions.
+        conditions: Whether conditions differ from sessions.
     """
 
     turned: bool
@@ -213,4 +212,4 @@ def _cells(impact: Impact, form: _Form, constants: Mapping[str, float]) -> dict[
 
 
 def _short(number: float) -> str:
-    return f"{number:.{DIGITS}g}"
+    return f"{number:.{TABLE_DIGITS}g}"

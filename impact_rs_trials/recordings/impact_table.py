@@ -2,13 +2,13 @@
 """Impact tables: one row per impact and nothing else, as CSV or Parquet.
 
 Two kinds of rows. Without joint positions **one free body hits a fixed plane**: a tossed cube, or a ball on a racket so
-heavy that it goes on as it was (velocities are then those relative to it). With them
-**an arm (or two) hits an object**; robots, pads and support are then those of a scenario.
+heavy that its motion does not change (velocities are then relative to it). With them
+**an arm (or two) hits an object**; a scenario then has robots, pads and support.
 :mod:`impact_rs_trials.recordings.impact_columns` lists the columns.
 
 Units of a header may be others of the same quantity (:mod:`impact_rs_trials.recordings.file_units`). Any column may
-also be declared a covariate: a circumstance under which rows were measured, a number or the name of a level. Other
-columns are left alone. Cells of a CSV file are separated by commas, semicolons or tabs; empty lines and lines that
+also be declared a covariate: a circumstance of the measurement, a number or the name of a level. Other
+columns are ignored. Cells of a CSV file are separated by commas, semicolons or tabs; empty lines and lines that
 begin with # are skipped.
 """
 
@@ -79,15 +79,15 @@ from impact_rs_trials.recordings.impact_columns import (
     name_and_unit,
 )
 from impact_rs_trials.recordings.impact_contents import TableContents, read_with_contents, unread
-from impact_rs_trials.recordings.unsure_scene import known_of_scene, with_another
+from impact_rs_trials.recordings.unsure_scene import nominal_values, with_value
 from impact_rs_trials.since import measured_since
 
 SUFFIXES = (".csv", ".parquet")
 ASSUMED_FRICTION = 0.3  # of a free body on a plane, where a table says nothing; dry solids lie around it
-UNIT_LENGTH = 1e-3  # how far a unit quaternion or a normal may be from length 1; what remains is rounding
-MAX_EXCESS_OF_MOMENT = 1e-3  # of a moment of inertia over the sum of the others, relative; rounding
+MAX_LENGTH_ERROR = 1e-3  # of a unit quaternion or normal; what remains is rounding
+MAX_MOMENT_EXCESS_SHARE = 1e-3  # of a moment of inertia over the sum of the others; rounding
 UP = np.array([0.0, 0.0, 1.0])
-WIDER = 4.0  # tolerances; points between a quarter of one and so many may touch or not
+MAX_TOLERANCE_FACTOR = 4.0  # points between a quarter of a tolerance and so many may touch or not
 OF_BODY = (MASS, MOMENTS, SIZE, RADIUS)  # columns that may be unsure
 BODY_UNITS = {name: one.unit for one in OF_BODY for name in one.names}
 OF_AXES = {V_NOISE: V_NOISE_AXES, W_NOISE: W_NOISE_AXES}  # noise columns that may stand in the place of one
@@ -99,7 +99,7 @@ UNSEEN_GEOMETRY = {  # what else may be unsure, 0 in a table: its unit
     "tilt_x": "rad",  # of the plane's normal about x and y of A
     "tilt_y": "rad",
 }
-SWEPT = (0.25, 0.5, 1.0)  # shares of the way from the assumed value to either end of a range
+SWEPT_SHARES = (0.25, 0.5, 1.0)  # of the way from the assumed value to either end of a range
 
 
 @dataclass(frozen=True)
@@ -113,13 +113,13 @@ class ImpactRow:
         physics: Nominal physics; rows with the same nominal physics share one.
         impact: State just before, and contact points.
         after: Measured u^+, joint velocities of every arm and then the twist of the centre, ``(nv,)`` [rad/s, m/s].
-        wider: The impact with more contact points, those within ``WIDER`` tolerances; None: there are no more.
-        narrower: The impact with fewer, those within a tolerance over ``WIDER`` (no pose is known better than
-            ``GAP_TOLERANCE``); None: there are no fewer.
-        time: When it was measured, seconds since 1970 or since any other moment [s]; None: not known.
+        wider: The impact with the contact points within ``MAX_TOLERANCE_FACTOR`` tolerances; None: they are the same.
+        narrower: The impact with the contact points within a tolerance over ``MAX_TOLERANCE_FACTOR`` (no pose is known
+            better than ``GAP_TOLERANCE``); None: they are the same.
+        time: Time of the measurement, seconds since 1970 or since any other moment [s]; None: unknown.
         circumstances: Its covariates by name, numbers or names of levels.
-        distance: How far the object went afterwards, where that was measured in place of its velocity.
-        contact_noise: Standard deviations of the place of the contact points [m] and of their normal [rad].
+        distance: Distance that the object travelled afterwards, if measured instead of its velocity.
+        contact_noise: Standard deviations of the positions of the contact points [m] and of their normal [rad].
     """
 
     number: int
@@ -138,12 +138,12 @@ class ImpactRow:
 
 @dataclass(frozen=True)
 class Variant:
-    """A table read with another value of something that is not known well.
+    """A table read with another value of an uncertain quantity.
 
     Attributes:
-        of: What it is: a column of the body, an ``UNSEEN_GEOMETRY``, or a number of the scenario
+        of: Name of the quantity: a column of the body, an ``UNSEEN_GEOMETRY``, or a number of the scenario
             (:mod:`impact_rs_trials.recordings.unsure_scene`).
-        value: Its value, in the unit; of a column whose rows differ, their mean.
+        value: Its value, in the unit; the mean if the rows of a column differ.
         unit: Unit.
         table: The table with it.
     """
@@ -166,14 +166,13 @@ class ImpactTable:
         joints: Whether joint velocities after the impact were measured.
         centre: Whether velocities of the centre after the impact were measured; if not, distances were.
         turning: Whether angular velocities after the impact were measured.
-        tolerance: How much further off than the nearest a point may be that touches [m]; of rows that say it
-            themselves, their mean.
+        tolerance: Largest extra distance of a touching point beyond the nearest one [m]; with a column the mean.
         noise: Standard deviation of a measured change of velocity in the order of ``after``, ``(rows, nv)``
-            [rad/s, m/s], nan of what was not measured; None: said nowhere.
-        assumed: Assumptions where the table has no column, as text.
-        unread: ColumnGroup that are not used.
-        covariates: Units of the covariates by name; empty where a header says none.
-        variants: The table with other values of what is not known well, over its range.
+            [rad/s, m/s], nan if not measured; None: unknown.
+        assumed: Assumptions for missing columns, as text.
+        unread: Headers of unused columns.
+        covariates: Units of the covariates by name; empty if the header has no unit.
+        variants: The table with other values of the uncertain quantities, over their ranges.
     """
 
     path: Path
@@ -191,7 +190,7 @@ class ImpactTable:
     variants: tuple[Variant, ...] = ()
 
     def since(self, when: str) -> ImpactTable:
-        """The rows that were measured from a moment on.
+        """The rows measured from a moment on.
 
         Args:
             when: A row, ``row 7``, or a time in column ``time`` (:func:`impact_rs_trials.since.measured_since`).
@@ -225,16 +224,16 @@ def read_impact_table(
     Args:
         path: CSV or Parquet file.
         scenario: Robots, pads and support of rows of arms; None: rows of free bodies.
-        questions: Whether the rows ask for the velocities after: their columns may be absent and are not read.
-        tolerance: How much further off than the nearest a point may be that touches [m].
-        covariates: Names of the columns that say under which circumstances a row was measured. A column of numbers is
+        questions: Whether velocities after are to be predicted: their columns may be absent and are not read.
+        tolerance: Largest extra distance of a touching point beyond the nearest one [m].
+        covariates: Names of the columns with circumstances of the measurement. A column of numbers is
             a number, in the unit of its header; any other holds names of levels.
-        unsure: Ranges of what is not known well, in SI units: of columns of the body, whose rows keep their ratios, of
-            ``UNSEEN_GEOMETRY``, or of numbers of the scenario (:mod:`impact_rs_trials.recordings.unsure_scene`).
+        unsure: Ranges of uncertain quantities, in SI units: columns of the body, whose rows keep their ratios,
+            ``UNSEEN_GEOMETRY``, or numbers of the scenario (:mod:`impact_rs_trials.recordings.unsure_scene`).
 
     Raises:
-        InputError: It cannot be read, a column is missing or has another unit, or a row is no impact; the message names
-            row and column, what is there, and what was expected.
+        InputError: It cannot be read, a column is missing or has another unit, or a row is no impact; the message has
+            row, column, found and expected value.
     """
     digest = _digest(path)
     cells, contents, declared = read_with_contents(path, scenario, questions, covariates)
@@ -243,7 +242,10 @@ def read_impact_table(
     for name, (low, high) in unsure.items():
         assumed, unit = reader.assumed_geometry(name)
         values = {
-            assumed + share * (end - assumed) for end in (low, high) for share in SWEPT if not np.isclose(end, assumed)
+            assumed + share * (end - assumed)
+            for end in (low, high)
+            for share in SWEPT_SHARES
+            if not np.isclose(end, assumed)
         }
         for value in sorted(values):
             try:
@@ -275,11 +277,11 @@ class _Reader:
 
     Attributes:
         cells: The table.
-        contents: What it is about.
-        tolerance: How much further off than the nearest a point may be that touches, where no column says it [m].
+        contents: Its contents.
+        tolerance: Largest extra distance of a touching point beyond the nearest one, without a column [m].
         covariates: Headers by name.
         geometry: Values of ``UNSEEN_GEOMETRY`` [m, rad].
-        physics: Physics of rows and their models by what was assumed, which rows share.
+        physics: Shared physics and models of rows, by their assumptions.
     """
 
     cells: ImpactCells
@@ -310,7 +312,7 @@ class _Reader:
         )
 
     def assumed_geometry(self, name: str) -> tuple[float, str]:
-        """What a table that was read assumes of something that may be unsure, and its SI unit.
+        """Value that a table assumes for an uncertain quantity, and its SI unit.
 
         Raises:
             InputError: There is nothing of that name here.
@@ -321,7 +323,7 @@ class _Reader:
             known = [own for own in known if not own.startswith("offset")]
         known += [SUPPORT_FRICTION.first] if self._scales(SUPPORT_FRICTION.first) else []
         scenario = self.contents.scenario
-        of_scene = {} if scenario is None else known_of_scene(scenario)
+        of_scene = {} if scenario is None else nominal_values(scenario)
         known += [own for own in of_scene if own not in known]
         if name not in known:
             raise InputError(
@@ -337,32 +339,32 @@ class _Reader:
         return float(np.mean(values)), BODY_UNITS.get(name, SUPPORT_FRICTION.unit)
 
     def _scales(self, name: str) -> bool:
-        """Whether something that may be unsure is a column, whose rows keep their ratios."""
+        """Whether an uncertain quantity is a column, whose rows keep their ratios."""
         of_support = name == SUPPORT_FRICTION.first and not self.contents.centre
         return name in self.cells and (name in BODY_UNITS or of_support)
 
     def with_geometry(self, name: str, value: float, assumed: float) -> _Reader:
-        """A reader of the same table with another value of something that may be unsure.
+        """A reader of the same table with another value of an uncertain quantity.
 
         Args:
-            name: What.
+            name: Name of the quantity.
             value: Its value, in SI units.
-            assumed: What :meth:`assumed_geometry` says of it.
+            assumed: Its value by :meth:`assumed_geometry`.
         """
         if self._scales(name):
             return replace(self, cells=replace(self.cells, scale={name: value / assumed}), physics={})
         if name in UNSEEN_GEOMETRY:
             return replace(self, geometry={name: value}, physics={})
         assert self.contents.scenario is not None
-        scenario = with_another(self.contents.scenario, name, value)
+        scenario = with_value(self.contents.scenario, name, value)
         return replace(self, contents=replace(self.contents, scenario=scenario), physics={})
 
     def _tolerance(self, row: int) -> float:
-        """How much further off than the nearest a point of a row may be that touches [m]."""
+        """Largest extra distance of a touching point of a row beyond the nearest one [m]."""
         return self.cells.value(row, TOLERANCE.first) if TOLERANCE in self.cells else self.tolerance
 
     def _after(self, row: int, names: Sequence[str], measured: bool) -> Array:
-        """Velocities after the impact; nan where they were not measured, or are asked for."""
+        """Velocities after the impact; nan if not measured, or to be predicted."""
         known = measured and not self.contents.questions
         return self.cells.values(row, names) if known else np.full(len(names), np.nan)
 
@@ -413,7 +415,7 @@ class _Reader:
     def _contacts(
         self, row: int, arms: dict[str, ArmState], body: BodyState, physics: Physics, models: dict[str, RobotModel]
     ) -> tuple[MeasuredImpact, MeasuredImpact, MeasuredImpact]:
-        """An impact with its contact points, with those of a smaller tolerance, and with those of a larger one."""
+        """An impact with its contact points by the tolerance, by a smaller one, and by a larger one."""
         normal, given = self._tilted(self._normal(row)), self._given_points(row)
         on_pad = {next(iter(arms)): (given, normal)} if given and len(arms) == 1 else None
         upwards = UP if normal is None else normal
@@ -430,14 +432,14 @@ class _Reader:
             return MeasuredImpact(arms, body, points, bool(given))
 
         tolerance = self._tolerance(row)
-        smaller = max(tolerance / WIDER, min(tolerance, GAP_TOLERANCE))
+        smaller = max(tolerance / MAX_TOLERANCE_FACTOR, min(tolerance, GAP_TOLERANCE))
         try:
-            return with_points(tolerance), with_points(smaller), with_points(WIDER * tolerance)
+            return with_points(tolerance), with_points(smaller), with_points(MAX_TOLERANCE_FACTOR * tolerance)
         except Infeasible as error:
             raise self.cells.error(row, "pose of pad and object", None, error.message) from None
 
     def _distance(self, row: int, physics: Physics) -> Distance | None:
-        """How far the object of a row went; None: its velocity was measured."""
+        """Displacement of the object of a row; None: its velocity was measured."""
         cells = self.cells
         if self.contents.centre or self.contents.questions:
             return None
@@ -457,7 +459,7 @@ class _Reader:
         return Distance(cells.value(row, column.first), fall, friction, noise)
 
     def _contact_noise(self, row: int) -> tuple[float, float]:
-        """Standard deviations of position [m] and normal [rad] of the contact points of a row; 0: not known."""
+        """Standard deviations of position [m] and normal [rad] of the contact points of a row; 0: unknown."""
         position, normal = (self.cells.value(row, one.first) if one in self.cells else 0.0 for one in CONTACT_NOISE)
         return position, normal
 
@@ -473,19 +475,19 @@ class _Reader:
         """Numbers of some columns, whose length is 1 up to rounding."""
         values = self.cells.values(row, columns.names)
         length = float(np.linalg.norm(values))
-        if abs(length - 1.0) > UNIT_LENGTH:
+        if abs(length - 1.0) > MAX_LENGTH_ERROR:
             raise self.cells.error(row, f"length of ({', '.join(columns.names)}) [-]", round(length, 6), expected)
         return np.asarray(values / length)
 
     def _tilted(self, normal: Array | None) -> Array | None:
-        """The normal of a plane that is tilted further."""
+        """The normal after a further tilt of the plane."""
         tilt = [self.geometry.get(name, 0.0) for name in ("tilt_x", "tilt_y")]
         if not any(tilt):
             return normal
         return np.asarray(pin.rpy.rpyToMatrix(*tilt, 0.0) @ (UP if normal is None else normal))
 
     def _given_points(self, row: int) -> list[Array]:
-        """Contact points that were measured."""
+        """Measured contact points."""
         cells = self.cells
         found = [
             cells.values(row, point.names)
@@ -512,12 +514,12 @@ class _Reader:
         return name
 
     def _assumption(self, row: int, object_name: str) -> tuple[Physics, dict[str, RobotModel]]:
-        """Physics of a row before any effect; rows that assume the same share one."""
+        """Physics of a row before any effect, shared between rows with equal assumptions."""
         cells, contents = self.cells, self.contents
         assumed = (*OF_BODY, SHELL, FRICTION, RESTITUTION)
         own = {name: cells.value(row, name) for one in assumed if one in cells for name in one.names}
         moments = [own[name] for name in MOMENTS.names if name in own]
-        if moments and max(moments) > (1.0 + MAX_EXCESS_OF_MOMENT) * (sum(moments) - max(moments)):
+        if moments and max(moments) > (1.0 + MAX_MOMENT_EXCESS_SHARE) * (sum(moments) - max(moments)):
             raise cells.error(
                 row, f"columns {', '.join(map(repr, MOMENTS.names))}", moments,
                 "no body has these principal moments; expected none larger than the sum of the other two [kg m^2]",
@@ -552,7 +554,7 @@ class _Reader:
         )
 
     def _of_scene(self, object_name: str, own: Mapping[str, float], motors: Mapping[str, tuple[float, ...]]) -> Physics:
-        """A scenario with what the table knows better."""
+        """A scenario with the values of the table."""
         assert self.contents.scenario is not None
         physics = Physics.nominal(self.contents.scenario, object_name)
         box = physics.object
@@ -573,20 +575,20 @@ class _Reader:
 
     @property
     def _noise_columns(self) -> dict[ColumnGroup, str]:
-        """Noise columns of what was measured after the impact, with what they are the noise of."""
+        """Noise columns of the signals measured after the impact, with the names of these."""
         contents = self.contents
         wanted = {V_NOISE: "v*_after"} if contents.centre else {DISTANCE_NOISE: "distances"}
         wanted |= {W_NOISE: "w*_after"} if contents.turning else {}
         return wanted | ({DQ_NOISE: "dq*_after"} if contents.joints else {})
 
     def _states_noise(self, *columns: ColumnGroup) -> bool:
-        """Whether a table has one of some noise columns, or those of the axes in its place."""
+        """Whether a table has one of some noise columns, or its columns by axis."""
         return any(one in self.cells or OF_AXES.get(one, one) in self.cells for one in columns)
 
     def _noise(self, rows: Sequence[ImpactRow]) -> Array | None:
-        """Standard deviations in the order of ``after``, ``(rows, nv)``; None where the table states none.
+        """Standard deviations in the order of ``after``, ``(rows, nv)``; None if the table has no noise column.
 
-        Where a table states noise of some signals alone, that of the others is 0: not known.
+        Signals without a noise column in a table with others have 0: unknown.
         """
         wanted = self._noise_columns
         if not self._states_noise(*wanted, *CONTACT_NOISE) or self.contents.questions:
@@ -609,7 +611,7 @@ class _Reader:
         return np.full(count, self.cells.value(row, column.first) if column in self.cells else 0.0)
 
     def _assumed(self) -> tuple[str, ...]:
-        """Assumptions where the table has no column, as text."""
+        """Assumptions for missing columns, as text."""
         wanted = self._noise_columns
         some = self._states_noise(*wanted, *CONTACT_NOISE)
         unknown = tuple(
@@ -634,5 +636,5 @@ def _moments_of_box(mass: float, size: Array) -> Array:
 
 
 def _moments(own: Mapping[str, float], shape: Array) -> Array:
-    """Principal moments that a row states, or those of the shape, ``(3,)`` [kg m^2]."""
+    """Principal moments of a row, or of its shape, ``(3,)`` [kg m^2]."""
     return np.array([own[name] for name in MOMENTS.names]) if MOMENTS.first in own else shape

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a run is as a mapping describes it: of another run, of joints in a hit, of two clocks."""
+"""Checks of a run against its mapping: units and signs, joints in a hit, and the clocks of joints and object."""
 
 from __future__ import annotations
 
@@ -24,30 +24,30 @@ from impact_rs_trials.recordings.hypotheses import (
     torques,
     velocities,
 )
-from impact_rs_trials.recordings.joint_checks import doubts_of_arm
-from impact_rs_trials.recordings.joint_jumps import SMALLEST, jumps_of
+from impact_rs_trials.recordings.joint_checks import arm_warnings
+from impact_rs_trials.recordings.joint_jumps import MIN_JUMP_SHARE, jumps_of
 from impact_rs_trials.recordings.mapping import REQUIRED, Mapping, SignalName
 from impact_rs_trials.recordings.series import Names, Series
 from impact_rs_trials.recordings.sources import read_series
 from impact_rs_trials.runs import ArmSignals
 
-MOST_SAMPLES = 20_000  # that are looked at
-FEWEST_SAMPLES = 20
-MOVED = 0.005  # m, from which an object was hit
+MAX_CHECKED_SAMPLES = 20_000
+MIN_CHECKED_SAMPLES = 20
+MIN_OBJECT_DISPLACEMENT_M = 0.005  # of an object that was hit
 SI = {"rad", "m", "rad/s", "m/s", "N m", "N"}
 
 
-def doubt_of(path: Path, mapping: Mapping, names: Names, model: RobotModel) -> str | None:
-    """What contradicts a mapping in the joints of a run.
+def mapping_warning(path: Path, mapping: Mapping, names: Names, model: RobotModel) -> str | None:
+    """Contradiction between a mapping and the joints of a run.
 
     Args:
         path: The run.
         mapping: Describes it.
-        names: What the placeholders of the mapping stand for.
+        names: Values of the placeholders of the mapping.
         model: Of the robot.
 
     Returns:
-        It in words; None: nothing does.
+        The contradiction in words; None: consistent.
 
     Raises:
         InputError: The run cannot be read.
@@ -56,7 +56,7 @@ def doubt_of(path: Path, mapping: Mapping, names: Names, model: RobotModel) -> s
     read = read_series(path, mapping, (*needed, "velocity"), needed, names)
     rows = usable_rows(read["position"])
     time, q = read["position"].time[rows], read["position"].values[rows]
-    if rows.size <= FEWEST_SAMPLES:
+    if rows.size <= MIN_CHECKED_SAMPLES:
         return f"{rows.size} samples of the positions can be used"
     dq, tau = read["velocity"].at(time), read["torque"].at(time)
     if not np.isfinite(np.hstack((dq, tau))).all():
@@ -76,31 +76,31 @@ def doubt_of(path: Path, mapping: Mapping, names: Names, model: RobotModel) -> s
 
 
 def _contradicts(choice: RoleChoice, role: Role) -> bool:
-    """Whether numbers in SI units are surely in another unit, or have another sign."""
+    """Whether numbers in SI units surely have another unit or sign."""
     best = choice.best
     return choice.sure and best.role == role and (_strange(best.unit) or "factor" in best.further)
 
 
 def _strange(unit: Any) -> bool:
-    """Whether a unit that was found for numbers in SI units is another one."""
+    """Whether the unit found for numbers in SI units is not an SI unit."""
     return not {unit} <= SI if isinstance(unit, str) else not set(unit) <= SI
 
 
 def usable_rows(series: Series) -> NDArray[np.signedinteger]:
-    """Numbers of the rows with finite values and a later stamp than all before, as many as are looked at."""
+    """Indices of the rows with finite values and increasing timestamps, up to the number of checked samples."""
     usable = np.isfinite(series.values).all(axis=1) & np.isfinite(series.time)
     latest = np.fmax.accumulate(np.where(np.isfinite(series.time), series.time, -np.inf))
     usable &= np.diff(latest, prepend=-np.inf) > 0.0
-    return np.flatnonzero(usable)[:MOST_SAMPLES]
+    return np.flatnonzero(usable)[:MAX_CHECKED_SAMPLES]
 
 
 def travel_of(path: Path, mapping: Mapping, names: Names) -> float | None:
-    """How far the object of a run moves from where it is at first [m]; None: it was not recorded.
+    """Largest displacement of the object of a run from its initial position [m]; None: not recorded.
 
     Args:
         path: The run.
         mapping: Describes it.
-        names: What the placeholders of the mapping stand for.
+        names: Values of the placeholders of the mapping.
 
     Raises:
         InputError: The run cannot be read.
@@ -112,12 +112,12 @@ def travel_of(path: Path, mapping: Mapping, names: Names) -> float | None:
 
 
 def object_moves(path: Path, mapping: Mapping, names: Names) -> bool:
-    """Whether the object of a run was recorded and changes its place; see :func:`travel_of`."""
-    return (travel_of(path, mapping, names) or 0.0) > MOVED
+    """Whether the object of a run was recorded and moves; see :func:`travel_of`."""
+    return (travel_of(path, mapping, names) or 0.0) > MIN_OBJECT_DISPLACEMENT_M
 
 
-def doubts_of_hit(read: AbstractMapping[SignalName, Series], mapping: Mapping) -> list[str]:
-    """What looks wrong in the joints of a run that hits something.
+def impact_warnings(read: AbstractMapping[SignalName, Series], mapping: Mapping) -> list[str]:
+    """Warnings about the joints of a run with an impact.
 
     Args:
         read: Its signals, with position and torque.
@@ -129,19 +129,19 @@ def doubts_of_hit(read: AbstractMapping[SignalName, Series], mapping: Mapping) -
         signals["velocity"] = read["position"].derivative().values
     arm = ArmSignals(signals["position"], signals["velocity"], signals["torque"])
     model = RobotModel(mapping.facts, mapping.end_effector.build(), pin.SE3.Identity())
-    return doubts_of_arm(time, arm, mapping, model, contact=True)
+    return arm_warnings(time, arm, mapping, model, contact=True)
 
 
 def clocks_of(path: Path, mapping: Mapping, names: Names) -> ClocksApart | None:
-    """What shows that joints and object of a run have two clocks.
+    """Offset between the clocks of joints and object of a run.
 
     Args:
         path: The run.
         mapping: Describes it.
-        names: What the placeholders of the mapping stand for.
+        names: Values of the placeholders of the mapping.
 
     Returns:
-        By how much they differ; None: nothing shows it, or the run cannot be read.
+        The offset; None: no evidence, or the run cannot be read.
     """
     wanted: list[SignalName] = ["position", *(name for name in OBJECT_SIGNALS if name in mapping.signals)]
     try:
@@ -151,4 +151,4 @@ def clocks_of(path: Path, mapping: Mapping, names: Names) -> ClocksApart | None:
     position, pose = read["position"], read["object_pose" if "object_pose" in read else "object_position"]
     kept = np.isfinite(pose.values).all(axis=1)
     pose = replace(pose, time=pose.time[kept], values=pose.values[kept])
-    return clocks_apart(pose, position, list(jumps_of(position, SMALLEST)), path) if kept.any() else None
+    return clocks_apart(pose, position, list(jumps_of(position, MIN_JUMP_SHARE)), path) if kept.any() else None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that an import writes: a mapping with what shows its values, the table of runs, an experiment."""
+"""Files that an import writes: a mapping with the evidence for its values, the table of runs, an experiment."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from impact_rs_trials.recordings.file_groups import run_name
 from impact_rs_trials.recordings.series import Names
 
 HEAD = """\
-# Where these recordings keep their signals, as impact-rs import found it. Behind every value stands what shows it;
-# ASSUMED: nothing shows it, or the next reading, which is named, is nearly as likely; look at it before you trust a
+# Where these recordings keep their signals, as impact-rs import found it. Every value is followed by its evidence;
+# ASSUMED: no evidence, or the next reading, which is named, is nearly as likely; check it before you trust a
 # verdict. All keys: docs/files.md
 """
 ARM = """\
@@ -29,13 +29,13 @@ runs: runs.csv
 # motion_capture: {{estimate: true}}   # if the tracker's world is not the scenario's
 """
 BODY = """\
-# An object without a robot hits a fixed plane; impact-rs impacts reads this file. Fill in what the body is [kg, m].
+# An object without a robot hits a fixed plane; impact-rs impacts reads this file. Fill in mass and size [kg, m].
 mapping: mapping.yaml
 runs: runs.csv
 body:
   # mass: 0.37
   # size: [0.1, 0.1, 0.1]     # of a box; or of a ball: radius: 0.02, shell: true if it is hollow
-  # spin: [0, 0, 0]           # of a ball whose turn was not tracked, before it hits [rad/s]
+  # spin: [0, 0, 0]           # of a ball whose rotation was not tracked, before it hits [rad/s]
   # place: {position: [0, 0, 0], rpy: [0, 0, 0]}   # its centre and axes in the tracked frame
 plane: {height: 0.0, normal: [0, 0, 1]}   # ASSUMED: where the plane is in the tracker's world
 """
@@ -43,13 +43,11 @@ plane: {height: 0.0, normal: [0, 0, 1]}   # ASSUMED: where the plane is in the t
 
 @dataclass(frozen=True)
 class Line:
-    """A key that was guessed.
+    """A guessed key.
 
     Attributes:
         key: Dotted path of the key.
-        value: Its value as the file has it.
-        evidence: What shows it.
-        sure: Whether something shows it; else it is assumed.
+        value: Its value in the file.
     """
 
     key: str
@@ -60,31 +58,29 @@ class Line:
 
 @dataclass
 class Notes:
-    """What an import says of the files.
+    """Findings of an import about the files.
 
     Attributes:
-        lines: Keys with what shows them.
-        remarks: What the user should know besides.
+        lines: Keys with their evidence.
     """
 
     lines: list[Line] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
 
     def say(self, key: str, value: str, evidence: str, sure: bool = True) -> None:
-        """Add a key with what shows it."""
+        """Add a key with its evidence."""
         self.lines.append(Line(key, value, evidence, sure))
 
 
 @dataclass(frozen=True)
 class PossibleReading:
-    """What a signal may be.
+    """A possible reading of a signal.
 
     Attributes:
         stream: Name of the stream.
-        source: Where it is, as a mapping says it; without unit.
-        unit: Unit of its numbers, or those of all joints.
-        behind: Log posterior of what is taken less its own; below log(100) it is nearly as likely.
-        evidence: What shows it.
+        source: Its keys in a mapping, without unit.
+        unit: Unit of its numbers, or the units of all joints.
+        behind: Log posterior odds of the chosen reading against it; below log(100) it is nearly as likely.
     """
 
     stream: str
@@ -96,11 +92,11 @@ class PossibleReading:
 
 @dataclass(frozen=True)
 class FoundRun:
-    """A run as the table of runs has it.
+    """A run of the table of runs.
 
     Attributes:
-        run: Its name as seen from the folder of the recordings.
-        object: Name of its object; empty: none is known.
+        run: Its name relative to the folder of the recordings.
+        object: Name of its object; empty: unknown.
         session: Its session; empty: none.
         hit: Whether something is hit.
     """
@@ -112,7 +108,7 @@ class FoundRun:
 
     @property
     def names(self) -> Names:
-        """What the placeholders of the mapping stand for."""
+        """Values of the placeholders of the mapping."""
         return Names(object=self.object or "*", run=run_name(self.run))
 
 
@@ -133,18 +129,18 @@ def flow(value: Any) -> str:
 
 
 def _plain(text: str) -> bool:
-    """Whether a text without quotation marks is that text to a reader of YAML, not a truth value, a number or null."""
+    """Whether YAML reads a text without quotation marks as text, not as a boolean, a number or null."""
     if not re.fullmatch(r"[A-Za-z_][\w/. ]*", text) or text.lower() in ("y", "n"):  # YAML 1.1 takes these two as well
         return False
     return bool(yaml.safe_load(text) == text)
 
 
 def mapping_text(content: AbstractMapping[str, Any], lines: Sequence[Line]) -> str:
-    """A mapping file with what shows its values.
+    """A mapping file with the evidence for its values.
 
     Args:
         content: Values by key.
-        lines: What shows them.
+        lines: Evidence by key.
     """
     said: dict[str, str] = {}
     for line in lines:
@@ -171,7 +167,7 @@ def runs_text(rows: Sequence[FoundRun], alone: bool) -> str:
 
     Args:
         rows: Its runs, at least one.
-        alone: Whether they are of an object without a robot.
+        alone: Whether the runs have an object and no robot.
     """
     sessions = any(row.session for row in rows)
     text = io.StringIO()

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From raw files to a mapping and an experiment file: every value is written with what shows it.
+"""From raw files to a mapping and an experiment file: every value is written with its evidence.
 
     file_groups       files into runs by their names
     recorded_files    layout, candidates, clock and raw numbers of each kind of file, read once (read_once)
     joint_search      the likeliest assignment of streams to the roles of the joints (hypotheses)
     joint_sections    sections of the mapping for the joints,
     object_sections   and for the pose of an object
-    described_runs    the runs, read as the mapping describes them, and what contradicts it
+    described_runs    the runs, read with the mapping, and contradictions to it
 
-Values whose margin to the next reading is not decisive, or that nothing shows, are marked as assumed. Signals are read
-by the readers of the analysis, so what is found is what is used.
+Values without evidence, or without a decisive margin to the next reading, are marked as assumed. Signals are read
+by the readers of the analysis, so the mapping describes the numbers that the analysis uses.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ class ImportDraft:
     """Files that describe recordings.
 
     Attributes:
-        folder: Folder that the runs are named from.
+        folder: Folder to which the names of runs are relative.
         texts: Contents by file name.
-        lines: What was guessed.
-        remarks: What the user should know besides.
-        hits: How many runs hit something.
-        runs: How many runs there are.
-        readings: By signal of the joints what it may be, what is taken first.
+        lines: Guessed keys with their evidence.
+        remarks: Warnings to the user.
+        hits: Number of runs with impacts.
+        runs: Number of runs.
+        readings: Possible readings by signal of the joints, the chosen one first.
     """
 
     folder: Path
@@ -72,14 +72,14 @@ class ImportDraft:
 
 
 @dataclass(frozen=True)
-class Wishes:
-    """What the user knows.
+class ImportOptions:
+    """Options of an import: the user's knowledge about the files.
 
     Attributes:
         robot: Robot facts, by name or path; ``none``: an object alone; None: guess.
         scenario: Scenario of hits, by name or path; None: unknown.
-        rate: Sampling rate of files without stamps [Hz]; None: they have stamps.
-        dedupe: Whether of samples with one stamp the first is kept.
+        rate: Sampling rate of files without timestamps [Hz]; None: they have timestamps.
+        dedupe: Whether the first of several samples with one timestamp is kept.
     """
 
     robot: str | None = None
@@ -88,27 +88,27 @@ class Wishes:
     dedupe: bool = False
 
 
-def draft_import(paths: Sequence[Path], output: Path, wishes: Wishes) -> ImportDraft:
+def draft_import(paths: Sequence[Path], output: Path, options: ImportOptions) -> ImportDraft:
     """Describe recordings.
 
     Args:
         paths: Files, bags, or folders of them.
-        output: Folder of the description, from which paths of a robot are seen.
-        wishes: What the user knows.
+        output: Folder of the description, to which paths of a robot are relative.
+        options: Options of the import.
 
     Raises:
-        InputError: They cannot be read, or something is missing that nothing shows; the message says what to add.
+        InputError: They cannot be read, or a key is missing without evidence; the message names the remedy.
     """
     with files_read_once():
         files = [file for path in paths for file in find_recordings(path, notes=True)]
-        return _Importer(group_files(files), output, wishes).draft()
+        return _Importer(group_files(files), output, options).draft()
 
 
 class _Importer:
     """Collects guesses."""
 
-    def __init__(self, groups: FileGroups, output: Path, wishes: Wishes) -> None:
-        self._groups, self._output, self._wishes = groups, output, wishes
+    def __init__(self, groups: FileGroups, output: Path, options: ImportOptions) -> None:
+        self._groups, self._output, self._options = groups, output, options
         self._notes = Notes()
         self._parts = [
             open_recorded(pattern, next(iter(files.values())), groups.spread, self._notes)
@@ -122,7 +122,7 @@ class _Importer:
         signals: dict[str, dict[str, Any]] = {}
         own: dict[str, Any] = {}
         part = self._parts[0]
-        files = ImportedFiles(self._parts, self._groups, self._wishes.rate, self._notes)
+        files = ImportedFiles(self._parts, self._groups, self._options.rate, self._notes)
         joints = JointSections(files)
         if facts is not None:
             part, own, signals = joints.describe(robot, facts)
@@ -149,13 +149,13 @@ class _Importer:
             content["run_column"] = main.run_column
         content["signals"] = signals
         mapping = validate(Mapping, content | {"robot": robot}, self._output / MAPPING_FILE)
-        runs = DescribedRuns(tracked.groups, self._wishes.scenario, self._notes)
+        runs = DescribedRuns(tracked.groups, self._options.scenario, self._notes)
         rows = runs.rows(mapping)
         if facts is not None and runs.clock_of_object(mapping, rows, signals):
             mapping = validate(Mapping, content | {"robot": robot}, self._output / MAPPING_FILE)
         texts = {MAPPING_FILE: mapping_text(content, self._notes.lines), RUN_TABLE: runs_text(rows, facts is None)}
         hits = sum(row.hit for row in rows)
-        if hits or facts is None or self._wishes.scenario is not None:
+        if hits or facts is None or self._options.scenario is not None:
             texts[EXPERIMENT_FILE] = self._experiment(facts, robot)
         runs.check_first(mapping, rows)
         if facts is not None:
@@ -166,9 +166,9 @@ class _Importer:
         )
 
     def _robot(self) -> str:
-        if self._wishes.robot is not None:
-            self._notes.say("robot", self._wishes.robot, "given with --robot")
-            return self._wishes.robot
+        if self._options.robot is not None:
+            self._notes.say("robot", self._options.robot, "given with --robot")
+            return self._options.robot
         known = sorted(path.stem for path in (config_directory() / "robots").glob("*.yaml"))
         texts = [text for part in self._parts for text in (part.path.parent.name, part.path.stem)]
         texts += [text for part in self._parts for one in part.candidates for text in (one.label, *one.joints)]
@@ -194,19 +194,19 @@ class _Importer:
         )
 
     def _time(self, part: RecordedFile) -> dict[str, Any]:
-        keys = part.clock_keys(self._wishes.rate)
-        if self._wishes.rate is not None:
-            self._notes.say("time.rate", f"{self._wishes.rate:g}", "given with --rate")
+        keys = part.clock_keys(self._options.rate)
+        if self._options.rate is not None:
+            self._notes.say("time.rate", f"{self._options.rate:g}", "given with --rate")
         elif part.on_log:
             self._notes.say("time", flow(keys), f"of the positions: {NO_HEADER}")
         elif part.clock is not None:
             self._notes.say("time", flow(keys), part.clock.evidence, part.clock.sure)
             self._notes.remarks += part.clock.remarks
             if not any(STAMP.search(name) for name in part.clock_columns) and (back := steps_back(part.columns)):
-                self._notes.remarks.append(f"{back}; {flow(part.clock.value)} is taken for the clock in its place")
-            if part.clock.remarks and not self._wishes.dedupe:
+                self._notes.remarks.append(f"{back}; {flow(part.clock.value)} is taken for the clock instead")
+            if part.clock.remarks and not self._options.dedupe:
                 self._notes.remarks.append("repeated stamps are refused; --dedupe keeps the first sample of each")
-        if self._wishes.dedupe:
+        if self._options.dedupe:
             keys["repeated"] = "keep_first"
             self._notes.say("time.repeated", "keep_first", "given with --dedupe")
         return keys
@@ -214,11 +214,11 @@ class _Importer:
     def _experiment(self, facts: RobotFacts | None, robot: str) -> str:
         if facts is None:
             return BODY
-        scenario = self._wishes.scenario
+        scenario = self._options.scenario
         if scenario is None:
             self._notes.remarks.append(
                 f"{EXPERIMENT_FILE} names scenario.yaml, which is not there: impact-rs scenario new --robot {robot} -o "
-                "scenario.yaml in the same folder, with masses and sizes of your objects and the place of the robot"
+                "scenario.yaml in the same folder, with masses and sizes of your objects and the position of the robot"
             )
             return ARM.format(scenario="scenario.yaml   # to be made, see docs/scenarios.md")
         if scenario.endswith((".yaml", ".yml")):

@@ -4,7 +4,7 @@
     Rec_001/robot/q, Rec_002/robot/q        arrays {run}/robot/q of the runs Rec_001 and Rec_002
     episode_index 0 0 0 1 1 1               run_column: episode_index, of the runs 0 and 1
 
-Such a run is called as a file in a folder: ``recordings.h5/Rec_001``.
+Such a run is named as a file in a folder: ``recordings.h5/Rec_001``.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ COUNTS = re.compile(r"(^|[_.])(episode|run|trial|rollout|demo|recording)([_.]?(i
 RECORDED = re.compile(
     r"^\d[\d_:.T-]*$|rec|run|trial|episode|demo|hit|take|toss|throw|drop|impact|exp|test|shot|sample", re.I
 )
-FEWEST_ROWS = 20  # of a run
+MIN_ROWS_OF_RUN = 20
 
 
 @dataclass(frozen=True)
 class RunGroups:
-    """Groups of a file that hold arrays of the same names.
+    """Groups of a file with equally named arrays.
 
     Attributes:
-        before: What stands before their names.
+        before: Prefix of their names.
         names: Their names.
-        recorded: Whether they are called as recordings are; else they may be arms, or sensors.
+        recorded: Whether they have names of recordings; else they may be arms, or sensors.
     """
 
     before: str
@@ -41,7 +41,7 @@ class RunGroups:
     recorded: bool
 
     def with_placeholder(self, array: str) -> str | None:
-        """Name of an array with ``{run}`` for the first group, its own outside of all; None: it is of another one."""
+        """Name of an array with ``{run}`` for the first group, unchanged outside of groups; None: in another group."""
         for number, name in enumerate(self.names):
             start = f"{self.before}{name}/"
             if array.startswith(start):
@@ -50,7 +50,7 @@ class RunGroups:
 
 
 def run_groups_of(arrays: Iterable[str]) -> RunGroups | None:
-    """Groups whose names differ in numbers alone and that have an array in common; None: there are none.
+    """Groups whose names differ in numbers alone and that have an array in common; None: not found.
 
     Args:
         arrays: Names of the arrays of a file.
@@ -77,12 +77,12 @@ def runs_of(cells: Sequence[str] | NDArray[Any]) -> list[str]:
 
 
 def run_column_of(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> str | None:
-    """The column that numbers the runs of a table, whose rows stand together; None: it holds one run."""
+    """The column that numbers the runs of a table in consecutive rows; None: the table holds one run."""
     for name, cells in columns.items():
         if COUNTS.search(name):
             runs = runs_of(cells)
             begins = [row for row, run in enumerate(runs) if row == 0 or run != runs[row - 1]]
             lengths = np.diff([*begins, len(runs)])
-            if len(begins) == len(set(runs)) > 1 and min(lengths) >= FEWEST_ROWS:
+            if len(begins) == len(set(runs)) > 1 and min(lengths) >= MIN_ROWS_OF_RUN:
                 return name
     return None

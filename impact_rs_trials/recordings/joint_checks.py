@@ -5,20 +5,20 @@
 
       v = a (dq/dt - L d^2q/dt^2)
 
-  to first order in a lag L. a is 1 and L is 0; both have the standard errors of the fit. Where the two do not go
-  together at all, columns were mixed up.
-* *Torque* carries the arm's weight, which positions alone give: sum g tau / sum g^2 = 1. A load that the mapping lacks
-  is no factor of a joint: where mass and first moments at the end effector predict the other half of the poses better,
-  the load is the remedy.
-* *Energy*: a torque drives a joint against its friction, so that the power (tau - g) v is rarely negative. Where the
-  weight says nothing, as at a vertical axis, the sign of that correlation does.
+  to first order in a lag L. a is 1 and L is 0; both have the standard errors of the fit. Without correlation,
+  columns were mixed up.
+* *Torque* includes the gravity torque g(q), known by positions alone: sum g tau / sum g^2 = 1. A load that the mapping
+  lacks is no factor of a joint: if mass and first moments at the end effector predict the other half of the poses
+  better, the load is the remedy.
+* *Energy*: a torque drives a joint against its friction, so that the power (tau - g) v is rarely negative. Without
+  gravity torque, as at a vertical axis, the sign of that correlation decides.
 * *Lag of torque*: tau(t + L) is fitted by rigid-body torque, inertia of the motor, Coulomb and viscous friction and an
-  offset in every joint; L minimises sum_j log sum r_j^2 of samples that the fit has not seen (two folds of blocks).
-  A lag is said where it predicts better than all of these do without one.
+  offset in every joint; L minimises sum_j log sum r_j^2 in cross-validation (two folds of blocks).
+  A lag is reported if it predicts better than all of these without a lag.
 * *Repeated samples*: all joints keep their numbers and then change by much more than the resolution, over and over.
 
-A ratio far from 1 counts only if the two signals go together (their correlation); noise and friction lower it and
-do not turn its sign.
+A ratio far from 1 is reported only if the two signals are correlated; noise and friction lower the correlation and
+do not invert its sign.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from numpy.typing import NDArray
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.mapping import Mapping, SignalName
-from impact_rs_trials.recordings.plausibility import CHECKED, gravity_torques, noticed
+from impact_rs_trials.recordings.plausibility import GRAVITY_SAMPLES, gravity_torques, noticed
 from impact_rs_trials.recordings.relations import (
     DECISIVE_LOG_LIKELIHOOD,
     MAX_CORRELATION_DRIVING,
     MAX_FACTOR_ERROR,
     MIN_CORRELATION,
-    SURE_ERRORS,
-    WRONG_FACTOR,
+    MIN_REPORTED_SIGMA,
+    PLAUSIBLE_FACTORS,
     AveragedMotion,
     averaged,
     correlation,
@@ -50,29 +50,27 @@ from impact_rs_trials.recordings.relations import (
 from impact_rs_trials.recordings.remarks import Amount, Remark, joined
 from impact_rs_trials.runs import ArmSignals
 
-LAG = (0.005, 1.0)  # s, and sampling periods, from which a lag is said
-LONGEST_LAG = 0.1  # s
-LEAST_OF_LAG = 100  # samples
-LOOKED_AT = 1000  # samples in which torques are compared
-REPEATED = 0.02  # of the samples, from which repeats are said: a joint that moves gives none, whatever its encoder
-COARSE = 10.0  # steps of the resolution, from which a change was missed by the samples before
-PAUSE = 0.2  # s, from which equal samples are a rest
+MIN_REPORTED_LAG = (0.005, 1.0)  # s, and sampling periods
+MAX_LAG_S = 0.1
+MIN_LAG_SAMPLES = 100
+MAX_TORQUE_SAMPLES = 1000  # in which torques are compared
+MAX_REPEATED_SHARE = 0.02  # of the samples: a moving joint repeats none, whatever its encoder
+MIN_MISSED_STEPS = 10.0  # of the resolution; a larger change was missed by the samples before
+MIN_REST_S = 0.2  # of equal samples that are a rest
 
 
-def doubts_of_arm(
-    time: Array, arm: ArmSignals, mapping: Mapping, model: RobotModel, contact: bool = False
-) -> list[str]:
-    """What looks wrong in the signals of an arm: which joint, by how much, and the remedy in the mapping.
+def arm_warnings(time: Array, arm: ArmSignals, mapping: Mapping, model: RobotModel, contact: bool = False) -> list[str]:
+    """Warnings about the signals of an arm: joint, size of the error, and the remedy in the mapping.
 
     Args:
         time: Stamps, ``(k,)`` [s].
         arm: Recorded position, velocity and torque.
         mapping: Knows the robot.
-        model: Nominal arm, for its weight.
-        contact: Whether something else pushes the arm, so that torques say nothing of weight and friction.
+        model: Nominal arm, for its gravity torque.
+        contact: Whether contacts push the arm, so that torques show neither gravity nor friction.
     """
-    rows = np.unique(np.linspace(0, time.size - 1, CHECKED).astype(int))
-    weight, derived = gravity_torques(model, arm.position[rows]), np.gradient(arm.position, time, axis=0)
+    rows = np.unique(np.linspace(0, time.size - 1, GRAVITY_SAMPLES).astype(int))
+    gravity, derived = gravity_torques(model, arm.position[rows]), np.gradient(arm.position, time, axis=0)
     moving = moves(derived, mapping.facts)
     motion, means = AveragedMotion.of(time, arm.position), averaged(time, arm.velocity)[1]
     velocity = motion.velocity_relation(time, arm.velocity)
@@ -83,11 +81,11 @@ def doubts_of_arm(
     lags: list[tuple[float, float]] = []
     factors = {"velocity": np.ones(moving.size), "torque": np.ones(moving.size)}
     for joint in range(moving.size):
-        own, heavy = weight[:, joint], _rms(weight[:, joint]) > noticed(model)
+        own, heavy = gravity[:, joint], _rms(gravity[:, joint]) > noticed(model)
         together = abs(float(velocity.correlation[joint]))
         if moving[joint] and together >= MIN_CORRELATION:
             ratio, error = float(late.factor[joint]), float(late.standard_error[joint])
-            if abs(ratio - 1.0) > max(MAX_FACTOR_ERROR, SURE_ERRORS * error):
+            if abs(ratio - 1.0) > max(MAX_FACTOR_ERROR, MIN_REPORTED_SIGMA * error):
                 speeds[joint] = Remark(
                     "is ",
                     Amount(ratio),
@@ -101,9 +99,9 @@ def doubts_of_arm(
             mixed.append(Remark(f"of joint {joint + 1} (correlation ", Amount(together, ".2f"), ")"))
         if contact or not np.ptp(arm.torque[:, joint]):  # not measured
             continue
-        if heavy and (ratio_of_weight := _ratio(arm.torque[rows, joint], own)) is not None:
-            torques[joint] = Remark("is ", Amount(ratio_of_weight, ".2g"), " times the arm's weight, expected 1")
-            factors["torque"][joint] = _remedy(ratio_of_weight)
+        if heavy and (ratio_of_gravity := _ratio(arm.torque[rows, joint], own)) is not None:
+            torques[joint] = Remark("is ", Amount(ratio_of_gravity, ".2g"), " times the gravity torque, expected 1")
+            factors["torque"][joint] = _remedy(ratio_of_gravity)
         driving = factors["velocity"][joint] * arm.velocity[rows, joint]
         against = correlation(arm.torque[rows, joint] - own, driving)
         if moving[joint] and not heavy and against < MAX_CORRELATION_DRIVING:
@@ -111,7 +109,7 @@ def doubts_of_arm(
                 "points against its motion (correlation ", Amount(against, ".2f"), "), as if friction drove it"
             )
             factors["torque"][joint] = -1.0
-    load = _load(model, arm, rows, weight, torques) if torques else None
+    load = _load(model, arm, rows, gravity, torques) if torques else None
     is_not = " is not the derivative of its position: columns of other joints?"
     remark = Remark("velocity ", joined(", ", mixed), is_not)
     period = float(np.median(np.diff(time)))
@@ -125,19 +123,19 @@ def doubts_of_arm(
     ]
 
 
-def _load(model: RobotModel, arm: ArmSignals, rows: Array, weight: Array, doubted: dict[int, str]) -> Remark | None:
-    """A load that explains torques better than factors of the doubted joints do, in words; None: it does not.
+def _load(model: RobotModel, arm: ArmSignals, rows: Array, gravity: Array, doubted: dict[int, str]) -> Remark | None:
+    """Warning about a load that explains torques better than factors of the doubted joints; None: it does not.
 
-    Both are fitted to every other block of the poses and predict the rest.
+    Both are judged by cross-validation over blocks of the poses.
     """
     joints = np.flatnonzero(np.ptp(arm.torque, axis=0) > 0.0)
     torque = arm.torque[rows][:, joints]
     every = np.array([_torques_of_a_load(model, q)[joints] for q in arm.position[rows]])
-    odd, beyond = odd_blocks(rows.size), torque - weight[:, joints]
+    odd, beyond = odd_blocks(rows.size), torque - gravity[:, joints]
     load = held_out_misfit(every.reshape(-1, 4), beyond.reshape(-1, 1), np.repeat(odd, joints.size))
     left = {"load": float(load[0]), "factors": 0.0}
     for place, joint in enumerate(joints):
-        own = weight[:, [joint]]
+        own = gravity[:, [joint]]
         factors = held_out_misfit(own, torque[:, [place]], odd) if joint in doubted else np.square(beyond[:, place])
         left["factors"] += float(np.sum(factors))
     mass = float(np.linalg.lstsq(every.reshape(-1, 4), beyond.ravel(), rcond=None)[0][0])
@@ -153,14 +151,14 @@ def _load(model: RobotModel, arm: ArmSignals, rows: Array, weight: Array, doubte
 
 
 def _torques_of_a_load(model: RobotModel, position: Array) -> Array:
-    """Torques that hold a mass of 1 kg at the end effector, and first moments of 1 kg m along its axes, ``(n, 4)``."""
+    """Regressor of a load: torques by 1 kg at the end effector, and by first moments of 1 kg m, ``(n, 4)``."""
     jacobian, up = model.jacobian(position), -np.asarray(model.pinocchio.gravity.linear)
     moments = np.cross(model.placement(position).rotation.T, up)  # of every axis
     return np.column_stack((jacobian[:3].T @ up, jacobian[3:].T @ moments.T))
 
 
 def _lag_of_velocity(lags: list[tuple[float, float]], period: float, mapping: Mapping) -> list[str]:
-    """Whether velocities are older than positions, by all joints together."""
+    """Lag of velocities behind positions, pooled over all joints."""
     if not lags:
         return []
     values, errors = np.array(lags).T
@@ -168,7 +166,7 @@ def _lag_of_velocity(lags: list[tuple[float, float]], period: float, mapping: Ma
     lag = float(np.sum(weights * values) / np.sum(weights))
     spread = np.sqrt(float(np.sum(weights * np.square(values - lag)) / np.sum(weights)) / len(lags))
     error = float(np.hypot(1.0 / np.sqrt(np.sum(weights)), spread))
-    if abs(lag) < max(LAG[0], LAG[1] * period, SURE_ERRORS * error):
+    if abs(lag) < max(MIN_REPORTED_LAG[0], MIN_REPORTED_LAG[1] * period, MIN_REPORTED_SIGMA * error):
         return []
     return [_late("velocities", "the derivative of the positions", lag, error, "velocity", mapping)]
 
@@ -176,16 +174,16 @@ def _lag_of_velocity(lags: list[tuple[float, float]], period: float, mapping: Ma
 def _lag_of_torque(
     time: Array, arm: ArmSignals, moving: NDArray[np.bool_], model: RobotModel, mapping: Mapping
 ) -> list[str]:
-    """Whether torques are older than positions, by all joints that move."""
+    """Lag of torques behind positions, pooled over all moving joints."""
     motion, torque = AveragedMotion.of(time, arm.position), averaged(time, arm.torque)[1]
     at, q, dq, ddq = motion.time, motion.position, motion.velocity, motion.acceleration
-    inside = np.flatnonzero((at > at[0] + LONGEST_LAG) & (at < at[-1] - LONGEST_LAG))
-    if inside.size < LEAST_OF_LAG:
+    inside = np.flatnonzero((at > at[0] + MAX_LAG_S) & (at < at[-1] - MAX_LAG_S))
+    if inside.size < MIN_LAG_SAMPLES:
         return []
-    rows = inside[np.unique(np.linspace(0, inside.size - 1, LOOKED_AT).astype(int))]
+    rows = inside[np.unique(np.linspace(0, inside.size - 1, MAX_TORQUE_SAMPLES).astype(int))]
     rigid = np.array([model.inverse_dynamics(q[row], dq[row], ddq[row]) for row in rows])
     period = float(np.median(np.diff(time)))
-    tried = np.arange(-LONGEST_LAG, LONGEST_LAG, max(0.5 * period, 1e-3))
+    tried = np.arange(-MAX_LAG_S, MAX_LAG_S, max(0.5 * period, 1e-3))
     independent = min(rows.size, (at[rows[-1]] - at[rows[0]]) / (at[-1] - at[0]) * motion.independent)
     likelihood = np.zeros(tried.size)
     odd, friction = odd_blocks(rows.size), dry_friction(dq[rows])
@@ -196,7 +194,7 @@ def _lag_of_torque(
         likelihood -= 0.5 * independent * np.log(np.maximum(left, 1e-12))
     best = int(np.argmax(likelihood))
     gain, lag = likelihood[best] - float(np.interp(0.0, tried, likelihood)), float(tried[best])
-    least = max(LAG[0], LAG[1] * period)
+    least = max(MIN_REPORTED_LAG[0], MIN_REPORTED_LAG[1] * period)
     if not 0 < best < tried.size - 1 or abs(lag) < least or gain < DECISIVE_LOG_LIKELIHOOD:
         return []
     step = tried[1] - tried[0]
@@ -215,7 +213,7 @@ def _late(what: str, reference: str, lag: float, error: float, name: SignalName,
 
 
 def _repeats(time: Array, arm: ArmSignals) -> list[str]:
-    """Signals whose samples are repeated while the joints go on."""
+    """Signals whose samples are repeated while the joints move."""
     found: dict[str, list[str]] = {}
     for name in ("position", "velocity", "torque"):
         if (text := _repeated(time, getattr(arm, name))) is not None:
@@ -224,7 +222,7 @@ def _repeats(time: Array, arm: ArmSignals) -> list[str]:
 
 
 def _repeated(time: Array, values: Array) -> str | None:
-    """How often samples are repeated, and the remedy; None: they are not."""
+    """Share of repeated samples, with the remedy; None: not repeated."""
     steps = np.abs(np.diff(values, axis=0))
     changed = np.flatnonzero(np.any(steps > 0.0, axis=1))
     if changed.size < 2:
@@ -232,9 +230,9 @@ def _repeated(time: Array, values: Array) -> str | None:
     period = float(np.median(np.diff(time)))
     resolution = np.min(np.where(steps > 0.0, steps, np.inf), axis=0)
     lasts = np.diff(changed)  # samples with one value
-    missed = np.any(steps[changed[1:]] > COARSE * resolution, axis=1) & (lasts * period < PAUSE)
+    missed = np.any(steps[changed[1:]] > MIN_MISSED_STEPS * resolution, axis=1) & (lasts * period < MIN_REST_S)
     repeated = int(np.sum(lasts[missed] - 1))
-    if repeated < REPEATED * time.size:
+    if repeated < MAX_REPEATED_SHARE * time.size:
         return None
     each = float(np.mean(lasts[missed]))
     return Remark(
@@ -246,7 +244,7 @@ def _repeated(time: Array, values: Array) -> str | None:
 
 
 def _remarks(name: SignalName, doubts: dict[int, str], factors: Array, mapping: Mapping) -> list[str]:
-    """One remark for a signal, with the factors that would put it right."""
+    """One warning about a signal, with the correcting factors."""
     if not doubts or name not in mapping.signals:
         return []
     every = factors * np.array(mapping.signals[name].factor)
@@ -258,14 +256,14 @@ def _remarks(name: SignalName, doubts: dict[int, str], factors: Array, mapping: 
 
 
 def _ratio(values: Array, expected: Array) -> float | None:
-    """By how much a signal differs from what it should be; None: about 1, or they do not go together."""
+    """Factor between a signal and its expectation; None: about 1, or not correlated."""
     found = fit(expected[:, None], values[:, None])
     ratio, together = float(found.factor[0]), abs(float(found.correlation[0]))
-    return None if WRONG_FACTOR[0] < ratio < WRONG_FACTOR[1] or together < MIN_CORRELATION else ratio
+    return None if PLAUSIBLE_FACTORS[0] < ratio < PLAUSIBLE_FACTORS[1] or together < MIN_CORRELATION else ratio
 
 
 def _remedy(ratio: float) -> float:
-    return -1.0 if WRONG_FACTOR[0] < -ratio < WRONG_FACTOR[1] else 1.0 / ratio
+    return -1.0 if PLAUSIBLE_FACTORS[0] < -ratio < PLAUSIBLE_FACTORS[1] else 1.0 / ratio
 
 
 def _rms(values: Array) -> float:

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which streams of a recording are positions, velocities and torques of a robot's joints: the likeliest assignment.
+"""Assignment of the streams of a recording to positions, velocities and torques of a robot's joints, by likelihood.
 
-Every stream that may be the positions is one assignment; the others are velocity, torque or neither in its motion
+Every candidate for the positions gives one assignment; the others are velocity, torque or neither in its motion
 (:mod:`hypotheses`). The log posterior of an assignment is the sum over its three streams; few streams are as wide as a
-robot has joints, so all are tried. Several streams may fit one role, as a measured and a commanded torque do. Which of
-them was measured only names can say, for the other one is as likely in its own role: streams of one role are ordered by
-their names, and as the file has them where names are silent.
+robot has joints, so all are tried. Several streams may fit one role, as a measured and a commanded torque do. Only
+names show which of them was measured, for the other one is as likely in its own role: streams of one role are ordered
+by their names, and else in the order of the file.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.file_units import TURNS, UNITS
 from impact_rs_trials.recordings.hypotheses import (
-    DECISIVE,
     OUTLIERS,
     JointMotion,
     RoleChoice,
@@ -27,16 +26,17 @@ from impact_rs_trials.recordings.hypotheses import (
     choose,
     common,
     copies,
+    driven_joints,
     motor_positions,
     positions,
-    takes_torque,
     torques,
     velocities,
 )
 from impact_rs_trials.recordings.joint_streams import JointStream
-from impact_rs_trials.recordings.torque_readings import MotionTorque, is_computed, lacks_weight
+from impact_rs_trials.recordings.relations import DECISIVE_LOG_ODDS
+from impact_rs_trials.recordings.torque_readings import MotionTorque, is_computed, lacks_gravity
 
-SEARCHED = 20.0  # log posterior below the best, of motions whose torques are compared
+MAX_LOG_POSTERIOR_LOSS = 20.0  # below the best, of motions whose torques are compared
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Reading:
     Attributes:
         stream: The stream.
         choice: Its likeliest hypothesis, and the next.
-        computed: Of a torque: whether it holds no friction of gears, so that nobody measured it.
+        computed: Whether a torque holds no friction of gears, so that it was computed and not measured.
     """
 
     stream: JointStream
@@ -55,7 +55,7 @@ class Reading:
 
     @property
     def best(self) -> RoleHypothesis:
-        """What the stream is taken for."""
+        """Its likeliest hypothesis."""
         return self.choice.best
 
     @property
@@ -65,12 +65,12 @@ class Reading:
 
     @property
     def log_posterior(self) -> float:
-        """With what the name says."""
+        """Log posterior, with the prior by the stream's name."""
         return self.best.log_posterior + self.by_name
 
     @property
     def rank(self) -> tuple[bool, float]:
-        """By which one of several streams in a role is taken: a measurement before what was computed."""
+        """Sort key of the streams in a role: measured before computed, then by name."""
         return not self.computed, self.by_name
 
     @property
@@ -84,13 +84,13 @@ class Reading:
 
 @dataclass(frozen=True)
 class Alternative:
-    """A stream and a unit that a signal may be, beside the others.
+    """An alternative stream and unit of a signal.
 
     Attributes:
         stream: The stream.
-        hypothesis: What it would be.
-        log_posterior: Of positions that of the whole assignment. Of streams in one role it is what names say, for each
-            of them is as likely in a role of its own beside the others.
+        hypothesis: Its hypothesis.
+        log_posterior: Of the whole assignment for positions; else the prior by names, for each stream of one role is as
+            likely in another role.
     """
 
     stream: JointStream
@@ -115,11 +115,11 @@ class Assignment:
 
     Attributes:
         position: The positions.
-        velocity: The velocities; None: they are made of the positions.
-        torques: Streams that fit a torque, the one that is taken first.
-        weightless: Why others are torques without the arm's weight, by label.
-        copies: Which part of the motion further streams repeat, by label.
-        alternatives: By signal what it may be, what is taken first.
+        velocity: The velocities; None: derivatives of the positions.
+        torques: Streams that fit a torque, the chosen one first.
+        weightless: Evidence that others are torques without gravity, by label.
+        copies: Repeated part of the motion by label of further streams.
+        alternatives: Alternatives by signal, the chosen one first.
     """
 
     position: Reading
@@ -131,23 +131,23 @@ class Assignment:
 
     @property
     def time(self) -> Array:
-        """Stamps of the positions, ``(k,)`` [s]."""
+        """Timestamps of the positions, ``(k,)`` [s]."""
         return self.position.stream.series.time
 
     @property
     def log_posterior(self) -> float:
-        """Of all its streams."""
+        """Log posterior of all its streams."""
         torque = max((one.log_posterior for one in self.torques), default=0.0)
         return self.motion_log_posterior + torque
 
     @property
     def motion_log_posterior(self) -> float:
-        """Of positions and velocities."""
+        """Log posterior of positions and velocities."""
         return self.position.log_posterior + (0.0 if self.velocity is None else self.velocity.log_posterior)
 
     @property
     def speeds(self) -> Array:
-        """dq at the stamps of the positions, ``(k, n)`` [rad/s, m/s]."""
+        """dq at the timestamps of the positions, ``(k, n)`` [rad/s, m/s]."""
         if self.velocity is None:
             return replace(self.position.stream.series, values=self.position.values).derivative().values
         return replace(self.velocity.stream.series, values=self.velocity.values).at(self.time)
@@ -172,7 +172,7 @@ class JointSearch:
         ]
 
     def motions(self) -> list[Assignment]:
-        """Positions with their velocities, where some stream is these; the likeliest first."""
+        """Positions with velocity streams, the likeliest first."""
         found = [
             Assignment(place, fitting[0], (), {}, {})
             for place in self.places
@@ -185,13 +185,15 @@ class JointSearch:
         return sorted(found, key=lambda one: one.motion_log_posterior, reverse=True)
 
     def without_velocity(self) -> list[Assignment]:
-        """Positions alone, of streams that names do not call something else."""
+        """Positions alone, from streams without the name of another signal."""
         return [Assignment(place, None, (), {}, {}) for place in self.places if place.by_name >= 0.0]
 
     def best(self, motions: Sequence[Assignment]) -> Assignment:
-        """The likeliest of motions, with its torques, and what its signals may be as well."""
+        """The likeliest of motions, with its torques and the alternatives of its signals."""
         most = max(one.motion_log_posterior for one in motions)
-        searched = [one for one in motions if one.velocity is None or one.motion_log_posterior > most - SEARCHED]
+        searched = [
+            one for one in motions if one.velocity is None or one.motion_log_posterior > most - MAX_LOG_POSTERIOR_LOSS
+        ]
         found = sorted(map(self._with_torques, searched), key=lambda one: one.log_posterior, reverse=True)
         best, places = found[0], {id(one.position.stream): one for one in (*motions, *found)}
         others = [one for one in places.values() if one.position.stream is not best.position.stream]
@@ -205,7 +207,7 @@ class JointSearch:
         return replace(best, alternatives=listed)
 
     def motors(self, found: Assignment) -> Reading | None:
-        """Angles of the motors, where a stream that names call so follows the positions; None: no stream does."""
+        """Angles of the motors, if a stream with such a name follows the positions; None: no stream does."""
         taken = [one.stream for one in (found.position, found.velocity, *found.torques[:1]) if one is not None]
         motion = JointMotion.of(found.time, found.position.values, found.speeds, self.model)
         for stream in self.streams:
@@ -216,7 +218,7 @@ class JointSearch:
         return None
 
     def velocities_at_other_rates(self) -> Iterator[tuple[JointStream, JointStream, float]]:
-        """Positions, streams that are their derivative but for one positive factor in all joints, and that factor."""
+        """Positions, streams proportional to their derivative with one positive factor, and the factor."""
         for place in self.places:
             time = place.stream.series.time
             motion = JointMotion.of(time, place.values, None, self.model)
@@ -228,7 +230,7 @@ class JointSearch:
                         yield place.stream, stream, factor
 
     def _sampled(self, motion: JointMotion, stream: JointStream) -> Array:
-        """A stream at the samples of a motion; many motions have the same stamps."""
+        """A stream at the samples of a motion; many motions share timestamps."""
         time = motion.time
         key = id(stream), hash(time.tobytes())
         if key not in self._averages:
@@ -236,20 +238,20 @@ class JointSearch:
         return self._averages[key]
 
     def _velocities(self, place: Reading, motion: JointMotion) -> list[Reading]:
-        """Streams that are the derivative of the positions, the one that is taken first."""
+        """Streams that are the derivative of the positions, the chosen one first."""
         free = [stream for stream in self.streams if not stream.stands_apart(place.stream)]
         found = [
             Reading(stream, choice)
             for stream in free
             if (choice := choose(velocities(motion, self._sampled(motion, stream)))) is not None
             and choice.best.role == "velocity"
-            and choice.best.log_posterior > DECISIVE
+            and choice.best.log_posterior > DECISIVE_LOG_ODDS
         ]
         return _exclusive(found)
 
     @OUTLIERS
     def _with_torques(self, found: Assignment) -> Assignment:
-        """With the streams that fit the torque of a motion, or those whose names say so."""
+        """With the streams that fit the torque of a motion, or else by name."""
         time, q, dq = found.time, found.position.values, found.speeds
         motion = JointMotion.of(time, q, None if found.velocity is None else dq, self.model)
         taken = [found.position.stream, *([] if found.velocity is None else [found.velocity.stream])]
@@ -260,14 +262,14 @@ class JointSearch:
             raw = stream.series.at(time)
             y = motion.sampled(time, raw)
             copy, torque = choose(copies(motion, y)), choose(torques(motion, y))
-            least = DECISIVE if torque is None else max(DECISIVE, torque.best.log_posterior)
+            least = DECISIVE_LOG_ODDS if torque is None else max(DECISIVE_LOG_ODDS, torque.best.log_posterior)
             if copy is not None and copy.best.log_posterior > least:
                 repeated[stream.label] = copy.best.evidence
                 continue
-            if (why := _lacks_weight(time, q, dq, raw, self.model)) is not None:
+            if (why := _lacks_gravity(time, q, dq, raw, self.model)) is not None:
                 weightless[stream.label] = why
                 continue
-            if torque is None or torque.best.role == "other" or torque.best.log_posterior <= DECISIVE:
+            if torque is None or torque.best.role == "other" or torque.best.log_posterior <= DECISIVE_LOG_ODDS:
                 continue
             if cut and not torque.sure:
                 continue
@@ -281,7 +283,7 @@ class JointSearch:
         return Assignment(found.position, found.velocity, tuple(fitting), weightless, repeated)
 
     def _is_computed(self, seen: MotionTorque, hypothesis: RoleHypothesis) -> bool:
-        """Whether a torque at motors was computed; torque sensors behind the gears see no friction of theirs."""
+        """Whether a torque at motors was computed; torque sensors behind the gears measure no gear friction."""
         at_motor = hypothesis.role == "current" or not self.model.facts.joint_torque_loop
         return at_motor and is_computed(seen)
 
@@ -294,14 +296,14 @@ class JointSearch:
                     return RoleChoice(one, None, 0.0)
         seen = MotionTorque.of(found.time, found.position.values, found.speeds, raw, self.model)
         said = "the motion takes too little torque to show it"
-        if np.any(takes_torque(seen.whole, seen.model)):
+        if np.any(driven_joints(seen.whole, seen.model)):
             most, left = (
                 np.sqrt(np.mean(np.square(seen.whole), axis=0)),
                 np.sqrt(seen.left(seen.whole) / len(seen.whole)),
             )
             joint = int(np.argmax(most))
             said = (
-                f"weight and inertia of the arm take {most[joint]:.3g} N m rms in joint {joint + 1}, from which the "
+                f"gravity and inertia of the arm take {most[joint]:.3g} N m rms in joint {joint + 1}, from which the "
                 f"signal is {left[joint]:.3g} N m away: another robot, other joints or another quantity?"
             )
         unit = common(motion.units("N m", "N"))
@@ -309,7 +311,7 @@ class JointSearch:
 
 
 def _named(stream: JointStream, choice: RoleChoice, motion: JointMotion, y: Array) -> RoleChoice:
-    """A choice between torque and current with what the name says of both."""
+    """A choice between torque and current with the prior by the name."""
     every = [
         (one.log_posterior + stream.log_prior(one.role if one.role == "current" else "torque"), one)
         for one in torques(motion, y)
@@ -328,17 +330,17 @@ def _is_named(stream: JointStream) -> bool:
 
 
 @OUTLIERS
-def _lacks_weight(time: Array, q: Array, dq: Array, raw: Array, model: RobotModel) -> str | None:
-    """What shows that a signal in N m or mN m is a torque without the arm's weight; None: nothing does."""
+def _lacks_gravity(time: Array, q: Array, dq: Array, raw: Array, model: RobotModel) -> str | None:
+    """Evidence that a signal in N m or mN m is a torque without gravity; None: no evidence."""
     for unit in ("N m", "mN m"):
-        why = lacks_weight(MotionTorque.of(time, q, dq, TURNS["torque"][unit] * raw, model))
+        why = lacks_gravity(MotionTorque.of(time, q, dq, TURNS["torque"][unit] * raw, model))
         if why is not None:
             return why
     return None
 
 
 def _exclusive(readings: Sequence[Reading]) -> list[Reading]:
-    """Readings of which no two share a column, the likeliest of those that do; the one that is taken first."""
+    """Readings without shared columns: the likeliest of several that share one; the chosen one first."""
     kept: list[Reading] = []
     for one in sorted(readings, key=lambda one: one.log_posterior, reverse=True):
         if not any(one.stream.overlaps(other.stream) for other in kept):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sections of a mapping for the signals of the joints, with what shows them."""
+"""Sections of a mapping for the signals of the joints, with their evidence."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array, RobotFacts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.candidates import (
-    MOST_BESIDE,
+    MAX_GRIPPER_NUMBERS,
     PART_OF_ARM,
     SignalCandidate,
     joints_of,
@@ -22,7 +22,7 @@ from impact_rs_trials.recordings.candidates import (
 )
 from impact_rs_trials.recordings.file_units import UNITS
 from impact_rs_trials.recordings.guesses import are_derivatives, at_rest, steps_back
-from impact_rs_trials.recordings.hypotheses import DECISIVE, RoleChoice, RoleHypothesis
+from impact_rs_trials.recordings.hypotheses import RoleChoice, RoleHypothesis
 from impact_rs_trials.recordings.import_texts import PossibleReading, flow
 from impact_rs_trials.recordings.joint_search import Alternative, Assignment, JointSearch, Reading
 from impact_rs_trials.recordings.joint_streams import JointStream
@@ -35,16 +35,17 @@ from impact_rs_trials.recordings.recorded_files import (
     settle_clock,
     source_in,
 )
+from impact_rs_trials.recordings.relations import DECISIVE_LOG_ODDS
 from impact_rs_trials.recordings.torque_readings import (
     WHOLE_TORQUE,
     MotionTorque,
-    leaves_little,
+    explains_most,
     order_of_joints,
 )
 
-MOST_SHOWN = 3  # signals of a kind in a message
-NEAR = 0.5  # of the measured torque, rms, within which a torque that was asked for lies
-PLAINLY = 2.0  # by which it is nearer with the arm's weight than without it, or the other way round
+MAX_SHOWN_SIGNALS = 3  # of a kind in a message
+MAX_COMMAND_RMS_RATIO = 0.5  # difference of commanded and measured torque, rms over the measured one
+MIN_GRAVITY_RMS_RATIO = 2.0  # of these differences with and without gravity torque, beyond which the choice is sure
 NO_HEADER = "its messages have no header: times at which the bag received them"
 
 
@@ -52,10 +53,10 @@ class JointSections:
     """Describes the joints of a recording.
 
     Args:
-        files: Its files; what was found is added to their notes.
+        files: Its files; findings are appended to their notes.
 
     Attributes:
-        readings: By signal what it may be, what is taken first.
+        readings: Possible readings by signal, the chosen one first.
     """
 
     def __init__(self, files: ImportedFiles) -> None:
@@ -65,7 +66,7 @@ class JointSections:
         self.readings: dict[str, tuple[PossibleReading, ...]] = {}
 
     def describe(self, robot: str, facts: RobotFacts) -> tuple[RecordedFile, dict[str, Any], dict[str, dict[str, Any]]]:
-        """Part of the positions, keys of the mapping beside its signals, and the signals."""
+        """File of the positions, keys of the mapping except its signals, and the signals."""
         model = RobotModel(facts, MountedEndEffector().build(), pin.SE3.Identity())
         for part in self._parts:
             self._refused |= read_streams(part, robot, facts.joint_count, self._rate)
@@ -86,7 +87,7 @@ class JointSections:
         signals = {"position": self._joint_signal(found.position, "position", part, found.alternatives["position"])}
         if found.velocity is None:
             self._notes.say(
-                "signals.velocity", "none", "no signal is the derivative of the positions: velocities are made of them"
+                "signals.velocity", "none", "no signal is the derivative of the positions: velocities are computed"
             )
         else:
             signals["velocity"] = self._joint_signal(found.velocity, "velocity", part, found.alternatives["velocity"])
@@ -124,21 +125,21 @@ class JointSections:
             repeated = f" ({'; '.join(copies)})" if copies else ""
             seen = "; ".join(stream.label for stream in search.streams)
             raise InputError(
-                f"nothing goes with the torque that weight and inertia of {robot} take in this motion, and a mapping "
+                f"nothing goes with the torque that gravity and inertia of {robot} take in this motion, and a mapping "
                 f"needs torques or currents; signals as wide as its joints: {seen}{repeated}. Another --robot, or a "
                 "mapping by hand (docs/files.md)",
                 file=path,
             )
 
     def _order(self, found: Assignment, model: RobotModel) -> tuple[int, ...] | None:
-        """Order in which columns without names go with the torque of the arm; None: as they stand."""
+        """Order of unnamed columns by the torque of the arm; None: the given order."""
         one = found.position.stream
         if one.is_cut or one.candidate.joints or PART_OF_ARM.search(one.candidate.label):
             return None
         time, q, dq = found.time, found.position.values, found.speeds
-        for torque in found.torques[:MOST_SHOWN]:
+        for torque in found.torques[:MAX_SHOWN_SIGNALS]:
             constant, raw = torque.best.further.get("torque_constant"), torque.stream.series.at(time)
-            if constant is not None and leaves_little(MotionTorque.of(time, q, dq, raw * np.array(constant), model)):
+            if constant is not None and explains_most(MotionTorque.of(time, q, dq, raw * np.array(constant), model)):
                 continue  # currents; else a torque in a wrong order, of which no unit fits
             units = [torque.best.unit] if isinstance(torque.best.unit, str) else torque.best.unit
             factor = np.array([UNITS["torque"][unit] for unit in units])
@@ -148,14 +149,14 @@ class JointSections:
         return None
 
     def _check_motion(self, places: Sequence[Reading], facts: RobotFacts) -> None:
-        """Refuse an arm that does not move, of which noise would be taken for velocity and torque."""
+        """Refuse an arm at rest, whose noise would be taken for velocity and torque."""
         found = [at_rest(one.stream.series.time, one.values, facts) for one in places]
         if found and None not in found:
             stream = places[0].stream
             raise InputError(f"{stream.label}: {found[0]}", file=self._part_of(stream).path)
 
     def _nothing(self, every: Sequence[JointStream], robot: str, count: int) -> InputError:
-        """What is said where no signal is the motion of the joints."""
+        """Error if no signal is the motion of the joints."""
         said = f"no signal of {_joints_of(count)} can be read"
         if every:
             said = (
@@ -165,7 +166,7 @@ class JointSections:
         others = [
             one.label for part in self._parts for one in part.candidates if not one.pose and one.width not in (1, count)
         ]
-        said += f"; signals of other widths: {', '.join(others[:MOST_SHOWN])}" if others else ""
+        said += f"; signals of other widths: {', '.join(others[:MAX_SHOWN_SIGNALS])}" if others else ""
         said += "".join(f"; the reader refuses {why}" for why in self._refusals())
         backwards = [back for part in self._parts if (back := steps_back(part.columns)) is not None]
         said += "".join(f"; {back}, so another clock was taken" for back in backwards)
@@ -177,10 +178,10 @@ class JointSections:
         by_reason: dict[str, list[str]] = {}
         for label, why in self._refused.items():
             by_reason.setdefault(why, []).append(label)
-        return [f"{', '.join(labels[:MOST_SHOWN])}: {why}" for why, labels in by_reason.items()]
+        return [f"{', '.join(labels[:MAX_SHOWN_SIGNALS])}: {why}" for why, labels in by_reason.items()]
 
     def _check_rate(self, rate: float, search: JointSearch) -> None:
-        """Refuse a sampling rate at which a velocity would be that of another one."""
+        """Refuse ``--rate`` if a signal is a constant multiple of dq/dt at that rate; name the fitting rate."""
         for place, other, factor in search.velocities_at_other_rates():
             real = rate * factor
             raise InputError(
@@ -194,7 +195,7 @@ class JointSections:
         self, found: Sequence[Reading], listed: Sequence[Alternative], facts: RobotFacts, robot: str,
         signals: dict[str, dict[str, Any]], part: RecordedFile,
     ) -> dict[str, Any]:  # fmt: skip
-        """The torque of the joints, which is added to the signals; keys of the mapping that go with it."""
+        """Add the torque of the joints to the signals; further keys of the mapping."""
         best, *others = found
         free = [other for other in others if not (part.is_bag and other.stream.candidate.guess == "command")]
         computed = (
@@ -218,7 +219,7 @@ class JointSections:
         own: dict[str, Any] = {"torque_measured_at": "motor" if at_motor else "link"}
         if constant is not None:
             self._notes.say(
-                "torque_constant", flow(constant), "by the weight in this recording; take those of a data sheet", False
+                "torque_constant", flow(constant), "by the gravity torque in this recording; prefer a data sheet", False
             )
             own["torque_constant"] = constant
         return own
@@ -227,7 +228,7 @@ class JointSections:
         self, found: Assignment, search: JointSearch, model: RobotModel, signals: dict[str, dict[str, Any]],
         part: RecordedFile, currents: bool,
     ) -> dict[str, Any]:  # fmt: skip
-        """The commanded torque of a bag, which is added to the signals; keys of the mapping that go with it."""
+        """Add the commanded torque of a bag to the signals; further keys of the mapping."""
         taken = [one.stream for one in (found.position, found.velocity, found.torques[0]) if one is not None]
         free = [one for one in search.streams if not any(one.stands_apart(other) for other in taken)]
         asked = [one for one in free if one.candidate.guess == "command" and self._part_of(one).is_bag]
@@ -244,46 +245,46 @@ class JointSections:
         self, found: Assignment, asked: Sequence[JointStream], model: RobotModel,
         signals: dict[str, dict[str, Any]], part: RecordedFile,
     ) -> dict[str, Any]:  # fmt: skip
-        """The torque that was asked for, which is added to the signals, by how near it is to the measured one."""
+        """Add the commanded torque closest (rms) to the measured one, with or without gravity, to the signals."""
         time, q = found.time, found.position.values
         series = found.torques[0].stream.series
         torque = replace(series, values=found.torques[0].values).at(time)
-        weight = np.array([model.gravity_torque(row) for row in q])
+        gravity = np.array([model.gravity_torque(row) for row in q])
         size = max(float(np.sqrt(np.mean(np.square(torque)))), 1e-12)
 
         def apart(one: JointStream, missing: Array | float) -> float:
-            """How far from the measured torque, over that torque, rms."""
+            """Difference to the measured torque over that torque, rms."""
             return float(np.sqrt(np.mean(np.square(one.series.at(time) + missing - torque)))) / size
 
-        tried = [(apart(one, 0.0), apart(one, weight), one) for one in asked]
+        tried = [(apart(one, 0.0), apart(one, gravity), one) for one in asked]
         taken = min(tried, key=lambda one: min(one[:2]))
         for alone, lifted, one in tried:
-            if one is not taken[2] or min(alone, lifted) > NEAR:
+            if one is not taken[2] or min(alone, lifted) > MAX_COMMAND_RMS_RATIO:
                 far = f"{100.0 * min(alone, lifted):.0f} % of the measured torque away from it"
-                self._notes.remarks.append(f"{one.label} is left out: by its name it was asked for, and it is {far}")
+                self._notes.remarks.append(f"{one.label} is left out: by its name it was commanded, and it is {far}")
         alone, lifted, one = taken
-        if min(alone, lifted) > NEAR:
+        if min(alone, lifted) > MAX_COMMAND_RMS_RATIO:
             return {}
         included, both = alone <= lifted, f"{100.0 * alone:.0f} % of the measured torque away from it as it is"
-        said = f"{both}, {100.0 * lifted:.0f} % with the arm's weight added (rms)"
+        said = f"{both}, {100.0 * lifted:.0f} % with the gravity torque added (rms)"
         command = Reading(one, RoleChoice(RoleHypothesis("torque", "N m", said, 0.0), None, np.inf))
         signals["command"] = self._joint_signal(command, "command", part)
-        sure = max(alone, lifted) > PLAINLY * min(alone, lifted)
-        said = f"it is nearer to the measured torque {'as it is' if included else 'with the weight of the arm added'}"
+        sure = max(alone, lifted) > MIN_GRAVITY_RMS_RATIO * min(alone, lifted)
+        said = f"it is nearer to the measured torque {'as it is' if included else 'with the gravity torque added'}"
         self._notes.say("command_includes_gravity", str(included).lower(), said, sure)
         return {"command_includes_gravity": included}
 
     def _joint_signal(
         self, one: Reading, name: str, main: RecordedFile, others: Sequence[Alternative] = (), alike: str = ""
     ) -> dict[str, Any]:
-        """Section of a signal of the joints, which is said, with the layout of its file where that is another one.
+        """Section of a signal of the joints, added to the notes, with the layout of its file if it is not the main one.
 
         Args:
             one: The stream with its unit.
             name: The signal.
             main: File of the positions.
-            others: What the signal may be, what is taken first.
-            alike: Streams that fit the role as well, of which names do not say more.
+            others: Possible readings of the signal, the chosen one first.
+            alike: Streams that fit the role equally well, also by name.
         """
         part, candidate, best = self._part_of(one.stream), one.stream.candidate, one.best
         shown = "by its numbers; see unit"
@@ -292,10 +293,12 @@ class JointSections:
             self._notes.remarks.append(f"signals.{name}: of {candidate.label} numbers are taken for the joints")
         rival = next((other for other in others if other.stream is not one.stream), None)
         margin = np.inf if rival is None else others[0].log_posterior - rival.log_posterior
-        if rival is not None and margin < DECISIVE:
+        if rival is not None and margin < DECISIVE_LOG_ODDS:
             shown += f"; next: {rival.stream.label}, log odds {margin:.2g}"
         shown += "" if candidate.stamped else f"; {NO_HEADER}"
-        self._notes.say(f"signals.{name}", candidate.label, shown, not one.stream.is_cut and bool(margin > DECISIVE))
+        self._notes.say(
+            f"signals.{name}", candidate.label, shown, not one.stream.is_cut and bool(margin > DECISIVE_LOG_ODDS)
+        )
         said = one.choice.evidence + (f"; so do {alike}: take the one that was measured" if alike else "")
         sure = one.choice.sure and not alike and not one.computed and best.role != "current"
         self._notes.say(f"signals.{name}.unit", flow(best.unit), said, sure)
@@ -325,7 +328,7 @@ class JointSections:
 
 
 def _check_width(found: Assignment, part: RecordedFile, robot: str, count: int) -> None:
-    """Refuse a few joints of a wider arm: columns without names, beside which others are derivatives as well."""
+    """Refuse a few joints of a wider arm: unnamed columns, if other columns are positions and derivatives as well."""
     series = found.position.stream.series
     free = [name for name, cells in part.columns.items() if np.ndim(cells) == 1 and vector_width(cells) == 1]
     free = [name for name in free if name not in part.clock_columns]
@@ -345,7 +348,7 @@ def _check_width(found: Assignment, part: RecordedFile, robot: str, count: int) 
     )
     shown = are_derivatives(series.time, values, raw)
     block = [*own, *(n for n, derivative in zip(around, shown, strict=True) if derivative)]
-    if len(block) > count + MOST_BESIDE:
+    if len(block) > count + MAX_GRIPPER_NUMBERS:
         blocks = " and ".join(f"{free[min(block) + shift]} … {free[max(block) + shift]}" for shift in (0, apart))
         raise InputError(
             f"columns {blocks} hold positions and velocities of {len(block)} joints, and {robot} has {count}: another "
@@ -355,7 +358,7 @@ def _check_width(found: Assignment, part: RecordedFile, robot: str, count: int) 
 
 
 def _first_of(names: Sequence[str], candidate: SignalCandidate) -> int | None:
-    """Number of the first of a signal's columns, where these stand side by side; None: they do not."""
+    """Index of the first of a signal's columns if they are adjacent; None: not adjacent."""
     own = candidate.source.get("columns") or []
     first = names.index(own[0]) if own and own[0] in names else None
     return first if first is not None and list(names[first : first + len(own)]) == list(own) else None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Streams of a recording: raw numbers over time, with where they are and what their names hint at."""
+"""Streams of a recording: raw numbers over time, with their source and the prior by their names."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import re
 from dataclasses import dataclass, replace
 
 from impact_rs_trials.recordings.candidates import SignalCandidate, guess_of, in_order
-from impact_rs_trials.recordings.hypotheses import NAMED, Role
+from impact_rs_trials.recordings.hypotheses import NAME_LOG_ODDS, Role
 from impact_rs_trials.recordings.series import Series
 
-# What a name says besides the signal that it hints at (candidates.guess_of).
+# Properties suggested by a name, in addition to the signal (candidates.guess_of).
 COMMANDED = re.compile(r"des|ref|target|goal|cmd|cmp|command|comput|set_?point|(^|_)d(_|\d|$)|filt|err", re.IGNORECASE)
 MEASURED = re.compile(r"meas|actual|(^|_)act(_|\d|$)", re.IGNORECASE)
 OF_MOTOR = re.compile(r"motor|rotor|(^|_)theta", re.IGNORECASE)
@@ -19,12 +19,12 @@ CURRENT = re.compile(r"curr|amp", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class JointStream:
-    """As many numbers a sample as a robot has joints, as a file has them.
+    """Raw samples with as many numbers as a robot has joints.
 
     Attributes:
         file: Pattern of its file; empty: a run is one file.
-        candidate: Where it is.
-        series: Its numbers, in no unit, at its stamps.
+        candidate: Its source.
+        series: Its raw numbers at its timestamps.
     """
 
     file: str
@@ -33,7 +33,7 @@ class JointStream:
 
     @property
     def label(self) -> str:
-        """Its name, with that of its file if a run has several."""
+        """Its name, with the file if a run has several."""
         return f"{self.file}: {self.candidate.label}" if self.file else self.candidate.label
 
     @property
@@ -46,7 +46,7 @@ class JointStream:
         return self.file == other.file and bool(self._numbers & other._numbers)
 
     def stands_apart(self, other: JointStream) -> bool:
-        """Whether both cannot be of the same joints: they share a column, or are other parts of wider signals."""
+        """Whether both cannot belong to the same joints: they share a column, or are parts at other offsets."""
         if self.is_cut and other.is_cut and self.candidate.first != other.candidate.first:
             return True
         return self.overlaps(other)
@@ -56,8 +56,9 @@ class JointStream:
         guess = self.candidate.guess or guess_of(self.file)
         text = " ".join([self.file, *(self.candidate.source.get("columns") or [self.candidate.label])])
         hinted = {"torque": "current" if CURRENT.search(text) else "torque"}.get(guess, guess)
-        odds = NAMED if hinted == role else -NAMED if hinted and (hinted, role) != ("torque", "current") else 0.0
-        return odds - NAMED * bool(COMMANDED.search(text)) + NAMED * bool(MEASURED.search(text))
+        other = bool(hinted) and (hinted, role) != ("torque", "current")
+        odds = NAME_LOG_ODDS if hinted == role else -NAME_LOG_ODDS if other else 0.0
+        return odds - NAME_LOG_ODDS * bool(COMMANDED.search(text)) + NAME_LOG_ODDS * bool(MEASURED.search(text))
 
     @property
     def is_of_motors(self) -> bool:
@@ -66,13 +67,13 @@ class JointStream:
         return bool(OF_MOTOR.search(text)) and not COMMANDED.search(text)
 
     def in_order(self, order: tuple[int, ...]) -> JointStream:
-        """With the joints in another order."""
+        """The stream with reordered joints."""
         values = self.series.values[:, list(order)]
         return replace(self, candidate=in_order(self.candidate, order), series=replace(self.series, values=values))
 
     @property
     def _numbers(self) -> set[tuple[str, int]]:
-        """Columns, and entries of vectors, in which its numbers are."""
+        """Columns, and entries of vectors, of its numbers."""
         source, count = self.candidate.source, range(1, self.candidate.width + 1)
         if "columns" in source:
             return {(column, 0) for column in source["columns"]}

@@ -33,19 +33,19 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import BodyState, resting_pose
 from impact_rs_trials.recordings.clock import (
-    ON_THE_GRID,
+    MAX_GRID_ERROR_PERIODS,
     Gap,
     check_jumps,
     check_stamps,
     even_grid,
     gaps,
+    gaps_in_words,
     grid_from,
-    tell_gaps,
 )
-from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS, on_one_clock, with_start_at
-from impact_rs_trials.recordings.contact_frame import FOLLOWED, TOUCHING, ContactFrame, PadOnFace, contact_frame
+from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS, on_one_clock, shifted_to_impact
+from impact_rs_trials.recordings.contact_frame import CARRIED_S, FLAT_CONTACT_S, ContactFrame, PadOnFace, contact_frame
 from impact_rs_trials.recordings.experiment import (
-    FRICTION_NOISE,
+    FRICTION_SIGMA_SHARE,
     Experiment,
     MotionCapture,
     RunRow,
@@ -53,16 +53,16 @@ from impact_rs_trials.recordings.experiment import (
     run_named,
 )
 from impact_rs_trials.recordings.faults import without_faults
-from impact_rs_trials.recordings.guesses import UNIT_LENGTH
-from impact_rs_trials.recordings.joint_checks import doubts_of_arm
+from impact_rs_trials.recordings.guesses import MAX_NORM_ERROR
+from impact_rs_trials.recordings.joint_checks import arm_warnings
 from impact_rs_trials.recordings.joint_jumps import impact_time
 from impact_rs_trials.recordings.mapping import REQUIRED, SignalName
 from impact_rs_trials.recordings.mapping import Mapping as SignalMapping
 from impact_rs_trials.recordings.plausibility import (
-    REST,
+    FIRST_POSE_S,
+    check_gravity_torque,
     check_object,
     check_touch,
-    check_weight,
     gravity_torques,
     height_on_support,
 )
@@ -77,32 +77,32 @@ logger = logging.getLogger(__name__)
 
 ARM_SIGNALS: tuple[SignalName, ...] = (*REQUIRED, "motor_position", "motor_velocity")
 
-LEAST_SAMPLES = 20
-WALL_CLOCK = 1e9  # s; stamps above it count from 1970 (this is 2001), those below from the start of some program
-SHORTEST = 0.3  # s, of a piece between gaps
-GAP_PERIODS = 3.0  # a gap is longer than so many sampling periods, and
-GAP_REPORTED = 0.005  # s, longer than this; a shorter one fits into the window of the velocity fit at an impact
-GAP_CUT = 0.010  # s; longer gaps are not interpolated
-JUMP = 0.1  # s, a longer step is a jump of the clock
-JITTER = 0.2  # periods by which stamps may be off the regular grid without a remark
-SLOW_JOINTS = 200.0  # Hz
-SLOW_POSE = 60.0  # Hz
-IMPACT_SHARE = 0.02  # of the samples, in which an impact may take a velocity or torque beyond the data sheet
-ROUNDED = 1e-6  # s, stamps that are nearer to each other are the same
-OUT_OF_REACH = 5.0  # m, distance of the object in free motion
-BEYOND = 0.1  # s, command and pose are kept this long before and after the joint signals
+MIN_RUN_SAMPLES = 20
+MIN_WALL_CLOCK_S = 1e9  # later timestamps count from 1970 (this is 2001), earlier ones from the start of some program
+MIN_PIECE_S = 0.3  # of a piece between gaps
+MIN_GAP_PERIODS = 3.0  # a gap is longer than so many sampling periods, and
+MIN_REPORTED_GAP_S = 0.005  # longer than this; a shorter one fits into the window of the velocity fit at an impact
+MAX_INTERPOLATED_GAP_S = 0.010  # longer gaps separate two pieces
+MIN_CLOCK_JUMP_S = 0.1  # a longer step is a jump of the clock
+MAX_JITTER_PERIODS = 0.2  # of timestamps about the regular grid, without a warning
+MIN_JOINT_RATE_HZ = 200.0  # without a warning
+MIN_POSE_RATE_HZ = 60.0  # without a warning
+MAX_IMPACT_SHARE = 0.02  # of the samples, in which an impact may take a velocity or torque beyond the data sheet
+STAMP_ROUNDING_S = 1e-6  # closer timestamps are equal
+OUT_OF_REACH_M = 5.0  # distance of the object in free motion
+BEYOND_S = 0.1  # of command and pose that are kept before and after the joint signals
 
 ArmSeries = dict[SignalName, Series]
 
 
 @dataclass(frozen=True)
 class Laboratory:
-    """What the runs of an experiment have in common.
+    """Common properties of the runs of an experiment.
 
     Attributes:
         scenario: Robots, objects and support.
         mappings: Where the signals of each arm are.
-        motion_capture: Where its world is.
+        motion_capture: Placement of its world.
         placed: How that was found; None: it was given.
         friction_noise: Relative standard deviation of the friction of the scenario's support [-].
     """
@@ -111,7 +111,7 @@ class Laboratory:
     mappings: Mapping[str, SignalMapping]
     motion_capture: MotionCapture
     placed: ContactFrame | None = None
-    friction_noise: float = FRICTION_NOISE
+    friction_noise: float = FRICTION_SIGMA_SHARE
 
     @classmethod
     def of(cls, experiment: Experiment) -> Laboratory:
@@ -147,7 +147,7 @@ class Laboratory:
         Args:
             scenario: Robots, objects and support.
             mappings: Where the signals of each arm are.
-            motion_capture: Where its world is.
+            motion_capture: Placement of its world.
             place: File, key and value that an error names, for the mapping of an arm or of all of them.
 
         Raises:
@@ -192,7 +192,7 @@ class Laboratory:
         return next(tracking, next(iter(self.mappings)))
 
     def series(self, run: RunRow, wanted: Sequence[SignalName], needed: Sequence[SignalName]) -> dict[str, ArmSeries]:
-        """Signals of every arm as the files have them; those of the object are with :attr:`tracker`.
+        """Signals of every arm at the timestamps of the files; :attr:`tracker` has the object's signals.
 
         Args:
             run: The run.
@@ -212,7 +212,7 @@ class Laboratory:
 
     @contextmanager
     def errors_of(self, arm: str) -> Iterator[None]:
-        """What is wrong in here is wrong with this arm, which is said where there are several."""
+        """Prefix errors raised inside with the arm's name if there are several arms."""
         try:
             yield
         except InputError as error:
@@ -222,7 +222,7 @@ class Laboratory:
             raise type(error)(message, file=error.file, key=error.key, value=error.value) from None
 
     def label(self, arm: str) -> str:
-        """What a message about an arm begins with; nothing where there is one arm."""
+        """Prefix of a message about an arm; empty with a single arm."""
         return f"arm {arm!r}: " if len(self.mappings) > 1 else ""
 
     def placed_by(self, touches: Sequence[PadOnFace]) -> Laboratory:
@@ -255,7 +255,7 @@ def read_laboratory(directory: Path, experiment: Experiment, map_tasks: Map) -> 
         map_tasks: Who reads them.
 
     Returns:
-        Runs in the order of the table; and path and reason of those that were left out.
+        Runs in the order of the table; and path and reason of the skipped ones.
 
     Raises:
         InputError: Something is wrong with the experiment, its table, or a recording; or no run is left.
@@ -309,7 +309,7 @@ def placed(laboratory: Laboratory, table: Sequence[RunRow], map_tasks: Map) -> L
 
 
 def _try_to_read(task: tuple[Laboratory, RunRow]) -> Run | InputError:
-    """Errors come back as results: a worker would try what it raised again."""
+    """Return errors instead of raising: dask retries tasks that raise."""
     try:
         return read_run(*task)
     except InputError as error:
@@ -334,7 +334,7 @@ def read_run(laboratory: Laboratory, run: RunRow) -> Run:
                 _check(path, name, one)
             arms[arm], left_out = _without_faults(laboratory, run, arm, own)
             faults += [f"{laboratory.label(arm)}{remark}" for remark in left_out]
-            if any(arms[arm][name].time.size < LEAST_SAMPLES for name in REQUIRED):
+            if any(arms[arm][name].time.size < MIN_RUN_SAMPLES for name in REQUIRED):
                 raise TooShort("; ".join(faults), file=path)
     remarks += faults
     base = _fastest(arms)
@@ -343,7 +343,7 @@ def read_run(laboratory: Laboratory, run: RunRow) -> Run:
             _check_overlap(path, arms[base]["position"], own)
     origin = float(arms[base]["position"].time[0])  # numbers of the wall clock have no room for microseconds
     position = arms[base]["position"]
-    began = origin if position.log is None or origin > WALL_CLOCK else float(position.log[0])
+    began = origin if position.log is None or origin > MIN_WALL_CLOCK_S else float(position.log[0])
     arms = {arm: {name: replace(one, time=one.time - origin) for name, one in own.items()} for arm, own in arms.items()}
     pose_seen = arms[tracker].pop("object_pose", None)
 
@@ -354,8 +354,8 @@ def read_run(laboratory: Laboratory, run: RunRow) -> Run:
     raw = arms[base]["position"].time
     grid = grid_from(raw[_inside(raw, pieces)], raw[_inside(raw, [main])])
     for arm, own in arms.items():
-        _tell_rates(own["position"], grid, pieces, main if arm != base else None, remarks)
-    _tell_pose_rate(pose_seen, remarks)
+        _warn_of_rates(own["position"], grid, pieces, main if arm != base else None, remarks)
+    _warn_of_pose_rate(pose_seen, remarks)
     time = grid - grid[0]
     read = {arm: _arm_of(laboratory, run, arm, own, grid, remarks) for arm, own in arms.items()}
     object_time, pose = _part(pose_seen, grid, np.zeros((0, 7)))
@@ -371,7 +371,7 @@ def read_run(laboratory: Laboratory, run: RunRow) -> Run:
     signals = Signals(time, _alike(read), object_time, pose[:, :3], pose[:, 3:])
     gaps_between = tuple((end - grid[0], start - grid[0]) for (_, end), (start, _) in itertools.pairwise(pieces))
     found = _in_scene(laboratory.scenario, run, signals, gaps_between, tuple(dict.fromkeys(remarks)))
-    return replace(found, recorded=began if began > WALL_CLOCK else None)
+    return replace(found, recorded=began if began > MIN_WALL_CLOCK_S else None)
 
 
 def _alike(arms: Mapping[str, ArmSignals]) -> dict[str, ArmSignals]:
@@ -389,7 +389,7 @@ def _in_scene(
     object_name = row.object or next(iter(scenario.objects))
     rest = resting_pose(scenario, object_name)
     if not row.hit:
-        rest = BodyState(rest.position + [OUT_OF_REACH, OUT_OF_REACH, 0.0], rest.rotation, rest.twist)
+        rest = BodyState(rest.position + [OUT_OF_REACH_M, OUT_OF_REACH_M, 0.0], rest.rotation, rest.twist)
     return Run(
         path=row.path,
         name=row.name,
@@ -407,39 +407,39 @@ def _in_scene(
 
 
 def _without_faults(laboratory: Laboratory, run: RunRow, arm: str, series: ArmSeries) -> tuple[ArmSeries, list[str]]:
-    """One arm without the samples that no sensor measured, and what was left out."""
+    """One arm without outliers and frozen samples, and warnings about the removed ones."""
     return without_faults(series, laboratory.mappings[arm], laboratory.models[arm], run.hit)
 
 
 def _needed(laboratory: Laboratory, run: RunRow) -> list[SignalName]:
-    """Signals without which a run is refused: those of the joints, and what the mappings promise beside them."""
+    """Required signals of a run: the joints' signals, and further signals of the mappings."""
     promised = {name for mapping in laboratory.mappings.values() for name in mapping.signals}
     asked: tuple[SignalName, ...] = ("command", *(OBJECT_SIGNALS if run.hit else ()))
     return [*REQUIRED, *(name for name in asked if name in promised)]
 
 
 def _fastest(arms: Mapping[str, ArmSeries]) -> str:
-    """The arm with the shortest period of joint states; the first of those that have the same."""
+    """The arm with the shortest period of joint states; of equal ones the first."""
     return min(arms, key=lambda arm: round(float(np.median(np.diff(arms[arm]["position"].time))), 6))
 
 
 def _arm_of(
     laboratory: Laboratory, run: RunRow, arm: str, series: ArmSeries, grid: Array, remarks: list[str]
 ) -> ArmSignals:
-    """One arm on the grid of the run; what the user should know of it is added to the remarks."""
+    """One arm on the grid of the run; warnings are appended to the remarks."""
     mapping, path = laboratory.mappings[arm], run.path
     own = {name: _on_grid(series[name], grid) for name in ARM_SIGNALS if name in series}
     time, none = grid - grid[0], np.zeros((0, len(mapping.joints)))
     with laboratory.errors_of(arm):
         joints = ArmSignals(own["position"], own["velocity"], own["torque"])
-        check_arm(path, time, joints, mapping, IMPACT_SHARE if run.hit else 0.0)
-        remedy = "wrong sign or unit, or without the arm's own weight?"
-        check_weight(path, "torque", laboratory.models[arm], own["position"], own["torque"], remedy)
-        doubts = doubts_of_arm(time, joints, mapping, laboratory.models[arm], run.hit)
+        check_arm(path, time, joints, mapping, MAX_IMPACT_SHARE if run.hit else 0.0)
+        remedy = "wrong sign or unit, or without the gravity torque?"
+        check_gravity_torque(path, "torque", laboratory.models[arm], own["position"], own["torque"], remedy)
+        doubts = arm_warnings(time, joints, mapping, laboratory.models[arm], run.hit)
         remarks += [Remark(laboratory.label(arm), doubt) for doubt in doubts]
         command_time, command = _part(series.get("command"), grid, none)
         if command_time.size:
-            command = _with_weight(laboratory, path, arm, time, own["position"], command_time, command)
+            command = _with_gravity(laboratory, path, arm, time, own["position"], command_time, command)
         else:
             remarks.append(
                 f"{laboratory.label(arm)}no command was recorded: the joint torque has to drive the replay, which "
@@ -468,7 +468,7 @@ def with_object(path: Path, series: ArmSeries, remarks: list[str]) -> ArmSeries:
     Args:
         path: File, for messages.
         series: Signals of an arm, or of an object alone.
-        remarks: What is said is added to them.
+        remarks: Warnings, appended to.
 
     Raises:
         InputError: Its parts have other stamps, its quaternions no unit length, or it is never seen.
@@ -488,9 +488,9 @@ def with_object(path: Path, series: ArmSeries, remarks: list[str]) -> ArmSeries:
     norm = np.linalg.norm(pose.values[:, 3:], axis=1)
     seen = ~(np.isnan(pose.values[:, :3]).all(axis=1) | np.isnan(pose.values[:, 3:]).all(axis=1) | (norm == 0.0))
     if not np.any(seen):
-        raise InputError(f"{pose.place}: the object is seen in none of {seen.size} samples", file=path)
+        raise InputError(f"{pose.place}: the object is not seen in any of {seen.size} samples", file=path)
     lengths = norm[seen & np.isfinite(norm)]
-    if np.any(np.abs(lengths - 1.0) > UNIT_LENGTH):
+    if np.any(np.abs(lengths - 1.0) > MAX_NORM_ERROR):
         raise InputError(
             f"{pose.place}: quaternions have lengths of {lengths.min():.3g} ... {lengths.max():.3g}, expected 1: "
             "columns of something else?",
@@ -518,7 +518,7 @@ def on_clock_of_joints(
         run: The run.
         wanted: Signals to read, as far as a mapping has them.
         needed: Of those, the ones that must be there.
-        remarks: What is said is added to them.
+        remarks: Warnings, appended to.
 
     Raises:
         InputError: A needed signal is missing, or something cannot be used.
@@ -541,18 +541,18 @@ def _start_in_the_impact(laboratory: Laboratory, run: RunRow, arms: dict[str, Ar
     if "object_pose" not in arms[tracker] or name is None or mapping.signals[name].clock == "shared":
         return
     pose = arms[tracker]["object_pose"]
-    moved = with_start_at(run.path, pose, arms[tracker]["position"], f"signals.{name}.clock")
+    moved = shifted_to_impact(run.path, pose, arms[tracker]["position"], f"signals.{name}.clock")
     remarks += [remark for remark in moved.remarks if remark not in pose.remarks]
     arms[tracker] = {**arms[tracker], "object_pose": moved}
 
 
 def _check(path: Path, name: SignalName, series: Series) -> None:
     """Stamps that increase without a jump, and finite numbers."""
-    if name in REQUIRED and series.time.size < LEAST_SAMPLES:
-        raise TooShort(f"{series.place}: {series.time.size} samples, at least {LEAST_SAMPLES} are needed", file=path)
+    if name in REQUIRED and series.time.size < MIN_RUN_SAMPLES:
+        raise TooShort(f"{series.place}: {series.time.size} samples, at least {MIN_RUN_SAMPLES} are needed", file=path)
     check_stamps(path, series.place, series.time)
     if series.time.size > 1:
-        largest = max(JUMP, 5.0 * float(np.median(np.diff(series.time))))
+        largest = max(MIN_CLOCK_JUMP_S, 5.0 * float(np.median(np.diff(series.time))))
         check_jumps(path, series.place, series.time, series.log, largest, pauses=name in (*ARM_SIGNALS, "command"))
     wrong = ~np.isfinite(series.values)
     if np.any(wrong):
@@ -593,20 +593,22 @@ def _pieces(
         if one is None or one.time.size < 2 or any(np.array_equal(one.time, time) for time in seen):
             continue
         seen.append(one.time)
-        periods = GAP_PERIODS * float(np.median(np.diff(one.time)))
-        found = gaps(one.time, max(GAP_REPORTED, periods))
+        periods = MIN_GAP_PERIODS * float(np.median(np.diff(one.time)))
+        found = gaps(one.time, max(MIN_REPORTED_GAP_S, periods))
         if not found:
             continue
-        remark = f"{one.place}: {'gaps' if len(found) > 1 else 'a gap'} of {tell_gaps(found, start)}"
+        remark = f"{one.place}: {'gaps' if len(found) > 1 else 'a gap'} of {gaps_in_words(found, start)}"
         if one is not pose:
-            cuts += [gap for gap in found if gap.length > GAP_CUT and gap.end > start and gap.start < end]
+            cuts += [
+                gap for gap in found if gap.length > MAX_INTERPOLATED_GAP_S and gap.end > start and gap.start < end
+            ]
         remarks.append(remark)
-    if end - start < SHORTEST:
-        raise TooShort(f"it lasts {end - start:.3f} s, at least {SHORTEST} s are needed", file=run.path)
+    if end - start < MIN_PIECE_S:
+        raise TooShort(f"it lasts {end - start:.3f} s, at least {MIN_PIECE_S} s are needed", file=run.path)
     for own in arms.values():
         for time in (own["velocity"].time, own["torque"].time):  # what lacks at either end is a gap as well
             lacks = [Gap(start, float(time[0]) - start), Gap(float(time[-1]), end - float(time[-1]))]
-            cuts += [gap for gap in lacks if gap.length > GAP_CUT]
+            cuts += [gap for gap in lacks if gap.length > MAX_INTERPOLATED_GAP_S]
     impacts = [impact_time(own["position"], own["velocity"]) for own in arms.values()] if run.hit else []
     if any(not start <= impact <= end for impact in impacts):
         raise TooShort("the joint positions do not reach to the impact", file=run.path)
@@ -615,28 +617,28 @@ def _pieces(
     inside = [gap for gap in cuts if impacts and gap.start <= max(impacts) and min(impacts) <= gap.end]
     if inside:
         longest = max(inside, key=lambda gap: gap.length)
-        raise TooShort(f"the impact falls into a gap of {tell_gaps([longest], start)}", file=run.path)
+        raise TooShort(f"the impact falls into a gap of {gaps_in_words([longest], start)}", file=run.path)
     first = [start, *sorted(gap.end for gap in cuts)]
     last = [*sorted(gap.start for gap in cuts), end]
     between = [(a, b) for a, b in zip(first, last, strict=True) if b > a]
-    used = [piece for piece in between if piece[1] - piece[0] >= SHORTEST]
+    used = [piece for piece in between if piece[1] - piece[0] >= MIN_PIECE_S]
     main = max([p for p in between if all(p[0] <= impact <= p[1] for impact in impacts)], key=_length)
     if impacts:
         used = [piece for piece in used if piece[0] <= max(impacts)]
     if main not in used:
         what = "with the impact " if run.hit else ""
         raise TooShort(
-            f"gaps leave {_length(main):.3f} s {what}in one piece, at least {SHORTEST} s are needed: gaps of "
-            f"{tell_gaps(sorted(cuts, key=lambda gap: gap.start), start)}",
+            f"gaps leave {_length(main):.3f} s {what}in one piece, at least {MIN_PIECE_S} s are needed: gaps of "
+            f"{gaps_in_words(sorted(cuts, key=lambda gap: gap.start), start)}",
             file=run.path,
         )
-    remarks.append(f"cut to {_told(used, start)}, for gaps > {GAP_CUT:g} s")
-    short = [piece for piece in between if _length(piece) < SHORTEST]
+    remarks.append(f"cut to {_intervals(used, start)}, for gaps > {MAX_INTERPOLATED_GAP_S:g} s")
+    short = [piece for piece in between if _length(piece) < MIN_PIECE_S]
     behind = [piece for piece in between if piece not in used and piece not in short]
     if short:
-        remarks.append(f"skipped, for it is shorter than {SHORTEST} s: {_told(short, start)}")
+        remarks.append(f"skipped, for it is shorter than {MIN_PIECE_S} s: {_intervals(short, start)}")
     if behind:
-        remarks.append(f"skipped, for it comes after the impact and a gap: {_told(behind, start)}")
+        remarks.append(f"skipped, for it comes after the impact and a gap: {_intervals(behind, start)}")
     return used, main
 
 
@@ -644,7 +646,7 @@ def _length(piece: tuple[float, float]) -> float:
     return piece[1] - piece[0]
 
 
-def _told(pieces: list[tuple[float, float]], start: float) -> str:
+def _intervals(pieces: list[tuple[float, float]], start: float) -> str:
     return ", ".join(f"{first - start:.3f} ... {last - start:.3f} s" for first, last in pieces)
 
 
@@ -657,7 +659,7 @@ def _on_grid(series: Series, grid: Array) -> Array:
     """One signal of the arm on the even grid, ``(k, n)``: samples where they lie on it, interpolated elsewhere."""
     nearest = np.clip(np.searchsorted(series.time, grid), 1, series.time.size - 1)
     nearest -= grid - series.time[nearest - 1] < series.time[nearest] - grid
-    close = np.abs(series.time[nearest] - grid) < ON_THE_GRID * (grid[1] - grid[0])
+    close = np.abs(series.time[nearest] - grid) < MAX_GRID_ERROR_PERIODS * (grid[1] - grid[0])
     return np.where(close[:, None], series.values[nearest], series.at(grid))
 
 
@@ -668,14 +670,14 @@ def _part(series: Series | None, grid: Array, none: Array) -> tuple[Array, Array
     """
     if series is None:
         return np.zeros(0), none
-    inside = (series.time >= grid[0] - BEYOND) & (series.time <= grid[-1] + BEYOND)
+    inside = (series.time >= grid[0] - BEYOND_S) & (series.time <= grid[-1] + BEYOND_S)
     period = grid[1] - grid[0]
     nearest = grid[0] + period * np.rint((series.time[inside] - grid[0]) / period)
-    time = np.where(np.abs(series.time[inside] - nearest) < ROUNDED, nearest, series.time[inside])
+    time = np.where(np.abs(series.time[inside] - nearest) < STAMP_ROUNDING_S, nearest, series.time[inside])
     return time - grid[0], series.values[inside]
 
 
-def _tell_rates(
+def _warn_of_rates(
     position: Series,
     grid: Array,
     pieces: Sequence[tuple[float, float]],
@@ -687,9 +689,9 @@ def _tell_rates(
     Args:
         position: Joint positions of one arm.
         grid: That of the run, ``(k,)`` [s].
-        pieces: What is used.
+        pieces: Used pieces.
         main: The piece that matters most, of an arm whose stamps did not make the grid; None: they did.
-        remarks: What is said is added to them.
+        remarks: Warnings, appended to.
     """
     raw = position.time[_inside(position.time, pieces)]
     period = float(grid[1] - grid[0])
@@ -698,7 +700,7 @@ def _tell_rates(
         period = max(period, float(own[1] - own[0]))
     beside = np.abs(raw - grid[0] - period * np.rint((raw - grid[0]) / period)) / period
     worst = float(np.percentile(beside, 99.0))
-    if worst > JITTER:
+    if worst > MAX_JITTER_PERIODS:
         remarks.append(
             Remark(
                 f"{position.place}: stamps lie up to ",
@@ -706,16 +708,16 @@ def _tell_rates(
                 " % of a period beside an even grid; the samples are interpolated onto it",
             )
         )
-    if 1.0 / period < SLOW_JOINTS:
+    if 1.0 / period < MIN_JOINT_RATE_HZ:
         rate = Amount(1.0 / period, ".0f")
         remarks.append(Remark("joints at ", rate, " Hz: the jump of an impact is seen, its force is not"))
 
 
-def _tell_pose_rate(pose: Series | None, remarks: list[str]) -> None:
+def _warn_of_pose_rate(pose: Series | None, remarks: list[str]) -> None:
     """Say where the object is seen too seldom for a question."""
     if pose is not None and pose.time.size > 1:
         rate = 1.0 / float(np.median(np.diff(pose.time)))
-        if rate < SLOW_POSE:
+        if rate < MIN_POSE_RATE_HZ:
             remarks.append(
                 Remark(
                     "object pose at ",
@@ -728,19 +730,19 @@ def _tell_pose_rate(pose: Series | None, remarks: list[str]) -> None:
 # ---- torques --------------------------------------------------------------------------------------------------------
 
 
-def _with_weight(
+def _with_gravity(
     laboratory: Laboratory, path: Path, arm: str, time: Array, position: Array, command_time: Array, command: Array
 ) -> Array:
-    """Desired torque with gravity, ``(m, n)`` [N m]; what the mapping says of it must fit the numbers."""
+    """Desired torque with gravity, ``(m, n)`` [N m]; checks ``command_includes_gravity`` against the numbers."""
     at = np.column_stack([np.interp(command_time, time, column) for column in position.T])
     included, model = laboratory.mappings[arm].command_includes_gravity, laboratory.models[arm]
     whole = command if included else command + gravity_torques(model, at)
     remedy = (
-        "command_includes_gravity: false in the mapping, where it comes without the arm's own weight"
+        "command_includes_gravity: false in the mapping, where it comes without the gravity torque"
         if included
-        else "command_includes_gravity: true in the mapping, where it holds the arm's own weight already"
+        else "command_includes_gravity: true in the mapping, where it holds the gravity torque already"
     )
-    check_weight(path, "command", model, at, whole, remedy)
+    check_gravity_torque(path, "command", model, at, whole, remedy)
     return whole
 
 
@@ -760,8 +762,8 @@ def touches_of(task: tuple[Laboratory, RunRow]) -> list[PadOnFace]:
         logger.debug("%s: not used to place the motion capture: %s", run.name, error)
         return []
     # Arms that clamp an object move towards each other; it moves with their mean.
-    way = np.mean([touch.pad_way for touch in found], axis=0)
-    return [replace(touch, pad_way=way) for touch in found]
+    way = np.mean([touch.pad_displacement for touch in found], axis=0)
+    return [replace(touch, pad_displacement=way) for touch in found]
 
 
 def _touch(laboratory: Laboratory, run: RunRow, arm: str, series: ArmSeries, seen: Series | None) -> PadOnFace:
@@ -773,15 +775,15 @@ def _touch(laboratory: Laboratory, run: RunRow, arm: str, series: ArmSeries, see
     tilted = given.model_copy(update={"position": (0.0, 0.0, 0.0), "rpy": (*given.rpy[:2], 0.0)})
     pose = in_inertial_frame(tilted, run, seen.values)  # with roll and pitch, which hits do not determine
     impact = impact_time(joints, series["velocity"])
-    first, last = (impact + moment for moment in TOUCHING)
+    first, last = (impact + moment for moment in FLAT_CONTACT_S)
     times = seen.time[(seen.time >= first) & (seen.time <= last)]
     times = times if times.size else np.array([0.5 * (first + last)])
     pads = [model.placement(q) for q in joints.at(times)]
     placed = replace(seen, values=pose)
     objects = [pin.XYZQUATToSE3(row) for row in placed.at(times)]
-    still = np.median(pose[seen.time <= seen.time[0] + REST], axis=0)
+    still = np.median(pose[seen.time <= seen.time[0] + FIRST_POSE_S], axis=0)
     size = np.array(laboratory.scenario.object(run.object).size)
-    ends = np.array([impact, min(impact + FOLLOWED, float(joints.time[-1]), float(seen.time[-1]))])
+    ends = np.array([impact, min(impact + CARRIED_S, float(joints.time[-1]), float(seen.time[-1]))])
     way = np.diff([model.placement(q).translation[:2] for q in joints.at(ends)], axis=0)[0]
     return PadOnFace(
         run=run.name,
@@ -792,13 +794,13 @@ def _touch(laboratory: Laboratory, run: RunRow, arm: str, series: ArmSeries, see
         size=size,
         standing=height_on_support(laboratory.scenario, run.object, pin.XYZQUATToSE3(pose[0]).rotation),
         standing_height=float(still[2]),
-        pad_way=way,
-        object_way=np.diff(placed.at(ends)[:, :2], axis=0)[0],
+        pad_displacement=way,
+        object_displacement=np.diff(placed.at(ends)[:, :2], axis=0)[0],
     )
 
 
 def in_inertial_frame(motion_capture: MotionCapture, run: RunRow, pose: Array) -> Array:
-    """Poses of the object in A, ``(p, 7)``, from those of the tracked frame in the world of the motion capture.
+    """Poses of the object in A, ``(p, 7)``, from poses of the tracked frame in the world of the motion capture.
 
     Args:
         motion_capture: Where its world is, and the object in the frame that is tracked.
@@ -832,7 +834,7 @@ def _check_object(
     at = np.column_stack([np.interp(object_time[during], time, column) for column in position.T])
     size = np.array(scenario.object(run.object).size)
     touching = check_touch(run.path, laboratory.models[arm], run.object, size, at, pose[during])
-    slow = object_time.size > 1 and float(np.median(np.diff(object_time))) > 1.0 / SLOW_POSE
+    slow = object_time.size > 1 and float(np.median(np.diff(object_time))) > 1.0 / MIN_POSE_RATE_HZ
     return (
         remarks if slow else [*remarks, *(Remark(laboratory.label(arm), remark) for remark in touching)]
     )  # a slow tracker does not see where they meet

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mapping files: where a recording that was not made here keeps its signals (``config/mappings/*.yaml``).
+"""Mapping files: location, unit and sign of the signals of a foreign recording (``config/mappings/*.yaml``).
 
 One mapping serves bags (topic, message type and field), tables (CSV, text, Parquet, NPY: a column per joint) and files
-of arrays (NPZ, HDF5, MAT: an array per signal). What a signal is called is data; what it means is said here, with its
-unit.
+of arrays (NPZ, HDF5, MAT: an array per signal). Names of signals are data; a mapping gives their meaning and unit.
 
 In ``topic``, ``child_frame``, ``file``, ``joints`` and column names ``{object}`` stands for the object of a run,
 ``{arm}`` for the arm of its scenario and ``{run}`` for the run's own name.
@@ -68,12 +67,12 @@ StampNames = str | tuple[str, str]  # column or array of stamps; or of whole sec
 
 
 class TableLayout(Schema):
-    """Where rows and names of columns stand in a text table."""
+    """Lines of column names and rows in a text table."""
 
     header: Annotated[int | None, Field(ge=0)] = Field(
         None,
-        description="line of the column names, counted from 1; lines above it are skipped; 0: there is none, and the "
-        "columns are c1, c2, ...; absent: the first line that is neither empty nor a remark (#)",
+        description="line of the column names, counted from 1; lines above it are skipped; 0: no names, and the "
+        "columns are c1, c2, ...; absent: the first line that is neither empty nor a comment (#)",
     )
     first: Annotated[int | None, Field(ge=1)] = Field(
         None, description="line of the first row, below a line of units for example; absent: the next"
@@ -93,7 +92,7 @@ class SignalSource(Schema):
     )
     names: str | None = Field(None, description="path of the joint names in the message; without it the order counts")
     stamp: Literal["header", "log"] | None = Field(
-        None, description="stamp of a message; absent: that of the mapping, and the log where there is no header"
+        None, description="timestamp of a message; absent: as in the mapping, or the log time without a header"
     )
     child_frame: str | None = Field(None, description="child_frame_id to take from transforms; * matches any text")
     column: str | None = Field(
@@ -103,62 +102,62 @@ class SignalSource(Schema):
     columns: tuple[str, ...] | None = Field(None, description="columns of a table one by one, in order")
     entries: tuple[Annotated[int, Field(ge=1)], ...] | None = Field(
         None,
-        description="which numbers of a cell, of a sample of an array or of a message without names, counted from 1, "
-        "where a gripper, for example, stands beside the joints; absent: all",
+        description="selected numbers of a cell, array sample or message without names, counted from 1, "
+        "for example to omit a gripper; absent: all",
     )
     time_column: StampNames | None = Field(
-        None, description="column of this signal's own time, or two as in time.column; absent: that of the mapping"
+        None, description="column of this signal's own time, or two as in time.column; absent: as in the mapping"
     )
     array: str | None = Field(None, description="array of an NPZ, HDF5 or MAT file, samples x joints")
     time_array: StampNames | None = Field(
-        None, description="array of this signal's own time, or two as in time.array; absent: that of the mapping"
+        None, description="array of this signal's own time, or two as in time.array; absent: as in the mapping"
     )
     file: str | None = Field(None, description="file in the folder of a run; absent: the run's own file")
-    table: TableLayout | None = Field(None, description="as table, for this signal's file; absent: that of the mapping")
+    table: TableLayout | None = Field(None, description="as table, for this signal's file; absent: as in the mapping")
     quaternion_order: Literal["xyzw", "wxyz"] = Field("xyzw", description="order of a quaternion's numbers in a table")
-    delay: float = Field(0.0, description="added to the time stamps [s]")
+    delay: float = Field(0.0, description="added to the timestamps [s]")
     clock: Literal["shared", "own"] = Field(
-        "shared", description="own: its stamps are of another clock; the constant offset is found from the motion"
+        "shared", description="own: timestamps of another clock; the constant offset is found from the motion"
     )
     unit: str | tuple[str, ...] = Field(
-        description="unit of the numbers in the file; of joints of which some turn and some slide, a list with one each"
+        description="unit of the numbers in the file; a list with one per joint if some joints turn and some slide"
     )
     factor: float | tuple[float, ...] = Field(
-        1.0, description="the numbers are multiplied by this as well, for example -1; of joints also a list of each [-]"
+        1.0, description="further factor of the numbers, for example -1; for joints also a list of each [-]"
     )
     offset: float | tuple[float, ...] = Field(
         0.0,
-        description="then added, in the unit; of joints also a list of each, for example where the robot counts from "
+        description="then added, in the unit; for joints also a list of each, for example if the robot counts from "
         "another zero than its facts",
     )
 
     @property
     def units(self) -> tuple[str, ...]:
-        """The unit, or those of all joints."""
+        """The unit, or the units of all joints."""
         return (self.unit,) if isinstance(self.unit, str) else self.unit
 
 
 class TimeSource(Schema):
-    """Where the time stamps are."""
+    """Location of the timestamps."""
 
-    stamp: Literal["header", "log"] = Field("header", description="stamp of a message: its header or the bag's log")
-    column: StampNames = Field(
-        "time", description="column of a table; or two, whole seconds and the nanoseconds beside them"
+    stamp: Literal["header", "log"] = Field(
+        "header", description="timestamp of a message: its header's or the log time"
     )
+    column: StampNames = Field("time", description="column of a table; or two, whole seconds and nanoseconds")
     array: StampNames = Field("time", description="array of an NPZ, HDF5 or MAT file; or two, as columns")
     unit: Literal["s", "ms", "us", "ns", "date"] = Field(
-        "s", description="unit of the stamps in files that are no bags; date: 2026-11-25 12:00:00.5, a zone may follow"
+        "s", description="unit of the timestamps except in bags; date: 2026-11-25 12:00:00.5, a zone may follow"
     )
     rate: Annotated[float | None, Field(gt=0.0)] = Field(
-        None, description="sampling rate of files without stamps [Hz]; absent: they have stamps"
+        None, description="sampling rate of files without timestamps [Hz]; absent: they have timestamps"
     )
     repeated: Literal["refuse", "keep_first"] = Field(
-        "refuse", description="samples with the stamp of the one before: refuse the file, or keep the first of each"
+        "refuse", description="samples that repeat a timestamp: refuse the file, or keep the first of each"
     )
 
 
 class MountedEndEffector(Schema):
-    """What was mounted on the flange during the recording."""
+    """Load mounted on the flange during the recording."""
 
     mass: Annotated[float, Field(ge=0.0, description="mass [kg]")] = 0.0
     com: Vector3 = Field((0.0, 0.0, 0.0), description="centre of mass in frame E [m]")
@@ -168,7 +167,7 @@ class MountedEndEffector(Schema):
     length: Annotated[float, Field(ge=0.0, description="from the flange to frame E [m]")] = 0.0
 
     def build(self) -> EndEffector:
-        """For the robot model; an empty flange weighs a nanogram, because a body without any mass is no body."""
+        """End effector of the robot model; an empty flange weighs a nanogram, because bodies need a mass."""
         ixx, ixy, ixz, iyy, iyz, izz = self.inertia
         inertia = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
         return EndEffector(
@@ -186,14 +185,14 @@ class Mapping(Schema):
 
     description: str = Field(description="what kind of recording this reads")
     robot: str = Field(
-        description="robot facts: name of a file in config/robots, or a path, seen from the mapping file's folder; "
+        description="robot facts: name of a file in config/robots, or a path relative to the mapping file's folder; "
         "none: an object alone was tracked"
     )
     joints: tuple[str, ...] = Field(
         (), description="joint names in order; * matches any text, {arm} is the name of the arm; required with a robot"
     )
     end_effector: MountedEndEffector = Field(
-        default_factory=MountedEndEffector, description="what was mounted on the flange"
+        default_factory=MountedEndEffector, description="load mounted on the flange"
     )
     base_rpy: Vector3 = Field((0.0, 0.0, 0.0), description="roll, pitch, yaw of the robot's base in the world [rad]")
     torque_measured_at: Literal["link", "motor"] = Field(
@@ -203,26 +202,26 @@ class Mapping(Schema):
     )
     motor_inertia: NonNegativeVector | None = Field(
         None,
-        description="motor inertia at the joint, only with torque_measured_at: motor; absent: none is assumed, and "
-        "diagnose looks for it [kg m^2], prismatic [kg]",
+        description="motor inertia at the joint, only with torque_measured_at: motor; absent: 0 is assumed, and "
+        "diagnose estimates it [kg m^2], prismatic [kg]",
     )
     torque_constant: PositiveVector | None = Field(
         None,
-        description="torque at the joint over motor current, with the ratio of the gear, for units A and mA "
+        description="torque at the joint over motor current, including the gear ratio, for units A and mA "
         "[N m/A], prismatic [N/A]",
     )
     command_includes_gravity: bool = Field(
-        True, description="whether the commanded torque holds the arm's own weight; libfranka's does not"
+        True, description="whether the commanded torque includes gravity torque; libfranka's does not"
     )
     low_pass: Annotated[float, Field(gt=0.0, description="cut-off of the zero-phase low-pass [Hz]")] = 3.0
-    time: TimeSource = Field(default_factory=TimeSource, description="time stamps")
-    table: TableLayout = Field(default_factory=TableLayout, description="where a text table has its names and rows")
+    time: TimeSource = Field(default_factory=TimeSource, description="timestamps")
+    table: TableLayout = Field(default_factory=TableLayout, description="lines of names and rows of a text table")
     run_column: str | None = Field(
         None,
-        description="column of tables that says the run of each row, where a file holds several, as episode_index",
+        description="column with the run of each row of a table, if a file holds several, such as episode_index",
     )
     definitions: tuple[str, ...] = Field((), description="message packages whose definitions are in mappings/messages")
-    signals: dict[SignalName, SignalSource] = Field(description="where each signal is")
+    signals: dict[SignalName, SignalSource] = Field(description="location of each signal")
 
     @model_validator(mode="after")
     def _pairs_are_seconds(self) -> Self:
@@ -321,7 +320,7 @@ class Mapping(Schema):
 
     @property
     def spread(self) -> bool:
-        """Whether every run lies in files of its own name, which no file of one run holds together."""
+        """Whether a run has several files with its name."""
         return all(source.file is not None and "{run}" in source.file for source in self.signals.values())
 
     @property
@@ -330,7 +329,7 @@ class Mapping(Schema):
         return self.run_column is not None or any("{run}" in (source.array or "") for source in self.signals.values())
 
     def width(self, signal: SignalName) -> int:
-        """How many numbers one sample of a signal has."""
+        """Numbers per sample of a signal."""
         return WIDTH.get(signal, len(self.joints))
 
     @property
@@ -338,7 +337,7 @@ class Mapping(Schema):
         """Facts of the robot.
 
         Raises:
-            InputError: There is no such robot, it has another number of joints, or a unit is none of its joint.
+            InputError: Unknown robot, a different number of joints, or an impossible unit of a joint.
         """
         if self.robot == NO_ROBOT:
             raise InputError("an object alone was tracked; expected a robot", key="robot", value=self.robot)
@@ -363,15 +362,15 @@ class Mapping(Schema):
         return units[joint] if len(units) > 1 else units[0]
 
     def factor(self, signal: SignalName) -> Array:
-        """From the numbers in the file to SI, ``()`` or ``(n,)``."""
+        """Factor from the numbers in the file to SI, ``()`` or ``(n,)``."""
         return np.asarray(self._of_unit(signal) * np.asarray(self.signals[signal].factor))
 
     def offset(self, signal: SignalName) -> Array:
-        """What is added after the factor, in SI units, ``()`` or ``(n,)``."""
+        """Offset added after the factor, in SI units, ``()`` or ``(n,)``."""
         return np.asarray(self._of_unit(signal) * np.asarray(self.signals[signal].offset))
 
     def _of_unit(self, signal: SignalName) -> Array:
-        """From the unit of a signal to SI, ``()`` or ``(n,)``."""
+        """Factor from the unit of a signal to SI, ``()`` or ``(n,)``."""
         source = self.signals[signal]
         factors = [UNITS[QUANTITY[signal]][unit] for unit in source.units]
         constant = self.torque_constant if source.units[0] in CURRENTS else None
@@ -382,7 +381,7 @@ class Mapping(Schema):
         """Numbers of a table or array in SI units; quaternions end up in the order x y z w.
 
         Args:
-            signal: What they are.
+            signal: Their signal.
             values: ``(k, c)``, :meth:`width` columns.
         """
         source, factor = self.signals[signal], self.factor(signal)

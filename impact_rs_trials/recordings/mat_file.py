@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError
 
-HEADER = 128  # bytes
+HEADER_BYTES = 128
 MATRIX, COMPRESSED = 14, 15
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}  # by type
 STORED = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}  # by class
 CELL, STRUCTURE = 1, 2
-COMPLEX = 0x08  # flag
-DEEPEST = 8  # structures inside of each other
-MOST = 2_000_000_000  # bytes of a compressed element
+COMPLEX_FLAG = 0x08
+MAX_NESTED_STRUCTURES = 8
+MAX_ELEMENT_BYTES = 2_000_000_000  # of a compressed element
 
 
 class _Damaged(Exception):
@@ -46,15 +46,15 @@ def read_mat(path: Path) -> dict[str, NDArray[Any]]:
         raise InputError("not a readable MAT file (no file of level 5; expected save -v7 or -v7.3)", file=path)
     arrays: dict[str, NDArray[Any]] = {}
     try:
-        for kind, body in _elements(memoryview(data)[HEADER:], order):
+        for kind, body in _elements(memoryview(data)[HEADER_BYTES:], order):
             if kind == COMPRESSED:
                 unpack = zlib.decompressobj()
-                whole = unpack.decompress(bytes(body), MOST)
+                whole = unpack.decompress(bytes(body), MAX_ELEMENT_BYTES)
                 if not unpack.eof:
                     raise _Damaged("a compressed element goes on beyond its end")
                 kind, body = next(_elements(memoryview(whole), order))
             if kind == MATRIX:
-                for name, array in _matrix(body, order, "", DEEPEST):
+                for name, array in _matrix(body, order, "", MAX_NESTED_STRUCTURES):
                     if name in arrays:
                         raise _Damaged(f"two arrays are called {name!r}")
                     arrays[name] = array
@@ -95,7 +95,7 @@ def _matrix(body: memoryview, order: str, name: str, depth: int) -> Iterator[tup
     name = name or bytes(parts[2][1]).decode("ascii")
     if any(one < 0 for one in shape):
         raise _Damaged(f"array {name!r} has the dimensions {shape}")
-    if kind in STORED and not flags >> 8 & COMPLEX:
+    if kind in STORED and not flags >> 8 & COMPLEX_FLAG:
         if len(parts) != 4:
             raise _Damaged(f"array {name!r} has {len(parts)} parts, expected 4")
         values = _numbers(*parts[3], order)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits of joints from what a recording shows, in place of those that a URDF lacks.
+"""Limits of joints from a recording, for a URDF without limits.
 
-The range of a motion is no limit of the robot, but one within which the robot was: enough to compare a recording with
-its model, and too little for a plan of other motions.
+The range of a motion is no limit of the robot: it suffices to compare a recording with its model, but not to plan
+other motions.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from impact_rs_trials.recordings.table_columns import Columns, read_columns
 from impact_rs_trials.recordings.table_layout import find_layout
 
 QUANTITIES = {"position": "position", "velocity": "velocity", "torque": "effort"}  # of a URDF, by signal
-MOST_TURNED = 4.0 * np.pi  # rad; positions beyond are degrees
+MAX_POSITION_RAD = 4.0 * np.pi  # positions beyond are degrees
 
 
 def measured_limits(path: Path, joints: Sequence[str]) -> Limits:
@@ -57,7 +57,7 @@ def measured_limits(path: Path, joints: Sequence[str]) -> Limits:
             key="--measured",
         )
     for (joint, quantity), ends in found.items():
-        if quantity == "position" and max(abs(end) for end in ends) > MOST_TURNED:
+        if quantity == "position" and max(abs(end) for end in ends) > MAX_POSITION_RAD:
             said = f"joint {joint} is at {ends[0]:g} to {ends[1]:g}: expected rad or m, not degrees or mm"
             raise InputError(said, file=path, key="--measured")
     return found

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motion of a tracked body beside an impact, fitted by the law that it obeys there.
+"""Motion of a tracked body before or after an impact, fitted by its law of motion.
 
     free flight   p(t) = p_0 + v t + g t^2 / 2
                   dR/dt = [w] R,  I dw/dt = -w x I w                                (Euler)
     sliding       p(t) = p_0 + d s(t),  s = v t - c t^2 / 2 until it rests,         c = mu g for a flat support
 
-Places are linear in their parameters and fitted by least squares, turns by Gauss-Newton steps. The standard error of
-a velocity is that of the parameter, with the scatter of the samples about the fit; it is of white noise, so filtered
-tracking has less scatter than error.
+Positions are linear in their parameters and fitted by least squares, orientations by Gauss-Newton steps. Standard
+errors follow from the scatter of the samples about the fit, for white noise; filtered tracking has larger errors.
 """
 
 from __future__ import annotations
@@ -19,25 +18,25 @@ import pinocchio as pin
 
 from impact_rs_sim.robot import Array
 
-ROUNDS = 3  # Gauss-Newton steps of a turn
-STEP = 2e-3  # s, of Euler's equations
-ALIKE = 1e-9  # relative difference of moments below which a body turns steadily
-AT_REST = 2.0  # standard deviations of a velocity below which a body rests
+GAUSS_NEWTON_STEPS = 3  # of an orientation
+EULER_STEP_S = 2e-3  # of Euler's equations
+EQUAL_MOMENTS = 1e-9  # relative difference below which a body turns steadily
+MAX_REST_SIGMA = 2.0  # standard deviations of the velocity of a body at rest
 
 
 @dataclass(frozen=True)
 class FittedMotion:
-    """Place and twist of a body over time.
+    """Position and twist of a body over time.
 
     Attributes:
-        reference: Time about which it is written [s].
+        reference: Reference time of the parameters [s].
         position: p_0, ``(3,)`` [m].
         velocity: v, ``(3,)`` [m/s].
-        acceleration: g, or that of sliding, ``(3,)`` [m/s^2].
+        acceleration: g, or the deceleration of sliding, ``(3,)`` [m/s^2].
         rotation: R_0, ``(3, 3)``.
         turning: w in axes of the world, ``(3,)`` [rad/s].
-        moments: Principal moments, ``(3,)``; alike where the turn is taken for steady.
-        scatter: Root mean square of what the fit leaves of positions [m] and angles [rad].
+        moments: Principal moments, ``(3,)``; equal if a steady rotation is assumed.
+        scatter: Root mean square residual of positions [m] and angles [rad].
         noise: Standard deviation of a component of the velocity [m/s] and of the angular velocity [rad/s], at the end
             of the samples that is nearer to the impact.
     """
@@ -69,9 +68,9 @@ def turned(rotation: Array, turning: Array, moments: Array, duration: float) -> 
         moments: Principal moments, ``(3,)``.
         duration: The time [s].
     """
-    if np.ptp(moments) <= ALIKE * float(np.max(moments)):
+    if np.ptp(moments) <= EQUAL_MOMENTS * float(np.max(moments)):
         return np.asarray(pin.exp3(turning * duration) @ rotation), turning
-    own, steps = rotation.T @ turning, max(1, int(np.ceil(abs(duration) / STEP)))
+    own, steps = rotation.T @ turning, max(1, int(np.ceil(abs(duration) / EULER_STEP_S)))
     h = duration / steps
     for _ in range(steps):  # midpoint rule
         middle = own + 0.5 * h * np.cross(moments * own, own) / moments
@@ -95,7 +94,7 @@ def fly(time: Array, positions: Array, rotations: Array, gravity: Array, moments
 
 
 def move(time: Array, positions: Array, rotations: Array, at: float) -> FittedMotion:
-    """Motion on a support whose friction is not known: velocity and acceleration are fitted, the turn is steady.
+    """Motion on a support with unknown friction: velocity and acceleration are fitted, the rotation is steady.
 
     Args:
         time: Stamps, ``(k,)`` [s], at least four.
@@ -107,7 +106,7 @@ def move(time: Array, positions: Array, rotations: Array, at: float) -> FittedMo
 
 
 def rest(positions: Array, rotations: Array, at: float) -> FittedMotion:
-    """A body that does not move; its scatter is that of the tracker.
+    """A body at rest; its scatter is the tracker's noise.
 
     Args:
         positions: ``(k, 3)`` [m].
@@ -124,15 +123,15 @@ def rest(positions: Array, rotations: Array, at: float) -> FittedMotion:
 
 
 def contact_noise(motion: FittedMotion, samples: int, extent: float, turns: bool) -> tuple[float, float]:
-    """Standard deviations of the place [m] and of the normal [rad] of a contact at the end of a motion.
+    """Standard deviations of the position [m] and of the normal [rad] of a contact at the end of a motion.
 
     A straight line through k samples is known at its end to 2 / sqrt(k) of their scatter.
 
     Args:
         motion: Before the impact.
         samples: k.
-        extent: Of the body, at whose faces the contact lies [m].
-        turns: Whether the normal is that of a face of the body.
+        extent: Extent of the body with the contact on its faces [m].
+        turns: Whether the normal belongs to a face of the body.
     """
     place, turn = (2.0 * scatter / float(np.sqrt(samples)) for scatter in motion.scatter)
     return float(np.hypot(place, 0.5 * extent * turn)), turn if turns else 0.0
@@ -148,7 +147,7 @@ def _fit(
     line, place_left = _least_squares(basis, falling)
     steady = np.column_stack((np.ones_like(t), t))
     start, turning = rotations[middle], np.zeros(3)
-    for _ in range(ROUNDS):
+    for _ in range(GAUSS_NEWTON_STEPS):
         expected = [turned(start, turning, moments, moment)[0] for moment in t]
         off = np.array([pin.log3(seen @ one.T) for seen, one in zip(rotations, expected, strict=True)])
         (shift, faster), turn_left = _least_squares(steady, off)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which of several tracked objects a run is about: the one that moves most, where every run has a file of each."""
+"""The hit object of a run among several tracked ones: the one that moves most, if every run has a file of each."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from dataclasses import dataclass, replace
 
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.file_groups import OBJECT, RUN, WORD, FileGroups, run_name
-from impact_rs_trials.recordings.import_checks import MOVED, travel_of
+from impact_rs_trials.recordings.import_checks import MIN_OBJECT_DISPLACEMENT_M, travel_of
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.series import Names
 
 
 @dataclass(frozen=True)
 class MovingObjects:
-    """Files of several objects as those of one, in every run that of the object which moves.
+    """Per-object files treated as one object: in each run, the file of the object that moves.
 
     Attributes:
         pattern: Name of their kind, with ``{object}`` for the object.
-        groups: All files, with that kind in place of theirs.
-        objects: Names of the objects, as far as one of them moves in some run.
+        groups: All files, with the merged kind.
+        objects: Names of the objects that move in some run.
     """
 
     pattern: str
@@ -33,10 +33,10 @@ def moving_objects(groups: FileGroups, kind: str, mapping: Mapping) -> MovingObj
     Args:
         groups: Files by kind and run.
         kind: Kind of the files of one object.
-        mapping: Says where the place is in them.
+        mapping: Locates the position in them.
 
     Returns:
-        None: no other kind differs from this one in a word alone and holds a place in every run.
+        None: no other kind differs from this one in one word and holds a position in every run.
     """
     for word in WORD.finditer(kind):
         if word[0] in (RUN.strip("{}"), OBJECT.strip("{}"), kind.rpartition(".")[2]):
@@ -56,14 +56,14 @@ def moving_objects(groups: FileGroups, kind: str, mapping: Mapping) -> MovingObj
         chosen = {run: max(usable, key=lambda name: usable[name][run]) for run in groups.runs}  # noqa: B023
         kinds = {other: by_run for other, by_run in groups.kinds.items() if other not in map(named.get, usable)}
         kinds[pattern] = {run: groups.kinds[named[name]][run] for run, name in chosen.items()}
-        moved = [name for run, name in chosen.items() if usable[name][run] > MOVED]
+        moved = [name for run, name in chosen.items() if usable[name][run] > MIN_OBJECT_DISPLACEMENT_M]
         merged = replace(groups, kinds=kinds, objects={**groups.objects, **chosen})
         return MovingObjects(pattern, merged, tuple(dict.fromkeys(moved)))
     return None
 
 
 def _travels(groups: FileGroups, kind: str, mapping: Mapping) -> dict[str, float] | None:
-    """How far an object moves in every run [m]; None: the place is not in its files, or not of all runs."""
+    """Largest displacement of an object in every run [m]; None: some run has no position of it."""
     signals = {name: one.model_copy(update={"file": kind}) for name, one in mapping.signals.items()}
     own = mapping.model_copy(update={"signals": signals})
     found: dict[str, float] = {}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sections of a mapping for the pose of an object, with what shows them."""
+"""Sections of a mapping for the pose of an object, with their evidence."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from impact_rs_trials.recordings.recorded_files import ImportedFiles, RecordedFi
 from impact_rs_trials.recordings.sources import open_file
 from impact_rs_trials.recordings.transforms import are_transforms
 
-MOST_POSES = 10  # in a message
+MAX_SHOWN_POSES = 10  # in a message
 OF_THE_ROBOT = re.compile(r"eef|(^|_)ee(_|$)|tcp|tool|flange|hand", re.IGNORECASE)
 OF_A_POSE = re.compile(
     r"pos(ition)?|place|trans(lation)?|rot(ation)?|quat(ernion)?|ori(entation)?|[pqrtwxyz]|xyz|xyzw|wxyz"
@@ -32,10 +32,10 @@ class ObjectSections:
     """Describes the object of a recording.
 
     Args:
-        files: Its files; what was found is added to their notes.
+        files: Its files; findings are appended to their notes.
 
     Attributes:
-        groups: Files by kind and run, those of several objects as those of the one that a run moves.
+        groups: Files by kind and run; per-object files are merged to the object that moves.
     """
 
     def __init__(self, files: ImportedFiles) -> None:
@@ -61,16 +61,16 @@ class ObjectSections:
         return None if with_robot else self._ball(signals)
 
     def _say_other_poses(self, part: RecordedFile, taken: dict[str, Any]) -> None:
-        """Arrays and topics that may be poses as well, of which none is taken."""
+        """Note further arrays and topics that may be poses and are not used."""
         others = [one.label for one in part.candidates if one.pose and one.source != taken]
         if others:
             self._notes.remarks.append(
-                f"{part.path.name} holds other poses, of which none is taken: {', '.join(others[:MOST_POSES])}"
-                + (f" and {len(others) - MOST_POSES} more" if len(others) > MOST_POSES else "")
+                f"{part.path.name} holds other poses, which are not used: {', '.join(others[:MAX_SHOWN_POSES])}"
+                + (f" and {len(others) - MAX_SHOWN_POSES} more" if len(others) > MAX_SHOWN_POSES else "")
             )
 
     def _choose_objects(self, part: RecordedFile, sections: dict[str, dict[str, Any]]) -> None:
-        """Where every run has a file of each of several objects, take that of the object which moves in the run."""
+        """If every run has a file of each of several objects, take the file of the moving object."""
         sources = {name: SignalSource.model_validate(section) for name, section in sections.items()}
         mapping = part.raw_mapping(NO_ROBOT, (), self._rate).model_copy(update={"signals": sources})
         found = moving_objects(self.groups, part.pattern, mapping)
@@ -84,7 +84,7 @@ class ObjectSections:
         )
 
     def _ball(self, signals: dict[str, dict[str, Any]]) -> RecordedFile | None:
-        """Places of an object whose turn was not tracked, added to the signals; a ball may be one."""
+        """Add positions of an object without tracked orientation, such as a ball, to the signals."""
         for part in self._parts:
             names = [name for name, cells in part.columns.items() if vector_width(cells) == 1]
             for columns in axes_of(names)[0]:
@@ -95,7 +95,7 @@ class ObjectSections:
                 length = unit_of_length(place)
                 self._notes.say("signals.object_position", ", ".join(columns), length.evidence)
                 self._notes.remarks.append(
-                    "no column is its turn: only of a ball that is enough, with the spin that it had (body.spin)"
+                    "no column is its orientation: enough for a ball only, with its spin (body.spin)"
                 )
                 signals["object_position"] = {
                     **source_in(part, {"columns": columns}, self.groups),
@@ -127,7 +127,7 @@ class ObjectSections:
             if matrices:
                 length = unit_of_length(pose)
                 guess = Guess(length.value, length.evidence)
-            said = "holds homogeneous matrices" if matrices else "holds a place and a unit quaternion"
+            said = "holds homogeneous matrices" if matrices else "holds a position and a unit quaternion"
             self._notes.say("signals.object_pose", label, said)
             self._notes.say("signals.object_pose.unit", guess.value, guess.evidence, guess.sure)
             return {"object_pose": {**source_in(part, place, self.groups), "unit": guess.value, **guess.further}}
@@ -141,7 +141,7 @@ class ObjectSections:
         further = {} if order.value == "xyzw" else {"quaternion_order": order.value}
         turned_label = quaternion.get("column") or quaternion.get("array") or ", ".join(names or ())
         by_order = (
-            "" if named else f"; taken for the position of the body that {turned_label} turns, by their order alone"
+            "" if named else f"; taken for the position of the body with the orientation {turned_label}, by order alone"
         )
         self._notes.say("signals.object_position", label, f"{length.evidence}{by_order}", named)
         self._notes.say("signals.object_quaternion", order.value, order.evidence, order.sure and named)
@@ -152,7 +152,7 @@ class ObjectSections:
 
 
 def poses_in(part: RecordedFile, with_robot: bool) -> list[tuple[dict[str, Any], dict[str, Any] | None, bool]]:
-    """Sources of a pose: of seven numbers alone, or of position and quaternion, and whether names pair these."""
+    """Sources of a pose: seven numbers, or position and quaternion, and whether these are paired by name."""
     whole = [(one.source, None, True) for one in part.candidates if one.pose or one.width == 7 and not with_robot]
     vectors = {name: vector_width(cells) for name, cells in part.columns.items()}
     sources = {name: {"column": name} for name in vectors}
@@ -169,7 +169,7 @@ def poses_in(part: RecordedFile, with_robot: bool) -> list[tuple[dict[str, Any],
 def _paired(
     places: Sequence[dict[str, Any]], turns: Sequence[dict[str, Any]]
 ) -> Iterator[tuple[dict[str, Any], dict[str, Any], bool]]:
-    """Positions and quaternions of one body: those whose names agree, then the others by their order; which it was."""
+    """Pairs of positions and quaternions, by name, then by order; and whether by name."""
     free = list(turns)
     left = []
     for place in places:
@@ -184,7 +184,7 @@ def _paired(
 
 
 def _body_of(source: dict[str, Any]) -> tuple[str, ...]:
-    """What a name says besides that it is a position or a quaternion: which body."""
+    """Name of the body, from a name without the words for position and quaternion."""
     columns = source.get("columns") or [source.get("column") or source.get("array") or ""]
     words = [re.findall(r"[A-Z]?[a-z]+|[A-Z]+|\d+", name) for name in columns]
     common = [word.lower() for word in words[0] if all(word in other for other in words)]

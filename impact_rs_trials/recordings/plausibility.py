@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plausibility of a laboratory's signals: whether they can belong to arm, object and frames of its scenario.
+"""Plausibility of a laboratory's signals: consistency with arm, object and frames of its scenario.
 
 Implausible signals are refused; the message has the number that shows it and the most likely mistake.
 """
@@ -16,18 +16,18 @@ from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario
-from impact_rs_trials.recordings.relations import HELD_ONCE, pooled
+from impact_rs_trials.recordings.relations import SINGLE_GRAVITY_FACTORS, pooled
 from impact_rs_trials.recordings.remarks import Amount, Remark
 
-REST = 0.1  # s, from which the first pose of the object is taken
-HEIGHT_TOLERANCE = 0.05  # m
-REACH = 2.0  # m, from the base of the arm
-UPRIGHT = np.deg2rad(5.0)  # rad
-MOVED = 0.002  # m
-TOUCH_TOLERANCE = 0.05  # m, between pad and object at their nearest
-TOUCH_TOLD = 0.005  # m
-GRAVITY_NOTICED = 1.0  # N m rms, a weight that can be noticed in the torques of a Franka arm
-CHECKED = 200  # samples in which the weight is compared
+FIRST_POSE_S = 0.1  # in which the first pose of the object is taken
+HEIGHT_TOLERANCE_M = 0.05
+MAX_REACH_M = 2.0  # from the base of the arm
+MAX_TILT_RAD = np.deg2rad(5.0)  # rad
+MIN_PUSHED_M = 0.002  # of an object that the arm pushed
+MAX_TOUCH_DISTANCE_M = 0.05  # between pad and object at their nearest
+MIN_REPORTED_DISTANCE_M = 0.005
+MIN_GRAVITY_TORQUE_NM = 1.0  # rms, that can be noticed in the torques of a Franka arm
+GRAVITY_SAMPLES = 200  # in which the gravity torque is compared
 
 
 def gravity_torques(model: RobotModel, position: Array) -> Array:
@@ -36,13 +36,13 @@ def gravity_torques(model: RobotModel, position: Array) -> Array:
 
 
 def noticed(model: RobotModel) -> float:
-    """Least weight that can be noticed in the torques of an arm of its size, rms [N m]."""
+    """Smallest gravity torque that is noticeable in the torques of an arm of this size, rms [N m]."""
     size = Proportion.of_robots([model.facts], np.asarray(model.pinocchio.gravity.linear))
-    return GRAVITY_NOTICED * size.factor("N m")
+    return MIN_GRAVITY_TORQUE_NM * size.factor("N m")
 
 
-def check_weight(path: Path, name: str, model: RobotModel, position: Array, torque: Array, remedy: str) -> None:
-    """Torques hold the arm's own weight once: neither twice, nor with the wrong sign, nor not at all.
+def check_gravity_torque(path: Path, name: str, model: RobotModel, position: Array, torque: Array, remedy: str) -> None:
+    """Check that torques include the gravity torque once: neither twice, nor with the wrong sign, nor not at all.
 
     Args:
         path: Run, for messages.
@@ -50,19 +50,20 @@ def check_weight(path: Path, name: str, model: RobotModel, position: Array, torq
         model: Nominal arm.
         position: q, ``(k, n)`` [rad].
         torque: Torques at those positions, ``(k, n)`` [N m].
-        remedy: What may be wrong.
+        remedy: Likely mistake.
 
     Raises:
         InputError: They do not.
     """
-    rows = np.unique(np.linspace(0, position.shape[0] - 1, CHECKED).astype(int))
-    weight = gravity_torques(model, position[rows])
-    if float(np.sum(np.square(weight))) < noticed(model) ** 2 * rows.size:
+    rows = np.unique(np.linspace(0, position.shape[0] - 1, GRAVITY_SAMPLES).astype(int))
+    gravity = gravity_torques(model, position[rows])
+    if float(np.sum(np.square(gravity))) < noticed(model) ** 2 * rows.size:
         return
-    ratio = float(pooled(weight, torque[rows]).factor[0])
-    if not HELD_ONCE[0] < ratio < HELD_ONCE[1]:
+    ratio = float(pooled(gravity, torque[rows]).factor[0])
+    if not SINGLE_GRAVITY_FACTORS[0] < ratio < SINGLE_GRAVITY_FACTORS[1]:
         raise InputError(
-            f"{name} holds {ratio:.2f} times the weight of the scenario's arm, expected about 1: {remedy}", file=path
+            f"{name} holds {ratio:.2f} times the gravity torque of the scenario's arm, expected about 1: {remedy}",
+            file=path,
         )
 
 
@@ -73,7 +74,7 @@ def height_on_support(scenario: Scenario, name: str, rotation: Array) -> float:
 
 
 def check_object(path: Path, scenario: Scenario, arm: str, name: str, time: Array, pose: Array) -> list[str]:
-    """At first the object stands on the support and within reach.
+    """Check that the object stands on the support and within reach at first.
 
     Args:
         path: Run, for messages.
@@ -84,52 +85,52 @@ def check_object(path: Path, scenario: Scenario, arm: str, name: str, time: Arra
         pose: Geometric centre and quaternion in A, ``(p, 7)``.
 
     Returns:
-        What the user should know.
+        Warnings to the user.
 
     Raises:
         InputError: It does not.
     """
-    centre = np.median(pose[time <= time[0] + REST, :3], axis=0)
+    centre = np.median(pose[time <= time[0] + FIRST_POSE_S, :3], axis=0)
     rotation = pin.Quaternion(pose[0, 3:]).matrix()
     height = height_on_support(scenario, name, rotation)
     where = f"the centre of {name!r} is first at {np.round(centre, 3).tolist()} m"
     remedy = "pose in another frame or unit? motion_capture in the experiment file says where its world is"
-    if abs(centre[2] - height) > HEIGHT_TOLERANCE:
+    if abs(centre[2] - height) > HEIGHT_TOLERANCE_M:
         raise InputError(
             f"{where}, expected {height:.3f} m high on the support ({centre[2] - height:+.3f} m off): {remedy}",
             file=path,
         )
     distance = float(np.linalg.norm(centre - np.array(scenario.robots[arm].base.position)))
-    if distance > REACH:
+    if distance > MAX_REACH_M:
         raise InputError(
-            f"{where}, {distance:.2f} m from the base of arm {arm!r}, expected less than {REACH:g} m: {remedy}",
+            f"{where}, {distance:.2f} m from the base of arm {arm!r}, expected less than {MAX_REACH_M:g} m: {remedy}",
             file=path,
         )
     remarks = []
     upwards = np.abs(rotation[2])
-    if np.argmax(upwards) != 2 or np.arccos(min(1.0, float(upwards[2]))) > UPRIGHT:
+    if np.argmax(upwards) != 2 or np.arccos(min(1.0, float(upwards[2]))) > MAX_TILT_RAD:
         remarks.append(
             f"the z axis of {name!r} does not point up at first: motion_capture.bodies says how it lies in the tracked "
             "frame"
         )
-    if float(np.max(np.linalg.norm(pose[:, :3] - centre, axis=1))) < MOVED:
-        remarks.append(f"{name!r} never moves by {1e3 * MOVED:g} mm: is it the body that is hit?")
+    if float(np.max(np.linalg.norm(pose[:, :3] - centre, axis=1))) < MIN_PUSHED_M:
+        remarks.append(f"{name!r} never moves by {1e3 * MIN_PUSHED_M:g} mm: is it the body that is hit?")
     return remarks
 
 
 def check_touch(path: Path, model: RobotModel, name: str, size: Array, position: Array, pose: Array) -> list[str]:
-    """Pad and object meet: where they are nearest there is nothing between them, nor is one inside the other.
+    """Check that pad and object touch at their smallest distance: neither a gap nor a penetration.
 
     Args:
         path: Run, for messages.
         model: Nominal arm.
         name: Name of the object.
         size: Of the object, ``(3,)`` [m].
-        position: q at the stamps of the object's pose, ``(p, n)`` [rad].
+        position: q at the timestamps of the object's pose, ``(p, n)`` [rad].
         pose: Geometric centre and quaternion of the object in A, ``(p, 7)``.
 
     Returns:
-        What the user should know.
+        Warnings to the user.
 
     Raises:
         InputError: They do not meet.
@@ -141,8 +142,8 @@ def check_touch(path: Path, model: RobotModel, name: str, size: Array, position:
         distances.append(float(np.linalg.norm(np.maximum(beyond, 0.0)) + min(float(np.max(beyond)), 0.0)))
     nearest = min(distances)
     beside = max(model.end_effector.pad_size[:2]) / 2.0  # an edge of the pad may hit while its middle passes by
-    if -TOUCH_TOLERANCE < nearest < TOUCH_TOLERANCE + beside:
-        if abs(nearest) < TOUCH_TOLD:
+    if -MAX_TOUCH_DISTANCE_M < nearest < MAX_TOUCH_DISTANCE_M + beside:
+        if abs(nearest) < MIN_REPORTED_DISTANCE_M:
             return []
         how = "short of" if nearest > 0.0 else "inside"
         return [

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that several readers look at are read once.
+"""Cache of files that several readers use.
 
     with files_read_once():
         ...   # candidates, raw numbers, and the run as its mapping describes it
 
-Functions under :func:`once` then keep what they read, the newest up to a size, as long as a file keeps its size and the
-time of its last change. Nothing that they return may be changed by a caller.
+Functions under :func:`once` then keep their results, the newest up to a size, as long as a file keeps its size and the
+time of its last change. Callers must not change the returned values.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _kept: ContextVar[dict[tuple[Any, ...], tuple[int, Any]] | None] = ContextVar("_
 
 @contextmanager
 def files_read_once() -> Iterator[None]:
-    """Keep what is read until the end of the block."""
+    """Keep read files until the end of the block."""
     token = _kept.set({})
     try:
         yield

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of a recording as an import looks at them: columns, candidates, clock and the raw numbers of streams."""
+"""Files of a recording for an import: columns, candidates, clock and the raw numbers of streams."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ from impact_rs_trials.recordings.candidates import (
 from impact_rs_trials.recordings.file_groups import OBJECT, FileGroups
 from impact_rs_trials.recordings.file_units import UNITS
 from impact_rs_trials.recordings.guesses import Guess, clock_of, other_units, steps_back
-from impact_rs_trials.recordings.hypotheses import DECISIVE
-from impact_rs_trials.recordings.import_checks import FEWEST_SAMPLES, usable_rows
+from impact_rs_trials.recordings.import_checks import MIN_CHECKED_SAMPLES, usable_rows
 from impact_rs_trials.recordings.import_texts import Notes, flow
 from impact_rs_trials.recordings.inner_runs import RUN, run_column_of, run_groups_of, runs_of
 from impact_rs_trials.recordings.joint_search import JointSearch
 from impact_rs_trials.recordings.joint_streams import JointStream
 from impact_rs_trials.recordings.mapping import NO_ROBOT, Mapping, SignalSource, TableLayout
+from impact_rs_trials.recordings.relations import DECISIVE_LOG_ODDS
 from impact_rs_trials.recordings.run_finder import ARRAY_SUFFIXES, BAG_SUFFIXES, is_bag_folder
 from impact_rs_trials.recordings.series import Names
 from impact_rs_trials.recordings.sources import open_file
 from impact_rs_trials.recordings.table_columns import read_columns, read_rows
 from impact_rs_trials.recordings.table_layout import find_layout
 
-MOST_SHOWN = 3  # groups in a message
+MAX_SHOWN_GROUPS = 3  # in a message
 AXES = ("x", "y", "z")
 QUATERNION = (("x", "y", "z", "w"), ("w", "x", "y", "z"))
 RAW_UNITS = {"position": "rad", "velocity": "rad/s", "torque": "N m"}
@@ -49,7 +49,7 @@ RAW_UNITS = {"position": "rad", "velocity": "rad/s", "torque": "N m"}
 
 @dataclass
 class RecordedFile:
-    """One kind of file: its first one, with what it holds; of several runs inside of it the first."""
+    """One kind of file, represented by its first file (or the first run in it) and its contents."""
 
     pattern: str
     path: Path
@@ -60,16 +60,16 @@ class RecordedFile:
     streams: list[JointStream] = field(default_factory=list)
     run: str = ""
     run_column: str | None = None
-    on_log: bool = False  # times are those at which a bag received its messages
+    on_log: bool = False  # times are the log times of a bag
 
     @property
     def names(self) -> Names:
-        """What the placeholders of a mapping stand for."""
+        """Values of the placeholders of a mapping."""
         return Names(run=self.run or "*")
 
     @property
     def clock_columns(self) -> tuple[str, ...]:
-        """Columns of the stamps."""
+        """Columns of the timestamps."""
         value = () if self.clock is None else self.clock.value
         return (value,) if isinstance(value, str) else tuple(value)
 
@@ -80,7 +80,7 @@ class RecordedFile:
 
     @property
     def is_bag(self) -> bool:
-        """Whether it is a bag, whose messages have stamps."""
+        """Whether it is a bag, whose messages have timestamps."""
         return is_bag_folder(self.path) or self.path.suffix in BAG_SUFFIXES
 
     @property
@@ -120,7 +120,7 @@ class RecordedFile:
         )  # fmt: skip
 
     def own_layout(self, main: RecordedFile) -> dict[str, Any]:
-        """Layout and stamps of the file, as far as they are not those of the main one."""
+        """Layout and timestamps of the file that differ from the main file's."""
         own: dict[str, Any] = {}
         if self is not main:
             if self.layout != main.layout:
@@ -132,13 +132,13 @@ class RecordedFile:
 
 @dataclass(frozen=True)
 class ImportedFiles:
-    """Files that are described together, with what is known of all of them.
+    """Files that are described together, with their common rate and notes.
 
     Attributes:
         parts: One file of each kind.
         groups: Files by kind and run.
-        rate: Sampling rate of files without stamps [Hz]; None: they have stamps.
-        notes: What was found in them.
+        rate: Sampling rate of files without timestamps [Hz]; None: they have timestamps.
+        notes: Findings, appended to.
     """
 
     parts: Sequence[RecordedFile]
@@ -148,13 +148,13 @@ class ImportedFiles:
 
 
 def open_recorded(pattern: str, path: Path, spread: bool, notes: Notes) -> RecordedFile:
-    """A file, with what it holds; of several runs inside of it the first.
+    """A file with its contents; with several runs in it, the first.
 
     Args:
         pattern: Its kind among the files of a run; empty: a run is one file.
         path: The file.
         spread: Whether a run lies in several files.
-        notes: What was found is added to them.
+        notes: Findings, appended to.
 
     Raises:
         InputError: It cannot be read.
@@ -179,11 +179,11 @@ def open_recorded(pattern: str, path: Path, spread: bool, notes: Notes) -> Recor
 
 
 def _of_arrays(pattern: str, path: Path, spread: bool, notes: Notes) -> RecordedFile:
-    """A file of arrays; where groups of it are runs, those of the first, with ``{run}`` in their names."""
+    """A file of arrays; if its groups are runs, the arrays of the first, with ``{run}`` in their names."""
     columns, candidates = ArrayFile.arrays_of(path), candidates_of(path)
     groups, run = run_groups_of(columns), ""
     if groups is not None:
-        listed = ", ".join(f"{groups.before}{name}" for name in groups.names[:MOST_SHOWN])
+        listed = ", ".join(f"{groups.before}{name}" for name in groups.names[:MAX_SHOWN_GROUPS])
         if groups.recorded and not spread:
             run = groups.names[0]
             columns = {new: own for name, own in columns.items() if (new := groups.with_placeholder(name))}
@@ -225,13 +225,13 @@ def read_streams(part: RecordedFile, robot: str, count: int, rate: float | None)
             refused[one.label] = str(error)
             continue
         rows = usable_rows(series)
-        if rows.size > FEWEST_SAMPLES:
+        if rows.size > MIN_CHECKED_SAMPLES:
             kept = replace(series, time=series.time[rows], values=series.values[rows])
             part.streams.append(JointStream(part.pattern, one, kept))
         else:
             refused[one.label] = (
                 f"{rows.size} of {series.time.size} samples have numbers and a later stamp than all before, "
-                f"more than {FEWEST_SAMPLES} are needed; stamps were taken from {part.stamps}, the key time of a "
+                f"more than {MIN_CHECKED_SAMPLES} are needed; stamps were taken from {part.stamps}, the key time of a "
                 "mapping names others, or a rate"
             )
     _put_on_stamps(part)
@@ -239,7 +239,7 @@ def read_streams(part: RecordedFile, robot: str, count: int, rate: float | None)
 
 
 def settle_clock(part: RecordedFile, model: RobotModel) -> None:
-    """Give stamps whose unit nothing else shows the one in which positions and velocities are the likeliest."""
+    """Choose an ambiguous unit of time by the likelihood of positions and velocities."""
     clock = part.clock
     if clock is None or clock.sure:
         return
@@ -259,13 +259,13 @@ def settle_clock(part: RecordedFile, model: RobotModel) -> None:
     place, speed = motion.position.stream.label, motion.velocity.stream.label
     said = f"increases; in {unit}, {rate:.4g} Hz, {speed} is the derivative of {place}"
     margin = tried[0][0] - tried[1][0] if len(tried) > 1 else np.inf
-    said += "" if margin > DECISIVE else f"; next: {tried[1][1]}, log odds {margin:.2g}"
-    part.clock = replace(clock, evidence=said, sure=bool(margin > DECISIVE), further={"unit": unit})
+    said += "" if margin > DECISIVE_LOG_ODDS else f"; next: {tried[1][1]}, log odds {margin:.2g}"
+    part.clock = replace(clock, evidence=said, sure=bool(margin > DECISIVE_LOG_ODDS), further={"unit": unit})
     part.streams = streams
 
 
 def _put_on_stamps(part: RecordedFile) -> None:
-    """Put signals without stamps on the clock of the others, as the reader does."""
+    """Put signals without timestamps on the clock of the others, as the reader does."""
     stamped = [one.series for one in part.streams if one.candidate.stamped]
     shifts = [float(np.median(one.log - one.time)) for one in stamped if one.log is not None]
     if shifts:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings of free motion that were not made here: bags (with or without ``metadata.yaml``), tables and arrays.
 
-What cannot be used is refused with one line that names file, topic, field and what was expected.
+Unusable data is refused with one line that names file, topic, field and the expected value.
 """
 
 from __future__ import annotations
@@ -18,35 +18,35 @@ from impact_rs_sim.physics import ArmPhysics, JointFriction, ObjectPhysics, Phys
 from impact_rs_sim.robot import Array, joined_units
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.bags.topics import TRIAL_INFO
-from impact_rs_trials.recordings.clock import check_stamps, gaps, tell_gaps
+from impact_rs_trials.recordings.clock import check_stamps, gaps, gaps_in_words
 from impact_rs_trials.recordings.clock_offset import on_one_clock
-from impact_rs_trials.recordings.faults import EXCESS, FEW, MARGIN, without_faults
+from impact_rs_trials.recordings.faults import MAX_LIMIT_FACTOR, MAX_OUTLIER_SHARE, MAX_POSITION_EXCESS, without_faults
 from impact_rs_trials.recordings.file_units import CURRENTS
 from impact_rs_trials.recordings.guesses import at_rest
-from impact_rs_trials.recordings.joint_checks import doubts_of_arm
+from impact_rs_trials.recordings.joint_checks import arm_warnings
 from impact_rs_trials.recordings.mapping import JOINT_SIGNALS, REQUIRED, Mapping, SignalName
-from impact_rs_trials.recordings.relations import WRONG_FACTOR, pooled
+from impact_rs_trials.recordings.relations import PLAUSIBLE_FACTORS, pooled
 from impact_rs_trials.recordings.run_finder import BAG_SUFFIXES, FILE_SUFFIXES, find_recordings, find_runs
-from impact_rs_trials.recordings.sampling_times import doubt_of_timestamps
+from impact_rs_trials.recordings.sampling_times import timestamp_warning
 from impact_rs_trials.recordings.series import Series
 from impact_rs_trials.recordings.sources import read_series
-from impact_rs_trials.recordings.torque_readings import check_holds_weight
+from impact_rs_trials.recordings.torque_readings import check_includes_gravity
 from impact_rs_trials.runs import ArmSignals, Run, Signals
 
 logger = logging.getLogger(__name__)
 
 ARM = "arm"  # name of the arm of a recording
-LARGEST_GAP = 5.0  # sampling periods, or
-GAP_IN_LOW_PASS = 0.1  # periods of the low-pass, which is what a gap falls into
-LEAST_SAMPLES = 100
-MOST_NAMED = 3  # recordings in a message
-LEAST_TAIL = 4.2  # periods of the low-pass that a piece loses at its ends,
-LEAST_KEPT = 60  # and samples that must be left,
-LEAST_RATE = 10.0  # at most so many per period of the low-pass
+MAX_GAP_PERIODS = 5.0  # sampling periods, or
+MAX_GAP_LOW_PASS_PERIODS = 0.1  # of the filter whose window the gap falls into
+MIN_RECORDING_SAMPLES = 100
+MAX_NAMED_RECORDINGS = 3  # in a message
+MIN_TAIL_LOW_PASS_PERIODS = 4.2  # that a piece loses at its ends,
+MIN_KEPT_SAMPLES = 60  # between these,
+MAX_RATE_PER_LOW_PASS = 10.0  # of them, per period of the low-pass
 
 
 class TooShort(InputError):
-    """A recording of which too little is left; among others it is left out, with the reason."""
+    """Recording too short after cleaning; skipped with the reason if others remain."""
 
 
 def is_foreign(path: Path) -> bool:
@@ -77,7 +77,7 @@ def read_recordings(path: Path, mapping: Mapping) -> list[Run]:
     """Every recording at ``path``, checked: a file, a run inside of it or in files of its name, or a folder.
 
     Raises:
-        InputError: A recording cannot be used; the message says what was expected.
+        InputError: A recording cannot be used; the message has the expected value.
     """
     return [piece for item in find_runs(path, mapping) for piece in _pieces(item, mapping)]
 
@@ -99,7 +99,7 @@ def read_long_enough(path: Path, mapping: Mapping) -> tuple[list[Run], list[tupl
                 raise
             left_out.append((str(item), error.message))
     if not runs:
-        said = "; ".join(f"{Path(name).name}: {why}" for name, why in left_out[:MOST_NAMED])
+        said = "; ".join(f"{Path(name).name}: {why}" for name, why in left_out[:MAX_NAMED_RECORDINGS])
         raise TooShort(f"none of {len(left_out)} recordings is long enough: {said}", file=path)
     return runs, left_out
 
@@ -130,9 +130,9 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
         arm = ArmSignals(**signals, **command_time)
         check_arm(path, time[rows], arm, mapping)
         if mapping.signals["torque"].units[0] not in CURRENTS:
-            check_holds_weight(path, time[rows], arm, model)
-        nominal = doubt_of_timestamps(time[rows], arm.position)
-        doubts = [*doubts_of_arm(time[rows], arm, mapping, model), *([] if nominal is None else [nominal])]
+            check_includes_gravity(path, time[rows], arm, model)
+        nominal = timestamp_warning(time[rows], arm.position)
+        doubts = [*arm_warnings(time[rows], arm, mapping, model), *([] if nominal is None else [nominal])]
         remarks += [doubt for doubt in doubts if doubt not in remarks]
         found.append(
             Run(
@@ -153,7 +153,7 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
 
 
 def _unmeasured(path: Path, torque: Series, mapping: Mapping) -> list[str]:
-    """What is said of joints whose torque never changes, which is then left out."""
+    """Warnings about joints whose torque never changes; their torque balance is omitted."""
     constant = np.ptp(torque.values, axis=0) == 0.0
     if np.all(constant):
         raise InputError(f"{torque.place} (torque): no joint's torque ever changes: nothing was measured", file=path)
@@ -205,42 +205,44 @@ def nominal_physics(mapping: Mapping, position: Array, model: RobotModel) -> Phy
 
 
 def _between_faults(series: dict[SignalName, Series], low_pass: float) -> list[tuple[float, float]]:
-    """Stretches in which every joint signal was measured and that are long enough for the low-pass [s]."""
+    """Stretches with all joint signals measured, long enough for the low-pass [s]."""
     needed = [series[name].time for name in REQUIRED]
-    if min(own.size for own in needed) < LEAST_SAMPLES:
+    if min(own.size for own in needed) < MIN_RECORDING_SAMPLES:
         return []
     time = series["position"].time
     period = float(np.median(np.diff(time)))
     start, end = max(float(own[0]) for own in needed), min(float(own[-1]) for own in needed)
     cuts = [gap for own in needed for gap in gaps(own, _longest_gap(period, low_pass))]
-    if not cuts and start <= time[0] + LARGEST_GAP * period and end >= time[-1] - LARGEST_GAP * period:
+    if not cuts and start <= time[0] + MAX_GAP_PERIODS * period and end >= time[-1] - MAX_GAP_PERIODS * period:
         return [(float(time[0]), float(time[-1]))]
     firsts = [start, *sorted(gap.end for gap in cuts)]
     lasts = [*sorted(gap.start for gap in cuts), end]
-    least = LEAST_TAIL / low_pass + LEAST_KEPT * max(period, 1.0 / (LEAST_RATE * low_pass))
+    least = MIN_TAIL_LOW_PASS_PERIODS / low_pass + MIN_KEPT_SAMPLES * max(
+        period, 1.0 / (MAX_RATE_PER_LOW_PASS * low_pass)
+    )
     return [(a, b) for a, b in zip(firsts, lasts, strict=True) if b - a >= least]
 
 
 def _longest_gap(period: float, low_pass: float) -> float:
-    """What the low-pass bridges [s]."""
-    return max(LARGEST_GAP * period, GAP_IN_LOW_PASS / low_pass)
+    """Longest gap that the low-pass bridges [s]."""
+    return max(MAX_GAP_PERIODS * period, MAX_GAP_LOW_PASS_PERIODS / low_pass)
 
 
 def _check_time(path: Path, time: Array, what: str, low_pass: float) -> list[str]:
-    """Stamps that increase; returns what is said of gaps, which cut the recording into pieces."""
-    if time.size < LEAST_SAMPLES:
-        raise TooShort(f"{what}: {time.size} samples, at least {LEAST_SAMPLES} are needed", file=path)
+    """Check that timestamps increase; returns warnings about gaps, which cut the recording into pieces."""
+    if time.size < MIN_RECORDING_SAMPLES:
+        raise TooShort(f"{what}: {time.size} samples, at least {MIN_RECORDING_SAMPLES} are needed", file=path)
     check_stamps(path, what, time)
     period = float(np.median(np.diff(time)))
     found = gaps(time, _longest_gap(period, low_pass))
     if not found:
         return []
-    said = tell_gaps(found, time[0])
+    said = gaps_in_words(found, time[0])
     return [f"{what}: gap of {said} (period {period:.4f} s, low-pass {low_pass:g} Hz); the pieces between are used"]
 
 
 def check_moves(path: Path, position: Series, mapping: Mapping) -> None:
-    """Some joint moves; an arm at rest shows no velocity, inertia or friction, and its units and signs cannot be seen.
+    """Check that some joint moves; an arm at rest shows neither units and signs nor velocity, inertia and friction.
 
     Args:
         path: Recording, for messages.
@@ -255,7 +257,7 @@ def check_moves(path: Path, position: Series, mapping: Mapping) -> None:
 
 
 def check_arm(path: Path, time: Array, arm: ArmSignals, mapping: Mapping, briefly: float = 0.0) -> None:
-    """Finite, within the robot's limits, and in the unit that the mapping says.
+    """Check that signals are finite, within the robot's limits, and in the unit of the mapping.
 
     Args:
         path: Recording, for messages.
@@ -265,7 +267,7 @@ def check_arm(path: Path, time: Array, arm: ArmSignals, mapping: Mapping, briefl
         briefly: Share of the samples in which a velocity or torque may be beyond its limit, as in an impact [-].
 
     Raises:
-        InputError: It is not; the message names signal, joint, time, value and what was expected.
+        InputError: It is not; the message names signal, joint, time, value and expected range.
     """
     for name in REQUIRED:
         _check_numbers(path, name, time, getattr(arm, name))
@@ -286,7 +288,7 @@ def _check_numbers(path: Path, name: SignalName, time: Array, values: Array) -> 
 def check_limits(
     path: Path, name: SignalName, time: Array, values: Array, mapping: Mapping, briefly: float = 0.0
 ) -> None:
-    """Position, velocity or torque within what the robot can do.
+    """Check that position, velocity or torque are within the limits of the robot.
 
     Args:
         path: Recording, for messages.
@@ -298,16 +300,16 @@ def check_limits(
             out later [-].
 
     Raises:
-        InputError: It is not; the message names signal, joint, time, value and what was expected.
+        InputError: It is not; the message names signal, joint, time, value and expected range.
     """
     limits = mapping.facts.limits
     if name == "position":
         low, high = np.array(limits.position_min_rad), np.array(limits.position_max_rad)
-        wrong, quantity = (values < low - MARGIN) | (values > high + MARGIN), "position"
+        wrong, quantity = (values < low - MAX_POSITION_EXCESS) | (values > high + MAX_POSITION_EXCESS), "position"
         expected = [f"{least:.3g} ... {most:.3g}" for least, most in zip(low, high, strict=True)]
     else:
         most, quantity = (limits.velocity_rad_s, "velocity") if name == "velocity" else (limits.torque_Nm, "effort")
-        wrong = np.abs(values) > EXCESS * np.array(most)
+        wrong = np.abs(values) > MAX_LIMIT_FACTOR * np.array(most)
         expected = [f"at most {limit:.3g}" for limit in most]
     wrong &= wrong.mean(axis=0) > briefly
     if not np.any(wrong):
@@ -324,7 +326,7 @@ def check_limits(
 
 
 def check_velocity(path: Path, time: Array, position: Array, velocity: Array, mapping: Mapping) -> None:
-    """Velocities are the derivative of positions.
+    """Check that velocities are the derivative of positions.
 
     Args:
         path: Recording, for messages.
@@ -337,14 +339,14 @@ def check_velocity(path: Path, time: Array, position: Array, velocity: Array, ma
         InputError: They are not, by a factor of two and more.
     """
     derived = np.gradient(position, time, axis=0)
-    most = EXCESS * np.array(mapping.facts.limits.velocity_rad_s)
+    most = MAX_LIMIT_FACTOR * np.array(mapping.facts.limits.velocity_rad_s)
     apart = (np.abs(derived) > most) | (np.abs(velocity) > most)
-    apart &= apart.mean(axis=0) <= FEW  # single samples say nothing of a unit
+    apart &= apart.mean(axis=0) <= MAX_OUTLIER_SHARE  # single samples say nothing of a unit
     derived, velocity = np.where(apart, 0.0, derived), np.where(apart, 0.0, velocity)
     if not np.any(derived):
         return
     ratio = float(pooled(derived, velocity).factor[0])
-    if not WRONG_FACTOR[0] < ratio < WRONG_FACTOR[1]:
+    if not PLAUSIBLE_FACTORS[0] < ratio < PLAUSIBLE_FACTORS[1]:
         raise InputError(
             f"velocity is {ratio:.3g} times the derivative of position, expected 1: wrong unit (now "
             f"{joined_units(mapping.signals['velocity'].units)}), wrong sign or other joints",

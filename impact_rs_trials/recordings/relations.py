@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Linear relations between signals: factor, lag, correlation, standard errors and likelihood, column by column.
 
-Positions determine what the other signals of the joints should be: velocities are dq/dt, torques are M ddq + h. A
+Positions predict the other signals of the joints: velocities are dq/dt, torques are M ddq + h. A
 measured signal y_j differs from the expected one x_j by unit and sign, by a lag, by friction and by noise:
 
     y_j = a_j x_j + sum_i c_ij z_ij + noise
@@ -29,25 +29,26 @@ from numpy.typing import NDArray
 from impact_rs_sim.robot import Array, RobotFacts
 
 # Factors between a measured and an expected signal [-].
-ONE_UNIT = (0.8, 1.25)  # the unit is found: low-passed velocities differ by less, units by 57 and more
-WRONG_FACTOR = (0.5, 2.0)  # outside: wrong unit, sign or joint; rough models, friction and loads stay inside
-HELD_ONCE = (0.5, 1.5)  # of the arm's weight in a torque, which held twice has the factor 2
-TORQUE_UNIT = (0.2, 5.0)  # a unit of torque is possible: N m and mN m differ by 1000
+SAME_UNIT_FACTORS = (0.8, 1.25)  # the unit is found: low-passed velocities differ by less, units by 57 and more
+PLAUSIBLE_FACTORS = (0.5, 2.0)  # outside: wrong unit, sign or joint; rough models, friction and loads stay inside
+SINGLE_GRAVITY_FACTORS = (0.5, 1.5)  # of the gravity torque in a torque; gravity added twice has the factor 2
+TORQUE_UNIT_FACTORS = (0.2, 5.0)  # a unit of torque is possible: N m and mN m differ by 1000
 MAX_FACTOR_ERROR = 0.1  # of a velocity: a low-pass takes away as much
-SURE_ERRORS = 5.0  # standard errors from which a difference is reported: joints, runs and signals are many tests
+MIN_REPORTED_SIGMA = 5.0  # standard errors; joints, runs and signals are many tests
 # Correlations [-].
 MIN_CORRELATION = 0.8  # a factor is believed
 MIN_CORRELATION_OF_COLUMNS = 0.95  # a column without a name is the derivative of another one
 MAX_CORRELATION_DRIVING = -0.5  # of torque and velocity, below which friction would drive the joint
 # Log likelihoods [-] and what they are compared with.
+DECISIVE_LOG_ODDS = float(np.log(100.0))  # log Bayes factor (Jeffreys 1961)
 DECISIVE_LOG_LIKELIHOOD = 30.0  # gain of the better reading; models are wrong by more than noise is
 # Samples and speeds.
 MIN_SPEED_SHARE = 0.02  # of the data sheet's velocity, rms, from which a joint moves [-]
 FULL_FRICTION_RAD_S = 0.02  # speed from which Coulomb friction is full
 AVERAGED_S = 0.05  # of the moving average: encoders are quantised
-MIN_AVERAGED = 5  # samples of it
-BLOCKS = 20  # of a recording, of which the even ones predict the odd ones, and the other way
-LEAST_MISFIT = 1e-12  # share of the power that a fit of exact numbers leaves
+MIN_AVERAGED_SAMPLES = 5
+CROSS_VALIDATION_BLOCKS = 20  # of a recording; even ones predict odd ones and vice versa
+MIN_MISFIT_SHARE = 1e-12  # of the power, left by a fit of exact numbers
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class LinearRelation:
         misfit: Sum of squares that the fit leaves, ``(n,)``.
         power: Sum of squares of the measured columns, ``(n,)``.
         unexplained: Sum of squares that the further columns alone leave, ``(n,)``.
-        independent: How many of the samples have independent errors, of all columns or of each.
+        independent: Number of independent errors, of all columns or of each.
     """
 
     factor: Array
@@ -74,14 +75,16 @@ class LinearRelation:
 
     @property
     def log_likelihood(self) -> Array:
-        """Of each column under the fit, over that of noise alone, ``(n,)``."""
-        return np.asarray(-0.5 * self.independent * np.log(self.misfit / np.maximum(self.power, 1e-300) + LEAST_MISFIT))
+        """Log likelihood ratio of the fit to noise alone, by column, ``(n,)``."""
+        return np.asarray(
+            -0.5 * self.independent * np.log(self.misfit / np.maximum(self.power, 1e-300) + MIN_MISFIT_SHARE)
+        )
 
     @property
     def log_likelihood_ratio(self) -> Array:
-        """Of each column under the fit, over that of the further columns alone, ``(n,)``."""
+        """Log likelihood ratio of the fit to the further columns alone, by column, ``(n,)``."""
         power = np.maximum(self.power, 1e-300)
-        left = (self.misfit / power + LEAST_MISFIT) / (self.unexplained / power + LEAST_MISFIT)
+        left = (self.misfit / power + MIN_MISFIT_SHARE) / (self.unexplained / power + MIN_MISFIT_SHARE)
         return np.asarray(-0.5 * self.independent * np.log(left))
 
 
@@ -98,8 +101,8 @@ def fit(
         expected: x, ``(k, n)``.
         measured: y, ``(k, n)``.
         further: Signals z whose factors are fitted as well, each ``(k, n)``.
-        independent: How many of the samples have independent errors, of all columns or of each, ``(n,)``; None: all.
-        bounds: Least and largest size of the factor; None: any.
+        independent: Number of independent errors, of all columns or of each, ``(n,)``; None: all samples.
+        bounds: Smallest and largest size of the factor; None: any.
     """
     x, y = expected, measured
     if further:
@@ -120,7 +123,7 @@ def effective_samples(first: Array, second: Array) -> Array:
     """Independent pairs of samples of two autocorrelated signals ``(k, n)`` (Bartlett 1946), ``(n,)``.
 
     The correlation of unrelated signals has the variance sum_h rho_1(h) rho_2(h) / k over all lags h, with their
-    autocorrelations rho, and that of 1 / k_effective independent samples.
+    autocorrelations rho; k_effective independent samples give 1 / k_effective.
     """
     count = len(first)
     length = scipy.fft.next_fast_len(2 * count, real=True)
@@ -149,7 +152,7 @@ def fit_with_lag(
         expected: x, ``(k, n)``.
         derivative: dx/dt, ``(k, n)``.
         measured: y, ``(k, n)``.
-        independent: How many of the samples have independent errors.
+        independent: Number of independent errors.
 
     Returns:
         The fit; L of every column and its standard error, ``(n,)`` [s].
@@ -166,7 +169,9 @@ def fit_with_lag(
 def averaged(time: Array, values: Array) -> tuple[Array, Array]:
     """Moving averages over some hundredths of a second, ``(k,)`` and ``(k, c)``."""
     period = float(np.median(np.diff(time)))
-    width = int(np.clip(round(AVERAGED_S / max(period, 1e-9)), MIN_AVERAGED, max(MIN_AVERAGED, time.size // 20)))
+    width = int(
+        np.clip(round(AVERAGED_S / max(period, 1e-9)), MIN_AVERAGED_SAMPLES, max(MIN_AVERAGED_SAMPLES, time.size // 20))
+    )
     window = np.ones(width) / width
     mean = np.column_stack([np.convolve(column, window, "valid") for column in values.T])
     return np.convolve(time, window, "valid"), mean
@@ -190,7 +195,7 @@ class AveragedMotion:
 
     @staticmethod
     def of(time: Array, position: Array) -> AveragedMotion:
-        """Of positions ``(k, n)`` at stamps ``(k,)`` [s]."""
+        """Averaged motion from positions ``(k, n)`` at timestamps ``(k,)`` [s]."""
         at, q = averaged(time, position)
         return AveragedMotion(at, q, np.gradient(q, at, axis=0), max(1, time.size - at.size + 1))
 
@@ -201,22 +206,22 @@ class AveragedMotion:
 
     @property
     def independent(self) -> float:
-        """How many samples have independent errors."""
+        """Number of independent errors."""
         return self.time.size / self.width
 
     def velocity_relation(self, time: Array, measured: Array) -> LinearRelation:
-        """Fit of a signal ``(k, n)`` at the original stamps by the derivative."""
+        """Fit of a signal ``(k, n)`` at the original timestamps by the derivative."""
         return fit(self.velocity, averaged(time, measured)[1], independent=self.independent)
 
 
 def moves(velocity: Array, facts: RobotFacts) -> NDArray[np.bool_]:
-    """Which joints move, by their velocities ``(k, n)`` [rad/s]; ``(n,)``."""
+    """Mask of the moving joints, by their velocities ``(k, n)`` [rad/s]; ``(n,)``."""
     limits = np.array(facts.limits.velocity_rad_s)
     return np.asarray(np.sqrt(np.mean(np.square(velocity), axis=0)) > MIN_SPEED_SHARE * limits)
 
 
 def dry_friction(velocity: Array) -> Array:
-    """Velocities ``(k, n)`` [rad/s] as Coulomb friction has them: their signs, smooth about zero."""
+    """Regressor of Coulomb friction from velocities ``(k, n)`` [rad/s]: their signs, smooth about zero."""
     return np.asarray(np.tanh(velocity / FULL_FRICTION_RAD_S))
 
 
@@ -224,17 +229,17 @@ def dry_friction(velocity: Array) -> Array:
 
 
 def odd_blocks(count: int) -> NDArray[np.bool_]:
-    """Which of so many samples lie in odd blocks, ``(count,)``."""
-    return np.asarray(np.floor(np.linspace(0.0, BLOCKS, count, endpoint=False)).astype(int) % 2 == 1)
+    """Mask of the samples in odd blocks, ``(count,)``."""
+    return np.asarray(np.floor(np.linspace(0.0, CROSS_VALIDATION_BLOCKS, count, endpoint=False)).astype(int) % 2 == 1)
 
 
 def held_out_misfit(basis: Array, measured: Array, odd: NDArray[np.bool_]) -> Array:
-    """Sum of squares of samples that the fit has not seen, in two folds, ``(c,)``.
+    """Sum of squared residuals in two-fold cross-validation, ``(c,)``.
 
     Args:
         basis: Regressors, ``(k, f)``.
         measured: Signals, ``(k, c)``.
-        odd: Which samples are of the second fold, ``(k,)``.
+        odd: Mask of the second fold, ``(k,)``.
     """
     left = np.zeros(measured.shape[1])
     for unseen in (odd, ~odd):
@@ -251,7 +256,7 @@ def cross_correlation(first: Array, second: Array) -> tuple[Array, Array, Array]
 
     Args:
         first: Columns less their means, ``(k, c)``.
-        second: The same on the same even grid, ``(m, c)``.
+        second: Columns less their means, on the same even grid, ``(m, c)``.
 
     Returns:
         Correlation by lag, ``(k + m - 1,)``; the lags, and the overlap of both at each lag [samples].

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Remarks on how runs were read, with their numbers, so that one remark on many runs is printed once.
+"""Remarks about reading runs, with their numbers, so that one remark about many runs is printed once.
 
 A text alone hides that two remarks are of one kind: "is 1.07 times the derivative" and "is 1.08 times the derivative".
 A :class:`Remark` keeps its numbers apart from its words, and :func:`merged` prints the range of every number.
@@ -11,16 +11,16 @@ import statistics
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-MOST_NAMED = 3  # runs; of more only their number is printed
+MAX_NAMED_RUNS = 3  # of more runs only the number is printed
 
 
 class Amount(NamedTuple):
     """A number in a remark.
 
     Attributes:
-        value: The number, in the unit that the words after it state.
-        digits: How it is printed, a format specification.
-        remedy: Whether it is a value to be written into a file, of which several runs give one: their median.
+        value: The number, in the unit of the words after it.
+        digits: Format specification.
+        remedy: Whether it is a value for a file; several runs are merged to their median.
     """
 
     value: float
@@ -28,12 +28,12 @@ class Amount(NamedTuple):
     remedy: bool = False
 
     def __str__(self) -> str:
-        """As it is printed."""
+        """Formatted number."""
         return format(self.value, self.digits)
 
 
 class Remark(str):
-    """A remark as its text, with the parts that it is made of.
+    """A remark: its text, with its parts.
 
     Args:
         parts: Words, numbers, and other remarks.
@@ -56,7 +56,7 @@ class Remark(str):
         return made
 
     def __reduce__(self) -> tuple[type[Remark], tuple[str | Amount, ...]]:
-        """How it is made again in another process."""
+        """Pickle by the parts."""
         return Remark, self.parts
 
 
@@ -70,7 +70,7 @@ def merged(remarks: Iterable[tuple[str, str]], of: int = 0) -> list[str]:
 
     Args:
         remarks: Run and remark; a remark on no run in particular has the run ``""``.
-        of: How many runs there are, so that runs are counted; 0: up to :data:`MOST_NAMED` are named.
+        of: Number of all runs, so that runs are counted; 0: up to :data:`MAX_NAMED_RUNS` are named.
     """
     groups: dict[tuple[object, ...], list[tuple[str, str]]] = {}
     for run, remark in remarks:
@@ -93,17 +93,17 @@ def _whose(runs: Sequence[str], of: int) -> str:
         return ""
     if of:
         return f"{len(runs)} of {of} runs: "
-    return f"{len(runs)} runs: " if len(runs) > MOST_NAMED else f"{', '.join(runs)}: "
+    return f"{len(runs)} runs: " if len(runs) > MAX_NAMED_RUNS else f"{', '.join(runs)}: "
 
 
 def _kind(remark: str) -> tuple[object, ...]:
-    """Words, and how numbers between them are printed."""
+    """Words, and formats of the numbers between them."""
     parts = remark.parts if isinstance(remark, Remark) else (str(remark),)
     return tuple(part[1:] if isinstance(part, Amount) else part for part in parts)
 
 
 def _together(column: Sequence[str | Amount]) -> str:
-    """The same part of several remarks."""
+    """Text or range of one part of several remarks."""
     numbers = [part for part in column if isinstance(part, Amount)]
     if not numbers:
         return str(column[0])

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which recordings and runs are there.
+"""Search for recordings and runs.
 
-A *recording* is a file or the folder of a bag (:func:`find_recordings`). A *run* is one experiment. A mapping says how
-runs lie in recordings (:func:`find_runs`):
+A *recording* is a file or the folder of a bag (:func:`find_recordings`). A *run* is one experiment. A mapping describes
+how recordings contain runs (:func:`find_runs`):
 
     hit_1.csv, hit_2.mcap/                  a recording is a run
     recordings.h5/Rec_001, log.csv/3        a recording holds several (:mod:`inner_runs`), called as files in a folder
@@ -41,7 +41,7 @@ def natural_key(name: str | Path) -> list[tuple[bool, int, str]]:
 
 
 def is_bag_folder(path: Path) -> bool:
-    """Whether a folder is that of a bag."""
+    """Whether a folder is a bag."""
     return (path / BAG_METADATA).is_file()
 
 
@@ -87,10 +87,10 @@ def find_runs(path: Path, mapping: Mapping) -> list[Path]:
 
     Args:
         path: A recording, a run inside of it, the name of a run in files of its name, or a folder of any of these.
-        mapping: Says how runs lie in recordings.
+        mapping: Describes how recordings contain runs.
 
     Raises:
-        InputError: There is none, or a recording cannot be read.
+        InputError: No run is found, or a recording cannot be read.
     """
     patterns = _file_patterns(mapping)
     if path.is_dir() and None not in patterns:
@@ -113,15 +113,15 @@ def find_runs(path: Path, mapping: Mapping) -> list[Path]:
 
 
 def find_run(folder: Path, name: str, mappings: Sequence[Mapping]) -> Path:
-    """The run that a table of runs names: a recording, perhaps without its ending, or a run of :func:`find_runs`.
+    """Find a run of a table of runs: a recording, with or without its ending, or a run of :func:`find_runs`.
 
     Args:
         folder: Folder of the recordings.
-        name: Its name or path, seen from there.
+        name: Its name or path, relative to the folder.
         mappings: Of all arms.
 
     Raises:
-        InputError: There is none of this name, or there are several.
+        InputError: No run or several runs have this name.
     """
     if not name:
         raise InputError("expected the name of a recording")
@@ -150,7 +150,7 @@ def find_run(folder: Path, name: str, mappings: Sequence[Mapping]) -> Path:
 
 
 def _file_patterns(mapping: Mapping) -> set[str | None]:
-    """Files that the signals of a mapping lie in; None: the run's own file."""
+    """File patterns of the signals of a mapping; None: the run's own file."""
     return {source.file for source in mapping.signals.values()}
 
 
@@ -161,7 +161,7 @@ def _spread_below(folder: Path, mapping: Mapping) -> list[Path]:
 
 
 def _spread_runs(folder: Path, mapping: Mapping) -> list[Path]:
-    """Runs whose signals lie in files of a folder with the run's name in theirs, in natural order."""
+    """Runs whose signals lie in several files of a folder, each with the run's name, in natural order."""
     runs = set()
     for pattern in filter(None, _file_patterns(mapping)):
         expression = re.escape(pattern)
@@ -179,7 +179,7 @@ def _run_folders(folder: Path, mapping: Mapping) -> list[Path]:
 
 
 def _runs_inside(file: Path, mapping: Mapping) -> list[Path]:
-    """Runs that a file holds (:mod:`inner_runs`), each called as a file in a folder; the file where it is one run."""
+    """Runs inside a file (:mod:`inner_runs`), each named as a file in a folder; the file itself if it is one run."""
     if mapping.run_column is not None and file.suffix in TABLE_SUFFIXES:
         named = dict.fromkeys(run_names(file, mapping.table, mapping.run_column))
         if strange := [run for run in named if "/" in run or run in ("", ".", "..")]:
@@ -198,6 +198,6 @@ def _runs_inside(file: Path, mapping: Mapping) -> list[Path]:
 
 
 def _with_group(expression: str, placeholder: str, name: str) -> str:
-    """A regular expression in which a placeholder is any text without a slash, the same wherever it stands."""
+    """A regular expression with a placeholder as a group of any text without a slash, equal at all positions."""
     once = expression.replace(placeholder, f"(?P<{name}>[^/]+)", 1)
     return once.replace(placeholder, f"(?P={name})")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether samples were taken at their timestamps, by what all joints have in common.
+"""Test whether samples were taken at their timestamps, by the common timing error of all joints.
 
 A sample that was taken later by d lies off the smooth motion by d times the velocity, in every joint. From the cubic
 polynomial through its four neighbours, which a smooth motion hardly leaves, it is by
@@ -16,22 +16,22 @@ import numpy as np
 
 from impact_rs_sim.robot import Array
 
-PERIODS = float(np.sqrt(20.0) / 6.0)  # rms of r / dq over that of independent errors of the periods: third differences
-FEWEST = 50  # samples
-POWER = 10.0  # power along the velocity over that across it, from which timestamps are wrong: F(50, 50) is at most 3
-NOTICED = 0.03  # of a period, rms, below which derivatives do not suffer
-EVEN = 1e-3  # of a period, by which even timestamps may differ for they are rounded
+RMS_PER_PERIOD_ERROR = float(np.sqrt(20.0) / 6.0)  # of r / dq, for independent errors of the periods: third differences
+MIN_TIMESTAMPS = 50
+MIN_POWER_RATIO = 10.0  # along the velocity over across it, with wrong timestamps; F(50, 50) is at most 3
+MIN_JITTER_PERIODS = 0.03  # rms; less does not harm derivatives
+MAX_ROUNDING_PERIODS = 1e-3  # by which even timestamps differ because they are rounded
 
 
-def doubt_of_timestamps(time: Array, position: Array) -> str | None:
-    """What shows that samples of a motion were not taken at their timestamps; None: nothing does, or it cannot be seen.
+def timestamp_warning(time: Array, position: Array) -> str | None:
+    """Warning that samples of a motion were not taken at their timestamps; None: no evidence.
 
     Args:
         time: Timestamps, increasing, ``(k,)`` [s].
         position: q, ``(k, n)`` [rad].
     """
     count = position.shape[1]
-    if count < 2 or time.size < FEWEST:
+    if count < 2 or time.size < MIN_TIMESTAMPS:
         return None
     period = float(np.median(np.diff(time)))
     off = _off_its_neighbours(time, position)
@@ -39,7 +39,7 @@ def doubt_of_timestamps(time: Array, position: Array) -> str | None:
     steps = np.diff(time)
     held = np.all(np.diff(position, axis=0) == 0.0, axis=1) | (np.abs(steps / period - 1.0) > 0.5)
     usable = ~np.any([held[first : held.size - 3 + first] for first in range(4)], axis=0)  # no gap, no repeated sample
-    if np.count_nonzero(usable) < FEWEST:
+    if np.count_nonzero(usable) < MIN_TIMESTAMPS:
         return None
     off, velocity = off[usable], velocity[usable]
     late = np.zeros(len(off))
@@ -49,24 +49,24 @@ def doubt_of_timestamps(time: Array, position: Array) -> str | None:
         late = np.sum(r * v, axis=1) / np.maximum(np.sum(np.square(v), axis=1), 1e-300)
     along = np.square(late) * np.sum(np.square(v), axis=1)
     across = (np.sum(np.square(r), axis=1) - along) / (count - 1)
-    error = float(np.sqrt(np.mean(np.square(late)))) / PERIODS
-    if np.mean(along) < POWER * np.mean(across) or error < NOTICED * period:
+    error = float(np.sqrt(np.mean(np.square(late)))) / RMS_PER_PERIOD_ERROR
+    if np.mean(along) < MIN_POWER_RATIO * np.mean(across) or error < MIN_JITTER_PERIODS * period:
         return None
-    if np.max(np.abs(steps / period - 1.0)) < EVEN:
+    if np.max(np.abs(steps / period - 1.0)) < MAX_ROUNDING_PERIODS:
         return (
             f"timestamps are nominal: exactly even ({1.0 / period:.4g} Hz), as a number of samples over a rate, while "
             f"all joints together show periods that vary by {100.0 * error / period:.0f} % (rms). Velocities and "
-            "accelerations that are made of them are wrong by as much: record when each sample was taken"
+            "accelerations computed from them are wrong by as much: record the time of each sample"
         )
     return (
         "samples were not taken at their timestamps: all joints together show periods that differ from them by "
-        f"{1e3 * error:.2g} ms (rms; the period is {1e3 * period:.3g} ms). Velocities and accelerations that are made "
-        "of them are wrong by as much: take the timestamps of the measurement, not of a log"
+        f"{1e3 * error:.2g} ms (rms; the period is {1e3 * period:.3g} ms). Velocities and accelerations computed "
+        "from them are wrong by as much: take the timestamps of the measurement, not of a log"
     )
 
 
 def _off_its_neighbours(time: Array, position: Array) -> Array:
-    """Distance of every sample from the cubic polynomial through the four next to it, ``(k - 4, n)`` [rad]."""
+    """Residual of every sample from the cubic polynomial through its four neighbours, ``(k - 4, n)`` [rad]."""
     ends = [(first, time.size - 4 + first) for first in range(5)]
     middle, *others = (ends[place] for place in (2, 0, 1, 3, 4))
     t = time[slice(*middle)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One signal as a file has it, before it is brought together with the others."""
+"""One signal of a file, before interpolation on a common grid."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.remarks import Amount, Remark
 
-BASELINE = 0.002  # s, of the differences that give a velocity; short beside a motion, long beside an encoder's steps
+DIFFERENCE_S = 0.002  # of the differences that give a velocity; short for a motion, long for the steps of an encoder
 
 
 class MissingSignal(InputError):
-    """A signal that the mapping names and the file lacks; readers go on where it is an optional one."""
+    """A signal that the mapping names and the file lacks; readers go on if it is optional."""
 
 
 @dataclass(frozen=True)
 class Names:
-    """What the placeholders of a mapping stand for in one run.
+    """Values of the placeholders of a mapping in one run.
 
     Attributes:
-        object: ``{object}``, the object of the run; anything where it is not known.
-        arm: ``{arm}``, the arm of the scenario; anything where it is not known.
+        object: ``{object}``, the object of the run; matches anything if unknown.
+        arm: ``{arm}``, the arm of the scenario; matches anything if unknown.
         run: ``{run}``, the run's own name.
     """
 
@@ -42,11 +42,11 @@ class Series:
     """One signal.
 
     Attributes:
-        place: Where it is, for messages: ``topic /joint_states (position)``.
-        time: Stamps on the clock of the run, ``(k,)`` [s].
+        place: Source label for messages: ``topic /joint_states (position)``.
+        time: Timestamps on the clock of the run, ``(k,)`` [s].
         values: SI, ``(k, c)``.
-        log: When the bag logged it, ``(k,)`` [s]; None where there is no second clock.
-        remarks: What the user should know of how it was read.
+        log: Log times of the bag, ``(k,)`` [s]; None: no second clock.
+        remarks: Warnings about reading it.
     """
 
     place: str
@@ -56,7 +56,7 @@ class Series:
     remarks: tuple[str, ...] = ()
 
     def sampled(self) -> Series:
-        """Without the rows that hold no sample (all NaN), as tables have them where a slower signal has none."""
+        """Without the rows that hold no sample (all NaN), as in tables with a slower signal."""
         kept = ~np.isnan(self.values).all(axis=1)
         if kept.all():
             return self
@@ -64,7 +64,7 @@ class Series:
         return Series(self.place, self.time[kept], self.values[kept], log, self.remarks)
 
     def without_repeats(self) -> Series:
-        """Without the samples that have the stamp of the one before them; a remark says how many."""
+        """Without the samples that repeat the previous timestamp, with a warning about their number."""
         kept = np.diff(self.time, prepend=-np.inf) != 0.0
         if kept.all():
             return self
@@ -75,9 +75,9 @@ class Series:
         return replace(self, time=self.time[kept], values=self.values[kept], log=log, remarks=(*self.remarks, said))
 
     def derivative(self) -> Series:
-        """Rate of change, by central differences over :data:`BASELINE` or two sampling periods, ``(k, c)``."""
-        period = float(np.median(np.diff(self.time))) if self.time.size > 1 else BASELINE
-        half, rows = max(1, round(0.5 * BASELINE / max(period, 1e-6))), np.arange(self.time.size)
+        """Rate of change, by central differences over :data:`DIFFERENCE_S` or two sampling periods, ``(k, c)``."""
+        period = float(np.median(np.diff(self.time))) if self.time.size > 1 else DIFFERENCE_S
+        half, rows = max(1, round(0.5 * DIFFERENCE_S / max(period, 1e-6))), np.arange(self.time.size)
         before, after = np.maximum(rows - half, 0), np.minimum(rows + half, self.time.size - 1)
         with np.errstate(divide="ignore", invalid="ignore"):  # of stamps that repeat, which are refused elsewhere
             rate = (self.values[after] - self.values[before]) / (self.time[after] - self.time[before])[:, None]
@@ -85,7 +85,7 @@ class Series:
         return replace(self, place=f"derivative of {self.place}", values=rate, remarks=(*self.remarks, said))
 
     def at(self, time: Array) -> Array:
-        """Interpolated linearly, and held at the ends, ``(m, c)``; the samples themselves at their own stamps."""
+        """Linear interpolation, constant beyond the ends, ``(m, c)``; exact at the series' own timestamps."""
         if np.array_equal(self.time, time):
             return self.values
         return np.column_stack([np.interp(time, self.time, column) for column in self.values.T])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the signals of one run are, whatever kind of file they lie in."""
+"""Signals of one run from all kinds of files."""
 
 from __future__ import annotations
 
@@ -43,15 +43,15 @@ def read_series(
     needed: Collection[SignalName],
     names: Names | None = None,
 ) -> dict[SignalName, Series]:
-    """Signals of one run as its files have them; the velocity is the position's derivative if the mapping has none.
+    """Signals of one run at the timestamps of its files; without a velocity in the mapping: the position's derivative.
 
     Args:
-        path: A file, or a run inside of it; a folder of a bag; or, where the mapping names files, a folder of those, or
-            the name of a run beside them.
+        path: A file, or a run inside of it; the folder of a bag; or, if the mapping names files, their folder, or
+            the name of a run next to them.
         mapping: Where the signals are.
         wanted: Signals to read, as far as the mapping has them.
-        needed: Of those, the ones that must be there.
-        names: What the placeholders of the mapping stand for; None: the run's name alone.
+        needed: The required ones among them.
+        names: Values of the placeholders of the mapping; None: the run's name alone.
 
     Raises:
         InputError: A needed signal is missing, or something cannot be used.
@@ -120,7 +120,7 @@ def open_file(file: Path, mapping: Mapping, names: Names, wanted: tuple[SignalNa
     Args:
         file: A file, or the folder of a bag.
         mapping: Where the signals are.
-        names: What the placeholders of the mapping stand for.
+        names: Values of the placeholders of the mapping.
         wanted: Signals that it should have.
 
     Raises:

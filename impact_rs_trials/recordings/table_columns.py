@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Columns of a table by name, as a file has them: CSV and other text, Parquet, NPY.
+"""Columns of a table by name: CSV and other text, Parquet, NPY.
 
 Columns without names are ``c1``, ``c2`` and so on.
 """
@@ -23,7 +23,7 @@ from impact_rs_trials.recordings.read_once import once
 
 Cells = dict[str, list[str] | NDArray[Any]]
 
-MOST_LISTED = 8  # runs in a message
+MAX_SHOWN_RUNS = 8  # in a message
 DEFAULT_LAYOUT = TableLayout()
 TRAILING = "; the names of the columns may stand in another line: table.header in the mapping says in which"
 
@@ -34,10 +34,10 @@ class Columns:
 
     Attributes:
         cells: Texts or numbers by name of a column.
-        lines: Line of every row in a text file; empty: it is none.
+        lines: Line of every row in a text file; empty: not a text file.
         dates: Columns that hold dates, as nanoseconds since 1970.
-        remarks: What the user should know of how it was read.
-        header: Line of the names in a text file; 0: they stand in none.
+        remarks: Warnings about reading it.
+        header: Line of the names in a text file; 0: no names.
     """
 
     cells: Mapping[str, list[str] | NDArray[Any]]
@@ -63,7 +63,7 @@ def read_columns(path: Path, layout: TableLayout = DEFAULT_LAYOUT, recorded: boo
         path: The file.
         layout: Where a text has its names and rows.
         recorded: Whether it was recorded sample by sample: its last line may be cut off, and it has at least one row.
-            Of other tables every line has as many cells as the header, and there may be no row, or no header.
+            Every line of other tables has as many cells as the header, and they may lack rows, or a header.
 
     Raises:
         InputError: It cannot be read, a line has another number of cells, or two columns share a name.
@@ -79,7 +79,7 @@ def read_rows(path: Path, layout: TableLayout, column: str, run: str) -> Columns
     Args:
         path: The file.
         layout: Where a text has its names and rows.
-        column: Says the run of each row.
+        column: Column with the run of each row.
         run: The run.
 
     Raises:
@@ -89,7 +89,7 @@ def read_rows(path: Path, layout: TableLayout, column: str, run: str) -> Columns
     rows = np.flatnonzero([name == run for name in every])
     if not rows.size:
         known = list(dict.fromkeys(every))
-        listed = ", ".join(known[:MOST_LISTED]) + (" ..." if len(known) > MOST_LISTED else "")
+        listed = ", ".join(known[:MAX_SHOWN_RUNS]) + (" ..." if len(known) > MAX_SHOWN_RUNS else "")
         raise InputError(f"no row is of run {run!r}{did_you_mean(run, known)}; found: {listed}", file=path, key=column)
     if path.suffix == ".parquet":
         return _of_parquet(path, (int(rows[0]), int(rows[-1]) + 1)).in_rows(rows - rows[0])
@@ -169,7 +169,7 @@ def _of_npy(path: Path) -> Columns:
 
 
 def _of_parquet(path: Path, rows: tuple[int, int] | None = None, names: list[str] | None = None) -> Columns:
-    """All columns, or some; all rows, or those from one to another."""
+    """Read selected columns and a row range (default: all)."""
     require("pyarrow", path)
     import pyarrow
     import pyarrow.parquet
@@ -202,5 +202,5 @@ def _of_parquet(path: Path, rows: tuple[int, int] | None = None, names: list[str
 
 
 def _text(cell: object) -> str:
-    """A cell that is no number; the numbers of a list stand behind each other."""
+    """A non-numeric cell as text; the numbers of a list are joined by blanks."""
     return " ".join(map(str, cell)) if isinstance(cell, list) else str(cell)

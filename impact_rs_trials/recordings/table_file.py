@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables (CSV, text, Parquet, NPY): a column per joint, or one whose cells hold all joints, ``0.1 0.2 0.3``.
+"""Tables (CSV, text, Parquet, NPY): a column per joint, or one column with all joints in a cell, ``0.1 0.2 0.3``.
 
 A row may hold some signals only: where all cells of a signal are empty (or NaN) it has no sample.
 """
@@ -23,7 +23,7 @@ from impact_rs_trials.recordings.mapping import Mapping, SignalName, SignalSourc
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 from impact_rs_trials.recordings.table_columns import read_columns, read_rows
 
-SHOWN = 8  # column names in a message
+MAX_SHOWN_COLUMNS = 8  # in a message
 BRACKETS = "[](){} \t"  # about the numbers of a cell
 BETWEEN = re.compile(r"[\s,;]+")
 DATE = re.compile(
@@ -39,7 +39,7 @@ class TableFile:
     Args:
         path: The file.
         mapping: Where the signals are.
-        names: What the placeholders of the mapping stand for.
+        names: Values of the placeholders of the mapping.
 
     Raises:
         InputError: It is no such file.
@@ -116,7 +116,7 @@ class TableFile:
         return seconds_of(self._stamps(column, key), UNITS["time"][clock.unit])
 
     def _stamps(self, column: str, key: str) -> NDArray[Any]:
-        """A column of time, in whole numbers where it holds nothing else."""
+        """A column of time, as integers if it holds nothing else."""
         cells = self._columns.cells[column]
         if isinstance(cells, list) and cells and all(cell.isascii() and cell.isdecimal() for cell in cells):
             longest = max(cells, key=len)
@@ -130,7 +130,7 @@ class TableFile:
         return self._numbers(column, "time", key)
 
     def _date(self, cell: str, row: int, column: str) -> int:
-        """Nanoseconds from 1970 to a date; without a zone it is that of Greenwich."""
+        """Nanoseconds from 1970 to a date, UTC without a zone."""
         found = DATE.fullmatch(cell.strip())
         if found is None:
             said = f"{shortened(cell, 40)!r}, expected a date as 2026-11-25 12:00:00.5 or an instant with its zone"
@@ -146,8 +146,8 @@ class TableFile:
     def _cells(self, column: str, name: str, key: str) -> list[str] | NDArray[Any]:
         if column not in self._columns.cells:
             near, found = did_you_mean(column, self._columns.cells), list(self._columns.cells)
-            more = " ..." if len(found) > SHOWN else ""
-            message = f"no column {column!r} ({name}){near}; found: {', '.join(found[:SHOWN])}{more}"
+            more = " ..." if len(found) > MAX_SHOWN_COLUMNS else ""
+            message = f"no column {column!r} ({name}){near}; found: {', '.join(found[:MAX_SHOWN_COLUMNS])}{more}"
             raise MissingSignal(message, file=self._path, key=f"{key} of the mapping")
         return self._columns.cells[column]
 
@@ -158,7 +158,7 @@ class TableFile:
         return np.array([self._number(cell or "nan", row, column) for row, cell in enumerate(cells)])
 
     def _vectors(self, column: str, name: SignalName, key: str, entries: tuple[int, ...] | None) -> Array:
-        """Cells that hold all numbers of a sample, ``(k, width)``; those of an empty cell are nan."""
+        """Cells that hold all numbers of a sample, ``(k, width)``; an empty cell gives nan."""
         cells, width = self._cells(column, name, key), self._mapping.width(name)
         rows, whole = np.full((len(cells), width), np.nan), 0
         for row, cell in enumerate(cells):
@@ -187,7 +187,7 @@ class TableFile:
             raise self._wrong(f"{error}{remedy}", row, column) from None
 
     def _wrong(self, said: str, row: int, column: str) -> InputError:
-        """What is wrong in a cell."""
+        """Error in a cell."""
         lines = self._columns.lines
         where = f"line {lines[row]}" if lines else f"row {row + 1}"
         return InputError(f"not a table of numbers: {said} in column {column!r}", file=self._path, key=where)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a text table has its names and rows, found from the text.
+"""Lines of names and rows of a text table, found from the text.
 
-Rows are the first lines of which several in a row have as many cells and hold numbers (or vectors of numbers, dates,
-words beside them). The names stand in the line above that has as many cells, or one line higher if units lie between.
+Rows begin at the first of several consecutive lines with equally many cells that hold numbers (or vectors, dates,
+additional words). The names are in the line above with as many cells, or one line higher if units lie between.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from impact_rs_trials.recordings.csv_rows import decimal_sign, read_lines, separ
 from impact_rs_trials.recordings.file_units import is_unit
 from impact_rs_trials.recordings.mapping import TableLayout
 
-LOOKED_AT = 60  # lines, in which a table must have begun
-ALIKE = 3  # lines of numbers in a row that make a table
-NUMBERS = 0.5  # least share of cells that are numbers, in a row
+MAX_HEADER_LINES = 60  # before the first row of numbers
+MIN_TABLE_ROWS = 3  # consecutive lines of numbers that make a table
+MIN_NUMERIC_SHARE = 0.5  # of the cells of a row
 
 
 @dataclass(frozen=True)
 class FoundLayout:
-    """A layout, and what shows it.
+    """A layout, with its evidence.
 
     Attributes:
         layout: Line of the names and first row.
-        evidence: What shows it.
+        evidence: Evidence in words.
         skipped: Lines above the names.
     """
 
@@ -37,26 +37,26 @@ class FoundLayout:
 
 
 def find_layout(path: Path) -> FoundLayout:
-    """Where a text table has its names and rows.
+    """Find the lines of names and rows of a text table.
 
     Raises:
         InputError: No table begins in its first lines.
     """
-    lines = [(number, line) for number, line in read_lines(path)[:LOOKED_AT] if line.strip()]
+    lines = [(number, line) for number, line in read_lines(path)[:MAX_HEADER_LINES] if line.strip()]
     texts = dict(lines)
     point = decimal_sign([line for _, line in lines])
     cells = {number: split_line(line.lstrip("# "), point) for number, line in lines}
     data = [number for number, line in lines if not line.startswith("#") and _is_row(cells[number])]
     for place, first in enumerate(data):
-        together = data[place : place + ALIKE]
+        together = data[place : place + MIN_TABLE_ROWS]
         alike = {(len(cells[number]), separator_of(texts[number], point)) for number in together}
-        if len(alike) == 1 and (len(together) == ALIKE or place == 0):
+        if len(alike) == 1 and (len(together) == MIN_TABLE_ROWS or place == 0):
             found = _named(cells, first, {number for number, line in lines if line.startswith("#")})
             if point == ".":
                 return found
             said = f"{found.evidence}; numbers have a decimal comma"
             return replace(found, layout=found.layout.model_copy(update={"decimal": point}), evidence=said)
-    raise InputError(f"no table of numbers begins in its first {LOOKED_AT} lines", file=path)
+    raise InputError(f"no table of numbers begins in its first {MAX_HEADER_LINES} lines", file=path)
 
 
 def _named(cells: dict[int, list[str]], first: int, remarks: set[int]) -> FoundLayout:
@@ -82,10 +82,10 @@ def _named(cells: dict[int, list[str]], first: int, remarks: set[int]) -> FoundL
 
 
 def _is_row(cells: list[str]) -> bool:
-    """Whether a line holds numbers: half of its cells that are not empty, and its first or second cell."""
+    """Whether a line holds numbers: half of its non-empty cells, and its first or second cell."""
     filled = [cell for cell in cells if cell.strip()]
     numeric = [bool(numbers_in(cell)) for cell in filled]
-    return bool(filled) and sum(numeric) >= NUMBERS * len(filled) and not all(map(_is_name, filled[:2]))
+    return bool(filled) and sum(numeric) >= MIN_NUMERIC_SHARE * len(filled) and not all(map(_is_name, filled[:2]))
 
 
 def _is_name(cell: str) -> bool:

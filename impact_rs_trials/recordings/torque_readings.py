@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readings of a torque signal, compared by their likelihood.
 
-A signal may be the torque that drives the joints, that torque without the arm's weight (which many controllers add on
+A signal may be the torque that drives the joints, the torque without gravity (which many controllers add on
 their own), or neither; its columns may stand in another order; and it may be computed by a controller instead of
-measured. Every reading predicts each joint's signal by
+measured. Every reading predicts each joint's signal by least squares,
 
     tau_j = a_j x_j + c_j tanh(dq_j / v) + d_j dq_j + noise,    1/2 <= abs(a_j) <= 2
 
@@ -12,8 +12,8 @@ log likelihood, with k independent samples and the residuals r of the best fit, 
 
     -k/2 sum_j log sum r_j^2                                                                     (noise marginalised)
 
-A torque measured at a motor drives the friction of its gear. One without any was computed: with a dry friction
-c_j ~ N(0, s_j^2) as gears have and its estimate c_j +- e_j, the log Bayes factor of none against some is
+A torque measured at a motor drives the friction of its gear. A torque without friction was computed: with dry friction
+c_j ~ N(0, s_j^2) of usual gears and its estimate c_j +- e_j, the log Bayes factor of no friction against friction is
 
     sum_j  log(1 + s_j^2 / e_j^2) / 2 - c_j^2 s_j^2 / (2 e_j^2 (s_j^2 + e_j^2))
 """
@@ -34,8 +34,9 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.plausibility import noticed
 from impact_rs_trials.recordings.relations import (
     DECISIVE_LOG_LIKELIHOOD,
+    DECISIVE_LOG_ODDS,
     FULL_FRICTION_RAD_S,
-    WRONG_FACTOR,
+    PLAUSIBLE_FACTORS,
     LinearRelation,
     averaged,
     dry_friction,
@@ -44,23 +45,22 @@ from impact_rs_trials.recordings.relations import (
 from impact_rs_trials.runs import ArmSignals
 
 WHOLE_TORQUE = (
-    "Its controller adds the weight by itself: take the measured torque or the motor currents, or add the weight that "
-    "the controller adds"
+    "Its controller adds gravity by itself: take the measured torque or the motor currents, or add the gravity "
+    "torque that the controller adds"
 )
-LOOKED_AT = 300  # samples in which readings are compared
-SEARCHED = 30  # samples in which all orders of the joints are compared
-MOST_ORDERED = 7  # joints whose orders are searched: 7! = 5040
-DRY = 0.03  # dry friction of geared joints over their largest torque; data sheets and identifications give 1 to 10 %
-FAINT = 1e-3  # of the largest torque: a tenth of the least of them, which differences of a motion may leave by chance
-DECISIVE = float(np.log(100.0))  # log Bayes factor (Jeffreys 1961)
-SHARE = 0.5  # of what is left over, rms, below which another reading explains more of the torque as well
-LITTLE = 0.3  # of the torque, rms: friction, a load and a rough model leave about as much
+READING_SAMPLES = 300  # in which readings are compared
+SEARCHED_SAMPLES = 30  # in which all orders of the joints are compared
+MAX_ORDERED_JOINTS = 7  # whose orders are searched: 7! = 5040
+COULOMB_SHARE = 0.03  # of the largest torque of geared joints; data sheets and identifications give 1 to 10 %
+MIN_TORQUE_SHARE = 1e-3  # of the largest torque: a tenth of the smallest friction, within the error of differences
+MAX_RESIDUAL_RATIO = 0.5  # rms of the residual; below it another reading explains more of the torque as well
+MAX_RESIDUAL_SHARE = 0.3  # of the torque, rms: friction, a load and a rough model leave about as much
 SIGNALS = ("position", "velocity", "acceleration", "recorded")
 
 
 @dataclass(frozen=True)
 class MotionTorque:
-    """Torque that a motion takes, at some of its samples, beside the one that was recorded; ``(k, n)`` each.
+    """Inverse dynamics of a motion at some of its samples, and the recorded torque; ``(k, n)`` each.
 
     Attributes:
         position: q [rad].
@@ -68,7 +68,7 @@ class MotionTorque:
         acceleration: ddq [rad/s^2].
         recorded: Torque signal [N m].
         model: Nominal arm.
-        independent: How many of the samples count as independent, for moving averages overlap [-].
+        independent: Number of independent samples; moving averages overlap [-].
     """
 
     position: Array
@@ -85,15 +85,15 @@ class MotionTorque:
         return np.array([self.model.inverse_dynamics(*state) for state in states])
 
     @functools.cached_property
-    def weight(self) -> Array:
+    def gravity_torque(self) -> Array:
         """g, ``(k, n)`` [N m]."""
         return np.array([self.model.gravity_torque(q) for q in self.position])
 
     @staticmethod
     def of(
-        time: Array, position: Array, velocity: Array, torque: Array, model: RobotModel, samples: int = LOOKED_AT
+        time: Array, position: Array, velocity: Array, torque: Array, model: RobotModel, samples: int = READING_SAMPLES
     ) -> MotionTorque:
-        """Of signals on the same stamps, after moving averages.
+        """Inverse dynamics of signals on the same timestamps, after moving averages.
 
         Args:
             time: Stamps, ``(k,)`` [s].
@@ -101,7 +101,7 @@ class MotionTorque:
             velocity: dq, ``(k, n)`` [rad/s].
             torque: Torque signal, ``(k, n)`` [N m].
             model: Nominal arm.
-            samples: How many are looked at.
+            samples: Number of samples to use.
         """
         at, q = averaged(time, position)
         dq, tau = averaged(time, velocity)[1], averaged(time, torque)[1]
@@ -113,15 +113,15 @@ class MotionTorque:
     def relation(self, reading: Array) -> LinearRelation:
         """Fit of the recorded torque by a reading ``(k, n)`` and friction."""
         friction = (dry_friction(self.velocity), self.velocity)
-        return fit(reading, self.recorded, friction, self.independent, WRONG_FACTOR)
+        return fit(reading, self.recorded, friction, self.independent, PLAUSIBLE_FACTORS)
 
     @property
     def measured(self) -> NDArray[np.bool_]:
-        """Joints whose torque changes, ``(n,)``; of the others nothing was measured."""
+        """Mask of the joints whose torque changes, ``(n,)``; others were not measured."""
         return np.asarray(np.ptp(self.recorded, axis=0) > 0.0)
 
     def left(self, reading: Array) -> Array:
-        """Sum of squares of what a reading ``(k, n)`` leaves of the recorded torque, ``(n,)`` [N^2 m^2]."""
+        """Residual sum of squares of a reading ``(k, n)``, ``(n,)`` [N^2 m^2]."""
         return np.where(self.measured, self.relation(reading).misfit, 0.0)
 
     def likelihood(self, reading: Array) -> float:
@@ -129,34 +129,34 @@ class MotionTorque:
         return float(np.sum(self.relation(reading).log_likelihood[self.measured]))
 
     def ordered(self, order: tuple[int, ...], rows: slice = slice(None)) -> MotionTorque:
-        """The same samples, or some, with the joints in another order."""
+        """Reordered joints at all or some samples."""
         return replace(self, **{name: getattr(self, name)[rows, list(order)] for name in SIGNALS})
 
 
-def lacks_weight(seen: MotionTorque) -> str | None:
-    """What shows that a torque signal holds the torque of inertia without the arm's weight; None: nothing does.
+def lacks_gravity(seen: MotionTorque) -> str | None:
+    """Evidence that a torque signal lacks the gravity torque; None: no evidence.
 
     Args:
         seen: Signal and motion.
     """
-    weight = float(np.sqrt(np.mean(np.square(seen.weight)) * seen.weight.shape[1]))
-    if weight < noticed(seen.model):
+    gravity = float(np.sqrt(np.mean(np.square(seen.gravity_torque)) * seen.gravity_torque.shape[1]))
+    if gravity < noticed(seen.model):
         return None
-    alone = seen.whole - seen.weight
+    alone = seen.whole - seen.gravity_torque
     without, whole, neither = (seen.likelihood(one) for one in (alone, seen.whole, np.zeros_like(alone)))
     left_without, left = (_rms(seen.left(one), seen) for one in (alone, seen.whole))
-    if without < max(whole, neither) + DECISIVE_LOG_LIKELIHOOD or left_without > SHARE * left:
+    if without < max(whole, neither) + DECISIVE_LOG_LIKELIHOOD or left_without > MAX_RESIDUAL_RATIO * left:
         return None
-    most = float(np.max(np.abs(seen.weight)))
+    most = float(np.max(np.abs(seen.gravity_torque)))
     return (
-        f"holds the torque of inertia without the arm's weight, of which this motion takes up to {most:.3g} N m: it is "
+        f"holds the torque of inertia without gravity, which takes up to {most:.3g} N m: it is "
         f"{left_without:.3g} N m rms away from that torque, {left:.3g} N m from the whole one (log likelihood "
         f"{without - whole:+.0f})"
     )
 
 
-def check_holds_weight(path: Path, time: Array, arm: ArmSignals, model: RobotModel) -> None:
-    """A recorded torque holds the arm's weight.
+def check_includes_gravity(path: Path, time: Array, arm: ArmSignals, model: RobotModel) -> None:
+    """Check that a recorded torque includes the gravity torque.
 
     Args:
         path: Recording, for messages.
@@ -165,9 +165,9 @@ def check_holds_weight(path: Path, time: Array, arm: ArmSignals, model: RobotMod
         model: Nominal arm.
 
     Raises:
-        InputError: It holds the torque of inertia alone.
+        InputError: It holds the inertial torque alone.
     """
-    why = lacks_weight(MotionTorque.of(time, arm.position, arm.velocity, arm.torque, model))
+    why = lacks_gravity(MotionTorque.of(time, arm.position, arm.velocity, arm.torque, model))
     if why is not None:
         raise InputError(f"torque {why}. {WHOLE_TORQUE}", file=path, key="signals.torque of the mapping")
 
@@ -186,35 +186,35 @@ def is_computed(seen: MotionTorque) -> bool:
     for joint, most in enumerate(seen.model.torque_max):
         if not fast[joint] or not np.any(seen.recorded[:, joint]):
             continue
-        scale = most * abs(float(torque.factor[joint])) + 1e-12  # of a current: that of the motor
-        error = float(np.hypot(dry.standard_error[joint], FAINT * scale))
-        ratio = (DRY * scale / error) ** 2
+        scale = most * abs(float(torque.factor[joint])) + 1e-12  # in the unit of the signal, torque or current
+        error = float(np.hypot(dry.standard_error[joint], MIN_TORQUE_SHARE * scale))
+        ratio = (COULOMB_SHARE * scale / error) ** 2
         factor += 0.5 * np.log1p(ratio) - 0.5 * (float(dry.factor[joint]) / error) ** 2 * ratio / (1.0 + ratio)
-    return factor > DECISIVE
+    return factor > DECISIVE_LOG_ODDS
 
 
-def leaves_little(seen: MotionTorque) -> bool:
-    """Whether weight, inertia and friction of the arm are most of a torque signal."""
+def explains_most(seen: MotionTorque) -> bool:
+    """Whether gravity, inertia and friction of the arm explain most of a torque signal."""
     size = float(np.sqrt(np.mean(np.square(seen.recorded)) * seen.model.joint_count))
-    return _rms(seen.left(seen.whole), seen) < LITTLE * size
+    return _rms(seen.left(seen.whole), seen) < MAX_RESIDUAL_SHARE * size
 
 
 def order_of_joints(seen: MotionTorque) -> tuple[tuple[int, ...], str] | None:
-    """Order of columns in which they are the joints from base to tip, by the torque of the arm, and what shows it.
+    """Order of the columns that makes them joints from base to tip, by the arm's inverse dynamics, with the evidence.
 
     Args:
         seen: Signal and motion as the columns stand.
 
     Returns:
-        Number from 0 of every joint's column; None: the columns as they stand leave little, or no order is clearly
+        Index of every joint's column; None: the given order leaves a small residual, or no other is clearly
         better.
     """
     count, before = seen.model.joint_count, _rms(seen.left(seen.whole), seen)
-    if not 1 < count <= MOST_ORDERED or leaves_little(seen):
+    if not 1 < count <= MAX_ORDERED_JOINTS or explains_most(seen):
         return None
     low, high = seen.model.position_min, seen.model.position_max
     least, most = seen.position.min(axis=0), seen.position.max(axis=0)
-    rows = slice(None, None, max(1, len(seen.position) // SEARCHED))
+    rows = slice(None, None, max(1, len(seen.position) // SEARCHED_SAMPLES))
     scores = {}
     for order in itertools.permutations(range(count)):
         columns = list(order)
@@ -228,12 +228,12 @@ def order_of_joints(seen: MotionTorque) -> tuple[tuple[int, ...], str] | None:
         return None
     own = seen.ordered(best)
     after, gain = _rms(own.left(own.whole), own), own.likelihood(own.whole) - seen.likelihood(seen.whole)
-    if gain < DECISIVE_LOG_LIKELIHOOD or after > SHARE * before:
+    if gain < DECISIVE_LOG_LIKELIHOOD or after > MAX_RESIDUAL_RATIO * before:
         return None
     listed = ", ".join(str(column + 1) for column in best)
     return best, (
-        f"base to tip the columns are {listed}: so the torque is {after:.3g} N m rms away from what weight and inertia "
-        f"of the arm take, as they stand {before:.3g} N m (log likelihood {gain:+.0f})"
+        f"base to tip the columns are {listed}: so the torque is {after:.3g} N m rms away from gravity and inertia of "
+        f"the arm, as they stand {before:.3g} N m (log likelihood {gain:+.0f})"
     )
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers of a scenario's robots and support that may not be known well: values by name, and the scenario with others.
+"""Uncertain numbers of a scenario's robots and support: values by name, and the scenario with other values.
 
 With several arms the name of an arm stands in front, ``left.tool_mass``.
 
@@ -30,8 +30,8 @@ _OF_TOOL: dict[str, str] = {"tool_mass": "kg", "tool_length": "m", "pad_x": "m",
 _OFFSET = re.compile(r"(?:joint(?P<joint>[0-9]+)|flange)_(?P<axis>[xyz])")
 
 
-def known_of_scene(scenario: Scenario) -> dict[str, tuple[float, str]]:
-    """What a scenario assumes of everything that may be unsure, with its unit, by name."""
+def nominal_values(scenario: Scenario) -> dict[str, tuple[float, str]]:
+    """Nominal values of all uncertain numbers of a scenario, with units, by name."""
     found: dict[str, tuple[float, str]] = {SUPPORT_FRICTION: (scenario.support.friction, "-")}
     if len(scenario.objects) == 1:
         (box,) = scenario.objects.values()
@@ -46,12 +46,12 @@ def known_of_scene(scenario: Scenario) -> dict[str, tuple[float, str]]:
     return found
 
 
-def with_another(scenario: Scenario, name: str, value: float) -> Scenario:
-    """The scenario with another value of something that may be unsure.
+def with_value(scenario: Scenario, name: str, value: float) -> Scenario:
+    """The scenario with another value of an uncertain number.
 
     Args:
         scenario: The scenario.
-        name: One of :func:`known_of_scene`.
+        name: One of :func:`nominal_values`.
         value: Value, in its unit.
     """
     if name == SUPPORT_FRICTION:
@@ -68,7 +68,7 @@ def with_another(scenario: Scenario, name: str, value: float) -> Scenario:
 
 
 def _arms(scenario: Scenario) -> Iterator[tuple[str, Robot]]:
-    """Arms, each with what stands in front of its names."""
+    """Arms, each with the prefix of its names."""
     for arm, robot in scenario.robots.items():
         yield (f"{arm}." if len(scenario.robots) > 1 else ""), robot
 

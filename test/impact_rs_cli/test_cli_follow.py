@@ -239,7 +239,7 @@ def test_a_diagnosis_that_is_stopped_has_ended_and_leaves_nothing(
     many_hits: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, patience: float
 ) -> None:
     """By Ctrl-C, and by a kill where it does not end in time."""
-    monkeypatch.setattr("impact_rs_cli.full_diagnosis.PATIENCE", patience)
+    monkeypatch.setattr("impact_rs_cli.full_diagnosis.DIAGNOSIS_STOP_TIMEOUT_S", patience)
     diagnosis = FullDiagnosis({"impacts": many_hits, "scenario": "push"}, tmp_path / "more")
     diagnosis.start("row 3")
     process = diagnosis._running.process  # type: ignore[union-attr]

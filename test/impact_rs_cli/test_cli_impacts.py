@@ -201,7 +201,7 @@ def test_balls_whose_turn_was_not_tracked_give_restitution_and_friction(
     for number in range(30):
         bounce(raw / f"ball_{number}.csv", rng)
     assert main(["import", str(raw), "--robot", "none", "-o", str(lab)]) == 0
-    assert "no column is its turn" in capsys.readouterr().out
+    assert "no column is its orientation" in capsys.readouterr().out
     experiment = yaml.safe_load((lab / "experiment.yaml").read_text())
     experiment["body"] = {"mass": 0.0027, "radius": BALL_RADIUS, "shell": True}
     command = ["impacts", str(raw), "--experiment", str(lab / "experiment.yaml"), "-o", str(table), "--jobs", "1"]
@@ -211,7 +211,7 @@ def test_balls_whose_turn_was_not_tracked_give_restitution_and_friction(
     experiment["body"]["spin"] = [0, 0, 0]
     (lab / "experiment.yaml").write_text(yaml.safe_dump(experiment))
     assert main(command) == 0
-    assert "the turn of the ball was not tracked" in capsys.readouterr().out
+    assert "the rotation of the ball was not tracked" in capsys.readouterr().out
     assert "wx_after" not in table.read_text()
     assert main(["diagnose", "--impacts", str(table), "--json", "--jobs", "1"]) == 0
     found = json.loads(capsys.readouterr().out)

@@ -49,7 +49,7 @@ from impact_rs_trials.recordings.array_file import ArrayFile
 from impact_rs_trials.recordings.candidates import candidates_of
 from impact_rs_trials.recordings.experiment import Experiment, load_experiment, read_runs
 from impact_rs_trials.recordings.impact_table import read_impact_table
-from impact_rs_trials.recordings.importing import Wishes, draft_import
+from impact_rs_trials.recordings.importing import ImportOptions, draft_import
 from impact_rs_trials.recordings.mapping import Mapping, load_mapping
 from impact_rs_trials.recordings.series import Names
 from impact_rs_trials.recordings.table_file import TableFile
@@ -228,7 +228,7 @@ def numbers_that_were_there(mapping: Mapping) -> Callable[[Path], bool]:
 
 def imported(path: Path) -> bool:
     """Whatever an import looks at answers, or refuses in one line; these logs lack the torques that it needs."""
-    for look in (find_layout, candidates_of, lambda one: draft_import([one], one.parent, Wishes("kuka_iiwa7"))):
+    for look in (find_layout, candidates_of, lambda one: draft_import([one], one.parent, ImportOptions("kuka_iiwa7"))):
         try:
             look(path)
         except InputError as error:

@@ -24,7 +24,7 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import ArmState, Scene
 from impact_rs_sim.sensors import ArmMeasurement
-from impact_rs_trials.bags.outcome import Verdict, Witness, judge
+from impact_rs_trials.bags.outcome import TickLog, Verdict, judge
 
 # ---- push -----------------------------------------------------------------------------------------------------------
 
@@ -198,10 +198,10 @@ def plan() -> TrialPlan:
 
 def _run(plan: TrialPlan, physics=None):  # noqa: ANN001, ANN202
     plant = make_plant(plan, 5, physics)
-    heights, modes, detections, witness = [], [], {}, Witness(plan)
+    heights, modes, detections, log = [], [], {}, TickLog(plan)
     try:
         for tick in run_closed_loop(plan, plant):
-            witness.see(tick)
+            log.append(tick)
             if tick.measurement.object is not None:
                 heights.append(tick.measurement.object.position[2])
             modes.append({int(command.mode) for command in tick.commands.values()})
@@ -210,7 +210,7 @@ def _run(plan: TrialPlan, physics=None):  # noqa: ANN001, ANN202
                     detections[name] = command.detection.time
     finally:
         plant.close()
-    return np.array(heights), modes, detections, judge(plan, witness.record())
+    return np.array(heights), modes, detections, judge(plan, log.record())
 
 
 def test_both_arms_leave_the_ante_mode_together_and_hold_the_box(plan: TrialPlan) -> None:

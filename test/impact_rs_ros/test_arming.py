@@ -13,7 +13,14 @@ from rclpy.serialization import serialize_message
 from robot_bench import PERIOD, PUSH, START, SWITCHED_ON, Robot, Wire, state_message
 
 from impact_msgs_py.conversions import pose_to_message
-from impact_rs_ros.arming import HOLDING, LOOKING, PATIENCE, Arming, ArmingLimits, distance_from_scenario
+from impact_rs_ros.arming import (
+    ARMING_TIMEOUT_S,
+    HOLDING_S,
+    MIN_OBSERVED_S,
+    Arming,
+    ArmingLimits,
+    distance_from_scenario,
+)
 from impact_rs_ros.effort_arms import rest_until
 from impact_rs_ros.motion_capture import MOCAP, TrackerPoses
 from impact_rs_ros.robot_states import STATES
@@ -75,15 +82,15 @@ def test_a_robot_at_its_start_is_armed_and_told_of_and_held_since() -> None:
     bench = Bench()
     assert bench.run().startswith("jitter 0.000 ms, oldest state 0.000 ms, 50")
     np.testing.assert_allclose(bench.robot.sent, 0.0, atol=1e-9)
-    assert LOOKING + HOLDING <= bench.robot.clock.time - 100.0 < LOOKING + HOLDING + 0.01
-    assert len(bench.robot.sent) == pytest.approx(HOLDING / PERIOD, abs=2)
+    assert MIN_OBSERVED_S + HOLDING_S <= bench.robot.clock.time - 100.0 < MIN_OBSERVED_S + HOLDING_S + 0.01
+    assert len(bench.robot.sent) == pytest.approx(HOLDING_S / PERIOD, abs=2)
     assert bench.robot.arms.held
 
 
 def test_a_robot_that_is_silent_or_stops_is_not_armed() -> None:
     silent, stops = Bench(until=0.0), Bench(until=0.03)
     assert "no state of fr3_joint1 and the other joints on /joint_states: is the robot running?" in refusal(silent)
-    assert silent.robot.clock.time == pytest.approx(100.0 + PATIENCE, abs=0.01)
+    assert silent.robot.clock.time == pytest.approx(100.0 + ARMING_TIMEOUT_S, abs=0.01)
     assert "/joint_states: 30 states in 3 s, expected 50" in refusal(stops)
 
 
@@ -145,7 +152,7 @@ def test_an_arm_elsewhere_or_in_motion_is_not_armed(motion: Motion, complaint: s
 
 def falling(time: float) -> dict[str, np.ndarray]:
     """From when it is held on, as with the wrong gravity convention."""
-    since = max(0.0, time - LOOKING - 0.05)
+    since = max(0.0, time - MIN_OBSERVED_S - 0.05)
     return {"position": START - 0.5 * since**2, "velocity": np.full(7, -since)}
 
 
@@ -161,7 +168,7 @@ def test_an_arm_that_falls_when_held_is_not_armed_and_stays_braked() -> None:
 
 
 def test_an_arm_that_is_held_must_go_on_reporting() -> None:
-    assert "less than 0.2 s of states in 3 s while the robot was held" in refusal(Bench(until=LOOKING + 0.1))
+    assert "less than 0.2 s of states in 3 s while the robot was held" in refusal(Bench(until=MIN_OBSERVED_S + 0.1))
 
 
 def test_arms_of_the_trial_before_are_held_during_the_look() -> None:
@@ -169,7 +176,7 @@ def test_arms_of_the_trial_before_are_held_during_the_look() -> None:
     before.clock = before.states.clock = bench.robot.clock
     bench.arming._holder = before.arms
     bench.arming.look()
-    assert len(before.sent) == pytest.approx(LOOKING / PERIOD, abs=2)
+    assert len(before.sent) == pytest.approx(MIN_OBSERVED_S / PERIOD, abs=2)
     assert bench.robot.sent == []
 
 

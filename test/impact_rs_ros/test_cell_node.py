@@ -96,7 +96,7 @@ def test_leaving_a_trial_and_closing_the_node_go_on_until_the_arms_rest(
 
 
 def test_arms_that_do_not_rest_call_for_the_emergency_stop(cell: CellNode, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cell_node, "BRAKING", 0.0)
+    monkeypatch.setattr(cell_node, "MAX_BRAKING_S", 0.0)
     said: list[str] = []
     monkeypatch.setattr(cell, "log", type("Log", (), {"error": staticmethod(said.append)}))
     cell._held = Arms(10**9)  # type: ignore[assignment]
@@ -118,10 +118,10 @@ def test_without_an_effort_controller_nothing_is_armed(
     cell: CellNode, other: rclpy.node.Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patience:
-        patience.setattr(cell_node, "LISTENING", 0.01)
+        patience.setattr(cell_node, "DISCOVERY_S", 0.01)
         with pytest.raises(InputError, match=f"^not armed: nothing listens to torques on {COMMANDS}"):
             cell._await_listeners()
-    monkeypatch.setattr(cell_node, "LISTENING", PATIENCE)
+    monkeypatch.setattr(cell_node, "DISCOVERY_S", PATIENCE)
     other.create_subscription(Float64MultiArray, COMMANDS, lambda message: None, 10)
     cell._await_listeners()
 
@@ -227,7 +227,7 @@ def test_without_a_watchdog_that_listens_nothing_is_armed(
     watched: CellNode, other: rclpy.node.Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     other.create_subscription(Float64MultiArray, COMMANDS, lambda message: None, 10)
-    monkeypatch.setattr(cell_node, "LISTENING", 0.01)
+    monkeypatch.setattr(cell_node, "DISCOVERY_S", 0.01)
     with pytest.raises(InputError, match=f"^not armed: nothing listens to torques on {WATCHED}: does the watchdog"):
         watched._await_listeners()
 
@@ -255,7 +255,7 @@ def test_a_publisher_without_a_name_is_waited_for_and_then_a_stranger(
     watched._await_names()
     assert len(looks) == 4 and watched._strangers() == ""
     watchdog_after(10**9)
-    monkeypatch.setattr(cell_node, "LISTENING", 0.01)
+    monkeypatch.setattr(cell_node, "DISCOVERY_S", 0.01)
     watched._await_names()
     assert "can send torques" in watched._strangers()
 
@@ -285,7 +285,7 @@ class Trial:
 def test_what_is_found_while_a_trial_runs_ends_it(cell: CellNode, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cell, "_strangers", lambda: "/stranger can send torques")
     monkeypatch.setattr(cell, "_over", None)
-    monkeypatch.setattr(cell_node, "SURVEY", -1.0)
+    monkeypatch.setattr(cell_node, "PUBLISHER_POLL_S", -1.0)
     trial = Trial()
     cell.work(trial, 0.0)  # type: ignore[arg-type]
     assert trial.failure == "/stranger can send torques"

@@ -32,7 +32,7 @@ from impact_rs_control.fallback import holding_torque
 from impact_rs_ros.cell_trial import CellTrial, TrialLimits
 from impact_rs_ros.motion_capture import MOCAP, TrackerPoses
 from impact_rs_ros.robot_states import STATES
-from impact_rs_ros.trial_node import CONNECTING
+from impact_rs_ros.trial_node import CONNECTION_TIMEOUT_S
 from impact_rs_trials.bags import topics
 
 COMMAND = topics.joint_command("arm")
@@ -190,7 +190,7 @@ def test_a_controller_that_never_answers_ends_the_trial() -> None:
     while not bench.trial.over:
         bench.state()
     assert "the controller does not answer the first state within 8 s" in bench.trial.failure
-    assert bench.time == pytest.approx(100.0 + CONNECTING, abs=0.01)
+    assert bench.time == pytest.approx(100.0 + CONNECTION_TIMEOUT_S, abs=0.01)
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,8 @@ from processes import PATIENCE, until
 from rclpy.executors import SingleThreadedExecutor
 
 from impact_rs_ros import presence as presence_module
-from impact_rs_ros.presence import GRACE, LEAVING, Presence, SubscriptionsMatched
-from impact_rs_ros.qos import LEASE
+from impact_rs_ros.presence import LEASE_GRACE_S, LEAVING_S, Presence, SubscriptionsMatched
+from impact_rs_ros.qos import LEASE_S
 
 PROGRAM = """
 import rclpy, sys
@@ -80,7 +80,7 @@ def test_a_frozen_and_a_killed_process_are_lost_after_some_grace_and_a_resumed_o
     watch.until(lambda: presence.lost("one", "other") == [], "lost, though it is alive")
     one.send_signal(signal.SIGSTOP)
     watch.until_alive("one", False)
-    watch.time += GRACE
+    watch.time += LEASE_GRACE_S
     assert presence.lost("one", "other") == []
     watch.time += 0.1
     assert presence.lost("one", "other") == ["one"]
@@ -88,7 +88,7 @@ def test_a_frozen_and_a_killed_process_are_lost_after_some_grace_and_a_resumed_o
     watch.until(lambda: not presence.lost("one"), "not noticed that it goes on")
     one.kill()
     watch.until_alive("one", False)
-    watch.time += LEAVING + 0.1
+    watch.time += LEAVING_S + 0.1
     assert presence.lost("one") == ["one"]
     presence.forget("one")
     assert presence.lost("one") == []
@@ -101,7 +101,7 @@ def test_a_node_that_takes_its_leave_has_time_to_end(watch: Watch) -> None:
     assert one.wait(PATIENCE) is not None
     watch.until(lambda: not watch.presence.publishers("one/alive"), "its publisher does not go")
     watch.until_alive("one", False)
-    watch.time += LEAVING
+    watch.time += LEAVING_S
     assert watch.presence.lost("one") == []
     watch.time += 0.1
     assert watch.presence.lost("one") == ["one"]
@@ -112,7 +112,7 @@ def test_two_nodes_of_one_name_are_duplicates_until_one_leaves(watch: Watch) -> 
     watch.start("one")
     other = watch.start("one")
     watch.until(lambda: presence.duplicates() == {"one": False}, "no duplicate, or certain at once")
-    watch.time += LEASE + GRACE + 0.1  # neither of them has ended
+    watch.time += LEASE_S + LEASE_GRACE_S + 0.1  # neither of them has ended
     watch.until(lambda: presence.duplicates() == {"one": True}, "never certain")
     assert presence.full_name("one") == "/cell/one"
     other.kill()

@@ -48,7 +48,9 @@ def test_a_careful_push_arms_runs_and_passes_every_line(passed: Checklist) -> No
     assert any(line.startswith("trial over: OK") for line in passed.log)
     assert passed.unknown == []
     assert margin_of(passed, "age of a state").value == pytest.approx(FRANKA.state_latency, rel=1e-6)
-    assert margin_of(passed, "answer of the controller").value == pytest.approx(cell_rehearsal.COMPUTING, rel=1e-3)
+    assert margin_of(passed, "answer of the controller").value == pytest.approx(
+        cell_rehearsal.CONTROLLER_TIME_S, rel=1e-3
+    )
     assert margin_of(passed, "torque rate").value <= FRANKA.torque_rate * (1.0 + 1e-9)
     assert 0.0 < margin_of(passed, "distance to joint limits").margin < np.pi
 
@@ -317,7 +319,7 @@ def test_whenever_and_however_long_a_cell_stalls_the_robot_gets_one_stream_withi
         watchdog = cell.watchdog
         assert watchdog is not None
         if moving:
-            assert watchdog.braking == (stall > 0.05 + cell_rehearsal.LOOKS)
+            assert watchdog.braking == (stall > 0.05 + cell_rehearsal.WATCHDOG_POLL_S)
         while not trial.over:
             trial.work(cell.clock.time + cell.robot.period)
         assert bool(trial.failure) == (phase < 1.0)

@@ -17,7 +17,7 @@ from rosgraph_msgs.msg import Clock
 from impact_msgs_py.conversions import pose_from_message, pose_to_message
 from impact_rs_ros import robot_clock
 from impact_rs_ros.motion_capture import TrackerPoses
-from impact_rs_ros.robot_clock import STOPPED, RobotClock
+from impact_rs_ros.robot_clock import MAX_CLOCK_SILENCE_S, RobotClock
 from impact_rs_ros.robot_states import EXTRA, StateReader, joint_names
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags import topics
@@ -242,11 +242,11 @@ def test_time_follows_a_slow_simulator_and_the_machine_once_it_stops(simulator: 
     for _ in range(20):
         simulator.room += 0.1
         clock.steady()
-    assert clock.steady() - begin == pytest.approx(0.01 + 2.0 - STOPPED)
+    assert clock.steady() - begin == pytest.approx(0.01 + 2.0 - MAX_CLOCK_SILENCE_S)
     simulator.tick(1.0)  # started again
-    assert clock.steady() - begin == pytest.approx(0.01 + 2.0 - STOPPED)
+    assert clock.steady() - begin == pytest.approx(0.01 + 2.0 - MAX_CLOCK_SILENCE_S)
     simulator.tick(1.5)
-    assert clock.steady() - begin == pytest.approx(0.01 + 2.0 - STOPPED + 0.5)
+    assert clock.steady() - begin == pytest.approx(0.01 + 2.0 - MAX_CLOCK_SILENCE_S + 0.5)
 
 
 def test_setting_the_machines_clock_changes_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -274,6 +274,6 @@ def test_before_it_ends_it_brakes_the_arms_that_it_has_sent_torques(monkeypatch:
     program.brake()
     assert len(looks) == 5 and said == []
     program.bench.watchdog.arms.held = False
-    monkeypatch.setattr(watchdog_node, "BRAKING", 0.0)
+    monkeypatch.setattr(watchdog_node, "MAX_BRAKING_S", 0.0)
     program.brake()
     assert said == ["the arms did not come to rest within 0 s: press the emergency stop"]

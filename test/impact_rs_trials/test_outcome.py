@@ -16,7 +16,7 @@ from impact_rs_control.controller import Mode
 from impact_rs_control.plan import TrialPlan
 from impact_rs_control.qp import QpStatus
 from impact_rs_sim.scenario import load_scenario
-from impact_rs_trials.bags.outcome import LEAST_LIFT, ArmRecord, TrialRecord, Verdict, Witness, judge
+from impact_rs_trials.bags.outcome import MIN_LIFT_SHARE, ArmRecord, TickLog, TrialRecord, Verdict, judge
 from impact_rs_trials.bags.reader import JointColumns, PoseColumns, TrialBag
 from impact_rs_trials.spec import TrialSpec
 
@@ -184,7 +184,7 @@ def test_a_pushed_object_cannot_be_dropped(lift: float) -> None:
 
 
 def test_a_clamped_object_that_rises_too_little_was_dropped() -> None:
-    enough = LEAST_LIFT * GRAB.expected_lift
+    enough = MIN_LIFT_SHARE * GRAB.expected_lift
     assert judge(GRAB, record(GRAB, lift=1.01 * enough)) == Verdict("OK")
     unseen = replace(record(GRAB), object=PoseColumns(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4))))
     assert judge(GRAB, unseen) == Verdict("OK")  # a laboratory without a tracker
@@ -296,12 +296,12 @@ def test_the_value_farthest_beyond_either_limit_is_reported(low: float, high: fl
 
 def test_a_witness_keeps_status_and_impact_of_a_trial() -> None:
     plan = plan_of("push", "juice", "case_1", **BRIEF)
-    whole, early = Witness(plan), Witness(plan)
+    whole, early = TickLog(plan), TickLog(plan)
     plant = make_plant(plan, 1)
     for tick in run_closed_loop(plan, plant):
-        whole.see(tick)
+        whole.append(tick)
         if tick.number < 10:
-            early.see(tick)
+            early.append(tick)
     plant.close()
     arm = whole.record().arms["arm"]
     assert arm.hit and not early.record().arms["arm"].hit

@@ -93,7 +93,7 @@ def test_a_chunk_that_was_changed_ends_what_is_read(cut: tuple[Path, list[int]])
     data = file.read_bytes()
     file.write_bytes(data[: sizes[1]])
     before = TrialBag.open(folder).counts
-    for place in (sizes[1] + checksums.HEAD + checksums.CHUNK_CHECKSUM, sizes[1] + 500):
+    for place in (sizes[1] + checksums.RECORD_HEAD_BYTES + checksums.CHUNK_CHECKSUM_OFFSET_BYTES, sizes[1] + 500):
         changed = bytearray(data)
         changed[place] ^= 1
         file.write_bytes(changed)

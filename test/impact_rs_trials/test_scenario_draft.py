@@ -22,7 +22,7 @@ UR5E, FR3, FER = (load_facts(name) for name in ("ur5e", "franka_fr3", "franka_fe
 @pytest.fixture(scope="module")
 def six_joints() -> Draft:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scenario_draft, "POSES", 12)
+        patch.setattr(scenario_draft, "SEARCHED_POSES", 12)
         return draft("ur5e", UR5E, "push")
 
 

@@ -117,7 +117,7 @@ def test_a_campaign_can_be_resumed_after_its_scheduler_went_away(tmp_path: Path,
 def test_no_scheduler_is_told_and_leaves_nothing(
     tmp_path: Path, manifest: Manifest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("impact_rs_trials.workers.ANSWER_TIMEOUT", 0.5)
+    monkeypatch.setattr("impact_rs_trials.workers.ANSWER_TIMEOUT_S", 0.5)
     with socket.socket() as taken:  # nobody listens on a socket that is bound alone
         taken.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
@@ -144,7 +144,7 @@ def test_workers_with_several_threads_are_refused() -> None:
 
 
 def test_a_scheduler_without_workers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("impact_rs_trials.workers.WORKERS_TIMEOUT", 0.1)
+    monkeypatch.setattr("impact_rs_trials.workers.WORKERS_TIMEOUT_S", 0.1)
     with (
         cluster(0) as running,
         pytest.raises(InputError, match=r"has no workers .* --nthreads 1"),
@@ -155,7 +155,7 @@ def test_a_scheduler_without_workers_is_told(monkeypatch: pytest.MonkeyPatch) ->
 
 @pytest.mark.slow
 def test_more_tasks_than_the_scheduler_may_know_at_a_time_all_end_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("impact_rs_trials.workers.ON_THE_WAY", 2)
+    monkeypatch.setattr("impact_rs_trials.workers.MAX_PENDING_TASKS", 2)
     with client_of(Workforce(2)) as client:
         assert sorted(as_they_end(client, abs, range(-5, 0))) == [(n, -n) for n in range(-5, 0)]
         limits = {worker["memory_limit"] for worker in client.scheduler_info()["workers"].values()}

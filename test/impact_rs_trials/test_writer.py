@@ -94,7 +94,7 @@ def test_topics_are_written_in_the_order_they_came_whatever_is_kept_back(tmp_pat
 
 
 def test_more_than_a_block_of_messages_loses_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(writer, "LARGEST_BLOCK", 4)
+    monkeypatch.setattr(writer, "MAX_BLOCK_MESSAGES", 4)
     path = tmp_path / "trial"
     with BagWriter.create(path, ["arm"]) as bag:
         for number in range(11):

@@ -97,8 +97,8 @@ def test_a_preview_is_in_si_units_and_in_the_order_of_the_joints(client: TestCli
 
 IMPLAUSIBLE: list[tuple[str, dict[str, Any], str]] = [
     ("velocity", {"source": {"unit": "deg/s"}}, "velocity is 0.0174 times the derivative of position"),
-    ("torque", {"source": {"unit": "mN m"}}, "torque holds 0.00 times the weight of the scenario's arm"),
-    ("command", {"source": {"factor": -1.0}}, "command holds -1.00 times the weight"),
+    ("torque", {"source": {"unit": "mN m"}}, "torque holds 0.00 times the gravity torque of the scenario's arm"),
+    ("command", {"source": {"factor": -1.0}}, "command holds -1.00 times the gravity torque"),
     ("position", {"source": {"unit": "m"}}, "joint 1 of franka_fer turns, expected rad or mrad or deg"),
     ("velocity", {"joints": [f"panda_joint{n}" for n in (1, 2, 3)]}, "franka_fer has 7 joints, the mapping names"),
 ]

@@ -182,10 +182,10 @@ def test_a_silent_experiment_node_ends_before_the_trial_is_repeated(
     first, restart = graph.processes["experiment"], graph.restart
 
     def heard_again() -> None:
-        monkeypatch.setattr(graphs, "SILENCE", PATIENCE)
+        monkeypatch.setattr(graphs, "MAX_SILENCE_S", PATIENCE)
         restart()
 
-    monkeypatch.setattr(graphs, "SILENCE", 0.0)
+    monkeypatch.setattr(graphs, "MAX_SILENCE_S", 0.0)
     monkeypatch.setattr(graph, "restart", heard_again)
     manifest = one_trial(short)
     report = run_trial(graph, tmp_path, manifest, manifest.keys[0])
@@ -209,7 +209,7 @@ def test_nodes_start_again_where_one_is_killed_while_starting_or_freezes(
             nodes.kill(name)
 
     monkeypatch.setattr(nodes, "start", start_and_kill_once)
-    monkeypatch.setattr(graphs, "FOREIGN_TIMEOUT", 0.0)
+    monkeypatch.setattr(graphs, "FOREIGN_TIMEOUT_S", 0.0)
     try:
         with pytest.raises(GraphError, match=in_vain):
             graph.start()

@@ -11,7 +11,7 @@ from impact_table_cases import CUBE_HEADER, cube, cube_rows, write_csv
 
 from impact_rs_analysis.application.loop_steps import compare_measurements
 from impact_rs_analysis.application.measurements import MeasurementKind, MeasurementOptions, open_measurements
-from impact_rs_analysis.application.observer import MOST_SHOWN, Silent, warn_skipped
+from impact_rs_analysis.application.observer import MAX_SHOWN_FILES, Silent, warn_skipped
 from impact_rs_cli.main import main
 from impact_rs_sim.model import load_model
 
@@ -56,6 +56,6 @@ def test_python_and_command_line_find_the_same_in_a_table_of_impacts(
 def test_bags_that_were_left_out_are_warned_of_and_only_the_first_by_name() -> None:
     """Kills a list of a thousand warnings, and a path that is repeated in its reason."""
     listener = Listener()
-    warn_skipped([(f"/runs/{name}", f"/runs/{name}: cut off") for name in range(MOST_SHOWN + 2)], listener)
+    warn_skipped([(f"/runs/{name}", f"/runs/{name}: cut off") for name in range(MAX_SHOWN_FILES + 2)], listener)
     assert listener.warnings[0] == "left out 0: cut off"
-    assert listener.warnings[MOST_SHOWN:] == ["left out 2 more bags; --json lists all"]
+    assert listener.warnings[MAX_SHOWN_FILES:] == ["left out 2 more bags; --json lists all"]

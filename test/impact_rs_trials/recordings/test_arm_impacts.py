@@ -22,7 +22,7 @@ from impact_rs_trials.recordings.series import Series
 
 if TYPE_CHECKING:
     from .conftest import LaboratoryFolder
-from impact_rs_trials.recordings.arm_impacts import by_onset
+from impact_rs_trials.recordings.arm_impacts import refined_by_onset
 from impact_rs_trials.recordings.contact_onset import onset_of
 from impact_rs_trials.recordings.joint_jumps import jump_at
 
@@ -350,10 +350,10 @@ def test_a_run_is_timed_by_its_fastest_signal_and_says_so() -> None:
     jump = joint_jump(position, ONSET + 0.004)
     assert jump is not None
     said: list[str] = []
-    (timed,) = by_onset({"arm": {"position": position, "wrench": force()}}, [{"arm": jump}], said)
+    (timed,) = refined_by_onset({"arm": {"position": position, "wrench": force()}}, [{"arm": jump}], said)
     assert timed["arm"].time == pytest.approx(ONSET, abs=1e-3)
     assert len(said) == 1 and "timed by the onset of the force" in said[0]
-    (left,) = by_onset({"arm": {"position": position}}, [{"arm": jump}], said)
+    (left,) = refined_by_onset({"arm": {"position": position}}, [{"arm": jump}], said)
     assert left["arm"] is jump and len(said) == 1
 
 
@@ -374,11 +374,11 @@ def test_an_accelerometer_says_when_slow_joints_were_hit() -> None:
     for further, error in (({}, 3e-4), ({"wrench": force()}, 3e-4)):
         said: list[str] = []
         signals = {"position": position, "acceleration": acceleration(5000.0), **further}
-        (timed,) = by_onset({"arm": signals}, [{"arm": jump}], said)
+        (timed,) = refined_by_onset({"arm": signals}, [{"arm": jump}], said)
         assert timed["arm"].time == pytest.approx(ONSET, abs=error)
         assert said == ["impacts are timed by the onset of the acceleration, which is faster than the joint positions"]
     slow = {"position": position, "acceleration": acceleration(500.0), "wrench": force()}
-    (timed,) = by_onset({"arm": slow}, [{"arm": jump}], said)
+    (timed,) = refined_by_onset({"arm": slow}, [{"arm": jump}], said)
     assert "the force at the wrist" in said[-1]
 
 

@@ -18,13 +18,13 @@ from impact_rs_trials.recordings.clock import (
     check_stamps,
     even_grid,
     gaps,
+    gaps_in_words,
     grid_from,
     seconds_of,
-    tell_gaps,
 )
 from impact_rs_trials.recordings.clock_offset import offset_between, start_of_motion
-from impact_rs_trials.recordings.importing import Wishes, draft_import
-from impact_rs_trials.recordings.sampling_times import doubt_of_timestamps
+from impact_rs_trials.recordings.importing import ImportOptions, draft_import
+from impact_rs_trials.recordings.sampling_times import timestamp_warning
 from impact_rs_trials.recordings.series import Series
 
 BAG = Path("bag")
@@ -42,7 +42,7 @@ def test_a_grid_goes_through_gaps_at_the_usual_distance() -> None:
     stamps = np.delete(1e-3 * np.arange(1000), range(300, 340))
     grid = even_grid(stamps)
     np.testing.assert_allclose(grid, 1e-3 * np.arange(1000), atol=1e-12)
-    assert tell_gaps(gaps(stamps, 0.005), 0.0) == "0.041 s at t = 0.299 s"
+    assert gaps_in_words(gaps(stamps, 0.005), 0.0) == "0.041 s at t = 0.299 s"
 
 
 def test_a_grid_is_that_of_the_piece_that_matters_carried_on() -> None:
@@ -65,7 +65,7 @@ def test_nanoseconds_of_a_wall_clock_are_read_as_well_as_a_header() -> None:
 
 
 def test_many_gaps_are_counted() -> None:
-    assert tell_gaps(gaps(np.arange(8.0), 0.5), 0.0).endswith("1.000 s at t = 4.000 s and 2 more")
+    assert gaps_in_words(gaps(np.arange(8.0), 0.5), 0.0).endswith("1.000 s at t = 4.000 s and 2 more")
 
 
 @pytest.mark.parametrize(
@@ -189,7 +189,7 @@ def taken(period: float, spread: float, seed: int = 0) -> Array:
 @pytest.mark.parametrize("spread", [0.08, 0.18])
 @pytest.mark.parametrize("joints", [2, 6])
 def test_even_timestamps_of_uneven_samples_are_nominal(rate: float, spread: float, joints: int) -> None:
-    said = doubt_of_timestamps(np.arange(COUNT) / rate, swinging_joints(taken(1.0 / rate, spread), joints=joints))
+    said = timestamp_warning(np.arange(COUNT) / rate, swinging_joints(taken(1.0 / rate, spread), joints=joints))
     assert said is not None and said.startswith(f"timestamps are nominal: exactly even ({rate:g} Hz)")
     found = float(said.split("vary by ")[1].split()[0]) / 100.0
     assert 0.7 * spread < found < 1.3 * spread
@@ -198,7 +198,7 @@ def test_even_timestamps_of_uneven_samples_are_nominal(rate: float, spread: floa
 def test_timestamps_of_a_log_differ_from_when_samples_were_taken() -> None:
     true = taken(0.02, 0.1)
     logged = true + np.random.default_rng(2).uniform(0.0, 0.005, COUNT)
-    said = doubt_of_timestamps(logged, swinging_joints(true))
+    said = timestamp_warning(logged, swinging_joints(true))
     assert said is not None and said.startswith("samples were not taken at their timestamps")
 
 
@@ -207,29 +207,29 @@ def test_timestamps_of_a_log_differ_from_when_samples_were_taken() -> None:
 @pytest.mark.parametrize("rate", [15.0, 30.0, 100.0, 1000.0])
 def test_samples_at_their_timestamps_raise_no_doubt(noise: float, spread: float, rate: float) -> None:
     time = taken(1.0 / rate, spread)
-    assert doubt_of_timestamps(time, swinging_joints(time, noise)) is None
+    assert timestamp_warning(time, swinging_joints(time, noise)) is None
 
 
 @pytest.mark.parametrize("step", [1e-4, 1e-3])
 def test_the_resolution_of_encoders_raises_no_doubt(step: float) -> None:
     time = np.arange(COUNT) / 50.0
-    assert doubt_of_timestamps(time, step * np.round(swinging_joints(time) / step)) is None
+    assert timestamp_warning(time, step * np.round(swinging_joints(time) / step)) is None
 
 
 def test_gaps_and_repeated_samples_are_left_to_those_who_look_for_them() -> None:
     time = np.delete(np.arange(COUNT) / 100.0, np.arange(300, 340))
     q = swinging_joints(time)
     q[500::50] = q[499:-1:50]
-    assert doubt_of_timestamps(time, q) is None
+    assert timestamp_warning(time, q) is None
 
 
 def test_of_one_joint_nothing_can_be_said() -> None:
-    assert doubt_of_timestamps(np.arange(COUNT) / 30.0, swinging_joints(taken(1.0 / 30.0, 0.2), joints=1)) is None
+    assert timestamp_warning(np.arange(COUNT) / 30.0, swinging_joints(taken(1.0 / 30.0, 0.2), joints=1)) is None
 
 
 @pytest.mark.parametrize("file", ["nominal_stamps/episode.csv", "small/nominal_stamps.csv"])
 def test_frame_numbers_over_a_rate_are_said_when_a_recording_is_imported(file: str, tmp_path: Path) -> None:
     """True periods vary by 17 % (true_times.txt)."""
-    draft = draft_import([measured_data("cases", file)], tmp_path, Wishes(robot="franka_fer"))
+    draft = draft_import([measured_data("cases", file)], tmp_path, ImportOptions(robot="franka_fer"))
     (said,) = [remark for remark in draft.remarks if "timestamps are nominal" in remark]
     assert 13.0 < float(said.split("vary by ")[1].split()[0]) < 20.0

@@ -18,7 +18,13 @@ from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.recordings.contact_frame import PadOnFace, contact_frame
 from impact_rs_trials.recordings.laboratory import read_one
-from impact_rs_trials.recordings.plausibility import check_object, check_touch, check_weight, gravity_torques, noticed
+from impact_rs_trials.recordings.plausibility import (
+    check_gravity_torque,
+    check_object,
+    check_touch,
+    gravity_torques,
+    noticed,
+)
 
 from .conftest import LaboratoryFolder
 
@@ -40,8 +46,8 @@ def touch(direction: float, beside: float = 0.01, apart: float = 0.0, tilt: floa
     return PadOnFace(
         run=f"run_{number}", pad=np.tile(pad, (3, 1)), pad_normal=np.tile(tilted, (3, 1)),
         position=np.tile(seen.translation, (3, 1)), rotation=np.tile(seen.rotation, (3, 1, 1)), size=SIZE,
-        standing=0.48, standing_height=float(seen.translation[2]), pad_way=way,
-        object_way=(WORLD.rotation.T @ np.append(way, 0.0))[:2],
+        standing=0.48, standing_height=float(seen.translation[2]), pad_displacement=way,
+        object_displacement=(WORLD.rotation.T @ np.append(way, 0.0))[:2],
     )  # fmt: skip
 
 
@@ -99,7 +105,7 @@ def test_every_unknown_takes_one_degree_of_freedom(directions: tuple[float, ...]
 
 
 def test_objects_that_do_not_move_leave_the_yaw_to_start_from() -> None:
-    still = [replace(touch(-1.5), object_way=np.zeros(2))]
+    still = [replace(touch(-1.5), object_displacement=np.zeros(2))]
     assert contact_frame(still, GIVEN, 2.3).yaw == pytest.approx(2.4, abs=1e-6)
     quarter = np.pi / 2.0  # a box looks the same from its other faces
     assert contact_frame(still, GIVEN, 2.4 + quarter).yaw == pytest.approx(2.4 - 3.0 * quarter, abs=1e-6)
@@ -208,10 +214,12 @@ def test_torques_hold_the_weight_of_the_arm_once(times: float, right: bool) -> N
     position = STATE.position + 0.1 * np.arange(3)[:, None]
     torque = times * gravity_torques(MODEL, position)
     if right:
-        check_weight(RUN, "torque", MODEL, position, torque, "why")
+        check_gravity_torque(RUN, "torque", MODEL, position, torque, "why")
     else:
-        with pytest.raises(InputError, match=rf"torque holds {times:.2f} times the weight .* expected about 1: why"):
-            check_weight(RUN, "torque", MODEL, position, torque, "why")
+        with pytest.raises(
+            InputError, match=rf"torque holds {times:.2f} times the gravity torque .* expected about 1: why"
+        ):
+            check_gravity_torque(RUN, "torque", MODEL, position, torque, "why")
 
 
 def test_a_weight_is_noticed_in_proportion_to_the_arm() -> None:

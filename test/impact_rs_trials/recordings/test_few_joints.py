@@ -14,7 +14,7 @@ from measured_data import measured_data
 
 from impact_rs_sim.robot import RobotFacts, load_facts
 from impact_rs_sim.robot_model import RobotModel
-from impact_rs_trials.recordings.importing import Wishes, draft_import
+from impact_rs_trials.recordings.importing import ImportOptions, draft_import
 from impact_rs_trials.recordings.mapping import MountedEndEffector
 from impact_rs_trials.recordings.measured_limits import measured_limits
 from impact_rs_trials.recordings.recording import read_recordings
@@ -70,7 +70,7 @@ def test_a_recording_of_one_joint_is_imported(form: str, tmp_path: Path) -> None
     motion = motion_of(robot)
     (tmp_path / "raw").mkdir()
     file = written(form, tmp_path / "raw", motion)
-    draft = draft_import([file], tmp_path, Wishes(robot=robot))
+    draft = draft_import([file], tmp_path, ImportOptions(robot=robot))
     (run,) = read_recordings(file, mapping_in(draft, tmp_path))
     arm = run.signals.arms["arm"]
     np.testing.assert_allclose(arm.position, motion["position"], atol=1e-9)
@@ -86,7 +86,7 @@ def test_a_recording_of_a_pan_tilt_without_reach_is_imported(tmp_path: Path) -> 
     table = np.column_stack([motion[name] for name in ("time", "position", "velocity", "effort")])
     file = tmp_path / "motion.csv"
     np.savetxt(file, table, delimiter=",", header=",".join(names), comments="", fmt="%.15g")
-    draft = draft_import([file], tmp_path, Wishes(robot=robot))
+    draft = draft_import([file], tmp_path, ImportOptions(robot=robot))
     (run,) = read_recordings(file, mapping_in(draft, tmp_path))
     np.testing.assert_allclose(run.signals.arms["arm"].torque, motion["effort"], atol=1e-9)
 
@@ -98,7 +98,7 @@ def test_a_motor_encoder_beside_the_only_joint_is_no_second_torque(tmp_path: Pat
     signals = [motion["time"], motion["position"], motion["velocity"], motion["effort"], motion["position"]]
     names = "time,joint_pos,joint_vel,motor_torque,motor_pos"
     np.savetxt(tmp_path / "swing.csv", np.column_stack(signals), delimiter=",", header=names, comments="", fmt="%.15g")
-    draft = draft_import([tmp_path / "swing.csv"], tmp_path, Wishes(robot=robot))
+    draft = draft_import([tmp_path / "swing.csv"], tmp_path, ImportOptions(robot=robot))
     torque = next(line for line in draft.lines if line.key == "signals.torque.unit")
     assert torque.sure and "so do" not in torque.evidence
 
@@ -115,7 +115,7 @@ def test_limits_of_one_joint_are_taken_from_a_table(tmp_path: Path) -> None:
 )
 def test_recordings_of_other_people_are_imported(case: str, file: str, robot: str, tmp_path: Path) -> None:
     folder = measured_data("cases", case)
-    draft = draft_import([folder / f"{file}.csv"], tmp_path, Wishes(robot=str(folder / f"{robot}.yaml")))
+    draft = draft_import([folder / f"{file}.csv"], tmp_path, ImportOptions(robot=str(folder / f"{robot}.yaml")))
     assert draft.runs == 1 and not [
         line.key for line in draft.lines if line.key.startswith("signals") and not line.sure
     ]

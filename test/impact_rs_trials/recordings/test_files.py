@@ -17,7 +17,7 @@ from impact_rs_sim.decimals import decimal
 from impact_rs_trials.recordings.array_file import ArrayFile
 from impact_rs_trials.recordings.csv_rows import csv_rows
 from impact_rs_trials.recordings.mapping import SignalSource, load_mapping
-from impact_rs_trials.recordings.series import BASELINE, Names, Series
+from impact_rs_trials.recordings.series import DIFFERENCE_S, Names, Series
 from impact_rs_trials.recordings.table_file import TableFile
 
 
@@ -217,7 +217,7 @@ def test_the_derivative_of_a_sine_is_its_cosine(rate: float) -> None:
     """Up to sinc(2 f h) of central differences over 2 h, and one-sided at the ends."""
     time = np.arange(0.0, 2.0, 1.0 / rate)
     series = Series("column q", time, np.sin(2.0 * np.pi * time)[:, None])
-    half = max(1.0 / rate, BASELINE / 2.0)
+    half = max(1.0 / rate, DIFFERENCE_S / 2.0)
     inner = slice(int(half * rate) + 1, -int(half * rate) - 1)
     exact = 2.0 * np.pi * np.cos(2.0 * np.pi * time) * np.sinc(2.0 * half)
     np.testing.assert_allclose(series.derivative().values[inner, 0], exact[inner], atol=1e-9)
@@ -233,5 +233,5 @@ def test_the_steps_of_an_encoder_are_divided_by_the_baseline_and_not_by_the_peri
     time = np.arange(0.0, 1.0, 1e-4)
     steps = np.round(0.3 * time / 1e-4) * 1e-4  # 0.1 mrad at 10 kHz: 1 rad/s from sample to sample
     speed = Series("q", time, steps[:, None]).derivative().values
-    assert np.abs(speed - 0.3)[10:-10].max() < 1.01 * 1e-4 / BASELINE
-    assert np.abs(speed - 0.3).max() < 2.02 * 1e-4 / BASELINE  # one-sided at the ends
+    assert np.abs(speed - 0.3)[10:-10].max() < 1.01 * 1e-4 / DIFFERENCE_S
+    assert np.abs(speed - 0.3).max() < 2.02 * 1e-4 / DIFFERENCE_S  # one-sided at the ends

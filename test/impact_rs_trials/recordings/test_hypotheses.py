@@ -12,7 +12,6 @@ from joint_recordings import Columns, swinging
 from impact_rs_sim.robot import load_facts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.hypotheses import (
-    DECISIVE,
     JointMotion,
     RoleChoice,
     RoleHypothesis,
@@ -23,7 +22,7 @@ from impact_rs_trials.recordings.hypotheses import (
     velocities,
 )
 from impact_rs_trials.recordings.mapping import MountedEndEffector
-from impact_rs_trials.recordings.relations import effective_samples
+from impact_rs_trials.recordings.relations import DECISIVE_LOG_ODDS, effective_samples
 
 TIME = np.arange(0.0, 8.0, 0.01)
 CENTRE = np.array([0.1, 0.6, 0.2, -1.2, 0.3, 0.9, 0.1])  # rad
@@ -157,7 +156,7 @@ def test_unrelated_motions_are_hardly_ever_decisive() -> None:
         for raw in (other["velocity"], other["effort"] - other["effort"].mean(axis=0)):
             y = own.sampled(TIME, raw)
             hypotheses = [*velocities(own, y), *copies(own, y), *torques(own, y)]
-            wrong += max(one.log_posterior for one in hypotheses if one.role != "other") > DECISIVE
+            wrong += max(one.log_posterior for one in hypotheses if one.role != "other") > DECISIVE_LOG_ODDS
     assert wrong <= 2
 
 

@@ -21,7 +21,7 @@ from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.types import typestore
 from impact_rs_trials.recordings.experiment import Experiment, load_experiment, read_runs
 from impact_rs_trials.recordings.file_groups import group_files
-from impact_rs_trials.recordings.importing import ImportDraft, Wishes, draft_import
+from impact_rs_trials.recordings.importing import ImportDraft, ImportOptions, draft_import
 from impact_rs_trials.recordings.laboratory import Laboratory
 from impact_rs_trials.recordings.mapping import Mapping, MountedEndEffector, load_mapping
 from impact_rs_trials.recordings.recording import read_recordings
@@ -56,9 +56,9 @@ def write(
     return path
 
 
-def iiwa(path: Path, folder: Path, name: str = "lab", **wishes: object) -> ImportDraft:
+def iiwa(path: Path, folder: Path, name: str = "lab", **options: object) -> ImportDraft:
     """What an import of an iiwa's recordings proposes; its files would go into a folder of this name."""
-    return draft_import([path], folder / name, Wishes(robot="kuka_iiwa7", **wishes))
+    return draft_import([path], folder / name, ImportOptions(robot="kuka_iiwa7", **options))
 
 
 def usual(motion: Columns) -> list[np.ndarray]:
@@ -96,7 +96,7 @@ def test_units_and_signs_are_found_from_the_numbers(tmp_path: Path, motion: Colu
     assert said_of(draft, "signals.position.unit").startswith("deg ")
     assert "not in rad" in said_of(draft, "signals.position.unit")
     assert "1 times the derivative of the position in deg/s" in said_of(draft, "signals.velocity.unit")
-    assert "-1 times the torque that weight and inertia of the arm take" in said_of(draft, "signals.torque.unit")
+    assert "-1 times the torque that gravity and inertia of the arm take" in said_of(draft, "signals.torque.unit")
     assert "{column: stamp, unit: ms} increases; in ms that is 100 Hz" in said_of(draft, "time")
     assert "factor: -1" in draft.texts["mapping.yaml"]
     check_reading(draft, tmp_path / "lab", file, motion)
@@ -124,7 +124,7 @@ def test_joints_are_not_taken_out_of_the_blocks_of_a_wider_arm(
     small = RobotFacts.model_validate({name: value for name, value in small.items() if value is not None})
     (tmp_path / "small.yaml").write_text(small.model_dump_json(exclude_none=True))
     file = write(tmp_path / "log.txt", None, [TIME, *(motion[name] for name in order)], separator=" ")
-    said = refusal(draft_import, [file], tmp_path, Wishes(robot=str(tmp_path / "small.yaml")))
+    said = refusal(draft_import, [file], tmp_path, ImportOptions(robot=str(tmp_path / "small.yaml")))
     assert "hold positions and velocities of 7 joints, and " in said and "has 2" in said
 
 
@@ -206,7 +206,7 @@ def test_constants_of_mixed_signs_or_sizes_are_none_of_one_arm(
     numbers = 100.0 * motion["effort"] * factors
     file = write(tmp_path / "log.csv", names, [TIME, motion["position"], motion["velocity"], numbers])
     said = refusal(iiwa, file, tmp_path)
-    assert "nothing goes with the torque that weight and inertia of kuka_iiwa7 take" in said
+    assert "nothing goes with the torque that gravity and inertia of kuka_iiwa7 take" in said
 
 
 def test_another_robot_is_not_believed(tmp_path: Path, motion: Columns) -> None:
@@ -220,12 +220,12 @@ def test_another_robot_is_not_believed(tmp_path: Path, motion: Columns) -> None:
 def test_robot_and_sampling_rate_are_asked_for_where_files_lack_them(tmp_path: Path, motion: Columns) -> None:
     names = [*numbered("q"), *numbered("dq"), *numbered("tau")]
     file = write(tmp_path / "log.csv", names, [motion["position"], motion["velocity"], motion["effort"]])
-    assert "--robot is needed" in refusal(draft_import, [file], tmp_path / "lab", Wishes())
+    assert "--robot is needed" in refusal(draft_import, [file], tmp_path / "lab", ImportOptions())
     assert "--rate says the sampling rate" in refusal(iiwa, file, tmp_path)
-    draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7", rate=100.0))
+    draft = draft_import([file], tmp_path / "lab", ImportOptions(robot="kuka_iiwa7", rate=100.0))
     check_reading(draft, tmp_path / "lab", file, motion)
     (tmp_path / "words.csv").write_text("nothing\nto see\nhere\n")
-    assert "no table of numbers begins" in refusal(draft_import, [tmp_path / "words.csv"], tmp_path, Wishes())
+    assert "no table of numbers begins" in refusal(draft_import, [tmp_path / "words.csv"], tmp_path, ImportOptions())
 
 
 def test_timestamps_that_step_back_are_named(tmp_path: Path, motion: Columns) -> None:
@@ -263,7 +263,7 @@ def test_a_word_that_only_holds_the_name_of_a_robot_names_none(place: str, tmp_p
     file = tmp_path / "xarm7" / place  # of folders further up nothing follows
     file.parent.mkdir(parents=True)
     write(file, NAMES, usual(motion))
-    assert "--robot is needed" in refusal(draft_import, [file], tmp_path / "lab", Wishes())
+    assert "--robot is needed" in refusal(draft_import, [file], tmp_path / "lab", ImportOptions())
 
 
 @pytest.mark.parametrize("place", ["iiwa7/log.csv", "runs/LBR iiwa 7.csv"])
@@ -271,7 +271,7 @@ def test_a_robot_that_file_or_folder_name_is_assumed(place: str, tmp_path: Path,
     file = tmp_path / place
     file.parent.mkdir(parents=True)
     write(file, NAMES, usual(motion))
-    robot = next(line for line in draft_import([file], tmp_path / "lab", Wishes()).lines if line.key == "robot")
+    robot = next(line for line in draft_import([file], tmp_path / "lab", ImportOptions()).lines if line.key == "robot")
     assert robot.value == "kuka_iiwa7" and not robot.sure
 
 
@@ -280,7 +280,7 @@ def test_repeated_stamps_are_said_and_removed_on_request(tmp_path: Path, motion:
     file = write(tmp_path / "log.csv", NAMES, twice)
     asked = iiwa(file, tmp_path, "one")
     assert any("--dedupe" in remark for remark in asked.remarks)
-    draft = draft_import([file], tmp_path / "two", Wishes(robot="kuka_iiwa7", dedupe=True))
+    draft = draft_import([file], tmp_path / "two", ImportOptions(robot="kuka_iiwa7", dedupe=True))
     check_reading(draft, tmp_path / "two", file, motion)
 
 
@@ -342,7 +342,7 @@ def test_a_gripper_beside_the_joints_is_cut_off_and_said(tmp_path: Path, motion:
     assert sum(", the first 7 numbers are taken for the joints" in remark for remark in draft.remarks) == 3
     assert [line.sure for line in draft.lines if line.key == "signals.position"] == [False]
     check_reading(draft, tmp_path / "lab", file, motion)
-    said = refusal(draft_import, [file], tmp_path / "lab", Wishes(robot="ur10e"))
+    said = refusal(draft_import, [file], tmp_path / "lab", ImportOptions(robot="ur10e"))
     assert "nothing goes with the torque" in said
 
 
@@ -597,7 +597,7 @@ def test_robots_in_one_folder_are_imported_by_themselves(tmp_path: Path, motion:
     hits(tmp_path / "alone", motion, (1,), "cup")
     for run in (0, 1):  # no robot, but something else of every run
         (tmp_path / "alone" / f"IIWA_7_hit_{run}.csv").write_text("t,count\n0.0,1\n0.1,2\n0.2,3\n")
-    said = refusal(draft_import, [tmp_path / "alone"], tmp_path / "lab", Wishes(robot="none"))
+    said = refusal(draft_import, [tmp_path / "alone"], tmp_path / "lab", ImportOptions(robot="none"))
     assert "of box, cup: import the runs of each object by themselves" in said
 
 
@@ -649,7 +649,7 @@ def test_runs_that_contradict_the_first_are_named(tmp_path: Path, motion: Column
     draft = iiwa(tmp_path / "raw", tmp_path, "two")
     said = [remark for remark in draft.remarks if "is not as run_1.csv, of which the description was made" in remark]
     assert [remark.split(" ")[0] for remark in said] == ["run_3.csv", "run_4.csv", "run_5.csv", "run_6.csv"]
-    assert "as described its torques are -1 times the torque that weight and inertia" in said[0]
+    assert "as described its torques are -1 times the torque that gravity and inertia" in said[0]
     assert "its positions do not lie within the limits of the joints but in deg" in said[1]
     assert "the velocities are -1 times the derivative" in said[2]
     assert "the reader refuses it" in said[3] and "no column 'tau1'" in said[3]
@@ -714,7 +714,7 @@ def test_a_sampling_rate_that_velocities_contradict_is_refused_with_the_right_on
 ) -> None:
     names = [*numbered("a"), *numbered("b"), *numbered("c")]
     file = write(tmp_path / "log.csv", names, [motion["position"], motion["velocity"], motion["effort"]])
-    said = refusal(draft_import, [file], tmp_path / "lab", Wishes(robot="kuka_iiwa7", rate=400.0))
+    said = refusal(draft_import, [file], tmp_path / "lab", ImportOptions(robot="kuka_iiwa7", rate=400.0))
     assert "b1 … b7 is 0.25 times the derivative of a1 … a7 in all joints" in said
     assert "velocity in rad/s at 100 Hz" in said and "--rate" in said
 
@@ -755,11 +755,11 @@ def test_poses_of_an_archive_are_homogeneous_matrices(tmp_path: Path, last: bool
         for run in (1, 2):
             for body in ("Box007", "Gripper"):
                 archive[f"Rec_{run:03d}/Mocap/{body}/transforms"] = stored
-    draft = draft_import([file], tmp_path / "lab", Wishes(robot="none", rate=360.0))
+    draft = draft_import([file], tmp_path / "lab", ImportOptions(robot="none", rate=360.0))
     mapping = mapping_in(draft, tmp_path / "lab")
     assert mapping.signals["object_pose"].array == "{run}/Mocap/Box007/transforms"
     assert "holds homogeneous matrices" in said_of(draft, "signals.object_pose")
-    assert any("other poses, of which none is taken: {run}/Mocap/Gripper/transforms" in one for one in draft.remarks)
+    assert any("other poses, which are not used: {run}/Mocap/Gripper/transforms" in one for one in draft.remarks)
     read = read_series(file / "Rec_002", mapping, ["object_pose"], ["object_pose"])["object_pose"]
     np.testing.assert_allclose(read.time, np.arange(TIME.size) / 360.0)
     for pose, matrix in zip(read.values[::50], matrices[::50], strict=True):
@@ -798,7 +798,7 @@ def tracked(file: Path, names: dict[str, str]) -> Path:
     ],
 )
 def test_a_position_goes_with_the_quaternion_of_the_same_body(file: str, names: dict[str, str], tmp_path: Path) -> None:
-    draft = draft_import([tracked(tmp_path / file, names)], tmp_path / "lab", Wishes(robot="none"))
+    draft = draft_import([tracked(tmp_path / file, names)], tmp_path / "lab", ImportOptions(robot="none"))
     mapping = mapping_in(draft, tmp_path / "lab")
     read = read_series(tmp_path / file, mapping, ["object_position"], ["object_position"])["object_position"]
     np.testing.assert_allclose(read.values[0, :3], BODIES["body"], atol=1e-9)
@@ -808,9 +808,9 @@ def test_a_position_goes_with_the_quaternion_of_the_same_body(file: str, names: 
 
 def test_a_position_that_no_name_pairs_with_a_quaternion_is_assumed(tmp_path: Path) -> None:
     file = tracked(tmp_path / "a.npz", {"marker": "first", "body": "second", "turn": "third"})
-    draft = draft_import([file], tmp_path / "lab", Wishes(robot="none"))
+    draft = draft_import([file], tmp_path / "lab", ImportOptions(robot="none"))
     line = next(line for line in draft.lines if line.key == "signals.object_position")
-    assert not line.sure and "by their order alone" in line.evidence
+    assert not line.sure and "by order alone" in line.evidence
 
 
 def test_matrices_that_are_no_rigid_motion_are_refused(tmp_path: Path) -> None:
@@ -832,7 +832,7 @@ def test_an_object_alone_needs_no_robot(tmp_path: Path) -> None:
     turn = np.tile([1.0, 0.0, 0.0, 0.0], (TIME.size, 1))
     names = ["time", "pos_x", "pos_y", "pos_z", "quat_w", "quat_x", "quat_y", "quat_z"]
     file = write(tmp_path / "toss_1.csv", names, [TIME, 1e3 * np.outer(np.sin(TIME), [0.1, 0.2, 0.3]), turn])
-    draft = draft_import([file], tmp_path / "lab", Wishes(robot="none"))
+    draft = draft_import([file], tmp_path / "lab", ImportOptions(robot="none"))
     mapping = mapping_in(draft, tmp_path / "lab")
     assert mapping.signals["object_position"].unit == "mm"
     assert mapping.signals["object_quaternion"].quaternion_order == "wxyz"
@@ -905,7 +905,7 @@ def test_a_bag_with_the_pose_of_an_object_is_a_hit_and_one_without_is_free_motio
     hit = next((hidden_campaign / "push").glob("parcel*"))
     rewrite_bag(hit, tmp_path / "raw" / "run_1", kept.__contains__)
     rewrite_bag(hit, tmp_path / "raw" / "run_2", (kept - {topics.OBJECT_POSE}).__contains__)
-    draft = draft_import([tmp_path / "raw"], tmp_path / "lab", Wishes(robot="franka_fer", scenario="push"))
+    draft = draft_import([tmp_path / "raw"], tmp_path / "lab", ImportOptions(robot="franka_fer", scenario="push"))
     mapping = mapping_in(draft, tmp_path / "lab")
     assert mapping.signals["object_pose"].topic == topics.OBJECT_POSE
     assert draft.texts["runs.csv"].splitlines()[1:] == ["run_1,parcel,hit", "run_2,none,free motion"]
@@ -958,7 +958,7 @@ def fer() -> Columns:
 
 
 def import_fer(path: Path, folder: Path) -> ImportDraft:
-    return draft_import([path], folder, Wishes(robot="franka_fer"))
+    return draft_import([path], folder, ImportOptions(robot="franka_fer"))
 
 
 @pytest.mark.parametrize("included", [True, False])
@@ -993,7 +993,7 @@ def test_commands_that_are_no_torques_are_left_out_with_the_reason(tmp_path: Pat
     late = np.roll(fer["position"], 5, axis=0)
     for name, command, told in (
         ("places", late, "is left out: it repeats the positions"),
-        ("others", 3.0 * fer["effort"], "is left out: by its name it was asked for, and it is 200 % of the measured"),
+        ("others", 3.0 * fer["effort"], "is left out: by its name it was commanded, and it is 200 % of the measured"),
     ):
         bag = bag_of(tmp_path / name, {"/joint_states": measured, "/controller/commands": numbers(command)}, {})
         draft = import_fer(bag, tmp_path / "lab")

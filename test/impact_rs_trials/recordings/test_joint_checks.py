@@ -17,7 +17,7 @@ from slender_arm import swung as slender_swung
 
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.experiment import Experiment
-from impact_rs_trials.recordings.joint_checks import doubts_of_arm
+from impact_rs_trials.recordings.joint_checks import arm_warnings
 from impact_rs_trials.recordings.laboratory import read_laboratory
 from impact_rs_trials.recordings.mapping import load_mapping
 from impact_rs_trials.recordings.recording import read_recordings
@@ -44,14 +44,14 @@ def doubts(factors: dict[str, tuple[int, float]]) -> list[str]:
     for name, (joint, factor) in factors.items():
         columns[name] = columns[name] * np.where(np.arange(7) == joint, factor, 1.0)
     arm = ArmSignals(columns["position"], columns["velocity"], columns["effort"])
-    return doubts_of_arm(TIME, arm, MAPPING, MODEL)
+    return arm_warnings(TIME, arm, MAPPING, MODEL)
 
 
 @pytest.mark.parametrize("friction", [0.0, 1.0, 3.0])
 def test_a_right_recording_raises_no_doubt_whatever_its_friction(friction: float) -> None:
     columns = swung(friction)
     arm = ArmSignals(columns["position"], columns["velocity"], columns["effort"])
-    assert doubts_of_arm(TIME, arm, MAPPING, MODEL) == []
+    assert arm_warnings(TIME, arm, MAPPING, MODEL) == []
 
 
 @pytest.mark.parametrize("joint", range(7))
@@ -69,7 +69,7 @@ def test_a_sensor_that_is_off_in_every_run_is_one_remark_with_the_median_as_reme
     for run, factor in enumerate(factors):
         speed = columns["velocity"] * np.where(np.arange(7) == 2, factor, 1.0)
         arm = ArmSignals(columns["position"], speed, columns["effort"])
-        remarks += [(f"run_{run}", remark) for remark in doubts_of_arm(TIME, arm, MAPPING, MODEL)]
+        remarks += [(f"run_{run}", remark) for remark in arm_warnings(TIME, arm, MAPPING, MODEL)]
     assert len({remark for _, remark in remarks}) == 16
     (one,) = merged(remarks)
     assert one.startswith("16 runs: velocity of joint 3 is 1.19 to 1.25 times the derivative of its position")
@@ -86,8 +86,8 @@ def test_velocities_of_two_joints_in_each_other_s_column_are_named() -> None:
     columns = swung()
     coarse = np.round(columns["position"] / 1e-3) * 1e-3
     mixed = columns["velocity"][:, [0, 1, 5, 3, 4, 2, 6]]
-    assert doubts_of_arm(TIME, ArmSignals(coarse, columns["velocity"], columns["effort"]), MAPPING, MODEL) == []
-    (doubt,) = doubts_of_arm(TIME, ArmSignals(coarse, mixed, columns["effort"]), MAPPING, MODEL)
+    assert arm_warnings(TIME, ArmSignals(coarse, columns["velocity"], columns["effort"]), MAPPING, MODEL) == []
+    (doubt,) = arm_warnings(TIME, ArmSignals(coarse, mixed, columns["effort"]), MAPPING, MODEL)
     assert re.fullmatch(r"velocity of joint 3 \(.*\), of joint 6 \(.*\) is not .*: columns of other joints\?", doubt)
 
 
@@ -97,7 +97,7 @@ def older(values: np.ndarray, seconds: float) -> np.ndarray:
 
 
 def said_of(position: np.ndarray, velocity: np.ndarray, torque: np.ndarray) -> list[str]:
-    return doubts_of_arm(TIME, ArmSignals(position, velocity, torque), MAPPING, MODEL)
+    return arm_warnings(TIME, ArmSignals(position, velocity, torque), MAPPING, MODEL)
 
 
 @pytest.mark.parametrize("factor", [1.28, 0.8])
@@ -145,7 +145,7 @@ def doubts_of_light_arm(folder: Path, effects: dict[str, dict[str, float]], fact
     columns = slender_swung(mapping, effects)
     columns["effort"][:, 0] *= factor
     arm = ArmSignals(columns["position"], columns["velocity"], columns["effort"])
-    return doubts_of_arm(columns["time"], arm, mapping, RobotModel(mapping.facts, mapping.end_effector.build()))
+    return arm_warnings(columns["time"], arm, mapping, RobotModel(mapping.facts, mapping.end_effector.build()))
 
 
 def test_a_heavy_load_is_no_factor_of_the_torque(tmp_path: Path) -> None:
@@ -159,7 +159,7 @@ def test_a_heavy_load_is_no_factor_of_the_torque(tmp_path: Path) -> None:
 
 def test_a_factor_of_one_joint_is_no_load(tmp_path: Path) -> None:
     (doubt,) = doubts_of_light_arm(tmp_path, {}, 2.5)
-    assert doubt.startswith("torque of joint 1 is 2.5 times the arm's weight")
+    assert doubt.startswith("torque of joint 1 is 2.5 times the gravity torque")
     assert doubt.endswith("signals.torque.factor: [0.401, 1, 1]")
 
 
@@ -201,12 +201,12 @@ def test_encoders_noise_and_rests_are_no_repeats_lags_or_factors(step: float) ->
 def test_in_contact_torques_say_nothing_of_weight_and_friction() -> None:
     columns = swung()
     arm = ArmSignals(columns["position"], -columns["velocity"], -columns["effort"])
-    (doubt,) = doubts_of_arm(TIME, arm, MAPPING, MODEL, contact=True)
+    (doubt,) = arm_warnings(TIME, arm, MAPPING, MODEL, contact=True)
     assert doubt.startswith("velocity") and doubt.endswith("signals.velocity.factor: -1")
 
 
-@pytest.mark.parametrize(("joint", "words"), [(1, "weight"), (3, "weight"), (0, "against its motion")])
-def test_the_sign_of_a_torque_is_named_by_weight_or_friction(joint: int, words: str) -> None:
+@pytest.mark.parametrize(("joint", "words"), [(1, "gravity torque"), (3, "gravity torque"), (0, "against its motion")])
+def test_the_sign_of_a_torque_is_named_by_gravity_or_friction(joint: int, words: str) -> None:
     (doubt,) = doubts({"effort": (joint, -1.0)})
     assert doubt.startswith(f"torque of joint {joint + 1}") and words in doubt
 
@@ -230,4 +230,4 @@ def test_recordings_of_another_laboratory_raise_no_doubt(bench: str) -> None:
     free = next(run for run in runs if not run.hit)
     arm = free.signals.arms["arm"]
     wrong = replace(arm, torque=arm.torque * np.where(np.arange(7) == 3, -1.0, 1.0))
-    assert doubts_of_arm(free.signals.time, wrong, MAPPING, free.physics.robot_model("arm"))
+    assert arm_warnings(free.signals.time, wrong, MAPPING, free.physics.robot_model("arm"))

@@ -473,7 +473,7 @@ def test_a_mapping_that_is_wrong_about_gravity_is_refused(laboratory: Laboratory
     laboratory.bag()
     laboratory.mapping({}, command_includes_gravity=included)
     said = laboratory.refusal()
-    assert f"command holds {0 if included else 2}.00 times the weight of" in said.replace("-0.00", "0.00")
+    assert f"command holds {0 if included else 2}.00 times the gravity torque of" in said.replace("-0.00", "0.00")
     assert "command_includes_gravity" in said
 
 

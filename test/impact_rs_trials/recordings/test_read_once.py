@@ -13,7 +13,7 @@ from joint_recordings import swinging, write_bag
 from impact_rs_sim.robot import load_facts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings import bag_file, candidates, read_once
-from impact_rs_trials.recordings.importing import Wishes, draft_import
+from impact_rs_trials.recordings.importing import ImportOptions, draft_import
 from impact_rs_trials.recordings.mapping import MountedEndEffector
 from impact_rs_trials.recordings.read_once import files_read_once, once
 
@@ -77,7 +77,7 @@ def test_an_import_reads_tables_once_and_bags_twice(tmp_path: Path, monkeypatch:
     opened: list[str] = []
     text = Path.read_text
     monkeypatch.setattr(Path, "read_text", lambda path, **options: opened.append(path.name) or text(path, **options))
-    draft_import([tmp_path / "run.csv"], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    draft_import([tmp_path / "run.csv"], tmp_path / "lab", ImportOptions(robot="kuka_iiwa7"))
     assert opened.count("run.csv") == 1
     write_bag(tmp_path / "bag", motion, list(range(7)), names=[f"joint{joint}" for joint in range(1, 8)])
     bags: list[Path] = []
@@ -89,5 +89,5 @@ def test_an_import_reads_tables_once_and_bags_twice(tmp_path: Path, monkeypatch:
 
     for module in (bag_file, candidates):
         monkeypatch.setattr(module, "Reader", counted)
-    draft_import([tmp_path / "bag"], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    draft_import([tmp_path / "bag"], tmp_path / "lab", ImportOptions(robot="kuka_iiwa7"))
     assert len(bags) == 2

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a torque signal holds: with or without the arm's weight, measured or computed, in which order of the joints."""
+"""What a torque signal holds: with or without gravity, measured or computed, in which order of the joints."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from slender_arm import FLAT, mapping_of, slender_arm
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import load_facts
 from impact_rs_sim.robot_model import RobotModel
-from impact_rs_trials.recordings.importing import Wishes, draft_import
+from impact_rs_trials.recordings.importing import ImportOptions, draft_import
 from impact_rs_trials.recordings.mapping import MountedEndEffector
 from impact_rs_trials.recordings.recording import read_recordings
-from impact_rs_trials.recordings.torque_readings import MotionTorque, is_computed, lacks_weight, order_of_joints
+from impact_rs_trials.recordings.torque_readings import MotionTorque, is_computed, lacks_gravity, order_of_joints
 
 TIME = np.arange(0.0, 10.0, 0.01)
 CENTRES = {"ur10e": [0.0, -1.2, 1.4, -0.4, 0.5, 0.2], "kuka_iiwa7": [0.1, 0.6, 0.2, -1.2, 0.3, 0.9, 0.1]}  # rad
@@ -63,14 +63,14 @@ def test_a_torque_without_the_arms_weight_is_refused_by_import_and_by_a_mapping_
 ) -> None:
     motion = swing(robot)
     file = write(tmp_path / "run.csv", motion, effort=motion["effort"] - motion["weight"])
-    with pytest.raises(InputError, match="without the arm's weight") as refused:
-        draft_import([file], tmp_path, Wishes(robot=robot))
-    assert "effort_1" in str(refused.value) and "add the weight that the controller adds" in str(refused.value)
+    with pytest.raises(InputError, match="without gravity") as refused:
+        draft_import([file], tmp_path, ImportOptions(robot=robot))
+    assert "effort_1" in str(refused.value) and "add the gravity torque that the controller adds" in str(refused.value)
     write(file, motion, effort=motion["effort"])
-    mapping = mapping_in(draft_import([file], tmp_path, Wishes(robot=robot)), tmp_path)
+    mapping = mapping_in(draft_import([file], tmp_path, ImportOptions(robot=robot)), tmp_path)
     assert len(read_recordings(file, mapping)) == 1
     write(file, motion, effort=motion["effort"] - motion["weight"])
-    with pytest.raises(InputError, match="torque holds the torque of inertia without the arm's weight"):
+    with pytest.raises(InputError, match="torque holds the torque of inertia without gravity"):
         read_recordings(file, mapping)
 
 
@@ -79,7 +79,7 @@ def test_the_torque_with_the_weight_is_taken_where_both_are_there(tmp_path: Path
     motion = swing("ur10e")
     lifted = motion["effort"] - motion["weight"]
     file = write(tmp_path / "run.csv", motion, tau_controller=lifted, tau_gear=motion["effort"])
-    draft = draft_import([file], tmp_path, Wishes(robot="ur10e"))
+    draft = draft_import([file], tmp_path, ImportOptions(robot="ur10e"))
     (run,) = read_recordings(file, mapping_in(draft, tmp_path))
     np.testing.assert_allclose(run.signals.arms["arm"].torque, motion["effort"], atol=1e-6)
 
@@ -93,13 +93,13 @@ def test_a_whole_torque_is_never_said_to_lack_the_weight(
 ) -> None:
     motion = swing(robot, load, friction, speed)
     for gain in (0.6, 1.0, 1.6):
-        assert lacks_weight(seen(robot, motion, gain * motion["effort"])) is None
+        assert lacks_gravity(seen(robot, motion, gain * motion["effort"])) is None
 
 
 def test_a_torque_of_friction_alone_is_not_one_without_weight() -> None:
     motion = swing("ur10e")
     alone = motion["effort"] - motion["computed"]
-    assert lacks_weight(seen("ur10e", motion, alone)) is None
+    assert lacks_gravity(seen("ur10e", motion, alone)) is None
 
 
 def test_where_gravity_takes_no_torque_nothing_can_lack_it(tmp_path: Path) -> None:
@@ -108,7 +108,7 @@ def test_where_gravity_takes_no_torque_nothing_can_lack_it(tmp_path: Path) -> No
     model = RobotModel(facts, mapping_of(tmp_path, facts).end_effector.build())
     motion = swinging(model, TIME, 0.2, (np.array([0.2, 0.3, 0.4]), np.array([0.5, 0.6, 0.7])), (0.4, 0.1))
     found = MotionTorque.of(TIME, motion["position"], motion["velocity"], motion["effort"], model)
-    assert lacks_weight(found) is None
+    assert lacks_gravity(found) is None
 
 
 @pytest.mark.parametrize("load", [0.0, 2.6])
@@ -117,7 +117,7 @@ def test_motor_currents_are_preferred_to_a_torque_that_was_computed(load: float,
     motion = swing("ur10e", load)
     constants = np.array([12.0, 12.0, 11.0, 9.0, 9.0, 9.0])
     file = write(tmp_path / "run.csv", motion, torque=motion["computed"], motor=motion["effort"] / constants)
-    draft = draft_import([file], tmp_path, Wishes(robot="ur10e"))
+    draft = draft_import([file], tmp_path, ImportOptions(robot="ur10e"))
     mapping = mapping_in(draft, tmp_path)
     assert mapping.signals["torque"].column == "motor_{joint}" and mapping.signals["torque"].unit == "A"
     (said,) = [remark for remark in draft.remarks if "torque_1 … torque_6" in remark]
@@ -127,7 +127,7 @@ def test_motor_currents_are_preferred_to_a_torque_that_was_computed(load: float,
 def test_a_computed_torque_alone_is_assumed_and_said(tmp_path: Path) -> None:
     motion = swing("ur10e")
     file = write(tmp_path / "run.csv", motion, effort=motion["computed"])
-    draft = draft_import([file], tmp_path, Wishes(robot="ur10e"))
+    draft = draft_import([file], tmp_path, ImportOptions(robot="ur10e"))
     assert not next(line.sure for line in draft.lines if line.key == "signals.torque.unit")
     assert any("nothing that the model lacks, as a load, can show in it" in remark for remark in draft.remarks)
 
@@ -142,7 +142,7 @@ def test_a_torque_that_drives_friction_was_measured(friction: float) -> None:
 def test_torque_sensors_behind_the_gears_see_no_friction_and_are_believed(tmp_path: Path) -> None:
     motion = swing("kuka_iiwa7", friction=0.0)
     file = write(tmp_path / "run.csv", motion, effort=motion["effort"])
-    assert draft_import([file], tmp_path, Wishes(robot="kuka_iiwa7")).remarks == ()
+    assert draft_import([file], tmp_path, ImportOptions(robot="kuka_iiwa7")).remarks == ()
 
 
 @pytest.mark.parametrize(
@@ -156,7 +156,7 @@ def test_columns_in_another_order_are_put_right_by_the_torque_of_the_arm(
     motion = swing(robot, load)
     mixed = {name: values[:, list(order)] for name, values in motion.items() if name != "time"} | {"time": TIME}
     file = write(tmp_path / "run.csv", mixed, effort=mixed["effort"])
-    draft = draft_import([file], tmp_path, Wishes(robot=robot))
+    draft = draft_import([file], tmp_path, ImportOptions(robot=robot))
     joints = next(line for line in draft.lines if line.key == "joints")
     listed = ", ".join(str(order.index(joint) + 1) for joint in range(len(order)))
     assert f"base to tip the columns are {listed}:" in joints.evidence and not joints.sure
@@ -177,12 +177,12 @@ def test_a_signal_that_does_not_go_with_the_motion_is_not_excused(tmp_path: Path
     motion = swing("ur10e")
     noise = np.random.default_rng(1).normal(0.0, 10.0, motion["effort"].shape)
     file = write(tmp_path / "run.csv", motion, effort=noise)
-    draft = draft_import([file], tmp_path, Wishes(robot="ur10e"))
+    draft = draft_import([file], tmp_path, ImportOptions(robot="ur10e"))
     said = next(line for line in draft.lines if line.key == "signals.torque.unit")
     assert not said.sure and "too little torque" not in said.evidence
     assert "N m rms in joint 2, from which the signal is" in said.evidence
 
 
 def test_a_recording_of_another_laboratory_without_the_weight_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="holds the torque of inertia without the arm's weight"):
-        draft_import([measured_data("cases", "small", "no_gravity.csv")], tmp_path, Wishes(robot="ur10e"))
+    with pytest.raises(InputError, match="holds the torque of inertia without gravity"):
+        draft_import([measured_data("cases", "small", "no_gravity.csv")], tmp_path, ImportOptions(robot="ur10e"))
