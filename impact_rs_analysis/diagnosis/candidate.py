@@ -241,8 +241,8 @@ class Candidate:
             low, high = self.point.copy(), self.point.copy()
             high[index] += step
             if central:
-                back = np.clip(self.point[index] - step, self.lower[index], self.upper[index]) - self.point[index]
-                low[index] += self.consistent_step(self.point, index, float(back)) if back else 0.0
+                low[index] = np.clip(low[index] - step, self.lower[index], self.upper[index])
+                low = low if self.physically_consistent(low) else self.point
             ends.append((low, high))
         return ends
 

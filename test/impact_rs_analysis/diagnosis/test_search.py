@@ -30,6 +30,7 @@ from scipy.stats import binom, norm
 from scipy.stats import t as student
 
 from impact_rs_analysis.diagnosis import fit
+from impact_rs_analysis.diagnosis import search as search_module
 from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, bounded, linearise
 from impact_rs_analysis.diagnosis.fit import (
     Evidence,
@@ -702,3 +703,34 @@ def test_a_fit_begins_at_the_estimates_of_an_earlier_model_where_it_is_stuck(mon
     for name, free in (("stick_slip", True), ("straight", False)):
         found = Search([EFFECTS["stick_slip"]], evidence, earlier=((name, near),))._out_of_small_minima(stuck)
         assert bool(np.all(np.abs(found.estimate - truth) < 0.1)) == free
+
+
+def test_central_differences_over_whole_steps_have_no_bias_of_curvature() -> None:
+    """20 tanh(b / 6) d1 + 0.05 b^2 d2. Kills a central difference over one step in the place of two."""
+    source = AnalyticSource(0, (("bent", (6.0,)),))
+    start, evidence = linearised(source, EFFECTS["bent"])
+    point = replace(start, point=np.array([6.0]))
+    exact = np.concatenate(
+        [
+            (20.0 / 6.0 / np.cosh(1.0) ** 2 * direction(n, 1) + 0.6 * direction(n, 2)) / item.sigma
+            for n, item in enumerate(evidence.clusters)
+        ]
+    )
+    far = []
+    for central in (False, True):
+        found = linearise(point, evidence.clusters, evidence.numbers, source, central=central)
+        assert found is not None
+        far.append(float(np.linalg.norm(np.concatenate(found.jacobians)[:, 0] - exact)))
+    assert far[1] < 0.1 * far[0]
+
+
+def test_a_descent_that_stalls_between_ripples_goes_on_as_a_simplex(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Slopes over a step say nothing of the valley there. Kills a final fit that stays where its descent stalls."""
+    source = AnalyticSource(4, (("stick_slip", (9.0, -6.0, 4.0)),))
+    errors = []
+    for simplex in (lambda fitted: fitted, nelder_mead):
+        monkeypatch.setattr(search_module, "nelder_mead", simplex)
+        found = Search([EFFECTS["stick_slip"]], Evidence.of(source)).forward_selection()
+        assert found is not None
+        errors.append(found.misfit)
+    assert errors[1] < 0.99 * errors[0]
