@@ -59,8 +59,6 @@ def record(path: Path, trial: tuple[str, str, str], hide: list[str], seed: int) 
 
 def main(folder: Path, hide: list[str], trials: list[tuple[str, str, str]] = TRIALS, repeats: int = 2) -> None:
     """Record trials, with experiment file and table of runs beside them."""
-    if folder.exists():
-        raise SystemExit(f"{folder} exists; bags are never overwritten: give a new folder")
     table = ["bag,object,kind,condition"]
     for number, trial in enumerate(trials * repeats, start=1):
         record(folder / f"run_{number:02d}", trial, hide, number)
