@@ -29,6 +29,7 @@ from impact_rs_commands.explaining import DIAGNOSE
 from impact_rs_sim.errors import InputError
 
 DIAGNOSIS_STOP_TIMEOUT_S = 5.0  # of a diagnosis that is being stopped
+ORPHAN_KILL_TIMEOUT_S = 60.0  # of one whose follower has ended: nobody waits, and a kill leaves its folder behind
 
 
 @dataclass(frozen=True)
@@ -146,7 +147,7 @@ def _end_with_the_other_end(pipe: int) -> None:
     """Wait until the other end of a pipe is closed; then end this process and its group."""
     os.read(pipe, 1)
     os.killpg(0, signal.SIGINT)
-    time.sleep(DIAGNOSIS_STOP_TIMEOUT_S)
+    time.sleep(ORPHAN_KILL_TIMEOUT_S)
     os.killpg(0, signal.SIGKILL)
 
 

@@ -164,6 +164,7 @@ def test_the_interval_of_a_payload_counts_the_scale_of_the_torque(tmp_path: Path
     assert fit.half_widths_of_noise[index] < error < fit.half_widths[index]
 
 
+@pytest.mark.slow
 def test_friction_as_a_formula_explains_as_much_as_the_library_s_own(planted: Columns, tmp_path: Path) -> None:
     """Both act on the motors."""
     spec = FormulaSpec(

@@ -241,6 +241,7 @@ def of_swing(swung: dict[str, np.ndarray], tmp_path_factory: pytest.TempPathFact
     return document
 
 
+@pytest.mark.slow
 def test_names_and_order_of_joints_and_the_kind_of_file_do_not_matter(
     swung: dict[str, np.ndarray], of_swing: DiagnosisDocument, tmp_path: Path
 ) -> None:
