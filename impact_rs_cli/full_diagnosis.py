@@ -29,7 +29,7 @@ from impact_rs_commands.explaining import DIAGNOSE
 from impact_rs_sim.errors import InputError
 
 DIAGNOSIS_STOP_TIMEOUT_S = 5.0  # of a diagnosis that is being stopped
-ORPHAN_KILL_TIMEOUT_S = 60.0  # of one whose follower has ended: nobody waits, and a kill leaves its folder behind
+ORPHAN_KILL_TIMEOUT_S = 60.0  # of one whose follower has ended: a kill leaves its folder behind
 
 
 @dataclass(frozen=True)

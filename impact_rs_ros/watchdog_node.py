@@ -184,7 +184,7 @@ class WatchdogNode(NodeProgram):
         self._clock.close()
 
     def brake(self) -> None:
-        """Go on until the torques that the robot was sent last may stay: nobody else can change them."""
+        """Go on until the torques that the robot was sent last may stay: no other process can change them."""
         watchdog, until = self._watchdog, time.monotonic() + MAX_BRAKING_S
         while watchdog is not None and watchdog.commanded and not watchdog.arms.held:
             if time.monotonic() > until:

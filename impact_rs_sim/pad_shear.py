@@ -105,10 +105,10 @@ class PadShear:
         radius = float(np.sqrt(share @ np.sum(np.square(turning), axis=1)))
         turns = radius > MIN_TWIST_LEVER_M
         along = _AXES - normal[:, None] * normal
-        of_thing, of_pad = (_rows(along, normal, radius, centre - side.position) for side in (object_, pad))
+        of_object, of_pad = (_rows(along, normal, radius, centre - side.position) for side in (object_, pad))
         # Three shears in axes of A and the twist as a length (phi times the radius of gyration of the load).
-        velocity = of_thing @ object_.twist - of_pad @ pad.twist
-        mobility = of_thing @ object_.mobility @ of_thing.T + of_pad @ pad.mobility @ of_pad.T
+        velocity = of_object @ object_.twist - of_pad @ pad.twist
+        mobility = of_object @ object_.mobility @ of_object.T + of_pad @ pad.mobility @ of_pad.T
         lever = across @ (centre - pad.position)
         deflection = _shear_and_twist(along @ (rotation @ self._shift + self._twist * lever), radius * self._twist)
         last = _shear_and_twist(along @ (rotation @ self._pull), self._torque / radius if turns else 0.0)

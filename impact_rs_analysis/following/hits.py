@@ -94,7 +94,7 @@ class HitSource(ABC):
 
     model: Model
     skipped: dict[str, str]
-    _told = 0  # of them
+    _reported = 0  # of them
     waiting: int = 0
 
     @abstractmethod
@@ -119,8 +119,8 @@ class HitSource(ABC):
 
     def newly_skipped(self) -> dict[str, str]:
         """Entries of ``skipped`` since the last call."""
-        found = dict(itertools.islice(self.skipped.items(), self._told, None))
-        self._told = len(self.skipped)
+        found = dict(itertools.islice(self.skipped.items(), self._reported, None))
+        self._reported = len(self.skipped)
         return found
 
     def limits(self, first: Sequence[Hit], layout: str) -> Array:

@@ -173,7 +173,7 @@ class Investigation:
         assert done is not None
         reason = (
             f"{done.reason} And no trial that can be planned here distinguishes what is possible: all {left} trials "
-            f"left would tell it apart with {100.0 * promised:.0f} % at best."
+            f"left would distinguish it with {100.0 * promised:.0f} % at best."
         )
         end = done.model_copy(update={"action": "end", "verdict": UNDECIDED, "reason": reason, "spent": True})
         self._say(f"Round {last.number}: end. {reason}")

@@ -10,7 +10,7 @@ Friction is stated as the desired torque feels it (tau_fric of paper eq. EOM_mot
   Control 134) measured it on an industrial arm, with its dependence on temperature; servo models have it as the
   load-dependent term (Duclusaud et al. 2025, ICRA: BAM, models M3 to M6). Where |tau_J| hardly varies along a motion
   it is Coulomb friction, and where the motion reverses with the torque a gain of it. The same motion with and without
-  a load tells them apart: only this friction grows.
+  a load separates them: only this friction grows.
 * ``-a |sign(dtheta)|``: friction that differs by direction, F_c + a forward and F_c - a backward, as of screws and of
   belts under tension. In motion it equals an offset of the torque, which is still there under closed brakes.
 * Friction of a shaft that turns with two joints, as in a wrist whose last motor drives through the axis before it (fvm6
@@ -129,7 +129,7 @@ LOAD_DEPENDENT_FRICTION = ArmEffect(
     acts_on="motor side",
     sentence=(
         "Each joint resists motion with a share of the torque that it transmits; with one load it resembles constant "
-        "friction or a gain of the torque, and the same motion with another load tells them apart."
+        "friction or a gain of the torque, and the same motion with another load separates them."
     ),
     parameters=(
         Parameter("coefficient", "-", 0.0, 0.0, 0.5, 0.01, "friction torque over transmitted torque", per_joint=True),

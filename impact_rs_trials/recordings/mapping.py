@@ -278,7 +278,7 @@ class Mapping(Schema):
                 )
             if source.columns is not None and source.column is not None:
                 raise ValueError(f"signals.{name} has both column and columns, expected one of them")
-        self._object_is_told_once()
+        self._object_is_described_once()
         for key in ("motor_inertia", "torque_constant"):
             own = getattr(self, key)
             if own is not None and len(own) != len(self.joints):
@@ -311,7 +311,7 @@ class Mapping(Schema):
         if not {"object_pose", "object_position"} & set(self.signals):
             raise ValueError("signals.object_pose is missing; an object alone needs its pose, or object_position")
 
-    def _object_is_told_once(self) -> None:
+    def _object_is_described_once(self) -> None:
         parts = [name for name in ("object_position", "object_quaternion") if name in self.signals]
         if parts and "object_pose" in self.signals:
             raise ValueError(f"signals has both object_pose and {parts[0]}, expected one of them")

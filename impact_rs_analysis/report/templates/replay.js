@@ -251,7 +251,7 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
       if (first) this.fit(); else this.draw();
     }
 
-    // What nobody sees is drawn once it comes into sight: without a graphics card a picture takes a core.
+    // A picture out of sight is drawn once it comes into sight: without a graphics card a picture takes a core.
     draw() {
       this.stale = !this.inSight || document.hidden;
       if (!this.stale) this.render();
