@@ -115,14 +115,14 @@ def draw_truth(
 ) -> list[Hidden]:
     """The hidden effects of a campaign; the default number of joints is the shipped arm's.
 
-    Effects of the physics are drawn; effects of sensors are hidden if named.
+    Effects of the physics are drawn; effects of sensors, and those added later, are hidden if named.
 
     Raises:
         InputError: Unknown kind or effect, or not as many effects as the kind has.
     """
     if kind not in KINDS:
         raise InputError(f"no kind {kind!r}; known: {', '.join(KINDS)}")
-    names = sorted(name for name, own in of_trials().items() if not own.of_measurement)
+    names = sorted(name for name, own in of_trials().items() if own.drawn and not own.of_measurement)
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     count = {"single": 1, "pair": 2}.get(kind, 0)
     if effect is None or count == 0:

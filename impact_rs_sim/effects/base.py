@@ -190,6 +190,7 @@ class Effect(ABC):
             no difference of two recordings shows it. What calibrates an arm is lasting.
         shown_by_load: Whether it is lasting, but grows with the load: a difference of recordings with and without one
             shows it.
+        drawn: Whether blind campaigns draw it; else it is hidden if named, so that seeds keep what they hid before it.
         family: Name that the candidate laws of one form at several joints share; empty for effects of the library or
             the model.
         reading: For an effect of the measurement: clause on the fault of the reading, in which ``{joint}``, ``{size}``,
@@ -206,6 +207,7 @@ class Effect(ABC):
     calibrates: bool = False
     lasting: bool = False
     shown_by_load: bool = False
+    drawn: bool = True
     family: str = ""
     reading: str = ""
     calibration: str = ""
@@ -347,6 +349,7 @@ class ArmEffect(Effect):
     calibrates: bool = False
     lasting: bool = False
     shown_by_load: bool = False
+    drawn: bool = True
     reading: str = ""
     calibration: str = ""
 

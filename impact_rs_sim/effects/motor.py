@@ -137,6 +137,7 @@ LOAD_DEPENDENT_FRICTION = ArmEffect(
     law=_load_dependent,
     lasting=True,
     shown_by_load=True,
+    drawn=False,
     calibration="record one motion without and with a known load, and compare both (diagnose --minus)",
 )
 
@@ -161,6 +162,7 @@ ASYMMETRIC_FRICTION = ArmEffect(
     ),
     law=_asymmetric,
     calibration="read the torque with the brakes on and the drives idle: an offset remains, friction does not",
+    drawn=False,
 )
 
 SHAFT_FRICTION = (
