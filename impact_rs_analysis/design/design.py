@@ -26,7 +26,7 @@ from impact_rs_trials.experiment_plan import ExperimentPlan, Method, PlannedCamp
 from impact_rs_trials.workers import Map
 
 MIN_DISTINGUISHED_PROBABILITY = 0.95  # of a pair that counts as distinguished
-MIN_FEATURE_CHANGE = 1e-3  # in scaled features: a noticeable effect that changes less is not seen
+MIN_SEEN_CHANGE = 1e-3  # in scaled features: a noticeable effect that changes less is not seen
 MAX_LISTED_PAIRS = 20  # in a plan, least certain first
 MAX_NAMED_PAIRS = 3  # in a sentence
 
@@ -133,7 +133,7 @@ def _unseen(decision: Decision, trials: Sequence[ForecastTrial]) -> set[int]:
         for number, one in enumerate(decision.explanations)
         if one.varied
         and not one.estimated
-        and max(float(np.max(np.abs(trial.spreads[number]))) for trial in trials) < MIN_FEATURE_CHANGE
+        and max(float(np.max(np.abs(trial.spreads[number]))) for trial in trials) < MIN_SEEN_CHANGE
     }
 
 

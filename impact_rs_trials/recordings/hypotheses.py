@@ -379,9 +379,8 @@ def torques(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
     constants = np.where(gravity_shown & ~wrong, 1.0 / np.maximum(np.abs(free.factor), 1e-12), 1.0 / usual)
     own = {**({} if sign > 0.0 else {"factor": -1.0}), "torque_constant": [float(f"{one:.3g}") for one in constants]}
     why = f"{said}: no unit of torque; taken for motor currents, with the constants shown by the gravity torque"
-    each = float(
-        np.log(np.log(MAX_CONSTANT_RATIO))
-    )  # the first joint's constant is anywhere in the range, the others near it
+    # The first joint's constant is anywhere in the range, the others are near it.
+    each = float(np.log(np.log(MAX_CONSTANT_RATIO)))
     prior = (
         float(
             np.log(
