@@ -66,9 +66,9 @@ class ForwardDynamics:
             torque: Mean driving torque of every step, ``(K, S, n)`` [N m].
             step: Duration of a step h [s].
         """
-        q, dq = [position], [velocity]
+        q, dq, slowed = [position], [velocity], np.zeros_like(velocity)
         for number, driving in enumerate(torque):
-            found = self._step(time + number * step, q[-1], dq[-1], driving, step)
+            *found, slowed = self._step(time + number * step, q[-1], dq[-1], driving, step, slowed)
             q.append(found[0])
             dq.append(found[1])
         return np.array(q), np.array(dq)
@@ -85,42 +85,48 @@ class ForwardDynamics:
         upper = np.triu([pin.crba(self._pinocchio, self._data, q).copy() for q in position])
         return np.asarray(upper + np.triu(upper, 1).swapaxes(1, 2))
 
-    def _step(self, time: Array, q: Array, dq: Array, driving: Array, h: float) -> tuple[Array, Array]:
+    def _step(
+        self, time: Array, q: Array, dq: Array, driving: Array, h: float, slowed: Array
+    ) -> tuple[Array, Array, Array]:
+        """Position, velocity and g h b' at the end of a step, from those at its begin."""
         first = self.acceleration(q, dq, driving)
         middle = q + GAMMA * h * dq
         explicit = dq + GAMMA * h * first
-        fast = self._resisted(time + GAMMA * h, middle, explicit, driving, GAMMA * h)
+        fast = self._resisted(time + GAMMA * h, middle, explicit, driving, GAMMA * h, slowed)
         second = self.acceleration(middle, fast, driving)
         end = q + h * (DELTA * dq + (1.0 - DELTA) * fast)
         explicit_end = dq + h * (DELTA * first + (1.0 - DELTA) * second) + (1.0 / GAMMA - 1.0) * (fast - explicit)
-        return end, self._resisted(time + h, end, explicit_end, driving, GAMMA * h)
+        final = self._resisted(time + h, end, explicit_end, driving, GAMMA * h, fast - explicit)
+        return end, final, final - explicit_end
 
-    def _resisted(self, time: Array, q: Array, explicit: Array, driving: Array, duration: float) -> Array:
-        """Velocity dq with (M + B) (dq - explicit) = duration r(q, dq), ``(S, n)`` [rad/s]."""
+    def _resisted(
+        self, time: Array, q: Array, explicit: Array, driving: Array, duration: float, guess: Array
+    ) -> Array:
+        """Velocity dq with (M + B) (dq - explicit) = duration r(q, dq), near explicit + guess, ``(S, n)`` [rad/s]."""
         if not self._arm.loads and (self._arm.friction.is_zero or not self._with_drive):
             return explicit
         inertia, resistance = self.inertia(q), self._resistance(time, q, driving)
 
-        def imbalance(dq: Array, rows: Rows) -> Array:
-            momentum = np.einsum("sij,sj->si", inertia[rows], dq - explicit[rows])
-            return np.asarray(momentum - duration * resistance(dq, rows))
+        def imbalance(dq: Array, rows: Rows) -> tuple[Array, Array]:
+            momentum, resisting = np.einsum("sij,sj->si", inertia[rows], dq - explicit[rows]), resistance(dq, rows)
+            return momentum - duration * resisting, resisting
 
-        found, rows = explicit.copy(), np.arange(len(q))
-        now = imbalance(found, rows)
+        found, rows = explicit + guess, np.arange(len(q))
+        now, resisting = imbalance(found, rows)
         for _ in range(MAX_NEWTON_STEPS):
             dq = found[rows]
-            slope = (resistance(dq + SLOPE_CHANGE, rows) - resistance(dq, rows)) / SLOPE_CHANGE
+            slope = (resistance(dq + SLOPE_CHANGE, rows) - resisting) / SLOPE_CHANGE
             implicit = inertia[rows] - duration * np.minimum(slope, 0.0)[:, :, None] * np.eye(q.shape[1])
             change = np.linalg.solve(implicit, -now[:, :, None])[:, :, 0]
-            after = imbalance(dq + change, rows)
+            after, resisting = imbalance(dq + change, rows)
             begin, end = (np.einsum("si,si->s", change, one) for one in (now, after))
             long = end > -MAX_SLOPE_RATIO * begin
             if np.any(long):
                 change[long] *= (begin[long] / (begin[long] - end[long]))[:, None]
-                after[long] = imbalance(dq[long] + change[long], rows[long])
+                after[long], resisting[long] = imbalance(dq[long] + change[long], rows[long])
             found[rows] = dq + change
             going = np.any(np.abs(change) > MAX_VELOCITY_ERROR, axis=1)
-            rows, now = rows[going], after[going]
+            rows, now, resisting = rows[going], after[going], resisting[going]
             if not rows.size:
                 break
         return found

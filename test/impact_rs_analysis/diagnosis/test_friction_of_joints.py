@@ -41,6 +41,7 @@ WITH_LOAD = (
     "joint_viscous_friction",
     "joint_load_dependent_friction",
 )
+OF_SHAFTS = ("joint_coulomb_friction", "joint_viscous_friction", "joint_sum_friction", "joint_difference_friction")
 COULOMB = np.array([0.9, 0.6, 0.4])  # N m
 SHARE = np.array([0.06, 0.08, 0.05])  # of the transmitted torque
 UNEVEN = np.array([0.25, -0.2, 0.15])  # N m, half of forward minus backward
@@ -138,11 +139,14 @@ def test_asymmetric_friction_is_confusable_with_an_offset_of_the_torque_in_motio
 
 
 @pytest.mark.parametrize(
-    ("ratio", "name"),
-    [pytest.param(1.0, "joint_sum_friction", marks=pytest.mark.slow), (-1.0, "joint_difference_friction")],
+    ("ratio", "name", "among"),
+    [
+        pytest.param(1.0, "joint_sum_friction", NEIGHBOURS, marks=pytest.mark.slow),
+        (-1.0, "joint_difference_friction", OF_SHAFTS),
+    ],
 )
 def test_friction_of_a_shaft_that_two_joints_turn_is_found_with_its_sense(
-    mapping: Mapping, tmp_path: Path, ratio: float, name: str
+    mapping: Mapping, tmp_path: Path, ratio: float, name: str, among: tuple[str, ...]
 ) -> None:
     """Kills a reaction on one of the two joints only, and shafts that turn the wrong way."""
 
@@ -151,7 +155,7 @@ def test_friction_of_a_shaft_that_two_joints_turn_is_found_with_its_sense(
         own = 0.7 * np.sign(speed) + 0.5 * speed
         return coulomb(velocity, transmitted) + np.column_stack((0.0 * own, own, ratio * own))
 
-    found = diagnosed(mapping, recorded(tmp_path / "run.npz", mapping, shaft))
+    found = diagnosed(mapping, recorded(tmp_path / "run.npz", mapping, shaft), among=among)
     assert set(found.named) == {"joint_coulomb_friction", name}
     assert_inside(found, name, "coulomb", np.array([0.0, 0.7]), width=0.2)
     assert_inside(found, name, "viscous", np.array([0.0, 0.5]), width=0.2)
