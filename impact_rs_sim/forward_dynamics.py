@@ -99,9 +99,7 @@ class ForwardDynamics:
         final = self._resisted(time + h, end, explicit_end, driving, GAMMA * h, fast - explicit)
         return end, final, final - explicit_end
 
-    def _resisted(
-        self, time: Array, q: Array, explicit: Array, driving: Array, duration: float, guess: Array
-    ) -> Array:
+    def _resisted(self, time: Array, q: Array, explicit: Array, driving: Array, duration: float, guess: Array) -> Array:
         """Velocity dq with (M + B) (dq - explicit) = duration r(q, dq), near explicit + guess, ``(S, n)`` [rad/s]."""
         if not self._arm.loads and (self._arm.friction.is_zero or not self._with_drive):
             return explicit
