@@ -95,7 +95,18 @@ class Setup:
         return self.features_of_all([signals])[0]
 
     def features_of_all(self, simulations: Sequence[Sequence[Signals]]) -> list[Array | None]:
-        """Features of several simulations of its windows, ``(F,)`` each; None without an expected impact."""
+        """Features of several simulations of its windows, ``(F,)`` each; None without an expected impact.
+
+        Those of an unstable simulation are not a number.
+        """
+        stable = [all(map(_finite, windows)) for windows in simulations]
+        if not all(stable):
+            rows = iter(
+                self.features_of_all([windows for windows, kept in zip(simulations, stable, strict=True) if kept])
+            )
+            return [next(rows) if kept else np.full(len(self.kept), np.nan) for kept in stable]
+        if not simulations:
+            return []
         arms = {
             name: (arm, _models.of((self.digest, name), partial(self.physics.robot_model, name)))
             for name, arm in self.physics.arms.items()
@@ -127,6 +138,11 @@ class Setup:
     def replayed_all(self, physics: Sequence[Physics], threads: int = 1) -> list[list[Signals]]:
         """Simulations of the windows, one under each physics, as :meth:`replayed`."""
         return replays([(self.windows, one) for one in physics], self.drive_period, self.drive, threads)
+
+
+def _finite(signals: Signals) -> bool:
+    """Whether the signals of all arms are finite."""
+    return all(np.isfinite(arm.torque).all() and np.isfinite(arm.velocity).all() for arm in signals.arms.values())
 
 
 @dataclass(frozen=True, kw_only=True)
