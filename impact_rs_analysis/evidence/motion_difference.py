@@ -28,6 +28,8 @@ SHIFTS_PER_PERIOD = 4.0  # of the cut-off frequency, tried before the best one i
 MIN_OVERLAP_SHARE = 0.5  # of the shorter motion
 PATH_POINTS = 200  # at equal arc length, where two paths are compared
 MAX_DISTANCE_SHARE = 0.05  # rms distance over the size of the motion; above, it is another motion
+WALL_CLOCK_FROM_S = 1e8  # 1973; smaller times count from the start of a recording
+MAX_ORDER_IMBALANCE = 0.2  # of the time of all recordings, between the mean times of both kinds
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,30 @@ def minus_references(
             )
         )
     return found
+
+
+def order_warning(recorded: Sequence[Array], subtracted: Sequence[Array]) -> str | None:
+    """Warning that a drift, as of friction while gears warm up, does not cancel; None: it does, or times are unknown.
+
+    A drift that is linear in time cancels if both kinds of recordings have the same mean time, as in the order ABBA.
+
+    Args:
+        recorded: Timestamps of the recordings, ``(k,)`` each [s].
+        subtracted: Those of the recordings of ``--minus``.
+    """
+    every = [*recorded, *subtracted]
+    if any(time[0] < WALL_CLOCK_FROM_S for time in every):
+        return None
+    span = max(float(time[-1]) for time in every) - min(float(time[0]) for time in every)
+    middle, other = (float(np.mean([time.mean() for time in times])) for times in (recorded, subtracted))
+    if abs(middle - other) <= MAX_ORDER_IMBALANCE * span:
+        return None
+    when = "later" if middle > other else "earlier"
+    return (
+        f"the recordings are on average {abs(middle - other) / 60.0:.3g} minutes {when} "
+        "than those of --minus: what drifts meanwhile, as friction while gears warm up, stays in the difference. The "
+        "order without, with, with, without cancels a linear drift"
+    )
 
 
 def _speed_ratio_on_path(motion: Motion, references: Sequence[Motion], near: float) -> float | None:

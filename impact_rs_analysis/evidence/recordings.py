@@ -30,7 +30,7 @@ from impact_rs_analysis.evidence.levels import (
     rounded,
 )
 from impact_rs_analysis.evidence.minimum_data import MIN_BLOCKS
-from impact_rs_analysis.evidence.motion_difference import minus_references
+from impact_rs_analysis.evidence.motion_difference import minus_references, order_warning
 from impact_rs_analysis.evidence.rollouts import FreeMotion
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.evidence.torque_balance import Motion, TorqueBalance, motor_ratios, prepare
@@ -204,6 +204,8 @@ class RecordingSource(Source):
         remarks = merged((item.path.name, remark) for item in (*recordings, *minus) for remark in item.remarks)
         remarks += [f"{Path(path).name} is left out: {why}" for path, why in left_out]
         remarks += _of_motor_encoders(recordings, self.balance, minus)
+        if minus and (drifts := order_warning(*([one.signals.time for one in own] for own in (recordings, minus)))):
+            remarks.append(drifts)
         self.reading = tuple(dict.fromkeys(remarks))
         self.remarks = (
             *REMARKS,

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from impact_rs_sim.robot import Array, RobotFacts
 from impact_rs_trials.recordings.clock import seconds_of
+from impact_rs_trials.recordings.clock_steps import MAX_STEPS_BACK
 from impact_rs_trials.recordings.file_units import UNITS
 from impact_rs_trials.recordings.relations import (
     MIN_AVERAGED_SAMPLES,
@@ -65,13 +66,16 @@ def clock_of(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> Gue
     columns = {
         name: cells for name, cells in columns.items() if not (isinstance(cells, np.ndarray) and np.iscomplexobj(cells))
     }
-    found: list[tuple[float, str, Guess]] = []
-    for place, (name, cells) in enumerate(columns.items()):
-        guess = _clock(name, cells)
-        if guess is not None:
-            found.append((2.0 * bool(STAMP.search(name)) - 0.01 * place, name, guess))
     pair = _clock_of_two(columns)
-    return pair or (max(found)[2] if found else None)
+    for allowed in (0, MAX_STEPS_BACK):  # a clock that was set back if there is no other
+        found: list[tuple[float, str, Guess]] = []
+        for place, (name, cells) in enumerate(columns.items()):
+            guess = _clock(name, cells, allowed)
+            if guess is not None:
+                found.append((2.0 * bool(STAMP.search(name)) - 0.01 * place, name, guess))
+        if pair or found:
+            return pair or max(found)[2]
+    return None
 
 
 def steps_back(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> str | None:
@@ -123,7 +127,8 @@ def _whole(cells: Sequence[str] | NDArray[Any]) -> NDArray[np.int64] | None:
     return numbers.astype(np.int64) if numbers.max() < 5e9 and not np.any(np.mod(numbers, 1.0)) else None
 
 
-def _clock(name: str, cells: Sequence[str] | NDArray[Any]) -> Guess | None:
+def _clock(name: str, cells: Sequence[str] | NDArray[Any], steps_back: int) -> Guess | None:
+    """A column of timestamps that steps back ``steps_back`` times at most; None: it is none."""
     if isinstance(cells, list) and cells and all(DATE.fullmatch(cell.strip()) for cell in cells):
         return Guess(name, "holds dates", further={"unit": "date"})
     try:
@@ -133,7 +138,7 @@ def _clock(name: str, cells: Sequence[str] | NDArray[Any]) -> Guess | None:
     if stamps.ndim != 1 or stamps.size < 3 or not np.isfinite(stamps).all():
         return None
     steps = np.diff(stamps)
-    if np.any(steps < 0.0):
+    if np.count_nonzero(steps < 0.0) > steps_back * bool(STAMP.search(name)):
         return None
     usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
     if usual == 0.0 or float(np.mean(np.abs(steps[steps > 0.0] / usual - 1.0) < 0.9)) < 0.5:
@@ -144,7 +149,8 @@ def _clock(name: str, cells: Sequence[str] | NDArray[Any]) -> Guess | None:
         return None
     unit = (named or units)[0]
     rate = 1.0 / (usual * UNITS["time"][unit])
-    said = f"increases; in {unit} that is {rate:.4g} Hz"
+    backwards = np.count_nonzero(steps < 0.0)
+    said = f"increases{f', {backwards} steps back aside' if backwards else ''}; in {unit} that is {rate:.4g} Hz"
     if stamps[0] * UNITS["time"][unit] > 1e8:
         said += f", from {_year(stamps[0] * UNITS['time'][unit])} on"
     repeats = int(np.sum(steps == 0.0))

@@ -25,6 +25,7 @@ from impact_rs_trials.recordings.candidates import (
     single_candidates,
     vector_width,
 )
+from impact_rs_trials.recordings.clock_steps import without_steps_back
 from impact_rs_trials.recordings.file_groups import OBJECT, FileGroups
 from impact_rs_trials.recordings.file_units import UNITS
 from impact_rs_trials.recordings.guesses import Guess, clock_of, other_units, steps_back
@@ -224,6 +225,7 @@ def read_streams(part: RecordedFile, robot: str, count: int, rate: float | None)
         except InputError as error:
             refused[one.label] = str(error)
             continue
+        series = without_steps_back({"position": series.filled()})[0]["position"].without_held()
         rows = usable_rows(series)
         if rows.size > MIN_CHECKED_SAMPLES:
             kept = replace(series, time=series.time[rows], values=series.values[rows])

@@ -20,6 +20,7 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.bags.topics import TRIAL_INFO
 from impact_rs_trials.recordings.clock import check_stamps, gaps, gaps_in_words
 from impact_rs_trials.recordings.clock_offset import on_one_clock
+from impact_rs_trials.recordings.clock_steps import without_steps_back
 from impact_rs_trials.recordings.faults import MAX_LIMIT_FACTOR, MAX_OUTLIER_SHARE, MAX_POSITION_EXCESS, without_faults
 from impact_rs_trials.recordings.file_units import CURRENTS
 from impact_rs_trials.recordings.guesses import at_rest
@@ -106,19 +107,23 @@ def read_long_enough(path: Path, mapping: Mapping) -> tuple[list[Run], list[tupl
 
 def _pieces(path: Path, mapping: Mapping) -> list[Run]:
     """One recording, checked, in the pieces that gaps and faults of sensors leave of it."""
-    recorded = read_series(path, mapping, JOINT_SIGNALS, REQUIRED)
-    gaps_said = []
+    recorded, set_back = without_steps_back(read_series(path, mapping, JOINT_SIGNALS, REQUIRED))
+    if set_back and "velocity" not in mapping.signals:
+        recorded["velocity"] = recorded["position"].derivative()
+    gaps_of: dict[str, list[str]] = {}  # places by what is said of their gaps
     for name, one in recorded.items():
         if name not in mapping.signals:  # the velocity, which is made of the position
             continue
         what = one.place if name == "position" or one.log is not None else f"time of {one.place}"
-        gaps_said += _check_time(path, one.time, what, mapping.low_pass)
+        for said in _check_time(path, one.time, what, mapping.low_pass):
+            gaps_of.setdefault(said, []).append(what)
         if name in REQUIRED:
             _check_numbers(path, name, one.time, one.values)
     model = _model(mapping)
     recorded = on_one_clock(path, recorded, mapping, model)
     series, remarks = without_faults(recorded, mapping, model)
-    remarks = [*gaps_said, *_unmeasured(path, series["torque"], mapping), *remarks]
+    gaps_said = [f"{', '.join(places)}: {said}" for said, places in gaps_of.items()]
+    remarks = [*set_back, *gaps_said, *_unmeasured(path, series["torque"], mapping), *remarks]
     time = series["position"].time
     check_moves(path, series["position"], mapping)
     remarks = list(dict.fromkeys([*(remark for one in series.values() for remark in one.remarks), *remarks]))
@@ -229,7 +234,7 @@ def _longest_gap(period: float, low_pass: float) -> float:
 
 
 def _check_time(path: Path, time: Array, what: str, low_pass: float) -> list[str]:
-    """Check that timestamps increase; returns warnings about gaps, which cut the recording into pieces."""
+    """Check that timestamps increase; returns a warning about gaps, if there are any: they cut the recording."""
     if time.size < MIN_RECORDING_SAMPLES:
         raise TooShort(f"{what}: {time.size} samples, at least {MIN_RECORDING_SAMPLES} are needed", file=path)
     check_stamps(path, what, time)
@@ -238,7 +243,7 @@ def _check_time(path: Path, time: Array, what: str, low_pass: float) -> list[str
     if not found:
         return []
     said = gaps_in_words(found, time[0])
-    return [f"{what}: gap of {said} (period {period:.4f} s, low-pass {low_pass:g} Hz); the pieces between are used"]
+    return [f"gap of {said} (period {period:.4f} s, low-pass {low_pass:g} Hz); the pieces between are used"]
 
 
 def check_moves(path: Path, position: Series, mapping: Mapping) -> None:

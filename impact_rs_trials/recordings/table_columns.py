@@ -25,6 +25,7 @@ Cells = dict[str, list[str] | NDArray[Any]]
 
 MAX_SHOWN_RUNS = 8  # in a message
 DEFAULT_LAYOUT = TableLayout()
+MAX_TORN_SHARE = 0.1  # of the lines; with more, the header is that of another table
 TRAILING = "; the names of the columns may stand in another line: table.header in the mapping says in which"
 
 
@@ -125,12 +126,20 @@ def _of_text(path: Path, layout: TableLayout, recorded: bool) -> Columns:
         number, row = rows.pop()
         said = f"line {number}, the last, is cut off ({len(row)} of {len(header)} numbers): left out"
         remarks.append(f"{path.name}: {said}")
+    torn = []
     for place, (number, row) in enumerate(rows):
         if len(row) == len(header) + 1 and not row[-1].strip():  # a separator at the end of the line
             rows[place] = number, row[:-1]
         elif len(row) != len(header):
-            said = f"line {number}: {len(row)} {what}, expected {len(header)} as in line {at or rows[0][0]}"
+            torn.append(place)
+    if torn:
+        number, row = rows[torn[0]]
+        said = f"line {number}: {len(row)} {what}, expected {len(header)} as in line {at or rows[0][0]}"
+        if not recorded or len(torn) > MAX_TORN_SHARE * len(rows):
             raise InputError(f"{said}{TRAILING if recorded else ''}", file=path)
+        share = f"{len(torn)} of {len(rows)} lines are torn ({100.0 * len(torn) / len(rows):.2g} %)"
+        remarks.append(f"{path.name}: {share}, the first in {said}: left out")
+        rows = [row for place, row in enumerate(rows) if place not in set(torn)]
     lines = tuple(number for number, _ in rows)
     columns = [list(cells) for cells in zip(*(row for _, row in rows), strict=True)] or [[] for _ in header]
     cells: Cells = dict(zip(header, columns, strict=True))

@@ -12,7 +12,7 @@ from joint_recordings import write_npz
 from slender_arm import mapping_of, slender_arm, swung
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose, effects_for
-from impact_rs_analysis.evidence.motion_difference import nearest
+from impact_rs_analysis.evidence.motion_difference import nearest, order_warning
 from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_analysis.evidence.torque_balance import Motion, prepare
 from impact_rs_cli.main import main
@@ -186,3 +186,25 @@ def test_only_recordings_have_something_to_subtract(tmp_path: Path, capsys: pyte
     for arguments in (["--impacts", str(tmp_path / "t.csv")], [str(tmp_path), "--experiment", "e.yaml"]):
         assert main(["diagnose", *arguments, "--minus", str(tmp_path)]) == 2
         assert "--minus goes with recordings of free motion" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("order", "warned"), [("ABBA", None), ("BAAB", None), ("AABB", "later"), ("BBA", "earlier"), ("AB", "later")]
+)
+def test_an_order_in_which_a_drift_does_not_cancel_is_warned_of(order: str, warned: str | None) -> None:
+    """A: without the load, five minutes each. Kills a sign, and a rule about the order of names in place of times."""
+    time = np.linspace(0.0, 240.0, 100)
+    kinds = {kind: [1.7e9 + 300.0 * place + time for place, own in enumerate(order) if own == kind] for kind in "AB"}
+    found = order_warning(kinds["B"], kinds["A"])
+    assert (found is None) == (warned is None) and (warned is None or f"minutes {warned} than" in found)
+    assert order_warning([time], [time + 300.0]) is None  # clocks that begin with the recording
+
+
+def test_a_diagnosis_says_the_order_of_its_recordings(folder: Path, mapping: Mapping, tmp_path: Path) -> None:
+    """Kills a check that no path asks."""
+    for name, start in (("loaded", 1.7e9 + 900.0), ("unloaded", 1.7e9)):
+        own = dict(np.load(folder / f"{name}.npz"))
+        write_npz(tmp_path / f"{name}.npz", own | {"time": own["time"] + start})
+    source = source_of(tmp_path, mapping)
+    assert any("minutes later than those of --minus" in remark for remark in source.remarks)
+    assert not any("than those of --minus" in remark for remark in source_of(folder, mapping).remarks)

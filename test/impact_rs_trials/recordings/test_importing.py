@@ -231,9 +231,10 @@ def test_robot_and_sampling_rate_are_asked_for_where_files_lack_them(tmp_path: P
 def test_timestamps_that_step_back_are_named(tmp_path: Path, motion: Columns) -> None:
     columns = [motion["position"], motion["velocity"], motion["effort"]]
     back = TIME - 0.5 * (TIME >= 4.0)
-    file = write(tmp_path / "log.csv", NAMES, [back, *columns])
-    said = refusal(iiwa, file, tmp_path)
-    assert "'t' steps back from 3.99 to 3.5 at sample 401: the clock was set, or rows are not in order" in said
+    shuffled = write(tmp_path / "log.csv", NAMES, [TIME - 0.5 * (np.arange(TIME.size) // 30), *columns])
+    assert "the clock was set, or rows are not in order; sort the rows" in refusal(iiwa, shuffled, tmp_path)
+    alone = iiwa(write(tmp_path / "alone.csv", NAMES, [back, *columns]), tmp_path).remarks
+    assert any("the clock was set back by 0.5 s at t = 3.990 s" in one for one in alone)
     counter = write(tmp_path / "counted.csv", ["row", *NAMES], [np.arange(TIME.size), back, *columns])
     said = refusal(iiwa, counter, tmp_path)
     assert "'t' steps back from 3.99 to 3.5" in said and "another clock was taken" in said
