@@ -69,13 +69,14 @@ SOURCE = (
     option(
         "--mapping", kind="mapping", metavar="NAME", label="mapping of a recording", advanced=True,
         otherwise="joint_state",
-        help="RUNS is a recording of a real robot in free motion (.db3, .mcap, .csv, .npz, or a folder of them): name "
-        "of a mapping (joint_state, franka_robot_state), or path of a mapping file",
+        help="RUNS is a recording of a real robot in free motion (.db3, .mcap, .bag, .csv, .npz, or a folder of them): "
+        "name of a mapping (joint_state, franka_robot_state), or path of a mapping file",
     ),
     option(
         "--minus", kind="runs", metavar="UNLOADED", label="subtract recordings", advanced=True,
         help="RUNS are recordings of free motion: subtract those of the same motions in this file or folder, for "
-        "example without a load; friction and errors of the model cancel, and a payload remains",
+        "example without a load; friction and errors of the model cancel, and a payload remains. The order without, "
+        "with, with, without cancels a drift",
     ),
     option(
         "--experiment", kind="experiment", metavar="FILE.yaml", label="experiment file", advanced=True,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags, SQLite or MCAP: a topic, a message type and a field per signal.
+"""Bags of ROS 2 (SQLite or MCAP) and of ROS 1: a topic, a message type and a field per signal.
 
 A run has one clock. If header timestamps define it, times of a topic without headers are computed from log times:
 
@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from rosbags.interfaces import Connection, MessageDefinitionFormat
+from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -27,6 +28,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.mapping import WIDTH, Mapping, SignalName, SignalSource
 from impact_rs_trials.recordings.read_once import once
 from impact_rs_trials.recordings.remarks import Amount, Remark
+from impact_rs_trials.recordings.run_finder import ROS1_SUFFIX
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 
 MAX_STAMP_DRIFT_S = 0.002  # between log and header timestamps without a warning
@@ -39,13 +41,23 @@ STORED = (".db3", ".mcap", ".zstd")  # endings of files of messages
 POSE_PARTS = (("position", "orientation"), ("translation", "rotation"))
 
 
-def typestore_for(definitions: Sequence[str]) -> Typestore:
-    """Standard messages and the definitions that a mapping names.
+def open_bag(path: Path) -> Reader | Ros1Reader:
+    """Reader of a bag of ROS 2, or of ROS 1 (``.bag``)."""
+    return Ros1Reader(path) if path.suffix == ROS1_SUFFIX else Reader(path)
+
+
+def deserialized(store: Typestore, path: Path, data: bytes, kind: str) -> Any:
+    """A message of a bag."""
+    return store.deserialize_ros1(data, kind) if path.suffix == ROS1_SUFFIX else store.deserialize_cdr(data, kind)
+
+
+def typestore_for(path: Path, definitions: Sequence[str] = ()) -> Typestore:
+    """Standard messages of the ROS of a bag, and the definitions that a mapping names.
 
     Raises:
         InputError: There are no such definitions.
     """
-    store = get_typestore(Stores.ROS2_JAZZY)
+    store = get_typestore(Stores.ROS1_NOETIC if path.suffix == ROS1_SUFFIX else Stores.ROS2_JAZZY)
     for package in definitions:
         folder = config_directory() / "mappings" / "messages" / package
         if not folder.is_dir():
@@ -101,7 +113,7 @@ class OpenedBag:
                 return chosen
         _check_pages(self._path)
         try:
-            with Reader(self._path) as reader:
+            with open_bag(self._path) as reader:
                 self.unread, self._connections = _files_beside(self._path, reader), list(reader.connections)
                 chosen = choose(self._connections)
                 missing = [connection for connection in chosen if connection.topic not in self.messages]
@@ -109,7 +121,7 @@ class OpenedBag:
                 for connection in missing:
                     register(self._store, connection)
                 for connection, log, data in reader.messages(connections=missing) if missing else ():  # [] is all
-                    message = self._store.deserialize_cdr(data, connection.msgtype)
+                    message = deserialized(self._store, self._path, data, connection.msgtype)
                     read[connection.topic].append((log, message))
         except InputError:
             raise
@@ -122,7 +134,7 @@ class OpenedBag:
 
 @once
 def _opened(path: Path, definitions: tuple[str, ...]) -> OpenedBag:
-    return OpenedBag(path, typestore_for(definitions))
+    return OpenedBag(path, typestore_for(path, definitions))
 
 
 def read_topics(path: Path, topics: Collection[str]) -> None:
@@ -138,7 +150,7 @@ class BagFile:
     """One bag.
 
     Args:
-        path: Folder, or bare ``.db3`` or ``.mcap`` file.
+        path: Folder, or bare ``.db3``, ``.mcap`` or ``.bag`` file.
         mapping: Where the signals are.
         names: Values of the placeholders of the mapping.
         wanted: Signals to read.
@@ -457,11 +469,12 @@ def _check_pages(path: Path) -> None:
             raise InputError(said, file=file)
 
 
-def _files_beside(path: Path, reader: Reader) -> tuple[str, ...]:
+def _files_beside(path: Path, reader: Reader | Ros1Reader) -> tuple[str, ...]:
     """A warning about message files in the folder of a bag that its metadata do not name."""
     if not path.is_dir():
         return ()
-    named = {Path(str(storage.path)).name for storage in getattr(reader.storage, "storages", ())}
+    storage = getattr(reader, "storage", None)
+    named = {Path(str(one.path)).name for one in getattr(storage, "storages", ())}
     others = sorted(
         file.name for file in path.iterdir() if {file.name, file.stem}.isdisjoint(named) and file.suffix in STORED
     )

@@ -15,13 +15,11 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_typestore
 
 from impact_rs_sim.decimals import decimal
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.array_file import ArrayFile
-from impact_rs_trials.recordings.bag_file import POSE_PARTS, register
+from impact_rs_trials.recordings.bag_file import POSE_PARTS, deserialized, open_bag, register, typestore_for
 from impact_rs_trials.recordings.mapping import REQUIRED, TableLayout
 from impact_rs_trials.recordings.run_finder import ARRAY_SUFFIXES, BAG_SUFFIXES, TABLE_SUFFIXES, is_bag_folder
 from impact_rs_trials.recordings.table_columns import read_columns
@@ -215,17 +213,17 @@ def single_candidates(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]
 def _in_bag(path: Path) -> list[SignalCandidate]:
     """The first message of every topic."""
     found: list[SignalCandidate] = []
-    store = get_typestore(Stores.ROS2_JAZZY)
+    store = typestore_for(path)
     seen: set[str] = set()
     try:
-        with Reader(path) as reader:
+        with open_bag(path) as reader:
             for connection in reader.connections:
                 register(store, connection)
             for connection, _, data in reader.messages():
                 if connection.topic in seen:
                     continue
                 seen.add(connection.topic)
-                message = store.deserialize_cdr(data, connection.msgtype)
+                message = deserialized(store, path, data, connection.msgtype)
                 found += _in_message(connection.topic, connection.msgtype, message)
                 if len(seen) == len(reader.topics):
                     break

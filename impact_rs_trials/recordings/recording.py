@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-from rosbags.rosbag2 import Reader
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import ArmPhysics, JointFriction, ObjectPhysics, Physics
 from impact_rs_sim.robot import Array, joined_units
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.bags.topics import TRIAL_INFO
+from impact_rs_trials.recordings.bag_file import open_bag
 from impact_rs_trials.recordings.clock import check_stamps, gaps, gaps_in_words
 from impact_rs_trials.recordings.clock_offset import on_one_clock
 from impact_rs_trials.recordings.clock_steps import without_steps_back
@@ -67,7 +67,7 @@ def _is_trial(path: Path) -> bool:
     if path.is_file() and path.suffix not in BAG_SUFFIXES:
         return False
     try:
-        with Reader(path) as reader:
+        with open_bag(path) as reader:
             return any(connection.topic == TRIAL_INFO for connection in reader.connections)
     except Exception as error:  # a damaged file can fail anywhere inside the library; reading it gives the reason
         logger.debug("%s: cannot be opened (%s: %s)", path, type(error).__name__, error)

@@ -25,7 +25,8 @@ from impact_rs_trials.recordings.inner_runs import RUN
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.table_columns import run_names
 
-BAG_SUFFIXES = (".db3", ".mcap")
+ROS1_SUFFIX = ".bag"
+BAG_SUFFIXES = (".db3", ".mcap", ROS1_SUFFIX)
 NOTE_SUFFIXES = (".txt", ".dat")  # of tables that are read where they are named; others of a folder may be notes
 TABLE_SUFFIXES = (".csv", ".tsv", ".parquet", ".npy", *NOTE_SUFFIXES)
 ARRAY_SUFFIXES = (".npz", ".h5", ".hdf5", ".mat")

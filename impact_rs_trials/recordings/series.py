@@ -61,8 +61,8 @@ class Series:
 
     def sampled(self) -> Series:
         """Without the rows that hold no sample (all NaN), as in tables with a slower signal."""
-        kept = ~np.isnan(self.values).all(axis=1)
-        return self if kept.all() else self._in_rows(kept)
+        kept = np.any(~np.isnan(self.values), axis=1)
+        return self if kept.all() else self._in_rows(np.asarray(kept))
 
     def without_held(self) -> Series:
         """One row of each value, if values are held for several rows, as of a slow signal in a fast table.

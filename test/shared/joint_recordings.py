@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 from ros_messages import message
+from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.bags.types import typestore
@@ -66,4 +68,22 @@ def write_bag(
             stamp, own = divmod(round((time + behind) * 1e9), 10**9), [names[joint] for joint in order]
             state = message(kind, {"header.stamp": stamp, "name": own, **signals})
             writer.write(connection, round(time * 1e9), store.serialize_cdr(state, kind))
+    return path
+
+
+def write_ros1_bag(
+    path: Path,
+    columns: Columns,
+    order: Sequence[int],
+    names: Sequence[str] = tuple(f"fer_joint{joint}" for joint in range(1, 8)),
+) -> Path:
+    """A bag of ROS 1 with JointState messages, whose headers have a number ``seq`` that those of ROS 2 lack."""
+    store, kind = get_typestore(Stores.ROS1_NOETIC), "sensor_msgs/msg/JointState"
+    with Ros1Writer(path) as writer:
+        connection = writer.add_connection("/arm/joint_states", kind, typestore=store)
+        for row, time in enumerate(columns["time"]):
+            signals = {name: columns[name][row, list(order)] for name in SIGNALS}
+            stamp, own = divmod(round(time * 1e9), 10**9), [names[joint] for joint in order]
+            content = {"header.seq": row, "header.stamp": stamp, "name": own, **signals}
+            writer.write(connection, round(time * 1e9), store.serialize_ros1(message(kind, content, store), kind))
     return path

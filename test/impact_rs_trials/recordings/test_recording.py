@@ -11,7 +11,7 @@ import pytest
 from builders import mapping_of, read_positions
 from hypothesis import given
 from hypothesis import strategies as st
-from joint_recordings import Columns, write_bag, write_csv, write_npz
+from joint_recordings import Columns, write_bag, write_csv, write_npz, write_ros1_bag
 from refusals import refusal
 from ros_messages import message
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -54,6 +54,15 @@ def test_bag_table_and_arrays_are_read_alike(tmp_path: Path) -> None:
     assert_read(read_recording(write_npz(tmp_path / "a.npz", COLUMNS)))
     assert_read(read_recording(write_csv(tmp_path / "a.csv", COLUMNS)))
     assert_read(read_recording(write_bag(tmp_path / "bag", COLUMNS, [6, 0, 2, 1, 3, 5, 4])))  # ordered by their names
+
+
+def test_a_bag_of_ros_1_is_read_as_one_of_ros_2_is(tmp_path: Path) -> None:
+    """Kills messages that are taken for those of ROS 2: the header of ROS 1 has a field before the stamp."""
+    path = write_ros1_bag(tmp_path / "run.bag", COLUMNS, [6, 0, 2, 1, 3, 5, 4])
+    assert is_foreign(path) and find_recordings(tmp_path) == [path]
+    assert_read(read_recording(path))
+    (tmp_path / "cut.bag").write_bytes(path.read_bytes()[:5000])
+    assert "not a readable bag" in refusal(read_recordings, tmp_path / "cut.bag", PLAIN)
 
 
 @pytest.mark.parametrize(("stamp", "start"), [("header", 5.0), ("log", 0.0)])
