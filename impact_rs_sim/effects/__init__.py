@@ -40,6 +40,7 @@ from impact_rs_sim.effects.motor import (
     JOINT_SUM_FRICTION,
     LOAD_DEPENDENT_FRICTION,
     MOTOR_INERTIA_SCALE,
+    STIFF_CONTROL,
     STRIBECK_FRICTION,
     VISCOUS_FRICTION,
 )
@@ -92,6 +93,7 @@ BUILT_IN: tuple[Effect, ...] = (
     ASYMMETRIC_FRICTION,
     JOINT_SUM_FRICTION,
     JOINT_DIFFERENCE_FRICTION,
+    STIFF_CONTROL,
 )
 
 

@@ -13,6 +13,13 @@ Friction is stated as the desired torque feels it (tau_fric of paper eq. EOM_mot
   a load separates them: only this friction grows.
 * ``-a |sign(dtheta)|``: friction that differs by direction, F_c + a forward and F_c - a backward, as of screws and of
   belts under tension. In motion it equals an offset of the torque, which is still there under closed brakes.
+* Joints under stiff control resist an impact with more than their inertia (Wang, Dehio and Kheddar 2022,
+  arXiv:2202.12646, who count them as locked). A joint of inertia M under stiffness K and damping D, pushed for T by a
+  force of the shape of half a sine, moves to first order in K and D as one without control of the inertia
+
+      M + c,    c = (1/4 - 1/pi^2) K T^2 + D T / 2
+
+  Stiff joints differ little in K, so that one c stands for all: 0 is a free arm, and a large one is locked.
 * Friction of a shaft that turns with two joints, as in a wrist whose last motor drives through the axis before it (fvm6
   and fsm6 of a Staubli TX40 in FIGAROH's examples): both joints feel it, against ``dtheta_i + r dtheta_i+1`` with r = 1
   or, where the axes of the model point the other way, -1.
@@ -24,7 +31,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from impact_rs_sim.effects.base import ArmEffect, Parameter, Values, number
+from impact_rs_sim.effects.base import SINGLE_IMPACT, ArmEffect, Parameter, Values, number
 from impact_rs_sim.physics import ArmPhysics, ShaftFriction
 
 
@@ -84,6 +91,11 @@ def _motor_inertia(arm: ArmPhysics, values: Values) -> ArmPhysics:
 
 def _added_motor_inertia(arm: ArmPhysics, values: Values) -> ArmPhysics:
     return replace(arm, motor_inertia_reduced=arm.motor_inertia_reduced + values["inertia"])
+
+
+def _stiff_control(arm: ArmPhysics, values: Values) -> ArmPhysics:
+    turns = np.array([kind == "revolute" for kind in arm.facts.joint_types])
+    return replace(arm, motor_inertia_reduced=arm.motor_inertia_reduced + number(values, "inertia") * turns)
 
 
 COULOMB_FRICTION = ArmEffect(
@@ -234,4 +246,16 @@ ADDED_MOTOR_INERTIA = ArmEffect(
     ),
     law=_added_motor_inertia,
     calibrates=True,
+)
+
+STIFF_CONTROL = ArmEffect(
+    name="stiff_control",
+    acts_on="motor side",
+    sentence="A stiff controller holds the joints in an impact: all resist with more than their inertia.",
+    parameters=(
+        Parameter("inertia", "kg m^2", 0.0, 0.0, 20.0, 0.05, "inertia that control adds to every revolute joint"),
+    ),
+    law=_stiff_control,
+    phases=SINGLE_IMPACT,
+    drawn=False,
 )

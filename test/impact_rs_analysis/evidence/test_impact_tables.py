@@ -170,6 +170,16 @@ def test_motor_inertia_of_an_arm_is_found_from_its_jumps(tmp_path: Path) -> None
     assert {feature.signal for feature in source.signals} >= {JOINT_VELOCITY_AFTER}
 
 
+def test_joints_that_a_stiff_controller_holds_are_told_from_heavier_motors(tmp_path: Path) -> None:
+    """All resist more by the same inertia, motors by a factor of their own. Kills control that scales the inertia."""
+    stiffness, duration = 7000.0, 0.03
+    added = (0.25 - 1.0 / np.pi**2) * stiffness * duration**2
+    source = of_pushes(tmp_path / "pushes.csv", {"stiff_control": [added]}, repeats=4)
+    document = diagnose(source, NOMINAL, ["stiff_control", "motor_inertia_scale", "object_mass", "restitution"])
+    assert_only(document, "stiff_control")
+    assert_intervals(source, document, {("stiff_control", "inertia"): added}, PUSHED, repeats=4)
+
+
 def test_pushes_without_anything_hidden_lack_nothing(tmp_path: Path) -> None:
     source = of_pushes(tmp_path / "pushes.csv", {}, repeats=3)
     document = diagnose(source, NOMINAL, ["motor_inertia_scale", "object_mass", "restitution"])

@@ -114,6 +114,7 @@ def test_effects_of_the_contact_are_not_seen_in_free_motion():
         "tracked_point",
         "tracker_delay",
         "tracker_lag",
+        "stiff_control",
     ]
     assert all(effect.seen_in(contact=True) for effect in library().values())
 

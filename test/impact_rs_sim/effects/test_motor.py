@@ -1,9 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Drives: gain, delay and offset of the torque; friction and inertia of the motor; stiffness of the transmission."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import scipy
 from bench import ACROSS, FIRST_MOMENT, GRAVITY, MASS_MATRIX, MOTOR_INERTIA, STIFFNESS, bench, run, slope, switched_on
+
+from impact_rs_sim.effects import library
+from impact_rs_sim.impact_map.measured import MeasuredImpact, points_of_scene, solve_measured
+from impact_rs_sim.scene import Scene
 
 # ---- actuation: gain times the desired torque, late, and an offset --------------------------------------------------
 
@@ -103,3 +110,35 @@ def test_joint_stiffness_decides_how_far_weight_twists_a_joint(scale):
     twist = motion.motor_position[-1] - motion.position[-1]
     assert twist == pytest.approx(weight / (scale * STIFFNESS), rel=1e-3)
     assert motion.torque[-1] == pytest.approx(weight, rel=1e-3)
+
+
+@pytest.mark.parametrize(("stiffness", "damping"), [(50.0, 0.0), (0.0, 1.0), (40.0, 0.5)])
+def test_a_joint_under_stiff_control_resists_an_impact_with_the_inertia_of_its_closed_form(
+    stiffness: float, damping: float
+) -> None:
+    """An equation of motion that is integrated here; kills a wrong share of K T^2 or D T (by half or twice)."""
+    inertia, duration = 0.8, 0.02
+
+    def motion(t: float, state: np.ndarray) -> list[float]:
+        held = stiffness * state[0] + damping * state[1]
+        return [state[1], (np.sin(np.pi * t / duration) - held) / inertia]
+
+    end = scipy.integrate.solve_ivp(motion, (0.0, duration), [0.0, 0.0], rtol=1e-10, atol=1e-14).y[1, -1]
+    added = 2.0 * duration / np.pi / end - inertia
+    expected = (0.25 - 1.0 / np.pi**2) * stiffness * duration**2 + 0.5 * damping * duration
+    assert added == pytest.approx(expected, rel=0.02)
+
+
+def test_an_arm_under_very_stiff_control_is_a_wall(scene: Scene) -> None:
+    """No joint yields, and the object leaves with the speed of the pad. Kills control of some joints only."""
+    (name,) = scene.arms
+    locked = library()["stiff_control"].apply_vector(scene.physics, np.array([1e5]))
+    points = points_of_scene(scene.physics, scene.arms, scene.object, scene.models)
+    state, body = scene.arms[name], replace(scene.object, twist=np.zeros(6))
+    jumps = []
+    for physics in (scene.physics, locked):
+        after, _ = solve_measured(physics, MeasuredImpact({name: state}, body, points))
+        jumps.append(np.abs(after[:7] - state.velocity).max())
+        pad = (scene.models[name].jacobian(state.position) @ after[:7])[:3]
+    assert jumps[0] > 0.01 and jumps[1] < 1e-4
+    assert after[7:10] @ pad > 0.9 * pad @ pad
