@@ -36,7 +36,14 @@ from impact_rs_trials.recordings.recorded_files import (
     source_in,
 )
 from impact_rs_trials.recordings.relations import DECISIVE_LOG_LIKELIHOOD, DECISIVE_LOG_ODDS
-from impact_rs_trials.recordings.servo_search import DERIVATIVE, PROPORTIONAL, FoundServo, find_servo, gains_in
+from impact_rs_trials.recordings.servo_search import (
+    DERIVATIVE,
+    PROPORTIONAL,
+    FoundServo,
+    find_servo,
+    gains_in,
+    named_servo_torques,
+)
 from impact_rs_trials.recordings.torque_readings import (
     MEASURED_TORQUE,
     NOTHING_SHOWS,
@@ -83,7 +90,7 @@ class JointSections:
                 settle_clock(part, model)
         search = JointSearch([stream for part in self._parts for stream in part.streams], model)
         found = self._assignment(search, robot)
-        if (order := self._order(found, model)) is not None:
+        if (order := self._order(found, search)) is not None:
             search = JointSearch([stream.in_order(order) for stream in search.streams], model)
             found = self._assignment(search, robot)
         servo = None if self._is_measured(found, model) else find_servo(search, self._motions(search))
@@ -211,9 +218,9 @@ class JointSections:
                 file=path,
             )
 
-    def _order(self, found: Assignment, model: RobotModel) -> tuple[int, ...] | None:
+    def _order(self, found: Assignment, search: JointSearch) -> tuple[int, ...] | None:
         """Order of unnamed columns by the torque of the arm; None: the given order."""
-        one = found.position.stream
+        one, model = found.position.stream, search.model
         if one.is_cut or one.candidate.joints or PART_OF_ARM.search(one.candidate.label):
             return None
         time, q, dq = found.time, found.position.values, found.speeds
@@ -224,6 +231,10 @@ class JointSections:
             units = [torque.best.unit] if isinstance(torque.best.unit, str) else torque.best.unit
             factor = np.array([UNITS["torque"][unit] for unit in units])
             if (ordered := order_of_joints(MotionTorque.of(time, q, dq, factor * raw, model))) is not None:
+                order, self._order_shown = ordered
+                return order
+        for torque_of_servos in () if found.torques else named_servo_torques(search, found):
+            if (ordered := order_of_joints(MotionTorque.of(time, q, dq, torque_of_servos, model))) is not None:
                 order, self._order_shown = ordered
                 return order
         return None

@@ -117,6 +117,25 @@ def gains_in(streams: Sequence[JointStream], pattern: re.Pattern[str]) -> tuple[
     return None, None
 
 
+def named_servo_torques(search: JointSearch, found: Assignment) -> Iterator[Array]:
+    """Torque that recorded gains make of every stream that is called a target, in the order of the columns [N m].
+
+    It shows the order of joints without names, as a recorded torque does, where no law is known to hold yet.
+
+    Args:
+        search: Streams and arm.
+        found: Positions in the unit of the targets, and velocities.
+    """
+    kp, kd = (gains_in(search.streams, pattern)[0] for pattern in (PROPORTIONAL, DERIVATIVE))
+    if kp is None or np.any(kp <= 0.0):
+        return
+    damping = 0.0 if kd is None else kd * found.speeds
+    for stream in search.streams:
+        if COMMANDED.search(stream.candidate.label) and not stream.stands_apart(found.position.stream):
+            target = found.position.factor * stream.series.at(found.time)
+            yield np.asarray(kp * (target - found.position.values) - damping)
+
+
 def find_servo(search: JointSearch, motions: Sequence[Assignment]) -> FoundServo | None:
     """The likeliest stream of desired positions over all motions; None: none is decisively a servo's.
 

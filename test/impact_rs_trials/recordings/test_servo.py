@@ -174,6 +174,16 @@ def test_without_gains_import_estimates_them_from_gravity_and_says_what_the_log_
     assert any("cannot hold masses or gains apart" in remark for remark in draft.remarks)
 
 
+def test_the_order_of_joints_without_names_is_found_by_the_torque_of_servos(tmp_path: Path) -> None:
+    """Columns from tip to base. Kills an order that a recorded torque alone shows."""
+    log, back = servo_of_ur(), slice(None, None, -1)
+    motion = log | {name: log[name][:, back] for name in ("position", "velocity")}
+    draft = draft_of(tmp_path, motion, q_des=log["q_desired"][:, back], kp=rows(KP[back]), kd=rows(KD[back]))
+    mapping = mapping_in(draft, tmp_path)
+    assert mapping.signals["q_desired"].columns == tuple(f"q_des_{joint}" for joint in range(6, 0, -1))
+    assert mapping.servo is not None and mapping.servo.kp == pytest.approx(KP)
+
+
 def test_a_controller_that_adds_gravity_is_seen(tmp_path: Path) -> None:
     """Kills a meaning that is whole wherever a servo was found."""
     log = servo_of_ur(lifted=True)
