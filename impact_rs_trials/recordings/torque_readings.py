@@ -12,6 +12,11 @@ log likelihood, with k independent samples and the residuals r of the best fit, 
 
     -k/2 sum_j log sum r_j^2                                                                     (noise marginalised)
 
+The reading with the highest likelihood is the meaning of the signal: the whole torque, the torque without gravity, or
+with x = 0 an external torque, of which friction is left. Its margin is the log likelihood over the next one. A torque
+before the gear accelerates the motors as well: B_j ddq_j is added to the reading, and its gain in log likelihood shows
+B_j > 0. A signal that gravity, inertia or both give to 0.1 % without a fitted number is a controller's own target.
+
 A torque measured at a motor drives the friction of its gear. A torque without friction was computed: with dry friction
 c_j ~ N(0, s_j^2) of usual gears and its estimate c_j +- e_j, the log Bayes factor of no friction against friction is
 
