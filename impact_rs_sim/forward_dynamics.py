@@ -15,6 +15,7 @@ a(q, dq) the acceleration without r, g = 1 - 1 / sqrt(2) and d = 1 - 1 / (2 g):
 
 with b = (M + B)^-1 r at the state of its own stage. Friction that grows with the speed has a potential, so that dq of a
 stage is the minimum of a convex function. Newton's method with a line search finds it (Nocedal and Wright 2006, ch. 3).
+Servos that drive the joints are a part of r as well: their damping is implicit, their stiffness that of the stage.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from impact_rs_sim.physics import LoadState, Physics
 from impact_rs_sim.robot import Array
 
 Rows = NDArray[np.int_]
+Servo = Callable[[Array, Array, Array], Array]  # torque of servos at times (S,), q and dq (S, n), (S, n) [N m]
 
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
 DELTA = 1.0 - 0.5 / GAMMA
@@ -56,7 +58,9 @@ class ForwardDynamics:
         inertia = self._arm.motor_inertia_reduced
         self.motor_inertia = inertia if with_motor else np.zeros_like(inertia)
 
-    def motion(self, time: Array, position: Array, velocity: Array, torque: Array, step: float) -> tuple[Array, Array]:
+    def motion(
+        self, time: Array, position: Array, velocity: Array, torque: Array, step: float, servo: Servo | None = None
+    ) -> tuple[Array, Array]:
         """Positions and velocities at the end of every step and before the first, ``(K + 1, S, n)`` each.
 
         Args:
@@ -65,10 +69,11 @@ class ForwardDynamics:
             velocity: dq of the starts, ``(S, n)`` [rad/s].
             torque: Mean driving torque of every step, ``(K, S, n)`` [N m].
             step: Duration of a step h [s].
+            servo: Torque of servos by time and state, which falls with the velocity; None: there are none.
         """
         q, dq, slowed = [position], [velocity], np.zeros_like(velocity)
         for number, driving in enumerate(torque):
-            *found, slowed = self._step(time + number * step, q[-1], dq[-1], driving, step, slowed)
+            *found, slowed = self._step(time + number * step, q[-1], dq[-1], driving, step, slowed, servo)
             q.append(found[0])
             dq.append(found[1])
         return np.array(q), np.array(dq)
@@ -86,24 +91,26 @@ class ForwardDynamics:
         return np.asarray(upper + np.triu(upper, 1).swapaxes(1, 2))
 
     def _step(
-        self, time: Array, q: Array, dq: Array, driving: Array, h: float, slowed: Array
+        self, time: Array, q: Array, dq: Array, driving: Array, h: float, slowed: Array, servo: Servo | None
     ) -> tuple[Array, Array, Array]:
         """Position, velocity and g h b' at the end of a step, from those at its begin."""
         first = self.acceleration(q, dq, driving)
         middle = q + GAMMA * h * dq
         explicit = dq + GAMMA * h * first
-        fast = self._resisted(time + GAMMA * h, middle, explicit, driving, GAMMA * h, slowed)
+        fast = self._resisted(time + GAMMA * h, middle, explicit, driving, GAMMA * h, slowed, servo)
         second = self.acceleration(middle, fast, driving)
         end = q + h * (DELTA * dq + (1.0 - DELTA) * fast)
         explicit_end = dq + h * (DELTA * first + (1.0 - DELTA) * second) + (1.0 / GAMMA - 1.0) * (fast - explicit)
-        final = self._resisted(time + h, end, explicit_end, driving, GAMMA * h, fast - explicit)
+        final = self._resisted(time + h, end, explicit_end, driving, GAMMA * h, fast - explicit, servo)
         return end, final, final - explicit_end
 
-    def _resisted(self, time: Array, q: Array, explicit: Array, driving: Array, duration: float, guess: Array) -> Array:
+    def _resisted(
+        self, time: Array, q: Array, explicit: Array, driving: Array, duration: float, guess: Array, servo: Servo | None
+    ) -> Array:
         """Velocity dq with (M + B) (dq - explicit) = duration r(q, dq), near explicit + guess, ``(S, n)`` [rad/s]."""
-        if not self._arm.loads and (self._arm.friction.is_zero or not self._with_drive):
+        if servo is None and not self._arm.loads and (self._arm.friction.is_zero or not self._with_drive):
             return explicit
-        inertia, resistance = self.inertia(q), self._resistance(time, q, driving)
+        inertia, resistance = self.inertia(q), self._resistance(time, q, driving, servo)
 
         def imbalance(dq: Array, rows: Rows) -> tuple[Array, Array]:
             momentum, resisting = np.einsum("sij,sj->si", inertia[rows], dq - explicit[rows]), resistance(dq, rows)
@@ -129,12 +136,13 @@ class ForwardDynamics:
                 break
         return found
 
-    def _resistance(self, time: Array, q: Array, driving: Array) -> Callable[[Array, Rows], Array]:
-        """Torque of friction and loads at positions, as a function of velocities in some rows, ``(s, n)`` [N m]."""
+    def _resistance(self, time: Array, q: Array, driving: Array, servo: Servo | None) -> Callable[[Array, Rows], Array]:
+        """Torque of servos, friction and loads by velocities in some rows, at their positions, ``(s, n)`` [N m]."""
         arm, with_drive = self._arm, self._with_drive
 
         def friction(dq: Array, rows: Rows) -> Array:
-            return arm.friction.torque(dq, driving[rows]) if with_drive else np.zeros_like(dq)
+            own = np.zeros_like(dq) if servo is None else servo(time[rows], q[rows], dq)
+            return own + (arm.friction.torque(dq, driving[rows] + own) if with_drive else 0.0)
 
         if not arm.loads:
             return friction

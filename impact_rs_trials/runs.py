@@ -47,6 +47,8 @@ class ArmSignals:
         torque_rate: dtau_J [N m/s].
         command_time: Times of the desired torques, ``(m,)`` [s].
         command: tau_d with gravity, held until the next, ``(m, n)`` [N m].
+        q_desired: Target of position servos, from whose law ``torque`` was computed [rad].
+        dq_desired: Its velocity [rad/s].
         wrench_time: Times of the wrench, ``(w,)`` [s].
         wrench: Force and torque of a sensor at the wrist, ``(w, 6)`` [N, N m].
     """
@@ -59,6 +61,8 @@ class ArmSignals:
     torque_rate: Array = field(default_factory=none)
     command_time: Array = field(default_factory=none)
     command: Array = field(default_factory=none)
+    q_desired: Array = field(default_factory=none)
+    dq_desired: Array = field(default_factory=none)
     wrench_time: Array = field(default_factory=none)
     wrench: Array = field(default_factory=none)
 

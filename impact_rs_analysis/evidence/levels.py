@@ -116,6 +116,7 @@ class RecordingDocument(Schema):
     sampled_Hz: float = Field(description="sampling rate [Hz]")
     low_pass_Hz: float = Field(description="cut-off of the zero-phase low-pass [Hz]")
     signals: tuple[str, ...] = Field((), description="signals that were found")
+    torque: str = Field("", description="what the torque is: where measured, what was added, or the law of servos")
     minus: tuple[str, ...] = Field((), description="paths of recordings of the same motions that were subtracted")
 
 

@@ -40,9 +40,11 @@ from impact_rs_sim.effects.actuation import TORQUE_GAIN
 from impact_rs_sim.effects.sensing import (
     COMMAND_CLOCK_OFFSET,
     MOTOR_ENCODER_OFFSET,
+    TORQUE_DELAY,
     TORQUE_SENSOR_CROSSTALK,
     TORQUE_SENSOR_DRIFT,
     TORQUE_SENSOR_GAIN,
+    TORQUE_SENSOR_LAG,
     TORQUE_SENSOR_OFFSET,
     VELOCITY_DELAY,
     VELOCITY_GAIN,
@@ -55,9 +57,11 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.recent import Recent
 from impact_rs_sim.robot import Array, joined_units
+from impact_rs_trials.recordings.file_units import CURRENTS
 from impact_rs_trials.recordings.mapping import Mapping
-from impact_rs_trials.recordings.recording import ARM, TooShort
+from impact_rs_trials.recordings.recording import ARM, TooShort, servo_law
 from impact_rs_trials.recordings.remarks import merged
+from impact_rs_trials.recordings.servo import ServoLaw
 from impact_rs_trials.runs import Run
 from impact_rs_trials.workers import Map
 
@@ -71,10 +75,12 @@ LEVEL_TEXT = "torque balance of the arm in free motion, both sides low-passed"
 CACHED_TORQUES_BYTES = 2**28
 MIN_CACHED_TORQUES = 64  # predictions that one linearisation needs
 TORQUE_SCALE_DEVIATION = {"link": 0.01, "motor": 0.02}  # over the torque; torque sensors of arms: 1 to 2 %
+UNKNOWN_GAIN_DEVIATION = 0.3  # of servos whose gains were found from the masses of the model
 # Without a command, faults of torque sensor and motor are confounded: torque_gain and torque_offset stand for both.
 CONFOUNDED_WITH_MOTOR_FAULTS = (TORQUE_SENSOR_GAIN, TORQUE_SENSOR_OFFSET)
 # No command was recorded, a deflection is known up to its mean, and the age of the arm is that of the recording.
 UNIDENTIFIABLE_FAULTS = (COMMAND_CLOCK_OFFSET, MOTOR_ENCODER_OFFSET, TORQUE_SENSOR_DRIFT)
+SERVO_WITHOUT_SENSOR = (TORQUE_DELAY, TORQUE_SENSOR_LAG)  # a torque that was computed passed no sensor
 TORQUE_SENSOR_FAULTS = (TORQUE_SENSOR_CROSSTALK,)  # strain gauges feel their neighbours' loads, currents do not
 VELOCITY_SENSOR_FAULTS = (VELOCITY_LAG, VELOCITY_DELAY, VELOCITY_GAIN)  # derivatives of positions have none
 TORQUE_UNIT = "N m"  # of a revolute joint
@@ -105,7 +111,25 @@ NO_MOTOR_ENCODERS_REMARK = (
     "no motor has an encoder of its own: the elasticity of a transmission shows only in the torque of its motor, and "
     "resembles a delay, a damping or another inertia; positions of the motors separate them (signals.motor_position)"
 )
-LINK_TORQUE_REMARK = "the torque was measured behind the motors, so their inertia is not in it"
+LINK_TORQUE = "the torque was measured behind the motors, so their inertia is not in it"
+MOTOR_TORQUE = (
+    "the torque is that of the motors, before the gear: it accelerates their inertia and moves their friction"
+)
+CURRENT_TORQUE = "the torque is motor current times torque_constant: it accelerates the motors and moves their friction"
+ADDED = {
+    "whole": "",
+    "without_gravity": "; it was recorded without gravity, and the gravity torque of the nominal model is added",
+    "external": "; it was recorded without the whole torque of a rigid model, and that of the nominal model is added: "
+    "an error of the links shows as far as the two models differ",
+    "target": "",
+}
+ADDED_TO_SERVO = "; their controller adds the gravity torque, for which that of the nominal model is taken"
+SERVO_TORQUE = "no torque was recorded: it is that of position servos, {law}"
+UNKNOWN_GAIN = (
+    "; kp was estimated from gravity and inertia of the model (torque_gain corrects it), so this log cannot hold "
+    "masses or gains apart: torques and friction are known in proportion to the masses of the model alone"
+)
+UNKNOWN_DAMPING = "; kd is unknown, so viscous friction includes the damping of the servos"
 
 
 @dataclass(frozen=True)
@@ -206,12 +230,11 @@ class RecordingSource(Source):
         remarks += _of_motor_encoders(recordings, self.balance, minus)
         if minus and (drifts := order_warning(*([one.signals.time for one in own] for own in (recordings, minus)))):
             remarks.append(drifts)
-        self.reading = tuple(dict.fromkeys(remarks))
+        self.reading = (torque_in_words(mapping), *dict.fromkeys(remarks))
         self.remarks = (
             *REMARKS,
             *((DIFFERENCE_REMARK,) if minus else ()),
-            INTERVALS_REMARK.format(scale=TORQUE_SCALE_DEVIATION[mapping.torque_measured_at]),
-            *(() if at_motor else (LINK_TORQUE_REMARK,)),
+            INTERVALS_REMARK.format(scale=scale_deviation(mapping)),
             *((NO_MOTOR_ENCODERS_REMARK,) if at_motor and not self.balance.elastic.size and not minus else ()),
             *self.reading,
         )
@@ -239,10 +262,11 @@ class RecordingSource(Source):
                 those to subtract.
         """
         short = list(left_out)
-        recordings, motions = _prepared(recordings, mapping.low_pass, short)
+        law = servo_law(mapping)
+        recordings, motions = _prepared(recordings, mapping.low_pass, law, short)
         physics = model.apply(_physics_of(recordings))
         if minus:
-            minus, references = _prepared(minus, mapping.low_pass, short)
+            minus, references = _prepared(minus, mapping.low_pass, law, short)
             files = [recording.path for recording in recordings]
             motions = minus_references(motions, files, references, physics, mapping.torque_measured_at == "motor")
         return cls(recordings, mapping, model, motions, physics, _cut(recordings, motions), minus, short)
@@ -291,9 +315,18 @@ class RecordingSource(Source):
             used_s=float(sum(m.time[m.kept].size / m.rate for m in self.motions)),
             sampled_Hz=float(1.0 / np.median(np.diff(times[0]))),
             low_pass_Hz=self.motions[0].cut_off,
-            signals=tuple(sorted(self.recordings[0].signals.arms[ARM].measured)),
+            signals=self._signals,
+            torque=torque_in_words(self.mapping),
             minus=tuple(dict.fromkeys(str(recording.path) for recording in self._minus)),
         )
+
+    @property
+    def _signals(self) -> tuple[str, ...]:
+        """Names of the recorded signals; the torque of a servo was not."""
+        found = set(self.recordings[0].signals.arms[ARM].measured)
+        if self.mapping.servo is not None:
+            found -= {"torque"} | {name for name in ("dq_desired",) if name not in self.mapping.signals}
+        return tuple(sorted(found))
 
     @property
     def stretch_seconds(self) -> float:
@@ -317,6 +350,8 @@ class RecordingSource(Source):
         without = [*CONFOUNDED_WITH_MOTOR_FAULTS, *UNIDENTIFIABLE_FAULTS]
         if self.mapping.torque_measured_at == "motor":
             without += TORQUE_SENSOR_FAULTS
+        if self.mapping.servo is not None:
+            without += SERVO_WITHOUT_SENSOR
         if "velocity" not in self.mapping.signals:
             without += VELOCITY_SENSOR_FAULTS
         shown = effect.may_change or effect.shown_by_load or not self._minus
@@ -448,6 +483,9 @@ class RecordingSource(Source):
                         begin=float(own[low]),
                         end=float(own[high - 1]),
                         with_motor=self.mapping.torque_measured_at == "motor",
+                        servo=servo_law(self.mapping),
+                        q_desired=run.signals.arms[ARM].q_desired,
+                        dq_desired=run.signals.arms[ARM].dq_desired,
                     )
                 )
             first = last
@@ -525,9 +563,7 @@ class RecordingSource(Source):
     @cached_property
     def _scale_deviations(self) -> Array:
         """Standard deviations of the scale of each joint's torque, with that of a gain in the model, ``(n,)`` [-]."""
-        found = np.full(
-            self.physics.arms[ARM].facts.joint_count, TORQUE_SCALE_DEVIATION[self.mapping.torque_measured_at]
-        )
+        found = np.full(self.physics.arms[ARM].facts.joint_count, scale_deviation(self.mapping))
         for effect in self.model.effects:
             if effect.name == TORQUE_GAIN.name:
                 for joint, scalar in enumerate(TORQUE_GAIN.scalars(self.joints)):
@@ -545,6 +581,28 @@ class RecordingSource(Source):
         own = np.eye(self._torques, self.sigma.size)[:, None, :]
         each = self._scale_deviations[:, None, None] * torque[None, :, :] * own
         return np.asarray(each.reshape(self._torques, -1))
+
+
+def scale_deviation(mapping: Mapping) -> float:
+    """Standard deviation of the scale of each joint's torque, over the torque [-]."""
+    if mapping.servo is not None and mapping.servo.gains == "estimated":
+        return UNKNOWN_GAIN_DEVIATION
+    return TORQUE_SCALE_DEVIATION[mapping.torque_measured_at]
+
+
+def torque_in_words(mapping: Mapping) -> str:
+    """What the torque of recordings is, in one line."""
+    if (servo := mapping.servo) is not None:
+        damping = "" if servo.kd is None else " - kd dq" if servo.damps == "velocity" else " + kd (dq_desired - dq)"
+        said = SERVO_TORQUE.format(law=f"kp (q_desired - q){damping}")
+        said += UNKNOWN_GAIN if servo.gains == "estimated" else ""
+        said += UNKNOWN_DAMPING if servo.kd is None else ""
+        return said + (ADDED_TO_SERVO if mapping.torque_meaning == "without_gravity" else "")
+    if mapping.torque_measured_at == "link":
+        said = LINK_TORQUE
+    else:
+        said = CURRENT_TORQUE if mapping.signals["torque"].units[0] in CURRENTS else MOTOR_TORQUE
+    return said + ADDED[mapping.torque_meaning]
 
 
 def _feature(phase: str, column: Column) -> Feature:
@@ -579,7 +637,7 @@ def _physics_of(runs: Sequence[Run]) -> Physics:
 
 
 def _prepared(
-    recordings: Sequence[Run], cut_off: float, short: list[tuple[str, str]]
+    recordings: Sequence[Run], cut_off: float, law: ServoLaw | None, short: list[tuple[str, str]]
 ) -> tuple[list[Run], list[Motion]]:
     """Recordings that are long enough for the filter, and their motions; the others are appended to ``short``.
 
@@ -590,7 +648,7 @@ def _prepared(
     motions: list[Motion] = []
     for recording in recordings:
         try:
-            motions.append(prepare(recording, cut_off))
+            motions.append(prepare(recording, cut_off, law))
             kept.append(recording)
         except TooShort as error:
             where = f"from {recording.begin:.3g} s on: " if recording.begin else ""

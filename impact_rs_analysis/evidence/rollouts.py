@@ -9,9 +9,12 @@ A constant error dtau of the torque, too small to change the pose noticeably, gi
 
     dq(t) = (M + B)^-1 dtau t^2 / 2
 
-so the error of a torque grows with the square of the time, that of the start's velocity linearly, and that of an
-unstable motion exponentially. With the same formula every error of a position is given as a constant torque, beside
-the residuals of the torque balance.
+so in open loop the error of a torque grows with the square of the time, that of the start's velocity linearly, and
+that of an unstable motion exponentially. With the same formula every error of a position is given as a constant
+torque, beside the residuals of the torque balance; in closed loop that torque is K_p dq.
+
+Where position servos drive the joints and their targets were recorded, a rollout is one in closed loop: the servos of
+the model follow the targets, and its error settles instead of growing.
 
 Sensor models are applied once: their inverse corrects the start and the torque, and the predicted positions pass them
 forward (:mod:`impact_rs_sim.readings`).
@@ -20,7 +23,7 @@ forward (:mod:`impact_rs_sim.readings`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -31,20 +34,25 @@ from pydantic import Field
 
 from impact_rs_analysis.evidence.levels import rounded
 from impact_rs_analysis.evidence.replay import START_FIT_HALF_WIDTH_S, held_means
-from impact_rs_sim.forward_dynamics import ForwardDynamics
-from impact_rs_sim.physics import Physics
+from impact_rs_sim.forward_dynamics import ForwardDynamics, Servo
+from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.readings import ArmReadings
 from impact_rs_sim.robot import Array, JointType
 from impact_rs_sim.schema import Schema
-from impact_rs_trials.runs import Run
+from impact_rs_trials.recordings.servo import ServoLaw
+from impact_rs_trials.runs import Run, none
 
 HORIZONS_S = (0.1, 0.5, 2.0)
 STEP_S = 0.005  # of the integrator; at 5 Hz, a usual low-pass, one step in 40 of a period
 STEPS_PER_ERROR = 4  # from one evaluation of the error to the next
 MAX_STARTS = 40  # 2 s of 32 rollouts of seven joints take 0.15 s of processor time, with friction 1 s
+MAX_PHASE_PER_STEP = 0.5  # rad, of the fastest mode of servos; at 2 the step is unstable
+MAX_SUBSTEPS = 8  # of a step; beyond, servos are too stiff to be rolled out
+MAX_INERTIAS = 5  # of the starts, from which the fastest mode is taken
 MIN_STARTS_APART = 6  # whose rollouts do not overlap; a paired test of fewer cannot be significant at 5 %
 SPREAD_QUANTILES = (0.05, 0.95)  # over starts
 OPEN_LOOP = "open loop: recorded torque drives the model from measured states, no controller pulls it back"
+CLOSED_LOOP = "closed loop: servos drive the model from measured states towards the recorded desired positions"
 SHOWN_UNITS: dict[JointType, tuple[float, str]] = {"revolute": (180.0 / np.pi, "deg"), "prismatic": (1e3, "mm")}
 
 
@@ -67,6 +75,9 @@ class FreeMotion:
         with_motor: Whether it accelerates the inertia of the motors.
         with_drive: Whether friction, gain and offset of the drives act on it.
         age: Time since the first run of the campaign [s].
+        servo: Servos that drive it in closed loop, in place of a torque; None: there are none.
+        q_desired: Their targets at ``torque_time``, ``(m, n)`` [rad]; empty without servos.
+        dq_desired: Velocities of these, ``(m, n)`` [rad/s].
     """
 
     arm: str
@@ -83,6 +94,32 @@ class FreeMotion:
     with_motor: bool = True
     with_drive: bool = True
     age: float = 0.0
+    servo: ServoLaw | None = None
+    q_desired: Array = field(default_factory=none)
+    dq_desired: Array = field(default_factory=none)
+
+    def servos(self, physics: Physics) -> Servo | None:
+        """Torque of the servos on the motors, by time and true state; None: a recorded torque drives the motion.
+
+        Args:
+            physics: Physics of the model with effects: readings of the servos, delay, gain and offset of the drives.
+        """
+        if self.servo is None:
+            return None
+        arm, law = physics.arms[self.arm], self.servo
+        readings, late = arm.readings, _command_delay(arm)
+        targets = np.hstack((self.q_desired, self.dq_desired))
+        wanted = scipy.interpolate.make_interp_spline(self.torque_time, targets, k=1)
+
+        def torque(time: Array, q: Array, dq: Array) -> Array:
+            moments = np.clip(time - late, self.torque_time[0], self.torque_time[-1])
+            target, rate = np.split(wanted(moments), 2, axis=-1)
+            speed = dq * readings.position_scale * readings.velocity_gain
+            return np.asarray(
+                arm.torque_gain * law.torque(readings.position(q), speed, target, rate) + arm.torque_offset
+            )
+
+        return torque
 
     def states(self, moments: Array, readings: ArmReadings) -> tuple[Array, Array]:
         """q and dq at moments ``(...,)`` from their readings, ``(..., n)`` each [rad, rad/s]."""
@@ -101,8 +138,10 @@ class FreeMotion:
             physics: Physics of the model with effects.
         """
         arm = physics.arms[self.arm]
+        if self.servo is not None:
+            return np.zeros((len(edges) - 1, edges.shape[1], self.q_desired.shape[1]))
         if self.commanded:
-            sent = self.torque_time + arm.readings.command_delay + arm.actuation_delay
+            sent = self.torque_time + _command_delay(arm)
             mean = np.stack([held_means(sent, self.torque, own) for own in edges.T], axis=1)
         else:
             rate = np.gradient(self.torque, self.torque_time, axis=0)
@@ -110,6 +149,11 @@ class FreeMotion:
             impulse = scipy.interpolate.CubicSpline(self.torque_time, torque).antiderivative()
             mean = np.diff(impulse(edges), axis=0) / np.diff(edges, axis=0)[..., None]
         return arm.torque_gain * mean + arm.torque_offset if self.with_drive else mean
+
+
+def _command_delay(arm: ArmPhysics) -> float:
+    """From the stamp of a command until it acts [s]."""
+    return arm.readings.command_delay + arm.actuation_delay
 
 
 @dataclass(frozen=True)
@@ -124,6 +168,7 @@ class RolledOut:
         tool: Distance of frame E from where it was, ``(T, S)`` [m].
         turned: Angle of its rotation, ``(T, S)`` [rad].
         apart: Whether a rollout overlaps no other one of them, ``(S,)``.
+        closed: Whether servos close the loop.
     """
 
     arm: str
@@ -133,6 +178,7 @@ class RolledOut:
     tool: Array
     turned: Array
     apart: NDArray[np.bool_]
+    closed: bool = False
 
 
 def shown(value: float) -> str:
@@ -203,9 +249,10 @@ class RolloutDocument(Schema):
         number, worst = max(enumerate(self.last.joints), key=lambda one: one[1].error)
         joint = " / ".join(shown(one.joints[number].error) for one in self.horizons)
         time = " / ".join(f"{one.horizon_s:g}" for one in self.horizons)
+        loop = self.what.partition(":")[0]
         text = (
-            f"rollouts in open loop from {self.starts} measured states, after {time} s: tool off by {tool} mm and "
-            f"{angle} deg, {worst.joint} by {joint} {worst.unit} (rms)"
+            f"rollouts in {loop} from {self.starts} measured states, after {time} s: tool off by "
+            f"{tool} mm and {angle} deg, {worst.joint} by {joint} {worst.unit} (rms)"
         )
         return "; ".join(filter(None, [text, self.growth_in_words]))
 
@@ -237,11 +284,13 @@ class Rollouts:
         tool = self.tool
         valid = np.isfinite(tool).all(axis=0)
         over_time = 1e3 * _rms(tool[:, valid])
-        power, rate, law = _growth(self.time, self._joint_growth)
+        closed = self.parts[0].closed
+        power, rate, law = (None, None, None) if closed else _growth(self.time, self._joint_growth)
         rows = [
             int(np.argmin(np.abs(self.time - horizon))) for horizon in HORIZONS_S if horizon <= self.time[-1] + 1e-9
         ]
         return RolloutDocument(
+            what=CLOSED_LOOP if closed else OPEN_LOOP,
             starts=tool.shape[1],
             starts_apart=int(self.apart.sum()),
             diverged=int(np.sum(~valid)),
@@ -374,26 +423,40 @@ def rolled_out(
     if not starts.size:
         return None
     arm = physics.arms[motion.arm]
-    readings, steps = arm.readings, round(horizon / step)
+    readings = arm.readings
     dynamics = ForwardDynamics(physics, motion.arm, motion.with_motor, motion.with_drive)
-    edges = starts + step * np.arange(steps + 1)[:, None]
     q, dq = motion.states(starts, readings)
+    if motion.servo is not None:
+        step = step / _substeps(step, motion.servo, dynamics.inertia(q[:MAX_INERTIAS]))
+    steps = round(horizon / step)
+    edges = starts + step * np.arange(steps + 1)[:, None]
     with np.errstate(all="ignore"):  # a rollout may diverge
-        path, _ = dynamics.motion(starts, q, dq, motion.driving(edges, physics), step)
+        path, _ = dynamics.motion(starts, q, dq, motion.driving(edges, physics), step, motion.servos(physics))
     every = round(STEPS_PER_ERROR * STEP_S / step)
     path, moments = path[every::every], edges[every::every]
     measured, _ = motion.states(moments, readings)
     tool, turned = _tool_errors(dynamics, path, measured)
     error, after = path - measured, moments - starts
+    if motion.servo is not None:
+        torque = motion.servo.kp * error
+    else:
+        torque = np.einsum("sij,tsj->tsi", dynamics.inertia(q), error) * 2.0 / np.square(after)[..., None]
     return RolledOut(
         arm=motion.arm,
         kinds=arm.facts.joint_types,
         joints=readings.position_scale * error,
-        torque=np.einsum("sij,tsj->tsi", dynamics.inertia(q), error) * 2.0 / np.square(after)[..., None],
+        torque=torque,
         tool=tool,
         turned=turned,
         apart=_apart(starts, horizon),
+        closed=motion.servo is not None,
     )
+
+
+def _substeps(step: float, servo: ServoLaw, inertia: Array) -> int:
+    """Parts of a step [s] in which the fastest mode of servos on the arm, of inertia ``(S, n, n)``, is stable."""
+    fastest = np.sqrt(np.max(np.abs(np.linalg.eigvals(np.linalg.solve(inertia, np.diag(servo.kp))))))
+    return int(np.clip(np.ceil(step * fastest / MAX_PHASE_PER_STEP), 1, MAX_SUBSTEPS))
 
 
 def _tool_errors(dynamics: ForwardDynamics, predicted: Array, measured: Array) -> tuple[Array, Array]:

@@ -20,6 +20,11 @@ depends.
 The noise is the power of torques and deflections just above the cut-off that is not coherent with the motion of the
 arm: a fast motion has power there.
 
+Where position servos drive the joints and no torque was recorded, tau is that of their law
+(:mod:`impact_rs_trials.recordings.servo`). Commands that act late by d add to the prediction
+
+    tau_servo(q_d(t)) - tau_servo(q_d(t - d))
+
 Effects are applied through :class:`~impact_rs_sim.physics.Physics`, as in plant and twin. An effect that changes no
 torque is not measured. Sensor models (:mod:`impact_rs_sim.readings`) correct the low-passed motion, and predict the
 readings of the torque.
@@ -40,9 +45,11 @@ from numpy.typing import NDArray
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import ArmPhysics, LoadState, Physics
 from impact_rs_sim.readings import ArmReadings, delayed
+from impact_rs_sim.recent import Recent
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.recording import ARM, TooShort
+from impact_rs_trials.recordings.servo import ServoLaw
 from impact_rs_trials.runs import ArmSignals, Run
 
 FILTER_ORDER = 4  # Butterworth low-pass, forwards and backwards
@@ -56,7 +63,46 @@ MAX_FITTED_NOISE_SHARE = 0.5  # that the fit of the motion may take: a short rec
 LAGS_QUARTER_PERIODS = (-2, -1, 0, 1, 2)
 MIN_COULOMB_SPEED = 0.02  # rad/s, m/s; below, Coulomb friction is not full
 MOTOR_RATIO_RANGE = (0.5, 2.0)  # motion of a motor, seen at the joint, over that of the link; elastic or not
+CACHED_DELAYS = 8  # of commands, whose torques are kept
 MAX_CACHED_REGRESSORS = 2  # of the model, and of another direction of gravity
+
+
+@dataclass(frozen=True)
+class ServoMotion:
+    """Desired and measured motion of position servos on an even grid, before the low-pass, ``(k, n)``.
+
+    Attributes:
+        law: The servos.
+        time: Samples, ``(k,)`` [s].
+        position: Readings of q [rad].
+        velocity: Readings of dq [rad/s].
+        q_desired: Desired positions by their stamps [rad].
+        dq_desired: Desired velocities, likewise [rad/s].
+        cut_off: Cut-off frequency of the low-pass [Hz].
+        stride: Samples per sample of the filtered motion.
+    """
+
+    law: ServoLaw
+    time: Array
+    position: Array
+    velocity: Array
+    q_desired: Array
+    dq_desired: Array
+    cut_off: float
+    stride: int
+
+    def torque(self, delay: float) -> Array:
+        """Torque if commands act ``delay`` [s] after their stamps, low-passed twice, ``(k, n)`` [N m]."""
+        torque = self.law.late(self.time, self.position, self.velocity, self.q_desired, self.dq_desired, delay)
+        return _low_passed_twice(torque, self.cut_off, 1.0 / float(self.time[1] - self.time[0]), self.stride)
+
+    def lost(self, delay: float) -> Array:
+        """Torque by the stamps of the commands minus that of late commands, low-passed twice, ``(k, n)`` [N m]."""
+        return self._lost.of(delay, lambda: self.torque(0.0) - self.torque(delay))
+
+    @cached_property
+    def _lost(self) -> Recent[Array]:
+        return Recent[Array](CACHED_DELAYS)
 
 
 @dataclass(frozen=True)
@@ -79,6 +125,7 @@ class Motion:
         measured: Whether the torque of a joint was measured, ``(n,)``; one that never changes was not.
         cut_off: Cut-off frequency of the low-pass [Hz].
         rate: Sampling rate of the grid [Hz].
+        servo: Servos from whose law the torque was computed; None: it was recorded.
     """
 
     time: Array
@@ -96,6 +143,7 @@ class Motion:
     deflection_noise: Array
     cut_off: float
     rate: float
+    servo: ServoMotion | None = None
 
     @property
     def with_encoders(self) -> NDArray[np.bool_]:
@@ -155,6 +203,11 @@ def _low_pass(values: Array, cut_off: float, rate: float) -> Array:
     return np.asarray(found[PADDED_SAMPLES:-PADDED_SAMPLES])
 
 
+def _low_passed_twice(values: Array, cut_off: float, sampled: float, stride: int) -> Array:
+    """The low-pass at the rate of the samples [Hz], and once more on the grid of every ``stride``-th of them."""
+    return _low_pass(_low_pass(values, cut_off, sampled)[::stride], cut_off, sampled / stride)
+
+
 @functools.lru_cache(maxsize=16)
 def _butterworth(cut_off: float, rate: float) -> tuple[Array, Array]:
     """Butterworth filter in second-order sections and its steady state, cached for thousands of predictions."""
@@ -162,8 +215,13 @@ def _butterworth(cut_off: float, rate: float) -> tuple[Array, Array]:
     return sections, np.asarray(scipy.signal.sosfilt_zi(sections))
 
 
-def prepare(run: Run, cut_off: float) -> Motion:
+def prepare(run: Run, cut_off: float, law: ServoLaw | None = None) -> Motion:
     """Filter and differentiate a recording of free motion.
+
+    Args:
+        run: The recording.
+        cut_off: Cut-off frequency of the low-pass [Hz].
+        law: Servos from whose law its torque was computed; None: it was recorded.
 
     Raises:
         TooShort: Too short for the cut-off.
@@ -187,9 +245,12 @@ def prepare(run: Run, cut_off: float) -> Motion:
 
     raw, places, speeds = (resampled(values) for values in (arm.torque, arm.position, arm.velocity))
     motors = resampled(motor_positions(arm))
-    once = _low_pass(raw, cut_off, sampled)
     stride = max(1, int(sampled / (MAX_SAMPLES_PER_PERIOD * cut_off)))
     rate = sampled / stride
+    servo = None
+    if law is not None:
+        wanted = resampled(arm.q_desired), resampled(arm.dq_desired)
+        servo = ServoMotion(law, even, places, speeds, *wanted, cut_off, stride)
     q, dq = (_low_pass(values, cut_off, sampled) for values in (places, speeds))
     theta = _low_pass(motors, cut_off, sampled)
     dtheta = derivative(theta)
@@ -200,14 +261,16 @@ def prepare(run: Run, cut_off: float) -> Motion:
             f"{start[-1]:.3g} s long, at least {(2 * edge + 60) / rate:.2g} s needed with low_pass = {cut_off:g} Hz",
             file=run.path,
         )
-    moved = np.hstack((places, motors[:, np.isfinite(motors).all(axis=0)]))
+    # A servo's torque has the noise of the encoder in it, so the motion that it is compared with is the desired one.
+    driven = places if servo is None else servo.q_desired
+    moved = np.hstack((driven, motors[:, np.isfinite(motors).all(axis=0)]))
     turning = np.tanh(derivative(np.where(np.isnan(motors), places, motors)) / MIN_COULOMB_SPEED)
     return Motion(
         time=even[::stride],
         position=q[::stride],
         velocity=dq[::stride],
         acceleration=derivative(dq)[::stride],
-        torque=_low_pass(once[::stride], cut_off, rate),
+        torque=_low_passed_twice(raw, cut_off, sampled, stride),
         kept=slice(edge, count - edge),
         noise=_noise(raw, moved, turning, cut_off, sampled),
         measured=np.ptp(arm.torque, axis=0) > 0.0,
@@ -218,6 +281,7 @@ def prepare(run: Run, cut_off: float) -> Motion:
         deflection_noise=_noise(motors - places, moved, turning, cut_off, sampled),
         cut_off=cut_off,
         rate=rate,
+        servo=servo,
     )
 
 
@@ -384,6 +448,8 @@ class TorqueBalance:
             if arm.loads:
                 torque = torque - self._load_torques(physics, number, rigid)
             torque = motion.low_pass((torque - arm.torque_offset) / arm.torque_gain)
+            if motion.servo is not None:
+                torque = torque + motion.servo.lost(arm.actuation_delay + arm.readings.command_delay)
             rows.append(arm.readings.torque(motion.time, torque, 0.0))
         return rows
 

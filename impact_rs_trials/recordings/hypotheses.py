@@ -161,6 +161,7 @@ class JointMotion:
     Attributes:
         time: Stamps of the recording, ``(m,)`` [s].
         rows: Indices of the averaged samples, ``(k,)``.
+        moments: Their times, ``(k,)`` [s].
         position: q [rad, m].
         derivative: dq/dt of the positions [rad/s, m/s].
         velocity: dq, measured or else the derivative [rad/s, m/s].
@@ -170,6 +171,7 @@ class JointMotion:
 
     time: Array
     rows: NDArray[np.signedinteger]
+    moments: Array
     position: Array
     derivative: Array
     velocity: Array
@@ -183,7 +185,8 @@ class JointMotion:
         rows = np.unique(np.linspace(0, motion.time.size - 1, COMPARED_SAMPLES).astype(int))
         dq = motion.velocity if velocity is None else averaged(time, velocity)[1]
         ddq = np.gradient(dq, motion.time, axis=0)
-        return JointMotion(time, rows, motion.position[rows], motion.velocity[rows], dq[rows], ddq[rows], model)
+        q, derivative = motion.position[rows], motion.velocity[rows]
+        return JointMotion(time, rows, motion.time[rows], q, derivative, dq[rows], ddq[rows], model)
 
     @property
     def facts(self) -> RobotFacts:

@@ -123,6 +123,8 @@ def impact_warnings(read: AbstractMapping[SignalName, Series], mapping: Mapping)
         read: Its signals, with position and torque.
         mapping: Describes it.
     """
+    if mapping.servo is not None:  # whose torque is not compared in contact
+        return []
     time = read["position"].time
     signals = {name: read[name].at(time) for name in REQUIRED if name in read}
     if "velocity" not in signals:

@@ -48,10 +48,12 @@ from impact_rs_trials.recordings.relations import (
     odd_blocks,
 )
 from impact_rs_trials.recordings.remarks import Amount, Remark, joined
+from impact_rs_trials.recordings.servo import ServoLaw
 from impact_rs_trials.runs import ArmSignals
 
 MIN_REPORTED_LAG = (0.005, 1.0)  # s, and sampling periods
 MAX_LAG_S = 0.1
+MAX_COMMAND_LAG_S = 0.6  # of the commands of servos; a driver of a real arm took 0.53 s
 MIN_LAG_SAMPLES = 100
 MAX_TORQUE_SAMPLES = 1000  # in which torques are compared
 MAX_REPEATED_SHARE = 0.02  # of the samples: a moving joint repeats none, whatever its encoder
@@ -174,22 +176,38 @@ def _lag_of_velocity(lags: list[tuple[float, float]], period: float, mapping: Ma
 def _lag_of_torque(
     time: Array, arm: ArmSignals, moving: NDArray[np.bool_], model: RobotModel, mapping: Mapping
 ) -> list[str]:
-    """Lag of torques behind positions, pooled over all moving joints."""
+    """Lag of torques, or of the commands of servos, behind positions, pooled over all moving joints."""
     motion, torque = AveragedMotion.of(time, arm.position), averaged(time, arm.torque)[1]
     at, q, dq, ddq = motion.time, motion.position, motion.velocity, motion.acceleration
-    inside = np.flatnonzero((at > at[0] + MAX_LAG_S) & (at < at[-1] - MAX_LAG_S))
+    servo = mapping.servo is not None
+    if servo and "velocity" not in mapping.signals:  # noise of second derivatives looks like lag of a servo
+        return []
+    if servo:
+        dq = averaged(time, arm.velocity)[1]
+        ddq = np.gradient(dq, at, axis=0)
+    most = MAX_COMMAND_LAG_S if servo else MAX_LAG_S
+    inside = np.flatnonzero((at > at[0] + most) & (at < at[-1] - most))
     if inside.size < MIN_LAG_SAMPLES:
         return []
     rows = inside[np.unique(np.linspace(0, inside.size - 1, MAX_TORQUE_SAMPLES).astype(int))]
     rigid = np.array([model.inverse_dynamics(q[row], dq[row], ddq[row]) for row in rows])
     period = float(np.median(np.diff(time)))
-    tried = np.arange(-MAX_LAG_S, MAX_LAG_S, max(0.5 * period, 1e-3))
+    tried = np.arange(-MAX_LAG_S, most, max(0.5 * period, 1e-3))
+    law = None if mapping.servo is None else ServoLaw.of(mapping.servo, np.array(mapping.facts.limits.torque_Nm))
+    late: list[Array] = []
+    if law is not None:
+        target, rate = (averaged(time, one)[1] for one in (arm.q_desired, arm.dq_desired))
+        late = [law.late(at, q, dq, target, rate, lag)[rows] for lag in tried.tolist()]
     independent = min(rows.size, (at[rows[-1]] - at[rows[0]]) / (at[-1] - at[0]) * motion.independent)
     likelihood = np.zeros(tried.size)
     odd, friction = odd_blocks(rows.size), dry_friction(dq[rows])
     for joint in np.flatnonzero(moving & (np.ptp(arm.torque, axis=0) > 0.0)):
         columns = rigid[:, joint], ddq[rows, joint], friction[:, joint], dq[rows, joint], np.ones(rows.size)
-        shifted = np.column_stack([np.interp(at[rows] + lag, at, torque[:, joint]) for lag in tried])
+        shifted = np.column_stack(
+            [one[:, joint] for one in late]
+            if servo
+            else [np.interp(at[rows] + lag, at, torque[:, joint]) for lag in tried]
+        )
         left = held_out_misfit(np.column_stack(columns), shifted, odd)
         likelihood -= 0.5 * independent * np.log(np.maximum(left, 1e-12))
     best = int(np.argmax(likelihood))
@@ -200,7 +218,18 @@ def _lag_of_torque(
     step = tried[1] - tried[0]
     bend = -(likelihood[best - 1] - 2.0 * likelihood[best] + likelihood[best + 1]) / step**2
     error = float(np.hypot(step / np.sqrt(12.0), 1.0 / np.sqrt(max(bend, 1e-12))))
+    if servo:
+        return [_late_commands(lag, error, mapping)]
     return [_late("torques", "the torque that the motion takes", lag, error, "torque", mapping)]
+
+
+def _late_commands(lag: float, error: float, mapping: Mapping) -> str:
+    """The time from the stamps of commands until servos act on them, with its remedy."""
+    size = Amount(1e3 * abs(lag), ".0f"), " ms (+- ", Amount(1e3 * error, ".1g"), " ms) "
+    how = "after" if lag > 0.0 else "before"
+    why = f"{how} their stamps, by the torque that the motion takes. Remedy in the mapping: signals.q_desired.delay: "
+    delay = Amount(mapping.signals["q_desired"].delay + lag, ".4g", remedy=True)
+    return Remark("commands act ", *size, why, delay, ", or diagnose, which names it actuation_delay")
 
 
 def _late(what: str, reference: str, lag: float, error: float, name: SignalName, mapping: Mapping) -> str:
@@ -245,14 +274,16 @@ def _repeated(time: Array, values: Array) -> str | None:
 
 def _remarks(name: SignalName, doubts: dict[int, str], factors: Array, mapping: Mapping) -> list[str]:
     """One warning about a signal, with the correcting factors."""
-    if not doubts or name not in mapping.signals:
+    gains = name == "torque" and mapping.servo is not None
+    if not doubts or (name not in mapping.signals and not gains):
         return []
-    every = factors * np.array(mapping.signals[name].factor)
+    every = factors * np.array(mapping.servo.kp if mapping.servo and gains else mapping.signals[name].factor)
+    key = "servo.kp" if gains else f"signals.{name}.factor"
     numbers = [Remark(Amount(value, remedy=True)) for value in every.tolist()]
     remedy = numbers[0] if np.all(every == every[0]) else Remark("[", joined(", ", numbers), "]")
     what = joined("; ", [Remark(f"of joint {joint + 1} ", text) for joint, text in doubts.items()])
     why = "wrong sign, unit or joint" + (", or a load that the mapping lacks" if name == "torque" else "")
-    return [Remark(f"{name} ", what, f": {why}? Remedy in the mapping: signals.{name}.factor: ", remedy)]
+    return [Remark(f"{name} ", what, f": {why}? Remedy in the mapping: {key}: ", remedy)]
 
 
 def _ratio(values: Array, expected: Array) -> float | None:

@@ -33,8 +33,9 @@ from impact_rs_trials.recordings.hypotheses import (
     velocities,
 )
 from impact_rs_trials.recordings.joint_streams import JointStream
+from impact_rs_trials.recordings.mapping import TorqueMeaning
 from impact_rs_trials.recordings.relations import DECISIVE_LOG_ODDS
-from impact_rs_trials.recordings.torque_readings import MotionTorque, is_computed, lacks_gravity
+from impact_rs_trials.recordings.torque_readings import MotionTorque, is_computed, is_external, lacks_gravity
 
 MAX_LOG_POSTERIOR_LOSS = 20.0  # below the best, of motions whose torques are compared
 
@@ -47,11 +48,13 @@ class Reading:
         stream: The stream.
         choice: Its likeliest hypothesis, and the next.
         computed: Whether a torque holds no friction of gears, so that it was computed and not measured.
+        meaning: What a torque holds.
     """
 
     stream: JointStream
     choice: RoleChoice
     computed: bool = False
+    meaning: TorqueMeaning = "whole"
 
     @property
     def best(self) -> RoleHypothesis:
@@ -74,12 +77,17 @@ class Reading:
         return not self.computed, self.by_name
 
     @property
-    def values(self) -> Array:
-        """Its numbers in SI units, ``(k, n)``; currents in amperes."""
+    def factor(self) -> Array:
+        """Factor from its numbers to SI units, of all joints or ``(n,)``; of currents to amperes."""
         units = [self.best.unit] if isinstance(self.best.unit, str) else self.best.unit
         quantity = "torque" if self.best.role == "current" else self.best.role
         factor = np.array([UNITS[quantity][unit] for unit in units])
-        return np.asarray(self.stream.series.values * factor * np.asarray(self.best.further.get("factor", 1.0)))
+        return np.asarray(factor * np.asarray(self.best.further.get("factor", 1.0)))
+
+    @property
+    def values(self) -> Array:
+        """Its numbers in SI units, ``(k, n)``; currents in amperes."""
+        return np.asarray(self.stream.series.values * self.factor)
 
 
 @dataclass(frozen=True)
@@ -117,7 +125,6 @@ class Assignment:
         position: The positions.
         velocity: The velocities; None: derivatives of the positions.
         torques: Streams that fit a torque, the chosen one first.
-        weightless: Evidence that others are torques without gravity, by label.
         copies: Repeated part of the motion by label of further streams.
         alternatives: Alternatives by signal, the chosen one first.
     """
@@ -125,7 +132,6 @@ class Assignment:
     position: Reading
     velocity: Reading | None
     torques: tuple[Reading, ...]
-    weightless: dict[str, str]
     copies: dict[str, str]
     alternatives: Mapping[str, tuple[Alternative, ...]] = field(default_factory=dict)
 
@@ -174,7 +180,7 @@ class JointSearch:
     def motions(self) -> list[Assignment]:
         """Positions with velocity streams, the likeliest first."""
         found = [
-            Assignment(place, fitting[0], (), {}, {})
+            Assignment(place, fitting[0], (), {})
             for place in self.places
             if (
                 fitting := self._velocities(
@@ -186,7 +192,7 @@ class JointSearch:
 
     def without_velocity(self) -> list[Assignment]:
         """Positions alone, from streams without the name of another signal."""
-        return [Assignment(place, None, (), {}, {}) for place in self.places if place.by_name >= 0.0]
+        return [Assignment(place, None, (), {}) for place in self.places if place.by_name >= 0.0]
 
     def best(self, motions: Sequence[Assignment]) -> Assignment:
         """The likeliest of motions, with its torques and the alternatives of its signals."""
@@ -257,7 +263,7 @@ class JointSearch:
         taken = [found.position.stream, *([] if found.velocity is None else [found.velocity.stream])]
         free = [one for one in self.streams if not any(one.stands_apart(other) for other in taken)]
         cut = found.position.stream.is_cut  # of another robot, perhaps, for which the torque must speak
-        fitting, weightless, repeated = [], {}, {}
+        fitting, weightless, repeated = [], [], {}
         for stream in free:
             raw = stream.series.at(time)
             y = motion.sampled(time, raw)
@@ -266,8 +272,8 @@ class JointSearch:
             if copy is not None and copy.best.log_posterior > least:
                 repeated[stream.label] = copy.best.evidence
                 continue
-            if (why := _lacks_gravity(time, q, dq, raw, self.model)) is not None:
-                weightless[stream.label] = why
+            if (lacking := self._without_gravity(stream, found)) is not None:
+                weightless.append(lacking)
                 continue
             if torque is None or torque.best.role == "other" or torque.best.log_posterior <= DECISIVE_LOG_ODDS:
                 continue
@@ -275,25 +281,40 @@ class JointSearch:
                 continue
             computed = self._is_computed(MotionTorque.of(time, q, dq, raw, self.model), torque.best)
             fitting.append(Reading(stream, _named(stream, torque, motion, y), computed))
-        fitting = _exclusive(fitting)
+        fitting = _exclusive(fitting or weightless)
         if not fitting and not cut:
-            named = [one for one in free if _is_named(one) and one.label not in {**weightless, **repeated}]
-            fitting = [Reading(one, self._by_name(one, found, motion)) for one in named]
+            named = [one for one in free if _is_named(one) and one.label not in repeated]
+            fitting = [self._by_name(one, found, motion) for one in named]
             fitting.sort(key=lambda one: one.rank, reverse=True)
-        return Assignment(found.position, found.velocity, tuple(fitting), weightless, repeated)
+        return Assignment(found.position, found.velocity, tuple(fitting), repeated)
+
+    @OUTLIERS
+    def _without_gravity(self, stream: JointStream, found: Assignment) -> Reading | None:
+        """A stream in N m or mN m that is a torque without gravity; None: no evidence."""
+        raw = stream.series.at(found.time)
+        for unit in ("N m", "mN m"):
+            seen = MotionTorque.of(
+                found.time, found.position.values, found.speeds, TURNS["torque"][unit] * raw, self.model
+            )
+            if (why := lacks_gravity(seen)) is not None:
+                slides = {"N m": "N", "mN m": "mN"}[unit]
+                units = common([slides if kind == "prismatic" else unit for kind in self.model.facts.joint_types])
+                hypothesis = RoleHypothesis("torque", units, why, 0.0)
+                return Reading(stream, RoleChoice(hypothesis, None, np.inf), meaning="without_gravity")
+        return None
 
     def _is_computed(self, seen: MotionTorque, hypothesis: RoleHypothesis) -> bool:
         """Whether a torque at motors was computed; torque sensors behind the gears measure no gear friction."""
         at_motor = hypothesis.role == "current" or not self.model.facts.joint_torque_loop
         return at_motor and is_computed(seen)
 
-    def _by_name(self, stream: JointStream, found: Assignment, motion: JointMotion) -> RoleChoice:
+    def _by_name(self, stream: JointStream, found: Assignment, motion: JointMotion) -> Reading:
         """A torque or a current that only its name shows."""
         raw = stream.series.at(found.time)
         if stream.log_prior("current") > stream.log_prior("torque"):
             for one in torques(motion, motion.sampled(found.time, raw)):
                 if one.role == "current":
-                    return RoleChoice(one, None, 0.0)
+                    return Reading(stream, RoleChoice(one, None, 0.0))
         seen = MotionTorque.of(found.time, found.position.values, found.speeds, raw, self.model)
         said = "the motion takes too little torque to show it"
         if np.any(driven_joints(seen.whole, seen.model)):
@@ -307,7 +328,12 @@ class JointSearch:
                 f"signal is {left[joint]:.3g} N m away: another robot, other joints or another quantity?"
             )
         unit = common(motion.units("N m", "N"))
-        return RoleChoice(RoleHypothesis("torque", unit, f"nothing but its name: {said}", 0.0), None, 0.0)
+        if (external := is_external(seen, stream.is_external)) is not None:
+            hypothesis = RoleHypothesis("torque", unit, external.evidence, 0.0)
+            return Reading(stream, RoleChoice(hypothesis, None, external.margin), meaning="external")
+        return Reading(
+            stream, RoleChoice(RoleHypothesis("torque", unit, f"nothing but its name: {said}", 0.0), None, 0.0)
+        )
 
 
 def _named(stream: JointStream, choice: RoleChoice, motion: JointMotion, y: Array) -> RoleChoice:
@@ -327,16 +353,6 @@ def _named(stream: JointStream, choice: RoleChoice, motion: JointMotion, y: Arra
 def _is_named(stream: JointStream) -> bool:
     named = max(stream.log_prior("torque"), stream.log_prior("current")) > 0.0
     return named and bool(np.ptp(stream.series.values, axis=0).any())
-
-
-@OUTLIERS
-def _lacks_gravity(time: Array, q: Array, dq: Array, raw: Array, model: RobotModel) -> str | None:
-    """Evidence that a signal in N m or mN m is a torque without gravity; None: no evidence."""
-    for unit in ("N m", "mN m"):
-        why = lacks_gravity(MotionTorque.of(time, q, dq, TURNS["torque"][unit] * raw, model))
-        if why is not None:
-            return why
-    return None
 
 
 def _exclusive(readings: Sequence[Reading]) -> list[Reading]:

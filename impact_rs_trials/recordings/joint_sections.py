@@ -22,11 +22,11 @@ from impact_rs_trials.recordings.candidates import (
 )
 from impact_rs_trials.recordings.file_units import UNITS
 from impact_rs_trials.recordings.guesses import are_derivatives, at_rest, steps_back
-from impact_rs_trials.recordings.hypotheses import RoleChoice, RoleHypothesis
+from impact_rs_trials.recordings.hypotheses import RoleChoice, RoleHypothesis, spread
 from impact_rs_trials.recordings.import_texts import PossibleReading, flow
-from impact_rs_trials.recordings.joint_search import Alternative, Assignment, JointSearch, Reading
+from impact_rs_trials.recordings.joint_search import Alternative, Assignment, JointSearch, Reading, alternatives
 from impact_rs_trials.recordings.joint_streams import JointStream
-from impact_rs_trials.recordings.mapping import MountedEndEffector
+from impact_rs_trials.recordings.mapping import MountedEndEffector, TorqueMeaning
 from impact_rs_trials.recordings.recorded_files import (
     ImportedFiles,
     RecordedFile,
@@ -35,14 +35,30 @@ from impact_rs_trials.recordings.recorded_files import (
     settle_clock,
     source_in,
 )
-from impact_rs_trials.recordings.relations import DECISIVE_LOG_ODDS
+from impact_rs_trials.recordings.relations import DECISIVE_LOG_LIKELIHOOD, DECISIVE_LOG_ODDS
+from impact_rs_trials.recordings.servo_search import (
+    DERIVATIVE,
+    PROPORTIONAL,
+    FoundServo,
+    find_servo,
+    gains_in,
+    named_servo_torques,
+)
 from impact_rs_trials.recordings.torque_readings import (
-    WHOLE_TORQUE,
+    MEASURED_TORQUE,
+    NOTHING_SHOWS,
     MotionTorque,
     explains_most,
+    meaning_of,
+    motor_inertia_in,
     order_of_joints,
 )
 
+ADDED_BY_THE_MODEL = {
+    "without_gravity": "The gravity torque of the model is added to it (torque_meaning), with the load of end_effector",
+    "external": "The whole torque of the model is added to it (torque_meaning), so that an error of the links shows "
+    "only as far as the subtracted model differs from this one",
+}
 MAX_SHOWN_SIGNALS = 3  # of a kind in a message
 MAX_COMMAND_RMS_RATIO = 0.5  # difference of commanded and measured torque, rms over the measured one
 MIN_GRAVITY_RMS_RATIO = 2.0  # of these differences with and without gravity torque, beyond which the choice is sure
@@ -74,12 +90,20 @@ class JointSections:
                 settle_clock(part, model)
         search = JointSearch([stream for part in self._parts for stream in part.streams], model)
         found = self._assignment(search, robot)
-        if (order := self._order(found, model)) is not None:
+        if (order := self._order(found, search)) is not None:
             search = JointSearch([stream.in_order(order) for stream in search.streams], model)
             found = self._assignment(search, robot)
+        servo = None if self._is_measured(found, model) else find_servo(search, self._motions(search))
+        if servo is not None:
+            self._notes.remarks += [
+                f"{one.stream.label} is left out: its numbers do not show that it was measured, and those of servos do"
+                for one in found.torques
+            ]
+            found = self._moved_by(servo, search)
         part = self._part_of(found.position.stream)
         _check_width(found, part, robot, facts.joint_count)
-        self._check_torques(found, search, robot)
+        if servo is None:
+            self._check_torques(found, search, robot)
         self._notes.remarks += [
             f"{label} is left out, for the reader refuses it: {why}" for label, why in self._refused.items()
         ]
@@ -93,47 +117,110 @@ class JointSections:
             signals["velocity"] = self._joint_signal(found.velocity, "velocity", part, found.alternatives["velocity"])
         part.on_log = not found.position.stream.candidate.stamped
         own = {"joints": list(self._joints(found.position.stream.candidate, facts.joint_count))}
-        own |= self._torque(found.torques, found.alternatives["torque"], facts, robot, signals, part)
+        if servo is None:
+            own |= self._torque(found, model, robot, signals, part)
+        else:
+            own |= self._servo(servo, search, signals, part)
         if (motors := search.motors(found)) is not None:
             signals["motor_position"] = self._joint_signal(motors, "motor_position", part)
-        own |= self._commands(found, search, model, signals, part, "torque_constant" in own)
+        if servo is None:
+            own |= self._commands(found, search, model, signals, part, "torque_constant" in own)
         return part, own, signals
 
     def _assignment(self, search: JointSearch, robot: str) -> Assignment:
         """The likeliest assignment of streams to the roles of the joints."""
         facts = search.model.facts
         self._check_motion([place for place in search.places if place.by_name > 0.0], facts)
-        motions = search.motions()
-        if not motions and self._rate is not None:
-            self._check_rate(self._rate, search)
-        if not motions and not any(stream.log_prior("velocity") > 0.0 for stream in search.streams):
-            motions = search.without_velocity()
+        motions = self._motions(search)
         if not motions:
             raise self._nothing(search.streams, robot, facts.joint_count)
         found = search.best(motions)
         self._check_motion([found.position], facts)
         return found
 
+    def _motions(self, search: JointSearch) -> list[Assignment]:
+        """Positions with their velocities, or alone where nothing is called a velocity."""
+        motions = search.motions()
+        if not motions and self._rate is not None:
+            self._check_rate(self._rate, search)
+        if not motions and not any(stream.log_prior("velocity") > 0.0 for stream in search.streams):
+            return search.without_velocity()
+        return motions
+
+    def _is_measured(self, found: Assignment, model: RobotModel) -> bool:
+        """Whether a torque goes with the motion, by more than its name, and is no target of a controller."""
+        if not found.torques:
+            return False
+        best = found.torques[0]
+        if best.meaning == "whole" and best.best.log_likelihood == 0.0:
+            return False
+        return meaning_of(self._seen(best, found, model), best.meaning, best.computed).best != "target"
+
+    def _seen(self, one: Reading, found: Assignment, model: RobotModel) -> MotionTorque:
+        """A torque in N m, also of currents, and its motion."""
+        constant = np.array(one.best.further.get("torque_constant", 1.0))
+        torque = one.stream.series.at(found.time) * one.factor * constant
+        return MotionTorque.of(found.time, found.position.values, found.speeds, torque, model)
+
+    def _moved_by(self, servo: FoundServo, search: JointSearch) -> Assignment:
+        """The motion of servos, with its only reading."""
+        one = servo.motion
+        listed = {"position": alternatives([(one.position, one.log_posterior)])}
+        if one.velocity is not None:
+            listed["velocity"] = alternatives([(one.velocity, one.velocity.by_name)])
+        self._check_motion([one.position], search.model.facts)
+        return replace(one, alternatives=listed)
+
+    def _servo(
+        self, servo: FoundServo, search: JointSearch, signals: dict[str, dict[str, Any]], part: RecordedFile
+    ) -> dict[str, Any]:
+        """Add the desired positions of servos to the signals; further keys of the mapping."""
+        choice = RoleChoice(RoleHypothesis("position", servo.unit, servo.evidence, 0.0), None, servo.margin)
+        signals["q_desired"] = self._joint_signal(Reading(servo.stream, choice), "q_desired", part)
+        self._notes.say("torque_measured_at", "motor", "no torque was recorded: servos give that of their motors")
+        own: dict[str, Any] = {"kp": [float(f"{one:.4g}") for one in servo.kp]}
+        if servo.kd is not None:
+            own["kd"] = [float(f"{one:.4g}") for one in servo.kd]
+            own["damps"] = servo.damps
+        own["gains"] = "given" if servo.known else "estimated"
+        for pattern in (PROPORTIONAL, DERIVATIVE):
+            if (changing := gains_in(search.streams, pattern)[1]) is not None:
+                self._notes.remarks.append(changing)
+        if servo.known:
+            said = "kp is a column of the recording" if servo.kd is None else "kp and kd are columns of the recording"
+            said += "" if servo.kd is None else f"; the torque is nearer to the motion's if kd damps the {servo.damps}"
+        else:
+            listed = ", ".join(str(joint + 1) for joint in np.flatnonzero(servo.shown))
+            said = f"kp by gravity and inertia of the model in joints {listed}; prefer those of your controller"
+            self._notes.remarks.append(
+                "no gains were recorded: kp was found with the masses of the model, so this log cannot hold masses or "
+                "gains apart, and kd is a part of the viscous friction. Write kp and kd of your controller into servo "
+                "and gains: given, if you know them"
+            )
+        self._notes.say("servo", flow(own), said, sure=servo.known)
+        held = "with" if servo.meaning == "whole" else "without"
+        said = f"the error of the servos makes the torque of the motion {held} gravity (log odds {servo.margin:.3g})"
+        self._notes.say("torque_meaning", servo.meaning, said, servo.sure)
+        return {"torque_measured_at": "motor", "torque_meaning": servo.meaning, "servo": own}
+
     def _check_torques(self, found: Assignment, search: JointSearch, robot: str) -> None:
         """Refuse a recording without a torque that a mapping could take."""
         path = self._part_of(found.position.stream).path
-        if not found.torques and found.weightless:
-            label, why = next(iter(found.weightless.items()))
-            raise InputError(f"{label} {why}. {WHOLE_TORQUE}", file=path, key="signals.torque")
         if not found.torques:
             copies = [f"{label} {copied}" for label, copied in found.copies.items()]
             repeated = f" ({'; '.join(copies)})" if copies else ""
             seen = "; ".join(stream.label for stream in search.streams)
             raise InputError(
                 f"nothing goes with the torque that gravity and inertia of {robot} take in this motion, and a mapping "
-                f"needs torques or currents; signals as wide as its joints: {seen}{repeated}. Another --robot, or a "
+                f"needs torques or currents, or desired positions of servos that make it; signals as wide as its "
+                f"joints: {seen}{repeated}. Another --robot, or a "
                 "mapping by hand (docs/files.md)",
                 file=path,
             )
 
-    def _order(self, found: Assignment, model: RobotModel) -> tuple[int, ...] | None:
+    def _order(self, found: Assignment, search: JointSearch) -> tuple[int, ...] | None:
         """Order of unnamed columns by the torque of the arm; None: the given order."""
-        one = found.position.stream
+        one, model = found.position.stream, search.model
         if one.is_cut or one.candidate.joints or PART_OF_ARM.search(one.candidate.label):
             return None
         time, q, dq = found.time, found.position.values, found.speeds
@@ -144,6 +231,10 @@ class JointSections:
             units = [torque.best.unit] if isinstance(torque.best.unit, str) else torque.best.unit
             factor = np.array([UNITS["torque"][unit] for unit in units])
             if (ordered := order_of_joints(MotionTorque.of(time, q, dq, factor * raw, model))) is not None:
+                order, self._order_shown = ordered
+                return order
+        for torque_of_servos in () if found.torques else named_servo_torques(search, found):
+            if (ordered := order_of_joints(MotionTorque.of(time, q, dq, torque_of_servos, model))) is not None:
                 order, self._order_shown = ordered
                 return order
         return None
@@ -192,11 +283,11 @@ class JointSections:
             )
 
     def _torque(
-        self, found: Sequence[Reading], listed: Sequence[Alternative], facts: RobotFacts, robot: str,
-        signals: dict[str, dict[str, Any]], part: RecordedFile,
-    ) -> dict[str, Any]:  # fmt: skip
+        self, found: Assignment, model: RobotModel, robot: str, signals: dict[str, dict[str, Any]], part: RecordedFile
+    ) -> dict[str, Any]:
         """Add the torque of the joints to the signals; further keys of the mapping."""
-        best, *others = found
+        best, *others = found.torques
+        facts, listed = model.facts, found.alternatives["torque"]
         free = [other for other in others if not (part.is_bag and other.stream.candidate.guess == "command")]
         computed = (
             "follows the model of the arm without any friction of its gears: a controller or a simulation computed it"
@@ -205,24 +296,43 @@ class JointSections:
             f"{other.stream.label} is left out: it {computed}" for other in free if other.computed and not best.computed
         ]
         if best.computed:
-            self._notes.remarks.append(
-                f"{best.stream.label} {computed}, so nothing that the model lacks, as a load, can show in it. Take the "
-                "measured torque or the motor currents"
-            )
+            self._notes.remarks.append(f"{best.stream.label} {computed}, so {NOTHING_SHOWS}. {MEASURED_TORQUE}")
         alike = "; ".join(other.stream.label for other in free if other.computed == best.computed)
         constant = best.best.further.get("torque_constant")
         signals["torque"] = self._joint_signal(best, "torque", part, listed, alike)
+        seen = self._seen(best, found, model)
         at_motor = constant is not None or not facts.joint_torque_loop
         said = "currents are those of motors" if constant is not None else f"joint_torque_loop of {robot} is "
         said += "" if constant is not None else str(facts.joint_torque_loop).lower()
+        said += self._motors_in(seen, best.meaning, at_motor)
         self._notes.say("torque_measured_at", "motor" if at_motor else "link", said, sure=constant is not None)
-        own: dict[str, Any] = {"torque_measured_at": "motor" if at_motor else "link"}
+        meaning = meaning_of(seen, best.meaning, best.computed and constant is None)
+        self._notes.say("torque_meaning", meaning.best, meaning.evidence, meaning.sure)
+        if meaning.best in ADDED_BY_THE_MODEL:
+            self._notes.remarks.append(f"{best.stream.label} {best.best.evidence}. {ADDED_BY_THE_MODEL[meaning.best]}")
+        own: dict[str, Any] = {
+            "torque_measured_at": "motor" if at_motor else "link", "torque_meaning": meaning.best
+        }  # fmt: skip
         if constant is not None:
             self._notes.say(
                 "torque_constant", flow(constant), "by the gravity torque in this recording; prefer a data sheet", False
             )
             own["torque_constant"] = constant
         return own
+
+    def _motors_in(self, seen: MotionTorque, meaning: TorqueMeaning, at_motor: bool) -> str:
+        """Whether a torque accelerates the motors as well, in words; a warning if that contradicts its place."""
+        gain, inertia = motor_inertia_in(seen, meaning)
+        shown = inertia[inertia > 0.0]
+        if gain < DECISIVE_LOG_LIKELIHOOD or not shown.size:
+            return f"; no inertia of motors shows in it (log likelihood {gain:+.0f})"
+        size = f"{spread(shown)} kg m^2"
+        if not at_motor:
+            self._notes.remarks.append(
+                f"the torque accelerates {size} more than the links (log likelihood {gain:+.0f}): measured before the "
+                "gears, or links of other inertia? In the first case torque_measured_at: motor"
+            )
+        return f"; it accelerates {size} in addition to the links (log likelihood {gain:+.0f})"
 
     def _commands(
         self, found: Assignment, search: JointSearch, model: RobotModel, signals: dict[str, dict[str, Any]],

@@ -11,9 +11,12 @@ from impact_rs_trials.recordings.hypotheses import NAME_LOG_ODDS, Role
 from impact_rs_trials.recordings.series import Series
 
 # Properties suggested by a name, in addition to the signal (candidates.guess_of).
-COMMANDED = re.compile(r"des|ref|target|goal|cmd|cmp|command|comput|set_?point|(^|_)d(_|\d|$)|filt|err", re.IGNORECASE)
+COMMANDED = re.compile(
+    r"des|ref|target|goal|action|cmd|cmp|command|comput|set_?point|(^|_)d(_|\d|$)|filt|err", re.IGNORECASE
+)
 MEASURED = re.compile(r"meas|actual|(^|_)act(_|\d|$)", re.IGNORECASE)
 OF_MOTOR = re.compile(r"motor|rotor|(^|_)theta", re.IGNORECASE)
+EXTERNAL = re.compile(r"(^|[^a-z])ext([^a-z]|$)|external|(^|[^a-z])hat([^a-z]|$)|disturb", re.IGNORECASE)
 CURRENT = re.compile(r"curr|amp", re.IGNORECASE)
 
 
@@ -65,6 +68,12 @@ class JointStream:
         """Whether its name calls it a measurement at the motors."""
         text = " ".join(self.candidate.source.get("columns") or [self.candidate.label])
         return bool(OF_MOTOR.search(text)) and not COMMANDED.search(text)
+
+    @property
+    def is_external(self) -> bool:
+        """Whether its name calls it an external torque."""
+        text = " ".join(self.candidate.source.get("columns") or [self.candidate.label])
+        return bool(EXTERNAL.search(text))
 
     def in_order(self, order: tuple[int, ...]) -> JointStream:
         """The stream with reordered joints."""

@@ -22,6 +22,7 @@ from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts, load_facts
 from impact_rs_sim.schema import NonNegativeVector, PositiveVector, Schema, Vector3, load
 from impact_rs_trials.recordings.file_units import CURRENTS, SLIDES, TURNS, UNITS
+from impact_rs_trials.recordings.servo import Servo
 
 QUANTITY = {  # quantity of each signal
     "position": "position",
@@ -30,6 +31,8 @@ QUANTITY = {  # quantity of each signal
     "motor_position": "position",
     "motor_velocity": "velocity",
     "command": "torque",
+    "q_desired": "position",
+    "dq_desired": "velocity",
     "torque_rate": "torque_rate",
     "object_pose": "length",
     "object_position": "length",
@@ -44,6 +47,8 @@ SignalName = Literal[
     "motor_position",
     "motor_velocity",
     "command",
+    "q_desired",
+    "dq_desired",
     "torque_rate",
     "object_pose",
     "object_position",
@@ -60,6 +65,7 @@ WIDTH: dict[SignalName, int] = {
     "wrench": 6,
     "acceleration": 3,
 }
+TorqueMeaning = Literal["whole", "without_gravity", "external", "target"]
 JOINT_SIGNALS: tuple[SignalName, ...] = tuple(name for name in get_args(SignalName) if name not in WIDTH)
 
 
@@ -210,6 +216,17 @@ class Mapping(Schema):
         description="torque at the joint over motor current, including the gear ratio, for units A and mA "
         "[N m/A], prismatic [N/A]",
     )
+    torque_meaning: TorqueMeaning = Field(
+        "whole",
+        description="'whole': it moves the joints; 'without_gravity': the controller adds the gravity torque, or its "
+        "driver has subtracted it; 'external': the whole torque of a rigid model has been subtracted; 'target': a "
+        "controller's own feedforward, which is no measurement and is refused. What is missing is added by the "
+        "nominal model",
+    )
+    servo: Servo | None = Field(
+        None,
+        description="gains of position servos, in place of signals.torque: the torque follows from signals.q_desired",
+    )
     command_includes_gravity: bool = Field(
         True, description="whether the commanded torque includes gravity torque; libfranka's does not"
     )
@@ -245,9 +262,7 @@ class Mapping(Schema):
             self._is_of_an_object()
         elif not self.joints:
             raise ValueError("joints is missing; expected the names of the joints, base to tip")
-        for name in REQUIRED if self.robot != NO_ROBOT else ():
-            if name not in self.signals and name != "velocity":
-                raise ValueError(f"signals.{name} is missing; position and torque are needed")
+        self._has_joint_signals()
         for name, source in self.signals.items():
             units = UNITS[QUANTITY[name]]
             wanted = self.width(name)
@@ -285,6 +300,28 @@ class Mapping(Schema):
                 raise ValueError(f"{key} has {len(own)} entries, expected {len(self.joints)}")
         self._currents_have_constants()
         return self
+
+    def _has_joint_signals(self) -> None:
+        if self.robot == NO_ROBOT:
+            return
+        if "position" not in self.signals:
+            raise ValueError("signals.position is missing; position and torque are needed")
+        if self.servo is None:
+            if "torque" not in self.signals:
+                raise ValueError(
+                    "signals.torque is missing; position and torque are needed, or servo and signals.q_desired"
+                )
+            return
+        if "torque" in self.signals:
+            raise ValueError("servo stands for a torque that was not recorded, and signals has torque; expected one")
+        if "q_desired" not in self.signals:
+            raise ValueError("servo needs signals.q_desired, the desired positions")
+        if self.torque_measured_at != "motor":
+            raise ValueError("servo gives the torque of motors: expected torque_measured_at: motor")
+        for key in ("kp", "kd", "torque_max"):
+            own = getattr(self.servo, key)
+            if own is not None and len(own) != len(self.joints):
+                raise ValueError(f"servo.{key} has {len(own)} entries, expected {len(self.joints)}")
 
     def _currents_have_constants(self) -> None:
         currents = [name for name, source in self.signals.items() if any(unit in CURRENTS for unit in source.units)]

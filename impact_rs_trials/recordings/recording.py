@@ -7,6 +7,7 @@ Unusable data is refused with one line that names file, topic, field and the exp
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,8 +31,9 @@ from impact_rs_trials.recordings.relations import PLAUSIBLE_FACTORS, pooled
 from impact_rs_trials.recordings.run_finder import BAG_SUFFIXES, FILE_SUFFIXES, find_recordings, find_runs
 from impact_rs_trials.recordings.sampling_times import timestamp_warning
 from impact_rs_trials.recordings.series import Series
+from impact_rs_trials.recordings.servo import ServoLaw
 from impact_rs_trials.recordings.sources import read_series
-from impact_rs_trials.recordings.torque_readings import check_includes_gravity
+from impact_rs_trials.recordings.torque_readings import check_includes_gravity, whole_torque
 from impact_rs_trials.runs import ArmSignals, Run, Signals
 
 logger = logging.getLogger(__name__)
@@ -41,6 +43,8 @@ MAX_GAP_PERIODS = 5.0  # sampling periods, or
 MAX_GAP_LOW_PASS_PERIODS = 0.1  # of the filter whose window the gap falls into
 MIN_RECORDING_SAMPLES = 100
 MAX_NAMED_RECORDINGS = 3  # in a message
+MAX_SATURATED_SHARE = 0.5  # of the samples of a servo, beyond which its gain or target has another unit
+SERVO_SIGNALS: tuple[SignalName, ...] = ("position", "velocity", "q_desired")
 MIN_TAIL_LOW_PASS_PERIODS = 4.2  # that a piece loses at its ends,
 MIN_KEPT_SAMPLES = 60  # between these,
 MAX_RATE_PER_LOW_PASS = 10.0  # of them, per period of the low-pass
@@ -107,7 +111,8 @@ def read_long_enough(path: Path, mapping: Mapping) -> tuple[list[Run], list[tupl
 
 def _pieces(path: Path, mapping: Mapping) -> list[Run]:
     """One recording, checked, in the pieces that gaps and faults of sensors leave of it."""
-    recorded, set_back = without_steps_back(read_series(path, mapping, JOINT_SIGNALS, REQUIRED))
+    needed = REQUIRED if mapping.servo is None else SERVO_SIGNALS
+    recorded, set_back = without_steps_back(read_series(path, mapping, JOINT_SIGNALS, needed))
     if set_back and "velocity" not in mapping.signals:
         recorded["velocity"] = recorded["position"].derivative()
     gaps_of: dict[str, list[str]] = {}  # places by what is said of their gaps
@@ -117,11 +122,14 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
         what = one.place if name == "position" or one.log is not None else f"time of {one.place}"
         for said in _check_time(path, one.time, what, mapping.low_pass):
             gaps_of.setdefault(said, []).append(what)
-        if name in REQUIRED:
+        if name in needed:
             _check_numbers(path, name, one.time, one.values)
     model = _model(mapping)
     recorded = on_one_clock(path, recorded, mapping, model)
     series, remarks = without_faults(recorded, mapping, model)
+    if mapping.servo is not None:
+        series, saturated = with_servo_torque(path, series, mapping)
+        remarks += saturated
     gaps_said = [f"{', '.join(places)}: {said}" for said, places in gaps_of.items()]
     remarks = [*set_back, *gaps_said, *_unmeasured(path, series["torque"], mapping), *remarks]
     time = series["position"].time
@@ -134,7 +142,9 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
         command_time = {"command_time": time[rows]} if "command" in signals else {}
         arm = ArmSignals(**signals, **command_time)
         check_arm(path, time[rows], arm, mapping)
-        if mapping.signals["torque"].units[0] not in CURRENTS:
+        if mapping.torque_meaning != "whole":
+            arm = replace(arm, torque=whole_torque(path, time[rows], arm, mapping.torque_meaning, model))
+        elif mapping.servo is not None or mapping.signals["torque"].units[0] not in CURRENTS:
             check_includes_gravity(path, time[rows], arm, model)
         nominal = timestamp_warning(time[rows], arm.position)
         doubts = [*arm_warnings(time[rows], arm, mapping, model), *([] if nominal is None else [nominal])]
@@ -155,6 +165,52 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
     if not found:
         raise TooShort(f"no piece is long enough: {'; '.join(remarks)}", file=path)
     return found
+
+
+def servo_law(mapping: Mapping) -> ServoLaw | None:
+    """Law of the servos of a mapping; None: it has none."""
+    return None if mapping.servo is None else ServoLaw.of(mapping.servo, np.array(mapping.facts.limits.torque_Nm))
+
+
+def with_servo_torque(
+    path: Path, series: dict[SignalName, Series], mapping: Mapping
+) -> tuple[dict[SignalName, Series], list[str]]:
+    """Signals with the torque of the servos, and warnings about saturation.
+
+    Args:
+        path: Recording, for messages.
+        series: Positions, velocities and desired positions.
+        mapping: Has the gains.
+
+    Raises:
+        InputError: A servo is saturated most of the time.
+    """
+    law = servo_law(mapping)
+    assert law is not None
+    position, wanted = series["position"], series["q_desired"]
+    time, q, dq = position.time, position.values, series["velocity"].at(position.time)
+    target = wanted.on(time)
+    rate = series["dq_desired"].on(time) if "dq_desired" in series else np.gradient(target, time, axis=0)
+    shares = np.mean(np.abs(law.unlimited(q, dq, target, rate)) > law.torque_max, axis=0)
+    remarks = []
+    for joint in np.flatnonzero(shares > 0.0):
+        said = (
+            f"the servo of joint {joint + 1} is at its largest torque in {100.0 * shares[joint]:.2g} % of the samples"
+        )
+        if shares[joint] > MAX_SATURATED_SHARE:
+            raise InputError(
+                f"{said} ({law.torque_max[joint]:.3g} {mapping.facts.units[joint].effort}): wrong unit of the gain or "
+                "of q_desired?",
+                file=path,
+                key="servo.kp of the mapping",
+            )
+        remarks.append(f"{said}, which is taken for its torque there (servo.torque_max of the mapping)")
+    torque = Series(f"servo of {wanted.place}", time, law.torque(q, dq, target, rate))
+    desired: dict[SignalName, Series] = {
+        "q_desired": Series(wanted.place, time, target),
+        "dq_desired": Series(wanted.place, time, rate),
+    }
+    return {**series, **desired, "torque": torque}, remarks
 
 
 def _unmeasured(path: Path, torque: Series, mapping: Mapping) -> list[str]:

@@ -15,6 +15,7 @@ from impact_rs_trials.recordings.remarks import Amount, Remark
 MAX_BRIDGED_PERIODS = 5.0  # between two samples, beyond which nothing is interpolated or differentiated
 MAX_HELD_CHANGE = 0.25  # of the usual number of rows for which a value is held, or one row
 MIN_HELD_SHARE = 0.8  # of the values, held for about as many rows
+MIN_HELD_PERIODS = 1.5  # of the samples, from which on a command is held from one to the next
 DIFFERENCE_S = 0.002  # of the differences that give a velocity; short for a motion, long for the steps of an encoder
 
 
@@ -145,6 +146,18 @@ class Series:
             rate = (self.values[after] - self.values[before]) / (self.time[after] - self.time[before])[:, None]
         said = f"{self.place}: velocities are its derivative, by differences over {2e3 * half * period:.3g} ms"
         return replace(self, place=f"derivative of {self.place}", values=rate, remarks=(*self.remarks, said))
+
+    def on(self, time: Array) -> Array:
+        """A command at other timestamps, ``(m, c)``: held until the next one if these are rare, else as :meth:`at`.
+
+        Args:
+            time: Timestamps, ``(m,)`` [s].
+        """
+        if self.time.size < 2 or time.size < 2:
+            return self.at(time)
+        if float(np.median(np.diff(self.time))) < MIN_HELD_PERIODS * float(np.median(np.diff(time))):
+            return self.at(time)
+        return np.asarray(self.values[np.maximum(np.searchsorted(self.time, time, side="right") - 1, 0)])
 
     def at(self, time: Array) -> Array:
         """Linear interpolation, constant beyond the ends, ``(m, c)``; exact at the series' own timestamps."""

@@ -12,6 +12,11 @@ log likelihood, with k independent samples and the residuals r of the best fit, 
 
     -k/2 sum_j log sum r_j^2                                                                     (noise marginalised)
 
+The reading with the highest likelihood is the meaning of the signal: the whole torque, the torque without gravity, or
+with x = 0 an external torque, of which friction is left. Its margin is the log likelihood over the next one. A torque
+before the gear accelerates the motors as well: B_j ddq_j is added to the reading, and its gain in log likelihood shows
+B_j > 0. A signal that gravity, inertia or both give to 0.1 % without a fitted number is a controller's own target.
+
 A torque measured at a motor drives the friction of its gear. A torque without friction was computed: with dry friction
 c_j ~ N(0, s_j^2) of usual gears and its estimate c_j +- e_j, the log Bayes factor of no friction against friction is
 
@@ -31,6 +36,7 @@ from numpy.typing import NDArray
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.mapping import TorqueMeaning
 from impact_rs_trials.recordings.plausibility import noticed
 from impact_rs_trials.recordings.relations import (
     DECISIVE_LOG_LIKELIHOOD,
@@ -45,8 +51,13 @@ from impact_rs_trials.recordings.relations import (
 from impact_rs_trials.runs import ArmSignals
 
 WHOLE_TORQUE = (
-    "Its controller adds gravity by itself: take the measured torque or the motor currents, or add the gravity "
-    "torque that the controller adds"
+    "Its controller adds gravity by itself: take the measured torque or the motor currents, or "
+    "torque_meaning: without_gravity in the mapping, which adds the gravity torque of the model"
+)
+NOTHING_SHOWS = "nothing that the model lacks, as a load, can show in it"
+MEASURED_TORQUE = (
+    "Take the measured torque or the motor currents, or desired positions and the gains of the servos (servo); "
+    "torque_meaning: whole, if a simulation applied it"
 )
 READING_SAMPLES = 300  # in which readings are compared
 SEARCHED_SAMPLES = 30  # in which all orders of the joints are compared
@@ -55,6 +66,9 @@ COULOMB_SHARE = 0.03  # of the largest torque of geared joints; data sheets and 
 MIN_TORQUE_SHARE = 1e-3  # of the largest torque: a tenth of the smallest friction, within the error of differences
 MAX_RESIDUAL_RATIO = 0.5  # rms of the residual; below it another reading explains more of the torque as well
 MAX_RESIDUAL_SHARE = 0.3  # of the torque, rms: friction, a load and a rough model leave about as much
+GRAVITY_ALONE = "the gravity torque"
+MAX_TARGET_RESIDUAL = 0.001  # of the torque, rms: what differences of the motion leave of a torque that was computed
+MIN_MOTOR_SHARE = 0.01  # of a joint's torque, rms, that accelerates its motor; less is an error of differences
 SIGNALS = ("position", "velocity", "acceleration", "recorded")
 
 
@@ -110,6 +124,12 @@ class MotionTorque:
         independent = min(float(rows.size), time.size / max(1, time.size - at.size + 1))
         return MotionTorque(q[rows], dq[rows], ddq[rows], tau[rows], model, independent)
 
+    def reading(self, meaning: TorqueMeaning) -> Array:
+        """Torque of the model that a signal of this meaning holds, ``(k, n)`` [N m]."""
+        if meaning == "without_gravity":
+            return np.asarray(self.whole - self.gravity_torque)
+        return np.zeros_like(self.whole) if meaning == "external" else self.whole
+
     def relation(self, reading: Array) -> LinearRelation:
         """Fit of the recorded torque by a reading ``(k, n)`` and friction."""
         friction = (dry_friction(self.velocity), self.velocity)
@@ -153,6 +173,143 @@ def lacks_gravity(seen: MotionTorque) -> str | None:
         f"{left_without:.3g} N m rms away from that torque, {left:.3g} N m from the whole one (log likelihood "
         f"{without - whole:+.0f})"
     )
+
+
+@dataclass(frozen=True)
+class MeaningChoice:
+    """What a torque signal holds.
+
+    Attributes:
+        best: The likeliest meaning.
+        margin: Log likelihood of it less that of the next one; 0 where gravity takes no torque.
+        evidence: Evidence in words.
+    """
+
+    best: TorqueMeaning
+    margin: float
+    evidence: str
+
+    @property
+    def sure(self) -> bool:
+        """Whether the margin is decisive."""
+        return self.margin > DECISIVE_LOG_LIKELIHOOD
+
+
+def meaning_of(seen: MotionTorque, expected: TorqueMeaning, computed: bool = False) -> MeaningChoice:
+    """What a torque signal holds, with the margin of the likelihood.
+
+    Args:
+        seen: Signal and motion.
+        expected: What its likelihoods and names say by themselves: all of the torque, or what it lacks.
+        computed: Whether a torque of motors holds no dry friction.
+    """
+    tried: tuple[TorqueMeaning, ...] = ("whole", "without_gravity", "external")
+    likelihood = {meaning: seen.likelihood(seen.reading(meaning)) for meaning in tried}
+    others = {meaning: likelihood[expected] - own for meaning, own in likelihood.items() if meaning != expected}
+    said = f"log likelihood {', '.join(f'{gain:+.0f} over {meaning}' for meaning, gain in others.items())}"
+    margin = min(others.values())
+    exact = exactness(seen)
+    if exact is None:
+        return MeaningChoice(expected, margin, said)
+    part, share = exact
+    follows = f"follows {part} of the model to {100.0 * share:.2g} % without any friction"
+    if computed or part == GRAVITY_ALONE:
+        return MeaningChoice("target", np.inf, f"{follows}: a controller's own target")
+    return MeaningChoice(expected, 0.0, f"{follows}: of a simulation, or a controller's own target? {said}")
+
+
+def exactness(seen: MotionTorque) -> tuple[str, float] | None:
+    """Part of the model that gives a torque exactly, and the residual over the torque, rms [-]; None: none does.
+
+    Parts are gravity, inertia, or both, as in gravity compensation and feedforward; no fitted number is in it.
+    """
+    size = np.sqrt(np.mean(np.square(seen.recorded[:, seen.measured])))
+    inertial = seen.whole - seen.gravity_torque
+    found = []
+    for part, torque in (("the torque", seen.whole), (GRAVITY_ALONE, seen.gravity_torque), ("the inertia", inertial)):
+        left = np.sqrt(np.mean(np.square((seen.recorded - torque)[:, seen.measured])))
+        found.append((float(left / max(size, 1e-300)), part))
+    share, part = min(found)
+    return (part, share) if share < MAX_TARGET_RESIDUAL else None
+
+
+def is_external(seen: MotionTorque, named: bool) -> MeaningChoice | None:
+    """Evidence that a signal is a torque from which a whole rigid model was subtracted; None: no evidence.
+
+    Friction alone explains it far better than any torque of the motion does.
+
+    Args:
+        seen: Signal and motion.
+        named: Whether its name calls it external.
+    """
+    alone = seen.whole - seen.gravity_torque
+    neither = seen.likelihood(np.zeros_like(alone))
+    best = max(seen.likelihood(seen.whole), seen.likelihood(alone))
+    left, left_whole = (_rms(seen.left(one), seen) for one in (np.zeros_like(alone), seen.whole))
+    if neither < best + DECISIVE_LOG_LIKELIHOOD or left > MAX_RESIDUAL_RATIO * left_whole:
+        return None
+    friction = fit(dry_friction(seen.velocity), seen.recorded, (), seen.independent)
+    shown = float(np.sum(friction.log_likelihood_ratio[seen.measured & (friction.factor > 0.0)]))
+    sizes = [float(np.sqrt(np.mean(np.square(one[:, seen.measured])))) for one in (seen.recorded, seen.whole)]
+    rubs = shown > DECISIVE_LOG_LIKELIHOOD and left < MAX_RESIDUAL_RATIO * sizes[0] * np.sqrt(seen.model.joint_count)
+    if not named and not rubs:
+        return None
+    said = (
+        f"{sizes[0]:.3g} N m rms where the motion takes {sizes[1]:.3g} N m: the torque of a rigid model is subtracted "
+        f"(log likelihood {neither - best:+.0f}), friction is left ({shown:+.0f})"
+    )
+    return MeaningChoice("external", neither - best if rubs else 0.0, said)
+
+
+def motor_inertia_in(seen: MotionTorque, meaning: TorqueMeaning) -> tuple[float, Array]:
+    """Log likelihood that a torque accelerates the motors as well, and their inertia ``(n,)`` [kg m^2].
+
+    Each joint's own acceleration is added to the torque of the links and friction; an inertia below zero counts as
+    none. Each has the cost of one more parameter, log(k) / 2 (Schwarz 1978).
+
+    Args:
+        seen: Signal and motion.
+        meaning: What the signal holds.
+    """
+    torque = seen.reading(meaning)
+    friction = (dry_friction(seen.velocity), seen.velocity)
+    rest = seen.recorded - seen.relation(torque).factor * torque
+    motors = fit(seen.acceleration, rest, friction, seen.independent)
+    gain = motors.log_likelihood_ratio - 0.5 * np.log(seen.independent)
+    size = np.sqrt(np.mean(np.square(seen.recorded), axis=0))
+    driven = np.sqrt(np.mean(np.square(motors.factor * seen.acceleration), axis=0))
+    shown = seen.measured & (motors.factor > 0.0) & (gain > DECISIVE_LOG_ODDS) & (driven > MIN_MOTOR_SHARE * size)
+    return float(np.sum(np.maximum(gain, 0.0)[shown])), np.where(shown, np.maximum(motors.factor, 0.0), 0.0)
+
+
+def whole_torque(path: Path, time: Array, arm: ArmSignals, meaning: TorqueMeaning, model: RobotModel) -> Array:
+    """The torque that moves the joints, ``(k, n)`` [N m]: what a signal lacks is added by the nominal model.
+
+    Accelerations are differences of the velocities, as in the torque balance, whose low-pass they pass as well.
+
+    Args:
+        path: Recording, for messages.
+        time: Stamps, ``(k,)`` [s].
+        arm: Recorded signals of free motion.
+        meaning: What the torque signal holds.
+        model: Nominal arm with its load.
+
+    Raises:
+        InputError: It is no measurement.
+    """
+    if meaning == "target":
+        raise InputError(
+            f"torque is a controller's own target, no measurement: {NOTHING_SHOWS}. {MEASURED_TORQUE}",
+            file=path,
+            key="torque_meaning of the mapping",
+        )
+    if meaning == "without_gravity":
+        return arm.torque + np.array([model.gravity_torque(q) for q in arm.position])
+    if meaning == "external":
+        acceleration = np.gradient(arm.velocity, time, axis=0)
+        states = zip(arm.position, arm.velocity, acceleration, strict=True)
+        return arm.torque + np.array([model.inverse_dynamics(*state) for state in states])
+    return arm.torque
 
 
 def check_includes_gravity(path: Path, time: Array, arm: ArmSignals, model: RobotModel) -> None:

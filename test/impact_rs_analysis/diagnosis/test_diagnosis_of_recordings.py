@@ -235,7 +235,7 @@ def test_what_a_frozen_or_wild_sensor_spoiled_is_left_out(planted: Columns, tmp_
     assert not any(12.0 < float(name.split()[1]) < 20.0 for name in names)
     assert source.recording.files == (str(tmp_path / "spoiled.npz"),)
     np.testing.assert_allclose(source.sigma, whole.sigma, rtol=0.2)
-    assert compare(source).remarks == source.remarks[-2:]
+    assert compare(source).remarks == source.remarks[-3:]
 
 
 def test_franka_robot_state_is_read_without_its_package(planted: Columns, tmp_path: Path) -> None:

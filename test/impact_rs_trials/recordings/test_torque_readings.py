@@ -16,10 +16,19 @@ from slender_arm import FLAT, mapping_of, slender_arm
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import load_facts
 from impact_rs_sim.robot_model import RobotModel
-from impact_rs_trials.recordings.importing import ImportOptions, draft_import
-from impact_rs_trials.recordings.mapping import MountedEndEffector
+from impact_rs_trials.recordings.import_texts import Line
+from impact_rs_trials.recordings.importing import ImportDraft, ImportOptions, draft_import
+from impact_rs_trials.recordings.mapping import Mapping, MountedEndEffector
 from impact_rs_trials.recordings.recording import read_recordings
-from impact_rs_trials.recordings.torque_readings import MotionTorque, is_computed, lacks_gravity, order_of_joints
+from impact_rs_trials.recordings.relations import DECISIVE_LOG_LIKELIHOOD
+from impact_rs_trials.recordings.torque_readings import (
+    MotionTorque,
+    exactness,
+    is_computed,
+    lacks_gravity,
+    motor_inertia_in,
+    order_of_joints,
+)
 
 TIME = np.arange(0.0, 10.0, 0.01)
 CENTRES = {"ur10e": [0.0, -1.2, 1.4, -0.4, 0.5, 0.2], "kuka_iiwa7": [0.1, 0.6, 0.2, -1.2, 0.3, 0.9, 0.1]}  # rad
@@ -57,21 +66,99 @@ def write(path: Path, motion: Columns, **signals: np.ndarray) -> Path:
     return path
 
 
+def imported(folder: Path, robot: str, motion: Columns, **signals: np.ndarray) -> tuple[ImportDraft, Mapping]:
+    file = write(folder / "run.csv", motion, **signals)
+    draft = draft_import([file], folder, ImportOptions(robot=robot))
+    return draft, mapping_in(draft, folder)
+
+
+def line_of(draft: ImportDraft, key: str) -> Line:
+    return next(line for line in draft.lines if line.key == key)
+
+
 @pytest.mark.parametrize("robot", list(CENTRES))
-def test_a_torque_without_the_arms_weight_is_refused_by_import_and_by_a_mapping_by_hand(
-    robot: str, tmp_path: Path
-) -> None:
+def test_a_torque_without_the_arms_weight_is_seen_and_the_weight_is_added(robot: str, tmp_path: Path) -> None:
+    """By a mapping by hand that says nothing of it it is refused. Kills a weight that is subtracted, or added twice."""
     motion = swing(robot)
-    file = write(tmp_path / "run.csv", motion, effort=motion["effort"] - motion["weight"])
-    with pytest.raises(InputError, match="without gravity") as refused:
-        draft_import([file], tmp_path, ImportOptions(robot=robot))
-    assert "effort_1" in str(refused.value) and "add the gravity torque that the controller adds" in str(refused.value)
-    write(file, motion, effort=motion["effort"])
-    mapping = mapping_in(draft_import([file], tmp_path, ImportOptions(robot=robot)), tmp_path)
-    assert len(read_recordings(file, mapping)) == 1
-    write(file, motion, effort=motion["effort"] - motion["weight"])
-    with pytest.raises(InputError, match="torque holds the torque of inertia without gravity"):
-        read_recordings(file, mapping)
+    lifted = motion["effort"] - motion["weight"]
+    draft, mapping = imported(tmp_path, robot, motion, effort=lifted)
+    assert mapping.torque_meaning == "without_gravity"
+    said = line_of(draft, "torque_meaning")
+    assert said.sure and "over whole" in said.evidence and "over external" in said.evidence
+    assert any("gravity torque of the model is added to it" in remark for remark in draft.remarks)
+    (run,) = read_recordings(tmp_path / "run.csv", mapping)
+    np.testing.assert_allclose(run.signals.arms["arm"].torque, motion["effort"], atol=1e-6)
+    with pytest.raises(InputError, match="torque holds the torque of inertia without gravity") as refused:
+        read_recordings(tmp_path / "run.csv", mapping.model_copy(update={"torque_meaning": "whole"}))
+    assert "torque_meaning: without_gravity" in str(refused.value)
+
+
+@pytest.mark.parametrize("robot", list(CENTRES))
+def test_the_meaning_of_a_whole_torque_is_written_with_its_margin(robot: str, tmp_path: Path) -> None:
+    motion = swing(robot)
+    draft, mapping = imported(tmp_path, robot, motion, effort=motion["effort"])
+    assert mapping.torque_meaning == "whole" and line_of(draft, "torque_meaning").sure
+    (run,) = read_recordings(tmp_path / "run.csv", mapping)
+    np.testing.assert_allclose(run.signals.arms["arm"].torque, motion["effort"], atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["tau_ext", "effort"])
+@pytest.mark.parametrize("robot", list(CENTRES))
+def test_an_external_torque_gets_the_torque_of_the_model_back(robot: str, name: str, tmp_path: Path) -> None:
+    """Of it friction is left, by which it is seen under any name. Kills an inertia that is not added."""
+    motion = swing(robot)
+    draft, mapping = imported(tmp_path, robot, motion, **{name: motion["effort"] - motion["computed"]})
+    assert mapping.torque_meaning == "external" and line_of(draft, "torque_meaning").sure
+    (run,) = read_recordings(tmp_path / "run.csv", mapping)
+    inside = slice(5, -5)  # differences at the ends are one-sided
+    apart = run.signals.arms["arm"].torque[inside] - motion["effort"][inside]
+    assert np.sqrt(np.mean(np.square(apart))) < 0.01 * np.sqrt(np.mean(np.square(motion["effort"])))
+
+
+def test_a_named_torque_of_noise_is_not_one_without_the_model(tmp_path: Path) -> None:
+    """Neither friction nor a name says that anything was subtracted. Kills a meaning of whatever goes with nothing."""
+    motion = swing("ur10e")
+    noise = np.random.default_rng(5).normal(0.0, 1.0, motion["effort"].shape)
+    _, mapping = imported(tmp_path, "ur10e", motion, effort=noise)
+    assert mapping.torque_meaning == "whole"
+
+
+@pytest.mark.parametrize("part", ["computed", "weight"])
+def test_a_controllers_own_target_is_never_taken_for_a_measurement(part: str, tmp_path: Path) -> None:
+    """Feedforward and gravity compensation. Kills a target that is read, and one that is preferred to a measurement."""
+    motion = swing("ur10e")
+    draft, mapping = imported(tmp_path, "ur10e", motion, torque=motion[part])
+    assert mapping.torque_meaning == "target"
+    assert "a controller's own target" in line_of(draft, "torque_meaning").evidence
+    with pytest.raises(InputError, match="no measurement"):
+        read_recordings(tmp_path / "run.csv", mapping)
+    _, mapping = imported(tmp_path, "ur10e", motion, torque=motion[part], load=motion["effort"])
+    assert mapping.torque_meaning == "whole" and mapping.signals["torque"].column == "load_{joint}"
+
+
+def test_a_measured_torque_near_the_model_is_no_target() -> None:
+    """Friction of 1 %, or noise of 0.2 %, is enough. Kills an exactness of fitted factors."""
+    exact = swing("ur10e", friction=0.0)
+    assert exactness(seen("ur10e", exact, exact["computed"])) is not None
+    assert exactness(seen("ur10e", exact, 1.01 * exact["computed"])) is None
+    noise = np.random.default_rng(2).normal(0.0, 0.5, exact["computed"].shape)
+    assert exactness(seen("ur10e", exact, exact["computed"] + noise)) is None
+
+
+def test_inertia_of_motors_shows_in_a_torque_before_the_gears_alone(tmp_path: Path) -> None:
+    """At an arm whose facts say link it is doubted. Kills the acceleration of the links alone."""
+    motion = swing("kuka_iiwa7")
+    inertia = np.linspace(1.0, 0.2, 7)  # kg m^2
+    acceleration = np.gradient(motion["velocity"], motion["time"], axis=0)
+    links, motors = motion["effort"], motion["effort"] + inertia * acceleration
+    assert motor_inertia_in(seen("kuka_iiwa7", motion, links), "whole")[0] < DECISIVE_LOG_LIKELIHOOD
+    gain, found = motor_inertia_in(seen("kuka_iiwa7", motion, motors), "whole")
+    assert gain > 10.0 * DECISIVE_LOG_LIKELIHOOD and np.all(found <= 1.1 * inertia)
+    draft, mapping = imported(tmp_path, "kuka_iiwa7", motion, effort=motors)
+    assert mapping.torque_measured_at == "link"
+    assert any("torque_measured_at: motor" in remark for remark in draft.remarks)
+    draft, _ = imported(tmp_path, "kuka_iiwa7", motion, effort=links)
+    assert not any("torque_measured_at: motor" in remark for remark in draft.remarks)
 
 
 def test_the_torque_with_the_weight_is_taken_where_both_are_there(tmp_path: Path) -> None:
@@ -183,6 +270,8 @@ def test_a_signal_that_does_not_go_with_the_motion_is_not_excused(tmp_path: Path
     assert "N m rms in joint 2, from which the signal is" in said.evidence
 
 
-def test_a_recording_of_another_laboratory_without_the_weight_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="holds the torque of inertia without gravity"):
-        draft_import([measured_data("cases", "small", "no_gravity.csv")], tmp_path, ImportOptions(robot="ur10e"))
+def test_a_recording_of_another_laboratory_without_the_weight_is_seen(tmp_path: Path) -> None:
+    file = measured_data("cases", "small", "no_gravity.csv")
+    mapping = mapping_in(draft_import([file], tmp_path, ImportOptions(robot="ur10e")), tmp_path)
+    assert mapping.torque_meaning == "without_gravity"
+    assert len(read_recordings(file, mapping)) == 1
