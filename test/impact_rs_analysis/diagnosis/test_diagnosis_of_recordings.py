@@ -240,7 +240,7 @@ def test_what_a_frozen_or_wild_sensor_spoiled_is_left_out(planted: Columns, tmp_
 
 def test_franka_robot_state_is_read_without_its_package(planted: Columns, tmp_path: Path) -> None:
     mapping = load_mapping("franka_robot_state")
-    store, kind = typestore_for(mapping.definitions), "franka_msgs/msg/FrankaRobotState"
+    store, kind = typestore_for(tmp_path, mapping.definitions), "franka_msgs/msg/FrankaRobotState"
 
     rng = np.random.default_rng(0)
     theta, dtheta, desired, rate = (rng.normal(size=(200, 7)) for _ in range(4))
