@@ -21,7 +21,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from impact_rs_ros import node_parameters, presence
-from impact_rs_ros.middleware import set_middleware
+from impact_rs_ros.middleware import discovery, set_middleware
 from impact_rs_ros.qos import offered
 from impact_rs_ros.roots import below, scenario_below
 from impact_rs_sim.errors import InputError, full_traceback
@@ -75,6 +75,7 @@ class NodeProgram:
         except InputError as error:
             self.log.error(str(error))
         self.offer()
+        self.log.info(discovery(os.environ))
         self.log.info(
             f"ready: serves {', '.join(self.served())} in ROS domain {self.node.context.get_domain_id()}, namespace "
             f"{self.node.get_namespace()}; {node_parameters.text(self.node, self.kind)}"
