@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from node_trials import participant
 from rcl_interfaces.msg import Parameter
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
 from rclpy.parameter import Parameter as RclParameter
@@ -21,6 +22,7 @@ from impact_rs_ros.node_processes import NODES
 from impact_rs_ros.plant_node import PlantNode
 from impact_rs_ros.process import NodeProgram
 from impact_rs_ros.recorder_node import RecorderNode
+from impact_rs_ros.watchdog_node import WatchdogNode
 from impact_rs_sim.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -61,6 +63,8 @@ def test_a_node_loads_the_example_and_tells_unit_and_range(
     values = graph.call(GetParameters, f"{kind}/get_parameters", GetParameters.Request(names=names))
     for parameter, descriptor, message in zip(known, described.descriptors, values.values, strict=True):
         assert descriptor.description == f"{parameter.description} [{parameter.unit}]"
+        assert descriptor.read_only == parameter.read_only
+        assert descriptor.additional_constraints.endswith(f"a change acts: {parameter.effect}")
         limits = [(r.from_value, r.to_value) for r in descriptor.floating_point_range]
         assert limits == ([parameter.range] if parameter.range else [])
         found = RclParameter.from_parameter_msg(Parameter(name=parameter.name, value=message)).value
@@ -86,6 +90,29 @@ def test_a_value_that_cannot_be_worked_with_is_refused_with_a_reason(
     answer = graph.call(SetParameters, f"{node}/set_parameters", SetParameters.Request(parameters=[message]))
     assert not answer.results[0].successful
     assert told in answer.results[0].reason
+
+
+CHANGES = [
+    (CellNode, {"watchdog": True}, "read-only parameter: watchdog"),  # torques would go on past the watchdog
+    (CellNode, {"torque_rate_limit": 500.0}, "read-only parameter: torque_rate_limit"),  # the watchdog keeps its own
+    (CellNode, {"use_sim_time": True}, "the cell chooses the robot's clock when it starts; start it again"),
+    (CellNode, {"start_tolerance": 0.02}, ""),
+    (WatchdogNode, {"command_timeout": 0.1}, "read-only parameter: command_timeout"),
+    (WatchdogNode, {"scenario": "grab"}, "read-only parameter: scenario"),
+    (WatchdogNode, {"diagnostics_period": 2.0}, ""),
+]
+
+
+@pytest.mark.parametrize(("program", "change", "told"), CHANGES)
+def test_a_change_that_cannot_act_is_refused_with_the_reason(
+    program: type[NodeProgram], change: dict[str, object], told: str, domain_ids: Callable[[], int]
+) -> None:
+    """Kills: a change that is accepted and has no effect, or, worse, half of its effect."""
+    with participant(domain_ids(), program.kind) as node:
+        node_parameters.declare(node, program.kind)
+        (result,) = node.set_parameters([RclParameter(name, value=wanted) for name, wanted in change.items()])
+    assert result.successful == (not told)
+    assert told in result.reason
 
 
 def test_former_name_of_an_engine_is_accepted() -> None:
