@@ -124,7 +124,7 @@ class SubscriptionsMatched:
     def __init__(self, node: Node, names: Iterable[str]) -> None:
         self._node = node
         self._topics = [f"{name}/alive" for name in names]
-        self._inbox = Inbox(node, "matching", ALIVE)
+        self._inbox = Inbox(node, ALIVE)
         self._matched: set[str] = set()
 
     def begin(self) -> None:

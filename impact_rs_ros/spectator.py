@@ -53,9 +53,9 @@ class Spectator:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._place = f"ROS domain {node.context.get_domain_id()}, namespace {node.get_namespace()}"
-        self._latched = Inbox(node, "latched", LATCHED)
+        self._latched = Inbox(node, LATCHED)
         self._latched.connect(DESCRIBING | FOLLOWED)
-        self._signals = Inbox(node, "signals", WATCH, raw=True)
+        self._signals = Inbox(node, WATCH, raw=True)
         self._signals.connect({STATES: topics.JOINT_STATE})
         self._info: TrialInfo | None = None
         self._known = Snapshot("absent", self._place)

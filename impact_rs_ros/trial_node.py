@@ -98,7 +98,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         self._name = ""
         self._attempt = 0  # the last one that was configured
         self._finished: FinishTrial.Response | None = None  # answer on the end of the trial before
-        self.inbox = Inbox(self.node, "inbox", AWAITED, raw=True)
+        self.inbox = Inbox(self.node, AWAITED, raw=True)
         self.outbox = Outbox(self.node)
 
     @abstractmethod
@@ -151,13 +151,12 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         return 0 if self.trial is None else self.trial.now
 
     def status(self) -> tuple[str, dict[str, object]]:
-        own = {"subscriptions_of": self.inbox.name}
         if self.trial is None:
-            return "ok", {"ticks": 0, **own}
+            return "ok", {"ticks": 0}
         line, numbers = self.trial.status()
         if line == "ok" and self.trial.unreadable:
             line = f"{self.trial.note()}: who else publishes?"
-        return line, {**numbers, "unreadable_messages": self.trial.unreadable, **own}
+        return line, {**numbers, "unreadable_messages": self.trial.unreadable}
 
     def failure(self) -> str:
         return "" if self.trial is None else self.trial.failure
