@@ -54,7 +54,7 @@ class CellNode(LeadingNode[CellTrial]):
     """Runs trials on a robot that ros2_control drives."""
 
     kind = "cell"
-    name = "plant"
+    place = "plant"
 
     def __init__(self) -> None:
         super().__init__()

@@ -126,8 +126,8 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         self.streams(StreamMaker(spec.plan))
 
     def offer(self) -> None:
-        self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)
-        self.node.create_service(FinishTrial, "~/finish_trial", self._on_finish)
+        self.node.create_service(ConfigureTrial, self.role("configure_trial"), self._on_configure)
+        self.node.create_service(FinishTrial, self.role("finish_trial"), self._on_finish)
 
     def turn(self) -> None:
         if not self.running or self.trial is None:
@@ -262,7 +262,8 @@ class LeadingNode(TrialNode[AnyLeadingTrial]):
     def offer(self) -> None:
         super().offer()
         # The answer comes when the trial is over; meanwhile the other services stay open.
-        self.node.create_service(Trigger, "~/run_trial", self._on_run, callback_group=MutuallyExclusiveCallbackGroup())
+        group = MutuallyExclusiveCallbackGroup()
+        self.node.create_service(Trigger, self.role("run_trial"), self._on_run, callback_group=group)
 
     def wait(self) -> None:
         """Serve requests for some milliseconds, before or after the ticks of a trial."""

@@ -212,7 +212,7 @@ def test_cell_and_watchdog_are_launched_with_one_file_and_the_same_topics(launch
     del launch_file
     entities = runpy.run_path(str(ROOT / "launch" / "cell.launch.py"))["generate_launch_description"]()
     watchdog, cell = (one for one in entities if one.kind == "Node")
-    assert (watchdog.executable, cell.executable, cell.name) == ("watchdog", "cell", "plant")
+    assert (watchdog.executable, watchdog.name, cell.executable, cell.name) == ("watchdog", "watchdog", "cell", "cell")
     assert watchdog.remappings == cell.remappings and watchdog.parameters == cell.parameters
     assert [source for source, _ in cell.remappings] == ["joint_states", "arm/effort_controller/commands"]
 

@@ -40,7 +40,7 @@ def example() -> dict[str, dict[str, object]]:
         name: {key: common[key] for key in common if key != "data_root" or name in writes} for name in (*NODES, ALONE)
     }
     real = yaml.safe_load((ROOT / "config" / "cell.yaml").read_text())
-    cell, watchdog = (shared["plant"] | real[f"/**/{name}"]["ros__parameters"] for name in ("plant", "watchdog"))
+    cell, watchdog = (shared["plant"] | real[f"/**/{name}"]["ros__parameters"] for name in ("cell", "watchdog"))
     return {name: shared[name] | own.get(name, {}) for name in shared} | {"cell": cell, "watchdog": watchdog}
 
 
@@ -153,11 +153,11 @@ def test_a_node_does_not_start_with_such_a_value(
 @pytest.mark.parametrize(
     ("kind", "section", "values", "told"),
     [
-        ("cell", "plant", {"torque_rate_limt": 9.0}, r"torque_rate_limt: the cell has no such .* 'torque_rate_limit'"),
-        ("cell", "plant", {"torque_rate_limit": 9}, r"torque_rate_limit = 9: expected a number with a point"),
-        ("cell", "plant", {"state_timeout": 20.0}, r"state_timeout = 20\.0: expected 0\.001 to 10 s"),
-        ("cell", "plant", {"joints": "fr3_joint"}, r"joints 'fr3_joint': expected \{number\} in it"),
-        ("watchdog", "plant", {"joints": "a{number}"}, r"no section of the watchdog, expected /\*\*/watchdog"),
+        ("cell", "cell", {"torque_rate_limt": 9.0}, r"torque_rate_limt: the cell has no such .* 'torque_rate_limit'"),
+        ("cell", "cell", {"torque_rate_limit": 9}, r"torque_rate_limit = 9: expected a number with a point"),
+        ("cell", "cell", {"state_timeout": 20.0}, r"state_timeout = 20\.0: expected 0\.001 to 10 s"),
+        ("cell", "cell", {"joints": "fr3_joint"}, r"joints 'fr3_joint': expected \{number\} in it"),
+        ("watchdog", "cell", {"joints": "a{number}"}, r"no section of the watchdog, expected /\*\*/watchdog"),
     ],
 )
 def test_a_parameter_file_that_a_node_would_pass_over_is_refused_with_its_key(
@@ -169,11 +169,29 @@ def test_a_parameter_file_that_a_node_would_pass_over_is_refused_with_its_key(
         node_parameters.values_of(file, kind)
 
 
+def test_a_file_for_the_cell_under_its_former_name_is_refused_and_not_passed_over(tmp_path: Path) -> None:
+    """Kills: a cell that starts with the defaults, without its watchdog, because ROS knows no node ``plant``."""
+    old, new, common = (tmp_path / f"{name}.yaml" for name in ("old", "new", "common"))
+    old.write_text("/**/plant: {ros__parameters: {watchdog: true}}")
+    new.write_text("/**/plant: {ros__parameters: {}}\n/**/cell: {ros__parameters: {watchdog: true}}")
+    common.write_text("/**: {ros__parameters: {scenario: push}}")
+    told = r"old\.yaml: plant: the cell is called cell and no longer plant: rename the section"
+    with pytest.raises(InputError, match=told):
+        node_parameters.refuse_former_sections(["cell", "--ros-args", "--params-file", str(old)], "cell")
+    with pytest.raises(InputError, match=told):
+        node_parameters.values_of(old, "cell")
+    with pytest.raises(InputError, match="__node: the cell is called cell and no longer plant: do not rename it"):
+        node_parameters.refuse_former_sections(["cell", "--ros-args", "-r", "__node:=plant"], "cell")
+    for file in (new, common):
+        node_parameters.refuse_former_sections(["--ros-args", "--params-file", str(file)], "cell")
+    node_parameters.refuse_former_sections(["--ros-args", "--params-file", str(old)], "plant")
+
+
 def test_values_of_a_file_are_those_that_the_node_has(tmp_path: Path) -> None:
     """Section by section as rclpy resolves them: that of all nodes, then that of the node in any namespace."""
     file = tmp_path / "cell.yaml"
     sections = {
-        "/**/plant": {"ros__parameters": {"state_timeout": 0.02, "joints": "a{number}"}},
+        "/**/cell": {"ros__parameters": {"state_timeout": 0.02, "joints": "a{number}"}},
         "/**": {"ros__parameters": {"state_timeout": 0.03, "scenario": "grab", "of_another_node": 1}},
         "other": {"ros__parameters": {"scenario": "nonsense"}},
     }
