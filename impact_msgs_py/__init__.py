@@ -11,6 +11,7 @@ from impact_rs.msg import (
     RigidBodyTwist,
     RobotState,
     TrialInfo,
+    TrialOutcome,
 )
 from impact_rs.srv import ComputeImpactMap, ConfigureTrial, FinishTrial
 
@@ -28,4 +29,5 @@ __all__ = [
     "RunCampaign",
     "RunTrial",
     "TrialInfo",
+    "TrialOutcome",
 ]

@@ -54,14 +54,14 @@ class CellNode(LeadingNode[CellTrial]):
     """Runs trials on a robot that ros2_control drives."""
 
     kind = "cell"
-    name = "plant"
+    place = "plant"
 
     def __init__(self) -> None:
         super().__init__()
         self._topics: dict[str, str] = {}  # torque topic of an arm: the watchdog's, or the robot's
         self._publishers: dict[str, Publisher] = {}  # of torques, by topic
         self._clock = RobotClock(self.node)
-        self._echo = Inbox(self.node, "echo", WATCH, raw=True)  # torques forwarded by the watchdog
+        self._echo = Inbox(self.node, WATCH, raw=True)  # torques forwarded by the watchdog
         self._passed: dict[str, Array] = {}  # the last torque that it passed on, by arm
         self._waiting: float | None = None  # time of the first torque that was not forwarded [s]
         self._echoed = 0.0  # time of the last check of the echo [s]

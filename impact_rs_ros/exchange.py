@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Publishing and subscribing without the node's executor, for latencies of microseconds.
+"""Publishing and subscribing past the node's executor, for latencies of microseconds.
 
 An rclpy executor builds a wait set of all entities of a node for every single callback. Messages of the lockstep, and
-those that the recorder stores, are received by a separate node, which rclpy's events executor serves. That takes a
-third of the time, and services and parameters do not interfere.
+those that the recorder stores, are taken by their owner, who waits for these subscriptions alone. They belong to the
+node; a callback group keeps them from its executor, as ``automatically_add_to_executor_with_node`` can in rclcpp. That
+takes a third of the time, and services and parameters do not interfere.
 """
 
 from __future__ import annotations
@@ -11,19 +12,18 @@ from __future__ import annotations
 import time
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping
-from functools import partial
 from typing import Any
 
-import rclpy
-from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.callback_groups import CallbackGroup
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
-from rclpy.task import Future
 
 from impact_rs_ros.message_types import available, decoded, message_type
-from impact_rs_ros.names import on_network, resolved
+from impact_rs_ros.names import on_network
 from impact_rs_ros.qos import offered
 from impact_rs_trials.bags.streams import Stream
 
@@ -31,15 +31,28 @@ BURST_SAMPLES = 40  # published together, some ten ticks
 MAX_BURST_AGE_S = 0.1  # wall clock: a slow trial still shows progress
 
 
-class Inbox:
-    """Subscriptions polled by their owner; empty until :meth:`connect`.
+class TakenByOwner(CallbackGroup):
+    """Subscriptions whose messages no executor takes."""
 
-    They belong to a hidden node, ``_NODE_NAME``, with the remappings and namespace of the owner. Topics are named as in
-    :mod:`impact_rs_ros.names`, here and in :class:`Outbox`.
+    def can_execute(self, entity: Any) -> bool:
+        del entity
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        del entity
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        del entity
+
+
+class Inbox:
+    """Subscriptions of a node polled by their owner; empty until :meth:`connect`.
+
+    Topics are named as in :mod:`impact_rs_ros.names`, here and in :class:`Outbox`.
 
     Args:
-        node: Node that they are for.
-        name: Name of the inbox, unique in its node.
+        node: Node that they belong to.
         qos: Quality of service of all subscriptions.
         raw: Return serialized (CDR) messages as received; otherwise decoded messages, without unreadable ones.
 
@@ -47,51 +60,55 @@ class Inbox:
         unreadable: Number of messages that could not be decoded, by topic.
     """
 
-    def __init__(self, node: Node, name: str, qos: QoSProfile, raw: bool = False) -> None:
-        self._owner = node
+    def __init__(self, node: Node, qos: QoSProfile, raw: bool = False) -> None:
+        self._node = node
         self._qos = qos
         self._raw = raw
+        self._group = TakenByOwner()
         self._subscriptions: dict[str, Subscription] = {}
         self._received: deque[tuple[str, bytes]] = deque()
         self._kinds: dict[str, Any] = {}  # classes of the messages, by topic
+        self._wait_set = rclpy_implementation.WaitSet(0, 0, 0, 0, 0, 0, node.context.handle)
         self.unreadable: Counter[str] = Counter()
-        self._never: Future = Future()
-        self._node = rclpy.create_node(
-            f"_{node.get_name()}_{name}",
-            context=node.context,
-            namespace=node.get_namespace(),
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-        )
-        self._executor = EventsExecutor(context=node.context)
-        self._executor.add_node(self._node)
 
     def connect(self, topics: Mapping[str, str]) -> None:
         """Subscribe to these topics, type ``package/msg/Name`` by topic, and to no others."""
-        while self._subscriptions:
-            self._node.destroy_subscription(self._subscriptions.popitem()[1])
+        self.close()
         self._kinds = {topic: message_type(kind) for topic, kind in topics.items() if available(kind)}
+        self._wait_set = rclpy_implementation.WaitSet(len(self._kinds), 0, 0, 0, 0, 0, self._node.context.handle)
         for topic, kind in self._kinds.items():  # raw, because the middleware raises where bytes are no message
-            name, receive = resolved(self._owner, topic), partial(self._receive, topic)
-            self._subscriptions[topic] = self._node.create_subscription(kind, name, receive, self._qos, raw=True)
+            self._subscriptions[topic] = self._node.create_subscription(
+                kind,
+                on_network(topic),
+                _no_callback,
+                self._qos,
+                callback_group=self._group,
+                event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),  # each would be waited for
+                raw=True,
+            )
         self._received.clear()
 
-    @property
-    def name(self) -> str:
-        """Full name of the hidden node, with the subscriptions in ``ros2 node info``."""
-        return str(self._node.get_fully_qualified_name())
-
-    def _receive(self, topic: str, data: bytes) -> None:
-        self._received.append((topic, data))
-
     def wait(self, timeout: float) -> None:
-        """Return when a message has come, or after ``timeout`` [s]."""
-        self._executor.spin_once(timeout_sec=max(0.0, timeout))
+        """Return when messages have come, or after ``timeout`` [s]."""
+        if not self._subscriptions:
+            time.sleep(max(0.0, timeout))
+            return
+        self._wait_set.clear_entities()
+        for subscription in self._subscriptions.values():
+            self._wait_set.add_subscription(subscription.handle)
+        self._wait_set.wait(max(0, round(timeout * 1e9)))
+        self.gather()
 
     def gather(self) -> None:
-        """Receive everything that has come; takes some 70 us however much that is, as a timed wait does."""
-        self._executor.spin_until_future_complete(self._never, timeout_sec=0.0)
+        """Receive everything that has come, in the order in which it came."""
+        came: list[tuple[int, str, bytes]] = []
+        for topic, subscription in self._subscriptions.items():
+            kind, take = self._kinds[topic], subscription.handle.take_message
+            while (found := take(kind, True)) is not None:
+                data, about = found
+                came.append((about["received_timestamp"], topic, data))
+        came.sort(key=_when)
+        self._received.extend((topic, data) for _, topic, data in came)
 
     def take(self) -> Iterator[tuple[str, Any]]:
         """Everything that has been received: topic and message."""
@@ -114,9 +131,18 @@ class Inbox:
         return {topic: subscription.get_publisher_count() for topic, subscription in self._subscriptions.items()}
 
     def close(self) -> None:
-        """Destroy the hidden node."""
-        self._executor.shutdown(timeout_sec=1.0)
-        self._node.destroy_node()
+        """Destroy the subscriptions."""
+        while self._subscriptions:
+            self._node.destroy_subscription(self._subscriptions.popitem()[1])
+
+
+def _when(came: tuple[int, str, bytes]) -> int:
+    return came[0]
+
+
+def _no_callback(message: Any) -> None:
+    """Callback of subscriptions that no executor serves."""
+    del message
 
 
 class Outbox:

@@ -27,7 +27,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import Trigger
 
-from impact_rs_ros.middleware import set_middleware
+from impact_rs_ros.middleware import discovery, set_middleware
 from impact_rs_ros.names import full_namespace, within
 from impact_rs_ros.node_processes import NODES, NodeProcesses, ours
 from impact_rs_ros.presence import Presence
@@ -134,6 +134,7 @@ class Graph:
             logs = stack.enter_context(tempfile.TemporaryDirectory(prefix="impact_rs_"))
             nodes = NodeProcesses.of(scenario, Path(logs), domain_id, parameters, quiet, root, namespace)
             set_middleware(os.environ)  # this process talks to them
+            log.info(discovery(os.environ))
             domain = int(os.environ.get("ROS_DOMAIN_ID") or 0) if domain_id is None else domain_id
             graph = cls(nodes, names, domain, namespace, without, notify)
             stack.callback(graph.close)

@@ -2,12 +2,13 @@
 """Discovery: nodes find each other on this machine alone, unless the environment of the user configures it.
 
 One rule for every node and command of impact_rs, however it is started: ``ros2 run``, ``ros2 launch``,
-``impact-rs up``, ``./run``.
+``impact-rs up``, ``./run``. Every node logs at its start which it is, and how to change it.
 """
 
 from __future__ import annotations
 
-from collections.abc import MutableMapping
+from collections.abc import Mapping, MutableMapping
+from pathlib import Path
 
 from impact_rs_sim.paths import config_directory
 
@@ -25,6 +26,7 @@ CHOICES = (
 )
 """Environment variables: if any is set, discovery and transport are the user's choice."""
 LOCALHOST = "LOCALHOST"
+LOOPBACK = "loopback.xml"  # profile of Fast DDS
 
 
 def set_middleware(environment: MutableMapping[str, str]) -> None:
@@ -41,8 +43,21 @@ def set_middleware(environment: MutableMapping[str, str]) -> None:
     if any(environment.get(name) for name in CHOICES):
         return
     fast = environment.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp").startswith("rmw_fastrtps")
-    profile = config_directory() / "loopback.xml"
+    profile = config_directory() / LOOPBACK
     if fast and profile.is_file():
         environment.update({RANGE: "SYSTEM_DEFAULT", PROFILE: str(profile)})  # the profile decides on the range
     else:
         environment[RANGE] = LOCALHOST
+
+
+def discovery(environment: Mapping[str, str]) -> str:
+    """Who finds the nodes of this environment, and how to change it; a line for the log.
+
+    Args:
+        environment: Environment after :func:`set_middleware`, or as ``./run`` prepared it.
+    """
+    profile = Path(environment.get(PROFILE, "")).name
+    if profile == LOOPBACK or environment.get(RANGE) == LOCALHOST:
+        return f"discovery: this machine only; for several machines set {RANGE}=SUBNET on all of them"
+    chosen = ", ".join(f"{name}={environment[name]}" for name in CHOICES if environment.get(name))
+    return f"discovery: by the environment, {chosen}"

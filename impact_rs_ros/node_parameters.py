@@ -7,9 +7,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
@@ -21,6 +23,7 @@ from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import load_mapping
 
 Value = bool | float | str
+Effect = Literal["at once", "next trial", "node start"]
 FULL_TURN_RAD = 6.283185
 
 
@@ -36,6 +39,7 @@ class NodeParameter:
         range: Least and greatest value; floats only.
         choices: Allowed values; empty: any.
         former: Also accepted values of older versions.
+        effect: When a change acts; ``node start``: the parameter is read only.
     """
 
     name: str
@@ -45,6 +49,12 @@ class NodeParameter:
     range: tuple[float, float] | None = None
     choices: tuple[str, ...] = ()
     former: tuple[str, ...] = ()
+    effect: Effect = "at once"
+
+    @property
+    def read_only(self) -> bool:
+        """Whether a running node refuses another value: it reads the parameter only when it starts."""
+        return self.effect == "node start"
 
     @property
     def expected(self) -> str:
@@ -54,14 +64,21 @@ class NodeParameter:
     def descriptor(self) -> ParameterDescriptor:
         """Descriptor that ``ros2 param describe`` shows."""
         limits = [] if self.range is None else [FloatingPointRange(from_value=self.range[0], to_value=self.range[1])]
+        constraints = (f"unit: {self.unit}", self.expected, f"a change acts: {self.effect}")
         return ParameterDescriptor(
             description=f"{self.description} [{self.unit}]",
-            additional_constraints="; ".join(filter(None, (f"unit: {self.unit}", self.expected))),
+            additional_constraints="; ".join(filter(None, constraints)),
+            read_only=self.read_only,
             floating_point_range=limits,
         )
 
 
-COMMON = (
+def with_effect(effect: Effect, *parameters: NodeParameter) -> tuple[NodeParameter, ...]:
+    """Parameters whose changes act at this time."""
+    return tuple(replace(parameter, effect=effect) for parameter in parameters)
+
+
+SCENARIO, *OTHERS = COMMON = (
     NodeParameter("scenario", "push", "Name or path of the scenario for requests that name none"),
     NodeParameter(
         "config_root",
@@ -73,7 +90,18 @@ COMMON = (
 
 DATA_ROOT = NodeParameter("data_root", "", "Folder below which requests may write bags; empty: working directory")
 
-ROBOT = (
+STATE_TIMEOUT = NodeParameter(
+    "state_timeout",
+    0.01,
+    "Largest age of a robot state, and longest time without one; beyond it the trial is aborted",
+    "s",
+    (0.001, 10.0),
+    effect="next trial",
+)
+
+# Cell and watchdog must agree on these for as long as they run.
+ROBOT = with_effect(
+    "node start",
     NodeParameter(
         "joints",
         "{arm}_joint{number}",
@@ -84,13 +112,6 @@ ROBOT = (
         "robot_adds_gravity",
         True,
         "true: the robot compensates gravity itself (franka_ros2), and commanded torques do not contain it",
-    ),
-    NodeParameter(
-        "state_timeout",
-        0.01,
-        "Largest age of a robot state, and longest time without one; beyond it the trial is aborted",
-        "s",
-        (0.001, 10.0),
     ),
     NodeParameter(
         "torque_rate_limit",
@@ -104,29 +125,33 @@ ROBOT = (
 PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
     "plant": (
         *COMMON,
-        NodeParameter(
-            "realtime",
-            False,
-            "true: the ticks follow the wall clock. A late torque counts as a missed tick: the last torque is held, and"
-            " the late one acts from the next tick on. false: the plant waits for the torque of every tick",
-        ),
-        # Torques one tick late change the net feedback of a push by up to 1.2 mm/s if late in 5 % of the ticks, one at
-        # a time, and by 4 mm/s in runs of ten ticks; if late in 50 % of the ticks, by 3.9 mm/s and 14 mm/s.
-        NodeParameter(
-            "missed_ticks_limit",
-            0.05,
-            "Largest share of missed ticks in real time; a trial with more is ABORTED",
-            range=(0.0, 1.0),
-        ),
-        NodeParameter(
-            "repeat_after",
-            0.25,
-            "Time without an answer after which the measured state of the tick is published again",
-            "s",
-            (0.01, 10.0),
-        ),
-        NodeParameter(
-            "answer_timeout", 1.5, "Time without an answer after which the trial is aborted", "s", (0.1, 600.0)
+        *with_effect(
+            "next trial",
+            NodeParameter(
+                "realtime",
+                False,
+                "true: the ticks follow the wall clock. A late torque counts as a missed tick: the"
+                " last torque is held, and"
+                " the late one acts from the next tick on. false: the plant waits for the torque of every tick",
+            ),
+            # Torques one tick late change the net feedback of a push by up to 1.2 mm/s if late in 5 % of the ticks, one
+            # at a time, and by 4 mm/s in runs of ten ticks; if late in 50 % of the ticks, by 3.9 mm/s and 14 mm/s.
+            NodeParameter(
+                "missed_ticks_limit",
+                0.05,
+                "Largest share of missed ticks in real time; a trial with more is ABORTED",
+                range=(0.0, 1.0),
+            ),
+            NodeParameter(
+                "repeat_after",
+                0.25,
+                "Time without an answer after which the measured state of the tick is published again",
+                "s",
+                (0.01, 10.0),
+            ),
+            NodeParameter(
+                "answer_timeout", 1.5, "Time without an answer after which the trial is aborted", "s", (0.1, 600.0)
+            ),
         ),
     ),
     "impact_map": (
@@ -144,11 +169,13 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
     "cell": (
         *COMMON,
         *ROBOT,
+        STATE_TIMEOUT,
         NodeParameter(
             "watchdog",
             False,
             "true: torques go to the robot through the watchdog node, and a trial is armed, and continues, only while"
             " it passes them on",
+            effect="node start",
         ),
         NodeParameter(
             "watchdog_timeout",
@@ -162,62 +189,81 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
             "mocap",
             False,
             "true: publish poses of the object from motion capture; a trial is armed only if they arrive",
+            effect="node start",
         ),
-        NodeParameter(
-            "mocap_frame", "world", "Name of the motion-capture frame (frame_id); poses in another frame are refused"
-        ),
-        *(
+        *with_effect(
+            "next trial",
             NodeParameter(
-                f"mocap_{axis}", 0.0, f"Origin of the motion-capture frame in world, along {axis}", "m", (-100.0, 100.0)
-            )
-            for axis in "xyz"
-        ),
-        *(
+                "mocap_frame",
+                "world",
+                "Name of the motion-capture frame (frame_id); poses in another frame are refused",
+            ),
+            *(
+                NodeParameter(
+                    f"mocap_{axis}",
+                    0.0,
+                    f"Origin of the motion-capture frame in world, along {axis}",
+                    "m",
+                    (-100.0, 100.0),
+                )
+                for axis in "xyz"
+            ),
+            *(
+                NodeParameter(
+                    f"mocap_{name}",
+                    0.0,
+                    f"Rotation of the motion-capture frame in world about the fixed {axis} axis; roll, then pitch, then"
+                    " yaw (REP-103)",
+                    "rad",
+                    (-FULL_TURN_RAD, FULL_TURN_RAD),
+                )
+                for name, axis in (("roll", "x"), ("pitch", "y"), ("yaw", "z"))
+            ),
             NodeParameter(
-                f"mocap_{name}",
-                0.0,
-                f"Rotation of the motion-capture frame in world about the fixed {axis} axis; roll, then pitch, then yaw"
-                " (REP-103)",
-                "rad",
-                (-FULL_TURN_RAD, FULL_TURN_RAD),
-            )
-            for name, axis in (("roll", "x"), ("pitch", "y"), ("yaw", "z"))
-        ),
-        NodeParameter(
-            "answer_timeout",
-            0.01,
-            "Longest time until the controller answers a state; beyond it the trial is aborted",
-            "s",
-            (0.001, 10.0),
-        ),
-        NodeParameter(
-            "late_torque_share",
-            0.2,
-            "Largest share of the last 100 ticks whose torque came after the next state, or never; above it the trial"
-            " is aborted",
-            range=(0.0, 1.0),
-        ),
-        NodeParameter(
-            "arm_jitter_limit",
-            0.002,
-            "Largest difference between the arrival interval of two states and that by their timestamps; above it no"
-            " trial is armed",
-            "s",
-            (1e-6, 10.0),
-        ),
-        NodeParameter(
-            "start_tolerance",
-            0.01,
-            "Largest distance of a joint from its initial position; above it no trial is armed or begins",
-            "rad or m",
-            (1e-4, 0.2),
+                "answer_timeout",
+                0.01,
+                "Longest time until the controller answers a state; beyond it the trial is aborted",
+                "s",
+                (0.001, 10.0),
+            ),
+            NodeParameter(
+                "late_torque_share",
+                0.2,
+                "Largest share of the last 100 ticks whose torque came after the next state, or"
+                " never; above it the trial"
+                " is aborted",
+                range=(0.0, 1.0),
+            ),
+            NodeParameter(
+                "arm_jitter_limit",
+                0.002,
+                "Largest difference between the arrival interval of two states and that by their"
+                " timestamps; above it no"
+                " trial is armed",
+                "s",
+                (1e-6, 10.0),
+            ),
+            NodeParameter(
+                "start_tolerance",
+                0.01,
+                "Largest distance of a joint from its initial position; above it no trial is armed or begins",
+                "rad or m",
+                (1e-4, 0.2),
+            ),
         ),
     ),
     "watchdog": (
-        *COMMON,
+        *with_effect("node start", SCENARIO),
+        *OTHERS,
         *ROBOT,
+        *with_effect("node start", STATE_TIMEOUT),
         NodeParameter(
-            "command_timeout", 0.05, "Time without a command after which moving arms are braked", "s", (0.01, 10.0)
+            "command_timeout",
+            0.05,
+            "Time without a command after which moving arms are braked",
+            "s",
+            (0.01, 10.0),
+            effect="node start",
         ),
     ),
     "recorder": (
@@ -234,15 +280,26 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
     ),
     "identify": (
         *COMMON,
-        NodeParameter("runs", "", "Folder of finished trials that is looked at; empty: impacts names a table"),
-        NodeParameter("impacts", "", "Table of impacts that is looked at, a row for each; empty: runs names a folder"),
-        NodeParameter("impacts_scenario", "", "Scenario of the arms in that table; empty: each row is one free body"),
-        NodeParameter("model", "nominal", "Name or path of the model that is followed"),
-        NodeParameter("state", "", "State file, so that a node that is started again goes on; empty: none"),
-        NodeParameter(
-            "diagnose", True, "Whether a change starts a full diagnosis of the hits since then, in a process of its own"
+        *with_effect(
+            "node start",
+            NodeParameter("runs", "", "Folder of finished trials that is looked at; empty: impacts names a table"),
+            NodeParameter(
+                "impacts", "", "Table of impacts that is looked at, a row for each; empty: runs names a folder"
+            ),
+            NodeParameter(
+                "impacts_scenario", "", "Scenario of the arms in that table; empty: each row is one free body"
+            ),
+            NodeParameter("model", "nominal", "Name or path of the model that is followed"),
+            NodeParameter("state", "", "State file, so that a node that is started again goes on; empty: none"),
+            NodeParameter(
+                "diagnose",
+                True,
+                "Whether a change starts a full diagnosis of the hits since then, in a process of its own",
+            ),
+            NodeParameter(
+                "diagnoses", "", "Folder for these diagnoses; empty: the state file's, or the working directory"
+            ),
         ),
-        NodeParameter("diagnoses", "", "Folder for these diagnoses; empty: the state file's, or the working directory"),
         NodeParameter("poll_period", 0.5, "Time between two looks for finished trials", "s", (0.05, 60.0)),
     ),
     "experiment": (
@@ -281,7 +338,7 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
 
 
 def declare(node: Node, kind: str) -> None:
-    """Declare the parameters of a node; invalid values are refused, now and later.
+    """Declare the parameters of a node; invalid values, and changes that cannot act, are refused with the reason.
 
     Args:
         node: The node.
@@ -295,6 +352,10 @@ def declare(node: Node, kind: str) -> None:
 
     def check(changed: list[Parameter]) -> SetParametersResult:
         wrong = [complaint for one in changed if (complaint := complaint_about(kind, one.name, one.value))]
+        if kind in ("cell", "watchdog") and any(
+            one.name == "use_sim_time" and one.value != value(node, one.name) for one in changed
+        ):
+            wrong.append(f"use_sim_time: the {kind} chooses the robot's clock when it starts; start it again")
         return SetParametersResult(successful=not wrong, reason="; ".join(wrong))
 
     for name in (*(parameter.name for parameter in PARAMETERS[kind]), "use_sim_time"):
@@ -335,7 +396,7 @@ def defaults_of(kind: str) -> dict[str, Any]:
     return {parameter.name: parameter.default for parameter in PARAMETERS[kind]}
 
 
-NODE_NAMES = {"cell": "plant"}  # of nodes that are not called as their kind
+FORMER_SECTIONS = {"cell": "plant"}  # what nodes were called up to 0.2, by their names now
 EVERY_NODE = "/**"  # section of a parameter file
 
 
@@ -352,11 +413,12 @@ def values_of(path: Path, kind: str) -> dict[str, Any]:
         InputError: The file cannot be read, has no section of the node, or one with an unknown name or a value that
             the node refuses.
     """
-    name, known = NODE_NAMES.get(kind, kind), {parameter.name: parameter for parameter in PARAMETERS[kind]}
+    known = {parameter.name: parameter for parameter in PARAMETERS[kind]}
     values, content = defaults_of(kind), load_mapping(path)
-    own = {section: _own(content, section) for section in content if section.rpartition("/")[2] in (name, "**")}
+    _refuse_former_section(path, kind, content)
+    own = {section: _own(content, section) for section in content if section.rpartition("/")[2] in (kind, "**")}
     if not any(own.values()):
-        raise InputError(f"no section of the {kind}, expected /**/{name} with ros__parameters in it", file=path)
+        raise InputError(f"no section of the {kind}, expected /**/{kind} with ros__parameters in it", file=path)
     for section in sorted(own, key=len):  # the node's own section overrides the common one
         for key, wanted in own[section].items():
             place = f"{section}.{key}"
@@ -367,6 +429,35 @@ def values_of(path: Path, kind: str) -> dict[str, Any]:
                 hint = did_you_mean(str(key), known) or f"; known: {', '.join(known)}"
                 raise InputError(f"the {kind} has no such parameter{hint}", file=path, key=place)
     return values
+
+
+def refuse_former_sections(arguments: Sequence[str], kind: str) -> None:
+    """Refuse a node's former name, in a parameter file or on its command line.
+
+    ROS passes over a section of another node, and takes the defaults: a cell would run without its watchdog.
+
+    Args:
+        arguments: Command line of the node.
+        kind: Node, a key of ``PARAMETERS``.
+
+    Raises:
+        InputError: The former name is in use, or a file cannot be read.
+    """
+    if (former := FORMER_SECTIONS.get(kind)) is None:
+        return
+    if f"__node:={former}" in arguments:
+        raise InputError(f"the {kind} is called {kind} and no longer {former}: do not rename it", key="__node")
+    for option, file in pairwise(arguments):
+        if option == "--params-file":
+            _refuse_former_section(Path(file), kind, load_mapping(Path(file)))
+
+
+def _refuse_former_section(path: Path, kind: str, content: Mapping[str, Any]) -> None:
+    names, former = {section.rpartition("/")[2] for section in content}, FORMER_SECTIONS.get(kind)
+    if former in names and kind not in names:
+        raise InputError(
+            f"the {kind} is called {kind} and no longer {former}: rename the section", file=path, key=former
+        )
 
 
 def _own(content: dict[str, Any], section: str) -> dict[str, Any]:
@@ -408,20 +499,24 @@ def markdown() -> str:
         "# Node parameters",
         "",
         "*Look up.* Generated by `python -m impact_rs_ros.node_parameters > docs/parameters.md`. `config/nodes.yaml`",
-        "has all of them at their defaults, `config/cell.yaml` those of the cell (a node called `plant`).",
-        "`ros2 param describe /plant realtime` describes a parameter of a running node.",
+        "has all of them at their defaults, `config/cell.yaml` those of the cell and its watchdog.",
+        "`ros2 param describe /plant realtime` describes a parameter of a running node. A change (`ros2 param set`)",
+        "acts at once (on the next request), from the next trial on, or when the node starts: those are `read_only`.",
     ]
     first, *others = PARAMETERS.values()
-    common = [one for one in first if all(one in parameters for parameters in others)]
+    common = [one for one in first if all(one.name in {p.name for p in parameters} for parameters in others)]
     own = {kind: [one for one in parameters if one not in common] for kind, parameters in PARAMETERS.items()}
     for kind, parameters in {"every node": common, **own}.items():
-        lines += ["", f"## {kind}", "", "| Name | Value | Default | Meaning |", "|---" * 4 + "|"] if parameters else []
+        if parameters:
+            lines += ["", f"## {kind}", "", "| Name | Value | Default | A change acts | Meaning |", "|---" * 5 + "|"]
         for p in parameters:
             default = str(p.default).lower() if isinstance(p.default, bool) else str(p.default)
             limits = ", ".join(p.choices) if p.range is None else f"{p.range[0]:g} to {p.range[1]:g}"
             unit = "" if p.unit == "-" else f"[{p.unit}]"
             value = " ".join(filter(None, (limits or type(p.default).__name__, unit)))
-            lines.append(f"| `{p.name}` | {value} | {f'`{default}`' if default else ''} | {p.description}. |")
+            effect = f"{p.effect} (`read_only`)" if p.read_only else p.effect
+            default = f"`{default}`" if default else ""
+            lines.append(f"| `{p.name}` | {value} | {default} | {effect} | {p.description}. |")
     return "\n".join(lines) + "\n"
 
 

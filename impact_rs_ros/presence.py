@@ -28,9 +28,9 @@ LEASE_GRACE_S = 1.0  # a lease can lapse and be renewed at once when another pub
 LEAVING_S = 5.0  # from a publisher's end to the end of its process, on a busy machine; a frozen node's lease lapses
 
 
-def announce(node: Node) -> Publisher:
+def announce(node: Node, topic: str = "~/alive") -> Publisher:
     """Publish the liveliness of a node for as long as its process runs."""
-    publisher = node.create_publisher(Empty, "~/alive", ALIVE)
+    publisher = node.create_publisher(Empty, topic, ALIVE)
     publisher.publish(Empty())
     return publisher
 
@@ -124,7 +124,7 @@ class SubscriptionsMatched:
     def __init__(self, node: Node, names: Iterable[str]) -> None:
         self._node = node
         self._topics = [f"{name}/alive" for name in names]
-        self._inbox = Inbox(node, "matching", ALIVE)
+        self._inbox = Inbox(node, ALIVE)
         self._matched: set[str] = set()
 
     def begin(self) -> None:

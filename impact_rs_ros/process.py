@@ -21,7 +21,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from impact_rs_ros import node_parameters, presence
-from impact_rs_ros.middleware import set_middleware
+from impact_rs_ros.middleware import discovery, set_middleware
 from impact_rs_ros.qos import offered
 from impact_rs_ros.roots import below, scenario_below
 from impact_rs_sim.errors import InputError, full_traceback
@@ -43,20 +43,24 @@ class NodeProgram:
     """
 
     kind: ClassVar[str]
-    name: ClassVar[str] = ""
-    """Name of the node unless it is remapped; empty: its kind."""
+    place: ClassVar[str] = ""
+    """Node in whose place it serves trials, under that node's names of services; empty: it has no other's place."""
     background: ClassVar[bool] = True
     """Whether the process has a lower priority: a recorder that wakes up must not interrupt plant or controller."""
 
     def __init__(self) -> None:
-        self.node = Node(self.name or self.kind)
+        self.node = Node(self.kind)
         self.log = self.node.get_logger()
         node_parameters.declare(self.node, self.kind)
         self.executor = self.make_executor()
         self.executor.add_node(self.node)
-        self._alive = presence.announce(self.node)
+        self._alive = presence.announce(self.node, self.role("alive"))
         self._diagnostics = self.node.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, offered(topics.DIAGNOSTICS))
         self._diagnosed = time.monotonic()
+
+    def role(self, name: str) -> str:
+        """Name of a topic or service of this node, or of the node in whose place it serves."""
+        return f"{self.place}/{name}" if self.place else f"~/{name}"
 
     def make_executor(self) -> Executor:
         """Executor of services, actions and parameters."""
@@ -75,6 +79,7 @@ class NodeProgram:
         except InputError as error:
             self.log.error(str(error))
         self.offer()
+        self.log.info(discovery(os.environ))
         self.log.info(
             f"ready: serves {', '.join(self.served())} in ROS domain {self.node.context.get_domain_id()}, namespace "
             f"{self.node.get_namespace()}; {node_parameters.text(self.node, self.kind)}"
@@ -202,6 +207,7 @@ def run(program: type[NodeProgram]) -> None:
     rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     try:
         try:
+            node_parameters.refuse_former_sections(sys.argv, program.kind)
             node = program()
         except (InputError, ParameterException) as error:
             get_logger(program.kind).fatal(f"parameter refused: {error}")

@@ -226,7 +226,7 @@ class RecorderNode(NodeProgram):
     def __init__(self) -> None:
         super().__init__()
         self._arms: list[str] = []
-        self._inbox = Inbox(self.node, "inbox", RECORD, raw=True)
+        self._inbox = Inbox(self.node, RECORD, raw=True)
         self._open = ExitStack()  # the bag of the trial that is recorded
         self._recording: OpenTrial | None = None
         self._attempt = 0  # the last one that was configured
@@ -256,7 +256,7 @@ class RecorderNode(NodeProgram):
     def status(self) -> tuple[str, dict[str, object]]:
         refused = 0 if self._recording is None else self._recording.refused.total()
         line = f"{refused} messages unreadable or not of this trial: who else publishes?" if refused else "ok"
-        return line, {"messages": self._messages, "refused_messages": refused, "subscriptions_of": self._inbox.name}
+        return line, {"messages": self._messages, "refused_messages": refused}
 
     def failure(self) -> str:
         return self._failure

@@ -29,7 +29,7 @@ class RobotClock:
         self._steady = self._read = 0.0  # s; the latter when it was last read, by the simulator
         self._asked = self._moved = time.monotonic()  # times of the last query, and of the simulator's last advance
         if value(node, "use_sim_time"):  # past the executor of the node, which does not run while a trial does
-            self._inbox = Inbox(node, "clock", WATCH)
+            self._inbox = Inbox(node, WATCH)
             self._inbox.connect({topics.CLOCK: topics.CLOCK_TYPE})
 
     def now(self) -> int:

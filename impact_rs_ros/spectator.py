@@ -7,6 +7,7 @@ decoded a thousand times a second, and no publisher waits for the observer.
 
 from __future__ import annotations
 
+import logging
 import os
 import time
 from collections.abc import Iterator
@@ -22,7 +23,7 @@ from rclpy.node import Node
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.joint_signals import joint_signals, names_of
 from impact_rs_ros.message_types import decoded, message_type
-from impact_rs_ros.middleware import set_middleware
+from impact_rs_ros.middleware import discovery, set_middleware
 from impact_rs_ros.names import full_namespace, resolved
 from impact_rs_ros.qos import LATCHED, WATCH
 from impact_rs_sim.errors import InputError
@@ -31,6 +32,8 @@ from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.snapshot import IdentifyMessages, Situation, Snapshot
+
+log = logging.getLogger(__name__)
 
 STATES = "/joint_states"  # of a robot without a trial, beside its /robot_description
 MAX_JOINT_SILENCE_S = 1.0  # without a joint state, after which the robot is taken to be at rest
@@ -50,9 +53,9 @@ class Spectator:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._place = f"ROS domain {node.context.get_domain_id()}, namespace {node.get_namespace()}"
-        self._latched = Inbox(node, "latched", LATCHED)
+        self._latched = Inbox(node, LATCHED)
         self._latched.connect(DESCRIBING | FOLLOWED)
-        self._signals = Inbox(node, "signals", WATCH, raw=True)
+        self._signals = Inbox(node, WATCH, raw=True)
         self._signals.connect({STATES: topics.JOINT_STATE})
         self._info: TrialInfo | None = None
         self._known = Snapshot("absent", self._place)
@@ -74,6 +77,7 @@ class Spectator:
         """
         full = full_namespace(namespace)
         set_middleware(os.environ)
+        log.info(discovery(os.environ))
         with ExitStack() as stack:
             context = Context()
             rclpy.init(context=context)

@@ -98,7 +98,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         self._name = ""
         self._attempt = 0  # the last one that was configured
         self._finished: FinishTrial.Response | None = None  # answer on the end of the trial before
-        self.inbox = Inbox(self.node, "inbox", AWAITED, raw=True)
+        self.inbox = Inbox(self.node, AWAITED, raw=True)
         self.outbox = Outbox(self.node)
 
     @abstractmethod
@@ -126,8 +126,8 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         self.streams(StreamMaker(spec.plan))
 
     def offer(self) -> None:
-        self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)
-        self.node.create_service(FinishTrial, "~/finish_trial", self._on_finish)
+        self.node.create_service(ConfigureTrial, self.role("configure_trial"), self._on_configure)
+        self.node.create_service(FinishTrial, self.role("finish_trial"), self._on_finish)
 
     def turn(self) -> None:
         if not self.running or self.trial is None:
@@ -151,13 +151,12 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         return 0 if self.trial is None else self.trial.now
 
     def status(self) -> tuple[str, dict[str, object]]:
-        own = {"subscriptions_of": self.inbox.name}
         if self.trial is None:
-            return "ok", {"ticks": 0, **own}
+            return "ok", {"ticks": 0}
         line, numbers = self.trial.status()
         if line == "ok" and self.trial.unreadable:
             line = f"{self.trial.note()}: who else publishes?"
-        return line, {**numbers, "unreadable_messages": self.trial.unreadable, **own}
+        return line, {**numbers, "unreadable_messages": self.trial.unreadable}
 
     def failure(self) -> str:
         return "" if self.trial is None else self.trial.failure
@@ -263,7 +262,8 @@ class LeadingNode(TrialNode[AnyLeadingTrial]):
     def offer(self) -> None:
         super().offer()
         # The answer comes when the trial is over; meanwhile the other services stay open.
-        self.node.create_service(Trigger, "~/run_trial", self._on_run, callback_group=MutuallyExclusiveCallbackGroup())
+        group = MutuallyExclusiveCallbackGroup()
+        self.node.create_service(Trigger, self.role("run_trial"), self._on_run, callback_group=group)
 
     def wait(self) -> None:
         """Serve requests for some milliseconds, before or after the ticks of a trial."""

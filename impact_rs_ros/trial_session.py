@@ -107,8 +107,8 @@ class TrialSession:
         self._trial_info = node.create_publisher(TrialInfoMessage, on_network(topics.TRIAL_INFO), LATCHED)
         self._descriptions: dict[str, Publisher] = {}  # by topic
         self._arms: list[str] = []
-        self._states = Inbox(node, "states", WATCH)
-        self._events = Inbox(node, "events", EVENT)
+        self._states = Inbox(node, WATCH)
+        self._events = Inbox(node, EVENT)
         self._newest: dict[str, Any] = {}  # controller states by topic
         self._attempt = 0  # number of the attempt at a trial, in its requests
 

@@ -110,7 +110,7 @@ class WatchdogNode(NodeProgram):
     def __init__(self) -> None:
         super().__init__()
         self._clock = RobotClock(self.node)
-        self._inbox = Inbox(self.node, "inbox", AWAITED, raw=True)
+        self._inbox = Inbox(self.node, AWAITED, raw=True)
         self._publishers: dict[str, Publisher] = {}
         self._braking = self.node.create_publisher(Bool, on_network(BRAKING_TOPIC), LATCHED)
         self._arm_of: dict[str, str] = {}

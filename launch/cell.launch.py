@@ -28,13 +28,13 @@ def generate_launch_description() -> LaunchDescription:
             *(
                 Node(
                     package="impact_rs",
-                    executable=executable,
+                    executable=name,
                     name=name,
                     output="screen",
                     parameters=parameters,
                     remappings=remappings,
                 )
-                for executable, name in (("watchdog", "watchdog"), ("cell", "plant"))
+                for name in ("watchdog", "cell")
             ),
         ]
     )

@@ -9,6 +9,7 @@ import runpy
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -17,6 +18,8 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 from catkin_pkg.package import parse_package
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 
 from impact_rs_ros.driver_profiles import PROFILES, profile_of
 from impact_rs_ros.middleware import CHOICES, PROFILE, set_middleware
@@ -85,7 +88,8 @@ def test_a_script_leads_to_main_and_does_nothing_where_a_worker_imports_it(
     """The processes of a campaign import the program that started them under another name."""
     assert os.access(script, os.X_OK)
     assert script.read_text().startswith("#!/usr/bin/env python3\n")
-    (module,) = re.findall(r"^from (\S+) import main$", script.read_text(), re.MULTILINE)
+    (module,) = re.findall(r"^ *from (\S+) import main$", script.read_text(), re.MULTILINE)
+    monkeypatch.setattr("signal.signal", lambda *_: None)
     started: list[str] = []
     monkeypatch.setattr(f"{module}.main", lambda: started.append(module))
     runpy.run_path(str(script), run_name="__mp_main__")
@@ -208,7 +212,7 @@ def test_cell_and_watchdog_are_launched_with_one_file_and_the_same_topics(launch
     del launch_file
     entities = runpy.run_path(str(ROOT / "launch" / "cell.launch.py"))["generate_launch_description"]()
     watchdog, cell = (one for one in entities if one.kind == "Node")
-    assert (watchdog.executable, cell.executable, cell.name) == ("watchdog", "cell", "plant")
+    assert (watchdog.executable, watchdog.name, cell.executable, cell.name) == ("watchdog", "watchdog", "cell", "cell")
     assert watchdog.remappings == cell.remappings and watchdog.parameters == cell.parameters
     assert [source for source, _ in cell.remappings] == ["joint_states", "arm/effort_controller/commands"]
 
@@ -333,17 +337,67 @@ def test_run_sets_the_middleware_as_the_nodes_do(rmw: dict[str, str], chosen: di
     assert found == environment
 
 
-def requirements(name: str) -> list[str]:
+def requirements(name: str) -> dict[str, Requirement]:
+    """Requirements of a file for pip, by name."""
     lines = (ROOT / name).read_text().splitlines()
-    return [line for line in lines if line and not line.startswith(("#", "-r "))]
+    return named(line for line in lines if line and not line.startswith("#"))
 
 
-def test_requirements_of_a_workspace_are_those_of_pip_without_ros() -> None:
-    project = pyproject()["project"]
-    extras = project["optional-dependencies"]
-    assert requirements("requirements.txt") == [d for d in project["dependencies"] if not d.startswith("ros-")]
-    tests = [*extras["export"], *(d for d in extras["test"] if not d.startswith("impact-rs"))]
-    assert requirements("requirements-test.txt") == tests
+def named(lines: Iterable[str]) -> dict[str, Requirement]:
+    """Requirements by name, in small letters."""
+    return {one.name.lower(): one for one in map(Requirement, lines)}
+
+
+KEYS = yaml.safe_load((ROOT / "test" / "shared" / "rosdep_keys.yaml").read_text())
+OF_UBUNTU = {  # Python packages that rosdep installs in a version that is new enough: its key, version on Ubuntu 24.04
+    "pin": ("pinocchio", "4.1.0"),
+    "pyyaml": ("python3-yaml", "6.0.1"),
+    "jinja2": ("python3-jinja2", "3.1.2"),
+    "rich": ("python3-rich", "13.7.1"),
+}
+TOO_OLD = {  # what it installs too old, which pip therefore installs again
+    "numpy": "python3-numpy",  # new enough; pip must not make it newer
+    "matplotlib": "python3-matplotlib",
+    "pybind11": "pybind11-dev",
+    "pydantic": "python3-pydantic",
+    "ruamel.yaml": "python3-ruamel.yaml",
+    "scipy": "python3-scipy",
+    "uvicorn": "python3-uvicorn",
+}
+
+
+def test_every_dependency_of_the_package_is_a_key_of_rosdep_in_use() -> None:
+    """Kills: a key that rosdep does not know (``python3-pinocchio``), with which ``rosdep install`` ends."""
+    package = parse_package(ROOT / "package.xml")
+    kinds = (package.buildtool_depends, package.build_depends, package.exec_depends, package.test_depends)
+    used = {depend.name for kind in kinds for depend in kind}
+    assert used == set(KEYS)
+    assert all(entry["ubuntu"]["noble"] for entry in KEYS.values())
+    assert all(url.url.startswith("https://") for url in package.urls) and package.urls
+
+
+def test_rosdep_and_one_command_of_pip_install_every_python_package_new_enough() -> None:
+    """Kills: a dependency that a workspace with ROS 2 from apt has from nowhere, or too old."""
+    package, project = parse_package(ROOT / "package.xml"), pyproject()["project"]
+    keys = {depend.name for depend in (*package.exec_depends, *package.build_depends)}
+    needed = named(line for line in project["dependencies"] if not line.startswith("ros-"))
+    by_pip = requirements("requirements.txt")
+    assert needed.keys() | {"pybind11"} == by_pip.keys() | OF_UBUNTU.keys()
+    assert not by_pip.keys() & OF_UBUNTU.keys()
+    for name, (key, version) in OF_UBUNTU.items():
+        assert key in keys and version in needed[name].specifier, name
+    assert set(TOO_OLD.values()) <= keys
+    assert TOO_OLD.keys() <= by_pip.keys()
+    assert by_pip.pop("numpy").specifier == needed["numpy"].specifier & SpecifierSet("<2")
+    assert {name: one.specifier for name, one in by_pip.items() if name != "pybind11"} == {
+        name: needed[name].specifier for name in by_pip if name != "pybind11"
+    }
+
+
+def test_requirements_of_the_tests_are_those_of_pip() -> None:
+    extras = pyproject()["project"]["optional-dependencies"]
+    tests = [*extras["export"], *(line for line in extras["test"] if not line.startswith("impact-rs"))]
+    assert requirements("requirements-test.txt") == named(tests)
 
 
 def test_xml_is_well_formed() -> None:

@@ -43,7 +43,7 @@ def robot() -> None:
     """Publish states of a resting arm, and print when each torque came [s]."""
     spec = TrialSpec.of(load_scenario("push"), "cat_food", "case_2").plan
     node = Node("robot")
-    inbox = Inbox(node, "inbox", RECORD)
+    inbox = Inbox(node, RECORD)
     inbox.connect(dict.fromkeys(WAYS, "std_msgs/msg/Float64MultiArray"))
     states = node.create_publisher(JointState, "/joint_states", 10)
     model, q = spec.scene.models["arm"], spec.arms["arm"].initial

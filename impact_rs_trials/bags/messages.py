@@ -156,8 +156,6 @@ class MessageMaker:
             qp_status=int(command.qp_status),
             qp_iterations=int(command.qp_iterations),
             qp_solve_time=float(command.qp_solve_time),
-            end_effector_twist=self._twist(command.twist),
-            end_effector_wrench=self._wrench(command.wrench),
         )
 
     def impact_event(self, tick: int, arm: str, detection: ImpactDetection) -> Any:
@@ -170,8 +168,6 @@ class MessageMaker:
             threshold=float(detection.threshold),
             external_wrench=detection.wrench,
             twist=detection.twist,
-            end_effector_twist=self._twist(detection.twist),
-            end_effector_wrench=self._wrench(detection.wrench),
         )
 
     def _twist(self, values: Array) -> Any:

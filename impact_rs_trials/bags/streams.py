@@ -8,7 +8,6 @@ is measured, and a whole burst is serialized column by column. The bytes equal t
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping
 from operator import attrgetter
 from typing import Any
@@ -40,7 +39,7 @@ def _component(name: str, index: int) -> Callable[[Any], float]:
 
 _STATE = {"position": "position", "velocity": "velocity", "effort": "torque"}
 _MOTOR = {"position": "motor_position", "velocity": "motor_velocity"}
-_COMMAND: dict[str, str | Callable[[Any], Any]] = {
+_COMMAND = {
     "mode": "mode",
     "gamma": "gamma",
     "position": "position",
@@ -52,11 +51,6 @@ _COMMAND: dict[str, str | Callable[[Any], Any]] = {
     "qp_status": "qp_status",
     "qp_iterations": "qp_iterations",
     "qp_solve_time": "qp_solve_time",
-    **{
-        f"end_effector_{name}.{part}.{axis}": _component(name, index)
-        for name, parts in (("twist", ("linear", "angular")), ("wrench", ("force", "torque")))
-        for index, (part, axis) in enumerate(itertools.product(parts, "xyz"))
-    },
 }
 
 

@@ -20,7 +20,7 @@ from rclpy.qos import (
 
 from impact_rs_ros import process
 from impact_rs_ros.impact_map_node import ImpactMapNode
-from impact_rs_ros.middleware import CHOICES, LOCALHOST, PROFILE, RANGE, set_middleware
+from impact_rs_ros.middleware import CHOICES, LOCALHOST, PROFILE, RANGE, discovery, set_middleware
 from impact_rs_ros.names import SHARED, full_namespace, on_network, within
 from impact_rs_ros.qos import AWAITED, EVENT, LATCHED, RECORD, STREAM, WATCH, offered
 from impact_rs_sim.errors import InputError
@@ -69,6 +69,44 @@ def test_another_middleware_stays_within_this_machine_by_its_own_means() -> None
     environment = {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}
     set_middleware(environment)
     assert environment == {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp", RANGE: LOCALHOST}
+
+
+IMPORT = """
+import os, pkgutil, signal, sys, threading
+import rclpy.node  # the libraries of others, whose effects are theirs
+from importlib import import_module
+import numpy, scipy.optimize, proxsuite, pinocchio
+def state():
+    handlers = {number: signal.getsignal(number) for number in signal.valid_signals()}
+    return dict(os.environ), handlers, threading.active_count()
+before = state()
+import impact_rs_ros
+for module in pkgutil.iter_modules(impact_rs_ros.__path__, "impact_rs_ros."):
+    import_module(module.name)
+after = state()
+assert after == before, [pair for pair in zip(after, before) if pair[0] != pair[1]]
+assert not rclpy.ok()
+"""
+
+
+def test_importing_the_nodes_changes_neither_environment_nor_signals_nor_threads() -> None:
+    """Kills: an import that edits AMENT_PREFIX_PATH, sets SIGINT, or chooses a middleware."""
+    environment = {key: value for key, value in os.environ.items() if key not in (*CHOICES, "AMENT_PREFIX_PATH")}
+    program = [sys.executable, "-c", IMPORT, "node"]
+    done = subprocess.run(program, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_node_says_who_finds_it_and_how_to_change_that() -> None:
+    environment: dict[str, str] = {}
+    set_middleware(environment)
+    here = "discovery: this machine only; for several machines set ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET on all of them"
+    assert discovery(environment) == here
+    assert discovery({RANGE: LOCALHOST}) == here
+    set_middleware(own := {RANGE: "SUBNET", "ROS_STATIC_PEERS": "10.0.0.2"})
+    assert discovery(own) == (
+        "discovery: by the environment, ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET, ROS_STATIC_PEERS=10.0.0.2"
+    )
 
 
 def test_a_node_that_is_run_by_itself_keeps_to_this_machine_too(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from node_trials import participant
 from rcl_interfaces.msg import Parameter
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
 from rclpy.parameter import Parameter as RclParameter
@@ -21,6 +22,7 @@ from impact_rs_ros.node_processes import NODES
 from impact_rs_ros.plant_node import PlantNode
 from impact_rs_ros.process import NodeProgram
 from impact_rs_ros.recorder_node import RecorderNode
+from impact_rs_ros.watchdog_node import WatchdogNode
 from impact_rs_sim.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -38,7 +40,7 @@ def example() -> dict[str, dict[str, object]]:
         name: {key: common[key] for key in common if key != "data_root" or name in writes} for name in (*NODES, ALONE)
     }
     real = yaml.safe_load((ROOT / "config" / "cell.yaml").read_text())
-    cell, watchdog = (shared["plant"] | real[f"/**/{name}"]["ros__parameters"] for name in ("plant", "watchdog"))
+    cell, watchdog = (shared["plant"] | real[f"/**/{name}"]["ros__parameters"] for name in ("cell", "watchdog"))
     return {name: shared[name] | own.get(name, {}) for name in shared} | {"cell": cell, "watchdog": watchdog}
 
 
@@ -61,6 +63,8 @@ def test_a_node_loads_the_example_and_tells_unit_and_range(
     values = graph.call(GetParameters, f"{kind}/get_parameters", GetParameters.Request(names=names))
     for parameter, descriptor, message in zip(known, described.descriptors, values.values, strict=True):
         assert descriptor.description == f"{parameter.description} [{parameter.unit}]"
+        assert descriptor.read_only == parameter.read_only
+        assert descriptor.additional_constraints.endswith(f"a change acts: {parameter.effect}")
         limits = [(r.from_value, r.to_value) for r in descriptor.floating_point_range]
         assert limits == ([parameter.range] if parameter.range else [])
         found = RclParameter.from_parameter_msg(Parameter(name=parameter.name, value=message)).value
@@ -86,6 +90,29 @@ def test_a_value_that_cannot_be_worked_with_is_refused_with_a_reason(
     answer = graph.call(SetParameters, f"{node}/set_parameters", SetParameters.Request(parameters=[message]))
     assert not answer.results[0].successful
     assert told in answer.results[0].reason
+
+
+CHANGES = [
+    (CellNode, {"watchdog": True}, "read-only parameter: watchdog"),  # torques would go on past the watchdog
+    (CellNode, {"torque_rate_limit": 500.0}, "read-only parameter: torque_rate_limit"),  # the watchdog keeps its own
+    (CellNode, {"use_sim_time": True}, "the cell chooses the robot's clock when it starts; start it again"),
+    (CellNode, {"start_tolerance": 0.02}, ""),
+    (WatchdogNode, {"command_timeout": 0.1}, "read-only parameter: command_timeout"),
+    (WatchdogNode, {"scenario": "grab"}, "read-only parameter: scenario"),
+    (WatchdogNode, {"diagnostics_period": 2.0}, ""),
+]
+
+
+@pytest.mark.parametrize(("program", "change", "told"), CHANGES)
+def test_a_change_that_cannot_act_is_refused_with_the_reason(
+    program: type[NodeProgram], change: dict[str, object], told: str, domain_ids: Callable[[], int]
+) -> None:
+    """Kills: a change that is accepted and has no effect, or, worse, half of its effect."""
+    with participant(domain_ids(), program.kind) as node:
+        node_parameters.declare(node, program.kind)
+        (result,) = node.set_parameters([RclParameter(name, value=wanted) for name, wanted in change.items()])
+    assert result.successful == (not told)
+    assert told in result.reason
 
 
 def test_former_name_of_an_engine_is_accepted() -> None:
@@ -126,11 +153,11 @@ def test_a_node_does_not_start_with_such_a_value(
 @pytest.mark.parametrize(
     ("kind", "section", "values", "told"),
     [
-        ("cell", "plant", {"torque_rate_limt": 9.0}, r"torque_rate_limt: the cell has no such .* 'torque_rate_limit'"),
-        ("cell", "plant", {"torque_rate_limit": 9}, r"torque_rate_limit = 9: expected a number with a point"),
-        ("cell", "plant", {"state_timeout": 20.0}, r"state_timeout = 20\.0: expected 0\.001 to 10 s"),
-        ("cell", "plant", {"joints": "fr3_joint"}, r"joints 'fr3_joint': expected \{number\} in it"),
-        ("watchdog", "plant", {"joints": "a{number}"}, r"no section of the watchdog, expected /\*\*/watchdog"),
+        ("cell", "cell", {"torque_rate_limt": 9.0}, r"torque_rate_limt: the cell has no such .* 'torque_rate_limit'"),
+        ("cell", "cell", {"torque_rate_limit": 9}, r"torque_rate_limit = 9: expected a number with a point"),
+        ("cell", "cell", {"state_timeout": 20.0}, r"state_timeout = 20\.0: expected 0\.001 to 10 s"),
+        ("cell", "cell", {"joints": "fr3_joint"}, r"joints 'fr3_joint': expected \{number\} in it"),
+        ("watchdog", "cell", {"joints": "a{number}"}, r"no section of the watchdog, expected /\*\*/watchdog"),
     ],
 )
 def test_a_parameter_file_that_a_node_would_pass_over_is_refused_with_its_key(
@@ -142,11 +169,29 @@ def test_a_parameter_file_that_a_node_would_pass_over_is_refused_with_its_key(
         node_parameters.values_of(file, kind)
 
 
+def test_a_file_for_the_cell_under_its_former_name_is_refused_and_not_passed_over(tmp_path: Path) -> None:
+    """Kills: a cell that starts with the defaults, without its watchdog, because ROS knows no node ``plant``."""
+    old, new, common = (tmp_path / f"{name}.yaml" for name in ("old", "new", "common"))
+    old.write_text("/**/plant: {ros__parameters: {watchdog: true}}")
+    new.write_text("/**/plant: {ros__parameters: {}}\n/**/cell: {ros__parameters: {watchdog: true}}")
+    common.write_text("/**: {ros__parameters: {scenario: push}}")
+    told = r"old\.yaml: plant: the cell is called cell and no longer plant: rename the section"
+    with pytest.raises(InputError, match=told):
+        node_parameters.refuse_former_sections(["cell", "--ros-args", "--params-file", str(old)], "cell")
+    with pytest.raises(InputError, match=told):
+        node_parameters.values_of(old, "cell")
+    with pytest.raises(InputError, match="__node: the cell is called cell and no longer plant: do not rename it"):
+        node_parameters.refuse_former_sections(["cell", "--ros-args", "-r", "__node:=plant"], "cell")
+    for file in (new, common):
+        node_parameters.refuse_former_sections(["--ros-args", "--params-file", str(file)], "cell")
+    node_parameters.refuse_former_sections(["--ros-args", "--params-file", str(old)], "plant")
+
+
 def test_values_of_a_file_are_those_that_the_node_has(tmp_path: Path) -> None:
     """Section by section as rclpy resolves them: that of all nodes, then that of the node in any namespace."""
     file = tmp_path / "cell.yaml"
     sections = {
-        "/**/plant": {"ros__parameters": {"state_timeout": 0.02, "joints": "a{number}"}},
+        "/**/cell": {"ros__parameters": {"state_timeout": 0.02, "joints": "a{number}"}},
         "/**": {"ros__parameters": {"state_timeout": 0.03, "scenario": "grab", "of_another_node": 1}},
         "other": {"ros__parameters": {"scenario": "nonsense"}},
     }

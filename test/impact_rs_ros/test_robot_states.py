@@ -184,7 +184,7 @@ class Simulator:
         outer = self
 
         class Topic:
-            def __init__(self, node: object, name: str, qos: object) -> None:
+            def __init__(self, node: object, qos: object) -> None:
                 self.connect = self.gather = lambda *arguments: None
                 self.clear = outer.waiting.clear
 

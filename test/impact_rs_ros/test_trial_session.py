@@ -102,7 +102,7 @@ def stage(domain_ids: Callable[[], int]) -> Iterator[tuple[TrialSession, Actors]
 def test_descriptions_reach_a_viewer_that_comes_later(stage: tuple[TrialSession, Actors]) -> None:
     session, actors = stage
     session.describe(PLAN)
-    viewer = Inbox(actors.node, "viewer", LATCHED)
+    viewer = Inbox(actors.node, LATCHED)
     viewer.connect({topics.ROBOT_DESCRIPTION: topics.STRING})
     ((_, message),) = until(lambda: list(viewer.take()), lambda: viewer.wait(0.05), "no description")
     assert isinstance(message, String)

@@ -2,6 +2,7 @@
 """Bags: what goes in comes out, and the columnar way is byte for byte the one of ``rosbags``."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -87,28 +88,34 @@ def test_a_bag_of_version_0_1_0_is_read_by_its_former_names() -> None:
     assert 0.89 < bag.impact_time("arm") < 0.92
 
 
-def test_a_bag_with_fewer_fields_is_read_by_its_own_definitions(push_campaign: Path, tmp_path: Path) -> None:
-    """As written before ``end_effector_twist`` and ``end_effector_wrench``."""
+def test_a_bag_with_other_fields_is_read_by_its_own_definitions(push_campaign: Path, tmp_path: Path) -> None:
+    """As written with ``end_effector_twist``, the same numbers as ``twist``; as up to 0.2.0."""
     bag = TrialBag.open(sorted(push_campaign.glob("cat_food*"))[0])
     topic, kind = topics.controller_state("arm"), topics.CONTROLLER_STATE
     lines = (Path(impact_msgs_py.__file__).parent / "msg" / "ControllerState.msg").read_text().splitlines()
-    definition = "\n".join(line for line in lines if " end_effector_" not in line)
+    definition = "\n".join((*lines, "geometry_msgs/Twist end_effector_twist"))
     before = get_typestore(Stores.ROS2_JAZZY)
     before.register(get_types_from_msg(definition, kind))
-    fields = [name for name, _ in before.fielddefs[kind][1]]
-    assert 0 < len(typestore().fielddefs[kind][1]) - len(fields) < 5
-    shorter = [before.types[kind](**{name: getattr(one, name) for name in fields}) for one in bag.messages(topic)]
+    fields = [name for name, _ in typestore().fielddefs[kind][1]]
+    twist, vector = (before.types[f"geometry_msgs/msg/{name}"] for name in ("Twist", "Vector3"))
+
+    def longer(one: Any) -> Any:
+        parts = twist(linear=vector(*one.twist[:3]), angular=vector(*one.twist[3:]))
+        return before.types[kind](**{name: getattr(one, name) for name in fields}, end_effector_twist=parts)
+
     with Writer(tmp_path / "old", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         told = writer.add_connection(topics.TRIAL_INFO, topics.TRIAL_INFO_TYPE, typestore=typestore())
         writer.write(told, 0, bag.serialized(topics.TRIAL_INFO)[0])
         states = writer.add_connection(topic, kind, typestore=before)
-        for number, state in enumerate(shorter):
-            writer.write(states, number, before.serialize_cdr(state, kind))
+        for number, state in enumerate(bag.messages(topic)):
+            writer.write(states, number, before.serialize_cdr(longer(state), kind))
     old = TrialBag.open(tmp_path / "old")
     for name, column in vars(bag.controller("arm")).items():
         np.testing.assert_array_equal(getattr(old.controller("arm"), name), column)
-    np.testing.assert_array_equal(old.messages(topic)[7].twist, bag.messages(topic)[7].twist)
-    assert not hasattr(old.messages(topic)[7], "end_effector_twist")
+    state = old.messages(topic)[7]
+    np.testing.assert_array_equal(state.twist, bag.messages(topic)[7].twist)
+    assert state.end_effector_twist.linear.x == state.twist[0]
+    assert not hasattr(bag.messages(topic)[7], "end_effector_twist")
 
 
 def test_a_cell_that_tells_no_truth_gives_the_same_bag_without_it(push_bag: Path, tmp_path: Path) -> None:

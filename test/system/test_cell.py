@@ -99,7 +99,7 @@ class Cell:
         """A cell with another value of a parameter."""
         for other in (value, PATIENT[name]):
             request = SetParameters.Request(parameters=[RclParameter(name, value=other).to_parameter_msg()])
-            assert self.graph.call(SetParameters, "plant/set_parameters", request).results[0].successful
+            assert self.graph.call(SetParameters, "cell/set_parameters", request).results[0].successful
             if other == value:
                 yield
 

@@ -12,8 +12,6 @@ from ament_index_python.packages import get_package_prefix, get_package_share_di
 from ament_index_python.resources import get_resource
 from catkin_pkg.package import parse_package
 
-import impact_rs_ros
-
 PREFIX = Path(impact_rs.__file__).parents[4]  # above lib/python3.x/site-packages/impact_rs
 of_pip = pytest.mark.skipif(Path(sys.prefix) != PREFIX, reason="colcon has a folder of its own for the package")
 NODES = ("cell", "controller", "experiment", "impact_map", "plant", "recorder", "watchdog")
@@ -82,12 +80,3 @@ def test_uninstalling_leaves_nothing_behind() -> None:
     assert present
     assert present <= recorded
     assert not list(prefix.glob("lib/python3*/site-packages/impact_rs*.egg-info"))
-
-
-@of_pip
-def test_a_pip_environment_announces_itself_to_ros_tools(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("AMENT_PREFIX_PATH", "/somewhere/else")
-    impact_rs_ros._announce_environment()
-    assert os.environ["AMENT_PREFIX_PATH"] == f"/somewhere/else{os.pathsep}{sys.prefix}"
-    impact_rs_ros._announce_environment()
-    assert os.environ["AMENT_PREFIX_PATH"].count(sys.prefix) == 1

@@ -379,8 +379,9 @@ def test_requests_that_come_late_leave_the_trial_alone(graph: Graph, tmp_path: P
 
 
 def test_a_node_interrupted_while_importing_prints_no_traceback() -> None:
-    command = [sys.executable, "-m", "impact_rs_ros.plant_node"]
-    with running(command) as node:
+    """As ``ros2 run`` starts it, in a terminal."""
+    plant = Path(__file__).resolve().parents[2] / "scripts" / "plant"
+    with running([sys.executable, str(plant)]) as node:
         maps = Path(f"/proc/{node.process.pid}/maps")
         until(lambda: "_multiarray_umath" in maps.read_text(), lambda: time.sleep(0.002))  # NumPy comes first
         assert node.end(signal.SIGINT)[1] == ""
