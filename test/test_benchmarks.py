@@ -113,7 +113,10 @@ def test_results_come_back_as_they_were_saved_and_are_joined(tmp_path: Path, mon
     made = results.made(page)
     assert "|  | ours | theirs |" in made and "| right | 3 of 4 | – |" in made
     assert "| time | 2 s | 9 s |" in made and "| wrong | – | 0 |" in made
-    assert "`./run x`, 27 November 2026, revision abc, one trial cost 1.25 s" in made and "26 November 2026." in made
+    assert "\n`./run x`; `./run y`\n" in made
+    chosen = results.made(page.replace("(results: ours theirs)", "(results: ours) (columns: 1 2) (rows: 2)"))
+    assert "| time | 2 s |" in chosen and "right" not in chosen
+    assert Table(("", "a"), (("one", "not counted"), ("two", "2"))).some().rows == (("two", "2"),)
     assert "old" not in made and results.made(made) == made
     assert Table(("a",), (("1",),)).with_(Table(("a",), (("2",),))).rows == (("1",), ("2",))
 
