@@ -413,6 +413,7 @@ def markdown() -> str:
     ]
     first, *others = PARAMETERS.values()
     common = [one for one in first if all(one in parameters for parameters in others)]
+    owners = {one: kind for kind, parameters in reversed(PARAMETERS.items()) for one in parameters}
     own = {kind: [one for one in parameters if one not in common] for kind, parameters in PARAMETERS.items()}
     for kind, parameters in {"every node": common, **own}.items():
         lines += ["", f"## {kind}", "", "| Name | Value | Default | Meaning |", "|---" * 4 + "|"] if parameters else []
@@ -421,7 +422,8 @@ def markdown() -> str:
             limits = ", ".join(p.choices) if p.range is None else f"{p.range[0]:g} to {p.range[1]:g}"
             unit = "" if p.unit == "-" else f"[{p.unit}]"
             value = " ".join(filter(None, (limits or type(p.default).__name__, unit)))
-            lines.append(f"| `{p.name}` | {value} | {f'`{default}`' if default else ''} | {p.description}. |")
+            meaning = p.description if owners[p] == kind or p in common else f"As of {owners[p]}"
+            lines.append(f"| `{p.name}` | {value} | {f'`{default}`' if default else ''} | {meaning}. |")
     return "\n".join(lines) + "\n"
 
 
