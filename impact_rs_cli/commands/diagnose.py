@@ -23,6 +23,7 @@ from impact_rs_analysis.diagnosis.bounds import NO_BOUNDS, Bounds, read_bounds
 from impact_rs_analysis.diagnosis.budget import UNLIMITED, Budget
 from impact_rs_analysis.diagnosis.document import (
     DiagnosisDocument,
+    EffectDocument,
     EstimateDocument,
     write_document,
 )
@@ -157,27 +158,9 @@ def show(document: DiagnosisDocument, terminal: Terminal) -> None:
     if document.rollouts is not None:
         terminal.say(document.rollouts.in_words)
     if document.joints:
-        unit = joined_units(row.unit for row in document.joints)
-        table = Table(title=escape(f"Held-out torque error by joint [{unit} rms]"))
-        for heading in ("", *(row.joint for row in document.joints)):
-            table.add_column(heading, justify="right")
-        for name in ("before", "after", "noise"):
-            table.add_row(name, *(f"{getattr(row, name):.3f}" for row in document.joints))
-        terminal.say(table)
+        terminal.say(_joints_table(document))
     shown = [effect for effect in document.effects if effect.measured]
-    table = Table(title=f"Effects, best first (error on unseen data, {document.error_unit})")
-    table.add_column("effect", no_wrap=True)
-    add_word_column(table, "verdict", [_verdict_text(effect.verdict) for effect in shown[:MAX_SHOWN_EFFECTS]])
-    table.add_column("alone", justify="right", no_wrap=True)
-    table.add_column("without → with", justify="right", no_wrap=True)
-    table.add_column("p", justify="right", no_wrap=True)
-    for effect in shown[:MAX_SHOWN_EFFECTS]:
-        error = f"{number(effect.held_out_error_without or 0.0)} → {number(effect.held_out_error_after or 0.0)}"
-        alone = "–" if effect.held_out_error_alone is None else number(effect.held_out_error_alone)
-        table.add_row(
-            effect.name, _verdict_text(effect.verdict), alone, error, p_text(effect.p_value, document.design.least_p)
-        )
-    terminal.say(table)
+    terminal.say(_effects_table(document, shown[:MAX_SHOWN_EFFECTS]))
     for effect in shown:
         if effect.verdict not in (NO_IMPROVEMENT, UNIDENTIFIABLE, TOO_FEW):
             terminal.say(estimates_table(effect.name, effect.parameters))
@@ -199,6 +182,34 @@ def show(document: DiagnosisDocument, terminal: Terminal) -> None:
         terminal.say(calibration_text(one))
     if document.next_experiment is not None:
         terminal.say(f"next experiment: {document.next_experiment.advice}")
+
+
+def _joints_table(document: DiagnosisDocument) -> Table:
+    """Held-out torque error of every joint."""
+    unit = joined_units(row.unit for row in document.joints)
+    table = Table(title=escape(f"Held-out torque error by joint [{unit} rms]"))
+    for heading in ("", *(row.joint for row in document.joints)):
+        table.add_column(heading, justify="right")
+    for name in ("before", "after", "noise"):
+        table.add_row(name, *(f"{getattr(row, name):.3f}" for row in document.joints))
+    return table
+
+
+def _effects_table(document: DiagnosisDocument, shown: Sequence[EffectDocument]) -> Table:
+    """Effects with verdict, errors on unseen data and p."""
+    table = Table(title=f"Effects, best first (error on unseen data, {document.error_unit})")
+    table.add_column("effect", no_wrap=True)
+    add_word_column(table, "verdict", [_verdict_text(effect.verdict) for effect in shown])
+    table.add_column("alone", justify="right", no_wrap=True)
+    table.add_column("without → with", justify="right", no_wrap=True)
+    table.add_column("p", justify="right", no_wrap=True)
+    for effect in shown:
+        error = f"{number(effect.held_out_error_without or 0.0)} → {number(effect.held_out_error_after or 0.0)}"
+        alone = "–" if effect.held_out_error_alone is None else number(effect.held_out_error_alone)
+        table.add_row(
+            effect.name, _verdict_text(effect.verdict), alone, error, p_text(effect.p_value, document.design.least_p)
+        )
+    return table
 
 
 def dependences_table(document: DiagnosisDocument) -> Table:
