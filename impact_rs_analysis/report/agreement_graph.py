@@ -51,7 +51,7 @@ class AgreementGraph:
         readings: Nodes on the left.
         relations: Nodes on the right.
         lines: Between them.
-        height: Of the graph [px].
+        height: Height of the graph [px].
         in_words: The graph as text.
     """
 

@@ -55,7 +55,7 @@ def write_limits(
 
     Args:
         scenario: The scenario.
-        limits: Of its objects and cases.
+        limits: Limits of its objects and cases.
         places: Of other places of the hit, row by row upwards; empty: none.
         directory: Folder of the report.
 
