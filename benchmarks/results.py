@@ -4,12 +4,12 @@
 ``results/NAME.json`` has a table, the command that made it, revision and date, and the cost of a reference (one trial,
 ``impact-rs trial push cat_food case_2``) on that machine in that hour. A page has the table between two lines::
 
-    [//]: # (results: NAME [NAME ...]) (columns: NUMBER ...)
+    [//]: # (results: NAME [NAME ...]) (columns: NUMBER ...) (rows: NUMBER ...)
 
     [//]: # (end of results)
 
-``columns`` picks some, counted from 1; without it a page has all. Tables with the same columns stand below each other;
-others beside each other, joined by their first column.
+``columns`` and ``rows`` pick some, counted from 1; without them a page has all. Rows without an entry are left out.
+Tables with the same columns stand below each other; others beside each other, joined by their first column.
 ``./run python -m benchmarks --docs`` writes all pages.
 """
 
@@ -18,6 +18,7 @@ from __future__ import annotations
 import datetime
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Self
@@ -28,8 +29,11 @@ from impact_rs_sim.version import git_revision
 FOLDER = Path(__file__).parent / "results"
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 BETWEEN = re.compile(
-    r"(\[//\]: # \(results: ([\w ]+)\)(?: \(columns: ([\d ]+)\))?\n).*?(\[//\]: # \(end of results\)\n)", re.DOTALL
+    r"(\[//\]: # \(results: ([\w ]+)\)(?: \(columns: ([\d ]+)\))?(?: \(rows: ([\d ]+)\))?\n)"
+    r".*?(\[//\]: # \(end of results\)\n)",
+    re.DOTALL,
 )
+NO_ENTRIES = {"", "–", "not counted"}
 
 
 @dataclass(frozen=True)
@@ -42,13 +46,16 @@ class Table:
     @property
     def markdown(self) -> str:
         """As it stands in a page."""
-        lines = (self.columns, ("---",) * len(self.columns), *self.rows)
-        return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+        head, *rows = (f"| {' | '.join(line)} |" for line in (self.columns, *self.rows))
+        return "\n".join((head, "|---" * len(self.columns) + "|", *rows))
 
-    def some(self, numbers: list[int]) -> Table:
-        """Some of its columns, counted from 1."""
-        rows = [tuple(row[number - 1] for number in numbers) for row in (self.columns, *self.rows)]
-        return Table(rows[0], tuple(rows[1:]))
+    def some(self, columns: Sequence[int] = (), rows: Sequence[int] = ()) -> Table:
+        """Some of its columns and rows, counted from 1, all if none is given; without rows that have no entry."""
+        chosen = [self.rows[number - 1] for number in rows] if rows else self.rows
+        head, *kept = (
+            tuple(row[number - 1] for number in columns) if columns else row for row in (self.columns, *chosen)
+        )
+        return Table(head, tuple(row for row in kept if not NO_ENTRIES.issuperset(row[1:])))
 
     def with_(self, other: Table) -> Table:
         """Both tables in one."""
@@ -109,34 +116,21 @@ class Results:
         """The table alone."""
         return Table(self.columns, self.rows)
 
-    @property
-    def source(self) -> str:
-        """One line for below the table."""
-        day = datetime.date.fromisoformat(self.date)
-        facts = [f"`{self.command}`" if self.command else "", f"{day.day} {day:%B %Y}"]
-        facts += [f"revision {self.revision}"] if self.revision else []
-        facts += [f"one trial cost {self.reference_s:g} s of processor time"] if self.reference_s else []
-        return ", ".join(filter(None, facts))
 
-
-def section(names: str, columns: str | None) -> str:
+def section(names: str, columns: str | None, rows: str | None) -> str:
     """What stands between the marks for some results."""
     results = [Results.read(name) for name in names.split()]
     table = results[0].table
     for other in results[1:]:
         table = table.with_(other.table)
-    sources = dict.fromkeys(one.source for one in results)
-    rest = ""
-    if columns:
-        table = table.some([int(number) for number in columns.split()])
-        files = ", ".join(f"[{name}.json](../benchmarks/results/{name}.json)" for name in names.split())
-        rest = f" All columns: {files}."
-    return f"\n{table.markdown}\n\nMeasured: {'; '.join(sources)}.{rest}\n\n"
+    table = table.some(*([int(number) for number in (chosen or "").split()] for chosen in (columns, rows)))
+    commands = "; ".join(dict.fromkeys(f"`{one.command}`" for one in results if one.command))
+    return f"\n{table.markdown}\n\n{commands}\n\n"
 
 
 def made(text: str) -> str:
     """A page with its tables made anew."""
-    return BETWEEN.sub(lambda found: f"{found[1]}{section(found[2], found[3])}{found[4]}", text)
+    return BETWEEN.sub(lambda found: f"{found[1]}{section(found[2], found[3], found[4])}{found[5]}", text)
 
 
 def write_pages() -> list[str]:

@@ -1,10 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Make a folder of bags as a laboratory with its own topics, names and clocks records them.
 
-Shows a trial tick by tick, foreign message types, and the experiment file that describes them: joints are not in
-order, commands have no stamp, poses arrive late. With --hide the robot has an effect that no model knows of.
-
-    ./run python examples/laboratory.py [FOLDER] [--hide EFFECT VALUE ...]       (--hide object_mass 1.15 for example)
+./run python examples/laboratory.py [FOLDER] [--hide EFFECT VALUE ...]       (--hide object_mass 1.15 for example)
 """
 
 import argparse
@@ -29,7 +26,7 @@ MAKE = {name.split("/")[-1]: kind for name, kind in STORE.types.items()}
 
 
 def messages(tick: Tick) -> Iterator[tuple[str, int, object]]:
-    """What is recorded of a tick: topic, time from stamp to log [ns], and message."""
+    """Topic, delay of the log [ns] and message of each recording; joints are out of order, and poses come late."""
     header = MAKE["Header"](MAKE["Time"](START + tick.number // 1000, tick.number % 1000 * 1_000_000), "world")
     arm, seen, names = tick.measurement.arms["arm"], tick.measurement.object, [f"panda_joint{n + 1}" for n in ORDER]
     numbers = (values[ORDER] for values in (arm.position, arm.velocity, arm.torque))
@@ -59,6 +56,8 @@ def record(path: Path, trial: tuple[str, str, str], hide: list[str], seed: int) 
 
 def main(folder: Path, hide: list[str], trials: list[tuple[str, str, str]] = TRIALS, repeats: int = 2) -> None:
     """Record trials, with experiment file and table of runs beside them."""
+    if folder.exists() and any(folder.iterdir()):
+        raise SystemExit(f"{folder}: this folder is not empty; name a new one")
     table = ["bag,object,kind,condition"]
     for number, trial in enumerate(trials * repeats, start=1):
         record(folder / f"run_{number:02d}", trial, hide, number)
@@ -71,5 +70,5 @@ def main(folder: Path, hide: list[str], trials: list[tuple[str, str, str]] = TRI
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", nargs="?", type=Path, default=Path("campaigns/laboratory"), help="a new folder")
-    parser.add_argument("--hide", nargs="+", default=[], metavar="", help="effect of the library, and its values")
+    parser.add_argument("--hide", nargs="+", default=[], metavar="", help="effect that the robot has, and its values")
     main(**vars(parser.parse_args()))

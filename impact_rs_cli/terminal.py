@@ -8,13 +8,14 @@ import ctypes
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.progress import ProgressFile
@@ -30,6 +31,11 @@ class _Output(Console):
     def on_broken_pipe(self) -> None:
         """Called while that error is handled."""
         raise
+
+
+def add_word_column(table: Table, heading: str, cells: Iterable[str]) -> None:
+    """A column for some cells that is broken between words, never within one."""
+    table.add_column(heading, min_width=max((len(word) for cell in cells for word in cell.split()), default=0))
 
 
 class Terminal:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import sys
+from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 
 NORMAL_95 = 1.959964  # half the width of a 95 % interval over the standard deviation, normal distribution
 PLAIN_NOTATION_RANGE = (1e-4, 1e6)  # numbers written without an exponent
@@ -43,6 +44,18 @@ def estimate_in_line(estimate: float, ci95: tuple[float, float] | None, least: i
     """An estimate with its interval, as in ``1.15 [1.13, 1.17]``; arguments as for :func:`estimate_text`."""
     value, *interval = estimate_text(estimate, ci95, least)
     return f"{value} [{', '.join(interval)}]" if interval else value
+
+
+def rounded_interval(ci95: tuple[float, float] | None) -> tuple[float, float] | None:
+    """An interval for a file, rounded outwards to three digits of its half width; without width as it is."""
+    if ci95 is None or not MAX_ROUNDING_RATIO * max(map(abs, ci95)) < (half := (ci95[1] - ci95[0]) / 2.0) < math.inf:
+        return ci95
+    step = Decimal(1).scaleb(_decimal_exponent(half) - 2)
+    low, high = (
+        float((Decimal(repr(end)) / step).to_integral_value(rounding) * step)
+        for end, rounding in zip(ci95, (ROUND_FLOOR, ROUND_CEILING), strict=True)
+    )
+    return low, high
 
 
 def speed_text(speed: float, half: float | None) -> tuple[str, ...]:

@@ -146,13 +146,22 @@ def _sections(
 def key_table(head: str, schema: type[Schema], without: tuple[type[Schema], ...] = ()) -> str:
     """One table of all keys of a file in Markdown, dotted, ``NAME`` for a name that a user chooses.
 
+    A section with the keys of an earlier one refers to it.
+
     Args:
         head: Heading of the first column.
         schema: Schema of the file.
         without: Schemas of sections that have tables of their own.
     """
     rows: list[tuple[str, ...]] = [(head, "Value", "Default", "Meaning")]
+    shown: dict[type[Schema], str] = {}
     for path, section, meaning in _sections("", schema, "", without):
+        if (first := shown.setdefault(section, path)) != path:
+            if not path.startswith(f"{first}."):
+                rows.append(
+                    (f"`{path}`", "section", "", f"{_sentence_case(meaning)}. Keys as of `{first}`".lstrip(". "))
+                )
+            continue
         if path and len(meaning.split()) > MOST_WORDS_OF_A_NAME:
             rows.append((f"`{path}`", "section", "", _sentence_case(meaning)))
         for name, field in section.model_fields.items():

@@ -40,12 +40,14 @@ from impact_rs_sim.schema import Schema
 from impact_rs_workbench.remaining import STAGES, Remaining, remaining, shown
 
 RECORD, PROGRESS, OUTPUT = "job.json", "progress.json", "output.txt"
-MOST = 10  # candidate effects that a running diagnosis shows
-SHOWN = 200  # last lines of a log that are shown
-LARGEST_TAIL = 40_000  # bytes of a log that are looked at
-KILLED_AFTER = 5.0  # s, that a stopped job has to end when the workbench ends
-LEFT = 3.0  # s, after the last page has gone, until questions are answered with no: one that is loaded again is back
-LOOKED_AT = 0.1  # s, between two looks whether a page is open
+MAX_SHOWN_CANDIDATES = 10  # effects that a running diagnosis shows
+MAX_LOG_LINES = 200  # last lines of a log that are shown
+MAX_TAIL_BYTES = 40_000  # of a log that is read
+MAX_STOP_S = 5.0  # that a stopped job has to end when the workbench ends
+MAX_PAGE_GAP_S = (
+    3.0  # after the last page has gone, until questions are answered with no: one that is loaded again is back
+)
+PAGE_POLL_S = 0.1  # between two checks whether a page is open
 LOST = "stopped when its workbench ended; run the same command again to continue"
 
 
@@ -136,7 +138,7 @@ class Jobs:
     _shown: dict[int, Remaining] = field(default_factory=dict)
     _asking: dict[int, _Asking] = field(default_factory=dict)
     _pages: int = 0  # that are open
-    _left: float = -LEFT  # when the last one has gone [s of the monotonic clock]
+    _left: float = -MAX_PAGE_GAP_S  # when the last one has gone [s of the monotonic clock]
     _lock: threading.RLock = field(default_factory=threading.RLock)
 
     def __post_init__(self) -> None:
@@ -286,7 +288,7 @@ class Jobs:
             InputError: There is no such job.
         """
         self.get(number)
-        return "\n".join(_tail(self._folder(number) / OUTPUT)[-SHOWN:])
+        return "\n".join(_tail(self._folder(number) / OUTPUT)[-MAX_LOG_LINES:])
 
     def close(self) -> list[Job]:
         """Stop all running jobs, and wait for them; returns them as they have ended."""
@@ -295,7 +297,7 @@ class Jobs:
         for number in running:
             self.stop(number)
         for number in running:
-            self._waiting[number].join(KILLED_AFTER)
+            self._waiting[number].join(MAX_STOP_S)
             if self._waiting[number].is_alive():
                 _signal(self._processes[number], signal.SIGKILL)
                 self._waiting[number].join()
@@ -330,10 +332,10 @@ class Jobs:
     def _wait_for_answer(self, number: int, asking: _Asking) -> None:
         """Until a page has answered, or the job has ended; with no page the answer is no."""
         while asking.text and self.get(number).runs:
-            if not self._pages and time.monotonic() - self._left >= LEFT:
+            if not self._pages and time.monotonic() - self._left >= MAX_PAGE_GAP_S:
                 with suppress(InputError):  # answered meanwhile
                     self.answer(PageAnswer(job=number, question=asking.number, yes=False))
-            time.sleep(LOOKED_AT)
+            time.sleep(PAGE_POLL_S)
 
     def _question(self, job: Job) -> dict[str, Any] | None:
         """What a job asks that goes on; None: nothing."""
@@ -355,7 +357,7 @@ class Jobs:
         whole = shown(self._shown.get(job.number), remaining(found, self._usual(job.step), time.time()))
         self._shown[job.number] = whole
         stage = {name: found[name] for name in ("what", "done", "total")}
-        return stage | {"share": whole.share, "left": whole.left, "ranking": found["ranking"][:MOST]}
+        return stage | {"share": whole.share, "left": whole.left, "ranking": found["ranking"][:MAX_SHOWN_CANDIDATES]}
 
     def _printed(self, job: Job) -> int | None:
         """Size of what a running job has printed [byte]: it grows, and so a page asks for it again."""
@@ -403,7 +405,7 @@ def _tail(path: Path) -> list[str]:
     """Lines at the end of a log."""
     try:
         with path.open("rb") as file:
-            file.seek(max(0, path.stat().st_size - LARGEST_TAIL))
+            file.seek(max(0, path.stat().st_size - MAX_TAIL_BYTES))
             return file.read().decode("utf-8", "replace").splitlines()
     except OSError:
         return []

@@ -31,8 +31,8 @@ from impact_rs_workbench.request_guard import Guard
 from impact_rs_workbench.static_files import SHARED, STATIC, static_file
 
 PERIOD = 0.04  # s, between two looks at the graph
-PATIENCE = 0.25  # s, after which an idle stream checks whether its page is still there
-LINGER = 2.0  # s, that a graph is watched after the last page has left
+IDLE_CHECK_S = 0.25  # after which an idle stream checks whether its page is still there
+LINGER_S = 2.0  # that a graph is watched after the last page has left
 FILES = {
     **SHARED,
     "page.css": STYLE,
@@ -119,7 +119,7 @@ class LiveView:
                     sent[name] = text
                     yield f"event: {name}\ndata: {text}\n\n"
             try:
-                async with asyncio.timeout(PATIENCE), self._changed:
+                async with asyncio.timeout(IDLE_CHECK_S), self._changed:
                     await self._changed.wait_for(lambda: self.news != sent)
             except TimeoutError:
                 continue
@@ -264,7 +264,7 @@ class Watch:
                 await self._watched.popitem()[1].end.aclose()
 
     async def _close(self, namespace: str) -> None:
-        await asyncio.sleep(LINGER)  # the page is only being loaded again
+        await asyncio.sleep(LINGER_S)  # the page is only being loaded again
         async with self._lock:
             found = self._watched.get(namespace)
             if found is not None and not found.pages:

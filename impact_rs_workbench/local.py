@@ -18,7 +18,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from impact_rs_sim.errors import InputError
 
 MakeApplication = Callable[[str, int], ASGIApp]
-LOOKED_AT = 0.05  # s, between two looks whether the server ends
+SERVER_POLL_S = 0.05  # between two checks whether the server ends
 
 
 @contextmanager
@@ -100,7 +100,7 @@ class _UntilTheEnd:
 
         answer = asyncio.ensure_future(self._app(scope, receive, passed))
         while not (answer.done() or self.ended()):
-            await asyncio.wait({answer}, timeout=LOOKED_AT)
+            await asyncio.wait({answer}, timeout=SERVER_POLL_S)
         if not answer.done():
             answer.cancel()
             await asyncio.wait({answer})

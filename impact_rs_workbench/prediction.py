@@ -273,8 +273,8 @@ class SweepPoint:
 
     Attributes:
         value: Where the slider is.
-        arms: Of the arm of the question, by motor inertia.
-        object: Of the object, with the chosen motor inertia.
+        arms: Velocity of the chosen arm, by motor inertia.
+        object: Velocity of the object, with the chosen motor inertia.
         low: Lower end of the arm's interval.
         high: Upper end of it.
     """

@@ -63,8 +63,8 @@ from impact_rs_trials.recordings.series import Series
 from impact_rs_trials.recordings.sources import read_series
 from impact_rs_workbench.workspace import Workspace
 
-MOST_POINTS = 300  # of a preview
-MOST_READINGS = 2  # of a signal, beside the one that is taken, in words
+MAX_PREVIEW_POINTS = 300  # of a preview
+MAX_OTHER_READINGS = 2  # of a signal, beside the one that is taken, in words
 
 ArmSignal = Literal["position", "velocity", "torque", "command"]
 
@@ -202,7 +202,7 @@ def _by_numbers(path: Path, folder: Path, robot: str) -> _Guesses:
     said += tuple(
         f"signals.{name}: next {one.stream} in {one.unit} (log odds {one.behind:.2g}; {one.evidence})"
         for name, every in draft.readings.items()
-        for one in every[1 : 1 + MOST_READINGS]
+        for one in every[1 : 1 + MAX_OTHER_READINGS]
     )
     return _Guesses(signals, layout, said, tuple(content["joints"]), draft.readings)
 
@@ -254,7 +254,7 @@ def preview(workspace: Workspace, request: PreviewRequest) -> dict[str, Any]:
     wanted: list[SignalName] = ["position", request.signal]
     read = read_series(path, mapping, wanted, [request.signal])
     series, pose = read[request.signal], request.signal == OBJECT_POSE
-    kept = slice(None, None, max(1, math.ceil(series.time.size / MOST_POINTS)))
+    kept = slice(None, None, max(1, math.ceil(series.time.size / MAX_PREVIEW_POINTS)))
     time = series.time - series.time[0]
     values = series.values[:, :3] if pose else series.values
     names = list("xyz") if pose else list(request.joints)

@@ -41,8 +41,8 @@ from impact_rs_trials.store import trials_below
 from impact_rs_workbench.forms import seen, values_of
 from impact_rs_workbench.workspace import Workspace, read_json
 
-MOST_RESTS = 5  # residuals that a diagnosis leaves
-MOST_PAIRS = 8  # of explanations, the least certain first
+MAX_SHOWN_RESIDUALS = 5  # residuals that a diagnosis leaves
+MAX_SHOWN_PAIRS = 8  # of explanations, the least certain first
 
 
 def comparison(folder: Path) -> dict[str, Any]:
@@ -128,7 +128,7 @@ def plan(path: Path) -> dict[str, Any]:
             {"trials": one.trials, "what": one.what, "adds": one.buys.removeprefix(f"{one.trials} x {one.what} ")}
             for one in planned
         ],
-        "pairs": [pair.model_dump() for pair in found.pairs[:MOST_PAIRS]],
+        "pairs": [pair.model_dump() for pair in found.pairs[:MAX_SHOWN_PAIRS]],
     }
 
 
@@ -306,7 +306,7 @@ def diagnosis(workspace: Workspace, name: str) -> dict[str, Any]:
                 "floor": quantity_text(rest.floor, rest.unit),
                 "times": number_text(rest.times_noise),
             }
-            for rest in [rest for rest in document.unexplained.where if rest.matters][:MOST_RESTS]
+            for rest in [rest for rest in document.unexplained.where if rest.matters][:MAX_SHOWN_RESIDUALS]
         ],
         "effects": [
             {

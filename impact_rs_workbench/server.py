@@ -52,9 +52,9 @@ FILES = {
 }
 PRELOADED = [name for name in SCRIPTS if name != "show.js"]  # which is of the page of show
 SHOWN_FILES = {".html": "text/html", ".json": "application/json", ".yaml": "text/plain", ".csv": "text/plain"}
-LARGEST_REQUEST = 1_000_000  # bytes
-LOOKED_AT = 0.25  # s, between two looks at running jobs
-SCANNED_AT = 2.0  # s, between two looks at the folder
+MAX_REQUEST_BYTES = 1_000_000
+JOBS_POLL_S = 0.25  # between two checks of running jobs
+FOLDER_POLL_S = 2.0  # between two scans of the folder
 
 Endpoint = Callable[[Request], Awaitable[Response]]
 Work = Callable[[Any], Any]
@@ -268,8 +268,8 @@ def _posted(work: Work) -> Endpoint:
         body = b""
         async for part in request.stream():
             body += part
-            if len(body) > LARGEST_REQUEST:
-                return _mistake(f"the request is larger than {LARGEST_REQUEST} bytes")
+            if len(body) > MAX_REQUEST_BYTES:
+                return _mistake(f"the request is larger than {MAX_REQUEST_BYTES} bytes")
         try:
             data = json.loads(body)
         except (ValueError, RecursionError):
@@ -356,14 +356,14 @@ def _events(workbench: Workbench) -> Endpoint:
 
     async def stream(request: Request) -> AsyncIterator[str]:
         sent: dict[str, str] = {}
-        scanned = -SCANNED_AT
+        scanned = -FOLDER_POLL_S
         clock = asyncio.get_running_loop().time
         running: set[int] = set()
         while not await request.is_disconnected():
             jobs = workbench.jobs.all()
             news: dict[str, Any] = {"jobs": jobs}
             before, running = running, {job["number"] for job in jobs if job["ended"] is None}
-            if clock() - scanned >= SCANNED_AT or before - running:  # a job that ends has written something
+            if clock() - scanned >= FOLDER_POLL_S or before - running:  # a job that ends has written something
                 scanned = clock()
                 news["workspace"] = await run_in_threadpool(workbench.state)
             for name, content in news.items():
@@ -371,7 +371,7 @@ def _events(workbench: Workbench) -> Endpoint:
                 if sent.get(name) != text:
                     sent[name] = text
                     yield f"event: {name}\ndata: {text}\n\n"
-            await asyncio.sleep(LOOKED_AT)
+            await asyncio.sleep(JOBS_POLL_S)
 
     async def endpoint(request: Request) -> Response:
         return _OpenPage(stream(request), workbench.jobs)

@@ -32,10 +32,10 @@ from impact_rs_trials.recordings.run_finder import FILE_SUFFIXES
 from impact_rs_trials.store import is_bag
 
 HIDDEN = ".workbench"
-DEEPEST = 5  # folders below the workbench's own that are looked into
-LARGEST_DOCUMENT = 20_000_000  # bytes of a report's numbers
+MAX_FOLDER_DEPTH = 5  # folders below the workbench's own that are looked into
+MAX_DOCUMENT_BYTES = 20_000_000  # of a report's numbers
 NOMINAL = "nominal"
-LONGEST_HEADER = 10_000  # characters of the first line of a table
+MAX_HEADER_CHARACTERS = 10_000  # of the first line of a table
 
 
 Read = TypeVar("Read")
@@ -312,7 +312,7 @@ class Workspace:
             deep = len(here.relative_to(self.root).parts)
             shown = sorted(name for name in folders if not name.startswith("."))
             bags = [name for name in shown if is_bag(here / name)]
-            folders[:] = [] if deep >= DEEPEST else [name for name in shown if name not in bags]
+            folders[:] = [] if deep >= MAX_FOLDER_DEPTH else [name for name in shown if name not in bags]
             yield here, sorted(files), bags
 
     def _campaign(self, folder: Path) -> Campaign:
@@ -387,7 +387,7 @@ def _is_table_of_impacts(path: Path) -> bool:
         return False
     try:
         with path.open(encoding="utf-8") as file:
-            header = file.readline(LONGEST_HEADER)
+            header = file.readline(MAX_HEADER_CHARACTERS)
     except (OSError, UnicodeDecodeError):
         return False
     return "_before" in header and "_after" in header
@@ -463,7 +463,7 @@ def _with_common_folders(paths: list[str]) -> set[str]:
 def read_json(path: Path) -> dict[str, Any] | None:
     """A JSON document of ours; None: it is none."""
     try:
-        if path.stat().st_size > LARGEST_DOCUMENT:
+        if path.stat().st_size > MAX_DOCUMENT_BYTES:
             return None
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):

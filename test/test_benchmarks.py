@@ -47,9 +47,13 @@ def test_commands_of_results_and_pages_are_those_of_a_benchmark() -> None:
 
 
 def test_the_list_of_wrong_lines_is_as_long_as_the_page_says() -> None:
-    (number,) = re.findall(r"list of the kernel has (\d+) wrong lines", (ROOT / "docs" / "reliability.md").read_text())
+    page = (ROOT / "docs" / "reliability.md").read_text()
+    ((kernel, python),) = re.findall(r"(\d+) wrong lines of the kernel and (\d+) of Python", page)
     groups = tomllib.loads((ROOT / "benchmarks" / "mutation" / "mutation.toml").read_text())["lines"]
-    assert int(number) == sum(len(group["mutants"]) for group in groups if group["file"].endswith(".cpp"))
+    counts = {
+        kind: sum(len(one["mutants"]) for one in groups if one["file"].endswith(kind)) for kind in (".cpp", ".py")
+    }
+    assert (int(kernel), int(python)) == (counts[".cpp"], counts[".py"])
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.relative_to(ROOT).as_posix())
@@ -113,7 +117,10 @@ def test_results_come_back_as_they_were_saved_and_are_joined(tmp_path: Path, mon
     made = results.made(page)
     assert "|  | ours | theirs |" in made and "| right | 3 of 4 | – |" in made
     assert "| time | 2 s | 9 s |" in made and "| wrong | – | 0 |" in made
-    assert "`./run x`, 27 November 2026, revision abc, one trial cost 1.25 s" in made and "26 November 2026." in made
+    assert "\n`./run x`; `./run y`\n" in made
+    chosen = results.made(page.replace("(results: ours theirs)", "(results: ours) (columns: 1 2) (rows: 2)"))
+    assert "| time | 2 s |" in chosen and "right" not in chosen
+    assert Table(("", "a"), (("one", "not counted"), ("two", "2"))).some().rows == (("two", "2"),)
     assert "old" not in made and results.made(made) == made
     assert Table(("a",), (("1",),)).with_(Table(("a",), (("2",),))).rows == (("1",), ("2",))
 

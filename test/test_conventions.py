@@ -25,6 +25,7 @@ from catkin_pkg.package import parse_package
 
 from impact_rs_sim import physics
 from impact_rs_sim.effects import library
+from tools import complexity
 
 ROOT = Path(__file__).resolve().parent.parent
 LAYERS = (  # the higher imports the lower; packages beside each other do not know each other
@@ -244,6 +245,13 @@ def test_words_that_need_a_translation_do_not_return() -> None:
         files = [place] if place.is_file() else [path for path in place.rglob("*") if path.suffix in TEXT]
         count = sum(len(RIDDLES.findall(path.read_text(encoding="utf-8"))) for path in files)
         assert count <= MOST_RIDDLES.get(folder, 0), folder
+
+
+def test_functions_above_the_limits_of_complexity_only_become_fewer() -> None:
+    """Kills a new long function, and a baseline that keeps room for one."""
+    now, before = complexity.counted(), complexity.baseline()
+    assert complexity.grown(now, before) == [], "split the function"
+    assert complexity.grown(before, now) == [], "./run python -m tools.complexity"
 
 
 def test_every_source_file_begins_with_the_licence() -> None:

@@ -43,7 +43,7 @@ from impact_rs_trials.workers import Map
 
 DEFAULT_MAPPING = "joint_state"
 
-SourceOfModel = Callable[[Model, ReplayCache], Source]  # replays go through the store
+SourceOfModel = Callable[[Model, ReplayCache], Source]  # the cache keeps the replays of runs
 
 
 class MeasurementKind(StrEnum):
@@ -66,8 +66,8 @@ class MeasurementOptions:
         mapping: Mapping of recordings, by name or path; None: ``joint_state`` where the files are no trials.
         minus: The same recordings without the payload, whose torque is subtracted.
         scenario: Scenario of a table of impacts, by name or path; None: free bodies.
-        contact_tolerance: Of a table of impacts: how much further off than the nearest a point may be that touches [m];
-            None: as usual.
+        contact_tolerance: Largest distance of a contact point of a table of impacts beyond the nearest one [m]; None:
+            the default.
         covariates: Further columns of a table of impacts on which an effect may depend.
         unsure: Ranges of uncertain quantities of an impact table, by name.
         since: Only what was measured from this time on, or from this run or row on.
@@ -133,7 +133,7 @@ class Measurements:
         self.trials, self.kind, self.calibration = trials, kind, calibration
         self._map, self._observer, self._source = map_tasks, observer, source
         self._stage = lambda *_: None
-        self._store = ReplayCache(map_tasks, lambda what, done, total: self._stage(what, done, total))
+        self._cache = ReplayCache(map_tasks, lambda what, done, total: self._stage(what, done, total))
         self._sources: dict[str, Source] = {}
 
     @contextmanager
@@ -159,7 +159,7 @@ class Measurements:
         """As :meth:`against`, without the faults of the readings."""
         key = f"{model.digest} {[spec.name for spec in model.formulas]} {model.arms}"
         if key not in self._sources:
-            self._sources[key] = self._source(model, self._store)
+            self._sources[key] = self._source(model, self._cache)
         return self._sources[key]
 
     def tracks(self, model: Model, added: Added = ()) -> tuple[Track, ...]:
@@ -243,7 +243,7 @@ def read_trials(directory: Path, map_tasks: Map = map, observer: Observer = SILE
         InputError: There is no usable trial.
     """
     with observer.progress("reading bags") as report:
-        runs = read_runs(directory.absolute(), _counted(map_tasks, report))  # a worker may have another directory
+        runs = read_runs(directory.absolute(), _with_progress(map_tasks, report))  # a worker may have another directory
     warn_skipped(runs.skipped, observer)
     return runs
 
@@ -262,7 +262,7 @@ def read_laboratory(directory: Path, experiment: Path, map_tasks: Map = map, obs
     """
     described = load_experiment(experiment)
     with observer.progress("reading runs") as report:
-        runs = read_laboratory_runs(directory.absolute(), described, _counted(map_tasks, report))
+        runs = read_laboratory_runs(directory.absolute(), described, _with_progress(map_tasks, report))
     warn_skipped(runs.skipped, observer)
     return runs
 
@@ -284,8 +284,8 @@ def read_table(options: MeasurementOptions) -> ImpactTable:
 
 
 def _source_of_runs(runs: Runs, discrepancy: Discrepancy | None, each_arm: bool) -> SourceOfModel:
-    """Runs against a model, through their replays."""
-    return lambda model, store: ReplaySource.of(runs, model, store, discrepancy, each_arm)
+    """Replays of runs under a model; ``discrepancy`` None: that of the shipped simulators."""
+    return lambda model, cache: ReplaySource.of(runs, model, cache, discrepancy, each_arm)
 
 
 def _source_of_table(options: MeasurementOptions, map_tasks: Map) -> SourceOfModel:
@@ -303,12 +303,12 @@ def _source_of_recordings(options: MeasurementOptions) -> SourceOfModel:
     return lambda model, _: RecordingSource.of(recordings, mapping, model, minus, [*left_out, *short])
 
 
-def _counted(map_tasks: Map, report: Report) -> Map:
+def _with_progress(map_tasks: Map, report: Report) -> Map:
     """A map that reports its progress."""
 
-    def counted(function: Any, items: Any) -> Iterator[Any]:
+    def mapped(function: Any, items: Any) -> Iterator[Any]:
         for number, result in enumerate(map_tasks(function, items), start=1):
             report(number, len(items))
             yield result
 
-    return counted
+    return mapped

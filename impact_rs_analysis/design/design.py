@@ -81,8 +81,8 @@ def design(
         decide: What shall be decided, from a source with the model and all physics.
         runs: Trials measured so far; their scatter counts, and their information.
         method: How trials are chosen.
-        envelope: Of the cell.
-        seed: Of the planned trials, and of a random choice. Another plan for the same folder needs another seed.
+        envelope: Envelope of the cell.
+        seed: Seed of the planned trials, and of a random choice. Another plan for the same folder needs another seed.
         progress: Called with (what, done, total).
 
     Raises:

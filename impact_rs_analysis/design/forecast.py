@@ -130,7 +130,7 @@ def forecast_of(
         model: The model.
         trials: The possible trials.
         store: Makes replays, and spreads simulations.
-        envelope: Of the cell.
+        envelope: Envelope of the cell.
         runs: Trials measured so far; their scatter counts, and their information.
         seed: Seed of the simulated scatter.
 

@@ -91,7 +91,7 @@ def possible_trials(scenarios: Sequence[str], envelope: Envelope = NO_ENVELOPE) 
 
     Args:
         scenarios: Names or paths.
-        envelope: Of the cell.
+        envelope: Envelope of the cell.
 
     Raises:
         InputError: There is no such scenario, two have one name, or the envelope of the cell allows no trial.
@@ -134,7 +134,7 @@ def trials_of(path: str, scenario: Scenario, envelope: Envelope = NO_ENVELOPE) -
     Args:
         path: Its name or path.
         scenario: What is there.
-        envelope: Of the cell.
+        envelope: Envelope of the cell.
     """
     cases = _cases(scenario, envelope.fastest or max(map(_speed, scenario.cases.values())))
     for settings, aside in _variants(scenario):

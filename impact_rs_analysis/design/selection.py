@@ -36,7 +36,7 @@ def chosen(
         counts: Information of the trials.
         trials: Those that can be planned.
         budget: Largest number.
-        seed: Of a random choice.
+        seed: Seed of a random choice.
 
     Raises:
         InputError: The budget is too small for a diagnosis, or too few conditions can be planned.

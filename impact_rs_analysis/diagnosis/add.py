@@ -15,6 +15,7 @@ from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.files import is_file
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, check_model
+from impact_rs_sim.numbers import rounded_interval
 from impact_rs_sim.paths import config_directory
 
 
@@ -172,7 +173,7 @@ def _diagnosed(
     scalars = [] if effect is None else effect.scalars(joints)
     nominal = {scalar.name: ParameterValue(estimate=scalar.nominal, unit=scalar.unit) for scalar in scalars}
     estimated = {
-        key: ParameterValue(estimate=value.estimate, unit=value.unit, ci95=value.ci95)
+        key: ParameterValue(estimate=value.estimate, unit=value.unit, ci95=rounded_interval(value.ci95))
         for key, value in found.parameters.items()
     }
     note = (

@@ -120,13 +120,15 @@ class InCommon(Schema):
     @property
     def in_words(self) -> str:
         """One sentence."""
-        relations, readings = " and ".join(self.relations), " or ".join(self.readings)
+        where, relations = places_in_words(self.place.split(", ")), " and ".join(f"the {one}" for one in self.relations)
         if len(self.relations) > 1:
-            common = f"what they have in common: {readings}" if readings else "no single reading is common to them"
-            return f"{self.place}: {relations} do not agree; {common}"
-        physics = f"the physics ({self.assumes})" if self.assumes else ""
-        causes = " or ".join(filter(None, [readings, physics])) or "a reading of another joint"
-        return f"{self.place}: {relations} does not agree; may be wrong: {causes}"
+            common = (
+                f"in common: {' or '.join(self.readings)}" if self.readings else "no single reading is in all of them"
+            )
+            return f"{where}: {relations} do not hold; {common}"
+        causes = [*self.readings, *([f"the physics ({self.assumes})"] if self.assumes else [])]
+        possible = " or ".join(causes) or "a reading of another joint"
+        return f"{where}: {relations} does not hold; possible causes: {possible}"
 
 
 class AgreementDocument(Schema):
@@ -155,6 +157,20 @@ class AgreementDocument(Schema):
     def against(self, name: str) -> tuple[str, ...]:
         """Joints and axes at which a relation does not hold."""
         return tuple(one.place for one in self.relations if one.relation == name and not one.agrees)
+
+
+def places_in_words(places: Sequence[str]) -> str:
+    """Joints and axes in a few words, as "joints 1 to 4, 7"; those of several arms by their names."""
+    numbers = [int(one[1]) for place in places if (one := re.fullmatch(r"joint(\d+)", place))]
+    if len(numbers) < max(len(places), 2):
+        return ", ".join(places)
+    starts = [n for n in numbers if n - 1 not in numbers]
+    ends = [n for n in numbers if n + 1 not in numbers]
+    runs = [
+        f"{first} to {last}" if last > first + 1 else ", ".join(map(str, dict.fromkeys((first, last))))
+        for first, last in zip(starts, ends, strict=True)
+    ]
+    return f"joints {', '.join(runs)}"
 
 
 def agreement_of(source: Source) -> AgreementDocument:

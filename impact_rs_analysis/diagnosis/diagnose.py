@@ -93,15 +93,15 @@ def diagnose(
         InputError: Too few conditions for a hold-out.
     """
     model = source.model if model is None else model
-    whole, source = source, source.searched()
+    all_rows, source = source, source.searched()
     effects = effects_for(source, only, bounds)
     known_estimates = () if earlier is None else _estimates_of(earlier, source)
     found = findings_of(source, effects, progress, known_estimates, budget)
     present = [item.name for item in source.model.effects]
     known = [bounded(source.known_effects[name].in_proportion(source.proportion), bounds) for name in present]
     covariates = [item.name for item in source.covariates]
-    late = bool(covariates) and budget.leaves_out(f"what depends on {' and '.join(covariates)}")
-    dependences = None if late else dependences_of(found, known, progress)
+    no_time = bool(covariates) and budget.leaves_out(f"what depends on {' and '.join(covariates)}")
+    dependences = None if no_time else dependences_of(found, known, progress)
     document = document_of(found, source, model)
     if dependences is not None and dependences.pairs and not {p.effect.name for p in dependences.pairs} & set(present):
         # Variation with a covariate was scatter to the first search: it hides effects, or imitates some.
@@ -129,17 +129,17 @@ def diagnose(
         }
     )
     document = _over_ranges(document)
-    unseen = whole.unseen(source, added_of(document, source))
+    unseen = all_rows.unseen(source, added_of(document, source))
     limit = None if math.isinf(budget.limit) else budget.limit
     spent = BudgetDocument(limit=limit, left_out=tuple(budget.left_out))
     remarks = (*filter(None, [not_tried(spent)]), *document.remarks, *unseen)
     rollouts = held_out_rollouts(source, found.hold_out)
-    update = {"runs": _runs(whole), "budget": spent, "remarks": remarks, "rollouts": rollouts}
+    update = {"runs": _runs(all_rows), "budget": spent, "remarks": remarks, "rollouts": rollouts}
     document = document.model_copy(update=update)
     disagree = "" if rollouts is None else rollouts.disagreement(document.held_out_change_ci95)
     summary = " ".join(filter(None, [summary_of(document), disagree, low_confidence_sentence(document.drift)]))
-    said = {"measurement": measurement_of(document), "calibrate": experiments_of(document), "summary": summary}
-    return document.model_copy(update=said)
+    sentences = {"measurement": measurement_of(document), "calibrate": experiments_of(document), "summary": summary}
+    return document.model_copy(update=sentences)
 
 
 def added_of(document: DiagnosisDocument, source: Source) -> Added:
@@ -250,8 +250,8 @@ def findings_of(
             f"{len(source.clusters)} condition(s) measured ({names}): at least {MIN_CLUSTERS} are needed to hold one "
             "out; `impact-rs compare` still shows where the model fails"
         )
-    own = budget.part(SEARCH_TIME_SHARE)
-    search = Search(effects, Evidence.of(source, budget=own), progress, earlier=earlier)
+    search_budget = budget.part(SEARCH_TIME_SHARE)
+    search = Search(effects, Evidence.of(source, budget=search_budget), progress, earlier=earlier)
     undecidable = search.evidence.null.shortage is not None or bool(source.impossible)
     chosen = None if undecidable else search.forward_selection()
     rivals: Sequence[Rival] = ()
@@ -259,16 +259,17 @@ def findings_of(
     suspected: tuple[str, ...] = ()
     if chosen is not None:
         chosen, rivals = search.exchange(chosen)
-        if (sure := without_uncertain_effects(search, chosen)) is not chosen:
-            chosen, rivals = sure, () if sure is None else search.rivals(sure)
-    known = search.ended if source.of_motion else NOTHING_KNOWN  # impacts are cheap, and nonlinear in slip
-    if chosen is not None and (held := hold_out(source, effects, chosen.candidate, known, budget)) is not None:
+        if (certain := without_uncertain_effects(search, chosen)) is not chosen:
+            chosen, rivals = certain, () if certain is None else search.rivals(certain)
+    # Folds of motions start at the estimates of all data; impacts are cheap, and nonlinear in slip.
+    fold_starts = search.ended if source.of_motion else NOTHING_KNOWN
+    if chosen is not None and (held := hold_out(source, effects, chosen.candidate, fold_starts, budget)) is not None:
         supported = supported_by_hold_out(search, chosen, held)
         if supported is not chosen:
             kept = () if supported is None else supported.candidate.names
-            left = tuple(name for name in chosen.candidate.names if name not in kept)
-            unsupported = unsupported_words(search, left, held)
-            suspected = left if lowers_held_out_error(search, held) and not held.failed else ()
+            dropped = tuple(name for name in chosen.candidate.names if name not in kept)
+            unsupported = unsupported_words(search, dropped, held)
+            suspected = dropped if lowers_held_out_error(search, held) and not held.failed else ()
             chosen, rivals = supported, () if supported is None else search.rivals(supported)
         if chosen is None:
             held = None

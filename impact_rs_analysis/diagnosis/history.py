@@ -61,7 +61,7 @@ class VersionError:
         error_held_out: Error in every condition with the added effect's parameters fitted to all other conditions;
             None where there are too few conditions.
         noise_floor: Both errors if only noise were left; None if nothing was repeated.
-        unit: Of the errors, ``TIMES`` for multiples of repeatability.
+        unit: Unit of the errors, ``TIMES`` for multiples of repeatability.
         rollouts: Open-loop predictions with the parameters of its file; None: none was possible.
     """
 

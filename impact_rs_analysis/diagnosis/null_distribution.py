@@ -247,7 +247,7 @@ class _Rows:
         numbers: Indices of the clusters among all.
         items: The clusters.
         rows: Means and contrasts, ``(N, F)``, in multiples of ``unit``.
-        unit: Of the features, ``(F,)``: the scale of the first cluster.
+        unit: Unit of the features, ``(F,)``: the scale of the first cluster.
         means: Number of means.
         freedom: Number of contrasts.
         donors: Layouts whose contrasts give the mean variance of a signal: its own, or all if it has few.
@@ -630,7 +630,7 @@ def combined_half_width(
         jackknife: Jackknife standard errors over clusters, ``(p,)``.
         clusters: Number of clusters that depend on the parameter, for each or for all.
         discrepancy: Standard errors from model discrepancy, ``(p,)``.
-        confidence: Of the intervals.
+        confidence: Confidence level of the intervals.
     """
     tail = 0.5 + confidence / 2.0
     own = np.maximum(quantile * noise, scipy.stats.t.ppf(tail, np.maximum(np.asarray(clusters) - 1, 1)) * jackknife)

@@ -333,12 +333,20 @@ class Search:
         """p-value of a chosen effect given the other chosen ones, not adjusted for multiple testing.
 
         By its sensitivities at the estimate: at nominal they may be zero, as for a restitution that first changes a
-        feature once a contact opens.
+        feature once a contact opens. Those at the estimate may vanish too, where the fit turns back, so they are
+        corrected to the change of the features that the fit makes (:func:`secant_update`). The statistic T is then at
+        least the decrease of the squared residual, twice the log likelihood ratio of the fit under normal noise.
         """
         others = self.without(chosen, name) if len(chosen.candidate.effects) > 1 else None
-        own, left = chosen.candidate.part(name), self.evidence if others is None else others.left
+        candidate, own = chosen.candidate, chosen.candidate.part(name)
+        left = self.evidence if others is None else others.left
         fitted = () if others is None else others.candidate.jacobians
-        return left.null.p_value([jacobian[:, own] for jacobian in chosen.candidate.jacobians], fitted)
+        before = [item.mean for item in left.clusters]
+        made = [first - second for first, second in zip(before, chosen.residuals, strict=True)]
+        away = (chosen.estimate - candidate.nominal) / candidate.scale
+        return left.null.p_value(
+            secant_update([jacobian[:, own] for jacobian in candidate.jacobians], made, away[own]), fitted
+        )
 
     def forward_selection(self) -> Fit | None:
         """The selected effects; None if none is accepted."""
@@ -688,6 +696,25 @@ def _in_the_limit(fitted: Fit, name: str) -> bool:
     part = fitted.candidate.part(name)
     shapes = np.array([bool(scalar.grid) for scalar in fitted.candidate.scalars[part]])
     return bool(np.any(fitted.at_bound[part] & shapes))
+
+
+def secant_update(jacobians: Sequence[Array], made: Sequence[Array], away: Array) -> list[Array]:
+    """Sensitivities closest to the given ones that reproduce a change of the features (Broyden 1965), rank one.
+
+        J + (y - J x) x^T / (x^T x)
+
+    Args:
+        jacobians: Sensitivities J per cluster, ``(F, p)`` per parameter scale.
+        made: Change y of the features, ``(F,)`` per cluster.
+        away: Change x of the parameters that made it, ``(p,)`` in scales; zero: J is returned.
+    """
+    size = float(away @ away)
+    if size == 0.0:
+        return list(jacobians)
+    return [
+        jacobian + np.outer(change - jacobian @ away, away) / size
+        for jacobian, change in zip(jacobians, made, strict=True)
+    ]
 
 
 def tied(chosen: Fit, rival: Fit) -> bool:

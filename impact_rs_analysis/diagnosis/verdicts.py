@@ -226,18 +226,18 @@ def _on_model(found: Findings, stated: set[tuple[str, str]], p_value: float | No
     """
     evidence, chosen = found.evidence, found.chosen
     tested = evidence.source.repeated or bool(stated)
-    stays = p_value is not None and p_value < SIGNIFICANCE_LEVEL
+    significant = p_value is not None and p_value < SIGNIFICANCE_LEVEL
     if tested:
         rests = rests_of(evidence, found.unexplained)
-        more = stays and any(
+        unexplained = significant and any(
             rest.value > rest.floor for rest in rests if not stated or (rest.signal, rest.index) in stated
         )
     else:
-        more = exceeds_noise(evidence, found.unexplained)
+        unexplained = exceeds_noise(evidence, found.unexplained)
     if chosen is None:
         # Without lack of fit a significant effect explains no deficit of the model.
-        return NONE if more else SMALL if tested and stays else NOTHING
-    if more:
+        return NONE if unexplained else SMALL if tested and significant else NOTHING
+    if unexplained:
         return (
             DiagnosisVerdict(Kind.PARTLY, found.shown(found.names))
             if found.share_left < 1.0 - MIN_EXPLAINED_SHARE

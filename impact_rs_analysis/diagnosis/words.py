@@ -295,14 +295,14 @@ def _verdict(document: DiagnosisDocument) -> str:
 
 
 def _of_physics(document: DiagnosisDocument) -> str:
-    """What of the physics is missing beside named faults of the readings; empty: that is open."""
+    """Missing physical effects in addition to named faults of the readings; empty: undecided."""
     if document.missing:
         be = "is" if len(document.missing) == 1 else "are"
-        return f"Of the physics {' and '.join(document.missing)} {be} missing."
+        return f"{' and '.join(document.missing)} {be} missing in the physics."
     tied = [name for _, *by in document.confusable for name in by]
     if document.verdict.kind is Kind.PARTLY or not all(map(document.is_of_measurement, tied)):
         return ""
-    return "Of the physics nothing is missing."
+    return "No physical effect is missing."
 
 
 def _instead(document: DiagnosisDocument) -> str:

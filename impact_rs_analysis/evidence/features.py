@@ -187,7 +187,7 @@ def onset_level(time: Array, velocity: Array) -> float | None:
 
     Args:
         time: Ticks, ``(k,)`` [s]; the first 8 ms are before the impact.
-        velocity: Of the end effector as measured, ``(k, 3)`` [m/s].
+        velocity: Measured velocity of the end effector, ``(k, 3)`` [m/s].
     """
     (loss,), (speed,) = _loss(time, velocity[None])
     noise = float(np.std(loss[: max(3, np.count_nonzero(time <= time[0] + QUIET_S))]))
@@ -200,7 +200,7 @@ def onsets_of(time: Array, velocity: Array, level: float) -> Array:
 
     Args:
         time: Ticks, ``(k,)`` [s]; the first 8 ms are before the impact.
-        velocity: Of the end effector in ``B`` simulations, ``(B, k, 3)`` [m/s].
+        velocity: Velocity of the end effector in ``B`` simulations, ``(B, k, 3)`` [m/s].
         level: Loss of speed, from the measured run (:func:`onset_level`) [m/s].
     """
     loss, _ = _loss(time, velocity)

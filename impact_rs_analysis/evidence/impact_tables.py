@@ -172,7 +172,7 @@ class ImpactTableSource(Source):
         table: The measurements.
         model: The model.
         each_arm: Whether arms of one kind have parameters of their own.
-        discrepancy: Of the rigid map, for arms; None: as measured.
+        discrepancy: Discrepancy of the rigid map, for arms; None: as measured.
         remarks: Whether to look for remarks.
         map_tasks: Who runs what :meth:`spread` is given; None: this process.
 

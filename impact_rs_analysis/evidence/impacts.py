@@ -57,7 +57,7 @@ class Observed:
     """End-effector signals estimated from joint signals.
 
     Attributes:
-        velocity: Of the origin of E in A, ``(k, 3)`` [m/s].
+        velocity: Velocity of the origin of E in A, ``(k, 3)`` [m/s].
         force: External force on the end effector, axes of A, ``(k, 3)`` [N].
         sudden: Sudden part of it against the direction in which E is fastest, ``(k,)`` [N].
     """
@@ -96,8 +96,8 @@ def first_rise(force: Array, speed: Array, period: float) -> int | None:
 
     Args:
         force: Sudden part of the force, ``(k,)`` [N].
-        speed: Of the end effector, ``(k,)`` [m/s].
-        period: Of the samples [s].
+        speed: Speed of the end effector, ``(k,)`` [m/s].
+        period: Period of the samples [s].
     """
     fast = np.maximum.accumulate(speed > MIN_SHARE_OF_TOP_SPEED * speed.max())
     if not np.any(fast):

@@ -163,7 +163,7 @@ class RolledOut:
     Attributes:
         arm: Name of the arm.
         kinds: Types of its joints.
-        joints: Of the readings of the joints, ``(T, S, n)`` [rad].
+        joints: Readings of the joints, ``(T, S, n)`` [rad].
         torque: Constant torque that gives this error, ``(T, S, n)`` [N m].
         tool: Distance of frame E from where it was, ``(T, S)`` [m].
         turned: Angle of its rotation, ``(T, S)`` [rad].
@@ -415,7 +415,7 @@ def rolled_out(
         starts: Moments at which rollouts start, ``(S,)`` [s].
         horizon: Their duration [s].
         physics: Physics of the model with effects.
-        step: Of the integrator [s].
+        step: Step of the integrator [s].
 
     Raises:
         NotABody: Mass and inertia of an end effector are not those of a body.

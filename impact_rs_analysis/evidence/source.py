@@ -246,7 +246,7 @@ class Source(ABC):
         """Change of features with a change of effects, in their units.
 
         Args:
-            numbers: Of the clusters.
+            numbers: Numbers of the clusters.
             before: Added effects before.
             after: Added effects after.
             what: Purpose, shown as progress.

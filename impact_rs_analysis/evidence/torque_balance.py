@@ -315,8 +315,8 @@ def _noise(raw: Array, moved: Array, turning: Array, cut_off: float, rate: float
         raw: Recorded signals, ``(k, n)``; NaN where there is none.
         moved: Positions of all joints and motors, ``(k, m)`` [rad].
         turning: Direction in which every joint is driven against its friction, ``(k, n)`` [-].
-        cut_off: Of the low-pass [Hz].
-        rate: Of the samples [Hz].
+        cut_off: Cut-off frequency of the low-pass [Hz].
+        rate: Rate of the samples [Hz].
     """
     highest = 0.45 * rate
     band = (

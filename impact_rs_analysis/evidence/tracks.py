@@ -113,7 +113,7 @@ class Track:
 
     Attributes:
         label: Name of the run, or of recording and model.
-        time: Of the run, or since the start of the recording [s]; of a table the number of the row, ``(k,)``.
+        time: Time of the run, or since the start of the recording [s]; of a table the number of the row, ``(k,)``.
         impact: Begin of the first impact [s]; None without an impact.
         starts: Rows in which a stretch begins; there are no data between two stretches.
         curves: Signals for figures.

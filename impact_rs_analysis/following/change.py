@@ -123,7 +123,7 @@ class ChangeTest:
         posterior: Its hits.
         candidate: Effects with their parameters, at the point about which it is linearised.
         active: Parameters that some hit depends on, by number.
-        calibration: Of the scores.
+        calibration: Calibration of the scores.
         mean_time: Mean number of instants to a false alarm, at least.
     """
 

@@ -70,14 +70,14 @@ class HitModel:
     Args:
         hit_source: Predicts hits.
         candidate: The effects, at what is believed at the start.
-        joints: Of the arms.
+        joints: Joints of the arms.
         proportion: Size of the measured system, for ranges and scales.
         mean_time: Mean number of hits to a false alarm, at least.
 
     Attributes:
         whiten: What whitens the hits of a layout, ``(F, F)``.
         active: Parameters that some hit depends on, by number.
-        calibration: Of the scores of the effects.
+        calibration: Calibration of the scores of the effects.
     """
 
     def __init__(

@@ -169,7 +169,7 @@ class TableHitSource(HitSource):
     Args:
         read: Reads the table as it is now.
         model: The model.
-        discrepancy: Of the rigid map, for arms; None: as measured.
+        discrepancy: Discrepancy of the rigid map, for arms; None: as measured.
     """
 
     def __init__(
@@ -304,7 +304,7 @@ class BagHitSource(HitSource):
         directory: The folder.
         model: The model.
         store: Makes replays.
-        discrepancy: Of the twin; None: as measured.
+        discrepancy: Discrepancy of the twin; None: as measured.
     """
 
     def __init__(

@@ -49,7 +49,7 @@ class RecentResiduals:
         Args:
             group: Its group.
             residual: Whitened, ``(F,)`` [-].
-            weight: Of the hit [-]; an odd one moves nothing far.
+            weight: Weight of the hit [-]; an odd one moves nothing far.
         """
         means = self._means.setdefault(group, np.zeros((EWMA_GAINS.size, residual.size)))
         off = residual - means

@@ -228,7 +228,7 @@ def fitted_out(information: Array, columns: Columns | Sequence[int], width: floa
     Args:
         information: L, ``(n, n)``.
         columns: Those that are fitted.
-        width: Of a further normal prior of each; infinite: none.
+        width: Width of a further normal prior of each; infinite: none.
     """
     chosen = np.array(columns, dtype=int)
     if not chosen.size:

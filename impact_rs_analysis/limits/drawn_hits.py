@@ -61,7 +61,7 @@ class DrawnHit:
         arms: States of the arms when their pads touch.
         object: State of the object.
         offsets: Added to the jumps, proportional to the speed, ``(k,)``; 0 for other quantities.
-        factors: Of the other quantities, ``(k,)`` [-]; 1 for jumps.
+        factors: Factors of the other quantities, ``(k,)`` [-]; 1 for jumps.
     """
 
     physics: Physics
@@ -79,7 +79,7 @@ class Hits:
         thresholds: In the place of those of the robot facts.
         stated: What is uncertain; None: as the scenario states.
         draws: Number of draws; 0: the nominal hit alone, without discrepancy.
-        seed: Of the draws.
+        seed: Seed of the draws.
 
     Attributes:
         scene: The scene.
@@ -273,7 +273,7 @@ def twin_job(physics: Physics, arms: Mapping[str, ArmState], body: BodyState, pe
         physics: Parameters.
         arms: States of the arms when their pads touch.
         body: State of the object.
-        period: Of the torque loop [s].
+        period: Period of the torque loop [s].
     """
     ticks = round(HIT_WINDOW_S / period)
     torque, starts = {}, {}

@@ -11,7 +11,7 @@ import functools
 import json
 import math
 from collections import Counter, defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -353,6 +353,31 @@ def feedback_of(path: Path) -> tuple[TrialFeedback | str, bool]:
         return reason_of(error), True
 
 
+def _bags_of(directory: Path) -> list[Path]:
+    """Bags of a folder of trials; an :class:`InputError` if it has none."""
+    if not directory.is_dir():
+        raise InputError("no such folder", file=directory)
+    if (directory / BAG_METADATA).is_file():
+        raise InputError("this is a single trial; give the folder it lies in", file=directory)
+    bags = trials_in(directory)
+    if not bags:
+        raise InputError("this folder holds no trials (a trial is a subfolder that is a rosbag2 bag)", file=directory)
+    return bags
+
+
+def _sets_of(
+    directory: Path, groups: Mapping[tuple[str, str, str], Sequence[TrialFeedback]]
+) -> tuple[list[ExperimentSet], list[Incomplete]]:
+    """Results of the sets of trials by scenario, object and case, and the sets without a result."""
+    sets, incomplete = [], []
+    for key, trials in groups.items():
+        try:
+            sets.append(_evaluate(directory, [trial for trial in trials if trial.impact], trials[0]))
+        except (FitError, InputError, ImpactMapError) as error:
+            incomplete.append(Incomplete(*key, str(error)))
+    return sets, incomplete
+
+
 def analyze_campaign(
     directory: Path, progress: Callable[[int, int], None] | None = None, map_tasks: Map = map
 ) -> Analysis:
@@ -366,13 +391,7 @@ def analyze_campaign(
     Raises:
         InputError: No such folder, or none of its bags is a usable trial.
     """
-    if not directory.is_dir():
-        raise InputError("no such folder", file=directory)
-    if (directory / BAG_METADATA).is_file():
-        raise InputError("this is a single trial; give the folder it lies in", file=directory)
-    bags = trials_in(directory)
-    if not bags:
-        raise InputError("this folder holds no trials (a trial is a subfolder that is a rosbag2 bag)", file=directory)
+    bags = _bags_of(directory)
     folders = varied_folders(directory)
     varied = {key: trials_in(directory / folder) for key, folder in folders.items()}
     total = len(bags) + sum(map(len, varied.values()))
@@ -405,15 +424,10 @@ def analyze_campaign(
     others = {key: read(paths, f"{folders[key]}/") for key, paths in varied.items()}
     missing = _missing(directory, skipped)
     measured = _one_scenario_each(measured, skipped)
-    sets, incomplete = [], []
     groups: dict[tuple[str, str, str], list[TrialFeedback]] = defaultdict(list)
     for trial in measured:
         groups[trial.info.scenario, trial.info.object, trial.info.case_name].append(trial)
-    for key, trials in groups.items():
-        try:
-            sets.append(_evaluate(directory, [trial for trial in trials if trial.impact], trials[0]))
-        except (FitError, InputError, ImpactMapError) as error:
-            incomplete.append(Incomplete(*key, str(error)))
+    sets, incomplete = _sets_of(directory, groups)
     return Analysis(
         directory=directory,
         sets=tuple(_in_order(sets, measured)),

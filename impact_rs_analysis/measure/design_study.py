@@ -52,7 +52,7 @@ class PadDesign:
     Attributes:
         size: Width, height and thickness [m].
         friction: Between pad and object [-].
-        restitution: Of the impact [-].
+        restitution: Restitution of the impact [-].
     """
 
     size: tuple[float, float, float]
@@ -92,7 +92,7 @@ class Estimate:
     """A value with its interval.
 
     Attributes:
-        value: Of the nominal design.
+        value: Value of the nominal design.
         low: Lower end at ``CONFIDENCE_LEVEL``.
         high: Upper end.
         draws: Values of the draws; nan where one has no answer.

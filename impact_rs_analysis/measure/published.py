@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's result tables, and the sets of trials that repeat one of their rows.
+"""The paper's result tables, and which row a set of trials (one scenario, object and case) repeats.
 
-Names are not enough: ``push`` with another arm or a heavier box keeps its name, but must not be compared with the
-published numbers.
+A set is compared with the published numbers only if robot, object and ante-impact velocity are those of the row: a
+scenario with another arm or a heavier box may still be called ``push``.
 """
 
 from __future__ import annotations
@@ -56,12 +56,12 @@ def published(scenario: Scenario, object_name: str, case: str) -> PaperRow | Non
     if row is None:
         return None
     shipped, facts = load_scenario(scenario.name), load_facts(PAPER_ROBOT)
-    same = (
+    same_conditions = (
         all(robot.robot_facts == facts for robot in scenario.robots.values())
         and _object(scenario, object_name) == _object(shipped, object_name)
         and _velocities(scenario, case) == _velocities(shipped, case)
     )
-    return row if same else None
+    return row if same_conditions else None
 
 
 def _object(scenario: Scenario, name: str) -> dict[str, object]:

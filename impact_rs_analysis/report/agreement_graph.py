@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-from impact_rs_analysis.diagnosis.agreement import AgreementDocument
+from impact_rs_analysis.diagnosis.agreement import AgreementDocument, places_in_words
 
 NODE_SPACING_PX = 44  # px between nodes
 TOP_MARGIN_PX = 28  # above the first node
@@ -20,7 +19,7 @@ class AgreementNode:
     Attributes:
         name: Its name.
         y: Its height [px].
-        against: Joints and axes at which a relation does not hold, or a reading is common to what does not hold.
+        against: Joints and axes at which a relation does not hold, or a reading is a possible cause of that.
     """
 
     name: str
@@ -52,7 +51,7 @@ class AgreementGraph:
         readings: Nodes on the left.
         relations: Nodes on the right.
         lines: Between them.
-        height: Of the graph [px].
+        height: Height of the graph [px].
         in_words: The graph as text.
     """
 
@@ -75,10 +74,10 @@ def agreement_graph(document: AgreementDocument) -> AgreementGraph | None:
     rows = max(len(names), len(document.names))
     at_reading = dict(zip(names, _heights(len(names), rows), strict=True))
     at_relation = dict(zip(document.names, _heights(len(document.names), rows), strict=True))
-    common: dict[str, list[str]] = {}
+    possible: dict[str, list[str]] = {}
     for one in document.in_common:
-        if len(one.relations) > 1 and len(one.readings) == 1:
-            common.setdefault(one.readings[0], []).append(one.place)
+        for name in one.readings:
+            possible.setdefault(name, []).extend(one.place.split(", "))
     against = {name: document.against(name) for name in document.names}
     said = [
         f"{name} ({', '.join(document.readings_of(name))}): "
@@ -87,8 +86,10 @@ def agreement_graph(document: AgreementDocument) -> AgreementGraph | None:
     ]
     return AgreementGraph(
         document=document,
-        readings=tuple(AgreementNode(name, y, ", ".join(common.get(name, []))) for name, y in at_reading.items()),
-        relations=tuple(AgreementNode(name, y, _places(against[name])) for name, y in at_relation.items()),
+        readings=tuple(
+            AgreementNode(name, y, places_in_words(possible.get(name, []))) for name, y in at_reading.items()
+        ),
+        relations=tuple(AgreementNode(name, y, places_in_words(against[name])) for name, y in at_relation.items()),
         lines=tuple(
             AgreementLine(at_reading[reading], y, not against[name])
             for name, y in at_relation.items()
@@ -97,14 +98,6 @@ def agreement_graph(document: AgreementDocument) -> AgreementGraph | None:
         height=2.0 * TOP_MARGIN_PX + (rows - 1) * NODE_SPACING_PX,
         in_words="; ".join(said),
     )
-
-
-def _places(places: Sequence[str]) -> str:
-    """Joints and axes in a few words: "joints 2, 4"."""
-    numbers = [place.removeprefix("joint") for place in places]
-    if len(places) > 1 and all(number.isdigit() for number in numbers):
-        return f"joints {', '.join(numbers)}"
-    return ", ".join(places)
 
 
 def _heights(count: int, rows: int) -> list[float]:

@@ -24,7 +24,7 @@ from impact_rs_analysis.report.plots import GREY, TEMPLATE
 from impact_rs_sim.scenario import Scenario
 
 COLOURS = {"jump": BLUE, "speed": GREEN, "torque": ORANGE, "reflex": RED, "force": GREY}
-MAX_SPEED_RATIO = 2.0  # limit over planned speed, at the end of the colour scale of the map
+COLOUR_SCALE_END = 2.0  # limit over planned speed, at the end of the colour scale of the map
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def write_limits(
 
     Args:
         scenario: The scenario.
-        limits: Of its objects and cases.
+        limits: Limits of its objects and cases.
         places: Of other places of the hit, row by row upwards; empty: none.
         directory: Folder of the report.
 
@@ -134,13 +134,13 @@ def places_plot(places: Sequence[PlacedLimit]) -> go.Figure:
     heat = go.Heatmap(
         x=x,
         y=z,
-        z=[[None if one is None else min(one.speed / one.planned, MAX_SPEED_RATIO) for one in row] for row in grid],
+        z=[[None if one is None else min(one.speed / one.planned, COLOUR_SCALE_END) for one in row] for row in grid],
         text=[["" if one is None else _speed(one.speed) for one in row] for row in grid],
         texttemplate="%{text}",
         hovertemplate="x %{x} m, z %{y} m: %{text} m/s<extra></extra>",
         colorscale=[[0.0, RED], [0.5, "#F7F7F7"], [1.0, SKY]],
         zmin=0.0,
-        zmax=MAX_SPEED_RATIO,
+        zmax=COLOUR_SCALE_END,
         colorbar={"title": {"text": "of the<br>planned"}, "tickformat": ".0%"},
     )
     return go.Figure([heat], layout={"template": TEMPLATE}).update_layout(

@@ -34,18 +34,7 @@ from impact_rs_trials.workers import Workforce
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    if args.via == "nodes" and (args.settings or args.sensitivity):
-        raise InputError(
-            "--set and --sensitivity go with --via inprocess only: the nodes read the file of the scenario"
-        )
-    if args.via == "nodes" and (args.jobs not in (None, 1) or args.scheduler is not None):
-        raise InputError("--jobs and --scheduler go with --via inprocess only: the nodes run one trial at a time")
-    if args.via == "nodes" and args.plant != "bullet":
-        raise InputError("--plant goes with --via inprocess only: the plant node runs Bullet")
-    if args.without:
-        check_without(args.without, args.via)
-    if args.via != "nodes" and args.namespace:
-        raise InputError("--namespace goes with --via nodes only: trials inside this program have no ROS names")
+    _check_options(args)
     store = open_store(args.output)
     workforce = workforce_of(args)
     plan = plan_of(args)
@@ -104,6 +93,22 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     )
     none_is_ok = bool(ran) and not outcomes["OK"]
     return 1 if done < wanted or outcomes["ABORTED"] or none_is_ok else 0
+
+
+def _check_options(args: argparse.Namespace) -> None:
+    """Refuse options that the way of running the trials does not have."""
+    if args.via == "nodes" and (args.settings or args.sensitivity):
+        raise InputError(
+            "--set and --sensitivity go with --via inprocess only: the nodes read the file of the scenario"
+        )
+    if args.via == "nodes" and (args.jobs not in (None, 1) or args.scheduler is not None):
+        raise InputError("--jobs and --scheduler go with --via inprocess only: the nodes run one trial at a time")
+    if args.via == "nodes" and args.plant != "bullet":
+        raise InputError("--plant goes with --via inprocess only: the plant node runs Bullet")
+    if args.without:
+        check_without(args.without, args.via)
+    if args.via != "nodes" and args.namespace:
+        raise InputError("--namespace goes with --via nodes only: trials inside this program have no ROS names")
 
 
 def manifest_of(args: argparse.Namespace) -> Manifest:

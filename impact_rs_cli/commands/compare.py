@@ -97,10 +97,13 @@ def _show(document: ComparisonDocument, terminal: Terminal) -> None:
 
 
 def _show_agreement(agreement: AgreementDocument, yardstick: str, terminal: Terminal) -> None:
-    """Relations between readings, joint by joint; those that do not hold are marked."""
+    """Relations between readings, joint by joint; those that fail are marked."""
     if not agreement.relations:
         return
-    table = Table(title=escape(f"Which readings agree [times {yardstick}; ≠: they do not]"))
+    table = Table(
+        title=escape(f"Which readings agree [times {yardstick}]"),
+        caption="≠: the relation fails; large without ≠: within its discrepancy, or below its relevance limit",
+    )
     table.add_column("")
     for name in agreement.names:
         table.add_column(name, justify="right")
@@ -110,8 +113,8 @@ def _show_agreement(agreement: AgreementDocument, yardstick: str, terminal: Term
             place, *("" if one is None else f"{'' if one.agrees else '≠ '}{number(one.times_noise)}" for one in cells)
         )
     terminal.say(table)
-    between = "; of the ".join(f"{name}: {', '.join(agreement.readings_of(name))}" for name in agreement.names)
-    terminal.say(f"  readings of the {between}")
+    for name in agreement.names:
+        terminal.say(f"  {name}: between {', '.join(agreement.readings_of(name))}")
     for one in agreement.in_common:
         terminal.say(f"  {one.in_words}")
 

@@ -23,16 +23,17 @@ from impact_rs_analysis.diagnosis.bounds import NO_BOUNDS, Bounds, read_bounds
 from impact_rs_analysis.diagnosis.budget import UNLIMITED, Budget
 from impact_rs_analysis.diagnosis.document import (
     DiagnosisDocument,
+    EffectDocument,
     EstimateDocument,
     write_document,
 )
 from impact_rs_analysis.diagnosis.measurement import calibration_text
-from impact_rs_analysis.diagnosis.verdict import NO_IMPROVEMENT, TOO_FEW, UNIDENTIFIABLE
+from impact_rs_analysis.diagnosis.verdict import NO_IMPROVEMENT, TOO_FEW, UNIDENTIFIABLE, DiagnosisVerdict
 from impact_rs_analysis.diagnosis.words import not_excluded, shown_unnamed
 from impact_rs_cli.arguments import number, on_local_runs
 from impact_rs_cli.parser import command_line
 from impact_rs_cli.reading import measured
-from impact_rs_cli.terminal import Terminal, output_folder
+from impact_rs_cli.terminal import Terminal, add_word_column, output_folder
 from impact_rs_commands.declaration import NAMED, READ, WRITTEN, Option
 from impact_rs_commands.explaining import DIAGNOSE
 from impact_rs_commands.shared import JOBS
@@ -157,25 +158,9 @@ def show(document: DiagnosisDocument, terminal: Terminal) -> None:
     if document.rollouts is not None:
         terminal.say(document.rollouts.in_words)
     if document.joints:
-        unit = joined_units(row.unit for row in document.joints)
-        table = Table(title=escape(f"Held-out torque error by joint [{unit} rms]"))
-        for heading in ("", *(row.joint for row in document.joints)):
-            table.add_column(heading, justify="right")
-        for name in ("before", "after", "noise"):
-            table.add_row(name, *(f"{getattr(row, name):.3f}" for row in document.joints))
-        terminal.say(table)
+        terminal.say(_joints_table(document))
     shown = [effect for effect in document.effects if effect.measured]
-    table = Table(title=f"Effects, best first (error on unseen data, {document.error_unit})")
-    table.add_column("effect", no_wrap=True)
-    table.add_column("verdict", overflow="fold", min_width=len(str(UNIDENTIFIABLE)))
-    table.add_column("alone", justify="right", no_wrap=True)
-    table.add_column("without → with", justify="right", no_wrap=True)
-    table.add_column("p", justify="right", no_wrap=True)
-    for effect in shown[:MAX_SHOWN_EFFECTS]:
-        error = f"{number(effect.held_out_error_without or 0.0)} → {number(effect.held_out_error_after or 0.0)}"
-        alone = "–" if effect.held_out_error_alone is None else number(effect.held_out_error_alone)
-        table.add_row(effect.name, str(effect.verdict), alone, error, p_text(effect.p_value, document.design.least_p))
-    terminal.say(table)
+    terminal.say(_effects_table(document, shown[:MAX_SHOWN_EFFECTS]))
     for effect in shown:
         if effect.verdict not in (NO_IMPROVEMENT, UNIDENTIFIABLE, TOO_FEW):
             terminal.say(estimates_table(effect.name, effect.parameters))
@@ -199,17 +184,53 @@ def show(document: DiagnosisDocument, terminal: Terminal) -> None:
         terminal.say(f"next experiment: {document.next_experiment.advice}")
 
 
+def _joints_table(document: DiagnosisDocument) -> Table:
+    """Held-out torque error of every joint."""
+    unit = joined_units(row.unit for row in document.joints)
+    table = Table(title=escape(f"Held-out torque error by joint [{unit} rms]"))
+    for heading in ("", *(row.joint for row in document.joints)):
+        table.add_column(heading, justify="right")
+    for name in ("before", "after", "noise"):
+        table.add_row(name, *(f"{getattr(row, name):.3f}" for row in document.joints))
+    return table
+
+
+def _effects_table(document: DiagnosisDocument, shown: Sequence[EffectDocument]) -> Table:
+    """Effects with verdict, errors on unseen data and p."""
+    table = Table(title=f"Effects, best first (error on unseen data, {document.error_unit})")
+    table.add_column("effect", no_wrap=True)
+    add_word_column(table, "verdict", [_verdict_text(effect.verdict) for effect in shown])
+    table.add_column("alone", justify="right", no_wrap=True)
+    table.add_column("without → with", justify="right", no_wrap=True)
+    table.add_column("p", justify="right", no_wrap=True)
+    for effect in shown:
+        error = f"{number(effect.held_out_error_without or 0.0)} → {number(effect.held_out_error_after or 0.0)}"
+        alone = "–" if effect.held_out_error_alone is None else number(effect.held_out_error_alone)
+        table.add_row(
+            effect.name, _verdict_text(effect.verdict), alone, error, p_text(effect.p_value, document.design.least_p)
+        )
+    return table
+
+
 def dependences_table(document: DiagnosisDocument) -> Table:
     """Every effect that was found by covariate, with estimates where it depends on it."""
     table = Table(title="What depends on circumstances", title_justify="left")
     table.add_column("effect", no_wrap=True)
     table.add_column("covariate", no_wrap=True)
-    table.add_column("verdict", overflow="fold")
-    table.add_column("p", justify="right", no_wrap=True)
+    verdicts = []
     for one in document.dependences:
         why = f": {one.reason}" if one.verdict == NO_IMPROVEMENT and one.reason else ""
-        table.add_row(one.effect, one.covariate, f"{one.verdict}{why}", p_text(one.p_value, document.design.least_p))
+        verdicts.append(f"{_verdict_text(one.verdict)}{why}")
+    add_word_column(table, "verdict", verdicts)
+    table.add_column("p", justify="right", no_wrap=True)
+    for one, verdict in zip(document.dependences, verdicts, strict=True):
+        table.add_row(one.effect, one.covariate, verdict, p_text(one.p_value, document.design.least_p))
     return table
+
+
+def _verdict_text(verdict: DiagnosisVerdict | None) -> str:
+    """Text of a verdict, which may be broken before its names and between them."""
+    return "" if verdict is None else str(verdict).replace("{", " {")
 
 
 def p_text(value: float | None, least: float) -> str:
@@ -228,7 +249,7 @@ def estimates_table(effect: str, parameters: dict[str, EstimateDocument]) -> Tab
     table.add_column("unit", no_wrap=True)
     judged = any(value.verdict is not None for value in parameters.values())
     if judged:
-        table.add_column("verdict", overflow="fold")
+        add_word_column(table, "verdict", [_verdict_text(value.verdict) for value in parameters.values()])
     arm = None
     for name, value in parameters.items():
         if value.arm != arm:
@@ -236,5 +257,5 @@ def estimates_table(effect: str, parameters: dict[str, EstimateDocument]) -> Tab
         arm = value.arm
         estimate, *interval = estimate_text(value.estimate, value.ci95)
         cells = [name, estimate, " ... ".join(interval), value.unit.strip("-")]
-        table.add_row(*cells, *([str(value.verdict or "")] if judged else []))
+        table.add_row(*cells, *([_verdict_text(value.verdict)] if judged else []))
     return table

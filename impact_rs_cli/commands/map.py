@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,20 +13,32 @@ from impact_rs_analysis.application.nominal_impact import planned_impact, veloci
 from impact_rs_cli.arguments import settings_of, started
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map import predict_impact
+from impact_rs_sim.impact_map import ImpactProblem, predict_impact
 from impact_rs_sim.impact_map.derivatives import Derivatives, differentiate
+from impact_rs_sim.impact_map.problem import ImpactResult
 from impact_rs_sim.impact_map.uncertainty import LEVEL, UncertainPrediction, predict
 from impact_rs_sim.impact_map.uniqueness import CHOICE, Uniqueness, uniqueness_of
-from impact_rs_sim.model import load_model
+from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.physics import assumed_words
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenario import Scenario, load_scenario
+from impact_rs_sim.scene import Scene
 from impact_rs_trials.map_table import answer_table, check_answers, write_answers
 from impact_rs_trials.recordings.impact_table import read_impact_table
 
 MAX_SHOWN_SWITCHES = 3  # all are in the JSON document
 UNUSED = ("drive.stiffness", "drive.damping")  # by the rigid impact map
 MIN_SWITCH_SHARE = 0.01  # of the draws; rarer switches are not shown
+
+
+@dataclass(frozen=True)
+class _Answers:
+    """Answers to one request; None: not asked for."""
+
+    result: ImpactResult
+    several: Uniqueness | None
+    prediction: UncertainPrediction | None
+    slopes: Derivatives | None
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
@@ -39,6 +51,13 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     scenario.object(args.object)
     model = load_model(args.model)
     scene, problem = planned_impact(scenario, args.object, args.case, model, args.motor_inertia)
+    answers = _solved(args, scenario, scene, problem)
+    terminal.result(_document(args, scenario, model, scene, answers))
+    _show(args, scenario, model, scene, answers, terminal)
+    return 0
+
+
+def _solved(args: argparse.Namespace, scenario: Scenario, scene: Scene, problem: ImpactProblem) -> _Answers:
     first_only = args.engine == "bullet" or args.uncertainty or args.derivatives or args.restitution_law
     if args.contact == "settled" and first_only:
         raise InputError(
@@ -47,70 +66,85 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         )
     if args.restitution_law:
         problem = replace(problem, restitution_law=args.restitution_law)
-    result = predict_impact(problem, args.contact, args.engine)
-    several = uniqueness_of(problem, scene.models) if args.contact == "first" else None
-    prediction = predict(problem, scenario.uncertainty, scene.models) if args.uncertainty else None
-    slopes = differentiate(problem, scene.models) if args.derivatives else None
-    assumed = {name: [item for item in arm.assumed if item not in UNUSED] for name, arm in scene.physics.arms.items()}
-    before = velocities_before(scene)
-    terminal.result(
-        {
-            "scenario": scenario.name,
-            "object": args.object,
-            "case": scene.case_name,
-            "model": model.name,
-            "motor_inertia": args.motor_inertia,
-            "contact": args.contact,
-            "assumed": {name: words for name, words in assumed.items() if words},
-            "ante": {
-                "end_effector_twist": {name: twist.tolist() for name, twist in before.items()},
-                "joint_position": {name: arm.position.tolist() for name, arm in scene.arms.items()},
-                "joint_velocity": {name: arm.velocity.tolist() for name, arm in scene.arms.items()},
-            },
-            "post": {
-                "end_effector_twist": {name: twist.tolist() for name, twist in result.end_effector_twist.items()},
-                "joint_velocity": {name: velocity.tolist() for name, velocity in result.joint_velocity.items()},
-                "object_twist": result.object_twist.tolist(),
-            },
-            "contacts": [
-                {
-                    "body_a": contact.body_a,
-                    "body_b": contact.body_b,
-                    "position": contact.position.tolist(),
-                    "normal": contact.normal.tolist(),
-                    "impulse": contact.impulse.tolist(),
-                }
-                for contact in result.contacts
-            ],
-            **({} if several is None else {"uniqueness": _uniqueness(several)}),
-            **({} if prediction is None else {"uncertainty": _uncertainty(prediction)}),
-            **({} if slopes is None else {"derivatives": _derivatives(slopes)}),
-            "residual": {name: float(value) for name, value in vars(result.residual).items()},
-            "engine": result.engine,
-            "iterations": result.iterations,
-            "elapsed_ms": 1e3 * result.elapsed,
-        }
+    return _Answers(
+        result=predict_impact(problem, args.contact, args.engine),
+        several=uniqueness_of(problem, scene.models) if args.contact == "first" else None,
+        prediction=predict(problem, scenario.uncertainty, scene.models) if args.uncertainty else None,
+        slopes=differentiate(problem, scene.models) if args.derivatives else None,
     )
+
+
+def _assumed(scene: Scene) -> dict[str, list[str]]:
+    """Assumed numbers that the rigid map uses, by arm."""
+    return {name: [item for item in arm.assumed if item not in UNUSED] for name, arm in scene.physics.arms.items()}
+
+
+def _document(
+    args: argparse.Namespace, scenario: Scenario, model: Model, scene: Scene, answers: _Answers
+) -> dict[str, Any]:
+    """Answer of ``--json``."""
+    before = velocities_before(scene)
+    return {
+        "scenario": scenario.name,
+        "object": args.object,
+        "case": scene.case_name,
+        "model": model.name,
+        "motor_inertia": args.motor_inertia,
+        "contact": args.contact,
+        "assumed": {name: words for name, words in _assumed(scene).items() if words},
+        "ante": {
+            "end_effector_twist": {name: twist.tolist() for name, twist in before.items()},
+            "joint_position": {name: arm.position.tolist() for name, arm in scene.arms.items()},
+            "joint_velocity": {name: arm.velocity.tolist() for name, arm in scene.arms.items()},
+        },
+        "post": {
+            "end_effector_twist": {name: twist.tolist() for name, twist in answers.result.end_effector_twist.items()},
+            "joint_velocity": {name: velocity.tolist() for name, velocity in answers.result.joint_velocity.items()},
+            "object_twist": answers.result.object_twist.tolist(),
+        },
+        "contacts": [
+            {
+                "body_a": contact.body_a,
+                "body_b": contact.body_b,
+                "position": contact.position.tolist(),
+                "normal": contact.normal.tolist(),
+                "impulse": contact.impulse.tolist(),
+            }
+            for contact in answers.result.contacts
+        ],
+        **({} if answers.several is None else {"uniqueness": _uniqueness(answers.several)}),
+        **({} if answers.prediction is None else {"uncertainty": _uncertainty(answers.prediction)}),
+        **({} if answers.slopes is None else {"derivatives": _derivatives(answers.slopes)}),
+        "residual": {name: float(value) for name, value in vars(answers.result.residual).items()},
+        "engine": answers.result.engine,
+        "iterations": answers.result.iterations,
+        "elapsed_ms": 1e3 * answers.result.elapsed,
+    }
+
+
+def _show(
+    args: argparse.Namespace, scenario: Scenario, model: Model, scene: Scene, answers: _Answers, terminal: Terminal
+) -> None:
+    before = velocities_before(scene)
     labels = f"{scenario.object(args.object).label}, {scenario.case(args.case).label}"
     of_model = f", model {model.name!r}" if model.effects else ""
     terminal.say(f"{scenario.name}: {labels}{of_model}, motor inertia '{args.motor_inertia}', contact '{args.contact}'")
-    for name, twist in result.end_effector_twist.items():
+    for name, twist in answers.result.end_effector_twist.items():
         terminal.say(f"  {name:<8} v before {_vector(before[name][:3])} m/s, after {_vector(twist[:3])} m/s")
-    terminal.say(f"  {'object':<8} v after  {_vector(result.object_twist[:3])} m/s")
-    total = sum((c.impulse for c in result.contacts if c.body_b != "support"), np.zeros(3))
+    terminal.say(f"  {'object':<8} v after  {_vector(answers.result.object_twist[:3])} m/s")
+    total = sum((c.impulse for c in answers.result.contacts if c.body_b != "support"), np.zeros(3))
     terminal.say(
-        f"  impulse of the pads on the object {_vector(total)} N s; {result.engine}, "
-        f"residual {result.residual.largest:.1e}, {1e3 * result.elapsed:.1f} ms"
+        f"  impulse of the pads on the object {_vector(total)} N s; {answers.result.engine}, "
+        f"residual {answers.result.residual.largest:.1e}, {1e3 * answers.result.elapsed:.1f} ms"
     )
-    if prediction is not None:
-        _say_uncertainty(prediction, terminal)
-    if slopes is not None:
-        _say_derivatives(slopes, f"{next(iter(scene.arms))}.velocity.{scenario.axis}", terminal)
-    if note := assumed_words(assumed):
+    if answers.prediction is not None:
+        _say_uncertainty(answers.prediction, terminal)
+    if answers.slopes is not None:
+        _say_derivatives(answers.slopes, f"{next(iter(scene.arms))}.velocity.{scenario.axis}", terminal)
+    if note := assumed_words(_assumed(scene)):
         terminal.say(f"note: {note}")
-    if several is not None and several.warning:
-        terminal.warn(several.warning)
-    return 0
+    if answers.several is not None and answers.several.warning:
+        terminal.warn(answers.several.warning)
 
 
 def _many(args: argparse.Namespace, terminal: Terminal) -> int:

@@ -26,7 +26,7 @@ from impact_rs_sim.robot_model import RobotModel
 
 WARNING = 1e-3  # of the ante-impact speed; above it a prediction comes with a warning
 LAWFUL = 1e-6  # m/s, residual up to which an answer of some points is one of all
-MOST = 200  # choices of points that are tried; two faces of four points have 25
+MAX_CHOICES = 200  # choices of points that are tried; two faces of four points have 25
 CHOICE = "contact points of equal compliance (least norm)"
 
 
@@ -83,7 +83,7 @@ def lawful_answers(terms: ContactTerms) -> list[Array]:
     """u^+ of every solution found, that of the impact map first, ``(nv,)`` each."""
     chosen, _ = solve_contacts(terms)
     answers = [terms.before + terms.response @ chosen.ravel()]
-    for points in itertools.islice(_choices([contact.partner for contact in terms.contacts]), MOST):
+    for points in itertools.islice(_choices([contact.partner for contact in terms.contacts]), MAX_CHOICES):
         impulses = np.zeros_like(chosen)
         impulses[points], converged = newton(_of_points(terms, points), chosen[points])
         velocity = terms.before + terms.response @ impulses.ravel()

@@ -49,7 +49,7 @@ WAYS = (
 )
 MAX_TRACKED_M = 1e4  # farther than any tracker sees
 NEIGHBOUR_SAMPLES = 4  # about a step, whose speeds are compared with its own
-MAX_SPEED_RATIO = 5.0  # of a step to the speeds around it; no impact on a fixed plane exceeds it
+MAX_STEP_RATIO = 5.0  # of a step to the speeds around it; no impact on a fixed plane exceeds it
 STILL = ("", "a motion in a plane, or it was not tracked", "a motion along a line, or they were not tracked")
 
 
@@ -227,7 +227,7 @@ def _motion_warnings(place: str, time: Array, position: Array) -> list[str]:
     ).max(axis=0)
     inside = slice(NEIGHBOUR_SAMPLES, -NEIGHBOUR_SAMPLES)  # rolled steps come from the other end
     jumps = NEIGHBOUR_SAMPLES + np.flatnonzero(
-        steps[inside] > MAX_SPEED_RATIO * np.maximum(around[inside], np.median(steps))
+        steps[inside] > MAX_STEP_RATIO * np.maximum(around[inside], np.median(steps))
     )
     if jumps.size:
         far = np.linalg.norm(position[jumps[0] + 1] - position[jumps[0]])
@@ -237,7 +237,7 @@ def _motion_warnings(place: str, time: Array, position: Array) -> list[str]:
                 Amount(1e3 * float(far)),
                 " mm between two samples at t = ",
                 Amount(float(time[jumps[0]] - time[0]), ".3f"),
-                f" s, {MAX_SPEED_RATIO:g} times as fast as before and after: columns, units or a marker that changed?",
+                f" s, {MAX_STEP_RATIO:g} times as fast as before and after: columns, units or a marker that changed?",
             )
         )
     return said

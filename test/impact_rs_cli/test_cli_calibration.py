@@ -62,7 +62,7 @@ def test_a_torque_delay_is_said_first_and_calibrates_the_laboratory(laboratory: 
     assert set(found.named) == set(NAMED)
     assert found.summary.startswith("The measurement: torques are recorded ")
     assert " ms late [" in found.measurement and found.measurement in found.summary
-    assert "Of the physics joint_coulomb_friction is missing." in found.summary
+    assert "joint_coulomb_friction is missing in the physics." in found.summary
     assert [one.effect for one in found.calibrate] == ["torque_delay"]
 
     before = document("compare", *data_of(laboratory))
@@ -184,7 +184,7 @@ def test_turned_axes_of_spins_calibrate_a_table(tmp_path: Path, document: Docume
     assert set(found["named"]) == {"restitution", "support_friction", "spin_axes"}
     begin = "The measurement: angular velocities are in axes turned by the rotation vector x 5."
     assert found["summary"].startswith(begin)  # y and z hold 0, and are not said
-    assert "Of the physics restitution and support_friction are missing." in found["summary"]
+    assert "restitution and support_friction are missing in the physics." in found["summary"]
     assert main(["add", *found["named"], "--from", str(diagnosis), "-o", str(child)]) == 0
     assert {item.name for item in load_model(child).effects} == {"restitution", "support_friction"}
     after = document("compare", *table, "--model", child)

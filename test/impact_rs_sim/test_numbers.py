@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from impact_rs_sim.numbers import estimate_in_line, estimate_text, speed_text
+from impact_rs_sim.numbers import estimate_in_line, estimate_text, rounded_interval, speed_text
 from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.seeds import seed_of
 
@@ -108,3 +108,21 @@ def test_making_quaternions_keeps_no_memory() -> None:
     for _ in range(calls):
         quaternion_of(rotation)
     assert resident() - before < 10 * calls  # bytes
+
+
+@pytest.mark.parametrize(
+    ("ends", "written"),
+    [
+        ((0.018012345678901234, 0.022098765432101234), (0.01801, 0.0221)),
+        ((-0.10000000000000001, 1000.0049), (-1.0, 1001.0)),
+        ((12.00000001, 12.00000002), (12.00000001, 12.00000002)),
+        ((1.5, 1.5), (1.5, 1.5)),
+        ((-math.inf, 2.0), (-math.inf, 2.0)),
+        (None, None),
+    ],
+)
+def test_an_interval_of_a_file_has_three_digits_of_its_half_width(
+    ends: tuple[float, float] | None, written: tuple[float, float] | None
+) -> None:
+    """Kills an interval that rounding makes narrower, and 16 digits."""
+    assert rounded_interval(ends) == written

@@ -18,7 +18,7 @@ from typing import Literal
 
 import pytest
 import reports
-from browser import FRAMES, Held, Visit, accessible, needs_browser, picture
+from browser import FRAMES, PICTURES, Held, Visit, accessible, needs_browser, picture
 from known_recordings import BagFormat, Signals
 from page_steps import DESK, TABS, command, go, predicted, start
 from playwright.sync_api import Page, Request, Route, expect
@@ -141,6 +141,8 @@ def test_a_slider_moved_by_keyboard_moves_numbers_arrows_and_command_which_a_cli
         arg=[arm, item],
     )
     page.set_viewport_size({"width": 1280, "height": 1130})
+    if PICTURES:  # the curves over the slider come after the numbers
+        page.wait_for_function("() => document.querySelector('#predict-plot').data.length > 2")
     picture(page, "workbench")
     page.select_option("#predict-object", "juice")
     page.select_option("#predict-case", "case_3")

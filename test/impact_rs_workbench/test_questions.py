@@ -86,7 +86,7 @@ def test_a_program_that_a_job_starts_asks_no_one(jobs: Jobs, asked: Callable[[Jo
 
 
 def test_a_closed_page_is_a_no(jobs: Jobs, asked: Callable[[Jobs], int], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "LEFT", 0.3)
+    monkeypatch.setattr(module, "MAX_PAGE_GAP_S", 0.3)
     with jobs.seen():
         job = asked(jobs)
         question(jobs, "first")

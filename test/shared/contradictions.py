@@ -66,7 +66,7 @@ def _of_names(document: DiagnosisDocument) -> list[str]:
     if "lacks" in text and document.faults and verdict != NONE:
         found.append(f"{document.faults} of the measurement, and the model lacks something")
     tied = [name for group in document.confusable for name in group[1:] if not document.is_of_measurement(name)]
-    if "Of the physics nothing is missing" in text and (document.missing or tied or verdict.kind is Kind.PARTLY):
+    if "No physical effect is missing" in text and (document.missing or tied or verdict.kind is Kind.PARTLY):
         found.append(f"of the physics nothing is missing, and {document.missing or tied} may be")
     if bool(document.faults) and verdict != NONE and not text.startswith("The measurement: "):
         found.append(f"{document.faults} of the measurement are not said first")

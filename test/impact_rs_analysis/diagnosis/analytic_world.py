@@ -59,6 +59,7 @@ EFFECTS = {
         effect("stick_slip", tuple(parameter(f"breakaway{n}") for n in range(3))),
         effect("saturated", (parameter("u", lower=0.0),)),
         effect("turning", (parameter("v"),)),
+        effect("circling", (parameter("angle"),)),
         effect("slight", (parameter("w"),), ("contact",)),
         effect("nearly_bent", (parameter("x"),), ("contact",)),
         effect("more_than_straight", tuple(parameter(f"y{n}") for n in range(6))),
@@ -128,6 +129,9 @@ def features(cluster: int, added: Added) -> Array:
             result += 30.0 * (1.0 - np.exp(-first / 12.0)) * along(90)
         elif name == "turning":  # as restitution, which first shows where a contact opens
             result += 0.5 * first * np.exp(-(first**2) / 4.0) * along(91) + 1e-3 * first**2 * along(92)
+        elif name == "circling":  # as a pad that an offset moves into the object and out again
+            first_half = np.arange(FEATURES) < FEATURES // 2
+            result += np.where(first_half, np.sin(first), 1.0 - np.cos(first)) * along(96)
         elif name == "slight":  # as a moment that resists tipping, of a box that soon does not tip any more
             result += 0.04 * np.tanh(first / 0.5) * along(93)
         elif name == "misplacing":  # as the offset of an encoder, by which a pad begins inside the object

@@ -11,7 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from impact_rs_analysis.diagnosis.agreement import AgreementDocument, RelationDocument, agreement_of
+from impact_rs_analysis.diagnosis.agreement import (
+    AgreementDocument,
+    RelationDocument,
+    agreement_of,
+    places_in_words,
+)
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs, read_runs
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
@@ -104,7 +109,7 @@ def test_the_stiffness_explains_a_deflection_as_well_as_an_encoder_does(runs: Ru
     )
     (one,) = document.in_common
     assert one.in_words == (
-        "joint3: elastic deflection does not agree; may be wrong: motor encoder or encoder or "
+        "joint3: the elastic deflection does not hold; possible causes: motor encoder or encoder or "
         "the physics (stiffness of the joint)"
     )
 
@@ -121,7 +126,7 @@ def test_terminal_page_and_file_show_the_same(runs: Runs, tmp_path: Path) -> Non
     write_comparison(document, (), None, tmp_path)
     assert ComparisonDocument.model_validate_json((tmp_path / "compare.json").read_text()) == document
     page = (tmp_path / "compare.html").read_text()
-    assert "what they have in common: encoder" in page and 'class="agreement" role="img"' in page
+    assert "in common: encoder" in page and 'class="agreement" role="img"' in page
     graph = agreement_graph(document.agreement)
     assert graph is not None
     heights = {node.name: node.y for node in (*graph.readings, *graph.relations)}
@@ -129,7 +134,25 @@ def test_terminal_page_and_file_show_the_same(runs: Runs, tmp_path: Path) -> Non
     assert ends[heights["encoder"], heights["elastic deflection"]] is False
     assert ends[heights["encoder"], heights["velocity of positions"]] is True
     assert (heights["command"], heights["elastic deflection"]) not in ends
-    assert [node.against for node in graph.readings if node.against] == ["joint2"]
+    assert {node.name: node.against for node in graph.readings if node.against} == {
+        "encoder": "joint2, x",
+        "tracker": "x",
+    }
+
+
+@pytest.mark.parametrize(
+    ("places", "words"),
+    [
+        (["joint2", "joint3", "joint4", "joint7"], "joints 2 to 4, 7"),
+        (["joint1", "joint2"], "joints 1, 2"),
+        (["joint5"], "joint5"),
+        (["joint6", "x"], "joint6, x"),
+        ([], ""),
+    ],
+)
+def test_joints_in_a_row_are_a_range(places: list[str], words: str) -> None:
+    """Kills a range of two, and a joint that an axis hides."""
+    assert places_in_words(places) == words
 
 
 def test_no_relation_was_measured() -> None:

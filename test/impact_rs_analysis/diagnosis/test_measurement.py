@@ -104,10 +104,10 @@ def test_the_measurement_is_said_first_and_the_physics_is_not_blamed() -> None:
     """Kills: ``lacks`` beside a fault, or "nothing is missing" where something is missing, tied or open."""
     said = "The measurement: joint 2 reads 0.510 degrees too little [0.500, 0.520]; joint 3 reads 0.50 mm too much"
     alone = summary_of(document("encoder_offset", ENCODER))
-    assert alone.startswith(said) and "(encoder_offset). Of the physics nothing is missing. Held-out" in alone
+    assert alone.startswith(said) and "(encoder_offset). No physical effect is missing. Held-out" in alone
     assert "lacks" not in alone
     both = summary_of(document("encoder_offset+object_mass", ENCODER, PAYLOAD))
-    assert both.startswith(said) and "Of the physics object_mass is missing." in both and "lacks" not in both
+    assert both.startswith(said) and "object_mass is missing in the physics." in both and "lacks" not in both
     partly = summary_of(document("PARTLY{encoder_offset}", ENCODER))
     assert partly.startswith(said) and "nothing" not in partly
     assert "at least one more effect, of the measurement or of the physics" in partly

@@ -100,13 +100,27 @@ def test_an_effect_that_does_something_else_than_its_first_step_has_a_small_p(be
     assert search.p_value_of_chosen(chosen, "turning") < 1e-3
 
 
-def test_the_p_value_of_a_fitted_effect_is_not_too_small_where_nothing_is_hidden() -> None:
+@pytest.mark.parametrize("beside", [(), ("straight",)])
+def test_an_effect_whose_sensitivities_vanish_at_the_estimate_has_a_small_p(beside: tuple[str, ...]) -> None:
+    """Kills sensitivities at the estimate alone: two ends of a diameter, where the tangent is orthogonal to the way."""
+    hidden = (*((name, (5.0,)) for name in beside), ("circling", (np.pi,)))
+    search = searched(AnalyticSource(2, hidden), *beside, "circling")
+    there = [replace(search.singles[name], point=np.array(values)) for name, values in hidden]
+    point = functools.reduce(Candidate.beside, there)
+    evidence = search.evidence
+    found = linearise(point, evidence.clusters, evidence.numbers, search.source, central=True)
+    assert found is not None
+    assert search.p_value_of_chosen(Fit.of(found, evidence), "circling") < 1e-3
+
+
+@pytest.mark.parametrize("name", ["bent", "circling"])
+def test_the_p_value_of_a_fitted_effect_is_not_too_small_where_nothing_is_hidden(name: str) -> None:
     """Its sensitivities are those where the fit of the noise ended."""
     found = []
     for seed in range(100):
-        search = searched(AnalyticSource(seed), "bent")
-        fitted = gauss_newton(chord_method(search.singles["bent"], search.evidence))
-        found.append(search.p_value_of_chosen(fitted, "bent"))
+        search = searched(AnalyticSource(seed), name)
+        fitted = gauss_newton(chord_method(search.singles[name], search.evidence))
+        found.append(search.p_value_of_chosen(fitted, name))
     for level in (0.05, 0.3):
         assert np.count_nonzero(np.array(found) < level) <= binom.ppf(1 - 1e-3, len(found), level)
 
