@@ -505,7 +505,9 @@ def markdown() -> str:
     ]
     first, *others = PARAMETERS.values()
     common = [one for one in first if all(one.name in {p.name for p in parameters} for parameters in others)]
-    owners = {one.name: kind for kind, parameters in reversed(PARAMETERS.items()) for one in parameters}
+    owners = {
+        (one.name, one.description): kind for kind, parameters in reversed(PARAMETERS.items()) for one in parameters
+    }
     own = {kind: [one for one in parameters if one not in common] for kind, parameters in PARAMETERS.items()}
     for kind, parameters in {"every node": common, **own}.items():
         if parameters:
@@ -517,7 +519,11 @@ def markdown() -> str:
             value = " ".join(filter(None, (limits or type(p.default).__name__, unit)))
             effect = f"{p.effect} (`read_only`)" if p.read_only else p.effect
             default = f"`{default}`" if default else ""
-            meaning = p.description if owners[p.name] == kind or p in common else f"As of {owners[p.name]}"
+            meaning = (
+                p.description
+                if owners[p.name, p.description] == kind or p in common
+                else f"As of {owners[p.name, p.description]}"
+            )
             lines.append(f"| `{p.name}` | {value} | {default} | {effect} | {meaning}. |")
     return "\n".join(lines) + "\n"
 

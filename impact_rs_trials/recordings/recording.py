@@ -7,6 +7,7 @@ Unusable data is refused with one line that names file, topic, field and the exp
 from __future__ import annotations
 
 import logging
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
@@ -115,22 +116,13 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
     recorded, set_back = without_steps_back(read_series(path, mapping, JOINT_SIGNALS, needed))
     if set_back and "velocity" not in mapping.signals:
         recorded["velocity"] = recorded["position"].derivative()
-    gaps_of: dict[str, list[str]] = {}  # places by what is said of their gaps
-    for name, one in recorded.items():
-        if name not in mapping.signals:  # the velocity, which is made of the position
-            continue
-        what = one.place if name == "position" or one.log is not None else f"time of {one.place}"
-        for said in _check_time(path, one.time, what, mapping.low_pass):
-            gaps_of.setdefault(said, []).append(what)
-        if name in needed:
-            _check_numbers(path, name, one.time, one.values)
+    gaps_said = _checked_times(path, recorded, needed, mapping)
     model = _model(mapping)
     recorded = on_one_clock(path, recorded, mapping, model)
     series, remarks = without_faults(recorded, mapping, model)
     if mapping.servo is not None:
         series, saturated = with_servo_torque(path, series, mapping)
         remarks += saturated
-    gaps_said = [f"{', '.join(places)}: {said}" for said, places in gaps_of.items()]
     remarks = [*set_back, *gaps_said, *_unmeasured(path, series["torque"], mapping), *remarks]
     time = series["position"].time
     check_moves(path, series["position"], mapping)
@@ -165,6 +157,22 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
     if not found:
         raise TooShort(f"no piece is long enough: {'; '.join(remarks)}", file=path)
     return found
+
+
+def _checked_times(
+    path: Path, recorded: dict[SignalName, Series], needed: Collection[SignalName], mapping: Mapping
+) -> list[str]:
+    """Check times and numbers of the signals; returns one warning for all signals with the same gaps."""
+    gaps_of: dict[str, list[str]] = {}  # places by what is said of their gaps
+    for name, one in recorded.items():
+        if name not in mapping.signals:  # the velocity, which is made of the position
+            continue
+        what = one.place if name == "position" or one.log is not None else f"time of {one.place}"
+        for said in _check_time(path, one.time, what, mapping.low_pass):
+            gaps_of.setdefault(said, []).append(what)
+        if name in needed:
+            _check_numbers(path, name, one.time, one.values)
+    return [f"{', '.join(places)}: {said}" for said, places in gaps_of.items()]
 
 
 def servo_law(mapping: Mapping) -> ServoLaw | None:
