@@ -22,6 +22,7 @@ from impact_rs_sim.readings import EXACT, ArmReadings, TrackerReadings
 from impact_rs_sim.robot import Array, EndEffector, JointType, RobotFacts, SigmoidFriction
 from impact_rs_sim.robot_model import STANDARD_GRAVITY, RobotModel
 from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.shapes import BOX, Shape
 from impact_rs_sim.twist_readings import TwistReadings
 from impact_rs_sim.urdf import write_description
 
@@ -385,21 +386,26 @@ class ArmPhysics:
 
 @dataclass(frozen=True)
 class ObjectPhysics:
-    """A homogeneous box, up to an offset of its centre of mass; or a ball, whose centre of mass is its centre.
+    """A rigid convex body, whose principal axes of inertia are its own x, y, z.
 
     Attributes:
         mass: Mass [kg].
         size: Extent along its own x, y, z, ``(3,)`` [m].
         inertia: Principal moments about the centre of mass, ``(3,)`` [kg m^2].
         com_offset: Centre of mass from the geometric centre, in axes of the object, ``(3,)`` [m].
-        round: Whether it is a ball, of diameter ``size``.
+        shape: Its shape.
     """
 
     mass: float
     size: Array
     inertia: Array
     com_offset: Array
-    round: bool = False
+    shape: Shape = BOX
+
+    @property
+    def round(self) -> bool:
+        """Whether it is a ball, of diameter ``size``."""
+        return self.shape.kind == "sphere"
 
 
 def assumed_words(by_arm: Mapping[str, Sequence[str]]) -> str:
@@ -506,8 +512,9 @@ class Physics:
             object=ObjectPhysics(
                 mass=spec.mass,
                 size=np.array(spec.size),
-                inertia=spec.inertia,
+                inertia=spec.moments,
                 com_offset=np.array(spec.com_offset),
+                shape=spec.form,
             ),
             support_height=scenario.support.height,
             support_size=scenario.support.size,

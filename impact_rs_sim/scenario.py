@@ -26,6 +26,7 @@ from impact_rs_sim.friction_compensation import FrictionCompensation
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array, EndEffector, Reflexes, RobotFacts, load_facts
 from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.shapes import Shape
 from impact_rs_sim.schema import (
     Name,
     NonNegativeVector,
@@ -289,18 +290,54 @@ class Robot(Schema):
 
 
 class ObjectSpec(Schema):
-    """A box-shaped object."""
+    """A rigid convex object."""
 
     label: str = Field(description="name for tables and figures")
     mass: Positive = Field(description="mass of the object [kg]")
     size: PositiveVector3 = Field(description="extent along x, y and z [m]")
     com_offset: Vector3 = Field((0.0, 0.0, 0.0), description="centre of mass from the geometric centre [m]")
+    shape: Literal["box", "sphere", "capsule", "cylinder"] = omitted(
+        "box",
+        description="what fills the extents of size: box, sphere (three equal ones), capsule or cylinder (axis z, equal "
+        "along x and y) [-]",
+    )
+    inertia: PositiveVector3 | None = omitted(
+        None,
+        description="principal moments about the centre of mass, in the axes of the object; absent: those of a "
+        "homogeneous body about its geometric centre [kg m^2]",
+    )
+
+    @field_validator("inertia")
+    @classmethod
+    def _inertia_of_a_body(cls, inertia: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
+        if inertia is not None and not is_physically_consistent(1.0, np.diag(inertia)):
+            raise ValueError("no rigid body has these moments; expected none larger than the sum of the other two")
+        return inertia
+
+    @model_validator(mode="after")
+    def _size_of_its_shape(self) -> Self:
+        x, y, z = self.size
+        if self.shape != "box" and x != y:
+            raise ValueError(f"a {self.shape} is round: size needs equal extents along x and y [m]")
+        if self.shape == "sphere" and z != x:
+            raise ValueError("a sphere has three equal extents: size is its diameter along x, y and z [m]")
+        if self.shape == "capsule" and z < x:
+            raise ValueError("a capsule is at least as long as its diameter: size needs z >= x [m]")
+        return self
 
     @property
-    def inertia(self) -> Array:
-        """Principal moments of a homogeneous box about its centre of mass, ``(3,)`` [kg m^2]."""
-        x, y, z = self.size
-        return self.mass / 12.0 * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
+    def form(self) -> Shape:
+        """Its shape for the geometry."""
+        return Shape(self.shape)
+
+    @property
+    def moments(self) -> Array:
+        """Principal moments about its centre of mass, ``(3,)`` [kg m^2]."""
+        return self.form.moments(self.mass, np.array(self.size)) if self.inertia is None else np.array(self.inertia)
+
+    def reach(self, direction: Array) -> float:
+        """Support function: how far it reaches from its middle along a unit vector in its axes, ``(3,)`` [m]."""
+        return float(self.form.support(np.array(self.size), direction))
 
 
 class Support(Schema):
@@ -629,7 +666,7 @@ class Scenario(Schema):
         if self.object_position is not None:
             normal = placement.rotation[:, 2]
             centre = np.append(self.object_position, placement.translation[2])
-            depth = float(np.abs(normal) @ np.array(self.object(object_name).size)) / 2.0 + self.object_gap
+            depth = self.object(object_name).reach(-normal) + self.object_gap
             placement.translation += normal * ((centre - placement.translation) @ normal - depth)
         return placement
 

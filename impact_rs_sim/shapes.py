@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Convex shapes of bodies: box, sphere, capsule, cylinder, and the convex hull of a mesh.
+
+A shape K about the middle of its bounding box is known by its support function
+
+    h(d) = max_{x in K} d . x
+
+(Rockafellar 1970, sec. 13; van den Bergen 2003, sec. 4.3), for a unit vector d in axes of the body, with extents 2 a:
+
+=========  ======================================================  ==========================
+box        a_x |d_x| + a_y |d_y| + a_z |d_z|                       corners, edges, six faces
+sphere     r                                                       r = a_x = a_y = a_z
+capsule    r + (a_z - r) |d_z|                                     r = a_x = a_y, axis z
+cylinder   r sqrt(d_x^2 + d_y^2) + a_z |d_z|                       r = a_x = a_y, axis z
+hull       max_i d . p_i                                           corners p_i
+=========  ======================================================  ==========================
+
+Along a normal n bodies P and O are s(n) = n . (c_O - c_P) - h_P(n) - h_O(-n) apart. Their separation, signed, is the
+largest s; negative it is the least way that parts them. It lies where features of the bodies face each other: a face and
+anything, two edges that cross, a corner and a curved wall, a rim and an edge (the separating axis theorem, Gottschalk
+et al. 1996, with curved features). The features that face each other, clipped to each other, are the contact points:
+those of a flat cap are eight points of its rim, fixed to the body, and where it is tilted by more than a milliradian the
+furthest point of its rim. Tipping about a direction between two of the eight begins up to 8 % early.
+
+``src/shapes.cpp`` finds them; two boxes have their own routine (``src/boxes.cpp``).
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rs_sim import _kernel
+
+Array = NDArray[np.float64]
+
+Kind = Literal["box", "sphere", "capsule", "cylinder", "hull"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Shape of a body, up to its extents.
+
+    Attributes:
+        kind: Which one.
+        corners: Of a hull, from the middle of its bounding box [m].
+        faces: Of a hull, numbers of their corners in order, seen from outside anticlockwise.
+    """
+
+    kind: Kind = "box"
+    corners: tuple[tuple[float, float, float], ...] = ()
+    faces: tuple[tuple[int, ...], ...] = ()
+
+    @property
+    def is_box(self) -> bool:
+        """Whether it is a box."""
+        return self.kind == "box"
+
+    @property
+    def kernel(self) -> _kernel.Shape | None:
+        """The shape for the compiled geometry; None: a box."""
+        return None if self.is_box else _kernel_shape(self)
+
+    def support(self, size: Array, direction: Array) -> Array | float:
+        """Support function h, ``(...)`` [m].
+
+        Args:
+            size: Extents of the body along its axes, ``(3,)`` [m].
+            direction: Unit vectors in axes of the body, ``(..., 3)``.
+        """
+        half, along = np.asarray(size) / 2.0, np.abs(direction)
+        if self.kind == "box":
+            return np.asarray(along @ half)
+        if self.kind == "hull":
+            return np.max(np.asarray(direction) @ np.array(self.corners).T, axis=-1)
+        across = 1.0 if self.kind != "cylinder" else np.hypot(along[..., 0], along[..., 1])
+        length = {"sphere": 0.0, "capsule": half[2] - half[0], "cylinder": half[2]}[self.kind]
+        return np.asarray(half[0] * across + length * along[..., 2])
+
+    def moments(self, mass: float, size: Array) -> Array:
+        """Principal moments of inertia of a homogeneous body about its middle, ``(3,)`` [kg m^2].
+
+        Args:
+            mass: Mass [kg].
+            size: Extents along its axes, ``(3,)`` [m].
+
+        Raises:
+            ValueError: A hull: its moments come with its mesh.
+        """
+        x, y, z = np.asarray(size, dtype=float).tolist()
+        r = x / 2.0
+        if self.kind == "box":
+            return mass / 12.0 * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
+        if self.kind == "sphere":
+            return np.full(3, 0.4 * mass * r * r)
+        if self.kind == "cylinder":
+            return mass * np.array([(3.0 * r * r + z * z) / 12.0, (3.0 * r * r + z * z) / 12.0, r * r / 2.0])
+        if self.kind == "capsule":  # a cylinder of length l between two halves of a ball, 3 r / 8 from their bases
+            length = z - 2.0 * r
+            tube = mass * length / (length + 4.0 / 3.0 * r)
+            ends = mass - tube
+            across = tube * (length**2 / 12.0 + r * r / 4.0)
+            across += ends * (0.4 * r * r + length**2 / 4.0 + 3.0 / 8.0 * length * r)
+            return np.array([across, across, tube * r * r / 2.0 + ends * 0.4 * r * r])
+        raise ValueError("a hull has the moments of its mesh")
+
+
+BOX, SPHERE, CAPSULE, CYLINDER = (Shape(kind) for kind in ("box", "sphere", "capsule", "cylinder"))
+
+
+@functools.lru_cache(maxsize=64)
+def _kernel_shape(shape: Shape) -> _kernel.Shape:
+    corners = np.array(shape.corners) if shape.kind == "hull" else None
+    return _kernel.Shape(shape.kind, corners, [list(face) for face in shape.faces])
