@@ -340,21 +340,26 @@ class ArmPhysics:
             "zero": np.zeros_like(self.motor_inertia_rotor),
         }[model]
 
-    def pad_restitution(self, object_mass: float) -> float:
-        """Coefficient of restitution of a central pad impact on a mass [kg]; 0 for a rigid pad [-].
+    def pad_restitution(self, object_: ObjectPhysics) -> float:
+        """Coefficient of restitution of a central pad impact on an object; 0 for a rigid pad [-].
 
         Spring and damper of the pad part when their force is 0 (:mod:`impact_rs_sim.damping_of_restitution`).
         """
-        critical = self._critical_damping(object_mass)
+        critical = self._critical_damping(object_)
         return restitution_of(self.pad_damping / critical) if critical else 0.0
 
-    def pad_damping_of(self, restitution: float, object_mass: float) -> float:
+    def pad_damping_of(self, restitution: float, object_: ObjectPhysics) -> float:
         """Damping with which :meth:`pad_restitution` is ``restitution`` [N s/m]; of a rigid pad 0."""
-        return self._critical_damping(object_mass) * damping_ratio_of(restitution)
+        return self._critical_damping(object_) * damping_ratio_of(restitution)
 
-    def _critical_damping(self, object_mass: float) -> float:
-        """Critical damping 2 sqrt(k m) with the reduced mass m of arm and object [N s/m]; 0 for a rigid pad."""
-        return 2.0 * math.sqrt((self.pad_stiffness or 0.0) / (self.pad_mobility + 1.0 / object_mass))
+    def _critical_damping(self, object_: ObjectPhysics) -> float:
+        """Damping of the face that is critical where the object touches [N s/m]; 0 for a rigid pad.
+
+        With the reduced mass m of arm and object, and a share s of stiffness and damping of the face (k, d) in
+        contact, s d = 2 sqrt(s k m).
+        """
+        whole = 2.0 * math.sqrt((self.pad_stiffness or 0.0) / (self.pad_mobility + 1.0 / object_.mass))
+        return whole / math.sqrt(object_.pad_share)
 
     def load_torques(self, state: LoadState, jacobian: Array) -> tuple[Array, Array]:
         """Torques of all loads.
@@ -401,6 +406,14 @@ class ObjectPhysics:
     inertia: Array
     com_offset: Array
     shape: Shape = BOX
+
+    @property
+    def pad_share(self) -> float:
+        """Share of stiffness and damping of a pad's face that the object loads where it hits it squarely [-].
+
+        A quarter for each of up to four contact points: a ball touches with one, a line with two.
+        """
+        return {"sphere": 0.25, "capsule": 0.5, "cylinder": 0.5}.get(self.shape.kind, 1.0)
 
     @property
     def round(self) -> bool:

@@ -26,7 +26,6 @@ from impact_rs_sim.friction_compensation import FrictionCompensation
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array, EndEffector, Reflexes, RobotFacts, load_facts
 from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.shapes import Shape
 from impact_rs_sim.schema import (
     Name,
     NonNegativeVector,
@@ -40,6 +39,7 @@ from impact_rs_sim.schema import (
     omitted,
     validate,
 )
+from impact_rs_sim.shapes import Shape
 
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
@@ -298,8 +298,8 @@ class ObjectSpec(Schema):
     com_offset: Vector3 = Field((0.0, 0.0, 0.0), description="centre of mass from the geometric centre [m]")
     shape: Literal["box", "sphere", "capsule", "cylinder"] = omitted(
         "box",
-        description="what fills the extents of size: box, sphere (three equal ones), capsule or cylinder (axis z, equal "
-        "along x and y) [-]",
+        description="what fills the extents of size: box, sphere (three equal ones), capsule or cylinder (axis z, "
+        "equal along x and y) [-]",
     )
     inertia: PositiveVector3 | None = omitted(
         None,

@@ -16,11 +16,11 @@ hull       max_i d . p_i                                           corners p_i
 =========  ======================================================  ==========================
 
 Along a normal n bodies P and O are s(n) = n . (c_O - c_P) - h_P(n) - h_O(-n) apart. Their separation, signed, is the
-largest s; negative it is the least way that parts them. It lies where features of the bodies face each other: a face and
-anything, two edges that cross, a corner and a curved wall, a rim and an edge (the separating axis theorem, Gottschalk
-et al. 1996, with curved features). The features that face each other, clipped to each other, are the contact points:
-those of a flat cap are eight points of its rim, fixed to the body, and where it is tilted by more than a milliradian the
-furthest point of its rim. Tipping about a direction between two of the eight begins up to 8 % early.
+largest s; negative it is the least way that parts them. It lies where features of the bodies face each other: a face
+and anything, two edges that cross, a corner and a curved wall, a rim and an edge (the separating axis theorem,
+Gottschalk et al. 1996, with curved features). The features that face each other, clipped to each other, are the contact
+points: those of a flat cap are eight points of its rim, fixed to the body, and where it is tilted by more than a
+milliradian the furthest point of its rim. Tipping about a direction between two of the eight begins up to 8 % early.
 
 ``src/shapes.cpp`` finds them; two boxes have their own routine (``src/boxes.cpp``).
 """

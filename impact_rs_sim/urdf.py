@@ -18,6 +18,8 @@ import pinocchio as pin
 
 from impact_rs_sim.link_shapes import TOOL_RADIUS_M, Shape, link_shapes
 from impact_rs_sim.robot import Array, Colours, EndEffector, Mesh, RobotFacts
+from impact_rs_sim.shapes import BOX
+from impact_rs_sim.shapes import Shape as BodyShape
 
 WORLD = "world"  # the inertial frame A
 # Mass, centre of mass, inertia of links fixed to the world; Bullet warns without them
@@ -190,19 +192,30 @@ def write_description(
     return _document(scene)
 
 
-def write_object_description(size: Array, mass: float, com: Array, inertia: Array) -> str:
-    """URDF of the object: the one link ``object``, whose frame is at the centre of the box.
+def write_object_description(size: Array, mass: float, com: Array, inertia: Array, shape: BodyShape = BOX) -> str:
+    """URDF of the object: the one link ``object``, whose frame is at the middle of its extents.
 
     Args:
         size: Extent along x, y, z, ``(3,)`` [m].
         mass: Mass [kg].
         com: Centre of mass in the link, ``(3,)`` [m].
         inertia: Inertia about the centre of mass, ``(3, 3)`` [kg m^2].
+        shape: What fills the extents; of a capsule, which URDF lacks, a cylinder and two balls.
     """
     robot = Xml.Element("robot", name="object")
     link = Xml.SubElement(robot, "link", name="object")
     _inertial(link, mass, com, inertia)
-    _box(link, size, np.zeros(3), "object", "0.76 0.6 0.42 1")
+    colour = "0.76 0.6 0.42 1"
+    radius, length = repr(float(size[0]) / 2.0), float(size[2])
+    tube = length - float(size[0]) if shape.kind == "capsule" else length
+    if shape.is_box:
+        _box(link, size, np.zeros(3), "object", colour)
+    if shape.kind in ("cylinder", "capsule"):
+        geometry = _shown(link, np.zeros(3), "object", colour)
+        Xml.SubElement(geometry, "cylinder", radius=radius, length=repr(tube))
+    if shape.kind in ("sphere", "capsule"):
+        for end in (0.0,) if shape.kind == "sphere" else (-tube / 2.0, tube / 2.0):
+            Xml.SubElement(_shown(link, np.array([0.0, 0.0, end]), "object", colour), "sphere", radius=radius)
     return _document(robot)
 
 
@@ -216,10 +229,16 @@ def _fix(robot: Xml.Element, name: str, link: str, placement: pin.SE3) -> None:
 
 
 def _box(link: Xml.Element, size: Array, centre: Array, name: str, colour: str) -> None:
+    Xml.SubElement(_shown(link, centre, name, colour), "box", size=_text(size))
+
+
+def _shown(link: Xml.Element, centre: Array, name: str, colour: str) -> Xml.Element:
+    """The geometry of a visual shape of a link, still empty."""
     visual = Xml.SubElement(link, "visual")
     Xml.SubElement(visual, "origin", xyz=_text(centre), rpy="0 0 0")
-    Xml.SubElement(Xml.SubElement(visual, "geometry"), "box", size=_text(size))
+    geometry = Xml.SubElement(visual, "geometry")
     Xml.SubElement(Xml.SubElement(visual, "material", name=name), "color", rgba=colour)
+    return geometry
 
 
 def _document(robot: Xml.Element) -> str:

@@ -19,6 +19,8 @@ constexpr double RIM[8][2] = {{1.0, 0.0},  {DIAGONAL, DIAGONAL},   {0.0, 1.0},  
 constexpr int MOST_CORNERS = 12;     // of a face of a hull that are looked at one by one
 constexpr double FACING = 1e-5;      // of the extents of two bodies, between points that face each other
 constexpr double WIDEST_TURN = 0.8;  // rad, over which the normal of a rim on an edge is sought
+constexpr double CROSSED = 0.995;    // cosine, as in boxes.cpp: edges whose normal is nearer to that of a face touch as faces
+constexpr int SWEEPS = 8;            // of the search for the normal of two rims
 constexpr int TURNS = 8;             // in which the interval is divided to either side
 constexpr int NARROWINGS = 40;       // of the interval by the golden ratio
 
@@ -289,7 +291,7 @@ struct Search {
     }
   }
 
-  // Directions of edges and walls; of a hull against another body than a box too.
+  // Directions of edges of boxes and of walls.
   void add_edges(const Body& body, Corners& found) const {
     if (body.form.kind == Kind::box) {
       for (int i = 0; i < 3; ++i) found.add(column(body.rotation, i));
@@ -352,8 +354,33 @@ struct Search {
       for (const double side : {-1.0, 0.0, 1.0}) towards(body.centre + side * body.half[2] * axis_of(body));
   }
 
-  // A rim on an edge or wall: the normal is across the edge, where it separates best.
-  void offer_rims(const Vector& along) {
+  // A rim of a body on the edges and walls of the other: the normal is across one, where it separates best.
+  void offer_rims(const Body& other, double sign) {
+    Corners edges;
+    add_edges(other, edges);
+    if (other.form.kind == Kind::hull) {  // those that end in the corner that is furthest
+      const Hull& hull = *other.form.hull;
+      const Vector local = transposed_times(other.rotation, sign * normal);
+      int corner = 0;
+      for (int i = 1; i < static_cast<int>(hull.corners.size()); ++i)
+        if (dot(hull.corners[i], local) > dot(hull.corners[corner], local)) corner = i;
+      for (const Hull::Edge& edge : hull.edges)
+        if (edge.start == corner || edge.end == corner)
+          edges.add(other.rotation * unit(hull.corners[edge.end] - hull.corners[edge.start]));
+    }
+    for (int i = 0; i < edges.count; ++i) offer_across(edges.places[i]);
+  }
+
+  // Two rims: the normal is sought along one great circle after another.
+  void offer_two_rims() {
+    for (int i = 0; i < SWEEPS; ++i) {
+      const Vector first = across(partner, normal), along = unit(cross(normal, std::abs(dot(first, normal)) < 0.9 ? first : axis_of(partner)));
+      offer_across(along);
+      offer_across(unit(cross(normal, along)));
+    }
+  }
+
+  void offer_across(const Vector& along) {
     const Vector start = normal - dot(normal, along) * along;
     if (norm(start) < 1e-3) return;
     const Vector u = unit(start), v = cross(along, u);
@@ -460,6 +487,7 @@ Meeting meet_convex(const Body& partner, const Body& object, double aligned) {
   const auto has_faces = [](const Body& body) { return body.form.kind != Kind::sphere && body.form.kind != Kind::capsule; };
   if (has_faces(partner)) search.offer_faces(partner, 1.0);
   if (has_faces(object)) search.offer_faces(object, -1.0);
+  const Vector facing = search.normal;
   if (partner.form.kind == Kind::hull) search.offer_edges_of_hull(partner, object, 1.0);
   if (object.form.kind == Kind::hull && partner.form.kind != Kind::hull) search.offer_edges_of_hull(object, partner, -1.0);
   Corners own, others;
@@ -467,15 +495,16 @@ Meeting meet_convex(const Body& partner, const Body& object, double aligned) {
   search.add_edges(object, others);
   for (int i = 0; i < own.count; ++i)
     for (int j = 0; j < others.count; ++j) search.offer_crossing(own.places[i], others.places[j]);
+  const auto has_corners = [](const Body& body) { return body.form.kind == Kind::box || body.form.kind == Kind::hull; };
+  if (has_corners(partner) && has_corners(object) && dot(search.normal, facing) > CROSSED) search.normal = facing;
   search.offer_points(object, partner, 1.0);
   search.offer_points(partner, object, -1.0);
   if (search.separation == -INFINITY) search.offer({0.0, 0.0, 1.0});  // balls with one centre
   if (partner.form.kind == Kind::cylinder || object.form.kind == Kind::cylinder) {
     if (!face_each_other(partner, object, search.normal, search.separation)) {
-      if (partner.form.kind == Kind::cylinder)
-        for (int i = 0; i < others.count; ++i) search.offer_rims(others.places[i]);
-      if (object.form.kind == Kind::cylinder)
-        for (int i = 0; i < own.count; ++i) search.offer_rims(own.places[i]);
+      if (partner.form.kind == Kind::cylinder) search.offer_rims(object, -1.0);
+      if (object.form.kind == Kind::cylinder) search.offer_rims(partner, 1.0);
+      if (partner.form.kind == object.form.kind) search.offer_two_rims();
     }
   }
   double on_partner, on_object;

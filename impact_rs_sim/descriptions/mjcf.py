@@ -27,6 +27,7 @@ from impact_rs_sim.impact_map.contacts import SUPPORT, SUPPORT_THICKNESS
 from impact_rs_sim.physics import ArmPhysics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.rotations import quaternion_of
+from impact_rs_sim.shapes import BOX, Shape
 
 SUPPORTED_QUANTITIES = frozenset(ExportedQuantity)
 TIME_STEP_S = 5e-5  # of MuJoCo's integrator
@@ -137,7 +138,7 @@ def _object(world: Xml.Element, scene: ExportedScene) -> None:
     body = _body(world, "object", scene.object.position, scene.object.rotation)
     Xml.SubElement(body, "freejoint", name="object")
     _inertial(body, object_.mass, object_.com_offset, np.diag(object_.inertia))
-    _box(body, "object", object_.size, np.zeros(3), np.eye(3))
+    _geom(body, "object", object_.shape, object_.size, np.zeros(3), np.eye(3))
     height = scene.standing_height
     if height is not None:
         size = np.array([*physics.support_size, SUPPORT_THICKNESS])
@@ -231,12 +232,22 @@ def _inertial(body: Xml.Element, mass: float, com: Array, inertia: Array) -> Non
 
 
 def _box(body: Xml.Element, name: str, size: Array, place: Array, rotation: Array) -> None:
+    _geom(body, name, BOX, size, place, rotation)
+
+
+def _geom(body: Xml.Element, name: str, shape: Shape, size: Array, place: Array, rotation: Array) -> None:
+    half = size / 2.0
+    extents = {
+        "sphere": half[:1],
+        "capsule": np.array([half[0], half[2] - half[0]]),
+        "cylinder": np.array([half[0], half[2]]),
+    }.get(shape.kind, half)
     Xml.SubElement(
         body,
         "geom",
         name=name,
-        type="box",
-        size=_text(*(size / 2.0)),
+        type=shape.kind,
+        size=_text(*extents),
         pos=_text(*place),
         quat=_text(*_quaternion(rotation)),
         contype="0",

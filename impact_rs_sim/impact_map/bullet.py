@@ -111,7 +111,7 @@ class BulletEngine(Engine):
         kind = self.physics.object.shape.kind
         if kind not in ("box", "sphere"):
             raise InputError(
-                f"a single step of Bullet finds one point of a {kind} where it touches a face; engine 'exact' finds all",
+                f"a single step of Bullet finds one point of a {kind} on a face; engine 'exact' finds all",
                 key="engine",
                 value=self.name,
             )

@@ -162,7 +162,8 @@ def _findings(plan: TrialPlan, recorded: TrialRecord) -> Iterator[_Finding]:
     if plan.expects_impact:
         yield from _untouched(recorded)
         yield from _too_early(plan, recorded)
-        yield from _tipped(recorded.object)
+        if not plan.scene.physics.object.round:  # a ball rolls
+            yield from _tipped(recorded.object)
     yield from _dropped(plan, recorded.object)
 
 
