@@ -453,6 +453,8 @@ def _load_arm(client: BulletClient, scene: Physics, name: str, compliant: bool, 
         )
         # A separate call: together with maxJointVelocity or activationState Bullet ignores it silently.
         client.changeDynamics(body, link, lateralFriction=scene.pad_friction)
+    if physics.end_effector.shape.kind == "cylinder":
+        client.changeDynamics(body, len(joints), collisionMargin=CYLINDER_MARGIN_M)
     if compliant and scene.rolling_arm:
         client.changeDynamics(body, len(joints), rollingFriction=scene.rolling_arm)
     if compliant and physics.pad_stiffness is not None:

@@ -359,7 +359,8 @@ class ArmPhysics:
         contact, s d = 2 sqrt(s k m).
         """
         whole = 2.0 * math.sqrt((self.pad_stiffness or 0.0) / (self.pad_mobility + 1.0 / object_.mass))
-        return whole / math.sqrt(object_.pad_share)
+        of_tool = 0.25 if self.end_effector.shape.kind == "sphere" else 1.0
+        return whole / math.sqrt(min(of_tool, object_.pad_share))
 
     def load_torques(self, state: LoadState, jacobian: Array) -> tuple[Array, Array]:
         """Torques of all loads.
@@ -535,6 +536,7 @@ class Physics:
             pad_friction=scenario.contact.friction,
             restitution=scenario.contact.restitution,
             restitution_law=scenario.contact.restitution_law,
+            gravity=np.array(scenario.gravity),
         )
 
     @property

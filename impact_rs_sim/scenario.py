@@ -25,7 +25,7 @@ from impact_rs_sim.files import is_file
 from impact_rs_sim.friction_compensation import FrictionCompensation
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array, EndEffector, Reflexes, RobotFacts, load_facts
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robot_model import STANDARD_GRAVITY, RobotModel
 from impact_rs_sim.schema import (
     Name,
     NonNegativeVector,
@@ -39,7 +39,7 @@ from impact_rs_sim.schema import (
     omitted,
     validate,
 )
-from impact_rs_sim.shapes import Shape
+from impact_rs_sim.shapes import Shape, check_extents
 
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
@@ -58,11 +58,15 @@ class Base(Schema):
 
     position: Vector3 = Field(description="origin of the arm's base in the inertial frame [m]")
     yaw: float = Field(0.0, description="rotation of the arm's base about z [rad]")
+    roll: float = omitted(
+        0.0, description="rotation about x, before pitch and yaw, as rpy in a URDF; pi: from a ceiling [rad]"
+    )
+    pitch: float = omitted(0.0, description="rotation about y, before yaw, likewise; pi/2: on a wall [rad]")
 
     @property
     def placement(self) -> pin.SE3:
         """Placement of the base in the inertial frame."""
-        return pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, self.yaw), np.array(self.position))
+        return pin.SE3(pin.rpy.rpyToMatrix(self.roll, self.pitch, self.yaw), np.array(self.position))
 
 
 class Pad(Schema):
@@ -71,6 +75,16 @@ class Pad(Schema):
     size: PositiveVector3 = Field(description="width, height and thickness of the pad [m]")
     stiffness: Positive | None = Field(None, description="stiffness of the whole pad face [N/m]; absent: a rigid pad")
     damping: NonNegative = Field(0.0, description="damping of the whole pad face [N s/m]")
+    shape: Literal["box", "sphere", "cylinder"] = omitted(
+        "box",
+        description="what fills the extents of size: box, sphere (three equal ones) or cylinder (a round pad: axis "
+        "along the thickness, equal width and height); frame E is at its foremost point [-]",
+    )
+
+    @model_validator(mode="after")
+    def _size_of_its_shape(self) -> Self:
+        check_extents(self.shape, self.size)
+        return self
 
 
 class EndEffectorSpec(Schema):
@@ -99,6 +113,7 @@ class EndEffectorSpec(Schema):
             length=self.length,
             mount_yaw=self.mount_yaw,
             pad_size=self.pad.size,
+            shape=Shape(self.pad.shape),
         )
 
 
@@ -316,13 +331,7 @@ class ObjectSpec(Schema):
 
     @model_validator(mode="after")
     def _size_of_its_shape(self) -> Self:
-        x, y, z = self.size
-        if self.shape != "box" and x != y:
-            raise ValueError(f"a {self.shape} is round: size needs equal extents along x and y [m]")
-        if self.shape == "sphere" and z != x:
-            raise ValueError("a sphere has three equal extents: size is its diameter along x, y and z [m]")
-        if self.shape == "capsule" and z < x:
-            raise ValueError("a capsule is at least as long as its diameter: size needs z >= x [m]")
+        check_extents(self.shape, self.size)
         return self
 
     @property
@@ -592,6 +601,11 @@ class Scenario(Schema):
     control: Control = Field(description="controller")
     sensors: Sensors = Field(description="measurement")
     scatter: Scatter = Field(description="trial-to-trial scatter")
+    gravity: Vector3 = omitted(
+        STANDARD_GRAVITY,
+        description="acceleration of gravity in the inertial frame, whose z is the normal of the support: a table that "
+        "is tilted has gravity with x and y components [m/s^2]",
+    )
     uncertainty: Uncertainties = omitted(
         Uncertainties(),
         description="assumed uncertainties (half widths of 95 % intervals) used by `impact-rs map --uncertainty`",

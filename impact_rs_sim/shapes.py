@@ -28,6 +28,7 @@ milliradian the furthest point of its rim. Tipping about a direction between two
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -108,6 +109,25 @@ class Shape:
             across += ends * (0.4 * r * r + length**2 / 4.0 + 3.0 / 8.0 * length * r)
             return np.array([across, across, tube * r * r / 2.0 + ends * 0.4 * r * r])
         raise ValueError("a hull has the moments of its mesh")
+
+
+def check_extents(kind: str, size: Sequence[float]) -> None:
+    """Refuse extents that a shape cannot fill.
+
+    Args:
+        kind: Of the shape.
+        size: Extents along x, y, z, ``(3,)`` [m].
+
+    Raises:
+        ValueError: It is round, and the extents are not.
+    """
+    x, y, z = size
+    if kind in ("sphere", "capsule", "cylinder") and x != y:
+        raise ValueError(f"a {kind} is round: size needs equal extents along x and y [m]")
+    if kind == "sphere" and z != x:
+        raise ValueError("a sphere has three equal extents: size is its diameter along x, y and z [m]")
+    if kind == "capsule" and z < x:
+        raise ValueError("a capsule is at least as long as its diameter: size needs z >= x [m]")
 
 
 BOX, SPHERE, CAPSULE, CYLINDER = (Shape(kind) for kind in ("box", "sphere", "capsule", "cylinder"))

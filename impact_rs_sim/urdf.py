@@ -18,7 +18,7 @@ import pinocchio as pin
 
 from impact_rs_sim.link_shapes import TOOL_RADIUS_M, Shape, link_shapes
 from impact_rs_sim.robot import Array, Colours, EndEffector, Mesh, RobotFacts
-from impact_rs_sim.shapes import BOX
+from impact_rs_sim.shapes import BOX, CYLINDER, SPHERE
 from impact_rs_sim.shapes import Shape as BodyShape
 
 WORLD = "world"  # the inertial frame A
@@ -156,7 +156,7 @@ def write_urdf(
         shape = Xml.SubElement(link, kind)
         place = _text(end_effector.pad_placement.translation)
         Xml.SubElement(shape, "origin", xyz=place, rpy=_text((*end_effector.pad_tilt, 0.0)))
-        Xml.SubElement(Xml.SubElement(shape, "geometry"), "box", size=_text(end_effector.pad_size))
+        _geometry(Xml.SubElement(shape, "geometry"), end_effector.shape, np.array(end_effector.pad_size))
         if kind == "visual":
             material = Xml.SubElement(shape, "material", name="pad")
             Xml.SubElement(material, "color", rgba="0.85 0.35 0.2 1")
@@ -206,16 +206,13 @@ def write_object_description(size: Array, mass: float, com: Array, inertia: Arra
     link = Xml.SubElement(robot, "link", name="object")
     _inertial(link, mass, com, inertia)
     colour = "0.76 0.6 0.42 1"
-    radius, length = repr(float(size[0]) / 2.0), float(size[2])
-    tube = length - float(size[0]) if shape.kind == "capsule" else length
-    if shape.is_box:
-        _box(link, size, np.zeros(3), "object", colour)
-    if shape.kind in ("cylinder", "capsule"):
-        geometry = _shown(link, np.zeros(3), "object", colour)
-        Xml.SubElement(geometry, "cylinder", radius=radius, length=repr(tube))
-    if shape.kind in ("sphere", "capsule"):
-        for end in (0.0,) if shape.kind == "sphere" else (-tube / 2.0, tube / 2.0):
-            Xml.SubElement(_shown(link, np.array([0.0, 0.0, end]), "object", colour), "sphere", radius=radius)
+    if shape.kind == "capsule":
+        tube = np.array([size[0], size[1], size[2] - size[0]])
+        _geometry(_shown(link, np.zeros(3), "object", colour), CYLINDER, tube)
+        for end in (-tube[2] / 2.0, tube[2] / 2.0):
+            _geometry(_shown(link, np.array([0.0, 0.0, end]), "object", colour), SPHERE, size)
+    else:
+        _geometry(_shown(link, np.zeros(3), "object", colour), shape, size)
     return _document(robot)
 
 
@@ -226,6 +223,17 @@ def _fix(robot: Xml.Element, name: str, link: str, placement: pin.SE3) -> None:
     Xml.SubElement(joint, "child", link=link)
     rpy = pin.rpy.matrixToRpy(placement.rotation)
     Xml.SubElement(joint, "origin", xyz=_text(placement.translation), rpy=_text(rpy))
+
+
+def _geometry(geometry: Xml.Element, shape: BodyShape, size: Array) -> None:
+    """A box, sphere or cylinder."""
+    radius = repr(float(size[0]) / 2.0)
+    if shape.kind == "sphere":
+        Xml.SubElement(geometry, "sphere", radius=radius)
+    elif shape.kind == "cylinder":
+        Xml.SubElement(geometry, "cylinder", radius=radius, length=repr(float(size[2])))
+    else:
+        Xml.SubElement(geometry, "box", size=_text(size))
 
 
 def _box(link: Xml.Element, size: Array, centre: Array, name: str, colour: str) -> None:

@@ -53,12 +53,13 @@ def write(scene: ExportedScene) -> tuple[str, list[str]]:
     ``end_effector``, and ``joint1`` ....
 
     Raises:
-        InputError: The object is no box.
+        InputError: An object or a pad is no box.
     """
-    if not scene.physics.object.shape.is_box:
+    bodies = [scene.physics.object.shape, *(arm.end_effector.shape for arm in scene.physics.arms.values())]
+    if round_ones := [shape.kind for shape in bodies if not shape.is_box]:
         raise InputError(
-            f"a world of Drake has pads that touch with spheres at their corners, and these miss a "
-            f"{scene.physics.object.shape.kind}; mjcf and urdf have its shape",
+            f"a world of Drake has pads and objects that touch with spheres at their corners, which a {round_ones[0]} "
+            "lacks; mjcf and urdf have its shape",
             key="format",
             value="drake",
         )

@@ -130,7 +130,7 @@ def _arm(world: Xml.Element, actuators: Xml.Element, scene: ExportedScene, name:
     _inertial(body, hand.mass, hand.com, hand.inertia)
     Xml.SubElement(body, "site", name=f"{name}_E")
     pad = hand.pad_placement
-    _box(body, name, np.array(hand.pad_size), pad.translation, pad.rotation)
+    _geom(body, name, hand.shape, np.array(hand.pad_size), pad.translation, pad.rotation)
 
 
 def _object(world: Xml.Element, scene: ExportedScene) -> None:

@@ -108,8 +108,8 @@ class BulletEngine(Engine):
         return self._worlds[key]
 
     def _solve(self, problem: ImpactProblem, system: System, pairs: Sequence[ContactPair]) -> Solution:
-        kind = self.physics.object.shape.kind
-        if kind not in ("box", "sphere"):
+        shapes = [self.physics.object.shape, *(arm.end_effector.shape for arm in self.physics.arms.values())]
+        for kind in {shape.kind for shape in shapes} - {"box", "sphere"}:
             raise InputError(
                 f"a single step of Bullet finds one point of a {kind} on a face; engine 'exact' finds all",
                 key="engine",

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from twin_scene import AGAINST_Y, PAD, PERIOD, RAIL_MASS, rail, resting, run, scene
+from twin_scene import AGAINST_Y, PAD, PERIOD, RAIL_MASS, TOWARDS_Y, rail, resting, run, scene
 
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map, kinetic_energy
 from impact_rs_sim.impact_map.problem import EnergyGain, ImpactResult
 from impact_rs_sim.physics import ObjectPhysics, Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robot import Array, EndEffector
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.shapes import CAPSULE, CYLINDER, SPHERE, Shape
 
@@ -87,6 +87,43 @@ def test_a_rail_hits_a_ball_with_its_pad(offset: float, friction: float) -> None
     along = min(2.0 / 7.0 * MASS * R * spin[2], friction * passed)  # against the sliding of the surface, along -x
     np.testing.assert_allclose(contact.impulse[0], along, atol=1e-9)
     np.testing.assert_allclose(found.object_twist[5], spin[2] - along * R / (0.4 * MASS * R * R), atol=1e-9)
+
+
+@pytest.mark.parametrize("elastic", [0.0, 1.0])
+def test_a_ball_on_a_rail_hits_another_off_its_centre_as_in_billiards(elastic: float) -> None:
+    """J = (1 + e) v n_y / (1/m + n_y^2/M) along the line of centres; kills a tool that hits with its bounding box."""
+    offset, tool = 0.05, 0.04  # m
+    across = np.sqrt((R + tool) ** 2 - offset**2)  # from centre to centre along the rail
+    hand = rail(np.array([offset, across - tool, 0.0]), AGAINST_Y, pad_damping=0.0)
+    ball = EndEffector(0.1, np.zeros(3), 1e-4 * np.eye(3), 0.0, 0.0, (2.0 * tool,) * 3, shape=SPHERE)
+    physics = scene({"rail": replace(hand, end_effector=ball)}, object=item(SPHERE), restitution=elastic)
+    found = impact(physics, resting(), {"rail": ArmState(np.zeros(1), np.array([0.5]))})
+    (contact,) = found.contacts
+    normal = np.array([-offset, -across, 0.0]) / (R + tool)
+    np.testing.assert_allclose(contact.normal, normal, atol=1e-9)
+    passed = (1.0 + elastic) * 0.5 * -normal[1] / (1.0 / MASS + normal[1] ** 2 / RAIL_MASS)
+    np.testing.assert_allclose(contact.impulse, passed * normal, atol=1e-9)
+    np.testing.assert_allclose(found.object_twist, [*(passed / MASS * normal), 0.0, 0.0, 0.0], atol=1e-9)
+    if elastic:  # the undamped pad of the twin gives back what it takes; its normal turns a little while it is pressed
+        result = run(physics, [0.5], resting(), 0.03)
+        np.testing.assert_allclose(result.twists[-1], found.object_twist, atol=0.01)
+
+
+def test_newtons_cradle_of_two_pads_and_a_ball_has_one_simultaneous_answer() -> None:
+    """A rail, a ball and a rail that touch: Newton's law for all contacts at once, not one collision after another.
+
+    With e = 1 both contacts part with what they came, 1 and 0 m/s: the masses m, m, m of a cradle leave with -1/3, 2/3
+    and 2/3 of the speed; a cradle of steel balls, whose collisions follow each other, with 0, 0 and 1.
+    """
+    arms = {
+        "left": rail(np.array([0.0, -R, 0.0]), TOWARDS_Y, mass=MASS),
+        "right": rail(np.array([0.0, R, 0.0]), AGAINST_Y, mass=MASS),
+    }
+    state = {"left": ArmState(np.zeros(1), np.ones(1)), "right": ArmState(np.zeros(1), np.zeros(1))}
+    found = impact(scene(arms, object=item(SPHERE), restitution=1.0), resting(), state)
+    np.testing.assert_allclose(found.joint_velocity["left"], -1.0 / 3.0, atol=1e-9)
+    np.testing.assert_allclose(found.object_twist[1], 2.0 / 3.0, atol=1e-9)
+    np.testing.assert_allclose(found.joint_velocity["right"], -2.0 / 3.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("angle", [0.3, 0.8, 1.2])
