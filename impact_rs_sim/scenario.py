@@ -23,6 +23,7 @@ from impact_rs_sim.bodies import is_physically_consistent
 from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.files import is_file
 from impact_rs_sim.friction_compensation import FrictionCompensation
+from impact_rs_sim.object_mesh import read_object_mesh
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array, EndEffector, Reflexes, RobotFacts, load_facts
 from impact_rs_sim.robot_model import STANDARD_GRAVITY, RobotModel
@@ -39,12 +40,13 @@ from impact_rs_sim.schema import (
     omitted,
     validate,
 )
-from impact_rs_sim.shapes import Shape, check_extents
+from impact_rs_sim.shapes import Shape, check_extents, hull_of
 
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
 
 AXES = {"x": 0, "y": 1, "z": 2}
+CORNER_TOLERANCE_M = 1e-6  # of the corners of a hull and its size
 # Half width of the 95 % interval of a motor inertia that is assumed, relative: from none to three times the number.
 # Three times an assumed B_theta is B_rho, which the links carry where a torque loop does nothing. A known B_rho,
 # over that scaled from a Franka arm by the torque limit: 0.8 to 2.5 in a Franka arm itself, 1.1 to 3.1 in a UR10e,
@@ -311,10 +313,15 @@ class ObjectSpec(Schema):
     mass: Positive = Field(description="mass of the object [kg]")
     size: PositiveVector3 = Field(description="extent along x, y and z [m]")
     com_offset: Vector3 = Field((0.0, 0.0, 0.0), description="centre of mass from the geometric centre [m]")
-    shape: Literal["box", "sphere", "capsule", "cylinder"] = omitted(
+    shape: Literal["box", "sphere", "capsule", "cylinder", "hull"] = omitted(
         "box",
         description="what fills the extents of size: box, sphere (three equal ones), capsule or cylinder (axis z, "
-        "equal along x and y) [-]",
+        "equal along x and y), or the convex hull of corners [-]",
+    )
+    corners: tuple[Vector3, ...] = omitted(
+        (),
+        description="of a hull, from the middle of its bounding box [m]; mesh, a path seen from the scenario file's "
+        "folder, stands for shape, corners and size, and without com_offset and inertia for these of an even density",
     )
     inertia: PositiveVector3 | None = omitted(
         None,
@@ -332,12 +339,21 @@ class ObjectSpec(Schema):
     @model_validator(mode="after")
     def _size_of_its_shape(self) -> Self:
         check_extents(self.shape, self.size)
+        if (self.shape == "hull") != bool(self.corners):
+            raise ValueError("corners belong to shape: hull, and a hull needs them [m]")
+        if self.corners:
+            corners = np.array(self.form.corners)
+            far = np.maximum(corners.max(axis=0), -corners.min(axis=0))
+            if np.max(np.abs(2.0 * far - self.size)) > CORNER_TOLERANCE_M:
+                raise ValueError(f"size must be the extents of the corners, {(2.0 * far).tolist()} [m]")
+            if self.inertia is None:
+                raise ValueError("inertia is required for a hull; mesh has that of an even density [kg m^2]")
         return self
 
     @property
     def form(self) -> Shape:
         """Its shape for the geometry."""
-        return Shape(self.shape)
+        return hull_of(self.corners) if self.shape == "hull" else Shape(self.shape)
 
     @property
     def moments(self) -> Array:
@@ -779,6 +795,21 @@ def _read_robot_files(data: dict[str, Any], directory: Path) -> None:
             robot["facts"] = load(RobotFacts, directory / facts).model_dump()
 
 
+def _read_meshes(data: dict[str, Any], directory: Path) -> None:
+    """Replace paths to meshes of objects by what they say, so that bags contain it."""
+    objects = data.get("objects")
+    for name, spec in objects.items() if isinstance(objects, dict) else ():
+        if not isinstance(spec, dict) or not isinstance(spec.get("mesh"), str):
+            continue
+        if given := {"shape", "corners", "size"} & set(spec):
+            raise InputError("mesh has shape, corners and size: leave these out", key=f"objects.{name}.{min(given)}")
+        found = read_object_mesh(directory / spec.pop("mesh"))
+        spec |= {"shape": "hull", "corners": found.corners.tolist(), "size": found.size.tolist()}
+        if isinstance(spec.get("mass"), (int, float)):
+            spec.setdefault("inertia", (spec["mass"] * found.moments).tolist())
+        spec.setdefault("com_offset", found.com.tolist())
+
+
 @functools.lru_cache(maxsize=32)
 def _load_cached(path: Path, modified: int) -> tuple[Scenario, Path | None]:
     """The scenario of a file, and the file of its friction compensation."""
@@ -788,6 +819,7 @@ def _load_cached(path: Path, modified: int) -> tuple[Scenario, Path | None]:
     if isinstance(named, str):
         del data["friction_compensation"]
     _read_robot_files(data, path.parent)
+    _read_meshes(data, path.parent)
     return validate(Scenario, data, path), path.parent / named if isinstance(named, str) else None
 
 

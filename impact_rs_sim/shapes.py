@@ -33,6 +33,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
+import scipy.spatial
 from numpy.typing import NDArray
 
 from impact_rs_sim import _kernel
@@ -41,6 +42,7 @@ Array = NDArray[np.float64]
 
 Kind = Literal["box", "sphere", "capsule", "cylinder", "hull"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
+COPLANAR = 1e-10  # 1 - cosine of the angle between triangles of one face
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,53 @@ class Shape:
             across += ends * (0.4 * r * r + length**2 / 4.0 + 3.0 / 8.0 * length * r)
             return np.array([across, across, tube * r * r / 2.0 + ends * 0.4 * r * r])
         raise ValueError("a hull has the moments of its mesh")
+
+
+@functools.lru_cache(maxsize=64)
+def hull_of(corners: tuple[tuple[float, float, float], ...]) -> Shape:
+    """The convex hull of points around the origin, with triangles of one plane joined to one face.
+
+    Args:
+        corners: From the middle of their bounding box, four or more [m].
+
+    Raises:
+        ValueError: They lie in a plane, or the origin is not inside.
+    """
+    points = np.array(corners, dtype=float)
+    try:
+        found = scipy.spatial.ConvexHull(points)
+    except (scipy.spatial.QhullError, ValueError):
+        raise ValueError("corners: expected four points or more that are not in a plane [m]") from None
+    planes: dict[int, set[int]] = {}
+    owner = np.full(len(found.simplices), -1)
+    for start in range(len(found.simplices)):  # neighbours with one normal are one face
+        stack = [start] if owner[start] < 0 else []
+        while stack:
+            triangle = stack.pop()
+            if owner[triangle] >= 0:
+                continue
+            owner[triangle] = start
+            planes.setdefault(start, set()).update(found.simplices[triangle].tolist())
+            for other in found.neighbors[triangle]:
+                if found.equations[other, :3] @ found.equations[start, :3] > 1.0 - COPLANAR:
+                    stack.append(int(other))
+    faces = []
+    for start, numbers in planes.items():
+        normal = found.equations[start, :3]
+        own = np.array(sorted(numbers))
+        apart = points[own] - points[own].mean(axis=0)
+        first = apart[0] / np.linalg.norm(apart[0])
+        angle = np.arctan2(apart @ np.cross(normal, first), apart @ first)
+        faces.append(own[np.argsort(angle)])
+    kept = np.unique(np.concatenate(faces))
+    number = {int(old): new for new, old in enumerate(kept)}
+    shape = Shape(
+        "hull",
+        tuple(tuple(points[old].tolist()) for old in kept),
+        tuple(tuple(number[int(old)] for old in face) for face in faces),
+    )
+    shape.kernel  # noqa: B018  refuses faces that do not close around the origin
+    return shape
 
 
 def check_extents(kind: str, size: Sequence[float]) -> None:

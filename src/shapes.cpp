@@ -16,7 +16,7 @@ constexpr double FLAT = 1e-3;        // sine of the tilt of a cap below which ei
 constexpr double DIAGONAL = 0.70710678118654752440;
 constexpr double RIM[8][2] = {{1.0, 0.0},  {DIAGONAL, DIAGONAL},   {0.0, 1.0},  {-DIAGONAL, DIAGONAL},
                               {-1.0, 0.0}, {-DIAGONAL, -DIAGONAL}, {0.0, -1.0}, {DIAGONAL, -DIAGONAL}};
-constexpr int MOST_CORNERS = 12;     // of a face of a hull that are looked at one by one
+constexpr int MOST_CORNERS = 12;     // of a face of a hull; of more, every second or third stands for them, and the furthest
 constexpr double FACING = 1e-5;      // of the extents of two bodies, between points that face each other
 constexpr double WIDEST_TURN = 0.8;  // rad, over which the normal of a rim on an edge is sought
 constexpr double CROSSED = 0.995;    // cosine, as in boxes.cpp: edges whose normal is nearer to that of a face touch as faces
@@ -69,6 +69,13 @@ void add_cap(const Body& body, const Vector& direction, Corners& found) {
   }
 }
 
+int furthest_corner(const Hull& hull, const Vector& local) {
+  int corner = 0;
+  for (int i = 1; i < static_cast<int>(hull.corners.size()); ++i)
+    if (dot(hull.corners[i], local) > dot(hull.corners[corner], local)) corner = i;
+  return corner;
+}
+
 // What of a body is furthest along `direction`, or nearly: a point, the ends of a segment, or the corners of a face in
 // order around it.
 void feature(const Body& body, const Vector& direction, Corners& found) {
@@ -101,11 +108,14 @@ void feature(const Body& body, const Vector& direction, Corners& found) {
       return;
     case Kind::hull: {
       const Hull& hull = *body.form.hull;
-      const Hull::Face* face = &hull.faces[0];
-      for (const Hull::Face& other : hull.faces)
-        if (dot(other.normal, local) > dot(face->normal, local)) face = &other;
+      const int corner = furthest_corner(hull, local);  // which the face that looks most along `direction` may lack
+      const Hull::Face* face = &hull.faces[hull.faces_of[corner][0]];
+      for (const int other : hull.faces_of[corner])
+        if (dot(hull.faces[other].normal, local) > dot(face->normal, local)) face = &hull.faces[other];
       const int all = static_cast<int>(face->corners.size()), step = (all + MOST_CORNERS - 1) / MOST_CORNERS;
-      for (int i = 0; i < all; i += step) found.add(body.centre + body.rotation * hull.corners[face->corners[i]]);
+      for (int i = 0; i < all; ++i)
+        if (i % step == 0 || face->corners[i] == corner)
+          found.add(body.centre + body.rotation * hull.corners[face->corners[i]]);
       return;
     }
   }
@@ -360,10 +370,7 @@ struct Search {
     add_edges(other, edges);
     if (other.form.kind == Kind::hull) {  // those that end in the corner that is furthest
       const Hull& hull = *other.form.hull;
-      const Vector local = transposed_times(other.rotation, sign * normal);
-      int corner = 0;
-      for (int i = 1; i < static_cast<int>(hull.corners.size()); ++i)
-        if (dot(hull.corners[i], local) > dot(hull.corners[corner], local)) corner = i;
+      const int corner = furthest_corner(hull, transposed_times(other.rotation, sign * normal));
       for (const Hull::Edge& edge : hull.edges)
         if (edge.start == corner || edge.end == corner)
           edges.add(other.rotation * unit(hull.corners[edge.end] - hull.corners[edge.start]));
@@ -451,6 +458,11 @@ Hull::Hull(std::vector<Vector> points, const std::vector<std::vector<int>>& loop
     if (!(face.offset > 0.0)) throw std::invalid_argument("faces: the origin is not inside");
     faces.push_back(face);
   }
+  faces_of.resize(corners.size());
+  for (int f = 0; f < static_cast<int>(faces.size()); ++f)
+    for (const int corner : faces[f].corners) faces_of[corner].push_back(f);
+  for (const std::vector<int>& own : faces_of)
+    if (own.empty()) throw std::invalid_argument("faces: a corner belongs to none");
   for (int f = 0; f < static_cast<int>(faces.size()); ++f) {
     const std::vector<int>& loop = faces[f].corners;
     for (std::size_t i = 0; i < loop.size(); ++i) {

@@ -30,6 +30,7 @@ struct Hull {
   std::vector<Vector> corners;
   std::vector<Face> faces;
   std::vector<Edge> edges;
+  std::vector<std::vector<int>> faces_of;  // by corner
 
   // Throws std::invalid_argument where the faces do not close around a body that has the origin inside.
   Hull(std::vector<Vector> corners, const std::vector<std::vector<int>>& faces);

@@ -7,6 +7,7 @@ or translation along, the joint axis.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 from xml.etree import ElementTree as Xml
@@ -142,6 +143,10 @@ def _shape(visual: Xml.Element) -> dict[str, Any] | None:
 def _object_shape(object_: ObjectPhysics) -> dict[str, Any]:
     """Shape of an object that is no box."""
     radius, length = float(object_.size[0]) / 2.0, float(object_.size[2])
+    if object_.shape.kind == "hull":
+        fans = [(face[0], *pair) for face in object_.shape.faces for pair in itertools.pairwise(face[1:])]
+        corners = np.array(object_.shape.corners)
+        return {"kind": "mesh", "vertices": packed(corners), "faces": packed(np.array(fans, dtype=float))}
     if object_.shape.kind == "cylinder":
         return {"kind": "cylinder", "radius": [radius], "length": [length]}
     return {"kind": "mesh"} | _ball(radius, length / 2.0 - radius)

@@ -69,7 +69,7 @@ def write(scene: ExportedScene) -> tuple[str, list[str]]:
     actuators = Xml.Element("actuator")
     for name, arm in scene.physics.arms.items():
         _arm(world, actuators, scene, name, arm)
-    _object(world, scene)
+    _object(root, world, scene)
     remarks = [*_contacts(root, scene), *_remarks(scene)]
     root.append(actuators)
     key = Xml.SubElement(Xml.SubElement(root, "keyframe"), "key", name="impact")
@@ -133,9 +133,12 @@ def _arm(world: Xml.Element, actuators: Xml.Element, scene: ExportedScene, name:
     _geom(body, name, hand.shape, np.array(hand.pad_size), pad.translation, pad.rotation)
 
 
-def _object(world: Xml.Element, scene: ExportedScene) -> None:
+def _object(root: Xml.Element, world: Xml.Element, scene: ExportedScene) -> None:
     physics, object_ = scene.physics, scene.physics.object
     body = _body(world, "object", scene.object.position, scene.object.rotation)
+    if object_.shape.kind == "hull":
+        corners = np.array(object_.shape.corners).ravel()
+        Xml.SubElement(Xml.SubElement(root, "asset"), "mesh", name="object", vertex=_text(*corners))
     Xml.SubElement(body, "freejoint", name="object")
     _inertial(body, object_.mass, object_.com_offset, np.diag(object_.inertia))
     _geom(body, "object", object_.shape, object_.size, np.zeros(3), np.eye(3))
@@ -242,12 +245,14 @@ def _geom(body: Xml.Element, name: str, shape: Shape, size: Array, place: Array,
         "capsule": np.array([half[0], half[2] - half[0]]),
         "cylinder": np.array([half[0], half[2]]),
     }.get(shape.kind, half)
+    form = {"type": shape.kind, "size": _text(*extents)}
+    if shape.kind == "hull":
+        form = {"type": "mesh", "mesh": name}
     Xml.SubElement(
         body,
         "geom",
         name=name,
-        type=shape.kind,
-        size=_text(*extents),
+        **form,
         pos=_text(*place),
         quat=_text(*_quaternion(rotation)),
         contype="0",
