@@ -3,8 +3,8 @@
 
 Mass, first and second moments of the polyhedron are sums over the tetrahedra between the origin and its triangles
 (a, b, c), of volume V = det(a, b, c) / 6, with middle (a + b + c) / 4 and second moments
-V / 20 (a a^T + b b^T + c c^T + s s^T), s = a + b + c (Tonon 2004). They are those of the mesh itself, all of its corners.
-Contact takes the hull (Barber et al. 1996, Qhull); a mesh whose hull is larger than the mesh is refused.
+V / 20 (a a^T + b b^T + c c^T + s s^T), s = a + b + c (Tonon 2004). They are those of the mesh itself, with all of its
+corners. Contact takes the hull (Barber et al. 1996, Qhull); a mesh whose hull is larger than the mesh is refused.
 """
 
 from __future__ import annotations

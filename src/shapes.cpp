@@ -16,10 +16,10 @@ constexpr double FLAT = 1e-3;        // sine of the tilt of a cap below which ei
 constexpr double DIAGONAL = 0.70710678118654752440;
 constexpr double RIM[8][2] = {{1.0, 0.0},  {DIAGONAL, DIAGONAL},   {0.0, 1.0},  {-DIAGONAL, DIAGONAL},
                               {-1.0, 0.0}, {-DIAGONAL, -DIAGONAL}, {0.0, -1.0}, {DIAGONAL, -DIAGONAL}};
-constexpr int MOST_CORNERS = 12;     // of a face of a hull; of more, every second or third stands for them, and the furthest
+constexpr int MOST_CORNERS = 12;     // of a face of a hull; of more, every second or third one and the furthest stand for all
 constexpr double FACING = 1e-5;      // of the extents of two bodies, between points that face each other
 constexpr double WIDEST_TURN = 0.8;  // rad, over which the normal of a rim on an edge is sought
-constexpr double CROSSED = 0.995;    // cosine, as in boxes.cpp: edges whose normal is nearer to that of a face touch as faces
+constexpr double CROSSED = 0.995;    // cosine, as in boxes.cpp; edges whose normal is nearer to that of a face are of it
 constexpr int SWEEPS = 8;            // of the search for the normal of two rims
 constexpr int TURNS = 8;             // in which the interval is divided to either side
 constexpr int NARROWINGS = 40;       // of the interval by the golden ratio
@@ -58,13 +58,17 @@ struct Corners {
 // Rim of the cap that looks along a unit vector: points that are fixed to the body and, where it is tilted, the furthest.
 void add_cap(const Body& body, const Vector& direction, Corners& found) {
   const Vector local = transposed_times(body.rotation, direction);
-  const double radius = body.half[0], height = std::copysign(body.half[2], local[2]), tilt = std::hypot(local[0], local[1]);
+  const double radius = body.half[0], height = std::copysign(body.half[2], local[2]);
+  const double tilt = std::hypot(local[0], local[1]);
   const Vector furthest = tilt > FLAT ? Vector{local[0] / tilt, local[1] / tilt, 0.0} : Vector{};
-  const auto put = [&](double x, double y) { found.add(body.centre + body.rotation * Vector{radius * x, radius * y, height}); };
+  const auto put = [&](double x, double y) {
+    found.add(body.centre + body.rotation * Vector{radius * x, radius * y, height});
+  };
   for (int i = 0; i < 8; ++i) {
     const double *here = RIM[i], *next = RIM[(i + 1) % 8];
     put(here[0], here[1]);
-    const double after = here[0] * furthest[1] - here[1] * furthest[0], before = furthest[0] * next[1] - furthest[1] * next[0];
+    const double after = here[0] * furthest[1] - here[1] * furthest[0];
+    const double before = furthest[0] * next[1] - furthest[1] * next[0];
     if (after > FLAT && before > FLAT) put(furthest[0], furthest[1]);
   }
 }
@@ -169,7 +173,8 @@ void furthest(const Body& body, const Vector& direction, Corners& found) {
     }
     case Kind::sphere: found.add(body.centre + body.half[0] * direction); return;
     default: {
-      const Vector middle = body.centre + body.half[0] * (body.form.kind == Kind::capsule ? direction : across(body, direction));
+      const Vector out = body.form.kind == Kind::capsule ? direction : across(body, direction);
+      const Vector middle = body.centre + body.half[0] * out;
       const Vector end = core(body) * axis_of(body);
       if (local[2] > -ALONG) found.add(middle + end);
       if (local[2] < ALONG) found.add(middle - end);
@@ -186,7 +191,8 @@ Vector place_on(const Corners& segment, double share) {
 // Points of the second segment that are nearest to the first; of parallel ones the ends of what they share.
 void nearest_of(const Corners& partner, const Corners& object, Corners& found) {
   if (object.count == 1) return found.add(object.places[0]);
-  const Vector a = partner.places[partner.count - 1] - partner.places[0], b = object.places[object.count - 1] - object.places[0];
+  const Vector a = partner.places[partner.count - 1] - partner.places[0];
+  const Vector b = object.places[object.count - 1] - object.places[0];
   const Vector apart = object.places[0] - partner.places[0];
   const double bb = dot(b, b), aa = dot(a, a), ab = dot(a, b), determinant = aa * bb - ab * ab;
   if (partner.count == 1) return found.add(place_on(object, -dot(apart, b) / bb));
@@ -257,7 +263,8 @@ Vector toward(const Body& body, const Vector& point) {
     const double length = core(body), radius = std::hypot(local[0], local[1]);
     const double beyond = local[2] - between(local[2], -length, length);
     // Of a cylinder the rim is nearest to points beyond its cap and its wall, the wall to all others.
-    const double share = body.form.kind == Kind::cylinder && beyond != 0.0 ? std::max(radius - body.half[0], 0.0) : radius;
+    const bool over_cap = body.form.kind == Kind::cylinder && beyond != 0.0;
+    const double share = over_cap ? std::max(radius - body.half[0], 0.0) : radius;
     if (radius > 0.0) apart = {share / radius * local[0], share / radius * local[1], 0.0};
     apart[2] = beyond;
   }
@@ -285,10 +292,14 @@ struct Search {
   void offer_faces(const Body& body, double sign) {
     const Vector apart = object.centre - partner.centre;
     if (body.form.kind == Kind::hull) {
+      // The other body has its middle inside, so that no face separates by more than the height of that above it.
       const Body& other = sign > 0.0 ? object : partner;
+      const Vector middle = transposed_times(body.rotation, sign * apart);
       for (const Hull::Face& face : body.form.hull->faces) {
-        const Vector own = sign * (body.rotation * face.normal);
-        offer(own, dot(own, apart) - face.offset - support_of(other, -sign * own), face.extent);
+        const double height = dot(face.normal, middle) - face.offset;
+        if (height < separation - aligned) continue;
+        const Vector outward = body.rotation * face.normal;
+        offer(sign * outward, height - support_of(other, -1.0 * outward), face.extent);
       }
       return;
     }
@@ -320,14 +331,21 @@ struct Search {
   // Edges of a hull whose arc on its sphere of normals crosses that of an edge of the other body; `sign` as above.
   void offer_edges_of_hull(const Body& body, const Body& other, double sign) {
     const Hull& hull = *body.form.hull;
-    const Vector apart = sign * (object.centre - partner.centre);
+    const Vector apart = sign * (object.centre - partner.centre), middle = transposed_times(body.rotation, apart);
+    const double least = std::min(separation, 0.0);
+    const auto sees = [&](int face) { return dot(hull.faces[face].normal, middle) - hull.faces[face].offset > least; };
+    std::vector<const Hull::Edge*> seen;  // the height above an edge is at most that above one of its faces, or 0
+    for (const Hull::Edge& edge : hull.edges)
+      if (sees(edge.first) || sees(edge.second)) seen.push_back(&edge);
     const auto cross_with = [&](const Vector& along) {  // in A
       const Vector local = transposed_times(body.rotation, along);
-      for (const Hull::Edge& edge : hull.edges) {
+      for (const Hull::Edge* next : seen) {
+        const Hull::Edge& edge = *next;
         const Vector &first = hull.faces[edge.first].normal, &second = hull.faces[edge.second].normal;
         const double here = dot(first, local), there = dot(second, local);
         if (here * there >= 0.0) continue;
-        const Vector own = (here > 0.0 ? 1.0 : -1.0) * (here * second - there * first), outward = body.rotation * unit(own);
+        const Vector own = (here > 0.0 ? 1.0 : -1.0) * (here * second - there * first);
+        const Vector outward = body.rotation * unit(own);
         if (dot(outward, apart) <= 0.0) continue;
         const double offset = dot(transposed_times(body.rotation, outward), hull.corners[edge.start]);
         offer(sign * outward, dot(outward, apart) - offset - support_of(other, -1.0 * outward), 0.0);
@@ -355,9 +373,10 @@ struct Search {
       for (const double side : {-1.0, 1.0}) towards(body.centre + side * core(body) * axis_of(body));
     if (!is_round(other.form.kind)) return;
     if (kind == Kind::box)
-      for (int i = 0; i < 8; ++i)
-        towards(body.centre + body.rotation * Vector{(i & 1 ? 1.0 : -1.0) * body.half[0], (i & 2 ? 1.0 : -1.0) * body.half[1],
-                                                     (i & 4 ? 1.0 : -1.0) * body.half[2]});
+      for (int i = 0; i < 8; ++i) {
+        const Vector signs{i & 1 ? 1.0 : -1.0, i & 2 ? 1.0 : -1.0, i & 4 ? 1.0 : -1.0}, &half = body.half;
+        towards(body.centre + body.rotation * Vector{signs[0] * half[0], signs[1] * half[1], signs[2] * half[2]});
+      }
     if (kind == Kind::hull)
       for (const Vector& corner : body.form.hull->corners) towards(body.centre + body.rotation * corner);
     if (kind == Kind::cylinder)
@@ -381,7 +400,8 @@ struct Search {
   // Two rims: the normal is sought along one great circle after another.
   void offer_two_rims() {
     for (int i = 0; i < SWEEPS; ++i) {
-      const Vector first = across(partner, normal), along = unit(cross(normal, std::abs(dot(first, normal)) < 0.9 ? first : axis_of(partner)));
+      const Vector first = across(partner, normal);
+      const Vector along = unit(cross(normal, std::abs(dot(first, normal)) < 0.9 ? first : axis_of(partner)));
       offer_across(along);
       offer_across(unit(cross(normal, along)));
     }
@@ -415,7 +435,7 @@ bool is_face_of(const Body& body, const Vector& normal, double& size) {
   return size >= 0.0;
 }
 
-// Whether what is furthest of both bodies along a normal faces each other, so that no normal nearby separates them better.
+// Whether what is furthest of both bodies along a normal faces each other: no normal nearby separates them better.
 bool face_each_other(const Body& partner, const Body& object, const Vector& normal, double separation) {
   const double rounding = FACING * (norm(partner.half) + norm(object.half));
   double size;
@@ -496,12 +516,15 @@ double support_of(const Body& body, const Vector& normal) {
 
 Meeting meet_convex(const Body& partner, const Body& object, double aligned) {
   Search search{partner, object, aligned};
-  const auto has_faces = [](const Body& body) { return body.form.kind != Kind::sphere && body.form.kind != Kind::capsule; };
+  const auto has_faces = [](const Body& body) {
+    return body.form.kind != Kind::sphere && body.form.kind != Kind::capsule;
+  };
   if (has_faces(partner)) search.offer_faces(partner, 1.0);
   if (has_faces(object)) search.offer_faces(object, -1.0);
   const Vector facing = search.normal;
   if (partner.form.kind == Kind::hull) search.offer_edges_of_hull(partner, object, 1.0);
-  if (object.form.kind == Kind::hull && partner.form.kind != Kind::hull) search.offer_edges_of_hull(object, partner, -1.0);
+  if (object.form.kind == Kind::hull && partner.form.kind != Kind::hull)
+    search.offer_edges_of_hull(object, partner, -1.0);
   Corners own, others;
   search.add_edges(partner, own);
   search.add_edges(object, others);
@@ -521,7 +544,8 @@ Meeting meet_convex(const Body& partner, const Body& object, double aligned) {
   }
   double on_partner, on_object;
   const bool of_partner = is_face_of(partner, search.normal, on_partner);
-  const bool of_object = is_face_of(object, -1.0 * search.normal, on_object) && !(of_partner && on_partner >= on_object);
+  const bool larger = !(of_partner && on_partner >= extent_of_face(object, -1.0 * search.normal));
+  const bool of_object = is_face_of(object, -1.0 * search.normal, on_object) && larger;
   return {search.separation, search.normal, of_object, std::nullopt};
 }
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Objects from meshes: hull, centre of mass and inertia, and impacts that are those of the shape the mesh stands for."""
+"""Objects from meshes: hull, centre of mass and inertia, and the impacts of the shape that the mesh stands for."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def egg(count: int = 100) -> Array:
 
 
 def test_a_box_as_a_mesh_is_the_box(tmp_path: Path) -> None:
-    """Centre of mass, inertia and impact; kills the hull in the place of the mesh, and moments about the wrong point."""
+    """Centre of mass, inertia and impact; kills moments about the corner of the mesh, and a face for each triangle."""
     scenario = scenario_with(tmp_path, CUBE * BOX + [3.0, -1.0, 0.5])
     thing, box = scenario.object("thing"), load_scenario("push").object("cat_food")
     np.testing.assert_allclose(thing.size, box.size, atol=1e-6)
@@ -92,8 +92,8 @@ def test_given_mass_properties_stand_in_the_place_of_those_of_the_mesh(tmp_path:
     assert thing.moments.tolist() == [0.004, 0.005, 0.006] and thing.com_offset == (0.0, 0.01, 0.0)
 
 
-def test_inertia_of_a_wedge_has_the_closed_form(tmp_path: Path) -> None:
-    """A tetrahedron with the corners 0, 3 a e_x, 3 a e_y, 3 a e_z would be turned; a square pyramid is not: m h^2 3/80."""
+def test_inertia_of_a_pyramid_has_the_closed_form(tmp_path: Path) -> None:
+    """A square pyramid: m (s^2 / 20 + 3 h^2 / 80) across its axis and m s^2 / 10 about it."""
     base, height = 0.1, 0.2
     points = np.array([[x, y, 0.0] for x in (-base, base) for y in (-base, base)] + [[0.0, 0.0, height]])
     mesh = object_mesh(points, triangles_of(points), tmp_path)
