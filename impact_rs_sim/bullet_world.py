@@ -33,7 +33,7 @@ from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts
 from impact_rs_sim.rotations import continuous, quaternion_of
 from impact_rs_sim.scene import ArmState, BodyState
-from impact_rs_sim.shapes import Shape
+from impact_rs_sim.shapes import ConvexShape
 from impact_rs_sim.urdf import joint_names, write_urdf
 
 
@@ -462,7 +462,7 @@ def _load_arm(client: BulletClient, scene: Physics, name: str, compliant: bool, 
     return body
 
 
-def _geometry(shape: Shape, size: Array) -> dict[str, Any]:
+def _geometry(shape: ConvexShape, size: Array) -> dict[str, Any]:
     """A shape as Bullet takes it."""
     radius, height = float(size[0]) / 2.0, float(size[2])
     if shape.kind == "sphere":

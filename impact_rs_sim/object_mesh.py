@@ -14,7 +14,7 @@ from pathlib import Path
 
 import coal
 import numpy as np
-import scipy.spatial
+import scipy
 
 from impact_rs_sim.bodies import inertia_of
 from impact_rs_sim.errors import InputError

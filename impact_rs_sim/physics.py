@@ -22,7 +22,7 @@ from impact_rs_sim.readings import EXACT, ArmReadings, TrackerReadings
 from impact_rs_sim.robot import Array, EndEffector, JointType, RobotFacts, SigmoidFriction
 from impact_rs_sim.robot_model import STANDARD_GRAVITY, RobotModel
 from impact_rs_sim.scenario import Scenario
-from impact_rs_sim.shapes import BOX, Shape
+from impact_rs_sim.shapes import BOX, ConvexShape
 from impact_rs_sim.twist_readings import TwistReadings
 from impact_rs_sim.urdf import write_description
 
@@ -406,7 +406,7 @@ class ObjectPhysics:
     size: Array
     inertia: Array
     com_offset: Array
-    shape: Shape = BOX
+    shape: ConvexShape = BOX
 
     @property
     def pad_share(self) -> float:

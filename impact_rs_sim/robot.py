@@ -22,7 +22,7 @@ from impact_rs_sim.errors import InputError, shortened
 from impact_rs_sim.files import is_file
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.schema import NonNegativeVector, PositiveVector, Schema, Vector, Vector3, load, omitted
-from impact_rs_sim.shapes import BOX, Shape
+from impact_rs_sim.shapes import BOX, ConvexShape
 
 Array = NDArray[np.float64]
 JointType = Literal["revolute", "prismatic"]
@@ -266,7 +266,7 @@ class EndEffector:
     pad_size: tuple[float, float, float]
     pad_tilt: tuple[float, float] = (0.0, 0.0)
     pad_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    shape: Shape = BOX
+    shape: ConvexShape = BOX
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, EndEffector) and self._numbers == other._numbers

@@ -40,7 +40,7 @@ from impact_rs_sim.schema import (
     omitted,
     validate,
 )
-from impact_rs_sim.shapes import Shape, check_extents, hull_of
+from impact_rs_sim.shapes import ConvexShape, check_extents, hull_of
 
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
@@ -115,7 +115,7 @@ class EndEffectorSpec(Schema):
             length=self.length,
             mount_yaw=self.mount_yaw,
             pad_size=self.pad.size,
-            shape=Shape(self.pad.shape),
+            shape=ConvexShape(self.pad.shape),
         )
 
 
@@ -351,9 +351,9 @@ class ObjectSpec(Schema):
         return self
 
     @property
-    def form(self) -> Shape:
+    def form(self) -> ConvexShape:
         """Its shape for the geometry."""
-        return hull_of(self.corners) if self.shape == "hull" else Shape(self.shape)
+        return hull_of(self.corners) if self.shape == "hull" else ConvexShape(self.shape)
 
     @property
     def moments(self) -> Array:

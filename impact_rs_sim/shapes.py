@@ -33,7 +33,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-import scipy.spatial
+import scipy
 from numpy.typing import NDArray
 
 from impact_rs_sim import _kernel
@@ -46,7 +46,7 @@ COPLANAR = 1e-10  # 1 - cosine of the angle between triangles of one face
 
 
 @dataclass(frozen=True)
-class Shape:
+class ConvexShape:
     """Shape of a body, up to its extents.
 
     Attributes:
@@ -114,7 +114,7 @@ class Shape:
 
 
 @functools.lru_cache(maxsize=64)
-def hull_of(corners: tuple[tuple[float, float, float], ...]) -> Shape:
+def hull_of(corners: tuple[tuple[float, float, float], ...]) -> ConvexShape:
     """The convex hull of points around the origin, with triangles of one plane joined to one face.
 
     Args:
@@ -151,7 +151,7 @@ def hull_of(corners: tuple[tuple[float, float, float], ...]) -> Shape:
         faces.append(own[np.argsort(angle)])
     kept = np.unique(np.concatenate(faces))
     number = {int(old): new for new, old in enumerate(kept)}
-    shape = Shape(
+    shape = ConvexShape(
         "hull",
         tuple(tuple(points[old].tolist()) for old in kept),
         tuple(tuple(number[int(old)] for old in face) for face in faces),
@@ -179,10 +179,10 @@ def check_extents(kind: str, size: Sequence[float]) -> None:
         raise ValueError("a capsule is at least as long as its diameter: size needs z >= x [m]")
 
 
-BOX, SPHERE, CAPSULE, CYLINDER = (Shape(kind) for kind in ("box", "sphere", "capsule", "cylinder"))
+BOX, SPHERE, CAPSULE, CYLINDER = (ConvexShape(kind) for kind in ("box", "sphere", "capsule", "cylinder"))
 
 
 @functools.lru_cache(maxsize=64)
-def _kernel_shape(shape: Shape) -> _kernel.Shape:
+def _kernel_shape(shape: ConvexShape) -> _kernel.Shape:
     corners = np.array(shape.corners) if shape.kind == "hull" else None
     return _kernel.Shape(shape.kind, corners, [list(face) for face in shape.faces])

@@ -18,8 +18,7 @@ import pinocchio as pin
 
 from impact_rs_sim.link_shapes import TOOL_RADIUS_M, Shape, link_shapes
 from impact_rs_sim.robot import Array, Colours, EndEffector, Mesh, RobotFacts
-from impact_rs_sim.shapes import BOX, CYLINDER, SPHERE
-from impact_rs_sim.shapes import Shape as BodyShape
+from impact_rs_sim.shapes import BOX, CYLINDER, SPHERE, ConvexShape
 
 WORLD = "world"  # the inertial frame A
 # Mass, centre of mass, inertia of links fixed to the world; Bullet warns without them
@@ -192,7 +191,7 @@ def write_description(
     return _document(scene)
 
 
-def write_object_description(size: Array, mass: float, com: Array, inertia: Array, shape: BodyShape = BOX) -> str:
+def write_object_description(size: Array, mass: float, com: Array, inertia: Array, shape: ConvexShape = BOX) -> str:
     """URDF of the object: the one link ``object``, whose frame is at the middle of its extents.
 
     Args:
@@ -225,7 +224,7 @@ def _fix(robot: Xml.Element, name: str, link: str, placement: pin.SE3) -> None:
     Xml.SubElement(joint, "origin", xyz=_text(placement.translation), rpy=_text(rpy))
 
 
-def _geometry(geometry: Xml.Element, shape: BodyShape, size: Array) -> None:
+def _geometry(geometry: Xml.Element, shape: ConvexShape, size: Array) -> None:
     """A box, sphere or cylinder."""
     radius = repr(float(size[0]) / 2.0)
     if shape.kind == "sphere":

@@ -27,7 +27,7 @@ from impact_rs_sim.impact_map.contacts import SUPPORT, SUPPORT_THICKNESS
 from impact_rs_sim.physics import ArmPhysics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.rotations import quaternion_of
-from impact_rs_sim.shapes import BOX, Shape
+from impact_rs_sim.shapes import BOX, ConvexShape
 
 SUPPORTED_QUANTITIES = frozenset(ExportedQuantity)
 TIME_STEP_S = 5e-5  # of MuJoCo's integrator
@@ -238,26 +238,23 @@ def _box(body: Xml.Element, name: str, size: Array, place: Array, rotation: Arra
     _geom(body, name, BOX, size, place, rotation)
 
 
-def _geom(body: Xml.Element, name: str, shape: Shape, size: Array, place: Array, rotation: Array) -> None:
+def _geom(body: Xml.Element, name: str, shape: ConvexShape, size: Array, place: Array, rotation: Array) -> None:
     half = size / 2.0
     extents = {
         "sphere": half[:1],
         "capsule": np.array([half[0], half[2] - half[0]]),
         "cylinder": np.array([half[0], half[2]]),
     }.get(shape.kind, half)
-    form = {"type": shape.kind, "size": _text(*extents)}
-    if shape.kind == "hull":
-        form = {"type": "mesh", "mesh": name}
-    Xml.SubElement(
-        body,
-        "geom",
-        name=name,
-        **form,
-        pos=_text(*place),
-        quat=_text(*_quaternion(rotation)),
-        contype="0",
-        conaffinity="0",
-    )
+    is_hull = shape.kind == "hull"
+    geom = Xml.SubElement(body, "geom", name=name, type="mesh" if is_hull else shape.kind)
+    if is_hull:
+        geom.set("mesh", name)
+    else:
+        geom.set("size", _text(*extents))
+    geom.set("pos", _text(*place))
+    geom.set("quat", _text(*_quaternion(rotation)))
+    geom.set("contype", "0")
+    geom.set("conaffinity", "0")
 
 
 def _quaternion(rotation: Array) -> Array:

@@ -28,7 +28,7 @@ from impact_rs_sim import _kernel
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import BodyState
-from impact_rs_sim.shapes import BOX, Shape
+from impact_rs_sim.shapes import BOX, ConvexShape
 
 SUPPORT = "support"  # name of the support among the object's partners
 ALIGNED = 1e-9  # m; separations that differ by less are those of parallel faces
@@ -37,7 +37,7 @@ SUPPORT_THICKNESS = 0.1  # m, of the box that stands for the support; only its u
 
 
 @dataclass(frozen=True)
-class Body:
+class ConvexBody:
     """A convex body in A.
 
     Attributes:
@@ -50,7 +50,7 @@ class Body:
     centre: Array
     rotation: Array
     half: Array
-    shape: Shape = BOX
+    shape: ConvexShape = BOX
 
     @property
     def parts(self) -> tuple[Array, Array, Array, _kernel.Shape | None]:
@@ -97,8 +97,8 @@ class ContactPair:
     """
 
     partner: str
-    box: Body
-    object: Body
+    box: ConvexBody
+    object: ConvexBody
     separation: float
     normal: Array
     on_object: bool
@@ -107,13 +107,13 @@ class ContactPair:
 
 def contact_pairs(physics: Physics, state: BodyState, placements: Mapping[str, pin.SE3]) -> list[ContactPair]:
     """Contact pairs of the object; ``placements`` are those of frame E in A by arm."""
-    object_ = Body(state.position, state.rotation, physics.object.size / 2.0, physics.object.shape)
+    object_ = ConvexBody(state.position, state.rotation, physics.object.size / 2.0, physics.object.shape)
     partners = {}
     for name, placement in placements.items():
         end_effector = physics.arms[name].end_effector
         pad = placement * end_effector.pad_placement
         half = np.array(end_effector.pad_size) / 2.0
-        partners[name] = Body(pad.translation, pad.rotation, half, end_effector.shape)
+        partners[name] = ConvexBody(pad.translation, pad.rotation, half, end_effector.shape)
     support = support_box(physics)
     if support is not None:
         partners[SUPPORT] = support
@@ -123,12 +123,12 @@ def contact_pairs(physics: Physics, state: BodyState, placements: Mapping[str, p
     ]
 
 
-def support_box(physics: Physics) -> Body | None:
+def support_box(physics: Physics) -> ConvexBody | None:
     """The support; None: there is none."""
     if physics.support_height is None:
         return None
     half = np.array([physics.support_size[0], physics.support_size[1], SUPPORT_THICKNESS]) / 2.0
-    return Body(np.array([0.0, 0.0, physics.support_height - half[2]]), np.eye(3), half)
+    return ConvexBody(np.array([0.0, 0.0, physics.support_height - half[2]]), np.eye(3), half)
 
 
 def find_contacts(

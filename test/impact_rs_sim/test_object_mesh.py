@@ -6,14 +6,18 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 import scipy
 import yaml
 
 from impact_rs_analysis.report.scene_3d import scene_data
+from impact_rs_sim.descriptions import mjcf
+from impact_rs_sim.descriptions.exported_scene import ExportedScene
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
+from impact_rs_sim.model import load_model
 from impact_rs_sim.object_mesh import MAX_CORNERS, object_mesh, read_object_mesh
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array
@@ -133,3 +137,17 @@ def test_a_mesh_that_is_no_convex_body_is_refused_with_a_sentence(tmp_path: Path
     for shape, told in (((0.0, 0.0, 0.0),) * 4, "four points or more"), (tuple(map(tuple, CUBE + 1.0)), "origin"):
         with pytest.raises(ValueError, match=told):
             hull_of(shape)
+
+
+def test_mujoco_reads_a_mesh_and_a_ball_of_a_scenario(tmp_path: Path) -> None:
+    """Extents of the geom are those of the object; kills a radius that is a diameter."""
+    for scenario, name in ((scenario_with(tmp_path, CUBE * BOX), "thing"), (load_scenario("hit_ball"), "solid")):
+        scene = Scene.resolve(scenario, name, "case_1")
+        exported = ExportedScene.of(scene, load_model("nominal"))
+        model = mujoco.MjModel.from_xml_string(mjcf.write(exported)[0])
+        half = np.array(scenario.object(name).size) / 2.0
+        if name == "thing":
+            extents = np.sort(np.ptp(model.mesh_vert, axis=0))  # MuJoCo turns it to its principal axes
+            assert extents == pytest.approx(np.sort(2.0 * half), rel=1e-5)
+        else:
+            assert model.geom("object").size[0] == pytest.approx(half[0])

@@ -16,13 +16,13 @@ from impact_rs_sim.impact_map.problem import EnergyGain, ImpactResult
 from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robot import Array, EndEffector
 from impact_rs_sim.scene import ArmState, BodyState
-from impact_rs_sim.shapes import CAPSULE, CYLINDER, SPHERE, Shape
+from impact_rs_sim.shapes import CAPSULE, CYLINDER, SPHERE, ConvexShape
 
 G, MASS, R = 9.81, 0.8, 0.06  # m/s^2, kg, m
 FAR = {"rail": rail(np.array([0.0, 9.0, 0.0]), AGAINST_Y)}  # out of reach
 
 
-def item(shape: Shape, height: float = 2.0 * R, mass: float = MASS, **values: Array) -> ObjectPhysics:
+def item(shape: ConvexShape, height: float = 2.0 * R, mass: float = MASS, **values: Array) -> ObjectPhysics:
     """A homogeneous body of radius R, up to ``values``."""
     size = np.array([2.0 * R, 2.0 * R, height])
     whole: dict[str, Array] = {"inertia": shape.moments(mass, size), "com_offset": np.zeros(3)}
@@ -213,7 +213,7 @@ def test_a_bottle_tips_where_its_centre_of_mass_is_beyond_its_base(lean: float, 
 
 
 @pytest.mark.parametrize("shape", [SPHERE, CYLINDER], ids=lambda shape: shape.kind)
-def test_twin_and_map_agree_on_a_push_with_the_restitution_of_the_pad(shape: Shape) -> None:
+def test_twin_and_map_agree_on_a_push_with_the_restitution_of_the_pad(shape: ConvexShape) -> None:
     """A ball loads a quarter of a pad, a wall half of it; kills a restitution that takes the whole face."""
     height = 2.0 * R if shape.kind == "sphere" else 0.16
     hand = rail(np.array([0.0, R, height / 2.0]), AGAINST_Y, pad_damping=800.0, pad_mobility=1.0 / RAIL_MASS)

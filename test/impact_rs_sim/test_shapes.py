@@ -13,11 +13,11 @@ import pytest
 import scipy
 
 from impact_rs_sim import _kernel
-from impact_rs_sim.impact_map.contacts import ALIGNED, Body
+from impact_rs_sim.impact_map.contacts import ALIGNED, ConvexBody
 from impact_rs_sim.robot import Array
-from impact_rs_sim.shapes import BOX, CAPSULE, CYLINDER, SPHERE, Shape
+from impact_rs_sim.shapes import BOX, CAPSULE, CYLINDER, SPHERE, ConvexShape
 
-CUBE = Shape(
+CUBE = ConvexShape(
     "hull",
     tuple(itertools.product((-0.1, 0.1), (-0.06, 0.06), (-0.05, 0.05))),  # corners 0 to 7, x outermost
     ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)),
@@ -29,7 +29,7 @@ PAIRS = [pair for pair in itertools.product((BOX, *ROUND), repeat=2) if pair != 
 BOXES_OF_0_2_0 = "3c4457f835ca87e26a1681c7fe24476c88e6090a9ac59c81d907eccba8367c1f"
 
 
-def body(rng: np.random.Generator, shape: Shape) -> Body:
+def body(rng: np.random.Generator, shape: ConvexShape) -> ConvexBody:
     """A body of random extents and axes at the origin."""
     half = rng.uniform(0.03, 0.1, 3)
     if shape.kind == "hull":
@@ -37,21 +37,21 @@ def body(rng: np.random.Generator, shape: Shape) -> Body:
     elif shape.kind != "box":
         half[1] = half[0]
         half[2] = {"sphere": half[0], "capsule": half[0] + half[2], "cylinder": half[2]}[shape.kind]
-    return Body(np.zeros(3), pin.exp3(rng.normal(size=3)), half, shape)
+    return ConvexBody(np.zeros(3), pin.exp3(rng.normal(size=3)), half, shape)
 
 
-def meet(partner: Body, thing: Body) -> tuple[float, Array]:
+def meet(partner: ConvexBody, thing: ConvexBody) -> tuple[float, Array]:
     separation, normal, *_ = _kernel.meet(partner.parts, thing.parts, ALIGNED)
     return separation, normal
 
 
-def points(partner: Body, thing: Body, tolerance: float = 1e-3) -> tuple[Array, Array]:
+def points(partner: ConvexBody, thing: ConvexBody, tolerance: float = 1e-3) -> tuple[Array, Array]:
     """Contact points on ``thing`` and their gaps."""
     _, normal, on_object, edges = _kernel.meet(partner.parts, thing.parts, ALIGNED)
     return _kernel.touching(partner.parts, thing.parts, normal, on_object, edges, tolerance)
 
 
-def apart(partner: Body, thing: Body, normals: Array) -> Array:
+def apart(partner: ConvexBody, thing: ConvexBody, normals: Array) -> Array:
     """s(n) of unit normals, ``(k, 3)``, by the support functions in Python."""
     return np.asarray(
         normals @ (thing.centre - partner.centre)
@@ -60,7 +60,7 @@ def apart(partner: Body, thing: Body, normals: Array) -> Array:
     )
 
 
-def best(partner: Body, thing: Body, rng: np.random.Generator) -> float:
+def best(partner: ConvexBody, thing: ConvexBody, rng: np.random.Generator) -> float:
     """Largest s by search from many normals, without any knowledge of faces, edges and rims."""
     normals = rng.normal(size=(3000, 3))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
@@ -73,11 +73,11 @@ def best(partner: Body, thing: Body, rng: np.random.Generator) -> float:
     return max(-result.fun for result in found)
 
 
-def brought(partner: Body, thing: Body, way: Array, separation: float) -> Body:
+def brought(partner: ConvexBody, thing: ConvexBody, way: Array, separation: float) -> ConvexBody:
     """``thing`` moved along ``way`` to a separation [m]."""
 
-    def at(distance: float) -> Body:
-        return Body(distance * way, thing.rotation, thing.half, thing.shape)
+    def at(distance: float) -> ConvexBody:
+        return ConvexBody(distance * way, thing.rotation, thing.half, thing.shape)
 
     distance = scipy.optimize.brentq(lambda d: meet(partner, at(d))[0] - separation, 0.01, 1.0)
     return at(distance)
@@ -92,7 +92,7 @@ def test_two_boxes_touch_bit_for_bit_as_in_version_0_2_0() -> None:
             scipy.spatial.transform.Rotation.from_quat([*(scale * rng.uniform(-1.0, 1.0, 3)), 1.0]) for _ in range(2)
         ]
         partner, thing = (
-            Body(centre, turn.as_matrix(), rng.uniform(0.03, 0.1, 3))
+            ConvexBody(centre, turn.as_matrix(), rng.uniform(0.03, 0.1, 3))
             for centre, turn in zip((np.zeros(3), rng.uniform(-0.12, 0.12, 3)), turns, strict=True)
         )
         separation, normal, on_object, edges = _kernel.meet(partner.parts, thing.parts, ALIGNED)
@@ -104,7 +104,7 @@ def test_two_boxes_touch_bit_for_bit_as_in_version_0_2_0() -> None:
 
 @pytest.mark.parametrize(("own", "other"), PAIRS, ids=lambda shape: shape.kind)
 @pytest.mark.parametrize("separation", [-3e-3, 2e-3])
-def test_no_normal_separates_two_bodies_better(own: Shape, other: Shape, separation: float) -> None:
+def test_no_normal_separates_two_bodies_better(own: ConvexShape, other: ConvexShape, separation: float) -> None:
     """Kills a list of normals without rims on edges (misses up to 7 mm), corners on walls, or ends of capsules."""
     rng = np.random.default_rng(3)
     for _ in range(4):
@@ -117,7 +117,7 @@ def test_no_normal_separates_two_bodies_better(own: Shape, other: Shape, separat
         assert best(partner, thing, rng) <= found + (1e-4 if two_rims else 1e-9)
 
 
-def of_coal(shape: Shape, half: Array) -> coal.ShapeBase:
+def of_coal(shape: ConvexShape, half: Array) -> coal.ShapeBase:
     """The shape in Coal."""
     x, y, z = (2.0 * half).tolist()
     if shape.kind == "sphere":
@@ -128,7 +128,7 @@ def of_coal(shape: Shape, half: Array) -> coal.ShapeBase:
 
 
 @pytest.mark.parametrize(("own", "other"), PAIRS, ids=lambda shape: shape.kind)
-def test_bodies_that_are_apart_are_as_far_from_each_other_as_in_coal(own: Shape, other: Shape) -> None:
+def test_bodies_that_are_apart_are_as_far_from_each_other_as_in_coal(own: ConvexShape, other: ConvexShape) -> None:
     """An iterative search of its own (GJK, to 1e-6 m), which knows no features."""
     rng = np.random.default_rng(8)
     for _ in range(20):
@@ -142,22 +142,22 @@ def test_bodies_that_are_apart_are_as_far_from_each_other_as_in_coal(own: Shape,
 
 
 @pytest.mark.parametrize(("own", "other"), PAIRS, ids=lambda shape: shape.kind)
-def test_roles_swap_and_bodies_turn_together_without_effect(own: Shape, other: Shape) -> None:
+def test_roles_swap_and_bodies_turn_together_without_effect(own: ConvexShape, other: ConvexShape) -> None:
     rng = np.random.default_rng(4)
     turn = pin.exp3(np.array([0.3, -0.8, 0.5]))
     for _ in range(5):
         partner, thing = body(rng, own), body(rng, other)
-        thing = Body(rng.normal(0.0, 0.08, 3), thing.rotation, thing.half, thing.shape)
+        thing = ConvexBody(rng.normal(0.0, 0.08, 3), thing.rotation, thing.half, thing.shape)
         found, normal = meet(partner, thing)
         back, opposite = meet(thing, partner)
         assert back == pytest.approx(found, abs=1e-9)
         np.testing.assert_allclose(opposite, -normal, atol=1e-4)
-        turned = [Body(turn @ one.centre, turn @ one.rotation, one.half, one.shape) for one in (partner, thing)]
+        turned = [ConvexBody(turn @ one.centre, turn @ one.rotation, one.half, one.shape) for one in (partner, thing)]
         assert meet(*turned)[0] == pytest.approx(found, abs=1e-9)
 
 
 @pytest.mark.parametrize("other", [BOX, *ROUND], ids=lambda shape: shape.kind)
-def test_a_hull_of_eight_corners_is_a_box(other: Shape) -> None:
+def test_a_hull_of_eight_corners_is_a_box(other: ConvexShape) -> None:
     """Separation and contact points; kills an edge whose arc of normals is crossed on the wrong side."""
     rng = np.random.default_rng(6)
     for _ in range(40):
@@ -165,7 +165,7 @@ def test_a_hull_of_eight_corners_is_a_box(other: Shape) -> None:
         way = rng.normal(size=3)
         hull = body(rng, CUBE)
         thing = brought(hull, thing, way / np.linalg.norm(way), rng.choice([-2e-3, 5e-4]))
-        box = Body(hull.centre, hull.rotation, hull.half)
+        box = ConvexBody(hull.centre, hull.rotation, hull.half)
         assert meet(hull, thing)[0] == pytest.approx(meet(box, thing)[0], abs=1e-9)
         found, expected = points(hull, thing), points(box, thing)
         assert len(found[1]) == len(expected[1])
@@ -174,9 +174,9 @@ def test_a_hull_of_eight_corners_is_a_box(other: Shape) -> None:
 
 
 def test_a_standing_cylinder_touches_its_table_with_eight_points_of_its_rim_and_a_tilted_one_with_its_lowest() -> None:
-    table = Body(np.array([0.0, 0.0, -0.05]), np.eye(3), np.array([1.0, 1.0, 0.05]))
+    table = ConvexBody(np.array([0.0, 0.0, -0.05]), np.eye(3), np.array([1.0, 1.0, 0.05]))
     half = np.array([0.04, 0.04, 0.1])
-    positions, gaps = points(table, Body(np.array([0.0, 0.0, 0.1]), np.eye(3), half, CYLINDER))
+    positions, gaps = points(table, ConvexBody(np.array([0.0, 0.0, 0.1]), np.eye(3), half, CYLINDER))
     assert len(gaps) == 8 and gaps == pytest.approx(0.0, abs=1e-15)
     np.testing.assert_allclose(np.linalg.norm(positions[:, :2], axis=1), 0.04)
     tilt = 0.2
@@ -186,16 +186,16 @@ def test_a_standing_cylinder_touches_its_table_with_eight_points_of_its_rim_and_
             tilt * np.cross([0.0, 0.0, 1.0], axis)
         )  # its top goes along `axis`, and so does its low side
         height = 0.1 * np.cos(tilt) + 0.04 * np.sin(tilt)
-        positions, gaps = points(table, Body(np.array([0.0, 0.0, height]), rotation, half, CYLINDER), 1e-6)
+        positions, gaps = points(table, ConvexBody(np.array([0.0, 0.0, height]), rotation, half, CYLINDER), 1e-6)
         assert gaps == pytest.approx([0.0], abs=1e-12)
         lever = 0.04 * np.cos(tilt) - 0.1 * np.sin(tilt)
         np.testing.assert_allclose(positions[0], [*(lever * axis[:2]), 0.0], atol=1e-12)
 
 
 def test_a_lying_cylinder_touches_along_a_line_that_ends_with_its_table() -> None:
-    table = Body(np.array([0.0, 0.0, -0.05]), np.eye(3), np.array([0.5, 0.5, 0.05]))
+    table = ConvexBody(np.array([0.0, 0.0, -0.05]), np.eye(3), np.array([0.5, 0.5, 0.05]))
     lying = pin.exp3(np.array([0.0, np.pi / 2.0, 0.0]))  # its axis along x
-    thing = Body(np.array([0.45, 0.1, 0.03]), lying, np.array([0.03, 0.03, 0.1]), CYLINDER)
+    thing = ConvexBody(np.array([0.45, 0.1, 0.03]), lying, np.array([0.03, 0.03, 0.1]), CYLINDER)
     positions, gaps = points(table, thing)
     assert gaps == pytest.approx([0.0, 0.0], abs=1e-12)
     np.testing.assert_allclose(np.sort(positions[:, 0]), [0.35, 0.5], atol=1e-12)
@@ -203,7 +203,7 @@ def test_a_lying_cylinder_touches_along_a_line_that_ends_with_its_table() -> Non
 
 
 @pytest.mark.parametrize("shape", ROUND, ids=lambda shape: shape.kind)
-def test_moments_of_a_homogeneous_body_are_those_of_its_points(shape: Shape) -> None:
+def test_moments_of_a_homogeneous_body_are_those_of_its_points(shape: ConvexShape) -> None:
     """By 400,000 points of the bounding box that lie inside; kills a capsule whose ends have no 3 r / 8."""
     rng = np.random.default_rng(7)
     size = {"sphere": np.full(3, 0.1), "capsule": np.array([0.1, 0.1, 0.25])}.get(shape.kind, np.array([0.1, 0.1, 0.3]))
