@@ -323,6 +323,10 @@ class ObjectSpec(Schema):
         description="of a hull, from the middle of its bounding box [m]; mesh, a path seen from the scenario file's "
         "folder, stands for shape, corners and size, and without com_offset and inertia for these of an even density",
     )
+    rpy: Vector3 = omitted(
+        (0.0, 0.0, 0.0),
+        description="roll, pitch and yaw of the object where it rests, as in a URDF; pitch pi/2: a cylinder lies [rad]",
+    )
     inertia: PositiveVector3 | None = omitted(
         None,
         description="principal moments about the centre of mass, in the axes of the object; absent: those of a "
@@ -360,9 +364,14 @@ class ObjectSpec(Schema):
         """Principal moments about its centre of mass, ``(3,)`` [kg m^2]."""
         return self.form.moments(self.mass, np.array(self.size)) if self.inertia is None else np.array(self.inertia)
 
+    @property
+    def rotation(self) -> Array:
+        """Axes of the object in A where it rests, ``(3, 3)``."""
+        return np.eye(3) if self.rpy == (0.0, 0.0, 0.0) else np.asarray(pin.rpy.rpyToMatrix(*self.rpy))
+
     def reach(self, direction: Array) -> float:
-        """Support function: how far it reaches from its middle along a unit vector in its axes, ``(3,)`` [m]."""
-        return float(self.form.support(np.array(self.size), direction))
+        """Support function where it rests: its reach from its middle along a unit vector in A, ``(3,)`` [m]."""
+        return float(self.form.support(np.array(self.size), self.rotation.T @ direction))
 
 
 class Support(Schema):

@@ -12,10 +12,11 @@ import pytest
 from impact_rs_sim.bullet_mechanics import BulletMechanics
 from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Base, Scenario, load_scenario
-from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_sim.scene import ArmState, BodyState, Scene
 from impact_rs_sim.twin_mechanics import TwinMechanics
 
 PUSH = load_scenario("push")
@@ -95,3 +96,17 @@ def test_files_without_the_new_keys_are_written_without_them() -> None:
 def test_a_body_that_cannot_be_is_refused_with_a_sentence(key: str, value: object, told: str) -> None:
     with pytest.raises(InputError, match=told):
         PUSH.with_settings({key: value})
+
+
+def test_a_cylinder_that_lies_is_met_at_its_wall_or_its_end() -> None:
+    """Across the push its radius, along it half its length; kills a support function in axes of the world."""
+    can = {"objects.can.size": [0.16, 0.16, 0.3], "support.height": 0.405}
+    pad = load_scenario("push_bottle").robots["arm"].impact_placement.translation
+    for rpy, reach in (((0.0, np.pi / 2.0, 0.0), 0.08), ((np.pi / 2.0, 0.0, 0.0), 0.15)):
+        scenario = load_scenario("push_bottle").with_settings(can | {"objects.can.rpy": list(rpy)})
+        thing = Scene.resolve(scenario, "can", "case_1")
+        np.testing.assert_allclose(thing.object.position, [pad[0], pad[1] - reach, 0.405 + 0.08], atol=1e-12)
+        result = compute_impact_map(ImpactProblem.at_nominal_impact(thing))
+        assert {contact.body_b for contact in result.contacts} == {"arm", "support"}
+        below = [contact for contact in result.contacts if contact.body_b == "support"]
+        assert len(below) == 2  # a line on the table
