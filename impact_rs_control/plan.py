@@ -247,16 +247,16 @@ def check_restitution(scene: Scene) -> None:
     Raises:
         InputError: A restitution that a pad does not have; says what would give it.
     """
-    assumed, mass = scene.physics.restitution, scene.physics.object.mass
+    assumed, object_ = scene.physics.restitution, scene.physics.object
     for name, arm in scene.physics.arms.items() if assumed > 0.0 else ():
-        pad, found = f"robots.{name}.end_effector.pad", arm.pad_restitution(mass)
+        pad, found = f"robots.{name}.end_effector.pad", arm.pad_restitution(object_)
         if abs(found - assumed) <= RESTITUTION_TOLERANCE:
             continue
         if arm.pad_stiffness is None:
             has, remedy = "does not bounce, for it is rigid", f"give {pad} a stiffness and a damping"
         else:
             has = f"bounces off {scene.object_name} with {found:.2f}, by its stiffness and damping"
-            remedy = f"set {pad}.damping: {arm.pad_damping_of(assumed, mass):.4g} [N s/m]"
+            remedy = f"set {pad}.damping: {arm.pad_damping_of(assumed, object_):.4g} [N s/m]"
         raise InputError(
             f"the pad of {name!r} {has}, so that no trial could follow the prediction; {remedy}, or "
             "contact.restitution: 0, with which a pad that goes on pushing ends its bounces",

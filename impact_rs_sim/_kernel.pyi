@@ -16,20 +16,34 @@ MOVABLE: float
 SEPARABLE: float
 """Least share of the mobility of a row that the rows before it do not explain [-]."""
 
-_Box = tuple[Array, Array, Array]
-"""Centre in A [m], axes in A, half extents [m]."""
+class Shape:
+    """A shape of :mod:`impact_rs_sim.shapes`.
 
-def meet(partner: _Box, object: _Box, aligned: float) -> tuple[float, Array, bool, tuple[int, int] | None]:
-    """How two boxes stand to each other; of face directions within ``aligned`` [m] that of the larger face counts.
+    Args:
+        kind: ``box``, ``sphere``, ``capsule``, ``cylinder`` or ``hull``.
+        corners: Of a hull, from the middle of its bounding box, ``(k, 3)`` [m].
+        faces: Of a hull, numbers of their corners in order, seen from outside anticlockwise.
+
+    Raises:
+        ValueError: No such kind, or the faces do not close around a body with its origin inside.
+    """
+
+    def __init__(self, kind: str, corners: Array | None = None, faces: Sequence[Sequence[int]] = ()) -> None: ...
+
+_Body = tuple[Array, Array, Array, Shape | None]
+"""Centre in A [m], axes in A, half extents [m], shape (None: a box)."""
+
+def meet(partner: _Body, object: _Body, aligned: float) -> tuple[float, Array, bool, tuple[int, int] | None]:
+    """How two bodies stand to each other; of face directions within ``aligned`` [m] that of the larger face counts.
 
     Returns:
-        Separation along the direction that separates them best, of a face or of two edges that cross (negative:
-        overlap) [m]; unit normal of the contact from ``partner`` into ``object``, ``(3,)``; whether it belongs to a
-        face of ``object``; and the axes of partner and object whose edges own it, None: a face does.
+        Separation along the direction that separates them best (negative: overlap) [m]; unit normal of the contact
+        from ``partner`` into ``object``, ``(3,)``; whether it belongs to a face of ``object``; and, of two boxes, the
+        axes of partner and object whose edges own it, None: a face does.
     """
 
 def touching(
-    partner: _Box, object: _Box, normal: Array, on_object: bool, edges: tuple[int, int] | None, tolerance: float
+    partner: _Body, object: _Body, normal: Array, on_object: bool, edges: tuple[int, int] | None, tolerance: float
 ) -> tuple[Array, Array]:
     """Points on ``object`` ``(k, 3)`` and their gaps ``(k,)`` [m], up to ``tolerance``; the rest as above."""
 
@@ -81,8 +95,8 @@ class Terms:
 
 def solve_impacts(
     count: int,
-    arms: Sequence[Sequence[Array]],
-    object: Sequence[Array | float],
+    arms: Sequence[Sequence[Array | Shape | None]],
+    object: Sequence[Array | float | Shape | None],
     contact: Sequence[Array | float],
     support: Array | None,
     rules: tuple[float, float, float, float],
@@ -94,12 +108,13 @@ def solve_impacts(
     Args:
         count: N.
         arms: By arm q, dq, B, least and largest q, largest speed, M (upper triangle), J of E in E[A], origin and axes
-            of E in A, middle, axes and half extents of the pad in E.
-        object: Position, axes, twist, mass, half extents, principal moments, centre of mass of the object.
+            of E in A, middle, axes and half extents of the pad in E; and, unless it is a box, its :class:`Shape`.
+        object: Position, axes, twist, mass, half extents, principal moments, centre of mass of the object; and, unless
+            it is a box, its :class:`Shape`.
         contact: Friction of pads and of the support, restitution.
         support: Centre and half extents of the support in A, ``(6,)`` [m]; None: no support.
         rules: ``ALIGNED``, ``GAP_TOLERANCE``, ``PENETRATION_TOLERANCE`` [m] and ``COMPLIANCE`` [-].
-        points: Contact points with their laws, in place of those where the boxes touch and of ``contact``: number of
+        points: Contact points with their laws, in place of those where the bodies touch and of ``contact``: number of
             the first point of every problem, partner, position, normal and gap as they are returned, and the laws
             ``(M, 6)`` of :func:`impact_rs_sim.impact_map.contact_laws.table_of`.
         near: Impulses near the answer at these points, as those of other parameters, ``(M, 3)`` [N s]: a problem whose
@@ -331,7 +346,7 @@ TwinFormula = tuple[str, int, int, Sequence[int], Sequence[float]]
 """Name of the effect; what it acts on, ``Acts`` in src/twin_formula.hpp; joint or axis from 0; code, as there, and the
 constants that it takes."""
 
-_Pad = tuple[Array, Array, Array, float | None, float, float, float]
+_Pad = tuple[Array, Array, Array, float | None, float, float, float, Shape | None]
 
 class TwinArm:
     """One arm of a :class:`Twin`: what :class:`impact_rs_sim.physics.ArmPhysics` says of it.
@@ -347,7 +362,7 @@ class TwinArm:
         delay: Of the desired torque [s].
         joint_torque: Whether the torques are measured joint torques, without a motor.
         pad: Middle from the origin of E [m], axes, both in axes of the last joint; half extents [m]; stiffness [N/m]
-            (None: rigid) and damping [N s/m] of the face; shear compliance [m/N] and creep [m/(s N)].
+            (None: rigid) and damping [N s/m] of the face; shear compliance [m/N] and creep [m/(s N)]; shape.
         pull: f_0 [N], k [N/m] and p_impact [m] of a spring on E; None: there is none.
         formulas: Loads of formulas.
         load: Loads of Python classes; None: there are none.
@@ -378,7 +393,7 @@ class Twin:
 
     Args:
         arms: The arms.
-        box: Mass [kg], half extents [m], principal moments [kg m^2] and centre of mass [m] of the object.
+        box: Mass [kg], half extents [m], principal moments [kg m^2], centre of mass [m] and shape of the object.
         support: Height, half extents along x and y [m], friction and compliance [m/N]; None: there is none.
         pad_friction: Coulomb coefficient of the pads [-].
         rolling_arm: Lever of the moment that resists rolling [m].
@@ -394,7 +409,7 @@ class Twin:
     def __init__(
         self,
         arms: Sequence[TwinArm],
-        box: tuple[float, Array, Array, Array],
+        box: tuple[float, Array, Array, Array, Shape | None],
         support: tuple[float, float, float, float, float] | None,
         pad_friction: float,
         rolling_arm: float,

@@ -33,6 +33,7 @@ from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts
 from impact_rs_sim.rotations import continuous, quaternion_of
 from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_sim.shapes import ConvexShape
 from impact_rs_sim.urdf import joint_names, write_urdf
 
 
@@ -61,6 +62,7 @@ with _quiet():
 FACE_CONTACT_POINTS = 4  # Bullet keeps four points of a face contact; each gets a quarter of the face's stiffness
 SUPPORT_DAMPING_RATIO = 0.5  # of the object on a compliant support
 MAX_SUBSTEPS = 8  # Bullet steps per step of a world
+MARGIN_M = 1e-4  # radius at the rims of a cylinder and around a hull
 MIN_SLIDING_SPEED_M_S = 2e-3  # below, sliding stops within a few steps, so its direction does not matter
 
 
@@ -451,6 +453,8 @@ def _load_arm(client: BulletClient, scene: Physics, name: str, compliant: bool, 
         )
         # A separate call: together with maxJointVelocity or activationState Bullet ignores it silently.
         client.changeDynamics(body, link, lateralFriction=scene.pad_friction)
+    if physics.end_effector.shape.kind == "cylinder":
+        client.changeDynamics(body, len(joints), collisionMargin=MARGIN_M)
     if compliant and scene.rolling_arm:
         client.changeDynamics(body, len(joints), rollingFriction=scene.rolling_arm)
     if compliant and physics.pad_stiffness is not None:
@@ -458,13 +462,27 @@ def _load_arm(client: BulletClient, scene: Physics, name: str, compliant: bool, 
     return body
 
 
+def _geometry(shape: ConvexShape, size: Array) -> dict[str, Any]:
+    """A shape as Bullet takes it."""
+    radius, height = float(size[0]) / 2.0, float(size[2])
+    if shape.kind == "sphere":
+        return {"shapeType": pybullet.GEOM_SPHERE, "radius": radius}
+    if shape.kind == "capsule":  # whose height is that of its tube
+        return {"shapeType": pybullet.GEOM_CAPSULE, "radius": radius, "height": height - 2.0 * radius}
+    if shape.kind == "cylinder":
+        return {"shapeType": pybullet.GEOM_CYLINDER, "radius": radius, "height": height}
+    if shape.kind == "hull":
+        return {"shapeType": pybullet.GEOM_MESH, "vertices": [list(corner) for corner in shape.corners]}
+    return {"shapeType": pybullet.GEOM_BOX, "halfExtents": (size / 2.0).tolist()}
+
+
 def _make_object(client: BulletClient, object_: ObjectPhysics) -> int:
     shape = client.createCollisionShape(
-        pybullet.GEOM_BOX,
-        halfExtents=(object_.size / 2.0).tolist(),
-        collisionFramePosition=(-object_.com_offset).tolist(),
+        **_geometry(object_.shape, object_.size), collisionFramePosition=(-object_.com_offset).tolist()
     )
     body = client.createMultiBody(baseMass=object_.mass, baseCollisionShapeIndex=shape)
+    if object_.shape.kind in ("cylinder", "hull"):  # Bullet rounds the rims of one, and adds a margin around the other
+        client.changeDynamics(body, -1, collisionMargin=MARGIN_M)
     client.changeDynamics(
         body,
         -1,

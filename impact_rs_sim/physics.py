@@ -22,6 +22,7 @@ from impact_rs_sim.readings import EXACT, ArmReadings, TrackerReadings
 from impact_rs_sim.robot import Array, EndEffector, JointType, RobotFacts, SigmoidFriction
 from impact_rs_sim.robot_model import STANDARD_GRAVITY, RobotModel
 from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.shapes import BOX, ConvexShape
 from impact_rs_sim.twist_readings import TwistReadings
 from impact_rs_sim.urdf import write_description
 
@@ -339,21 +340,27 @@ class ArmPhysics:
             "zero": np.zeros_like(self.motor_inertia_rotor),
         }[model]
 
-    def pad_restitution(self, object_mass: float) -> float:
-        """Coefficient of restitution of a central pad impact on a mass [kg]; 0 for a rigid pad [-].
+    def pad_restitution(self, object_: ObjectPhysics) -> float:
+        """Coefficient of restitution of a central pad impact on an object; 0 for a rigid pad [-].
 
         Spring and damper of the pad part when their force is 0 (:mod:`impact_rs_sim.damping_of_restitution`).
         """
-        critical = self._critical_damping(object_mass)
+        critical = self._critical_damping(object_)
         return restitution_of(self.pad_damping / critical) if critical else 0.0
 
-    def pad_damping_of(self, restitution: float, object_mass: float) -> float:
+    def pad_damping_of(self, restitution: float, object_: ObjectPhysics) -> float:
         """Damping with which :meth:`pad_restitution` is ``restitution`` [N s/m]; of a rigid pad 0."""
-        return self._critical_damping(object_mass) * damping_ratio_of(restitution)
+        return self._critical_damping(object_) * damping_ratio_of(restitution)
 
-    def _critical_damping(self, object_mass: float) -> float:
-        """Critical damping 2 sqrt(k m) with the reduced mass m of arm and object [N s/m]; 0 for a rigid pad."""
-        return 2.0 * math.sqrt((self.pad_stiffness or 0.0) / (self.pad_mobility + 1.0 / object_mass))
+    def _critical_damping(self, object_: ObjectPhysics) -> float:
+        """Damping of the face that is critical where the object touches [N s/m]; 0 for a rigid pad.
+
+        With the reduced mass m of arm and object, and a share s of stiffness and damping of the face (k, d) in
+        contact, s d = 2 sqrt(s k m).
+        """
+        whole = 2.0 * math.sqrt((self.pad_stiffness or 0.0) / (self.pad_mobility + 1.0 / object_.mass))
+        of_tool = 0.25 if self.end_effector.shape.kind == "sphere" else 1.0
+        return whole / math.sqrt(min(of_tool, object_.pad_share))
 
     def load_torques(self, state: LoadState, jacobian: Array) -> tuple[Array, Array]:
         """Torques of all loads.
@@ -385,21 +392,34 @@ class ArmPhysics:
 
 @dataclass(frozen=True)
 class ObjectPhysics:
-    """A homogeneous box, up to an offset of its centre of mass; or a ball, whose centre of mass is its centre.
+    """A rigid convex body, whose principal axes of inertia are its own x, y, z.
 
     Attributes:
         mass: Mass [kg].
         size: Extent along its own x, y, z, ``(3,)`` [m].
         inertia: Principal moments about the centre of mass, ``(3,)`` [kg m^2].
         com_offset: Centre of mass from the geometric centre, in axes of the object, ``(3,)`` [m].
-        round: Whether it is a ball, of diameter ``size``.
+        shape: Its shape.
     """
 
     mass: float
     size: Array
     inertia: Array
     com_offset: Array
-    round: bool = False
+    shape: ConvexShape = BOX
+
+    @property
+    def pad_share(self) -> float:
+        """Share of stiffness and damping of a pad's face that the object loads where it hits it squarely [-].
+
+        A quarter for each of up to four contact points: a ball touches with one, a line with two.
+        """
+        return {"sphere": 0.25, "capsule": 0.5, "cylinder": 0.5}.get(self.shape.kind, 1.0)
+
+    @property
+    def round(self) -> bool:
+        """Whether it is a ball, of diameter ``size``."""
+        return self.shape.kind == "sphere"
 
 
 def assumed_words(by_arm: Mapping[str, Sequence[str]]) -> str:
@@ -506,8 +526,9 @@ class Physics:
             object=ObjectPhysics(
                 mass=spec.mass,
                 size=np.array(spec.size),
-                inertia=spec.inertia,
+                inertia=spec.moments,
                 com_offset=np.array(spec.com_offset),
+                shape=spec.form,
             ),
             support_height=scenario.support.height,
             support_size=scenario.support.size,
@@ -515,6 +536,7 @@ class Physics:
             pad_friction=scenario.contact.friction,
             restitution=scenario.contact.restitution,
             restitution_law=scenario.contact.restitution_law,
+            gravity=np.array(scenario.gravity),
         )
 
     @property

@@ -22,6 +22,7 @@ from impact_rs_sim.errors import InputError, shortened
 from impact_rs_sim.files import is_file
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.schema import NonNegativeVector, PositiveVector, Schema, Vector, Vector3, load, omitted
+from impact_rs_sim.shapes import BOX, ConvexShape
 
 Array = NDArray[np.float64]
 JointType = Literal["revolute", "prismatic"]
@@ -254,6 +255,7 @@ class EndEffector:
         pad_tilt: Roll and pitch of the pad in E, about the centre of its outer face: about x, then about the y of E
             [rad]. E stays where it is: the tilt is unknown to the controller.
         pad_offset: Middle of the pad's outer face in E [m]; likewise unknown to the controller.
+        shape: Shape of the pad within the extents ``pad_size``.
     """
 
     mass: float
@@ -264,6 +266,7 @@ class EndEffector:
     pad_size: tuple[float, float, float]
     pad_tilt: tuple[float, float] = (0.0, 0.0)
     pad_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    shape: ConvexShape = BOX
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, EndEffector) and self._numbers == other._numbers
@@ -282,6 +285,7 @@ class EndEffector:
             tuple(self.pad_size),
             tuple(self.pad_tilt),
             self.pad_offset,
+            self.shape,
         )
 
     @property

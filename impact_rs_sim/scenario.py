@@ -23,9 +23,10 @@ from impact_rs_sim.bodies import is_physically_consistent
 from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.files import is_file
 from impact_rs_sim.friction_compensation import FrictionCompensation
+from impact_rs_sim.object_mesh import read_object_mesh
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array, EndEffector, Reflexes, RobotFacts, load_facts
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robot_model import STANDARD_GRAVITY, RobotModel
 from impact_rs_sim.schema import (
     Name,
     NonNegativeVector,
@@ -39,11 +40,13 @@ from impact_rs_sim.schema import (
     omitted,
     validate,
 )
+from impact_rs_sim.shapes import ConvexShape, check_extents, hull_of
 
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
 
 AXES = {"x": 0, "y": 1, "z": 2}
+CORNER_TOLERANCE_M = 1e-6  # of the corners of a hull and its size
 # Half width of the 95 % interval of a motor inertia that is assumed, relative: from none to three times the number.
 # Three times an assumed B_theta is B_rho, which the links carry where a torque loop does nothing. A known B_rho,
 # over that scaled from a Franka arm by the torque limit: 0.8 to 2.5 in a Franka arm itself, 1.1 to 3.1 in a UR10e,
@@ -57,11 +60,15 @@ class Base(Schema):
 
     position: Vector3 = Field(description="origin of the arm's base in the inertial frame [m]")
     yaw: float = Field(0.0, description="rotation of the arm's base about z [rad]")
+    roll: float = omitted(
+        0.0, description="rotation about x, before pitch and yaw, as rpy in a URDF; pi: from a ceiling [rad]"
+    )
+    pitch: float = omitted(0.0, description="rotation about y, before yaw, likewise; pi/2: on a wall [rad]")
 
     @property
     def placement(self) -> pin.SE3:
         """Placement of the base in the inertial frame."""
-        return pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, self.yaw), np.array(self.position))
+        return pin.SE3(pin.rpy.rpyToMatrix(self.roll, self.pitch, self.yaw), np.array(self.position))
 
 
 class Pad(Schema):
@@ -70,6 +77,16 @@ class Pad(Schema):
     size: PositiveVector3 = Field(description="width, height and thickness of the pad [m]")
     stiffness: Positive | None = Field(None, description="stiffness of the whole pad face [N/m]; absent: a rigid pad")
     damping: NonNegative = Field(0.0, description="damping of the whole pad face [N s/m]")
+    shape: Literal["box", "sphere", "cylinder"] = omitted(
+        "box",
+        description="what fills the extents of size: box, sphere (three equal ones) or cylinder (a round pad: axis "
+        "along the thickness, equal width and height); frame E is at its foremost point [-]",
+    )
+
+    @model_validator(mode="after")
+    def _size_of_its_shape(self) -> Self:
+        check_extents(self.shape, self.size)
+        return self
 
 
 class EndEffectorSpec(Schema):
@@ -98,6 +115,7 @@ class EndEffectorSpec(Schema):
             length=self.length,
             mount_yaw=self.mount_yaw,
             pad_size=self.pad.size,
+            shape=ConvexShape(self.pad.shape),
         )
 
 
@@ -289,18 +307,71 @@ class Robot(Schema):
 
 
 class ObjectSpec(Schema):
-    """A box-shaped object."""
+    """A rigid convex object."""
 
     label: str = Field(description="name for tables and figures")
     mass: Positive = Field(description="mass of the object [kg]")
     size: PositiveVector3 = Field(description="extent along x, y and z [m]")
     com_offset: Vector3 = Field((0.0, 0.0, 0.0), description="centre of mass from the geometric centre [m]")
+    shape: Literal["box", "sphere", "capsule", "cylinder", "hull"] = omitted(
+        "box",
+        description="what fills the extents of size: box, sphere (three equal ones), capsule or cylinder (axis z, "
+        "equal along x and y), or the convex hull of corners [-]",
+    )
+    corners: tuple[Vector3, ...] = omitted(
+        (),
+        description="of a hull, from the middle of its bounding box [m]; mesh, a path seen from the scenario file's "
+        "folder, stands for shape, corners and size, and without com_offset and inertia for these of an even density",
+    )
+    rpy: Vector3 = omitted(
+        (0.0, 0.0, 0.0),
+        description="roll, pitch and yaw of the object where it rests, as in a URDF; pitch pi/2: a cylinder lies [rad]",
+    )
+    inertia: PositiveVector3 | None = omitted(
+        None,
+        description="principal moments about the centre of mass, in the axes of the object; absent: those of a "
+        "homogeneous body about its geometric centre [kg m^2]",
+    )
+
+    @field_validator("inertia")
+    @classmethod
+    def _inertia_of_a_body(cls, inertia: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
+        if inertia is not None and not is_physically_consistent(1.0, np.diag(inertia)):
+            raise ValueError("no rigid body has these moments; expected none larger than the sum of the other two")
+        return inertia
+
+    @model_validator(mode="after")
+    def _size_of_its_shape(self) -> Self:
+        check_extents(self.shape, self.size)
+        if (self.shape == "hull") != bool(self.corners):
+            raise ValueError("corners belong to shape: hull, and a hull needs them [m]")
+        if self.corners:
+            corners = np.array(self.form.corners)
+            far = np.maximum(corners.max(axis=0), -corners.min(axis=0))
+            if np.max(np.abs(2.0 * far - self.size)) > CORNER_TOLERANCE_M:
+                raise ValueError(f"size must be the extents of the corners, {(2.0 * far).tolist()} [m]")
+            if self.inertia is None:
+                raise ValueError("inertia is required for a hull; mesh has that of an even density [kg m^2]")
+        return self
 
     @property
-    def inertia(self) -> Array:
-        """Principal moments of a homogeneous box about its centre of mass, ``(3,)`` [kg m^2]."""
-        x, y, z = self.size
-        return self.mass / 12.0 * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
+    def form(self) -> ConvexShape:
+        """Its shape for the geometry."""
+        return hull_of(self.corners) if self.shape == "hull" else ConvexShape(self.shape)
+
+    @property
+    def moments(self) -> Array:
+        """Principal moments about its centre of mass, ``(3,)`` [kg m^2]."""
+        return self.form.moments(self.mass, np.array(self.size)) if self.inertia is None else np.array(self.inertia)
+
+    @property
+    def rotation(self) -> Array:
+        """Axes of the object in A where it rests, ``(3, 3)``."""
+        return np.eye(3) if self.rpy == (0.0, 0.0, 0.0) else np.asarray(pin.rpy.rpyToMatrix(*self.rpy))
+
+    def reach(self, direction: Array) -> float:
+        """Support function where it rests: its reach from its middle along a unit vector in A, ``(3,)`` [m]."""
+        return float(self.form.support(np.array(self.size), self.rotation.T @ direction))
 
 
 class Support(Schema):
@@ -555,6 +626,11 @@ class Scenario(Schema):
     control: Control = Field(description="controller")
     sensors: Sensors = Field(description="measurement")
     scatter: Scatter = Field(description="trial-to-trial scatter")
+    gravity: Vector3 = omitted(
+        STANDARD_GRAVITY,
+        description="acceleration of gravity in the inertial frame, whose z is the normal of the support: a table that "
+        "is tilted has gravity with x and y components [m/s^2]",
+    )
     uncertainty: Uncertainties = omitted(
         Uncertainties(),
         description="assumed uncertainties (half widths of 95 % intervals) used by `impact-rs map --uncertainty`",
@@ -629,7 +705,7 @@ class Scenario(Schema):
         if self.object_position is not None:
             normal = placement.rotation[:, 2]
             centre = np.append(self.object_position, placement.translation[2])
-            depth = float(np.abs(normal) @ np.array(self.object(object_name).size)) / 2.0 + self.object_gap
+            depth = self.object(object_name).reach(-normal) + self.object_gap
             placement.translation += normal * ((centre - placement.translation) @ normal - depth)
         return placement
 
@@ -728,6 +804,21 @@ def _read_robot_files(data: dict[str, Any], directory: Path) -> None:
             robot["facts"] = load(RobotFacts, directory / facts).model_dump()
 
 
+def _read_meshes(data: dict[str, Any], directory: Path) -> None:
+    """Replace paths to meshes of objects by what they say, so that bags contain it."""
+    objects = data.get("objects")
+    for name, spec in objects.items() if isinstance(objects, dict) else ():
+        if not isinstance(spec, dict) or not isinstance(spec.get("mesh"), str):
+            continue
+        if given := {"shape", "corners", "size"} & set(spec):
+            raise InputError("mesh has shape, corners and size: leave these out", key=f"objects.{name}.{min(given)}")
+        found = read_object_mesh(directory / spec.pop("mesh"))
+        spec |= {"shape": "hull", "corners": found.corners.tolist(), "size": found.size.tolist()}
+        if isinstance(spec.get("mass"), (int, float)):
+            spec.setdefault("inertia", (spec["mass"] * found.moments).tolist())
+        spec.setdefault("com_offset", found.com.tolist())
+
+
 @functools.lru_cache(maxsize=32)
 def _load_cached(path: Path, modified: int) -> tuple[Scenario, Path | None]:
     """The scenario of a file, and the file of its friction compensation."""
@@ -737,6 +828,7 @@ def _load_cached(path: Path, modified: int) -> tuple[Scenario, Path | None]:
     if isinstance(named, str):
         del data["friction_compensation"]
     _read_robot_files(data, path.parent)
+    _read_meshes(data, path.parent)
     return validate(Scenario, data, path), path.parent / named if isinstance(named, str) else None
 
 

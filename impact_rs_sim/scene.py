@@ -202,18 +202,24 @@ def resting_pose(scenario: Scenario, object_name: str) -> BodyState:
     Raises:
         InputError: The scenario has no such object.
     """
-    size = np.array(scenario.object(object_name).size)
-    height = scenario.support.height + size[2] / 2.0
+    spec = scenario.object(object_name)
+    height = scenario.support.height + spec.reach(np.array([0.0, 0.0, -1.0]))
     if scenario.object_position is not None:
-        return BodyState(np.append(scenario.object_position, height), np.eye(3), np.zeros(6))
+        return BodyState(np.append(scenario.object_position, height), spec.rotation, np.zeros(6))
     name, robot = next(iter(scenario.robots.items()))
     pad = robot.impact_placement
     if robot.impact.joint_position is not None:
-        return _square_to_given_pad(scenario, name, pad, size, height)
+        if not spec.form.is_box or any(spec.rpy):
+            raise InputError(
+                f"object {object_name!r} is a {spec.shape}, or turned; at a pad that given joints hold only a level "
+                "box can be placed: give impact.position, pad_normal, pad_up and joint_guess",
+                key=f"robots.{name}.impact.joint_position",
+            )
+        return _square_to_given_pad(scenario, name, pad, np.array(spec.size), height)
     normal = pad.rotation[:, 2]
-    position = pad.translation + normal * ((np.abs(normal) @ size) / 2.0 + scenario.object_gap)
+    position = pad.translation + normal * (spec.reach(-normal) + scenario.object_gap)
     position[2] = height
-    return BodyState(position, np.eye(3), np.zeros(6))
+    return BodyState(position, spec.rotation, np.zeros(6))
 
 
 def _square_to_given_pad(scenario: Scenario, name: str, pad: pin.SE3, size: Array, height: float) -> BodyState:

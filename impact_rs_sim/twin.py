@@ -192,7 +192,7 @@ def kernel_twin(physics: Physics, period: float, joint_torque: bool, refinement:
         support = (physics.support_height, half_x, half_y, physics.support_friction, physics.support_compliance)
     return _kernel.Twin(
         arms,
-        (box.mass, box.size / 2.0, box.inertia, box.com_offset),
+        (box.mass, box.size / 2.0, box.inertia, box.com_offset, box.shape.kernel),
         support,
         physics.pad_friction,
         physics.rolling_arm,
@@ -232,6 +232,7 @@ def _arm(physics: Physics, name: str, period: float, joint_torque: bool) -> _ker
             arm.pad_damping,
             arm.pad_shear_compliance,
             arm.pad_creep,
+            arm.end_effector.shape.kernel,
         ),
         pull,
         formulas,

@@ -18,6 +18,7 @@ import pinocchio as pin
 
 from impact_rs_sim.link_shapes import TOOL_RADIUS_M, Shape, link_shapes
 from impact_rs_sim.robot import Array, Colours, EndEffector, Mesh, RobotFacts
+from impact_rs_sim.shapes import BOX, CYLINDER, SPHERE, ConvexShape
 
 WORLD = "world"  # the inertial frame A
 # Mass, centre of mass, inertia of links fixed to the world; Bullet warns without them
@@ -154,7 +155,7 @@ def write_urdf(
         shape = Xml.SubElement(link, kind)
         place = _text(end_effector.pad_placement.translation)
         Xml.SubElement(shape, "origin", xyz=place, rpy=_text((*end_effector.pad_tilt, 0.0)))
-        Xml.SubElement(Xml.SubElement(shape, "geometry"), "box", size=_text(end_effector.pad_size))
+        _geometry(Xml.SubElement(shape, "geometry"), end_effector.shape, np.array(end_effector.pad_size))
         if kind == "visual":
             material = Xml.SubElement(shape, "material", name="pad")
             Xml.SubElement(material, "color", rgba="0.85 0.35 0.2 1")
@@ -190,19 +191,27 @@ def write_description(
     return _document(scene)
 
 
-def write_object_description(size: Array, mass: float, com: Array, inertia: Array) -> str:
-    """URDF of the object: the one link ``object``, whose frame is at the centre of the box.
+def write_object_description(size: Array, mass: float, com: Array, inertia: Array, shape: ConvexShape = BOX) -> str:
+    """URDF of the object: the one link ``object``, whose frame is at the middle of its extents.
 
     Args:
         size: Extent along x, y, z, ``(3,)`` [m].
         mass: Mass [kg].
         com: Centre of mass in the link, ``(3,)`` [m].
         inertia: Inertia about the centre of mass, ``(3, 3)`` [kg m^2].
+        shape: What fills the extents; of a capsule, which URDF lacks, a cylinder and two balls.
     """
     robot = Xml.Element("robot", name="object")
     link = Xml.SubElement(robot, "link", name="object")
     _inertial(link, mass, com, inertia)
-    _box(link, size, np.zeros(3), "object", "0.76 0.6 0.42 1")
+    colour = "0.76 0.6 0.42 1"
+    if shape.kind == "capsule":
+        tube = np.array([size[0], size[1], size[2] - size[0]])
+        _geometry(_shown(link, np.zeros(3), "object", colour), CYLINDER, tube)
+        for end in (-tube[2] / 2.0, tube[2] / 2.0):
+            _geometry(_shown(link, np.array([0.0, 0.0, end]), "object", colour), SPHERE, size)
+    else:
+        _geometry(_shown(link, np.zeros(3), "object", colour), shape, size)
     return _document(robot)
 
 
@@ -215,11 +224,28 @@ def _fix(robot: Xml.Element, name: str, link: str, placement: pin.SE3) -> None:
     Xml.SubElement(joint, "origin", xyz=_text(placement.translation), rpy=_text(rpy))
 
 
+def _geometry(geometry: Xml.Element, shape: ConvexShape, size: Array) -> None:
+    """A box, sphere or cylinder."""
+    radius = repr(float(size[0]) / 2.0)
+    if shape.kind == "sphere":
+        Xml.SubElement(geometry, "sphere", radius=radius)
+    elif shape.kind == "cylinder":
+        Xml.SubElement(geometry, "cylinder", radius=radius, length=repr(float(size[2])))
+    else:
+        Xml.SubElement(geometry, "box", size=_text(size))
+
+
 def _box(link: Xml.Element, size: Array, centre: Array, name: str, colour: str) -> None:
+    Xml.SubElement(_shown(link, centre, name, colour), "box", size=_text(size))
+
+
+def _shown(link: Xml.Element, centre: Array, name: str, colour: str) -> Xml.Element:
+    """The geometry of a visual shape of a link, still empty."""
     visual = Xml.SubElement(link, "visual")
     Xml.SubElement(visual, "origin", xyz=_text(centre), rpy="0 0 0")
-    Xml.SubElement(Xml.SubElement(visual, "geometry"), "box", size=_text(size))
+    geometry = Xml.SubElement(visual, "geometry")
     Xml.SubElement(Xml.SubElement(visual, "material", name=name), "color", rgba=colour)
+    return geometry
 
 
 def _document(robot: Xml.Element) -> str:

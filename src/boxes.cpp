@@ -2,6 +2,8 @@
 
 #include "boxes.hpp"
 
+#include "shapes.hpp"
+
 namespace impact_rs {
 
 namespace {
@@ -14,12 +16,12 @@ int largest(const Vector& values) {
 }
 
 // Half the diagonal of a box's face across an axis [m].
-double extent(const Box& box, const Vector& axis) {
+double extent(const Body& box, const Vector& axis) {
   const int along = largest(transposed_times(box.rotation, axis));
   return std::hypot(box.half[(along + 1) % 3], box.half[(along + 2) % 3]);
 }
 
-double reach(const Box& box, const Vector& axis) {
+double reach(const Body& box, const Vector& axis) {
   const Vector local = transposed_times(box.rotation, axis);
   return std::abs(local[0]) * box.half[0] + std::abs(local[1]) * box.half[1] + std::abs(local[2]) * box.half[2];
 }
@@ -36,7 +38,7 @@ struct Polygon {
 };
 
 // Corners of the face that looks most along `direction`, in order around it, in A.
-Polygon corners_of(const Box& box, const Vector& direction) {
+Polygon corners_of(const Body& box, const Vector& direction) {
   const Vector local = transposed_times(box.rotation, direction);
   const int axis = largest(local);
   const int u = axis == 0 ? 1 : 0, v = axis == 2 ? 1 : 2;
@@ -81,7 +83,7 @@ struct Faces {
 };
 
 // Chosen is, of faces that separate as well as the best one up to `aligned` [m], the larger one.
-Faces compare_faces(const Box& partner, const Box& object, double aligned) {
+Faces compare_faces(const Body& partner, const Body& object, double aligned) {
   const Vector apart = object.centre - partner.centre;
   Faces faces;
   double best = -INFINITY;
@@ -105,7 +107,7 @@ Faces compare_faces(const Box& partner, const Box& object, double aligned) {
 }
 
 // Middle of the edge along `axis` that is furthest along `direction`.
-Vector edge(const Box& box, int axis, const Vector& direction) {
+Vector edge(const Body& box, int axis, const Vector& direction) {
   Vector place = box.centre;
   for (int k = 0; k < 3; ++k) {
     const Vector side = column(box.rotation, k);
@@ -115,12 +117,12 @@ Vector edge(const Box& box, int axis, const Vector& direction) {
 }
 
 // Distance of two boxes along a direction, negative: overlap [m].
-double separation_along(const Box& partner, const Box& object, const Vector& normal) {
+double separation_along(const Body& partner, const Body& object, const Vector& normal) {
   return dot(normal, object.centre - partner.centre) - (reach(partner, normal) + reach(object, normal));
 }
 
 // Where the foremost edges along two axes are nearest to each other; nowhere: beyond their ends.
-std::optional<Touch> crossing(const Box& partner, const Box& object, Edges edges, const Vector& normal, double separation) {
+std::optional<Touch> crossing(const Body& partner, const Body& object, Edges edges, const Vector& normal, double separation) {
   const Vector a = column(partner.rotation, edges.partner), b = column(object.rotation, edges.object);
   const double sine = norm(cross(a, b)), cosine = dot(a, b);
   const Vector own = edge(object, edges.object, -1.0 * normal), between = own - edge(partner, edges.partner, normal);
@@ -132,7 +134,7 @@ std::optional<Touch> crossing(const Box& partner, const Box& object, Edges edges
 
 // The meeting of two boxes whose faces were compared: that of the edges that cross and separate them best, if these do it
 // better than a face. Edges that cross at a small angle to a face are corners of the faces, clipped to each other.
-Meeting best_of(const Box& partner, const Box& object, const Faces& faces) {
+Meeting best_of(const Body& partner, const Body& object, const Faces& faces) {
   const Vector apart = object.centre - partner.centre, facing = faces.normal();
   Meeting best{faces.separation[faces.chosen], facing, faces.chosen >= 3, std::nullopt};
   std::optional<Edges> edges;
@@ -161,7 +163,7 @@ Meeting best_of(const Box& partner, const Box& object, const Faces& faces) {
 // Whether edges cannot touch in place of faces, so that they need not be looked at. Boxes that are turned against each
 // other by less than PARALLEL have edges that are parallel, and others whose common normal is within 2 PARALLEL of that
 // of a face. Along it the separation differs by no more than this angle times the distances of centres and corners.
-bool faces_touch(const Box& partner, const Box& object, const Faces& faces) {
+bool faces_touch(const Body& partner, const Body& object, const Faces& faces) {
   const Vector facing = faces.axes[faces.chosen];
   const double least = std::sqrt(1.0 - PARALLEL * PARALLEL);
   const double changed =
@@ -176,13 +178,19 @@ bool faces_touch(const Box& partner, const Box& object, const Faces& faces) {
   return true;
 }
 
+bool both_boxes(const Body& partner, const Body& object) {
+  return partner.form.kind == Kind::box && object.form.kind == Kind::box;
+}
+
 }  // namespace
 
-Meeting meet(const Box& partner, const Box& object, double aligned) {
+Meeting meet(const Body& partner, const Body& object, double aligned) {
+  if (!both_boxes(partner, object)) return meet_convex(partner, object, aligned);
   return best_of(partner, object, compare_faces(partner, object, aligned));
 }
 
-void touching(const Box& partner, const Box& object, const Meeting& meeting, double tolerance, std::vector<Touch>& found) {
+void touching(const Body& partner, const Body& object, const Meeting& meeting, double tolerance, std::vector<Touch>& found) {
+  if (!both_boxes(partner, object)) return touching_convex(partner, object, meeting.normal, tolerance, found);
   if (meeting.edges) {
     const double separation = separation_along(partner, object, meeting.normal);
     if (separation > tolerance) return;
@@ -190,8 +198,8 @@ void touching(const Box& partner, const Box& object, const Meeting& meeting, dou
     return;
   }
   // The reference face owns the normal; the incident face of the other box is clipped to it.
-  const Box& reference = meeting.on_object ? object : partner;
-  const Box& incident = meeting.on_object ? partner : object;
+  const Body& reference = meeting.on_object ? object : partner;
+  const Body& incident = meeting.on_object ? partner : object;
   const Vector outward = meeting.on_object ? -1.0 * meeting.normal : meeting.normal;
   const int axis = largest(transposed_times(reference.rotation, outward));
   const double facing = std::copysign(1.0, dot(column(reference.rotation, axis), outward));
@@ -213,8 +221,13 @@ void touching(const Box& partner, const Box& object, const Meeting& meeting, dou
   }
 }
 
-Vector touch(const Box& partner, const Box& object, double aligned, double margin, double tolerance,
+Vector touch(const Body& partner, const Body& object, double aligned, double margin, double tolerance,
              std::vector<Touch>& found) {
+  if (!both_boxes(partner, object)) {
+    const Meeting meeting = meet_convex(partner, object, aligned);
+    if (meeting.separation < margin) touching_convex(partner, object, meeting.normal, tolerance, found);
+    return meeting.normal;
+  }
   const Faces faces = compare_faces(partner, object, aligned);
   const double separation = faces.separation[faces.chosen];
   Meeting meeting{separation, faces.normal(), faces.chosen >= 3, std::nullopt};

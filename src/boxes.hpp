@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Contact points of two boxes; rules in impact_rs_sim/impact_map/contacts.py.
+// Convex bodies, and contact points of two boxes; rules in impact_rs_sim/impact_map/contacts.py.
 
 #pragma once
 
+#include <memory>
 #include <optional>
 #include <vector>
 
@@ -10,22 +11,32 @@
 
 namespace impact_rs {
 
-struct Box {
-  Vector centre;    // in A [m]
+struct Hull;
+
+enum class Kind : char { box, sphere, capsule, cylinder, hull };  // the last two round ones have z as their axis
+
+struct Form {
+  Kind kind = Kind::box;
+  std::shared_ptr<const Hull> hull;  // of a hull
+};
+
+struct Body {
+  Vector centre;    // of its bounding box, in A [m]
   Matrix rotation;  // axes in A
-  Vector half;      // half extents [m]
+  Vector half;      // half extents of its bounding box [m]
+  Form form{};
 };
 
 struct Edges {
   int partner, object;  // axes of the boxes along which they run
 };
 
-// How two boxes stand to each other.
+// How two bodies stand to each other.
 struct Meeting {
   double separation;           // along the direction that separates them best, negative: overlap [m]
   Vector normal;               // of the contact, from the partner into the object
   bool on_object;              // whether the normal belongs to a face of the object
-  std::optional<Edges> edges;  // that cross and own the normal; without: a face does
+  std::optional<Edges> edges;  // of two boxes, that cross and own the normal; without: a face does
 };
 
 struct Touch {
@@ -33,15 +44,16 @@ struct Touch {
   double gap;       // from the partner's surface along the normal [m]
 };
 
-// Of faces that separate two boxes as well as the best one, up to `aligned` [m], the larger face owns the normal.
-Meeting meet(const Box& partner, const Box& object, double aligned);
+// Of faces that separate two bodies as well as the best one, up to `aligned` [m], the larger face owns the normal. Bodies
+// that are not both boxes: shapes.hpp.
+Meeting meet(const Body& partner, const Body& object, double aligned);
 
 // Points of the object within `tolerance` [m] of the partner: corners of the incident face, clipped to the reference
 // face, or the point where two edges cross.
-void touching(const Box& partner, const Box& object, const Meeting& meeting, double tolerance, std::vector<Touch>& found);
+void touching(const Body& partner, const Body& object, const Meeting& meeting, double tolerance, std::vector<Touch>& found);
 
-// Both at once, of boxes whose faces are nearer than `margin` [m], for every step of a simulation; returns the normal.
-Vector touch(const Box& partner, const Box& object, double aligned, double margin, double tolerance,
+// Both at once, of bodies whose faces are nearer than `margin` [m], for every step of a simulation; returns the normal.
+Vector touch(const Body& partner, const Body& object, double aligned, double margin, double tolerance,
              std::vector<Touch>& found);
 
 }  // namespace impact_rs

@@ -76,14 +76,15 @@ bool Impact::sound(const std::vector<ArmState>& arms, const ObjectState& object)
 
 bool Impact::find_points(const std::vector<ArmState>& arms, const ObjectState& object, const ContactState& contact) {
   points.clear();
-  const Box box{vector(object.position), matrix(object.axes), vector(object.half)};
+  const Body box{vector(object.position), matrix(object.axes), vector(object.half), object.form};
   const int count = static_cast<int>(arms.size());
   for (int partner = 0; partner < count + (contact.support != nullptr); ++partner) {
-    Box other;
+    Body other;
     if (partner < count) {
       const ArmState& arm = arms[partner];
       const Matrix axes = matrix(arm.axes);
-      other = {places_[partner] + axes * vector(arm.pad_place), axes * matrix(arm.pad_axes), vector(arm.pad_half)};
+      other = {places_[partner] + axes * vector(arm.pad_place), axes * matrix(arm.pad_axes), vector(arm.pad_half),
+               arm.pad_form};
     } else {
       other = {vector(contact.support), {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}, vector(contact.support + 3)};
     }

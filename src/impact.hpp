@@ -33,6 +33,7 @@ struct ArmState {
   const double* pad_place;  // middle of the pad in E, (3)
   const double* pad_axes;   // its axes in E, (3, 3)
   const double* pad_half;   // its half extents, (3)
+  Form pad_form;            // its shape
 };
 
 struct ObjectState {
@@ -43,6 +44,7 @@ struct ObjectState {
   const double* half;      // half extents, (3)
   const double* moments;   // principal, about the centre of mass, (3)
   const double* offset;    // of the centre of mass, in its axes, (3)
+  Form form;               // its shape
 };
 
 struct ContactState {

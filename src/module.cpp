@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Python bindings of the kernel, documented in impact_rs_sim/_kernel.pyi.
 
+#include <algorithm>
 #include <optional>
 
 #include "impact.hpp"
@@ -35,27 +36,42 @@ class Field {
   bool is_number_ = true;
 };
 
-Box box_of(const Numbers& centre, const Numbers& rotation, const Numbers& half) {
+using BodyOfPython = std::tuple<Numbers, Numbers, Numbers, OptionalForm>;
+
+Body body_of(const BodyOfPython& given) {
+  const auto& [centre, rotation, half, shape] = given;
   Matrix axes;
   const double* values = checked(rotation, 9, "rotation");
   std::copy(values, values + 9, axes.begin());
-  return {vector(checked(centre, 3, "centre")), axes, vector(checked(half, 3, "half"))};
+  return {vector(checked(centre, 3, "centre")), axes, vector(checked(half, 3, "half")), shape.value_or(Form{})};
 }
 
-using BoxOfPython = std::tuple<Numbers, Numbers, Numbers>;
-
-Box box_of(const BoxOfPython& box) { return box_of(std::get<0>(box), std::get<1>(box), std::get<2>(box)); }
+Form form_of(const std::string& kind, const std::optional<Numbers>& corners,
+                       const std::vector<std::vector<int>>& faces) {
+  const char* const kinds[] = {"box", "sphere", "capsule", "cylinder", "hull"};
+  const auto* found = std::find(kinds, kinds + 5, kind);
+  if (found == kinds + 5) throw py::value_error("kind: expected box, sphere, capsule, cylinder or hull");
+  Form shape{static_cast<Kind>(found - kinds), nullptr};
+  if ((shape.kind == Kind::hull) != corners.has_value()) throw py::value_error("corners: a hull has some, nothing else");
+  if (corners) {
+    if (corners->size() % 3 != 0) throw py::value_error("corners: expected three numbers each");
+    std::vector<Vector> points;
+    for (py::ssize_t i = 0; i < corners->size(); i += 3) points.push_back(vector(corners->data() + i));
+    shape.hull = std::make_shared<Hull>(std::move(points), faces);  // an invalid one is a ValueError
+  }
+  return shape;
+}
 
 using EdgesOfPython = std::optional<std::pair<int, int>>;
 
-py::tuple meet_of(const BoxOfPython& partner, const BoxOfPython& object, double aligned) {
-  const Meeting meeting = meet(box_of(partner), box_of(object), aligned);
+py::tuple meet_of(const BodyOfPython& partner, const BodyOfPython& object, double aligned) {
+  const Meeting meeting = meet(body_of(partner), body_of(object), aligned);
   EdgesOfPython edges;
   if (meeting.edges) edges.emplace(meeting.edges->partner, meeting.edges->object);
   return py::make_tuple(meeting.separation, Numbers(3, meeting.normal.data()), meeting.on_object, edges);
 }
 
-py::tuple touching_of(const BoxOfPython& partner, const BoxOfPython& object, const Numbers& normal, bool on_object,
+py::tuple touching_of(const BodyOfPython& partner, const BodyOfPython& object, const Numbers& normal, bool on_object,
                       const EdgesOfPython& edges, double tolerance) {
   Meeting meeting{0.0, vector(checked(normal, 3, "normal")), on_object, std::nullopt};
   if (edges) {
@@ -64,7 +80,7 @@ py::tuple touching_of(const BoxOfPython& partner, const BoxOfPython& object, con
     meeting.edges = Edges{edges->first, edges->second};
   }
   std::vector<Touch> found;
-  touching(box_of(partner), box_of(object), meeting, tolerance, found);
+  touching(body_of(partner), body_of(object), meeting, tolerance, found);
   std::vector<double> positions, gaps;
   for (const Touch& touch : found) {
     positions.insert(positions.end(), touch.position.begin(), touch.position.end());
@@ -173,9 +189,11 @@ class TermsOfPython {
 struct ArmFields {
   py::ssize_t joints;
   std::vector<Field> fields;
+  OptionalForm shape;  // of what is on the flange
 
   ArmFields(const py::sequence& given, py::ssize_t count) {
-    if (given.size() != 13) throw py::value_error("an arm has 13 fields");
+    if (given.size() != 13 && given.size() != 14) throw py::value_error("an arm has 13 fields, or 14 with a shape");
+    if (given.size() == 14) shape = given[13].cast<OptionalForm>();
     joints = Numbers(py::reinterpret_borrow<py::object>(given[3])).size();  // low: one number per joint
     const py::ssize_t n = joints;
     const py::ssize_t sizes[] = {n, n, n, n, n, n, n * n, 6 * n, 3, 9, 3, 9, 3};
@@ -187,7 +205,7 @@ struct ArmFields {
   ArmState at(py::ssize_t q) const {
     const auto& f = fields;
     return {static_cast<int>(joints), f[0](q), f[1](q), f[2](q),  f[3](q),  f[4](q),  f[5](q), f[6](q),
-            f[7](q),                  f[8](q), f[9](q), f[10](q), f[11](q), f[12](q)};
+            f[7](q),                  f[8](q), f[9](q), f[10](q), f[11](q), f[12](q), shape.value_or(Form{})};
   }
 };
 
@@ -220,7 +238,9 @@ py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::s
     arm_fields.emplace_back(py::reinterpret_borrow<py::sequence>(arm), count);
     joints += arm_fields.back().joints;
   }
-  if (object.size() != 7 || contact.size() != 3) throw py::value_error("expected 7 fields of the object, 3 of contact");
+  if ((object.size() != 7 && object.size() != 8) || contact.size() != 3)
+    throw py::value_error("expected 7 fields of the object, 8 with a shape, and 3 of contact");
+  const OptionalForm shape = object.size() == 8 ? object[7].cast<OptionalForm>() : std::nullopt;
   const py::ssize_t sizes[] = {3, 9, 6, 1, 3, 3, 3};
   const char* const names[] = {"object.position", "object.rotation", "object.twist",     "object.mass",
                                "object.half",     "object.inertia",  "object.com_offset"};
@@ -263,7 +283,7 @@ py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::s
       const auto& o = of_object;
       const auto& c = of_contact;
       const Status found = impact.solve(
-          states_of_arms, {o[0](q), o[1](q), o[2](q), o[3](q), o[4](q), o[5](q), o[6](q)},
+          states_of_arms, {o[0](q), o[1](q), o[2](q), o[3](q), o[4](q), o[5](q), o[6](q), shape.value_or(Form{})},
           {c[0](q), c[1](q), c[2](q), of_support.empty() ? nullptr : of_support[0](q)},
           given ? known.data() + where[q] : nullptr, given ? known.data() + where[q + 1] : nullptr, near.has_value());
       s[q] = static_cast<int>(found);
@@ -308,6 +328,9 @@ py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::s
 PYBIND11_MODULE(_kernel, module) {
   using namespace impact_rs;
   module.attr("ACCEPTED") = ACCEPTED;
+  py::class_<Form>(module, "Shape")
+      .def(py::init(&form_of), py::arg("kind"), py::arg("corners") = py::none(),
+           py::arg("faces") = std::vector<std::vector<int>>{});
   module.def("meet", &meet_of, py::arg("partner"), py::arg("object"), py::arg("aligned"));
   module.def("touching", &touching_of, py::arg("partner"), py::arg("object"), py::arg("normal"), py::arg("on_object"),
              py::arg("edges"), py::arg("tolerance"));

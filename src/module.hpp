@@ -7,8 +7,11 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include <optional>
 #include <string>
 #include <vector>
+
+#include "shapes.hpp"
 
 namespace impact_rs {
 
@@ -39,6 +42,8 @@ inline std::vector<double> copied(const Numbers& values, py::ssize_t size, const
 inline Numbers own(const Numbers& values) {
   return Numbers(Shape(values.shape(), values.shape() + values.ndim()), values.data());
 }
+
+using OptionalForm = std::optional<Form>;  // of Python; none: a box
 
 class Drive;
 const Drive& drive_of(const py::object& motors);  // of Motors; drive_module.cpp

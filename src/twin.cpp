@@ -112,7 +112,7 @@ void Twin::place(const BoxStart& box) {
 bool Twin::rests() {
   const Vector& g = model_.gravity;
   if (!(std::hypot(g[0], g[1]) < -g[2] * model_.support->friction)) return false;
-  const Box below = table();
+  const Body below = table();
   touches_.clear();
   touch(below, box(), ALIGNED, MARGIN, MARGIN, touches_);
   const double fall = (centre_[2] - below.centre[2] - below.half[2]) / -g[2];
@@ -137,7 +137,7 @@ Matrix Twin::inertia() const {
 }
 
 // Unloaded, a compliant support is higher by what the object's weight presses it down.
-Box Twin::table() const {
+Body Twin::table() const {
   const SupportModel& support = *model_.support;
   const double surface = support.height - model_.gravity[2] * model_.box.mass * support.compliance;
   return {{0.0, 0.0, surface - 0.5 * SUPPORT_THICKNESS},
@@ -145,7 +145,7 @@ Box Twin::table() const {
           {support.half_x, support.half_y, 0.5 * SUPPORT_THICKNESS}};
 }
 
-Box Twin::box() const { return {centre_ - rotation_ * model_.box.offset, rotation_, model_.box.half}; }
+Body Twin::box() const { return {centre_ - rotation_ * model_.box.offset, rotation_, model_.box.half, model_.box.form}; }
 
 std::size_t Twin::row() const {
   std::size_t size = has_box_ ? BOX_ROW : 0;
@@ -315,7 +315,7 @@ bool Twin::look() {
 
 void Twin::look_at_pad(int number) {
   TwinArm& arm = arms_[number];
-  const Box object = box(), pad = arm.pad_box();
+  const Body object = box(), pad = arm.pad_box();
   const double reach = norm(pad.half) + norm(object.half) + MARGIN;
   const Vector apart = object.centre - pad.centre;
   softened_[number].yields = false;
@@ -368,7 +368,7 @@ void Twin::look_at_pad(int number) {
 }
 
 void Twin::look_at_support() {
-  const Box object = box(), below = table();
+  const Body object = box(), below = table();
   if (object.centre[2] - norm(object.half) > below.centre[2] + below.half[2] + MARGIN) return;
   touches_.clear();
   const Vector normal = touch(below, object, ALIGNED, MARGIN, MARGIN, touches_);

@@ -14,6 +14,7 @@ struct BoxModel {
   Vector half;     // half extents [m]
   Vector inertia;  // principal moments about the centre of mass [kg m^2]
   Vector offset;   // centre of mass from the middle, in axes of the box [m]
+  Form form;       // its shape; half extents are those of its bounding box
 };
 
 struct SupportModel {
@@ -122,8 +123,8 @@ class Twin {
   void remember(std::size_t partner);
   void recall();
   void move_box(double drift);
-  Box box() const;
-  Box table() const;
+  Body box() const;
+  Body table() const;
   Matrix inertia() const;
   bool is_finite() const;
 

@@ -27,9 +27,9 @@ TwinArm::TwinArm(const ArmModel& model, const ArmStart& start, double period)
   }
 }
 
-Box TwinArm::pad_box() const {
+Body TwinArm::pad_box() const {
   const Matrix& axes = links_.axes_of_last();
-  return {links_.end() + axes * model_.pad.centre, axes * model_.pad.rotation, model_.pad.half};
+  return {links_.end() + axes * model_.pad.centre, axes * model_.pad.rotation, model_.pad.half, model_.pad.form};
 }
 
 void TwinArm::look_around() {

@@ -15,7 +15,7 @@
 
 namespace impact_rs {
 
-// A compliant or rigid box on the last link.
+// A compliant or rigid body on the last link.
 struct Pad {
   Vector centre;    // in axes of the last joint
   Matrix rotation;
@@ -23,6 +23,7 @@ struct Pad {
   bool rigid;
   double stiffness, damping;         // of the whole face [N/m, N s/m]
   double shear_compliance, creep;    // [m/N], [m/(s N)]
+  Form form;                         // its shape
 };
 
 // f_0 - k (p - p_impact) on frame E.
@@ -72,7 +73,7 @@ class TwinArm {
   TwinArm(const ArmModel& model, const ArmStart& start, double period);
 
   int joints() const { return static_cast<int>(q.size()); }
-  Box pad_box() const;  // where the links were placed
+  Body pad_box() const;  // where the links were placed
 
   // Values of the symbols of formulas: those of the arm now, beside those of time, object and contact as they are.
   void look_around();

@@ -13,10 +13,10 @@ namespace impact_rs {
 namespace {
 
 using Rows = py::array_t<int, py::array::c_style | py::array::forcecast>;
-using PadOfPython = std::tuple<Numbers, Numbers, Numbers, std::optional<double>, double, double, double>;
+using PadOfPython = std::tuple<Numbers, Numbers, Numbers, std::optional<double>, double, double, double, OptionalForm>;
 using PullOfPython = std::tuple<Numbers, double, Numbers>;
 using FormulaOfPython = std::tuple<std::string, int, int, std::vector<int>, std::vector<double>>;
-using BoxOfPython = std::tuple<double, Numbers, Numbers, Numbers>;
+using BoxOfPython = std::tuple<double, Numbers, Numbers, Numbers, OptionalForm>;
 using SupportOfPython = std::tuple<double, double, double, double, double>;
 using ArmStartOfPython = std::tuple<Numbers, Numbers, Numbers, Numbers, Numbers, Numbers, Numbers>;
 using BoxStartOfPython = std::tuple<Numbers, Numbers, Numbers>;
@@ -52,7 +52,7 @@ ArmModel arm_of(const Chain& links, const py::object& motors, const Numbers& sha
                 const PadOfPython& pad, const std::optional<PullOfPython>& pull,
                 const std::vector<FormulaOfPython>& formulas, const std::optional<py::function>& load) {
   const auto n = static_cast<py::ssize_t>(links.joints());
-  const auto& [centre, rotation, half, pad_stiffness, pad_damping, shear_compliance, creep] = pad;
+  const auto& [centre, rotation, half, pad_stiffness, pad_damping, shear_compliance, creep, shape] = pad;
   ArmModel arm{links,
                drive_of(motors),
                copied(shaping, n, "shaping"),
@@ -63,7 +63,7 @@ ArmModel arm_of(const Chain& links, const py::object& motors, const Numbers& sha
                delay,
                joint_torque,
                {vector_of(centre, "pad"), matrix_of(rotation, "pad"), vector_of(half, "pad"), !pad_stiffness,
-                pad_stiffness.value_or(0.0), pad_damping, shear_compliance, creep},
+                pad_stiffness.value_or(0.0), pad_damping, shear_compliance, creep, shape.value_or(Form{})},
                std::nullopt,
                {},
                load ? load_of(*load, links.joints()) : PythonLoad{}};
@@ -82,8 +82,8 @@ TwinModel model_of(const std::vector<const ArmModel*>& arms, const BoxOfPython& 
                    const std::optional<SupportOfPython>& support, double pad_friction, double rolling_arm,
                    const Numbers& gravity, double period, int refinement,
                    const std::vector<FormulaOfPython>& formulas) {
-  const auto& [mass, half, inertia, offset] = box;
-  TwinModel model{{}, {mass, vector_of(half, "box"), vector_of(inertia, "box"), vector_of(offset, "box")}, std::nullopt,
+  const auto& [mass, half, inertia, offset, shape] = box;
+  TwinModel model{{}, {mass, vector_of(half, "box"), vector_of(inertia, "box"), vector_of(offset, "box"), shape.value_or(Form{})}, std::nullopt,
                   pad_friction, rolling_arm, vector_of(gravity, "gravity"), period, refinement, {}};
   for (const auto& [effect, acts, index, code, constants] : formulas) {
     if (acts < static_cast<int>(Acts::on_object) || acts > static_cast<int>(Acts::along_support))

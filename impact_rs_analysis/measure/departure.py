@@ -22,7 +22,7 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.scenario import ObjectSpec, Scenario
 from impact_rs_trials.bags.reader import ControllerColumns, PoseColumns, TrialBag
 from impact_rs_trials.bags.topics import OBJECT_POSE
 from impact_rs_trials.spec import recorded_scenario
@@ -121,7 +121,7 @@ def _departure(
     if not math.isfinite(hit) or pose.time[0] > hit or np.count_nonzero(first) < 3:
         return None
     normal = scenario.robots[arm].impact_placement.rotation[:, 2]
-    middle, distance = _distances(normal, np.array(scenario.object(bag.info.object).size), pose, state)
+    middle, distance = _distances(normal, scenario.object(bag.info.object), pose, state)
     distance = distance - np.interp(hit, pose.time, distance)
     closing = abs(float(normal @ [np.interp(hit, state.time, state.ante_velocity[:, axis]) for axis in range(3)]))
     speed = float(np.polyfit(after[first], middle[first], 1)[0])
@@ -134,11 +134,11 @@ def _departure(
     )
 
 
-def _distances(normal: Array, size: Array, pose: PoseColumns, state: ControllerColumns) -> tuple[Array, Array]:
-    """Distances of the middle and of the nearest corner of a box from the plane of a pad, ``(k,)`` [m]."""
+def _distances(normal: Array, spec: ObjectSpec, pose: PoseColumns, state: ControllerColumns) -> tuple[Array, Array]:
+    """Distances of the middle and of the nearest point of an object from the plane of a pad, ``(k,)`` [m]."""
     place = np.column_stack([np.interp(pose.time, state.time, state.position[:, axis]) for axis in range(3)])
     rotations = np.array([pin.Quaternion(row / np.linalg.norm(row)).matrix() for row in pose.quaternion])
-    half = np.abs(np.einsum("i,kij->kj", normal, rotations)) @ size / 2.0
+    half = spec.form.support(np.array(spec.size), -np.einsum("i,kij->kj", normal, rotations))
     middle = (pose.position - place) @ normal
     return middle, middle - half
 

@@ -7,6 +7,7 @@ or translation along, the joint axis.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 from xml.etree import ElementTree as Xml
@@ -17,7 +18,7 @@ import pinocchio as pin
 from impact_rs_analysis.report.page import packed
 from impact_rs_analysis.report.surface import surface_of
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.physics import Physics
+from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.urdf import joint_names
@@ -35,14 +36,15 @@ def scene_data(physics: Physics) -> dict[str, Any]:
         ``arms`` in the order of the data; ``joints`` with ``parent``, ``child``, ``type``, ``position`` [m] and
         ``quaternion`` (x y z w) in the parent, ``axis`` where it is not z, and ``column`` of those that move;
         ``links``: by name the shapes with pose in the link and colour; ``root``: the link that stands still;
-        ``object``: extent along its axes [m].
+        ``object``: extent along its axes [m], and ``object_shape`` where it is no box.
     """
     robot, plain = (Xml.fromstring(physics.description(meshes)) for meshes in (True, False))
     links = {
         link.get("name", ""): _shapes(link) or _shapes(simple)
         for link, simple in zip(robot.iter("link"), plain.iter("link"), strict=True)
     }
-    return _scene(robot, moving_joints(physics), list(physics.arms), links, physics.object.size)
+    scene = _scene(robot, moving_joints(physics), list(physics.arms), links, physics.object.size)
+    return scene if physics.object.shape.is_box else scene | {"object_shape": _object_shape(physics.object)}
 
 
 def moving_joints(physics: Physics) -> list[str]:
@@ -138,13 +140,26 @@ def _shape(visual: Xml.Element) -> dict[str, Any] | None:
     return look | {"vertices": packed(scaled), "faces": packed(surface.faces.astype(float))}
 
 
-def _ball(radius: float) -> dict[str, Any]:
-    """A sphere as a mesh."""
+def _object_shape(object_: ObjectPhysics) -> dict[str, Any]:
+    """Shape of an object that is no box."""
+    radius, length = float(object_.size[0]) / 2.0, float(object_.size[2])
+    if object_.shape.kind == "hull":
+        fans = [(face[0], *pair) for face in object_.shape.faces for pair in itertools.pairwise(face[1:])]
+        corners = np.array(object_.shape.corners)
+        return {"kind": "mesh", "vertices": packed(corners), "faces": packed(np.array(fans, dtype=float))}
+    if object_.shape.kind == "cylinder":
+        return {"kind": "cylinder", "radius": [radius], "length": [length]}
+    return {"kind": "mesh"} | _ball(radius, length / 2.0 - radius)
+
+
+def _ball(radius: float, half_tube: float = 0.0) -> dict[str, Any]:
+    """A sphere, or a capsule with a tube between its halves, as a mesh."""
     rows, columns = SPHERE_POINTS
     polar, around = np.meshgrid(
         np.linspace(0.0, np.pi, rows), 2.0 * np.pi * np.arange(columns) / columns, indexing="ij"
     )
     points = radius * np.stack((np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)), axis=-1)
+    points[..., 2] += half_tube * np.sign(rows // 2 - np.arange(rows))[:, None]  # its middle row stays at the middle
     a = np.arange((rows - 1) * columns).reshape(rows - 1, columns)
     b = np.roll(a, -1, axis=1)
     faces = np.stack((a, a + columns, b, b, a + columns, b + columns), axis=-1)

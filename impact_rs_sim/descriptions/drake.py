@@ -22,6 +22,7 @@ import pinocchio as pin
 
 from impact_rs_sim.damping_of_restitution import damping_ratio_of, dissipation_of
 from impact_rs_sim.descriptions.exported_scene import FACE_CORNERS, ExportedQuantity, ExportedScene
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.contacts import SUPPORT, SUPPORT_THICKNESS
 from impact_rs_sim.physics import ArmPhysics
 from impact_rs_sim.robot import Array
@@ -50,7 +51,18 @@ def write(scene: ExportedScene) -> tuple[str, list[str]]:
 
     Models are the arms by name, ``object`` and ``support``; the links and joints of an arm are ``base``, ``link1`` ...,
     ``end_effector``, and ``joint1`` ....
+
+    Raises:
+        InputError: An object or a pad is no box.
     """
+    bodies = [scene.physics.object.shape, *(arm.end_effector.shape for arm in scene.physics.arms.values())]
+    if round_ones := [shape.kind for shape in bodies if not shape.is_box]:
+        raise InputError(
+            f"a world of Drake has pads and objects that touch with spheres at their corners, which a {round_ones[0]} "
+            "lacks; mjcf and urdf have its shape",
+            key="format",
+            value="drake",
+        )
     root = Xml.Element("sdf", {"version": "1.9", "xmlns:drake": XML_NAMESPACE})
     world = Xml.SubElement(root, "world", name=scene.title.replace(" ", "_"))
     remarks = [

@@ -27,6 +27,7 @@ from impact_rs_sim.impact_map.contacts import SUPPORT, SUPPORT_THICKNESS
 from impact_rs_sim.physics import ArmPhysics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.rotations import quaternion_of
+from impact_rs_sim.shapes import BOX, ConvexShape
 
 SUPPORTED_QUANTITIES = frozenset(ExportedQuantity)
 TIME_STEP_S = 5e-5  # of MuJoCo's integrator
@@ -68,7 +69,7 @@ def write(scene: ExportedScene) -> tuple[str, list[str]]:
     actuators = Xml.Element("actuator")
     for name, arm in scene.physics.arms.items():
         _arm(world, actuators, scene, name, arm)
-    _object(world, scene)
+    _object(root, world, scene)
     remarks = [*_contacts(root, scene), *_remarks(scene)]
     root.append(actuators)
     key = Xml.SubElement(Xml.SubElement(root, "keyframe"), "key", name="impact")
@@ -129,15 +130,18 @@ def _arm(world: Xml.Element, actuators: Xml.Element, scene: ExportedScene, name:
     _inertial(body, hand.mass, hand.com, hand.inertia)
     Xml.SubElement(body, "site", name=f"{name}_E")
     pad = hand.pad_placement
-    _box(body, name, np.array(hand.pad_size), pad.translation, pad.rotation)
+    _geom(body, name, hand.shape, np.array(hand.pad_size), pad.translation, pad.rotation)
 
 
-def _object(world: Xml.Element, scene: ExportedScene) -> None:
+def _object(root: Xml.Element, world: Xml.Element, scene: ExportedScene) -> None:
     physics, object_ = scene.physics, scene.physics.object
     body = _body(world, "object", scene.object.position, scene.object.rotation)
+    if object_.shape.kind == "hull":
+        corners = np.array(object_.shape.corners).ravel()
+        Xml.SubElement(Xml.SubElement(root, "asset"), "mesh", name="object", vertex=_text(*corners))
     Xml.SubElement(body, "freejoint", name="object")
     _inertial(body, object_.mass, object_.com_offset, np.diag(object_.inertia))
-    _box(body, "object", object_.size, np.zeros(3), np.eye(3))
+    _geom(body, "object", object_.shape, object_.size, np.zeros(3), np.eye(3))
     height = scene.standing_height
     if height is not None:
         size = np.array([*physics.support_size, SUPPORT_THICKNESS])
@@ -231,17 +235,26 @@ def _inertial(body: Xml.Element, mass: float, com: Array, inertia: Array) -> Non
 
 
 def _box(body: Xml.Element, name: str, size: Array, place: Array, rotation: Array) -> None:
-    Xml.SubElement(
-        body,
-        "geom",
-        name=name,
-        type="box",
-        size=_text(*(size / 2.0)),
-        pos=_text(*place),
-        quat=_text(*_quaternion(rotation)),
-        contype="0",
-        conaffinity="0",
-    )
+    _geom(body, name, BOX, size, place, rotation)
+
+
+def _geom(body: Xml.Element, name: str, shape: ConvexShape, size: Array, place: Array, rotation: Array) -> None:
+    half = size / 2.0
+    extents = {
+        "sphere": half[:1],
+        "capsule": np.array([half[0], half[2] - half[0]]),
+        "cylinder": np.array([half[0], half[2]]),
+    }.get(shape.kind, half)
+    is_hull = shape.kind == "hull"
+    geom = Xml.SubElement(body, "geom", name=name, type="mesh" if is_hull else shape.kind)
+    if is_hull:
+        geom.set("mesh", name)
+    else:
+        geom.set("size", _text(*extents))
+    geom.set("pos", _text(*place))
+    geom.set("quat", _text(*_quaternion(rotation)))
+    geom.set("contype", "0")
+    geom.set("conaffinity", "0")
 
 
 def _quaternion(rotation: Array) -> Array:

@@ -33,7 +33,9 @@ def write(scene: ExportedScene) -> tuple[str, list[str]]:
             assert dynamics is not None, "every joint that moves has dynamics"
             dynamics.set("friction", repr(float(coulomb)))
             dynamics.set("damping", repr(float(viscous)))
-    described = write_object_description(object_.size, object_.mass, object_.com_offset, np.diag(object_.inertia))
+    described = write_object_description(
+        object_.size, object_.mass, object_.com_offset, np.diag(object_.inertia), object_.shape
+    )
     root.extend(Xml.fromstring(described))
     joint = Xml.SubElement(root, "joint", name="object", type="floating")
     Xml.SubElement(joint, "parent", link=WORLD)

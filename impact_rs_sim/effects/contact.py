@@ -23,7 +23,7 @@ from impact_rs_sim.effects.base import (
     types_of,
     vector3,
 )
-from impact_rs_sim.physics import ArmPhysics, ContactCondition, ContactLaw, Physics
+from impact_rs_sim.physics import ArmPhysics, ContactCondition, ContactLaw, ObjectPhysics, Physics
 from impact_rs_sim.robot import Array
 
 SLIP_FRICTION_STEP = -0.4  # finite-difference step of a friction coefficient, from sticking to slipping [-]
@@ -89,16 +89,16 @@ def _restitution(physics: Physics, values: Values) -> Physics:
     more = number(values, "restitution")
     if more == 0.0:
         return physics
-    arms = {name: _with_restitution_added(arm, more, physics.object.mass) for name, arm in physics.arms.items()}
+    arms = {name: _with_restitution_added(arm, more, physics.object) for name, arm in physics.arms.items()}
     return replace(physics, arms=arms, bounce=physics.bounce + more)
 
 
-def _with_restitution_added(arm: ArmPhysics, more: float, object_mass: float) -> ArmPhysics:
+def _with_restitution_added(arm: ArmPhysics, more: float, object_: ObjectPhysics) -> ArmPhysics:
     """The pad with less damping, for more restitution; e stays between 0 and 1."""
     if arm.pad_stiffness is None:
         return arm
-    restitution = arm.pad_restitution(object_mass) + more
-    return replace(arm, pad_damping=arm.pad_damping_of(restitution, object_mass))
+    restitution = arm.pad_restitution(object_) + more
+    return replace(arm, pad_damping=arm.pad_damping_of(restitution, object_))
 
 
 def _pad_compliance(arm: ArmPhysics, values: Values) -> ArmPhysics:

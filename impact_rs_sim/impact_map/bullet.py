@@ -42,6 +42,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from impact_rs_sim.bullet_world import BulletWorld
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, SUPPORT, ContactPair, ContactPoint
 from impact_rs_sim.impact_map.laws import ContactTerms, System
 from impact_rs_sim.impact_map.problem import ImpactProblem
@@ -107,6 +108,13 @@ class BulletEngine(Engine):
         return self._worlds[key]
 
     def _solve(self, problem: ImpactProblem, system: System, pairs: Sequence[ContactPair]) -> Solution:
+        shapes = [self.physics.object.shape, *(arm.end_effector.shape for arm in self.physics.arms.values())]
+        for kind in {shape.kind for shape in shapes} - {"box", "sphere"}:
+            raise InputError(
+                f"a single step of Bullet finds one point of a {kind} on a face; engine 'exact' finds all",
+                key="engine",
+                value=self.name,
+            )
         world = self._world(problem.motor_inertia)
         world.bring_together(pairs)
         world.place(problem, system.velocity)

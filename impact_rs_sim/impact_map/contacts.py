@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contact points between pads and object, and between object and support.
 
-All shapes are boxes. Of the six face directions of a pair, and the common normals of edges that cross, the one that
-separates the two boxes best is the contact normal. The nearest face of the other box is clipped to the face of the
-normal, and its corners within ``GAP_TOLERANCE`` of it touch: face, edge and corner contacts come out as polygon,
-segment and point. Two edges touch in one point, where they cross; where their common normal is within 6 degrees of that
-of a face, that point is a corner of the clipped face. Bullet's box-box detector follows the same rules, so that both
-engines see the same contacts, and so does the twin. Of aligned faces the one is taken that separates after a tilt too:
-a tilt by dphi costs the direction of a face the extent of the other box along that face, times dphi; of two faces that
-lie on each other, that of the larger box keeps the normal on either side.
+Bodies are convex; :mod:`impact_rs_sim.shapes` has the rules of all shapes, and two boxes their own routine. Of the six
+face directions of two boxes, and the common normals of edges that cross, the one that separates the two boxes best is
+the contact normal. The nearest face of the other box is clipped to the face of the normal, and its corners within
+``GAP_TOLERANCE`` of it touch: face, edge and corner contacts come out as polygon, segment and point. Two edges touch in
+one point, where they cross; where their common normal is within 6 degrees of that of a face, that point is a corner of
+the clipped face. Bullet's box-box detector follows the same rules, so that both engines see the same contacts, and so
+does the twin. Of aligned faces the one is taken that separates after a tilt too: a tilt by dphi costs the direction of
+a face the extent of the other box along that face, times dphi; of two faces that lie on each other, that of the larger
+box keeps the normal on either side.
 
 Our own clipping, because the contact patches of a general collision library start from a penetration direction found
 by an iterative search, which is ill-defined exactly here: at faces that touch without overlap. It is compiled
@@ -27,6 +28,7 @@ from impact_rs_sim import _kernel
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import BodyState
+from impact_rs_sim.shapes import BOX, ConvexShape
 
 SUPPORT = "support"  # name of the support among the object's partners
 ALIGNED = 1e-9  # m; separations that differ by less are those of parallel faces
@@ -35,23 +37,25 @@ SUPPORT_THICKNESS = 0.1  # m, of the box that stands for the support; only its u
 
 
 @dataclass(frozen=True)
-class Box:
-    """A box in A.
+class ConvexBody:
+    """A convex body in A.
 
     Attributes:
-        centre: Centre in A, ``(3,)`` [m].
+        centre: Middle of its bounding box in A, ``(3,)`` [m].
         rotation: Axes in A, ``(3, 3)``.
-        half: Half extents, ``(3,)`` [m].
+        half: Half extents along them, ``(3,)`` [m].
+        shape: Its shape.
     """
 
     centre: Array
     rotation: Array
     half: Array
+    shape: ConvexShape = BOX
 
     @property
-    def parts(self) -> tuple[Array, Array, Array]:
-        """All three, for the compiled geometry."""
-        return self.centre, self.rotation, self.half
+    def parts(self) -> tuple[Array, Array, Array, _kernel.Shape | None]:
+        """All of them, for the compiled geometry."""
+        return self.centre, self.rotation, self.half, self.shape.kernel
 
 
 @dataclass(frozen=True)
@@ -93,8 +97,8 @@ class ContactPair:
     """
 
     partner: str
-    box: Box
-    object: Box
+    box: ConvexBody
+    object: ConvexBody
     separation: float
     normal: Array
     on_object: bool
@@ -103,12 +107,13 @@ class ContactPair:
 
 def contact_pairs(physics: Physics, state: BodyState, placements: Mapping[str, pin.SE3]) -> list[ContactPair]:
     """Contact pairs of the object; ``placements`` are those of frame E in A by arm."""
-    object_ = Box(state.position, state.rotation, physics.object.size / 2.0)
+    object_ = ConvexBody(state.position, state.rotation, physics.object.size / 2.0, physics.object.shape)
     partners = {}
     for name, placement in placements.items():
         end_effector = physics.arms[name].end_effector
         pad = placement * end_effector.pad_placement
-        partners[name] = Box(pad.translation, pad.rotation, np.array(end_effector.pad_size) / 2.0)
+        half = np.array(end_effector.pad_size) / 2.0
+        partners[name] = ConvexBody(pad.translation, pad.rotation, half, end_effector.shape)
     support = support_box(physics)
     if support is not None:
         partners[SUPPORT] = support
@@ -118,12 +123,12 @@ def contact_pairs(physics: Physics, state: BodyState, placements: Mapping[str, p
     ]
 
 
-def support_box(physics: Physics) -> Box | None:
+def support_box(physics: Physics) -> ConvexBody | None:
     """The support; None: there is none."""
     if physics.support_height is None:
         return None
     half = np.array([physics.support_size[0], physics.support_size[1], SUPPORT_THICKNESS]) / 2.0
-    return Box(np.array([0.0, 0.0, physics.support_height - half[2]]), np.eye(3), half)
+    return ConvexBody(np.array([0.0, 0.0, physics.support_height - half[2]]), np.eye(3), half)
 
 
 def find_contacts(

@@ -74,12 +74,13 @@ class ImpactProblem:
 
 
 def _touched(scene: Scene) -> BodyState:
-    """The object, moved to where it touches the foremost edge of tilted pads, or pads that are elsewhere."""
+    """The object, moved to where it touches round pads, the edge of tilted ones, or pads that are elsewhere."""
     physics, object_ = scene.physics, scene.object
     pads = [arm.end_effector for arm in physics.arms.values()]
-    if not any(any((*pad.pad_tilt, *pad.pad_offset)) for pad in pads):
+    curved = any(not pad.shape.is_box for pad in pads)
+    if not curved and not any(any((*pad.pad_tilt, *pad.pad_offset)) for pad in pads):
         return object_
-    gaps_too = any(any(pad.pad_offset) for pad in pads)
+    gaps_too = curved or any(any(pad.pad_offset) for pad in pads)
     placements = {name: physics.robot_model(name).placement(state.position) for name, state in scene.arms.items()}
     depths = [
         (-pair.separation if gaps_too else max(-pair.separation, 0.0)) * pair.normal

@@ -284,9 +284,9 @@ class CompiledMap:
             free = np.full(model.joint_count, np.finfo(float).max)
             self._limits[name] = {False: (low, high, model.velocity_max + LIMIT_SLACK), True: (-free, free, free)}
             half = np.array(arm.end_effector.pad_size) / 2.0
-            self._pads[name] = (np.array(pad.translation), np.array(pad.rotation), half)
+            self._pads[name] = (np.array(pad.translation), np.array(pad.rotation), half, arm.end_effector.shape.kernel)
         object_ = physics.object
-        self._object = (object_.mass, object_.size / 2.0, object_.inertia, object_.com_offset)
+        self._object = (object_.mass, object_.size / 2.0, object_.inertia, object_.com_offset, object_.shape.kernel)
         support = support_box(physics)
         self._support = None if support is None else np.concatenate((support.centre, support.half))
 

@@ -162,7 +162,8 @@ def _findings(plan: TrialPlan, recorded: TrialRecord) -> Iterator[_Finding]:
     if plan.expects_impact:
         yield from _untouched(recorded)
         yield from _too_early(plan, recorded)
-        yield from _tipped(recorded.object)
+        if not plan.scene.physics.object.round:  # a ball rolls
+            yield from _tipped(recorded.object, plan.scene.physics.object.shape.kind in ("capsule", "cylinder"))
     yield from _dropped(plan, recorded.object)
 
 
@@ -277,14 +278,22 @@ def _too_early(plan: TrialPlan, recorded: TrialRecord) -> Iterator[_Finding]:
                 )
 
 
-def _tipped(seen: PoseColumns) -> Iterator[_Finding]:
-    """An object that tips over, by the angle between the vertical in body axes now and at the start."""
+def _tipped(seen: PoseColumns, about_axis: bool) -> Iterator[_Finding]:
+    """An object that tips over, by the angle between the vertical in body axes now and at the start.
+
+    Args:
+        seen: Its poses.
+        about_axis: Whether it is round about its z, and may roll: the angle is that of its z alone.
+    """
     # The vertical in body axes is the last row of R: (2 (x z - y w), 2 (y z + x w), 1 - 2 (x^2 + y^2)).
     if seen.time.size < 2:
         return
     x, y, z, w = seen.quaternion.T
     vertical = np.stack((2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x**2 + y**2)), axis=-1)
     tilt = np.arccos(np.clip(vertical @ vertical[0], -1.0, 1.0))
+    if about_axis:
+        lean = np.arccos(np.clip(vertical[:, 2], -1.0, 1.0))
+        tilt = np.abs(lean - lean[0])
     rows = np.flatnonzero(tilt > MAX_TILT_RAD)
     if rows.size * np.median(np.diff(seen.time)) > MAX_VIOLATION_S + PERIOD_ROUNDING_S:
         since, worst, limit = float(seen.time[rows[0]]), np.degrees(tilt.max()), np.degrees(MAX_TILT_RAD)

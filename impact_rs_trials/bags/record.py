@@ -35,7 +35,7 @@ def descriptions(plan: TrialPlan) -> dict[str, str]:
         topics.ROBOT_DESCRIPTION: physics.description(),
         **{topics.robot_description(name): write_description({name: arm}, None) for name, arm in arms.items()},
         topics.OBJECT_DESCRIPTION: write_object_description(
-            body.size, body.mass, body.com_offset, np.diag(body.inertia)
+            body.size, body.mass, body.com_offset, np.diag(body.inertia), body.shape
         ),
     }
 

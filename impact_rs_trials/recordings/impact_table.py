@@ -37,6 +37,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_sim.shapes import BOX, SPHERE
 from impact_rs_trials.recordings.distances import Distance
 from impact_rs_trials.recordings.impact_cells import ImpactCells, name_of_row
 from impact_rs_trials.recordings.impact_columns import (
@@ -545,7 +546,7 @@ class _Reader:
             inertia = np.full(3, (2.0 / 3.0 if own.get(SHELL.first) else 2.0 / 5.0) * mass * radius**2)
         return Physics(
             arms={},
-            object=ObjectPhysics(mass, size, _moments(own, inertia), np.zeros(3), round=bool(radius)),
+            object=ObjectPhysics(mass, size, _moments(own, inertia), np.zeros(3), shape=SPHERE if radius else BOX),
             support_height=None,
             support_size=(np.inf, np.inf),
             support_friction=own.get(FRICTION.first, ASSUMED_FRICTION),

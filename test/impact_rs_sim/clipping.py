@@ -7,13 +7,13 @@ import itertools
 
 import numpy as np
 
-from impact_rs_sim.impact_map.contacts import ALIGNED, Box, ContactPair
+from impact_rs_sim.impact_map.contacts import ALIGNED, ContactPair, ConvexBody
 
 CROSSED = 0.995  # cosine; edges whose common normal is nearer to that of a face are corners of faces that touch
 PARALLEL = 1e-2  # sine of the angle of two edges, below which they do not cross
 
 
-def meet(partner: Box, thing: Box) -> tuple[float, np.ndarray, bool, tuple[int, int] | None]:
+def meet(partner: ConvexBody, thing: ConvexBody) -> tuple[float, np.ndarray, bool, tuple[int, int] | None]:
     """How two boxes stand to each other.
 
     Returns:
@@ -37,7 +37,9 @@ def meet(partner: Box, thing: Box) -> tuple[float, np.ndarray, bool, tuple[int, 
     return best, along, False, edges
 
 
-def crossing(partner: Box, thing: Box, pair: tuple[int, int], normal: np.ndarray) -> tuple[np.ndarray, float] | None:
+def crossing(
+    partner: ConvexBody, thing: ConvexBody, pair: tuple[int, int], normal: np.ndarray
+) -> tuple[np.ndarray, float] | None:
     """Point on the foremost edge of ``thing`` where it passes that of ``partner``, and its gap; None: beyond an end."""
     ends = []
     for box, axis, direction in ((partner, pair[0], normal), (thing, pair[1], -normal)):
@@ -53,7 +55,7 @@ def crossing(partner: Box, thing: Box, pair: tuple[int, int], normal: np.ndarray
     return point, float(normal @ (point - start - shares[0] * along))
 
 
-def separating_face(partner: Box, thing: Box) -> tuple[float, np.ndarray, bool]:
+def separating_face(partner: ConvexBody, thing: ConvexBody) -> tuple[float, np.ndarray, bool]:
     """The face direction that separates two boxes best; of aligned faces the one that does so after a tilt as well.
 
     A tilt by dphi costs the direction of a face the extent of the other box along that face, times dphi: of two faces
@@ -73,7 +75,7 @@ def separating_face(partner: Box, thing: Box) -> tuple[float, np.ndarray, bool]:
     return float(separation[best]), sign * axes[best], best >= 3
 
 
-def _extent(box: Box, axis: np.ndarray) -> float:
+def _extent(box: ConvexBody, axis: np.ndarray) -> float:
     """Half the diagonal of a box's face across an axis [m]."""
     along = int(np.argmax(np.abs(box.rotation.T @ axis)))
     return float(np.linalg.norm(np.delete(box.half, along)))
@@ -106,7 +108,7 @@ def touching(pair: ContactPair, tolerance: float) -> list[tuple[np.ndarray, floa
     return points
 
 
-def _face(box: Box, direction: np.ndarray) -> np.ndarray:
+def _face(box: ConvexBody, direction: np.ndarray) -> np.ndarray:
     """Corners of the face that looks most along ``direction``, in order around it, ``(4, 3)`` [m]."""
     local = box.rotation.T @ direction
     axis = int(np.argmax(np.abs(local)))

@@ -19,6 +19,7 @@ from impact_rs_sim.impact_map.problem import ImpactMapError
 from impact_rs_sim.impact_map.solve import ExactEngine
 from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.scene import BodyState
+from impact_rs_sim.shapes import SPHERE
 from impact_rs_sim.twist_readings import TwistReadings
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -28,7 +29,7 @@ BELOW = np.array([0.0, 0.0, -RADIUS])
 def ball(share: float = HOLLOW, friction: float = 0.2, restitution: float = 0.5) -> Physics:
     """A ball over a plane."""
     inertia = np.full(3, share * MASS * RADIUS**2)
-    item = ObjectPhysics(MASS, np.full(3, 2.0 * RADIUS), inertia, np.zeros(3), round=True)
+    item = ObjectPhysics(MASS, np.full(3, 2.0 * RADIUS), inertia, np.zeros(3), SPHERE)
     return Physics({}, item, None, (np.inf, np.inf), friction, 0.0, restitution)
 
 

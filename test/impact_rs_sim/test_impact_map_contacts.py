@@ -16,9 +16,9 @@ from impact_rs_sim.errors import Infeasible
 from impact_rs_sim.impact_map import ImpactProblem, check_problem, compute_impact_map
 from impact_rs_sim.impact_map.contacts import (
     ALIGNED,
-    Box,
     ContactPair,
     ContactPoint,
+    ConvexBody,
     contact_frame,
     contact_pairs,
     find_contacts,
@@ -139,20 +139,22 @@ def test_bullet_hits_an_edge_with_an_edge_as_the_exact_engine_does(restitution: 
 # ---- the compiled search against a plain one ------------------------------------------------------------------------
 
 
-def crossing_boxes(rng: np.random.Generator) -> tuple[Box, Box]:
+def crossing_boxes(rng: np.random.Generator) -> tuple[ConvexBody, ConvexBody]:
     """Two boxes in any orientation, some millimetres apart or into each other along the line of their centres."""
-    partner, thing = (Box(np.zeros(3), pin.exp3(rng.normal(size=3)), rng.uniform(0.03, 0.1, 3)) for _ in range(2))
+    partner, thing = (
+        ConvexBody(np.zeros(3), pin.exp3(rng.normal(size=3)), rng.uniform(0.03, 0.1, 3)) for _ in range(2)
+    )
     way = rng.normal(size=3)
     low, high = 0.0, 1.0
     for _ in range(24):
         middle = 0.5 * (low + high)
-        apart = clipping.meet(partner, Box(middle * way, thing.rotation, thing.half))[0] > 0.0
+        apart = clipping.meet(partner, ConvexBody(middle * way, thing.rotation, thing.half))[0] > 0.0
         low, high = (low, middle) if apart else (middle, high)
     centre = high * way + rng.normal(0.0, 2e-3) * way / np.linalg.norm(way)
-    return partner, Box(centre, thing.rotation, thing.half)
+    return partner, ConvexBody(centre, thing.rotation, thing.half)
 
 
-def placed(rng: np.random.Generator, tilt: float) -> tuple[Box, Box]:
+def placed(rng: np.random.Generator, tilt: float) -> tuple[ConvexBody, ConvexBody]:
     """Two boxes face to face up to a tilt [rad], a few millimetres apart or into each other."""
     partner, thing = (rng.uniform(0.02, 0.2, 3) for _ in range(2))
     turn = pin.exp3(rng.standard_normal(3))
@@ -164,7 +166,7 @@ def placed(rng: np.random.Generator, tilt: float) -> tuple[Box, Box]:
     aside -= axis * (axis @ aside)
     centre = rng.standard_normal(3)
     away = rng.choice([-1.0, 1.0]) * (reach + rng.normal(0.0, 2e-3)) * axis
-    return Box(centre, turn, partner), Box(centre + away + aside, rotation, thing)
+    return ConvexBody(centre, turn, partner), ConvexBody(centre + away + aside, rotation, thing)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 1e-6, 0.004, 0.5])
@@ -195,7 +197,8 @@ def test_edges_that_pass_each_other_beyond_an_end_separate_nothing() -> None:
     rng = np.random.default_rng(5)
     for _ in range(100):
         partner, thing = (
-            Box(rng.normal(0.0, 0.15, 3), pin.exp3(rng.normal(size=3)), rng.uniform(0.03, 0.1, 3)) for _ in range(2)
+            ConvexBody(rng.normal(0.0, 0.15, 3), pin.exp3(rng.normal(size=3)), rng.uniform(0.03, 0.1, 3))
+            for _ in range(2)
         )
         found, expected = _kernel.meet(partner.parts, thing.parts, ALIGNED), clipping.meet(partner, thing)
         assert found[0] == pytest.approx(expected[0], abs=1e-14)
@@ -205,10 +208,10 @@ def test_edges_that_pass_each_other_beyond_an_end_separate_nothing() -> None:
 
 def test_edges_that_cross_separate_boxes_that_no_face_does() -> None:
     # One cube of 0.1 m stands on an edge along y, another one on an edge along x below it.
-    lower = Box(np.zeros(3), pin.utils.rotate("x", np.pi / 4.0), np.full(3, 0.05))
+    lower = ConvexBody(np.zeros(3), pin.utils.rotate("x", np.pi / 4.0), np.full(3, 0.05))
     for gap, count in ((0.02, 0), (0.0005, 1), (0.0, 1), (-0.0005, 1)):
         centre = np.array([0.0, 0.0, 0.1 * np.sqrt(2.0) + gap])
-        upper = Box(centre, pin.utils.rotate("y", np.pi / 4.0), np.full(3, 0.05))
+        upper = ConvexBody(centre, pin.utils.rotate("y", np.pi / 4.0), np.full(3, 0.05))
         separation, normal, on_object, edges = _kernel.meet(lower.parts, upper.parts, ALIGNED)
         assert (separation, edges) == (pytest.approx(gap, abs=1e-15), (0, 1))
         np.testing.assert_allclose(normal, [0.0, 0.0, 1.0], atol=1e-15)
@@ -223,8 +226,8 @@ def test_a_box_that_juts_out_beyond_a_tilted_pad_does_not_overlap_it() -> None:
     # The lower edge of the pad along x passes the upper one of the box along y at 1 mm. Either goes on beyond the other
     # body, below whose face it lies: the directions of faces have them overlap by 2 mm and more.
     tilt = np.radians(3.0)
-    pad = Box(np.zeros(3), pin.utils.rotate("x", tilt), np.array([0.05, 0.05, 0.01]))
-    box = Box(np.zeros(3), pin.utils.rotate("y", tilt), np.array([0.05, 0.15, 0.02]))
+    pad = ConvexBody(np.zeros(3), pin.utils.rotate("x", tilt), np.array([0.05, 0.05, 0.01]))
+    box = ConvexBody(np.zeros(3), pin.utils.rotate("y", tilt), np.array([0.05, 0.15, 0.02]))
     down, up = (np.abs(one.rotation[2]) @ one.half for one in (pad, box))
     box = replace(box, centre=np.array([0.07, 0.0, -down - up - 1e-3]))
     assert clipping.separating_face(pad, box)[0] < -0.002
@@ -248,7 +251,7 @@ def test_boxes_that_are_nearly_parallel_touch_in_a_few_points_within_their_faces
         aside = rng.choice([0.0, 0.02, 1e-17, 0.05], 2) * rng.normal(size=2)
         apart = turn @ np.array([*aside, half[2] + other[2] + 10.0 ** rng.uniform(-17.0, -4.0) * rng.normal()])
         centre = rng.normal(size=3)
-        partner, thing = Box(centre, turn, half), Box(centre + apart, rotation, other)
+        partner, thing = ConvexBody(centre, turn, half), ConvexBody(centre + apart, rotation, other)
         _, normal, on_object, edges = _kernel.meet(partner.parts, thing.parts, ALIGNED)
         positions, gaps = _kernel.touching(partner.parts, thing.parts, normal, on_object, edges, 1e-3)
         counts.add(len(positions))
@@ -258,7 +261,7 @@ def test_boxes_that_are_nearly_parallel_touch_in_a_few_points_within_their_faces
 
 
 def test_a_box_of_the_wrong_size_is_told() -> None:
-    box = Box(np.zeros(3), np.eye(3), np.ones(3))
+    box = ConvexBody(np.zeros(3), np.eye(3), np.ones(3))
     with pytest.raises(ValueError, match="centre: expected 3 numbers, got 2"):
         _kernel.meet((np.zeros(2), *box.parts[1:]), box.parts, ALIGNED)
     with pytest.raises(ValueError, match="edges: expected two axes"):

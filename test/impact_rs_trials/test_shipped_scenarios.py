@@ -19,6 +19,8 @@ from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.spec import TrialSpec
 
+# By scenario of a round object: which one, what is predicted, and when after the impact it holds [s]
+ROUND = {"hit_ball": ("solid", "first", (0.015, 0.03)), "push_bottle": ("can", "settled", (0.05, 0.10))}
 ROBOTS = {"push_fr3": "franka_fr3", "push_ur5e": "ur5e", "push_iiwa7": "kuka_iiwa7", "grab_fr3": "franka_fr3"}
 NEAR = {"push": 0.05, "grab": 0.1}  # the weight of the box pulls at a grab until friction carries it
 AFTER = (0.05, 0.10)  # s after the nominal impact: contacts have settled, and feedback has hardly changed the speed
@@ -75,3 +77,22 @@ def test_a_trial_ends_well_within_the_limits_and_near_the_impact_map(name: str, 
         after = np.flatnonzero((AFTER[0] < joints.time - begin) & (joints.time - begin < AFTER[1]))
         speeds = [(model.jacobian(joints.position[row])[:3] @ joints.velocity[row])[axis] for row in after]
         assert np.mean(speeds) == pytest.approx(settled.end_effector_twist[arm][axis], rel=NEAR[name.split("_")[0]])
+
+
+@pytest.mark.parametrize("name", ROUND)
+def test_a_trial_with_a_round_object_ends_near_the_impact_map(name: str, tmp_path: Path) -> None:
+    """Kills a plant that still has a box (it would slide and not roll), and a ball that is said to have tipped."""
+    (object_name, contact, (begins, ends)), scenario = ROUND[name], load_scenario(name)
+    plan = TrialSpec.of(scenario, object_name, "case_1").plan
+    verdict = recorded(plan, tmp_path / "bag", seed=1)
+    assert (verdict.outcome, verdict.reason) == ("OK", "")
+    bag, model = TrialBag.open(tmp_path / "bag"), plan.scene.models["arm"]
+    joints, begin = bag.joints(topics.joint_states("arm")), scenario.timing.nominal_impact
+    predicted = predict_impact(ImpactProblem.at_nominal_impact(plan.scene), contact)
+    after = np.flatnonzero((begins < joints.time - begin) & (joints.time - begin < ends))
+    speeds = [(model.jacobian(joints.position[row])[:3] @ joints.velocity[row])[1] for row in after]
+    assert np.mean(speeds) == pytest.approx(predicted.end_effector_twist["arm"][1], rel=0.05)
+    pose = bag.poses(topics.OBJECT_POSE)
+    angle = 2.0 * np.arccos(np.abs(pose.quaternion[-1] @ pose.quaternion[0]))
+    assert (angle > 1.0) == (name == "hit_ball")  # it rolls, the can stands
+    assert np.ptp(pose.position[:, 2]) < 1e-3

@@ -21,11 +21,13 @@ TOLERANCE = 1e-9
 SKIPPED = {topics.DIAGNOSTICS}
 
 
-@pytest.fixture(scope="module", params=["push", pytest.param("grab", marks=pytest.mark.slow)])
+@pytest.fixture(
+    scope="module", params=["push", *(pytest.param(name, marks=pytest.mark.slow) for name in ("grab", "hit_ball"))]
+)
 def manifest(request: pytest.FixtureRequest, short: str) -> Manifest:
-    """One arm, then two: the nodes meet new topics between them. The push has every phase, and is short."""
+    """One arm, then two: the nodes meet new topics between them. The push has every phase and is short; then a ball."""
     scenario = short if request.param == "push" else request.param
-    return make_manifest(scenario, ["cat_food"], ["2"], [1.1], trials=1, seed=3)
+    return make_manifest(scenario, [{"hit_ball": "solid"}.get(scenario, "cat_food")], ["2"], [1.1], trials=1, seed=3)
 
 
 @pytest.fixture(scope="module")

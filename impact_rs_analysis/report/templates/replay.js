@@ -93,7 +93,8 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
         this.joints[joint.column] = {type: joint.type, axis, link: this.links[joint.child]};
       });
       const size = scene.object || [0, 0, 0];  // no object is known
-      this.object = new THREE.Mesh(new THREE.BoxGeometry(...size), this.material(new THREE.Color(OBJECT)));
+      const body = scene.object_shape ? geometry(scene.object_shape) : new THREE.BoxGeometry(...size);
+      this.object = new THREE.Mesh(body, this.material(new THREE.Color(OBJECT)));
       this.root.add(this.links[scene.root], this.object);
     }
 

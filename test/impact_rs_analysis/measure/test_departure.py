@@ -19,6 +19,7 @@ from impact_rs_analysis.measure.departure import SEPARATION_WINDOW_S, Departure,
 from impact_rs_analysis.report.analysis import write_analysis_report
 from impact_rs_cli.main import main
 from impact_rs_sim.paths import config_directory
+from impact_rs_sim.scenario import ObjectSpec
 from impact_rs_trials.bags.reader import ControllerColumns, PoseColumns, TrialBag
 from impact_rs_trials.bags.topics import TRUTH_OBJECT_POSE
 from impact_rs_trials.campaign import make_manifest, run_campaign
@@ -73,7 +74,8 @@ def test_a_box_that_turns_on_the_pad_has_not_left_it() -> None:
     quaternion = np.column_stack([np.zeros((count, 2)), np.sin(angle / 2.0), np.cos(angle / 2.0)])
     pose = PoseColumns(angle, np.column_stack([np.zeros(count), 0.3 + across, np.zeros(count)]), quaternion)
     pad = SimpleNamespace(time=angle, position=np.tile([0.0, 0.3, 0.0], (count, 1)))
-    middle, distance = _distances(np.array([0.0, 1.0, 0.0]), 2.0 * half, pose, cast(ControllerColumns, pad))
+    spec = ObjectSpec(label="box", mass=1.0, size=tuple(2.0 * half))
+    middle, distance = _distances(np.array([0.0, 1.0, 0.0]), spec, pose, cast(ControllerColumns, pad))
     np.testing.assert_allclose(distance, 0.0, atol=1e-12)
     assert np.ptp(middle) > 0.015
 
