@@ -70,7 +70,8 @@ class ArmReadings:
 
     def same_as(self, other: ArmReadings) -> bool:
         """Whether both sensor models are equal."""
-        return all(np.all(value == getattr(other, name)) for name, value in vars(self).items())
+        pairs = ((value, getattr(other, name)) for name, value in vars(self).items())
+        return all(one is two or np.all(one == two) for one, two in pairs)
 
     @property
     def exact_motion(self) -> bool:
