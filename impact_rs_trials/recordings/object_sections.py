@@ -68,12 +68,10 @@ class ObjectSections:
         """Whether a pose is fixed on the flange of the robot, so that it is no object's; said in a note."""
         if self._flange is None:
             return False
-        sources = {
-            name: SignalSource.model_validate({key: one for key, one in section.items() if key != "file"})
-            for name, section in sections.items()
-        }
-        name, source = next((name, one) for name, one in sources.items() if name != "object_quaternion")
-        raw = part.raw_mapping(NO_ROBOT, (), self._rate).model_copy(update={"signals": sources})
+        name: SignalName = "object_pose" if "object_pose" in sections else "object_position"
+        own = {key: one for key, one in sections[name].items() if key != "file"}  # that of a run, opened here
+        source = SignalSource.model_validate(own)
+        raw = part.raw_mapping(NO_ROBOT, (), self._rate).model_copy(update={"signals": {name: source}})
         series = open_file(part.path, raw, part.names, (name,)).series(name, source)
         label = source.column or source.array or source.topic or ", ".join(source.columns or ())
         most = MAX_RMS_RATIO_OF_TARGET if COMMANDED.search(label) else MAX_RMS_RATIO
