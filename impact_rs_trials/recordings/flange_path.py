@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Path of the flange of a robot, to tell the pose of its own tool from that of an object."""
+"""Path of the flange of a robot, which separates the pose of its own tool from that of an object."""
 
 from __future__ import annotations
 
