@@ -371,9 +371,9 @@ def _is_of_an_object(name: str) -> bool:
 def guess_of(name: str) -> str:
     """The signal suggested by a name; empty: unknown."""
     low = name.lower()
-    for part, signal in (("command", "command"), ("cmd", "command"), ("desired", "command"), ("vel", "velocity"),
-                         ("dq", "velocity"), ("pos", "position"), ("eff", "torque"), ("tau", "torque"),
-                         ("tor", "torque"), ("q", "position"), ("curr", "torque")):  # fmt: skip
-        if part in low:
+    for part, signal in (("command|cmd|desired", "command"), ("ddq|qdd(?!es)|ddot", "acceleration"),
+                         ("vel|dq", "velocity"), ("pos", "position"), ("eff|tau|tor", "torque"), ("q", "position"),
+                         ("curr", "torque")):  # fmt: skip
+        if re.search(part, low):
             return signal
     return ""

@@ -39,6 +39,7 @@ MIN_RANGE_SHARE = 1e-3  # of a joint's range, travelled by a joint that moves; e
 MAX_SHOWN_STEPS = 3  # backwards in time, in a message
 OUTLIERS = np.errstate(over="ignore", invalid="ignore")  # may be of any size; what they spoil fits nothing
 MAX_NORM_ERROR = 0.02  # of a quaternion of length 1
+MIN_TURN = 0.1  # travelled by two numbers of the quaternion of a body that turns
 MAX_DISTANCE_M = 20.0  # of an object; a position beyond it is in millimetres
 
 
@@ -228,6 +229,15 @@ def unit_of_length(place: Array) -> Guess:
     largest = float(np.nanmax(np.abs(place)))
     unit = "mm" if largest > MAX_DISTANCE_M else "m"
     return Guess(unit, f"up to {largest:.3g} from the origin, which is a position near a robot in {unit}")
+
+
+def holds_a_turn(raw: Array) -> bool:
+    """Whether four neighbouring numbers of a stream ``(k, n)`` are the unit quaternion of a body that turns."""
+    for first in range(raw.shape[1] - 3):
+        four = raw[:, first : first + 4]
+        if np.sum(np.ptp(four, axis=0) > MIN_TURN) > 1 and quaternion_order(four) is not None:
+            return True
+    return False
 
 
 def quaternion_order(quaternion: Array) -> Guess | None:

@@ -5,7 +5,7 @@
     recorded_files    layout, candidates, clock and raw numbers of each kind of file, read once (read_once)
     joint_search      the likeliest assignment of streams to the roles of the joints (hypotheses)
     joint_sections    sections of the mapping for the joints,
-    object_sections   and for the pose of an object
+    object_sections   and for the pose of an object, which does not move with the robot's tip (flange_path)
     described_runs    the runs, read with the mapping, and contradictions to it
 
 Values without evidence, or without a decisive margin to the next reading, are marked as assumed. Signals are read
@@ -126,7 +126,7 @@ class _Importer:
         joints = JointSections(files)
         if facts is not None:
             part, own, signals = joints.describe(robot, facts)
-        tracked = ObjectSections(files)
+        tracked = ObjectSections(files, joints.flange)
         pose_part = tracked.describe(part, facts is not None, signals)
         if facts is None and pose_part is None:
             raise InputError(
@@ -167,6 +167,12 @@ class _Importer:
 
     def _robot(self) -> str:
         if self._options.robot is not None:
+            if Path(self._options.robot).suffix in (".urdf", ".xacro"):
+                raise InputError(
+                    "robot facts are needed: impact-rs robot import makes them of a URDF",
+                    key="--robot",
+                    value=self._options.robot,
+                )
             self._notes.say("robot", self._options.robot, "given with --robot")
             return self._options.robot
         known = sorted(path.stem for path in (config_directory() / "robots").glob("*.yaml"))

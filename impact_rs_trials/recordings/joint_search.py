@@ -18,6 +18,7 @@ import numpy as np
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.file_units import TURNS, UNITS
+from impact_rs_trials.recordings.guesses import holds_a_turn
 from impact_rs_trials.recordings.hypotheses import (
     OUTLIERS,
     JointMotion,
@@ -163,14 +164,16 @@ class JointSearch:
     """Assignments of the streams of one recording.
 
     Args:
-        streams: As wide as the robot has joints.
+        streams: As wide as the robot has joints; a pose is no signal of joints.
         model: Nominal arm.
     """
 
     def __init__(self, streams: Sequence[JointStream], model: RobotModel) -> None:
-        self.streams, self.model = list(streams), model
+        self.streams, self.model = [one for one in streams if not holds_a_turn(one.series.values)], model
         self._averages: dict[tuple[int, int], Array] = {}
-        found = [(stream, choose(positions(stream.series.values, self.model.facts), -np.inf)) for stream in streams]
+        found = [
+            (stream, choose(positions(stream.series.values, self.model.facts), -np.inf)) for stream in self.streams
+        ]
         self.places = [
             Reading(stream, choice)
             for stream, choice in found

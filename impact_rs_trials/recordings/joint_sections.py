@@ -21,6 +21,7 @@ from impact_rs_trials.recordings.candidates import (
     vector_width,
 )
 from impact_rs_trials.recordings.file_units import UNITS
+from impact_rs_trials.recordings.flange_path import FlangePath
 from impact_rs_trials.recordings.guesses import are_derivatives, at_rest, steps_back
 from impact_rs_trials.recordings.hypotheses import RoleChoice, RoleHypothesis, spread
 from impact_rs_trials.recordings.import_texts import PossibleReading, flow
@@ -73,6 +74,7 @@ class JointSections:
 
     Attributes:
         readings: Possible readings by signal, the chosen one first.
+        flange: Path of the flange, once the joints are described.
     """
 
     def __init__(self, files: ImportedFiles) -> None:
@@ -80,6 +82,7 @@ class JointSections:
         self._refused: dict[str, str] = {}
         self._order_shown = "columns hold the joints from base to tip"
         self.readings: dict[str, tuple[PossibleReading, ...]] = {}
+        self.flange: FlangePath | None = None
 
     def describe(self, robot: str, facts: RobotFacts) -> tuple[RecordedFile, dict[str, Any], dict[str, dict[str, Any]]]:
         """File of the positions, keys of the mapping except its signals, and the signals."""
@@ -93,6 +96,7 @@ class JointSections:
         if (order := self._order(found, search)) is not None:
             search = JointSearch([stream.in_order(order) for stream in search.streams], model)
             found = self._assignment(search, robot)
+        self.flange = FlangePath.of(found.time, found.position.values, model)
         servo = None if self._is_measured(found, model) else find_servo(search, self._motions(search))
         if servo is not None:
             self._notes.remarks += [
@@ -255,9 +259,12 @@ class JointSections:
                 f"derivative; signals as wide as that: {'; '.join(one.label for one in every)}"
             )
         others = [
-            one.label for part in self._parts for one in part.candidates if not one.pose and one.width not in (1, count)
+            one for part in self._parts for one in part.candidates if not one.pose and one.width not in (1, count)
         ]
-        said += f"; signals of other widths: {', '.join(others[:MAX_SHOWN_SIGNALS])}" if others else ""
+        if others:
+            listed = ", ".join(one.label for one in others[:MAX_SHOWN_SIGNALS])
+            said += f"; signals of other widths: {listed}"
+            said += ", of which a mapping takes joints by entries" * any(one.width > count for one in others)
         said += "".join(f"; the reader refuses {why}" for why in self._refusals())
         backwards = [back for part in self._parts if (back := steps_back(part.columns)) is not None]
         said += "".join(f"; {back}, so another clock was taken" for back in backwards)

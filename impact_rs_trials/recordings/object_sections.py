@@ -13,8 +13,10 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.candidates import vector_width, width_of
 from impact_rs_trials.recordings.file_groups import OBJECT
+from impact_rs_trials.recordings.flange_path import MAX_RMS_RATIO, MAX_RMS_RATIO_OF_TARGET, FlangePath
 from impact_rs_trials.recordings.guesses import Guess, pose_of, quaternion_order, unit_of_length
 from impact_rs_trials.recordings.import_texts import flow
+from impact_rs_trials.recordings.joint_streams import COMMANDED
 from impact_rs_trials.recordings.mapping import NO_ROBOT, SignalName, SignalSource
 from impact_rs_trials.recordings.moving_objects import moving_objects
 from impact_rs_trials.recordings.recorded_files import ImportedFiles, RecordedFile, axes_of, source_in
@@ -33,12 +35,14 @@ class ObjectSections:
 
     Args:
         files: Its files; findings are appended to their notes.
+        flange: Path of the robot's flange; None: there is no robot.
 
     Attributes:
         groups: Files by kind and run; per-object files are merged to the object that moves.
     """
 
-    def __init__(self, files: ImportedFiles) -> None:
+    def __init__(self, files: ImportedFiles, flange: FlangePath | None = None) -> None:
+        self._flange = flange
         self._parts, self.groups, self._rate, self._notes = files.parts, files.groups, files.rate, files.notes
 
     def describe(
@@ -48,7 +52,7 @@ class ObjectSections:
         for part in sorted(self._parts, key=lambda one: one is joints and with_robot):
             for place, quaternion, named in poses_in(part, with_robot):
                 found = self._pose_sections(part, place, quaternion, named)
-                if found is None:
+                if found is None or self._is_of_the_tool(part, found):
                     continue
                 if with_robot and self.groups.spread:
                     self._choose_objects(part, found)
@@ -59,6 +63,27 @@ class ObjectSections:
                 signals |= found
                 return part
         return None if with_robot else self._ball(signals)
+
+    def _is_of_the_tool(self, part: RecordedFile, sections: dict[str, dict[str, Any]]) -> bool:
+        """Whether a pose is fixed on the flange of the robot, so that it is no object's; said in a note."""
+        if self._flange is None:
+            return False
+        name: SignalName = "object_pose" if "object_pose" in sections else "object_position"
+        own = {key: one for key, one in sections[name].items() if key != "file"}  # that of a run, opened here
+        source = SignalSource.model_validate(own)
+        raw = part.raw_mapping(NO_ROBOT, (), self._rate).model_copy(update={"signals": {name: source}})
+        series = open_file(part.path, raw, part.names, (name,)).series(name, source)
+        label = source.column or source.array or source.topic or ", ".join(source.columns or ())
+        most = MAX_RMS_RATIO_OF_TARGET if COMMANDED.search(label) else MAX_RMS_RATIO
+        carried = self._flange.carries(series.at(self._flange.time)[:, :3], most)
+        if carried is None:
+            return False
+        where, left = carried
+        self._notes.remarks.append(
+            f"{label} is no object's: it moves with the tip of the robot, {1e3 * where:.3g} mm from it, to "
+            f"{1e3 * left:.2g} mm (rms)"
+        )
+        return True
 
     def _say_other_poses(self, part: RecordedFile, taken: dict[str, Any]) -> None:
         """Note further arrays and topics that may be poses and are not used."""

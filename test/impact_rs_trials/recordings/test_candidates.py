@@ -20,9 +20,11 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import load_facts
 from impact_rs_sim.robot_import import import_urdf
 from impact_rs_trials.recordings import candidates
-from impact_rs_trials.recordings.candidates import SignalCandidate, candidates_of, joints_of, propose
+from impact_rs_trials.recordings.candidates import SignalCandidate, candidates_of, guess_of, joints_of, propose
 from impact_rs_trials.recordings.import_texts import Line, flow, mapping_text
+from impact_rs_trials.recordings.joint_streams import JointStream
 from impact_rs_trials.recordings.measured_limits import measured_limits
+from impact_rs_trials.recordings.series import Series
 
 NUMBERED = tuple(f"joint{number}" for number in range(1, 8))
 
@@ -51,6 +53,14 @@ def test_tables_and_arrays_offer_groups_of_columns_and_arrays(tmp_path: Path) ->
     np.savez(tmp_path / "run.npz", time=rows[:, 0], position=rows[:, :7], object_pose=rows[:, -7:])
     found = {one.guess: one.source for one in candidates_of(tmp_path / "run.npz")}
     assert found == {"position": {"array": "position"}, "object_pose": {"array": "object_pose"}}
+
+
+@pytest.mark.parametrize("name", ["ddq_des", "target_qdd_0", "q_ddot"])
+def test_the_name_of_an_acceleration_hints_at_no_position_or_velocity(name: str) -> None:
+    """Kills a desired velocity with its acceleration that is read as a motion."""
+    columns = SignalCandidate(name, {"columns": [name]}, False, guess_of(name), 1)
+    stream = JointStream("", columns, Series(name, np.arange(3.0), np.zeros((3, 1))))
+    assert stream.log_prior("velocity") < 0.0 and stream.log_prior("position") < 0.0
 
 
 def named(label: str, guess: str, width: int = 7) -> SignalCandidate:

@@ -217,6 +217,20 @@ def test_another_robot_is_not_believed(tmp_path: Path, motion: Columns) -> None:
     assert "--robot" in said
 
 
+def test_a_urdf_is_no_robot_facts_and_the_command_that_makes_them_is_named(tmp_path: Path, motion: Columns) -> None:
+    """Kills a list of the known robots in answer to one's own."""
+    file = write(tmp_path / "log.csv", NAMES, usual(motion))
+    said = refusal(draft_import, [file], tmp_path / "lab", ImportOptions(robot="arms/mine.urdf"))
+    assert "impact-rs robot import" in said and "arms/mine.urdf" in said
+
+
+def test_joints_of_a_humanoid_are_taken_by_entries_of_a_mapping(tmp_path: Path) -> None:
+    """Two arms and two hands in one vector. Kills a refusal without the key that takes one arm."""
+    np.savez(tmp_path / "episode.npz", time=TIME, state=np.sin(TIME[:, None] + np.arange(26.0)))
+    said = refusal(iiwa, tmp_path / "episode.npz", tmp_path)
+    assert "state (800 × 26), of which a mapping takes joints by entries" in said
+
+
 def test_robot_and_sampling_rate_are_asked_for_where_files_lack_them(tmp_path: Path, motion: Columns) -> None:
     names = [*numbered("q"), *numbered("dq"), *numbered("tau")]
     file = write(tmp_path / "log.csv", names, [motion["position"], motion["velocity"], motion["effort"]])
@@ -463,6 +477,22 @@ def hits(
         rows = [f"{stamp + late:.6f},{p},{q}" for stamp, p, q in pose]
         (folder / f"object_{object_name}_hit_{run}.csv").write_text("\n".join(["RosTime,Position,Orientation", *rows]))
     return folder
+
+
+@pytest.mark.parametrize("word", ["", "goal_"])
+def test_the_pose_of_the_robots_own_tool_is_no_object(word: str, tmp_path: Path, motion: Columns) -> None:
+    """A tool 0.1 m before the flange; its target is 4 mm off. Kills a free motion that is read as a hit."""
+    import pinocchio as pin
+
+    arm = RobotModel(load_facts("kuka_iiwa7"), MountedEndEffector().build(), pin.SE3.Identity())
+    tool = pin.SE3(np.eye(3), np.array([0.0, 0.06, 0.08]))
+    poses = np.array([pin.SE3ToXYZQUAT(arm.placement(q) * tool) for q in motion["position"]])
+    if word:
+        poses[:, :3] += np.random.default_rng(0).normal(0.0, 0.004, (TIME.size, 3))
+    names = [f"{word}{name}" for name in ("x", "y", "z", "qx", "qy", "qz", "qw")]
+    draft = iiwa(write(tmp_path / "log.csv", [*NAMES, *names], [*usual(motion), poses]), tmp_path)
+    assert draft.hits == 0 and "object" not in draft.texts["mapping.yaml"]
+    assert any("moves with the tip of the robot, 100 mm from it" in remark for remark in draft.remarks)
 
 
 def test_a_folder_with_a_file_per_signal_and_run_is_described(tmp_path: Path, motion: Columns) -> None:

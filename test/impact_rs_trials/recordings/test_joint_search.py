@@ -6,12 +6,14 @@ from __future__ import annotations
 import functools
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from joint_recordings import Columns, swinging
 
 from impact_rs_sim.robot import load_facts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.candidates import SignalCandidate, guess_of
+from impact_rs_trials.recordings.guesses import holds_a_turn
 from impact_rs_trials.recordings.joint_search import Assignment, JointSearch
 from impact_rs_trials.recordings.joint_streams import JointStream
 from impact_rs_trials.recordings.mapping import MountedEndEffector
@@ -67,6 +69,30 @@ def test_of_two_torques_names_say_which_was_measured(names: tuple[str, str], tak
     assert listed[0].log_posterior - listed[1].log_posterior == pytest.approx(
         6.0 if taken == "tau_meas" else 0.0, abs=3.1
     )
+
+
+def test_the_pose_of_a_tool_is_no_torque() -> None:
+    """Height and tilt of a tool go with the gravity torque of an arm that moves in a plane.
+
+    Kills torques and currents read in a pose.
+    """
+    time = np.linspace(0.0, 60.0, 1200)
+    swung = swinging(model(), time, CENTRE, (0.015 + 0.0027 * JOINTS, 0.041 + 0.004 * JOINTS), (0.3, 0.1))
+    q = CENTRE + (swung["position"] - CENTRE) * (JOINTS % 2)
+    poses = np.array([pin.SE3ToXYZQUAT(model().placement(one)) for one in q])
+    streams = [
+        JointStream("", SignalCandidate(name, {"column": name}, False, guess_of(name), 7), Series(name, time, values))
+        for name, values in (("q", q), ("a", poses))
+    ]
+    search = JointSearch(streams, model())
+    assert search.best(search.without_velocity()).torques == ()
+
+
+def test_four_joints_of_which_one_stands_at_one_radian_are_no_quaternion() -> None:
+    """Kills a search for quaternions in signals of joints that are held."""
+    held = np.zeros((50, 7))
+    held[:, 3], held[:, 5] = 1.01, np.linspace(0.0, 1.0, 50)
+    assert not holds_a_turn(held)
 
 
 def test_positions_are_those_whose_velocities_and_torques_fit_best() -> None:
