@@ -46,6 +46,7 @@ MIN_RECORDING_SAMPLES = 100
 MAX_NAMED_RECORDINGS = 3  # in a message
 MAX_SATURATED_SHARE = 0.5  # of the samples of a servo, beyond which its gain or target has another unit
 SERVO_SIGNALS: tuple[SignalName, ...] = ("position", "velocity", "q_desired")
+SAMPLED_SIGNALS: tuple[SignalName, ...] = ("position", "velocity", "torque", "motor_position", "motor_velocity")
 MIN_TAIL_LOW_PASS_PERIODS = 4.2  # that a piece loses at its ends,
 MIN_KEPT_SAMPLES = 60  # between these,
 MAX_RATE_PER_LOW_PASS = 10.0  # of them, per period of the low-pass
@@ -113,8 +114,10 @@ def read_long_enough(path: Path, mapping: Mapping) -> tuple[list[Run], list[tupl
 def _pieces(path: Path, mapping: Mapping) -> list[Run]:
     """One recording, checked, in the pieces that gaps and faults of sensors leave of it."""
     needed = REQUIRED if mapping.servo is None else SERVO_SIGNALS
-    recorded, set_back = without_steps_back(read_series(path, mapping, JOINT_SIGNALS, needed))
-    if set_back and "velocity" not in mapping.signals:
+    recorded = read_series(path, mapping, JOINT_SIGNALS, needed)
+    recorded |= {name: one.filled().without_held() for name, one in recorded.items() if name in SAMPLED_SIGNALS}
+    recorded, set_back = without_steps_back(recorded)
+    if "velocity" not in mapping.signals:
         recorded["velocity"] = recorded["position"].derivative()
     gaps_said = _checked_times(path, recorded, needed, mapping)
     model = _model(mapping)

@@ -23,9 +23,6 @@ from impact_rs_trials.recordings.run_finder import (
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 from impact_rs_trials.recordings.table_file import TableFile
 
-SAMPLED_SIGNALS: tuple[SignalName, ...] = ("position", "velocity", "torque", "motor_position", "motor_velocity")
-"""Measured signals of joints; commands are held on purpose, and objects may rest."""
-
 
 class SignalFile(Protocol):
     """A file that has signals."""
@@ -79,8 +76,7 @@ def read_series(
             if series.time.size == 0 and name in needed:
                 raise InputError(f"{series.place} has no sample", file=file)
             if series.time.size:
-                series = series.without_repeats() if mapping.time.repeated == "keep_first" else series
-                found[name] = series.filled().without_held() if name in SAMPLED_SIGNALS else series
+                found[name] = series.without_repeats() if mapping.time.repeated == "keep_first" else series
     if "velocity" in wanted and "velocity" not in sources and "position" in found:
         found["velocity"] = found["position"].derivative()
     return found

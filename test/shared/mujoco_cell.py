@@ -35,7 +35,7 @@ from impact_rs_sim.scene import ArmMotion, BodyState
 from impact_rs_sim.sensors import ArmMeasurement, ArmSensors, ObjectTracker
 
 STEP = 1.0 / 8000.0  # s
-UNKNOWN_HERE = ("pad_shear", "pad_creep")  # effects of the library that this cell cannot hide
+UNKNOWN_HERE = ("pad_shear", "pad_creep", "stiff_control")  # effects that this cell, which closes its loop, cannot hide
 LAYER, CORNERS = float(1.0 / np.sqrt(3.0)), 1.0
 ELEMENT_RADIUS = 0.005  # m, of the balls that the pad touches with
 SUPPORT_THICKNESS = 0.1  # m

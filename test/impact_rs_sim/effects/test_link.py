@@ -280,5 +280,6 @@ def test_only_some_effects_change_bodies() -> None:
         "link_inertia",
         "motor_inertia_scale",
         "added_motor_inertia",
+        "stiff_control",
         "object_mass",
     }

@@ -130,7 +130,7 @@ def test_motor_inertia_and_mass_of_a_table_go_before_those_of_the_scenario(tmp_p
     assert row.physics.arms[name].motor_inertia_reduced == pytest.approx(0.1 * np.arange(1, count + 1))
     nominal = PUSH.objects[row.object_name]
     assert row.physics.object.mass == 3.0
-    assert row.physics.object.inertia == pytest.approx(nominal.inertia * 3.0 / nominal.mass)
+    assert row.physics.object.inertia == pytest.approx(nominal.moments * 3.0 / nominal.mass)
 
 
 def rename(old: str, new: str) -> Callable[[dict[str, Any]], dict[str, Any]]:

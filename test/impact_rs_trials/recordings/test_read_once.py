@@ -81,13 +81,13 @@ def test_an_import_reads_tables_once_and_bags_twice(tmp_path: Path, monkeypatch:
     assert opened.count("run.csv") == 1
     write_bag(tmp_path / "bag", motion, list(range(7)), names=[f"joint{joint}" for joint in range(1, 8)])
     bags: list[Path] = []
-    reader = bag_file.Reader
+    reader = bag_file.open_bag
 
     def counted(path: Path) -> object:
         bags.append(path)
         return reader(path)
 
     for module in (bag_file, candidates):
-        monkeypatch.setattr(module, "Reader", counted)
+        monkeypatch.setattr(module, "open_bag", counted)
     draft_import([tmp_path / "bag"], tmp_path / "lab", ImportOptions(robot="kuka_iiwa7"))
     assert len(bags) == 2
