@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import copy
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from impact_rs_sim.robot import JointType
 
 MOVABLE_JOINT_TYPES: dict[str, JointType] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 URDF_JOINT_TYPES = (*MOVABLE_JOINT_TYPES, "fixed", "planar", "floating")
+COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 XACRO_COMMAND = "xacro {file} > robot.urdf"
 WORLD = "world"  # link that simulators know without its being in the file
 KEPT_ELEMENTS = ("origin", "parent", "child", "axis", "inertial")  # those that rigid-body dynamics need; no meshes
@@ -279,7 +281,7 @@ def _parse(file: Path) -> Xml.Element:
     xacro = InputError(
         f"this is xacro, expected URDF; expand it first: {XACRO_COMMAND.format(file=file.name)}", file=file
     )
-    if file.suffix == ".xacro" or "<xacro:" in text:
+    if file.suffix == ".xacro" or "<xacro:" in COMMENT.sub("", text):
         raise xacro
     try:
         robot = Xml.fromstring(text)

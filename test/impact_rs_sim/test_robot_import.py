@@ -368,7 +368,8 @@ def test_a_file_that_is_no_urdf_is_refused(tmp_path: Path, name: str, text: str,
 def test_a_urdf_that_xacro_made_is_taken(tmp_path: Path) -> None:
     file = tmp_path / "arm.urdf"
     rest = '<ros2_control name="arm"><param name="min">${-2*pi}</param></ros2_control>'
-    file.write_text(f'<robot name="arm" xmlns:xacro="http://ros.org/wiki/xacro">{"".join(ARM)}{rest}</robot>')
+    made = "<!-- made by\n <xacro:include filename='arm.xacro'/> -->"  # kills a search in comments
+    file.write_text(f'<robot name="arm" xmlns:xacro="http://ros.org/wiki/xacro">{made}{"".join(ARM)}{rest}</robot>')
     assert import_urdf(file).facts.joint_count == 2
 
 
