@@ -153,6 +153,7 @@ def _end_with_the_other_end(pipe: int) -> None:
 
 def main() -> int:
     """Run a command of ``impact-rs`` that ends when the other end of its standard input is closed."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a job that a script has put behind it ignores it
     threading.Thread(target=_end_with_the_other_end, args=(sys.stdin.fileno(),), daemon=True).start()
     return program.main(sys.argv[1:])
 

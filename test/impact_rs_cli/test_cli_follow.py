@@ -238,10 +238,14 @@ def test_a_diagnosis_that_fails_is_reported_with_its_reason_and_command(few_hits
 def test_a_diagnosis_that_is_stopped_has_ended_and_leaves_nothing(
     many_hits: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, patience: float
 ) -> None:
-    """By Ctrl-C, and by a kill where it does not end in time."""
+    """By Ctrl-C, and by a kill where it does not end in time. Kills: Ctrl-C is ignored, as in a job of a script."""
     monkeypatch.setattr("impact_rs_cli.full_diagnosis.DIAGNOSIS_STOP_TIMEOUT_S", patience)
     diagnosis = FullDiagnosis({"impacts": many_hits, "scenario": "push"}, tmp_path / "more")
-    diagnosis.start("row 3")
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        diagnosis.start("row 3")
+    finally:
+        signal.signal(signal.SIGINT, handler)
     process = diagnosis._running.process  # type: ignore[union-attr]
     diagnosis.stop()
     assert process.returncode is not None and not diagnosis.running
