@@ -30,7 +30,6 @@ moves as it freezes. Found as well: all torques whose gravity part changes by 1 
 from __future__ import annotations
 
 from collections.abc import Mapping as AbstractMapping
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -301,10 +300,7 @@ def _torque_unlike_gravity(torque: Series, position: Series, mapping: Mapping, m
 def _without(series: Series, wrong: Mask) -> Series:
     """Without the rows in which some joint is wrong."""
     kept = ~wrong.any(axis=1)
-    if kept.all():
-        return series
-    log = None if series.log is None else series.log[kept]
-    return replace(series, time=series.time[kept], values=series.values[kept], log=log)
+    return series if kept.all() else series.in_rows(np.asarray(kept))
 
 
 def _remarks(series: Series, wrong: Mask, kind: str, mapping: Mapping, name: SignalName) -> list[str]:

@@ -63,7 +63,7 @@ class Series:
     def sampled(self) -> Series:
         """Without the rows that hold no sample (all NaN), as in tables with a slower signal."""
         kept = np.any(~np.isnan(self.values), axis=1)
-        return self if kept.all() else self._in_rows(np.asarray(kept))
+        return self if kept.all() else self.in_rows(np.asarray(kept))
 
     def without_held(self) -> Series:
         """One row of each value, if values are held for several rows, as of a slow signal in a fast table.
@@ -78,15 +78,15 @@ class Series:
         usual = round(float(np.median(lengths)))
         if usual < 2 or np.mean(np.abs(lengths - usual) <= max(1.0, MAX_HELD_CHANGE * usual)) < MIN_HELD_SHARE:
             return self
-        since = np.arange(self.time.size) - starts[np.searchsorted(starts, np.arange(self.time.size), side="right") - 1]
-        long = np.repeat(np.diff(np.append(starts, self.time.size)), np.diff(np.append(starts, self.time.size)))
+        spans = np.diff(np.append(starts, self.time.size))
+        since, long = np.arange(self.time.size) - np.repeat(starts, spans), np.repeat(spans, spans)
         kept = (since == 0) | ((since % usual == 0) & (long > 2 * usual))
         share, period = 100.0 * np.mean(~kept), float(np.median(np.diff(self.time[kept])))
         said = Remark(
             f"{self.place}: ", Amount(float(share), ".3g"), f" % of the rows repeat the values of the row before, held "
             f"for {usual} rows: sampled at ", Amount(1.0 / max(period, 1e-9), ".4g"), " Hz, the first of each is kept",
         )  # fmt: skip
-        return replace(self._in_rows(kept), remarks=(*self.remarks, said))
+        return replace(self.in_rows(kept), remarks=(*self.remarks, said))
 
     def filled(self) -> Series:
         """Rows of the fullest column; numbers that other columns lack there are interpolated in their own column.
@@ -99,7 +99,7 @@ class Series:
             return self
         clock = np.append(0.0, np.cumsum(np.maximum(np.diff(self.time), 0.0)))  # also where it was set back
         rows = numbers[:, int(np.argmax(numbers.sum(axis=0)))]
-        own, at = self._in_rows(rows), clock[rows]
+        own, at = self.in_rows(rows), clock[rows]
         kept, values = np.ones(at.size, dtype=bool), own.values.copy()
         for column, has in enumerate(numbers.T):
             time, blank = clock[has], ~np.isfinite(own.values[:, column])
@@ -112,10 +112,10 @@ class Series:
             f"{self.place}: ", Amount(share, ".3g"), " % of the cells are blank or no number where others of their row "
             "are: interpolated in their column",
         )  # fmt: skip
-        return replace(replace(own, values=values)._in_rows(kept), remarks=(*self.remarks, said))
+        return replace(replace(own, values=values).in_rows(kept), remarks=(*self.remarks, said))
 
-    def _in_rows(self, kept: NDArray[np.bool_]) -> Series:
-        """The series in some of its rows."""
+    def in_rows(self, kept: NDArray[np.bool_]) -> Series:
+        """The series in the rows of a mask, ``(k,)``."""
         log = None if self.log is None else self.log[kept]
         return replace(self, time=self.time[kept], values=self.values[kept], log=log)
 
@@ -127,7 +127,7 @@ class Series:
         repeats = int(np.sum(~kept))
         share = Amount(repeats, "d"), " of ", Amount(kept.size, "d")
         said = Remark(f"{self.place}: ", *share, " samples have the stamp of the one before; the first is kept")
-        return replace(self._in_rows(kept), remarks=(*self.remarks, said))
+        return replace(self.in_rows(kept), remarks=(*self.remarks, said))
 
     def derivative(self) -> Series:
         """Rate of change, by central differences over :data:`DIFFERENCE_S` or two sampling periods, ``(k, c)``."""
