@@ -19,9 +19,9 @@ from analytic_world import FEATURES, PHYSICS, AnalyticSource, features
 
 from impact_rs_analysis.evidence.cluster import Added, Feature
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY, Discrepancy, DiscrepancyEntry, Patterns
-from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs, Setup
-from impact_rs_analysis.evidence.replays import clusters_of
-from impact_rs_sim.robot import Array
+from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs, Setup
+from impact_rs_analysis.evidence.sources.run_source import clusters_of
+from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.runs import NONE, Signals
 
 WHITE = np.eye(FEATURES)  # root of the covariance of independent features

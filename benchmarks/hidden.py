@@ -15,10 +15,10 @@ from benchmarks.results import Table
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document, write_document
 from impact_rs_analysis.diagnosis.scoring import held_against_truth
-from impact_rs_analysis.evidence.command_clock import read_laboratory_runs
-from impact_rs_analysis.evidence.measured_runs import Runs
-from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_analysis.evidence.replays.command_clock import read_laboratory_runs
+from impact_rs_analysis.evidence.replays.measured_runs import Runs
+from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
+from impact_rs_analysis.evidence.sources.run_source import ReplaySource
 from impact_rs_sim.effects import of_trials
 from impact_rs_sim.model import load_model
 from impact_rs_trials.blind import BlindTask, run_task

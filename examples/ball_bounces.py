@@ -27,8 +27,8 @@ from pathlib import Path
 import numpy as np
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import Array
-from impact_rs_trials.recordings.motion_fits import FittedMotion, move
+from impact_rs_sim.robots.robot import Array
+from impact_rs_trials.recordings.impacts.motion_fits import FittedMotion, move
 
 MASS, RADIUS = 0.0027, 0.020  # kg, m: the laws of table tennis
 WINDOW = 0.1  # s of flight on either side

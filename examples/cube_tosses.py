@@ -33,11 +33,11 @@ from typing import Any
 import numpy as np
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import Array
-from impact_rs_trials.recordings.body_impacts import TrackedBody, impacts_of_bodies
+from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.recordings.experiment import Body, Plane
-from impact_rs_trials.recordings.found_impacts import body_columns, tracked_body
-from impact_rs_trials.recordings.impact_rows import table_text
+from impact_rs_trials.recordings.impacts.body_impacts import TrackedBody, impacts_of_bodies
+from impact_rs_trials.recordings.impacts.found_impacts import body_columns, tracked_body
+from impact_rs_trials.recordings.impacts.impact_rows import table_text
 
 HALF_WIDTH = 0.0524  # m, the unit of length in the files
 MASS = 0.37  # kg

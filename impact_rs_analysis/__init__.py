@@ -34,17 +34,17 @@ if TYPE_CHECKING:
     from impact_rs_analysis.diagnosis.compare import ComparisonDocument as ComparisonDocument
     from impact_rs_analysis.diagnosis.compare import compare as compare
     from impact_rs_analysis.diagnosis.diagnose import diagnose as diagnose
-    from impact_rs_analysis.diagnosis.discover import discover as discover
     from impact_rs_analysis.diagnosis.document import DiagnosisDocument as DiagnosisDocument
     from impact_rs_analysis.diagnosis.document import read_document as read_document
     from impact_rs_analysis.diagnosis.document import write_document as write_document
     from impact_rs_analysis.diagnosis.history import history as history
+    from impact_rs_analysis.diagnosis.laws.discover import discover as discover
     from impact_rs_analysis.evidence.calibration import LaboratoryCalibration as LaboratoryCalibration
     from impact_rs_analysis.evidence.calibration import calibration_of as calibration_of
-    from impact_rs_analysis.evidence.impact_tables import ImpactTableSource as ImpactTableSource
-    from impact_rs_analysis.evidence.recordings import RecordingSource as RecordingSource
-    from impact_rs_analysis.evidence.replays import ReplaySource as ReplaySource
     from impact_rs_analysis.evidence.source import Source as Source
+    from impact_rs_analysis.evidence.sources.recording_source import RecordingSource as RecordingSource
+    from impact_rs_analysis.evidence.sources.run_source import ReplaySource as ReplaySource
+    from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource as ImpactTableSource
     from impact_rs_analysis.measure.analyze import ExperimentSet as ExperimentSet
     from impact_rs_analysis.measure.analyze import analyze_campaign as analyze_campaign
 
@@ -52,13 +52,13 @@ MODULES = {
     "application.measurements": ("MeasurementOptions", "Measurements", "open_measurements", "read_measurements"),
     "diagnosis.compare": ("ComparisonDocument", "compare"),
     "diagnosis.diagnose": ("diagnose",),
-    "diagnosis.discover": ("discover",),
+    "diagnosis.laws.discover": ("discover",),
     "diagnosis.document": ("DiagnosisDocument", "read_document", "write_document"),
     "diagnosis.history": ("history",),
     "evidence.calibration": ("LaboratoryCalibration", "calibration_of"),
-    "evidence.impact_tables": ("ImpactTableSource",),
-    "evidence.recordings": ("RecordingSource",),
-    "evidence.replays": ("ReplaySource",),
+    "evidence.sources.table_source": ("ImpactTableSource",),
+    "evidence.sources.recording_source": ("RecordingSource",),
+    "evidence.sources.run_source": ("ReplaySource",),
     "evidence.source": ("Source",),
     "measure.analyze": ("ExperimentSet", "analyze_campaign"),
 }

@@ -15,7 +15,7 @@ from impact_rs_commands.shared import RUNS_TEXT
 from impact_rs_control.plan import check_joint_counts
 from impact_rs_sim.errors import InputError, shortened
 from impact_rs_sim.robot_check import failures_of
-from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.schema import parse_value
 from impact_rs_trials.store import is_url, local_copy
 from impact_rs_trials.workers import Map, Workforce, workers

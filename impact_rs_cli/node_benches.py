@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from impact_rs_analysis.application.plant_bench import PlantBench
-from impact_rs_analysis.evidence.command_clock import read_runs_of_scenes
-from impact_rs_analysis.evidence.measured_runs import Runs
+from impact_rs_analysis.evidence.replays.command_clock import read_runs_of_scenes
+from impact_rs_analysis.evidence.replays.measured_runs import Runs
 from impact_rs_analysis.investigation.rounds import PlannedTrial
 from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_cli.cell_guard import CellGuard
@@ -17,7 +17,7 @@ from impact_rs_ros.graph import Graph, run_trial
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.model import Model
-from impact_rs_sim.scenario import Scenario, load_scenario
+from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.campaign import Manifest, TrialReport
 from impact_rs_trials.experiment_plan import SCENARIO_FILE, write_scenario

@@ -15,8 +15,8 @@ from impact_rs_analysis.application.measurements import (
     open_measurements,
     read_laboratory,
 )
-from impact_rs_analysis.diagnosis.bounds import read_ranges
-from impact_rs_analysis.evidence.measured_runs import Runs
+from impact_rs_analysis.diagnosis.search.bounds import read_ranges
+from impact_rs_analysis.evidence.replays.measured_runs import Runs
 from impact_rs_cli.arguments import started
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError

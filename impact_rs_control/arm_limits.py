@@ -14,8 +14,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RobotModel
 
 TORQUE_ROUNDING_NM = 1e-6  # by which a torque at its limit may exceed it
 MAX_MEASURED_TORQUE_RATIO = 5.0  # measured torque over torque limit; link-side sensors see the peak of an impact

@@ -17,17 +17,17 @@ import numpy as np
 
 from impact_rs_control.controller import ArmCommand, Controller
 from impact_rs_control.plan import TrialPlan
-from impact_rs_sim.mechanics import Simulator
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.plant import Measurement, Plant, PlantExtension
-from impact_rs_sim.robot import Array
-from impact_rs_sim.sensors import ArmMeasurement
+from impact_rs_sim.plant.mechanics import Simulator
+from impact_rs_sim.plant.plant import Measurement, Plant, PlantExtension
+from impact_rs_sim.plant.sensors import ArmMeasurement
+from impact_rs_sim.robots.robot import Array
 
 RUNAWAY = 2.0  # times its speed limit, beyond which a joint is out of control; a normal trial stays below 0.7
 
 
 class RobotCell(Protocol):
-    """Interface of a plant in a closed loop; :class:`~impact_rs_sim.plant.Plant` or another simulator."""
+    """Interface of a plant in a closed loop; :class:`~impact_rs_sim.plant.plant.Plant` or another simulator."""
 
     def measure(self) -> Measurement:
         """Present measurements; the same for every call between two steps."""

@@ -56,10 +56,10 @@ from impact_rs_control.fallback import holding_torque
 from impact_rs_control.plan import ArmPlan, TrialPlan
 from impact_rs_control.qp import AccelerationProblem, AccelerationQp, JointLimits, QpStatus
 from impact_rs_sim import _kernel
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RigidTerms, RobotModel
-from impact_rs_sim.scenario import Gains, Scenario
-from impact_rs_sim.sensors import ArmMeasurement
+from impact_rs_sim.plant.sensors import ArmMeasurement
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RigidTerms, RobotModel
+from impact_rs_sim.scenarios.scenario import Gains, Scenario
 
 IDLE_TASK_WEIGHT = 1e-4  # of standing still over the weight of a task, for joints that no task needs [-]
 

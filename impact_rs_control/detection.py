@@ -29,9 +29,9 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim import _kernel
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RigidTerms, RobotModel
-from impact_rs_sim.scenario import Detection
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RigidTerms, RobotModel
+from impact_rs_sim.scenarios.scenario import Detection
 
 BASELINE_TIME_S = 0.05  # time constant of the slow part of the residual
 

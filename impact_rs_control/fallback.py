@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RobotModel
 
 SETTLING_TIME_S = 0.1  # time constant T
 MAX_BRAKE_SHARE = 0.5  # of the torque limits; the other half carries the gravity torque

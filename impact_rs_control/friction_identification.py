@@ -26,11 +26,11 @@ from impact_rs_control.controller import Controller
 from impact_rs_control.plan import TrialPlan, initial_position, plan_trial, posture_of, tick_times
 from impact_rs_control.references import run_up_path
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.friction_compensation import TASKS, AccelerationSamples, ArmFriction
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.scenarios.friction_compensation import TASKS, AccelerationSamples, ArmFriction
+from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.seeds import seed_of
 

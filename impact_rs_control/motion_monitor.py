@@ -18,8 +18,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RobotModel
 
 WINDOW_S = 0.1  # s
 MAX_VELOCITY_LAG_S = 0.01  # s

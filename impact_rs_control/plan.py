@@ -21,9 +21,9 @@ from impact_rs_sim.errors import Infeasible, InputError, UnreachablePose
 from impact_rs_sim.impact_map import DEFAULT_ENGINE, predict_impact
 from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.scene import Scene
 
 POSE_TASKS = 6  # position and orientation of E

@@ -23,7 +23,7 @@ import numpy as np
 from proxsuite import proxqp
 
 from impact_rs_sim import _kernel
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 SLACK_WEIGHT = 1e6  # cost of a squared violation, relative to that of a squared task error
 QP_ACCURACY = 1e-9  # ProxQP's eps_abs, absolute tolerance of its residuals

@@ -14,8 +14,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.polynomial import polynomial
 
-from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import Timing
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.scenarios.scenario import Timing
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ from impact_rs_ros.robot_states import STATES
 from impact_rs_ros.trial_node import SUBSCRIBER_POLL_S, TRIAL_SLICE_S, LeadingNode
 from impact_rs_ros.watchdog_node import BRAKING_TOPIC, TORQUES, WatchdogNode
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo

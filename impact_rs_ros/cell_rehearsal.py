@@ -39,10 +39,10 @@ from impact_rs_ros.node_parameters import defaults_of
 from impact_rs_ros.robot_states import STATES, joint_names
 from impact_rs_ros.watchdog_node import Watchdog
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.plant import Plant
-from impact_rs_sim.robot import Array, Reflexes
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.sensors import ArmMeasurement
+from impact_rs_sim.plant.plant import Plant
+from impact_rs_sim.plant.sensors import ArmMeasurement
+from impact_rs_sim.robots.robot import Array, Reflexes
+from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.streams import StreamMaker
 from impact_rs_trials.checked_bound import CheckedBound

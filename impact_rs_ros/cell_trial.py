@@ -25,7 +25,7 @@ from impact_rs_ros.motion_capture import MOCAP, TrackerPoses
 from impact_rs_ros.robot_states import STATES, ArmStates
 from impact_rs_ros.trial_node import CONNECTION_TIMEOUT_S, LeadingTrial
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags import topics
 
 REPEAT_S = 0.25  # until the first state is sent to the controller again

@@ -14,7 +14,7 @@ from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.joint_signals import JointReader, JointSignals
 from impact_rs_ros.process import run
 from impact_rs_ros.trial_node import LockstepTrial, TrialNode
-from impact_rs_sim.sensors import ArmMeasurement
+from impact_rs_sim.plant.sensors import ArmMeasurement
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo

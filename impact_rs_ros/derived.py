@@ -15,7 +15,7 @@ import numpy as np
 
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.joint_signals import JointReader
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes
 from impact_rs_trials.bags.record import FrameSource

@@ -20,7 +20,7 @@ from impact_rs_control.fallback import MAX_STATE_AGE_S, holding_torque
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.robot_states import STATES, ArmStates, Clock, RobotStates, joint_names
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 MAX_REST_SPEED = 0.02  # rad/s, m/s; the holding torque then changes by a thousandth of the gravity torque
 MAX_BRAKING_S = 0.6  # until arms rest before they are left; six time constants of the brake

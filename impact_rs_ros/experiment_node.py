@@ -22,7 +22,7 @@ from impact_rs_ros.trial_session import Progress, TrialResult, TrialSession
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.model import parse_model
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
-from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_trials.bags.trial_info import TrialKey
 from impact_rs_trials.campaign import Manifest, TrialReport, make_manifest, open_campaign, wrong_outcomes
 from impact_rs_trials.spec import TrialSpec

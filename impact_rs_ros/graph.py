@@ -32,7 +32,7 @@ from impact_rs_ros.names import full_namespace, within
 from impact_rs_ros.node_processes import NODES, NodeProcesses, ours
 from impact_rs_ros.presence import Presence
 from impact_rs_sim.model import Model, model_text
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.bags.trial_info import Outcome, TrialKey
 from impact_rs_trials.campaign import Manifest, TrialReport, keep_failure, report_of_bag
 from impact_rs_trials.store import open_store

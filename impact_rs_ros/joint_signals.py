@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 FIELDS = ("position", "velocity", "effort")
 MAX_JOINTS = 1024  # in one message; bounds the time to decode it

@@ -11,7 +11,7 @@ from typing import Any
 
 from rclpy.serialization import deserialize_message
 
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 
 @functools.cache

@@ -17,7 +17,7 @@ from geometry_msgs.msg import PoseStamped
 from impact_msgs_py.conversions import pose_from_message, pose_to_message
 from impact_rs_ros.message_types import decoded
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.rotations import quaternion_of
 
 MOCAP = "/mocap/object_pose"

@@ -19,7 +19,7 @@ from rclpy.parameter import Parameter
 
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.impact_map import CONTACTS, DEFAULT_ENGINE, ENGINES, FORMER_NAMES
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_sim.schema import load_mapping
 
 Value = bool | float | str

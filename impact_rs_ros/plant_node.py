@@ -23,8 +23,8 @@ from impact_rs_ros.process import run
 from impact_rs_ros.trial_node import CONNECTION_TIMEOUT_S, LeadingNode, LeadingTrial
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import parse_model
-from impact_rs_sim.plant import Plant
-from impact_rs_sim.robot import Array
+from impact_rs_sim.plant.plant import Plant
+from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import MessageMaker
 from impact_rs_trials.bags.record import FrameSource, occasional_messages
@@ -51,7 +51,7 @@ class Pace:
 
 
 class PlantTrial(LeadingTrial):
-    """One trial of a :class:`~impact_rs_sim.plant.Plant`.
+    """One trial of a :class:`~impact_rs_sim.plant.plant.Plant`.
 
     Args:
         plan: The trial.
@@ -210,7 +210,7 @@ class PlantTrial(LeadingTrial):
 
 
 class PlantNode(LeadingNode[PlantTrial]):
-    """Steps a :class:`~impact_rs_sim.plant.Plant`."""
+    """Steps a :class:`~impact_rs_sim.plant.plant.Plant`."""
 
     kind = "plant"
 

@@ -29,7 +29,7 @@ from impact_rs_ros.presence import SubscriptionsMatched
 from impact_rs_ros.process import HARDWARE, NodeProgram, run
 from impact_rs_ros.qos import RECORD
 from impact_rs_sim.errors import InputError, full_traceback
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.cdr import Readable
 from impact_rs_trials.bags.outcome import ArmRecord, TrialRecord, Verdict, judge

@@ -19,9 +19,9 @@ from impact_rs_control.arm_limits import state_complaint
 from impact_rs_control.motion_monitor import MotionMonitor
 from impact_rs_ros.joint_signals import FIELDS, joint_signals, names_of
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.sensors import ArmMeasurement
+from impact_rs_sim.plant.sensors import ArmMeasurement
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RobotModel
 
 STATES = "/joint_states"  # of joint_state_broadcaster
 MIN_STEP_PERIODS = 0.5  # between the measurements of two states

@@ -28,7 +28,7 @@ from impact_rs_ros.names import full_namespace, resolved
 from impact_rs_ros.qos import LATCHED, WATCH
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.snapshot import IdentifyMessages, Situation, Snapshot

@@ -32,7 +32,7 @@ from impact_rs_ros.names import on_network, resolved
 from impact_rs_ros.presence import LEASE_GRACE_S, Presence
 from impact_rs_ros.qos import EVENT, LATCHED, LEASE_S, WATCH
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.rotations import quaternion_of
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import MessageMaker

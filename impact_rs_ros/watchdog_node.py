@@ -37,7 +37,7 @@ from impact_rs_ros.process import NodeProgram, run
 from impact_rs_ros.qos import AWAITED, COMMAND, LATCHED
 from impact_rs_ros.robot_clock import RobotClock
 from impact_rs_ros.robot_states import STATES
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.spec import TrialSpec
 

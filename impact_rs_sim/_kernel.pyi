@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RigidTerms
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RigidTerms
 
 ACCEPTED: float
 """|g F| that is an answer of Newton's method [m/s]."""
@@ -131,7 +131,7 @@ def solve_impacts(
     """
 
 class Chain:
-    """Rigid links of one arm in A; what :mod:`impact_rs_sim.robot_model` says of them.
+    """Rigid links of one arm in A; what :mod:`impact_rs_sim.robots.robot_model` says of them.
 
     Args:
         rotations: Axes of every joint in the link before, ``(n, 3, 3)``.

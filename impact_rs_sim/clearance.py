@@ -4,8 +4,8 @@
 Coal, the collision library below Pinocchio, finds distances.
 
 Between two arms every link is a capsule from its joint to the next one: a coarse hull, on the safe side where a real
-link is slimmer. Against support and ground a link has its simple shapes (:mod:`impact_rs_sim.link_shapes`), the end
-effector its tube, and the pad its box.
+link is slimmer. Against support and ground a link has its simple shapes (:mod:`impact_rs_sim.robots.link_shapes`), the
+end effector its tube, and the pad its box.
 
 A scenario does not say where its table ends: arms stand in it, and pads that grab come from beside it. What is certain
 is the part below the object, from where it stands to where it is pushed, and a rim around it. The ground is the plane
@@ -25,10 +25,10 @@ import pinocchio as pin
 
 from impact_rs_sim.errors import Infeasible
 from impact_rs_sim.impact_map.contacts import SUPPORT_THICKNESS
-from impact_rs_sim.link_shapes import TOOL_RADIUS_M, Shape, link_shapes
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import TIP, RobotModel
+from impact_rs_sim.robots.link_shapes import TOOL_RADIUS_M, Shape, link_shapes
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import TIP, RobotModel
 from impact_rs_sim.scene import BodyState
 
 LINK_RADIUS_M = 0.06  # of the capsule around a link; coarse, on the safe side of the shipped arms

@@ -20,7 +20,7 @@ import numpy as np
 
 from impact_rs_sim import _kernel
 from impact_rs_sim.physics import ArmPhysics, JointFriction, ShaftFriction
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.scene import ArmState
 
 if TYPE_CHECKING:

@@ -28,7 +28,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from impact_rs_sim.physics import LoadState, Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 Rows = NDArray[np.int_]
 Servo = Callable[[Array, Array, Array], Array]  # torque of servos at times (S,), q and dq (S, n), (S, n) [N m]

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 
 class Memory:

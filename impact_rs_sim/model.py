@@ -31,7 +31,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import is_file, write_whole
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array, JointType
+from impact_rs_sim.robots.robot import Array, JointType
 from impact_rs_sim.schema import Schema, load, parse_yaml, validate
 
 PRISMATIC_ONLY_UNITS = {

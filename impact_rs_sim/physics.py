@@ -19,12 +19,12 @@ from impact_rs_sim.damping_of_restitution import damping_ratio_of, restitution_o
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.memory import Memory
 from impact_rs_sim.readings import EXACT, ArmReadings, TrackerReadings
-from impact_rs_sim.robot import Array, EndEffector, JointType, RobotFacts, SigmoidFriction
-from impact_rs_sim.robot_model import STANDARD_GRAVITY, RobotModel
-from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.robots.robot import Array, EndEffector, JointType, RobotFacts, SigmoidFriction
+from impact_rs_sim.robots.robot_model import STANDARD_GRAVITY, RobotModel
+from impact_rs_sim.robots.urdf import write_description
+from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.shapes import BOX, ConvexShape
 from impact_rs_sim.twist_readings import TwistReadings
-from impact_rs_sim.urdf import write_description
 
 MOTOR_INERTIA_MODELS = ("reduced", "rotor", "zero")
 RESTITUTION_LAWS = ("newton", "poisson")
@@ -577,7 +577,7 @@ class Physics:
         return len(self.joints)
 
     def description(self, meshes: bool = True) -> str:
-        """URDF of the mounted arms beside the support (:func:`impact_rs_sim.urdf.write_description`).
+        """URDF of the mounted arms beside the support (:func:`impact_rs_sim.robots.urdf.write_description`).
 
         Args:
             meshes: Show the meshes of arms that have some; else simple shapes.

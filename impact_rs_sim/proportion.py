@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from impact_rs_sim.physics import ObjectPhysics, Physics
-from impact_rs_sim.robot import Array, RobotFacts
+from impact_rs_sim.robots.robot import Array, RobotFacts
 from impact_rs_sim.units import dimension_of
 
 FRANKA_MASS_KG = 16.062132  # links 1 to 7

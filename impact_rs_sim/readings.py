@@ -22,7 +22,7 @@ import numpy as np
 import pinocchio as pin
 import scipy
 
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 Values = Array | float  # one for every joint, ``(n,)``, or the same for all
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 _ORIGIN = np.zeros(3)
 

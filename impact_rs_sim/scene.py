@@ -11,9 +11,9 @@ import scipy
 
 from impact_rs_sim.errors import Infeasible, InputError, UnreachablePose
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.scenarios.scenario import Scenario
 
 SINGULAR_VALUE_TOLERANCE = 1e-9  # over the largest singular value of a Jacobian [-]; smaller ones are rounding
 MIN_HORIZONTAL_COSINE = 0.95  # between pad normal and horizontal; a steeper pad meets no side face

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The twin: arms with drives, object and support from a measured state under recorded torque, compiled.
 
-It stands beside Bullet (:mod:`impact_rs_sim.bullet_mechanics`) as a second simulator of the same
+It stands beside Bullet (:mod:`impact_rs_sim.plant.bullet_mechanics`) as a second simulator of the same
 :class:`~impact_rs_sim.physics.Physics`: in free motion both are equal to rounding, in contact they differ by their
 step methods (``docs/physics.md``, "The twin"). Many jobs run in one call, on several threads, with the same numbers for
-any number of threads; :mod:`impact_rs_sim.twin_mechanics` runs one tick by tick.
+any number of threads; :mod:`impact_rs_sim.plant.twin_mechanics` runs one tick by tick.
 
 Loads of formulas and springs are compiled. A load that is a Python class works as well, at the price of a call into
 Python in every tick, during which no other thread calls into Python.
@@ -30,7 +30,7 @@ from impact_rs_sim.effects.formula import JOINT_SYMBOL, LAG, Formula, FormulaLoa
 from impact_rs_sim.effects.surroundings import Spring
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import ArmPhysics, Load, Physics
-from impact_rs_sim.robot import Array, Flange, JointOrigin
+from impact_rs_sim.robots.robot import Array, Flange, JointOrigin
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState
 
 # Points of action of formulas beyond joints and end effector: `Acts` in src/twin_formula.hpp.

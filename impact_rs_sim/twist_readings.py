@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 Three = tuple[float, float, float]
 ZERO_VECTOR = (0.0, 0.0, 0.0)

@@ -23,9 +23,9 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import JointType
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.unmodelled import LAWS, OUTSIDE
+from impact_rs_sim.plant.unmodelled import LAWS, OUTSIDE
+from impact_rs_sim.robots.robot import JointType
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import VIA, TrialInfo
 from impact_rs_trials.bags.writer import partial_path
@@ -148,7 +148,7 @@ def draw_outside(
 ) -> tuple[str, float]:
     """An effect that is not in the library, and its size (1: noticeable).
 
-    Mechanisms of :data:`~impact_rs_sim.unmodelled.OUTSIDE` are drawn; its laws are hidden where they are named.
+    Mechanisms of :data:`~impact_rs_sim.plant.unmodelled.OUTSIDE` are drawn; its laws are hidden where they are named.
 
     Raises:
         InputError: There is no such outside effect.

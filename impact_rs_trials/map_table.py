@@ -15,9 +15,9 @@ from impact_rs_sim.files import whole
 from impact_rs_sim.impact_map.measured import solve_measured
 from impact_rs_sim.impact_map.problem import ImpactMapError
 from impact_rs_sim.optional_packages import require
-from impact_rs_sim.robot import Array
-from impact_rs_trials.recordings.impact_columns import CONDITION, DQ_AFTER, V_AFTER, W_AFTER, arm_label
-from impact_rs_trials.recordings.impact_table import SUFFIXES, ImpactRow, ImpactTable
+from impact_rs_sim.robots.robot import Array
+from impact_rs_trials.recordings.impacts.impact_columns import CONDITION, DQ_AFTER, V_AFTER, W_AFTER, arm_label
+from impact_rs_trials.recordings.impacts.impact_table import SUFFIXES, ImpactRow, ImpactTable
 from impact_rs_trials.workers import Map
 
 _ROWS_PER_TASK = 50  # one row takes some milliseconds

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from impact_rs_control.closed_loop import Tick
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.rotations import yaw_of_quaternions
 from impact_rs_sim.scene import BodyState
 from impact_rs_trials.spec import TrialSpec

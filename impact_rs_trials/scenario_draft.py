@@ -26,10 +26,10 @@ from impact_rs_control.plan import plan_trial
 from impact_rs_sim.assumed_drive import REDUCED, ROTOR_INERTIA, assumed_drive, assumed_numbers
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.robot import Array, RobotFacts, joined_units
 from impact_rs_sim.robot_check import failures_of, failures_of_facts, random_positions
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import ASSUMED_MOTOR_INERTIA, ImpactPose, Scenario, load_scenario
+from impact_rs_sim.robots.robot import Array, RobotFacts, joined_units
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.scenarios.scenario import ASSUMED_MOTOR_INERTIA, ImpactPose, Scenario, load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import parse_yaml, validate
 from impact_rs_trials.bags.record import record_trial

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 Situation = Literal["absent", "idle", "running", "over", "gone"]
 """``absent``: no nodes. ``idle``: nodes, and no joint states yet. ``running``: joint states arrive. ``over``: they have

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from impact_rs_control.plan import TrialPlan, plan_trial
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import RECORDED, validate
 

@@ -27,7 +27,7 @@ from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, Physics
 from impact_rs_sim.rotations import quaternion_of
-from impact_rs_sim.scenario import Scenario, Uncertainties, load_scenario
+from impact_rs_sim.scenarios.scenario import Scenario, Uncertainties, load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import Schema
 

@@ -23,18 +23,11 @@ from pydantic import Field
 from impact_rs_analysis.application.described_folder import check_undescribed, described_folder
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import Scenario, load_scenario
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
 from impact_rs_sim.schema import Name, Schema, load_mapping, validate
 from impact_rs_trials.file_names import EXPERIMENT_FILE, MAPPING_FILE, RUN_TABLE
-from impact_rs_trials.recordings.candidates import (
-    MAX_JOINT_NUMBERS,
-    OBJECT_POSE,
-    Proposal,
-    SignalCandidate,
-    candidates_of,
-    propose,
-)
+from impact_rs_trials.recordings.checks.plausibility import check_gravity_torque
 from impact_rs_trials.recordings.experiment import (
     FREE_MOTION,
     HIT,
@@ -44,8 +37,16 @@ from impact_rs_trials.recordings.experiment import (
     read_runs,
 )
 from impact_rs_trials.recordings.file_units import SLIDES, TURNS, UNITS, si_unit
-from impact_rs_trials.recordings.import_texts import PossibleReading
-from impact_rs_trials.recordings.importing import ImportOptions, draft_import
+from impact_rs_trials.recordings.importing.candidates import (
+    MAX_JOINT_NUMBERS,
+    OBJECT_POSE,
+    Proposal,
+    SignalCandidate,
+    candidates_of,
+    propose,
+)
+from impact_rs_trials.recordings.importing.import_recordings import ImportOptions, draft_import
+from impact_rs_trials.recordings.importing.import_texts import PossibleReading
 from impact_rs_trials.recordings.laboratory import MAX_IMPACT_SHARE, Laboratory, placed, read_run
 from impact_rs_trials.recordings.mapping import (
     JOINT_SIGNALS,
@@ -57,10 +58,9 @@ from impact_rs_trials.recordings.mapping import (
     TableLayout,
     TimeSource,
 )
-from impact_rs_trials.recordings.plausibility import check_gravity_torque
+from impact_rs_trials.recordings.readers.series import Series
+from impact_rs_trials.recordings.readers.sources import read_series
 from impact_rs_trials.recordings.recording import check_limits, check_velocity
-from impact_rs_trials.recordings.series import Series
-from impact_rs_trials.recordings.sources import read_series
 from impact_rs_workbench.workspace import Workspace
 
 MAX_PREVIEW_POINTS = 300  # of a preview

@@ -11,11 +11,11 @@ from typing import Any
 
 from impact_rs_analysis.application.shown_runs import laboratory_run, page_of_trial
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument
-from impact_rs_analysis.diagnosis.discovery_document import is_discovery
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
+from impact_rs_analysis.diagnosis.laws.discovery_document import is_discovery
 from impact_rs_analysis.diagnosis.scoring import score
 from impact_rs_analysis.evidence.levels import Cell
-from impact_rs_analysis.evidence.measured_runs import runs_digest
+from impact_rs_analysis.evidence.replays.measured_runs import runs_digest
 from impact_rs_analysis.investigation.endings import ending_of
 from impact_rs_analysis.investigation.rounds import measured, read_rounds
 from impact_rs_analysis.investigation.settings import read_settings

@@ -28,7 +28,7 @@ from impact_rs_trials.blind import RUNS, TRUTH
 from impact_rs_trials.campaign import MANIFEST, Manifest
 from impact_rs_trials.file_names import BAG_METADATA, EXPERIMENT_FILES, RUN_TABLE
 from impact_rs_trials.recordings.experiment import Experiment
-from impact_rs_trials.recordings.run_finder import FILE_SUFFIXES
+from impact_rs_trials.recordings.readers.run_finder import FILE_SUFFIXES
 from impact_rs_trials.store import is_bag
 
 HIDDEN = ".workbench"

@@ -430,7 +430,7 @@ void Twin::prepare(std::size_t number, double kick) {
   if (is_pad) soften(number);
 }
 
-// Friction of a pad that yields along its face: impact_rs_sim/pad_shear.py, with spring and damper after the step.
+// Friction of a pad that yields along its face: impact_rs_sim/plant/pad_shear.py, with spring and damper after the step.
 void Twin::soften(std::size_t number) {
   const Partner& partner = solver_.partners[number];
   TwinArm& arm = arms_[partners_[number]];

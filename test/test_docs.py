@@ -20,15 +20,15 @@ import pytest
 import yaml
 from joint_recordings import swinging
 
-from impact_rs_analysis.evidence.torque_balance import TorqueBalance, prepare
+from impact_rs_analysis.evidence.free_motion.torque_balance import TorqueBalance, prepare
 from impact_rs_cli.main import parser
 from impact_rs_commands import COMMANDS
 from impact_rs_sim.effects.formula import CONTACT_SYMBOLS, FUNCTIONS, LAG, SYMBOLS, Formula, FormulaFile, FormulaSpec
 from impact_rs_sim.model import Model
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.robot import RobotFacts
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario_docs import _key
+from impact_rs_sim.robots.robot import RobotFacts
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.scenarios.scenario_docs import _key
 from impact_rs_sim.schema import Schema
 from impact_rs_trials.blind import draw_truth
 from impact_rs_trials.recordings.experiment import COLUMNS, SESSION, Experiment

@@ -27,10 +27,10 @@ from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
 from impact_rs_sim.impact_map.measured import MeasuredImpact, corners_that_touch, solve_measured
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import ObjectPhysics, Physics
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.recordings.experiment import load_experiment
-from impact_rs_trials.recordings.impact_table import read_impact_table
+from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 from impact_rs_trials.recordings.laboratory import read_laboratory
 from impact_rs_trials.spec import TrialSpec
 

@@ -26,7 +26,7 @@ from impact_rs_ros.middleware import CHOICES, PROFILE, set_middleware
 from impact_rs_ros.node_parameters import values_of
 from impact_rs_ros.node_processes import NODES
 from impact_rs_ros.robot_states import joint_names
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 
 ROOT = Path(__file__).resolve().parent.parent
 INTERFACES = sorted(

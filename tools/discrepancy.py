@@ -3,8 +3,8 @@
 
 ``./run python -m tools.discrepancy -o config/discrepancy.yaml`` (needs the extra ``peers``). Every
 condition is run without noise and scatter by three simulators (Bullet, MuJoCo, and the twin with finer steps), and
-replayed by the twin as if it had been measured. With f the features of :mod:`impact_rs_analysis.evidence.features`, and
-rms taken over conditions and the time bins of a signal,
+replayed by the twin as if it had been measured. With f the features of
+:mod:`impact_rs_analysis.evidence.replays.features`, and rms taken over conditions and the time bins of a signal,
 
     discrepancy = max over variants of rms (f_variant - f_replay).
 
@@ -31,14 +31,14 @@ from mujoco_cell import LAYER, ContactSettings, MujocoCell
 
 from impact_rs_analysis.evidence.cluster import Feature
 from impact_rs_analysis.evidence.discrepancy import PATTERNS_FILE, Kind, write_patterns
-from impact_rs_analysis.evidence.measured_runs import MeasuredRun
-from impact_rs_analysis.evidence.simulated_trials import observed, quiet
+from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun
+from impact_rs_analysis.evidence.replays.simulated_trials import observed, quiet
 from impact_rs_control.closed_loop import RobotCell
 from impact_rs_control.plan import TrialPlan
-from impact_rs_sim.mechanics import Simulator
-from impact_rs_sim.plant import Plant
-from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import Scenario, load_scenario
+from impact_rs_sim.plant.mechanics import Simulator
+from impact_rs_sim.plant.plant import Plant
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
 from impact_rs_trials.bags.trial_info import git_revision
 from impact_rs_trials.spec import TrialSpec
 

@@ -20,12 +20,12 @@ from pathlib import Path
 from impact_rs_commands import COMMANDS
 from impact_rs_commands.declaration import Command
 from impact_rs_ros import node_parameters
-from impact_rs_sim import scenario_docs
 from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.model import Model
-from impact_rs_sim.robot import RobotFacts
-from impact_rs_sim.scenario_docs import key_table
+from impact_rs_sim.robots.robot import RobotFacts
+from impact_rs_sim.scenarios import scenario_docs
+from impact_rs_sim.scenarios.scenario_docs import key_table
 from impact_rs_trials.recordings.experiment import Experiment
 from impact_rs_trials.recordings.mapping import Mapping, SignalSource
 from tools import python_reference

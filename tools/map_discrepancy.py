@@ -28,7 +28,7 @@ import numpy as np
 import yaml
 
 from impact_rs_analysis.evidence.cluster import Feature
-from impact_rs_analysis.evidence.map_discrepancy import (
+from impact_rs_analysis.evidence.tables.map_discrepancy import (
     ANGULAR_VELOCITY_AFTER,
     JOINT_VELOCITY_AFTER,
     VELOCITY_AFTER,
@@ -39,7 +39,7 @@ from impact_rs_control.closed_loop import run_closed_loop, without_garbage_colle
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.impact_map.measured import MeasuredImpact, points_of_scene, solve_measured
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_trials.bags.trial_info import git_revision
 from impact_rs_trials.spec import TrialSpec

@@ -31,11 +31,11 @@ from analytic_world import EFFECTS, FEATURES, AnalyticSource, correlated, featur
 from benchmarks.closed_form import EXACT, Campaign, Simulator
 from benchmarks.harness import Case, Row, Work, draw_options, drawn
 from benchmarks.results import Table
-from impact_rs_analysis.diagnosis import null_distribution
-from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, linearise
-from impact_rs_analysis.diagnosis.fit import Evidence, Fit
-from impact_rs_analysis.diagnosis.search import benjamini_hochberg
-from impact_rs_sim.robot import Array
+from impact_rs_analysis.diagnosis.search import null_distribution
+from impact_rs_analysis.diagnosis.search.candidate import Candidate, Problem, linearise
+from impact_rs_analysis.diagnosis.search.effect_selection import benjamini_hochberg
+from impact_rs_analysis.diagnosis.search.fit import Evidence, Fit
+from impact_rs_sim.robots.robot import Array
 
 DESIGNS = ((3, 2), (6, 2), (4, 4), (6, 3), (9, 5))  # conditions, repeats
 NOISES = ("normal", "heavy", "heavy trials", "drift")

@@ -19,7 +19,7 @@ from benchmarks.results import Table
 from impact_rs_sim.impact_map.contacts import contact_pairs, find_contacts
 from impact_rs_sim.impact_map.laws import ContactTerms, build_system
 from impact_rs_sim.impact_map.uniqueness import lawful_answers, spread_of
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 
 LAWFUL = 1e-6  # m/s
 OPEN = 1e-3  # of the ante-impact speed: a spread that is reported as not unique

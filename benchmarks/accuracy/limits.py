@@ -25,7 +25,7 @@ from mujoco_cell import MujocoCell
 from benchmarks.foreign.laboratory import DAMPING, STIFFNESS
 from benchmarks.harness import Case, Row, Work
 from benchmarks.results import Table
-from impact_rs_analysis.evidence.simulated_trials import quiet
+from impact_rs_analysis.evidence.replays.simulated_trials import quiet
 from impact_rs_analysis.limits.drawn_hits import (
     HIT_WINDOW_S,
     JUMP_SHARES,
@@ -43,8 +43,8 @@ from impact_rs_sim.errors import Infeasible
 from impact_rs_sim.impact_map.uncertainty import draw, possible, sources_of
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.proportion import reach_of
-from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState, Scene
 from tools.discrepancy import OBLIQUE, SQUARE, oblique
 

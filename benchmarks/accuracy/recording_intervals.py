@@ -23,11 +23,11 @@ from joint_recordings import swinging, write_npz
 from benchmarks.harness import Case, Row, Work, draw_options, drawn
 from benchmarks.results import Table
 from impact_rs_analysis.diagnosis.diagnose import effects_for
-from impact_rs_analysis.diagnosis.fit import Evidence, replay_and_refit
-from impact_rs_analysis.diagnosis.search import Search
-from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_analysis.diagnosis.search.effect_selection import Search
+from impact_rs_analysis.diagnosis.search.fit import Evidence, replay_and_refit
+from impact_rs_analysis.evidence.sources.recording_source import RecordingSource
 from impact_rs_sim.model import Model
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.recordings.mapping import load_mapping
 from impact_rs_trials.recordings.recording import read_recordings
 

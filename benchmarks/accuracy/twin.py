@@ -19,14 +19,14 @@ import numpy as np
 from benchmarks.harness import Case, Row, Work, in_turns
 from benchmarks.results import Table
 from impact_rs_analysis.evidence.discrepancy import measured_discrepancy
-from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Setup
-from impact_rs_analysis.evidence.replay import Window, replays
-from impact_rs_analysis.evidence.replays import kind_of
-from impact_rs_analysis.evidence.simulated_trials import observed, quiet
-from impact_rs_sim.bullet_mechanics import BulletMechanics
+from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Setup
+from impact_rs_analysis.evidence.replays.replay import Window, replays
+from impact_rs_analysis.evidence.replays.simulated_trials import observed, quiet
+from impact_rs_analysis.evidence.sources.run_source import kind_of
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.plant import Plant
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.plant.bullet_mechanics import BulletMechanics
+from impact_rs_sim.plant.plant import Plant
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_sim.scene import ArmMotion, BodyState
 from impact_rs_sim.twin import TwinJob, simulate
 from impact_rs_trials.runs import ArmSignals, Signals

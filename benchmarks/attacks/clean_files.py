@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from impact_rs_sim.robot import load_facts
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot import load_facts
+from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.recordings.mapping import MountedEndEffector
 
 ROBOT = "kuka_iiwa7"

@@ -29,11 +29,11 @@ from benchmarks.hidden import (
 )
 from benchmarks.results import Table
 from impact_rs_analysis.evidence.levels import score_of
-from impact_rs_analysis.evidence.measured_runs import read_runs
-from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_analysis.evidence.replays.measured_runs import read_runs
+from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
+from impact_rs_analysis.evidence.sources.run_source import ReplaySource
 from impact_rs_sim.model import ModelEffect, ParameterValue, load_model
-from impact_rs_sim.unmodelled import OUTSIDE
+from impact_rs_sim.plant.unmodelled import OUTSIDE
 from impact_rs_trials.blind import RUNS, TRUTH, make
 from impact_rs_trials.workers import Map
 

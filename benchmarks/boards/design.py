@@ -26,9 +26,9 @@ from impact_rs_analysis.design.design import WHICH_EFFECT, planned
 from impact_rs_analysis.design.forecast import Forecast, forecast_of
 from impact_rs_analysis.design.possible_trials import possible_trials
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
-from impact_rs_analysis.diagnosis.next_experiment import left_open
-from impact_rs_analysis.evidence.measured_runs import Runs, read_runs
-from impact_rs_analysis.evidence.replay_cache import ReplayCache
+from impact_rs_analysis.diagnosis.verdicts.next_experiment import left_open
+from impact_rs_analysis.evidence.replays.measured_runs import Runs, read_runs
+from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
 from impact_rs_sim.model import load_model
 from impact_rs_trials.blind import RUNS, SCENARIOS, TRUTH, BlindTask, Hidden, Secret, make
 from impact_rs_trials.campaign import PlannedTrials

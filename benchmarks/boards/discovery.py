@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hidden laws outside the library, looked for by ``impact-rs discover``.
 
-Laws (:data:`impact_rs_sim.unmodelled.LAWS`) at two sizes in the plant, which the compiled twin has to explain;
+Laws (:data:`impact_rs_sim.plant.unmodelled.LAWS`) at two sizes in the plant, which the compiled twin has to explain;
 campaigns that hide nothing, and effects of the library, on which nothing may be proposed. ``--on laboratory`` hides a
 quadratic drag, a ripple and a cable in the MuJoCo cell under another controller (:mod:`benchmarks.foreign.laws`).
 """
@@ -18,14 +18,14 @@ from pathlib import Path
 from benchmarks.harness import Row, Work, share
 from benchmarks.hidden import Entry, entries, laboratory_runs, plant_option, reseeded
 from benchmarks.results import Table
-from impact_rs_analysis.diagnosis.discover import discover
-from impact_rs_analysis.diagnosis.discovery_document import DiscoveryDocument, write_discovery
-from impact_rs_analysis.diagnosis.grammar import load_grammar
-from impact_rs_analysis.evidence.measured_runs import Runs, read_runs
-from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_analysis.diagnosis.laws.discover import discover
+from impact_rs_analysis.diagnosis.laws.discovery_document import DiscoveryDocument, write_discovery
+from impact_rs_analysis.diagnosis.laws.grammar import load_grammar
+from impact_rs_analysis.evidence.replays.measured_runs import Runs, read_runs
+from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
+from impact_rs_analysis.evidence.sources.run_source import ReplaySource
 from impact_rs_sim.model import Model, load_model
-from impact_rs_sim.unmodelled import LAWS
+from impact_rs_sim.plant.unmodelled import LAWS
 from impact_rs_trials.blind import RUNS, make
 from impact_rs_trials.workers import Map
 

@@ -42,9 +42,9 @@ from impact_rs_control.closed_loop import make_plant, run_closed_loop, without_g
 from impact_rs_sim.effects import library
 from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_trials.recordings.impact_table import read_impact_table
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 from impact_rs_trials.spec import TrialSpec
 
 SCENARIO = load_scenario("push")

@@ -24,12 +24,12 @@ from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import write_document
 from impact_rs_analysis.diagnosis.verdict import NOTHING
 from impact_rs_analysis.evidence.discrepancy import PATTERNS_FILE, Discrepancy, Patterns, measured_discrepancy
-from impact_rs_analysis.evidence.measured_runs import read_runs
-from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_analysis.evidence.replays.measured_runs import read_runs
+from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
+from impact_rs_analysis.evidence.sources.run_source import ReplaySource
 from impact_rs_sim.model import load_model
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.blind import RUNS, make
 
 SIMULATOR = {"plant": "bullet", "cell": "mujoco"}  # how the names of its variants begin

@@ -20,9 +20,9 @@ from ball_impacts import Racket, ball_table, bounced
 from benchmarks.harness import Case, Row, Work, draw_options, quantiles, share
 from benchmarks.results import Table
 from impact_rs_analysis.diagnosis.diagnose import diagnose
-from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
+from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
 from impact_rs_sim.model import load_model
-from impact_rs_trials.recordings.impact_table import ImpactTable, read_impact_table
+from impact_rs_trials.recordings.impacts.impact_table import ImpactTable, read_impact_table
 
 NOMINAL = load_model(Path("nominal"))
 ALIKE = 0.01  # frictions that differ by less make no difference beyond the noise

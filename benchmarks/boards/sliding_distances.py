@@ -25,8 +25,8 @@ from benchmarks.results import Table
 from impact_rs_analysis.following.follow import LEARNING_HITS, Follower
 from impact_rs_analysis.following.hits import TableHitSource
 from impact_rs_sim.model import load_model
-from impact_rs_sim.robot import Array
-from impact_rs_trials.recordings.impact_table import read_impact_table
+from impact_rs_sim.robots.robot import Array
+from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 
 MU, GRAVITY = 0.2, 9.81  # any mu for which no hit gains energy; m/s^2
 LEAST = 0.02  # m, of a hit that moved the object

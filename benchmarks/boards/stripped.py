@@ -22,7 +22,7 @@ from benchmarks.harness import Case, Row, Work
 from benchmarks.hidden import judged, laboratory_runs, table_of_diagnoses, timed_diagnosis
 from benchmarks.results import Table
 from impact_rs_analysis.diagnosis.document import read_document
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.bags.types import typestore

@@ -27,9 +27,9 @@ from benchmarks.foreign.laws import LAWS, Law
 from benchmarks.hidden import Entry
 from examples.laboratory import EXPERIMENT, START, STORE, messages
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import Scenario, load_scenario
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
 from impact_rs_sim.scene import BodyState, Scene
 from impact_rs_trials.blind import RUNS, TRUTH, Hidden, draw_truth, hide, named
 from impact_rs_trials.workers import Map

@@ -9,12 +9,12 @@ import numpy as np
 
 from impact_rs_analysis.diagnosis.diagnose import added_of
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
-from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
+from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
 from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_analysis.report.figures import BLUE
 from impact_rs_analysis.report.plots import GREY
 from impact_rs_sim.model import load_model
-from impact_rs_trials.recordings.impact_table import read_impact_table
+from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 
 
 def tracks_of(table: Path, document: DiagnosisDocument) -> tuple[Track, ...]:

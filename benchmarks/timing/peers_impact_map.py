@@ -30,10 +30,10 @@ from benchmarks.results import Table
 from impact_rs_sim.impact_map import BulletEngine, ExactEngine, ImpactMapError, ImpactProblem, ImpactResult
 from impact_rs_sim.impact_map.contacts import SUPPORT, ContactPoint, contact_frame, contact_pairs, find_contacts
 from impact_rs_sim.impact_map.laws import System, build_system
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.rotations import quaternion_of
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_sim.scene import BodyState, Scene
 
 SCENES = ("corner", "edge", "face", "push", "grab", "grid")

@@ -9,15 +9,15 @@ from typing import Any, Protocol
 
 from impact_rs_analysis.application.measurements import MeasurementOptions, read_table
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY
-from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
-from impact_rs_analysis.evidence.replay_cache import ReplayCache
+from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
+from impact_rs_analysis.evidence.tables.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.hits import BagHitSource, HitSource, TableHitSource
 from impact_rs_analysis.following.lessons import HitDocument
 from impact_rs_analysis.following.state import restore_state, save_state
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
-from impact_rs_trials.recordings.impact_table import SUFFIXES
+from impact_rs_trials.recordings.impacts.impact_table import SUFFIXES
 
 SAVE_INTERVAL_HITS = 10  # instants of hits that are there already, between two saved states
 

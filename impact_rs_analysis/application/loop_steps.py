@@ -11,14 +11,14 @@ from typing import Any
 
 from impact_rs_analysis.application.measurements import Measurements
 from impact_rs_analysis.diagnosis.add import add_effects, add_faults, calibration_file, faults_among
-from impact_rs_analysis.diagnosis.bounds import NO_BOUNDS, Bounds
-from impact_rs_analysis.diagnosis.budget import UNLIMITED, Budget
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
 from impact_rs_analysis.diagnosis.diagnose import added_of, diagnose
 from impact_rs_analysis.diagnosis.document import CalibrationIdentity, DiagnosisDocument, read_document
-from impact_rs_analysis.diagnosis.formulas import try_out
 from impact_rs_analysis.diagnosis.history import VersionError, history
-from impact_rs_analysis.diagnosis.search import ProgressCallback
+from impact_rs_analysis.diagnosis.laws.formulas import try_out
+from impact_rs_analysis.diagnosis.search.bounds import NO_BOUNDS, Bounds
+from impact_rs_analysis.diagnosis.search.budget import UNLIMITED, Budget
+from impact_rs_analysis.diagnosis.search.effect_selection import ProgressCallback
 from impact_rs_analysis.evidence.calibration import (
     NO_CALIBRATION,
     LaboratoryCalibration,

@@ -21,22 +21,22 @@ from typing import Any
 from impact_rs_analysis.application.observer import SILENT, Observer, Report, warn_skipped
 from impact_rs_analysis.evidence.calibration import NO_CALIBRATION, LaboratoryCalibration, calibration_of
 from impact_rs_analysis.evidence.cluster import Added
-from impact_rs_analysis.evidence.command_clock import read_laboratory_runs
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY, Discrepancy
-from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
-from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
-from impact_rs_analysis.evidence.measured_runs import Runs, read_runs
-from impact_rs_analysis.evidence.recordings import RecordingSource
-from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_analysis.evidence.replays.command_clock import read_laboratory_runs
+from impact_rs_analysis.evidence.replays.measured_runs import Runs, read_runs
+from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.source import Source
+from impact_rs_analysis.evidence.sources.recording_source import RecordingSource
+from impact_rs_analysis.evidence.sources.run_source import ReplaySource
+from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
+from impact_rs_analysis.evidence.tables.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE
 from impact_rs_sim.model import Model, load_model
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.file_names import experiment_file_in
 from impact_rs_trials.recordings.experiment import load_experiment
-from impact_rs_trials.recordings.impact_table import ImpactTable, read_impact_table
+from impact_rs_trials.recordings.impacts.impact_table import ImpactTable, read_impact_table
 from impact_rs_trials.recordings.mapping import load_mapping
 from impact_rs_trials.recordings.recording import is_foreign, read_long_enough
 from impact_rs_trials.workers import Map

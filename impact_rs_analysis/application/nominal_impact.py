@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from impact_rs_sim.impact_map import ImpactProblem
 from impact_rs_sim.model import Model
-from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.scene import Scene
 
 

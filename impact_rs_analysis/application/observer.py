@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Protocol
 
-from impact_rs_analysis.evidence.replay_cache import Progress
+from impact_rs_analysis.evidence.replays.replay_cache import Progress
 
 MAX_SHOWN_FILES = 5  # bags that were left out
 

@@ -10,12 +10,12 @@ from impact_rs_analysis.application.measurements import read_trials
 from impact_rs_analysis.application.observer import Observer
 from impact_rs_analysis.design.design import design, missing_effect
 from impact_rs_analysis.design.possible_trials import Envelope
-from impact_rs_analysis.diagnosis.next_experiment import considered, left_open
-from impact_rs_analysis.diagnosis.search import ProgressCallback
-from impact_rs_analysis.evidence.measured_runs import Runs
-from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_analysis.diagnosis.search.effect_selection import ProgressCallback
+from impact_rs_analysis.diagnosis.verdicts.next_experiment import considered, left_open
+from impact_rs_analysis.evidence.replays.measured_runs import Runs
+from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.source import Source
+from impact_rs_analysis.evidence.sources.run_source import ReplaySource
 from impact_rs_analysis.investigation.loop import Against
 from impact_rs_analysis.investigation.rounds import PlannedTrial, WantedTrials, trials_of
 from impact_rs_analysis.investigation.rule_design import simple_design

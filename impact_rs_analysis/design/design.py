@@ -14,13 +14,13 @@ from impact_rs_analysis.design.explanations import Decision, which_effect
 from impact_rs_analysis.design.forecast import Forecast, ForecastTrial, forecast_of
 from impact_rs_analysis.design.possible_trials import NO_ENVELOPE, Envelope, PossibleTrial, possible_trials
 from impact_rs_analysis.design.selection import Counts, chosen, missing_conditions
-from impact_rs_analysis.evidence.measured_runs import Runs
-from impact_rs_analysis.evidence.replay_cache import Progress, ReplayCache
+from impact_rs_analysis.evidence.replays.measured_runs import Runs
+from impact_rs_analysis.evidence.replays.replay_cache import Progress, ReplayCache
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.inference.belief import Belief
 from impact_rs_sim.effects.base import SINGLE_IMPACT
 from impact_rs_sim.model import Model
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.campaign import PlannedTrials
 from impact_rs_trials.experiment_plan import ExperimentPlan, Method, PlannedCampaign, PlannedPair
 from impact_rs_trials.workers import Map

@@ -38,7 +38,7 @@ from impact_rs_analysis.design.forecast import ForecastTrial
 from impact_rs_analysis.design.possible_trials import PossibleTrial
 from impact_rs_analysis.inference.ahead import distance, probability
 from impact_rs_analysis.inference.belief import Belief, Observation, fitted_out, observation_of
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 RIVAL_RANGE_SCALES = 10.0  # w, range of a fit in parameter scales: the largest that blind campaigns hide
 TIE_BREAK_WEIGHT = 1e-3  # of the second term of the utility, which decides where the first is saturated

@@ -20,7 +20,7 @@ from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.base import SINGLE_IMPACT, Joints
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.experiment_plan import Aim
 
 AS_IS = "the model as it is"

@@ -18,15 +18,15 @@ from impact_rs_analysis.design.explanations import Decision, Explanation
 from impact_rs_analysis.design.possible_trials import NO_ENVELOPE, Envelope, PossibleTrial
 from impact_rs_analysis.evidence.cluster import Added, Cluster
 from impact_rs_analysis.evidence.discrepancy import measured_discrepancy
-from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
-from impact_rs_analysis.evidence.replay_cache import Replay, ReplayCache, with_effects
-from impact_rs_analysis.evidence.replays import ReplaySource, clusters_of
-from impact_rs_analysis.evidence.simulated_trials import simulated_and_judged
+from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs
+from impact_rs_analysis.evidence.replays.replay_cache import Replay, ReplayCache, with_effects
+from impact_rs_analysis.evidence.replays.simulated_trials import simulated_and_judged
 from impact_rs_analysis.evidence.source import with_per_arm_parameters
+from impact_rs_analysis.evidence.sources.run_source import ReplaySource, clusters_of
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.seeds import seed_of
 from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec

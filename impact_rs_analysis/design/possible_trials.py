@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import Case, CaseRobot, Scenario, load_scenario
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.scenarios.scenario import Case, CaseRobot, Scenario, load_scenario
 from impact_rs_trials.envelope import CellEnvelope
 from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec

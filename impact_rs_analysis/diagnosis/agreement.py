@@ -2,7 +2,7 @@
 """Which readings agree with each other, and which contradict each other.
 
 Every group of features is a relation between readings, which holds if these are right and the physics between them is
-that of the model (:mod:`impact_rs_analysis.evidence.features`):
+that of the model (:mod:`impact_rs_analysis.evidence.replays.features`):
 
     motor torque balance      tau_d - tau_J - B ddtheta        command, torque sensor, velocities of motor and link
     link torque balance       tau_J - M(q) ddq - h(q, dq)      torque sensor, encoder, velocity
@@ -11,9 +11,9 @@ that of the model (:mod:`impact_rs_analysis.evidence.features`):
     object and end effector   v_object - v_E                   tracker, encoder; while the pad pushes the object
 
 The residual of the model with each, joint by joint, is tested against repeatability and model discrepancy by the test
-of lack of fit (:meth:`~impact_rs_analysis.diagnosis.null_distribution.NullDistribution.lack_of_fit`), adjusted for the
-number of joints. Readings disagree where it is significant and above the relevance limit; without repeats, where the
-residual exceeds ``MAX_NOISE_RATIO`` times the known noise.
+of lack of fit (:meth:`~impact_rs_analysis.diagnosis.search.null_distribution.NullDistribution.lack_of_fit`), adjusted
+for the number of joints. Readings disagree where it is significant and above the relevance limit; without repeats,
+where the residual exceeds ``MAX_NOISE_RATIO`` times the known noise.
 
 A wrong reading takes part in every relation that disagrees. A relation that agrees clears the readings to whose faults
 it is sensitive (``clears``): a torque balance is hardly sensitive to the zero of an encoder, on which gravity alone
@@ -31,15 +31,15 @@ from functools import partial
 import numpy as np
 from pydantic import Field
 
-from impact_rs_analysis.diagnosis.null_distribution import RotationNull
-from impact_rs_analysis.diagnosis.search import benjamini_hochberg
+from impact_rs_analysis.diagnosis.search.effect_selection import benjamini_hochberg
+from impact_rs_analysis.diagnosis.search.null_distribution import RotationNull
 from impact_rs_analysis.diagnosis.thresholds import MAX_NOISE_RATIO, SIGNIFICANCE_LEVEL
 from impact_rs_analysis.evidence.cluster import Cluster, Feature, pooled_error
 from impact_rs_analysis.evidence.levels import expected_of, relevant_of, root_mean_square, rounded
-from impact_rs_analysis.evidence.measured_runs import MeasuredRun
+from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.proportion import Proportion
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.schema import Schema
 
 COMMAND, TORQUE, ENCODER, VELOCITY = "command", "torque sensor", "encoder", "velocity"

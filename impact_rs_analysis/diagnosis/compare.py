@@ -12,7 +12,7 @@ the impact. Every difference is given in its unit and in multiples of repeatabil
 be ranked together. The score of trials is the one that the diagnosis minimises: the size of the mean residuals over
 repeatability (:func:`impact_rs_analysis.evidence.cluster.size_of`) [-]. The score of recordings is the root mean square
 of the torque residual [N m], that of impacts without repeats the root mean square of the velocity residual
-(:mod:`impact_rs_analysis.evidence.impact_tables`) [m/s].
+(:mod:`impact_rs_analysis.evidence.sources.table_source`) [m/s].
 """
 
 from __future__ import annotations

@@ -25,21 +25,27 @@ from functools import partial
 
 import numpy as np
 
-from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
-from impact_rs_analysis.diagnosis.fit import DIFFERENCE_STEP_SHARES, Evidence, Fit, gauss_newton, replay_and_refit
-from impact_rs_analysis.diagnosis.hold_out import Fold, folds_of
-from impact_rs_analysis.diagnosis.search import ProgressCallback, benjamini_hochberg, simplest, tied
+from impact_rs_analysis.diagnosis.search.candidate import Candidate, linearise
+from impact_rs_analysis.diagnosis.search.effect_selection import ProgressCallback, benjamini_hochberg, simplest, tied
+from impact_rs_analysis.diagnosis.search.fit import (
+    DIFFERENCE_STEP_SHARES,
+    Evidence,
+    Fit,
+    gauss_newton,
+    replay_and_refit,
+)
+from impact_rs_analysis.diagnosis.search.hold_out import Fold, folds_of
 from impact_rs_analysis.diagnosis.thresholds import (
     MIN_DISTINCT_NUMBERS,
     MIN_ROWS_OF_LEVEL,
     SHORTLIST_SIZE,
     SIGNIFICANCE_LEVEL,
 )
-from impact_rs_analysis.diagnosis.verdicts import Findings, change_interval
+from impact_rs_analysis.diagnosis.verdicts.model_verdict import Findings, change_interval
 from impact_rs_analysis.evidence.source import MAX_NUMBERS_AS_LEVELS, Covariate, Source
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.depending import Depending, Knots, Levels, Slope, Terms, level_name
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 CURVE_KNOTS = (3, 5, 8)  # of a piecewise linear curve; cross-validation chooses, the fewest among ties
 

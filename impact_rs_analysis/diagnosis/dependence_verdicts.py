@@ -19,15 +19,15 @@ from impact_rs_analysis.diagnosis.document import (
     DiagnosisDocument,
     EstimateDocument,
 )
-from impact_rs_analysis.diagnosis.fit import Fit
-from impact_rs_analysis.diagnosis.relevance import exceeds_relevance_limit
-from impact_rs_analysis.diagnosis.residuals import residual_size
+from impact_rs_analysis.diagnosis.search.fit import Fit
+from impact_rs_analysis.diagnosis.search.relevance import exceeds_relevance_limit
 from impact_rs_analysis.diagnosis.thresholds import MIN_CANONICAL_CORRELATION, SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.verdict import CONFIRMED, NO_IMPROVEMENT, SMALL, DiagnosisVerdict, Kind
-from impact_rs_analysis.diagnosis.verdicts import reported_p
+from impact_rs_analysis.diagnosis.verdicts.model_verdict import reported_p
+from impact_rs_analysis.diagnosis.verdicts.residuals import residual_size
 from impact_rs_analysis.evidence.source import Covariate, Source
 from impact_rs_sim.effects.depending import Depending, Knots, Levels, Slope, Terms
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 
 def covariate_documents(source: Source) -> tuple[CovariateDocument, ...]:

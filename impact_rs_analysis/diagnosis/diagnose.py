@@ -8,8 +8,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from impact_rs_analysis.diagnosis.bounds import NO_BOUNDS, Bounds, bounded
-from impact_rs_analysis.diagnosis.budget import SEARCH_TIME_SHARE, UNLIMITED, Budget
 from impact_rs_analysis.diagnosis.dependence import Dependences, dependences_of
 from impact_rs_analysis.diagnosis.dependence_verdicts import (
     covariate_documents,
@@ -32,14 +30,11 @@ from impact_rs_analysis.diagnosis.document import (
     ViewDocument,
 )
 from impact_rs_analysis.diagnosis.drift import drift_in_words, drift_of, low_confidence_sentence
-from impact_rs_analysis.diagnosis.effect_verdicts import effect_documents
-from impact_rs_analysis.diagnosis.fit import Evidence, Fit
-from impact_rs_analysis.diagnosis.held_out_rollouts import held_out_rollouts
-from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
-from impact_rs_analysis.diagnosis.measurement import experiments_of, measurement_of, with_readings
-from impact_rs_analysis.diagnosis.next_experiment import next_experiment
-from impact_rs_analysis.diagnosis.residuals import MAX_RESIDUALS, noise_size, residual_unit, rests_of
-from impact_rs_analysis.diagnosis.search import NOTHING_KNOWN, ProgressCallback, Rival, Search
+from impact_rs_analysis.diagnosis.search.bounds import NO_BOUNDS, Bounds, bounded
+from impact_rs_analysis.diagnosis.search.budget import SEARCH_TIME_SHARE, UNLIMITED, Budget
+from impact_rs_analysis.diagnosis.search.effect_selection import NOTHING_KNOWN, ProgressCallback, Rival, Search
+from impact_rs_analysis.diagnosis.search.fit import Evidence, Fit
+from impact_rs_analysis.diagnosis.search.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.thresholds import (
     MAX_TIE_LOG_RATIO,
     MIN_CLUSTERS,
@@ -47,7 +42,10 @@ from impact_rs_analysis.diagnosis.thresholds import (
     MIN_REPORTED_P,
 )
 from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, TOO_FEW
-from impact_rs_analysis.diagnosis.verdicts import (
+from impact_rs_analysis.diagnosis.verdicts.effect_verdicts import effect_documents
+from impact_rs_analysis.diagnosis.verdicts.held_out_rollouts import held_out_rollouts
+from impact_rs_analysis.diagnosis.verdicts.measurement import experiments_of, measurement_of, with_readings
+from impact_rs_analysis.diagnosis.verdicts.model_verdict import (
     Findings,
     change_interval,
     headline,
@@ -57,7 +55,9 @@ from impact_rs_analysis.diagnosis.verdicts import (
     within_discrepancy,
     without_uncertain_effects,
 )
-from impact_rs_analysis.diagnosis.words import not_tried, summary_of
+from impact_rs_analysis.diagnosis.verdicts.next_experiment import next_experiment
+from impact_rs_analysis.diagnosis.verdicts.residuals import MAX_RESIDUALS, noise_size, residual_unit, rests_of
+from impact_rs_analysis.diagnosis.verdicts.words import not_tried, summary_of
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.source import Source, View
 from impact_rs_analysis.evidence.visited import beyond
@@ -65,7 +65,7 @@ from impact_rs_analysis.measure.arms import arms_of, assumptions
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 
 def diagnose(

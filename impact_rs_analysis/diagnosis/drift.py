@@ -27,7 +27,7 @@ import numpy as np
 import scipy
 
 from impact_rs_analysis.diagnosis.document import DriftDocument
-from impact_rs_analysis.diagnosis.null_distribution import monte_carlo_p_value
+from impact_rs_analysis.diagnosis.search.null_distribution import monte_carlo_p_value
 from impact_rs_analysis.diagnosis.thresholds import (
     MIN_CONFOUNDED_SHARE,
     MIN_DEGREES_OF_FREEDOM,
@@ -36,7 +36,7 @@ from impact_rs_analysis.diagnosis.thresholds import (
     SIGNIFICANCE_LEVEL,
 )
 from impact_rs_analysis.evidence.cluster import Cluster, Feature
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 
 def drift_of(clusters: Sequence[Cluster]) -> DriftDocument | None:

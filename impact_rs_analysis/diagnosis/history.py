@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
-from impact_rs_analysis.diagnosis.fit import Evidence
-from impact_rs_analysis.diagnosis.residuals import residual_size
+from impact_rs_analysis.diagnosis.search.candidate import Candidate, linearise
+from impact_rs_analysis.diagnosis.search.fit import Evidence
+from impact_rs_analysis.diagnosis.verdicts.residuals import residual_size
 from impact_rs_analysis.evidence.calibration import NO_CALIBRATION, LaboratoryCalibration
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.rollouts import RolloutDocument

@@ -14,13 +14,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from impact_rs_analysis.evidence.ante_impact import problem_of
 from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_analysis.evidence.discrepancy import Discrepancy
-from impact_rs_analysis.evidence.features import AXES, SETTLED_WINDOW
 from impact_rs_analysis.evidence.levels import JumpLevel, Level, root_mean_square, rounded
-from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
-from impact_rs_analysis.evidence.replays import clusters_of
+from impact_rs_analysis.evidence.replays.ante_impact import problem_of
+from impact_rs_analysis.evidence.replays.features import AXES, SETTLED_WINDOW
+from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs
+from impact_rs_analysis.evidence.sources.run_source import clusters_of
 from impact_rs_analysis.measure.departure import departures, objects_left
 from impact_rs_analysis.measure.linear_fit import FitError, fit_zero_crossing
 from impact_rs_analysis.measure.net_feedback import net_feedback

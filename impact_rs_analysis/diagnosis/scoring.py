@@ -11,7 +11,7 @@ from typing import Any
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.verdict import NONE, NOTHING, Kind
-from impact_rs_analysis.evidence.measured_runs import runs_digest
+from impact_rs_analysis.evidence.replays.measured_runs import runs_digest
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.blind import RUNS, TRUTH
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sources of residuals and sensitivities, one module each."""
+"""Evidence: measurements against a model, as scaled residuals and their sensitivities."""

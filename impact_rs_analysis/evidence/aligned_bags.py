@@ -12,10 +12,10 @@ import numpy as np
 import pinocchio as pin
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from impact_rs_analysis.evidence.measured_runs import Runs
+from impact_rs_analysis.evidence.replays.measured_runs import Runs
 from impact_rs_analysis.evidence.tracks import ArmTrack, Track, TrackSide
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.types import typestore
 

@@ -24,7 +24,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import is_file, write_whole
 from impact_rs_sim.model import Model, check_model, load_model, model_text
 from impact_rs_sim.numbers import NORMAL_95
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 CALIBRATION = "calibration.yaml"
 NO_FAULTS = Model(name="calibration")

@@ -29,7 +29,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import AfterValidator
 
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 Added = tuple[tuple[str, tuple[float, ...]], ...]
 """Effects added to a model: names with their parameter vectors."""

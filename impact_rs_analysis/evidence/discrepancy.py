@@ -25,10 +25,12 @@ from pydantic import Field
 from impact_rs_analysis.evidence.cluster import Feature
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.schema import Schema, load
 
 Kind = Literal["free", "square", "oblique"]
+
+MAX_SQUARE_ANGLE_RAD = 0.02  # up to 1 degree simulators agree as well as on square hits
 
 
 class DiscrepancyEntry(Schema):

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from impact_rs_analysis.evidence.cluster import Cluster, size_of
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.schema import Schema
 
 

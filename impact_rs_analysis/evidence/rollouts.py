@@ -33,11 +33,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from impact_rs_analysis.evidence.levels import rounded
-from impact_rs_analysis.evidence.replay import START_FIT_HALF_WIDTH_S, held_means
+from impact_rs_analysis.evidence.replays.replay import START_FIT_HALF_WIDTH_S, held_means
 from impact_rs_sim.forward_dynamics import ForwardDynamics, Servo
 from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.readings import ArmReadings
-from impact_rs_sim.robot import Array, JointType
+from impact_rs_sim.robots.robot import Array, JointType
 from impact_rs_sim.schema import Schema
 from impact_rs_trials.recordings.servo import ServoLaw
 from impact_rs_trials.runs import Run, none

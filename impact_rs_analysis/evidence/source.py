@@ -13,7 +13,7 @@ import numpy as np
 from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, difference, size_of
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY, Discrepancy, DiscrepancyDocument
 from impact_rs_analysis.evidence.levels import Comparison, RecordingDocument, condition_scores, where_of
-from impact_rs_analysis.evidence.measured_runs import Runs
+from impact_rs_analysis.evidence.replays.measured_runs import Runs
 from impact_rs_analysis.evidence.rollouts import FreeMotion, Rollouts, rollouts_of
 from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_sim.effects import Effect
@@ -23,7 +23,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.proportion import Proportion
-from impact_rs_sim.robot import Array, JointType, RobotFacts
+from impact_rs_sim.robots.robot import Array, JointType, RobotFacts
 from impact_rs_trials.workers import Map
 
 MAX_NUMBERS_AS_LEVELS = 8  # different numbers of a covariate that may be names, as of sessions 1 to 5

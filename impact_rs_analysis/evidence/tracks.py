@@ -16,16 +16,22 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_analysis.evidence.cluster import Added
-from impact_rs_analysis.evidence.features import AXES, JUMP_BEFORE_S, JUMP_WINDOWS_S, OBJECT_WINDOWS_S, SETTLED_WINDOW
-from impact_rs_analysis.evidence.impacts import impacts_of, observe
-from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
-from impact_rs_analysis.evidence.replay_cache import with_effects
-from impact_rs_analysis.evidence.torque_balance import Motion
+from impact_rs_analysis.evidence.free_motion.torque_balance import Motion
+from impact_rs_analysis.evidence.replays.features import (
+    AXES,
+    JUMP_BEFORE_S,
+    JUMP_WINDOWS_S,
+    OBJECT_WINDOWS_S,
+    SETTLED_WINDOW,
+)
+from impact_rs_analysis.evidence.replays.impacts import impacts_of, observe
+from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs
+from impact_rs_analysis.evidence.replays.replay_cache import with_effects
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.rotations import continuous, quaternion_of, yaw_of_quaternions
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import BagError, TrialBag

@@ -7,11 +7,11 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from impact_rs_analysis.evidence.recordings import RecordingSource
-from impact_rs_analysis.evidence.replay import AFTER_IMPACT_S
+from impact_rs_analysis.evidence.replays.replay import AFTER_IMPACT_S
 from impact_rs_analysis.evidence.source import Source
+from impact_rs_analysis.evidence.sources.recording_source import RecordingSource
 from impact_rs_sim.effects.formula import AXES, CONTACT_SYMBOLS, JOINT_SYMBOL, SYMBOLS, Formula
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.runs import Run
 
 Range = tuple[float, float]

@@ -11,7 +11,7 @@ import numpy as np
 from impact_rs_analysis.following.lessons import Followed
 from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.physics import ArmPhysics, Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 MAX_NAMED_PARAMETERS = 3  # of an effect in a sentence, the most certain ones
 MIN_RELATIVE_BASE = 1e-9  # smallest value that a relative change refers to, and smallest change

@@ -24,7 +24,7 @@ from impact_rs_analysis.following.posterior import (
     huber_weight,
 )
 from impact_rs_analysis.inference.student import DECISIVE_LIKELIHOOD_RATIO, log_ratio, squared_distance
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 MAX_HYPOTHESES = 4  # at a time
 MAX_LINEARISED_EXPLANATIONS = 5  # per hit

@@ -33,10 +33,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy
 
-from impact_rs_analysis.diagnosis.candidate import Candidate, bounded
+from impact_rs_analysis.diagnosis.search.candidate import Candidate, bounded
 from impact_rs_analysis.following.posterior import CHANGE_PRIOR_SCALES, ODD_HIT_PROBABILITY, HitEvidence, Posterior
 from impact_rs_analysis.inference.student import DECISIVE_LIKELIHOOD_RATIO, log_ratios, squares
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 MEAN_TIME_TO_FALSE_ALARM = 10_000.0  # instants, at least, under the stated noise
 TRIED_INSTANTS_SINCE_CHANGE = (1, 2, 3, 4, 5, 6, 8, 11, 15, 21, 29, 40)  # instants since a change that are tried

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy
 
-from impact_rs_analysis.diagnosis.candidate import Candidate
+from impact_rs_analysis.diagnosis.search.candidate import Candidate
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.following.change import Calibration, ChangeTest
 from impact_rs_analysis.following.hits import Hit, HitSource
@@ -21,7 +21,7 @@ from impact_rs_analysis.inference.belief import Belief
 from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.proportion import Proportion
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 
 @dataclass(frozen=True)

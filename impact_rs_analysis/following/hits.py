@@ -18,22 +18,22 @@ import numpy as np
 
 from impact_rs_analysis.evidence.cluster import Added, Feature
 from impact_rs_analysis.evidence.discrepancy import Discrepancy
-from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
-from impact_rs_analysis.evidence.map_discrepancy import MapDiscrepancy
-from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs, read_trial
-from impact_rs_analysis.evidence.replay_cache import Replay, ReplayCache, with_effects
-from impact_rs_analysis.evidence.replays import ReplaySource, clusters_of, layout_of
-from impact_rs_analysis.evidence.simulated_trials import simulated_and_judged
+from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs, read_trial
+from impact_rs_analysis.evidence.replays.replay_cache import Replay, ReplayCache, with_effects
+from impact_rs_analysis.evidence.replays.simulated_trials import simulated_and_judged
 from impact_rs_analysis.evidence.source import Source, with_per_arm_parameters
+from impact_rs_analysis.evidence.sources.run_source import ReplaySource, clusters_of, layout_of
+from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
+from impact_rs_analysis.evidence.tables.map_discrepancy import MapDiscrepancy
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.scene import ArmState
 from impact_rs_trials.bags.reader import reason_of, recorded_at
-from impact_rs_trials.recordings.impact_cells import name_of_row
-from impact_rs_trials.recordings.impact_table import ImpactRow, ImpactTable
+from impact_rs_trials.recordings.impacts.impact_cells import name_of_row
+from impact_rs_trials.recordings.impacts.impact_table import ImpactRow, ImpactTable
 from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.store import trials_below

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.diagnose import effects_for
+from impact_rs_analysis.diagnosis.search.candidate import Candidate
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.following.hit_model import HitModel, Hypothesis
 from impact_rs_analysis.following.hits import Hit, HitSource
@@ -21,7 +21,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect
 from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.proportion import Proportion
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 MIN_SCATTER_FREEDOM = 10  # degrees of freedom; standard deviations are then known to 22 %
 

@@ -21,7 +21,7 @@ import scipy
 from impact_rs_analysis.following.hits import Hit
 from impact_rs_analysis.inference.belief import Belief, Observation
 from impact_rs_analysis.inference.student import log_density
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 WINDOW_INSTANTS = 48  # an older change is accepted
 CHANGE_PRIOR_SCALES = 3.0  # prior standard deviation of a change that is looked for, in parameter scales

@@ -19,7 +19,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 EWMA_GAINS = np.array([0.0, 0.1, 0.2, 0.4])  # candidate gains g [-]; 0: no correction
 FORGETTING_FACTOR = 0.97  # of the squared errors per hit: the last thirty choose the gain

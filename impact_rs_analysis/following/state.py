@@ -27,7 +27,7 @@ from impact_rs_analysis.inference.belief import Belief
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import whole
 from impact_rs_sim.proportion import Proportion
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 STATE_VERSION = 4
 DOCUMENT_KEY = "document"

@@ -23,7 +23,7 @@ from impact_rs_analysis.following.lessons import Cause, Change, HitDocument, Nex
 from impact_rs_analysis.following.posterior import WINDOW_INSTANTS, huber_weight, unpredicted_log_density
 from impact_rs_analysis.following.proposals import distinguishing
 from impact_rs_analysis.inference.student import log_density, squared_distance
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 RETRY_LOG_GROWTH = 1.0  # of the log statistic since a failed attempt, before the next one
 MIN_HYPOTHESIS_PROBABILITY = 1e-3  # less likely hypotheses are dropped

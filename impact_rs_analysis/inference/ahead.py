@@ -23,7 +23,7 @@ import scipy
 
 from impact_rs_analysis.inference.belief import Columns, fitted_out
 from impact_rs_analysis.inference.student import DECISIVE_LIKELIHOOD_RATIO
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 MAX_SQUARED_DISTANCE = 1e6  # squared distance; beyond it everything is decided
 

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_analysis.inference.noise import INDEPENDENT_DISCREPANCY_SHARE, noise_of
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 Columns = NDArray[np.int_]
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from impact_rs_analysis.evidence.cluster import Cluster
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 # Share of the differences of a left-out simulator that the others do not span: 14 to 67 %, 34 % on average.
 INDEPENDENT_DISCREPANCY_SHARE = 1.0 / 3.0

@@ -20,7 +20,7 @@ import math
 
 import numpy as np
 
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 DECISIVE_LIKELIHOOD_RATIO = 20.0  # likelihood ratio beyond which one explanation stands and the other does not
 MIN_INFORMATION_SHARE = 1e-9  # of the largest information; less is none

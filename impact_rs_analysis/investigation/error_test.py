@@ -37,7 +37,7 @@ import scipy
 
 from impact_rs_analysis.diagnosis.thresholds import MIN_REPORTED_P
 from impact_rs_analysis.evidence.cluster import Cluster
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 MAX_FREEDOM = 1e9  # degrees of freedom that stand for infinitely many
 

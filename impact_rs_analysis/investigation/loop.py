@@ -11,11 +11,11 @@ from typing import Protocol
 from impact_rs_analysis.diagnosis.add import add_effects
 from impact_rs_analysis.diagnosis.compare import compare
 from impact_rs_analysis.diagnosis.diagnose import diagnose
-from impact_rs_analysis.diagnosis.discover import discover
-from impact_rs_analysis.diagnosis.discovery_document import write_discovery
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, ModelIdentity, read_document, write_document
-from impact_rs_analysis.diagnosis.grammar import load_grammar
-from impact_rs_analysis.diagnosis.search import ProgressCallback
+from impact_rs_analysis.diagnosis.laws.discover import discover
+from impact_rs_analysis.diagnosis.laws.discovery_document import write_discovery
+from impact_rs_analysis.diagnosis.laws.grammar import load_grammar
+from impact_rs_analysis.diagnosis.search.effect_selection import ProgressCallback
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.investigation.endings import ENDING_FILE, UNDECIDED, Ending, ending_of, read_ending
 from impact_rs_analysis.investigation.policy import MAX_VAIN_DISCOVERIES, decide

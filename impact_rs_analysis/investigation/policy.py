@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from impact_rs_analysis.diagnosis.verdict import NOTHING, TOO_FEW
-from impact_rs_analysis.diagnosis.words import not_excluded, shown_unnamed
+from impact_rs_analysis.diagnosis.verdicts.words import not_excluded, shown_unnamed
 from impact_rs_analysis.investigation.endings import EXPLAINED, LAW, MISSES_NOTHING, UNDECIDED
 from impact_rs_analysis.investigation.error_test import p_in_words
 from impact_rs_analysis.investigation.round_state import RoundState, p_alone

@@ -12,15 +12,15 @@ from typing import Any, Literal
 from pydantic import Field
 
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument
-from impact_rs_analysis.diagnosis.discovery_document import FOUND, DiscoveryDocument
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
+from impact_rs_analysis.diagnosis.laws.discovery_document import FOUND, DiscoveryDocument
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.verdict import NOTHING, SMALL
 from impact_rs_analysis.investigation.prediction_check import PredictionError, Predictions
 from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_sim.schema import Schema, SchemaType, validate
 from impact_rs_trials.campaign import Trial
 from impact_rs_trials.experiment_plan import ExperimentPlan, read_plan

@@ -21,9 +21,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from impact_rs_analysis.evidence.ante_impact import obliqueness_of
-from impact_rs_analysis.evidence.map_discrepancy import HitKind
-from impact_rs_analysis.evidence.replays import MAX_SQUARE_ANGLE_RAD
+from impact_rs_analysis.evidence.discrepancy import MAX_SQUARE_ANGLE_RAD
+from impact_rs_analysis.evidence.replays.ante_impact import obliqueness_of
+from impact_rs_analysis.evidence.tables.map_discrepancy import HitKind
 from impact_rs_analysis.limits.hit_bounds import Bounds, Thresholds, bounds_of
 from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.errors import InputError
@@ -34,9 +34,9 @@ from impact_rs_sim.impact_map.uncertainty import draw, possible, sources_of
 from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.proportion import reach_of
-from impact_rs_sim.robot import Array, Reflexes
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import Uncertainties
+from impact_rs_sim.robots.robot import Array, Reflexes
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.scenarios.scenario import Uncertainties
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState, Scene
 from impact_rs_sim.twin import TwinJob, simulate
 

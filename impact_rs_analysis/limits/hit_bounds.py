@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array, Reflexes, RobotFacts
+from impact_rs_sim.robots.robot import Array, Reflexes, RobotFacts
 
 KINDS = ("jump", "speed", "torque", "reflex", "force")
 KIND_WORDS = {

@@ -9,7 +9,7 @@ from impact_rs_analysis.limits.drawn_hits import DEFAULT_DRAWS, Hits
 from impact_rs_analysis.limits.hit_bounds import NO_THRESHOLDS, Thresholds
 from impact_rs_analysis.limits.speed import SpeedLimit, speed_limit
 from impact_rs_sim.errors import Infeasible, InputError
-from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.scene import Scene
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from impact_rs_analysis.limits.drawn_hits import Hits
 from impact_rs_analysis.limits.hit_bounds import KINDS
 from impact_rs_sim.errors import Infeasible
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 HOLD_PROBABILITY = 0.99  # share of the draws in which all bounds hold
 SPEED_TOLERANCE = 0.01  # relative change of the speed that ends the search

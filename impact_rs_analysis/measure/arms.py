@@ -9,7 +9,7 @@ from pydantic import Field
 
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import Physics, assumed_words
-from impact_rs_sim.robot import RobotFacts, load_facts
+from impact_rs_sim.robots.robot import RobotFacts, load_facts
 from impact_rs_sim.schema import Schema, omitted
 
 

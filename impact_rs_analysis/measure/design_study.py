@@ -30,9 +30,9 @@ from impact_rs_sim.impact_map import DEFAULT_ENGINE, ENGINES, Engine, ImpactMapE
 from impact_rs_sim.impact_map.derivatives import change
 from impact_rs_sim.impact_map.uncertainty import answer_of, draw, sources_of, touching_pads
 from impact_rs_sim.physics import JointFriction, Physics
-from impact_rs_sim.robot import Array, EndEffector, load_facts
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import ASSUMED_MOTOR_INERTIA, DriveSettings, Scenario, Uncertainties
+from impact_rs_sim.robots.robot import Array, EndEffector, load_facts
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.scenarios.scenario import ASSUMED_MOTOR_INERTIA, DriveSettings, Scenario, Uncertainties
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_trials.scenario_draft import NORMAL, upright_poses
 from impact_rs_trials.workers import Map

@@ -20,7 +20,7 @@ from impact_rs_analysis.measure.net_feedback import net_feedback
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import whole
 from impact_rs_sim.optional_packages import require
-from impact_rs_sim.robot import Array, joined_units
+from impact_rs_sim.robots.robot import Array, joined_units
 from impact_rs_sim.version import package_version
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag, reason_of

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 
 class FitError(Exception):

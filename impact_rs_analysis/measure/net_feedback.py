@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from impact_rs_analysis.measure.departure import Departure, departures
-from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import AXES
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.scenarios.scenario import AXES
 from impact_rs_trials.bags.reader import BagError, ControllerColumns, TrialBag
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.spec import recorded_scenario

@@ -21,7 +21,7 @@ import numpy as np
 from impact_rs_analysis.measure.published import PaperRow, PaperTables
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.schema import parse_yaml
 
 ROTOR_SCALE = 3.0  # B_rho / B_theta, paper sec. Experimental setup; 2.99 for joints 5 to 7

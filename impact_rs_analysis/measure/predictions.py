@@ -12,7 +12,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import DEFAULT_ENGINE, ImpactMapError, ImpactProblem, predict_impact
 from impact_rs_sim.impact_map.uncertainty import predict as uncertain
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
-from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.spec import recorded_scenario
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 from pydantic import Field, RootModel
 
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.robot import load_facts
-from impact_rs_sim.scenario import Scenario, load_scenario
+from impact_rs_sim.robots.robot import load_facts
+from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
 from impact_rs_sim.schema import Schema, parse_yaml
 
 PAPER_ROBOT = "franka_fer"  # paper sec. Experimental setup

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
 from impact_rs_analysis.measure.sensitivity import Sensitivity
-from impact_rs_sim.mechanics import Simulator
+from impact_rs_sim.plant.mechanics import Simulator
 from impact_rs_trials.campaign import Manifest, make_manifest
 from impact_rs_trials.workers import Map
 

@@ -22,15 +22,15 @@ from typing import Any
 import numpy as np
 import scipy
 
-from impact_rs_analysis.evidence.ante_impact import ante_impact_state, problem_of
-from impact_rs_analysis.evidence.features import AXES, JUMP_BEFORE_S, JUMP_WINDOWS_S, SETTLED_WINDOW
-from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
+from impact_rs_analysis.evidence.replays.ante_impact import ante_impact_state, problem_of
+from impact_rs_analysis.evidence.replays.features import AXES, JUMP_BEFORE_S, JUMP_WINDOWS_S, SETTLED_WINDOW
+from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs
 from impact_rs_analysis.measure.far import Jump, far_jumps
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactMapError, predict_impact
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.proportion import GRAVITY_M_S2
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 MIN_SLIDING_SPEED_M_S = 1e-3  # below, the friction of the support has no direction
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from impact_rs_analysis.evidence.tracks import OBJECT, Track, TrackSide
 from impact_rs_analysis.report.page import packed
 from impact_rs_analysis.report.scene_3d import scene_data
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 SLOW_BEFORE, SLOW_AFTER = 0.02, 0.06  # s about the impact, shown in slow motion
 MIN_SAMPLE_PERIODS_S = (0.001, 0.01)  # near the impact and elsewhere; the page interpolates

@@ -17,7 +17,7 @@ from impact_rs_analysis.diagnosis.document import (
 )
 from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANCE_LEVEL
-from impact_rs_analysis.diagnosis.words import not_excluded, remaining, shown_unnamed
+from impact_rs_analysis.diagnosis.verdicts.words import not_excluded, remaining, shown_unnamed
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_analysis.report.comparison import TracksPart, WherePart, tracks_part, where_part

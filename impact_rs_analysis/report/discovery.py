@@ -8,7 +8,7 @@ from pathlib import Path
 
 import plotly.graph_objects as go
 
-from impact_rs_analysis.diagnosis.discovery_document import DiscoveryDocument, LawDocument
+from impact_rs_analysis.diagnosis.laws.discovery_document import DiscoveryDocument, LawDocument
 from impact_rs_analysis.report.figures import BLUE, RED
 from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.page_names import DISCOVERY_PAGE

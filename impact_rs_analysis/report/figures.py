@@ -17,7 +17,7 @@ from impact_rs_analysis.measure.analyze import ExperimentSet
 from impact_rs_analysis.measure.net_feedback import TrialFeedback
 from impact_rs_sim.numbers import estimate_text, speed_text
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 # Okabe and Ito's palette: distinct in all common kinds of colour vision, and in grey by lightness.
 BLUE, SKY, BLACK, ORANGE, RED, GREEN, PURPLE = (

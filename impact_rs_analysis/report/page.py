@@ -26,7 +26,7 @@ from impact_rs_analysis.diagnosis.thresholds import MIN_REPORTED_P
 from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_sim.files import whole_folder
 from impact_rs_sim.numbers import estimate_in_line, speed_text
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 TEMPLATES = Path(__file__).with_name("templates")
 BUNDLE = Path(__file__).with_name("bundle")

@@ -17,7 +17,7 @@ from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, RED, Curve, Figure, Panel
 from impact_rs_analysis.report.labels import Tag, phase_text, place_text, tag_of
 from impact_rs_analysis.report.page import quantity_text
-from impact_rs_sim.robot import Array, joined_units
+from impact_rs_sim.robots.robot import Array, joined_units
 
 if TYPE_CHECKING:  # figures of an analysis do not need the diagnosis package
     from impact_rs_analysis.diagnosis.document import DiagnosisDocument, JointError

@@ -19,9 +19,9 @@ from impact_rs_analysis.report.page import packed
 from impact_rs_analysis.report.surface import surface_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import ObjectPhysics, Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.urdf import joint_names
 from impact_rs_sim.rotations import quaternion_of
-from impact_rs_sim.urdf import joint_names
 
 DEFAULT_COLOUR = "0.88 0.88 0.9 1"  # RGBA, as in a URDF
 MOVING_JOINT_TYPES = ("revolute", "continuous", "prismatic")  # those with a joint state

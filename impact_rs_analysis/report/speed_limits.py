@@ -21,7 +21,7 @@ from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, RED, S
 from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.page_names import LIMITS_DATA, LIMITS_PAGE, LIMITS_TABLE
 from impact_rs_analysis.report.plots import GREY, TEMPLATE
-from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.scenarios.scenario import Scenario
 
 COLOURS = {"jump": BLUE, "speed": GREEN, "torque": ORANGE, "reflex": RED, "force": GREY}
 COLOUR_SCALE_END = 2.0  # limit over planned speed, at the end of the colour scale of the map

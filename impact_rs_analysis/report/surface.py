@@ -17,8 +17,8 @@ import coal
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rs_sim.mesh_files import mesh_path
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.mesh_files import mesh_path
+from impact_rs_sim.robots.robot import Array
 
 MAX_FACES = 1200  # per mesh; twenty such meshes are 0.5 MB of a page
 MAX_INITIAL_CELLS = 64  # along the longest side
@@ -45,7 +45,7 @@ class Surface:
 
 @functools.lru_cache(maxsize=64)
 def surface_of(address: str) -> Surface | None:
-    """The mesh at an address of :func:`~impact_rs_sim.mesh_files.mesh_path`; None without a readable file."""
+    """The mesh at an address of :func:`~impact_rs_sim.robots.mesh_files.mesh_path`; None without a readable file."""
     path = mesh_path(address)
     try:
         if path is None or path.stat().st_size > MAX_FILE_BYTES:

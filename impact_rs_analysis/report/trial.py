@@ -29,7 +29,7 @@ from impact_rs_analysis.report.figures import (
 from impact_rs_analysis.report.page import Plot, number_text, render
 from impact_rs_analysis.report.plots import curves_plot
 from impact_rs_sim.files import write_whole
-from impact_rs_sim.robot import Array, joined_units
+from impact_rs_sim.robots.robot import Array, joined_units
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.runs import NONE, Run
 

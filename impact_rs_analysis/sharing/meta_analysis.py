@@ -32,7 +32,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 CONFIDENCE_LEVEL = 0.95  # of pooled intervals
 MAX_HETEROGENEITY_P = 0.05  # up to this p of Q, a residual uses tau of the others

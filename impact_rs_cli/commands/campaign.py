@@ -14,8 +14,8 @@ from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_ros.names import full_namespace
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.mechanics import Simulator
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.plant.mechanics import Simulator
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.campaign import (
     FAILURES,
     Manifest,

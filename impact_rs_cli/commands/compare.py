@@ -23,7 +23,7 @@ from impact_rs_cli.arguments import number, on_local_runs
 from impact_rs_cli.reading import measured, only_trials
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.model import Model, load_model
-from impact_rs_sim.robot import joined_units
+from impact_rs_sim.robots.robot import joined_units
 
 MAX_SHOWN_CONDITIONS = 8
 

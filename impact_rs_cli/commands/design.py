@@ -11,8 +11,8 @@ from impact_rs_analysis.application.measurements import read_trials
 from impact_rs_analysis.design.design import WHICH_EFFECT, design
 from impact_rs_analysis.design.possible_trials import Envelope
 from impact_rs_analysis.diagnosis.document import CalibrationExperiment, read_document
-from impact_rs_analysis.diagnosis.measurement import calibration_text, experiments_of
-from impact_rs_analysis.diagnosis.next_experiment import considered, left_open
+from impact_rs_analysis.diagnosis.verdicts.measurement import calibration_text, experiments_of
+from impact_rs_analysis.diagnosis.verdicts.next_experiment import considered, left_open
 from impact_rs_cli.arguments import started
 from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal, output_folder

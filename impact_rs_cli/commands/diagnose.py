@@ -19,17 +19,17 @@ from impact_rs_analysis.application.loop_steps import (
     with_formulas,
 )
 from impact_rs_analysis.application.measurements import Measurements
-from impact_rs_analysis.diagnosis.bounds import NO_BOUNDS, Bounds, read_bounds
-from impact_rs_analysis.diagnosis.budget import UNLIMITED, Budget
 from impact_rs_analysis.diagnosis.document import (
     DiagnosisDocument,
     EffectDocument,
     EstimateDocument,
     write_document,
 )
-from impact_rs_analysis.diagnosis.measurement import calibration_text
+from impact_rs_analysis.diagnosis.search.bounds import NO_BOUNDS, Bounds, read_bounds
+from impact_rs_analysis.diagnosis.search.budget import UNLIMITED, Budget
 from impact_rs_analysis.diagnosis.verdict import NO_IMPROVEMENT, TOO_FEW, UNIDENTIFIABLE, DiagnosisVerdict
-from impact_rs_analysis.diagnosis.words import not_excluded, shown_unnamed
+from impact_rs_analysis.diagnosis.verdicts.measurement import calibration_text
+from impact_rs_analysis.diagnosis.verdicts.words import not_excluded, shown_unnamed
 from impact_rs_cli.arguments import number, on_local_runs
 from impact_rs_cli.parser import command_line
 from impact_rs_cli.reading import measured
@@ -40,7 +40,7 @@ from impact_rs_commands.shared import JOBS
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.numbers import estimate_text
-from impact_rs_sim.robot import joined_units
+from impact_rs_sim.robots.robot import joined_units
 from impact_rs_trials.store import is_url
 from impact_rs_trials.workers import processor_time
 

@@ -8,9 +8,9 @@ import argparse
 from rich.table import Table
 
 from impact_rs_analysis.application.loop_steps import check_effects, check_uncalibrated
-from impact_rs_analysis.diagnosis.discover import discover
-from impact_rs_analysis.diagnosis.discovery_document import DiscoveryDocument, LawDocument, write_discovery
-from impact_rs_analysis.diagnosis.grammar import load_grammar
+from impact_rs_analysis.diagnosis.laws.discover import discover
+from impact_rs_analysis.diagnosis.laws.discovery_document import DiscoveryDocument, LawDocument, write_discovery
+from impact_rs_analysis.diagnosis.laws.grammar import load_grammar
 from impact_rs_analysis.report.discovery import write_report
 from impact_rs_cli.arguments import number, on_local_runs
 from impact_rs_cli.commands.diagnose import add_command

@@ -16,8 +16,8 @@ from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_trials.recordings.experiment import load_experiment
-from impact_rs_trials.recordings.found_impacts import FoundImpacts, find_impacts
-from impact_rs_trials.recordings.impact_rows import table_text
+from impact_rs_trials.recordings.impacts.found_impacts import FoundImpacts, find_impacts
+from impact_rs_trials.recordings.impacts.impact_rows import table_text
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:

@@ -13,7 +13,7 @@ from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.file_names import EXPERIMENT_FILE, MAPPING_FILE
-from impact_rs_trials.recordings.importing import ImportDraft, ImportOptions, draft_import
+from impact_rs_trials.recordings.importing.import_recordings import ImportDraft, ImportOptions, draft_import
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:

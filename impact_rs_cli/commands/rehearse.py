@@ -15,8 +15,8 @@ from impact_rs_ros.cell_rehearsal import Checklist, rehearse
 from impact_rs_ros.driver_profiles import profile_of
 from impact_rs_ros.node_parameters import values_of
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import Reflexes, RobotFacts
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.robots.robot import Reflexes, RobotFacts
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.spec import TrialSpec
 
 PHASES = 2

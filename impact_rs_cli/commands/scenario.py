@@ -10,7 +10,7 @@ from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
-from impact_rs_sim.robot import load_facts
+from impact_rs_sim.robots.robot import load_facts
 from impact_rs_trials.scenario_draft import draft
 
 

@@ -8,7 +8,7 @@ import argparse
 from impact_rs_cli.arguments import check_robots
 from impact_rs_cli.terminal import Terminal
 from impact_rs_ros.graph import up
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:

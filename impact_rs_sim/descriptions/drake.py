@@ -25,7 +25,7 @@ from impact_rs_sim.descriptions.exported_scene import FACE_CORNERS, ExportedQuan
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.contacts import SUPPORT, SUPPORT_THICKNESS
 from impact_rs_sim.physics import ArmPhysics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 SUPPORTED_QUANTITIES = frozenset(
     {

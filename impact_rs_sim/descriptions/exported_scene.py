@@ -24,8 +24,8 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.problem import ImpactProblem, check_physics
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import ArmPhysics, Physics
-from impact_rs_sim.robot import Array, joined_units
-from impact_rs_sim.robot_model import STANDARD_GRAVITY
+from impact_rs_sim.robots.robot import Array, joined_units
+from impact_rs_sim.robots.robot_model import STANDARD_GRAVITY
 from impact_rs_sim.scene import ArmState, BodyState, Scene
 from impact_rs_sim.version import package_version
 

@@ -25,7 +25,7 @@ from impact_rs_sim.damping_of_restitution import damping_ratio_of, restitution_o
 from impact_rs_sim.descriptions.exported_scene import FACE_CORNERS, ExportedQuantity, ExportedScene
 from impact_rs_sim.impact_map.contacts import SUPPORT, SUPPORT_THICKNESS
 from impact_rs_sim.physics import ArmPhysics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.shapes import BOX, ConvexShape
 

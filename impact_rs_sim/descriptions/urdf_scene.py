@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.descriptions.exported_scene import ExportedQuantity, ExportedScene
-from impact_rs_sim.urdf import WORLD, write_description, write_object_description
+from impact_rs_sim.robots.urdf import WORLD, write_description, write_object_description
 
 SUPPORTED_QUANTITIES = frozenset(
     {ExportedQuantity.COULOMB_FRICTION, ExportedQuantity.VISCOUS_FRICTION, ExportedQuantity.PAD_TILT}

@@ -14,7 +14,7 @@ import numpy as np
 
 from impact_rs_sim.descriptions.exported_scene import FACE_CORNERS, ExportedQuantity, ExportedScene
 from impact_rs_sim.impact_map.contacts import SUPPORT
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.rotations import quaternion_of
 
 SUPPORTED_QUANTITIES = frozenset(

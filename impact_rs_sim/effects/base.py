@@ -25,7 +25,7 @@ import numpy as np
 from impact_rs_sim.effects.changed_bodies import check_bodies, differ
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.physics import ArmPhysics, Physics
-from impact_rs_sim.robot import Array, JointType
+from impact_rs_sim.robots.robot import Array, JointType
 
 if TYPE_CHECKING:
     from impact_rs_sim.proportion import Proportion
@@ -195,7 +195,7 @@ class Effect(ABC):
             the model.
         reading: For an effect of the measurement: clause on the fault of the reading, in which ``{joint}``, ``{size}``,
             ``{more}`` (too much, too little) and ``{late}`` (late, early) are filled in
-            (:mod:`impact_rs_analysis.diagnosis.measurement`); empty: the meaning of its parameters says it.
+            (:mod:`impact_rs_analysis.diagnosis.verdicts.measurement`); empty: the meaning of its parameters says it.
         calibration: Experiment that determines it, as an imperative without a full stop; empty: none is known.
     """
 
@@ -251,7 +251,7 @@ class Effect(ABC):
 
         Raises:
             InputError: Wrong length or not finite; or one parameter per joint, and arms with unequal joint counts.
-            NotABody: No rigid body is left of a link, the object or a motor (:mod:`impact_rs_sim.bodies`).
+            NotABody: No rigid body is left of a link, the object or a motor (:mod:`impact_rs_sim.robots.bodies`).
         """
         spelled = self.spelled(self._joints(physics))
         count = sum(len(own) for _, own in spelled)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Physical consistency of the inertial parameters after an effect (:mod:`impact_rs_sim.bodies`).
+"""Physical consistency of the inertial parameters after an effect (:mod:`impact_rs_sim.robots.bodies`).
 
 Effects change masses and moments by parameters of their own (mass of a payload, density of a link), and several of them
 may change one body, so no parametrisation of the inertia (log-Cholesky: Rucker and Wensing 2022, IEEE RA-L 7(2)) covers
@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_rs_sim.bodies import is_physically_consistent, second_moments
 from impact_rs_sim.errors import NotABody
 from impact_rs_sim.physics import ArmPhysics, Physics
-from impact_rs_sim.robot import Array, Link
-from impact_rs_sim.robot_model import mounted_inertia
+from impact_rs_sim.robots.bodies import is_physically_consistent, second_moments
+from impact_rs_sim.robots.robot import Array, Link
+from impact_rs_sim.robots.robot_model import mounted_inertia
 
 # Of a covariate whose values may be levels with parameters of their own; with more it is taken as linear
 MAX_COVARIATE_VALUES = 8

@@ -24,7 +24,7 @@ from impact_rs_sim.effects.base import (
     vector3,
 )
 from impact_rs_sim.physics import ArmPhysics, ContactCondition, ContactLaw, ObjectPhysics, Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 SLIP_FRICTION_STEP = -0.4  # finite-difference step of a friction coefficient, from sticking to slipping [-]
 DISSIPATION_SERIES = (1.0, -2.0 / 3.0, 4.0 / 9.0, -44.0 / 135.0)  # of hunt_crossley_restitution, by powers of d v

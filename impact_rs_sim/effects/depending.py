@@ -23,7 +23,7 @@ import numpy as np
 
 from impact_rs_sim.effects.base import Effect, Joints, Parameter, Values, digest
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 
 def level_name(value: float | str) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from impact_rs_sim.effects.base import ArmEffect, Effect, Joints, Parameter, Values, digest, types_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array, JointType
+from impact_rs_sim.robots.robot import Array, JointType
 
 
 class EachArm(Effect):

@@ -63,7 +63,7 @@ from impact_rs_sim.effects.base import SINGLE_IMPACT, Effect, Parameter, Values,
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.memory import Memory, lag_along
 from impact_rs_sim.physics import ContactCondition, ContactLaw, Load, LoadState, ObjectLoad, Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.schema import Schema, load, omitted
 
 Value = float | Array

@@ -29,12 +29,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from impact_rs_sim.bodies import ellipsoid_contains, inertia_of, second_moments
 from impact_rs_sim.effects.base import ArmEffect, Parameter, Values, number, vector3
 from impact_rs_sim.errors import NotABody
 from impact_rs_sim.physics import ArmPhysics, Physics
-from impact_rs_sim.robot import Array, Link
-from impact_rs_sim.robot_model import mounted_inertia
+from impact_rs_sim.robots.bodies import ellipsoid_contains, inertia_of, second_moments
+from impact_rs_sim.robots.robot import Array, Link
+from impact_rs_sim.robots.robot_model import mounted_inertia
 
 MAX_REMOVABLE_MOMENT_SHARE = 0.99  # share of a link's moment of inertia about its axis, which may be that of a rod [-]
 MIN_MASS_KG = 1e-6  # for a nearly cancelled mass the centre of mass goes to infinity

@@ -9,7 +9,7 @@ import numpy as np
 
 from impact_rs_sim.effects.base import Parameter, SceneEffect, Values, number, vector3
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 
 @dataclass(frozen=True)

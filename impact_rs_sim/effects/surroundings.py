@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from impact_rs_sim.effects.base import ArmEffect, Parameter, SceneEffect, Values, number, vector3
 from impact_rs_sim.physics import ArmPhysics, Load, LoadState, Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 
 def _base_tilt(physics: Physics, values: Values) -> Physics:

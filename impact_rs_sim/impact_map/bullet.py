@@ -41,14 +41,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from impact_rs_sim.bullet_world import BulletWorld
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, SUPPORT, ContactPair, ContactPoint
 from impact_rs_sim.impact_map.laws import ContactTerms, System
 from impact_rs_sim.impact_map.problem import ImpactProblem
 from impact_rs_sim.impact_map.solve import Engine, Solution
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.plant.bullet_world import BulletWorld
+from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.scene import ArmState, BodyState
 
 _STEP = 1e-7  # s

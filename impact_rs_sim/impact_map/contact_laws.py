@@ -23,7 +23,7 @@ from dataclasses import replace
 import numpy as np
 
 from impact_rs_sim.physics import ContactCondition, Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 _COLUMNS = ("friction", "restitution", "tangential_restitution", "drilling_arm", "rolling_arm", "spin_restitution")
 

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contact points between pads and object, and between object and support.
 
-Bodies are convex; :mod:`impact_rs_sim.shapes` has the rules of all shapes, and two boxes their own routine. Of the six
-face directions of two boxes, and the common normals of edges that cross, the one that separates the two boxes best is
-the contact normal. The nearest face of the other box is clipped to the face of the normal, and its corners within
-``GAP_TOLERANCE`` of it touch: face, edge and corner contacts come out as polygon, segment and point. Two edges touch in
-one point, where they cross; where their common normal is within 6 degrees of that of a face, that point is a corner of
-the clipped face. Bullet's box-box detector follows the same rules, so that both engines see the same contacts, and so
-does the twin. Of aligned faces the one is taken that separates after a tilt too: a tilt by dphi costs the direction of
-a face the extent of the other box along that face, times dphi; of two faces that lie on each other, that of the larger
-box keeps the normal on either side.
+Bodies are convex; :mod:`impact_rs_sim.shapes` has the rules of all shapes, and two boxes their own routine. Of
+the six face directions of two boxes, and the common normals of edges that cross, the one that separates the two boxes
+best is the contact normal. The nearest face of the other box is clipped to the face of the normal, and its corners
+within ``GAP_TOLERANCE`` of it touch: face, edge and corner contacts come out as polygon, segment and point. Two edges
+touch in one point, where they cross; where their common normal is within 6 degrees of that of a face, that point is a
+corner of the clipped face. Bullet's box-box detector follows the same rules, so that both engines see the same
+contacts, and so does the twin. Of aligned faces the one is taken that separates after a tilt too: a tilt by dphi costs
+the direction of a face the extent of the other box along that face, times dphi; of two faces that lie on each other,
+that of the larger box keeps the normal on either side.
 
 Our own clipping, because the contact patches of a general collision library start from a penetration direction found
 by an iterative search, which is ill-defined exactly here: at faces that touch without overlap. It is compiled
@@ -26,7 +26,7 @@ import pinocchio as pin
 
 from impact_rs_sim import _kernel
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.scene import BodyState
 from impact_rs_sim.shapes import BOX, ConvexShape
 

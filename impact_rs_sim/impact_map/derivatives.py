@@ -62,8 +62,8 @@ from impact_rs_sim.impact_map.laws import (
     yielding_velocity,
 )
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, check_problem
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState, BodyState
 
 COMPLIANCES = (COMPLIANCE, 1e-5)  # rho of the derivatives; the second where Newton's method fails at that of the map

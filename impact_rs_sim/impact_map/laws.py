@@ -49,8 +49,8 @@ import pinocchio as pin
 from impact_rs_sim import _kernel
 from impact_rs_sim.impact_map.contacts import ContactPoint
 from impact_rs_sim.impact_map.problem import ImpactProblem, Residual
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RobotModel
 
 COMPLIANCE = 1e-8  # rho [-]; ten times less, and rounding errors begin to decide the shares of the load
 SLIDING = 1e-7  # m/s, slower points stick

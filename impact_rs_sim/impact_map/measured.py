@@ -35,8 +35,8 @@ from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, Resi
 from impact_rs_sim.impact_map.solve import RULES, Compiled, ExactEngine, check_energy
 from impact_rs_sim.physics import ArmPhysics, ContactCondition, Physics
 from impact_rs_sim.recent import Recent
-from impact_rs_sim.robot import Array, RobotFacts
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot import Array, RobotFacts
+from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.twist_readings import TwistReadings
 

@@ -25,8 +25,8 @@ import numpy as np
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.impact_map.contacts import SUPPORT, ContactPair, contact_pairs
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, RESTITUTION_LAWS, Physics
-from impact_rs_sim.robot import Array, joined_units
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot import Array, joined_units
+from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState, BodyState, Scene
 
 

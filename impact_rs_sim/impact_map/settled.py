@@ -54,7 +54,7 @@ from impact_rs_sim.impact_map.problem import (
     check_problem,
 )
 from impact_rs_sim.impact_map.solve import ExactEngine, result_of
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 REACH = 0.01  # m; points of a pad's face that are nearer than this close: a pad of 0.1 m that is tilted by 0.1 rad
 

@@ -65,8 +65,8 @@ from impact_rs_sim.impact_map.problem import (
     check_problem,
 )
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RobotModel
 
 ENERGY_TOLERANCE = 1e-9  # of the kinetic energy before the impact, for rounding
 SOLVED, REFUSED = 0, 1  # status of a solved problem, and of one with invalid data

@@ -32,9 +32,9 @@ from impact_rs_sim.impact_map.derivatives import AXES, all_velocities, change, d
 from impact_rs_sim.impact_map.laws import solve_contacts, states
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, check_problem
 from impact_rs_sim.numbers import NORMAL_95
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import Uncertainties
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.scenarios.scenario import Uncertainties
 
 SWITCHES = 0.02  # share of draws in other contact states from which the linear interval is not taken
 DRAWS = 200  # the ends of an interval scatter by about a tenth of its width

@@ -21,8 +21,8 @@ import numpy as np
 from impact_rs_sim.impact_map.contacts import find_contacts
 from impact_rs_sim.impact_map.laws import ContactTerms, System, build_system, newton, solve_contacts
 from impact_rs_sim.impact_map.problem import ImpactProblem, check_problem
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RobotModel
 
 WARNING = 1e-3  # of the ante-impact speed; above it a prediction comes with a warning
 LAWFUL = 1e-6  # m/s, residual up to which an answer of some points is one of all

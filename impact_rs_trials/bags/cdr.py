@@ -21,7 +21,7 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 LITTLE_ENDIAN = b"\x00\x01"
 ENCAPSULATION_BYTES = 4  # before the content of every CDR message

@@ -16,12 +16,12 @@ import pinocchio as pin
 
 from impact_rs_control.controller import ArmCommand, ImpactDetection
 from impact_rs_control.plan import ArmPlan, TrialPlan
-from impact_rs_sim.plant import ArmTruth
-from impact_rs_sim.robot import Array
+from impact_rs_sim.plant.plant import ArmTruth
+from impact_rs_sim.plant.sensors import ArmMeasurement, ObjectMeasurement
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.urdf import WORLD, joint_names
 from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.scene import BodyState
-from impact_rs_sim.sensors import ArmMeasurement, ObjectMeasurement
-from impact_rs_sim.urdf import WORLD, joint_names
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.bags.types import typestore

@@ -17,8 +17,8 @@ from impact_rs_control.closed_loop import RUNAWAY, Tick
 from impact_rs_control.controller import Mode
 from impact_rs_control.plan import TrialPlan
 from impact_rs_control.qp import QpStatus
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.bags.reader import JointColumns, PoseColumns
 from impact_rs_trials.bags.trial_info import OUTCOMES, Outcome
 

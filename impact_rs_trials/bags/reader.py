@@ -22,8 +22,8 @@ from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.typesys.store import Typestore
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import Array
-from impact_rs_sim.urdf import joint_names
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.urdf import joint_names
 from impact_rs_trials.bags import checksums, topics
 from impact_rs_trials.bags.cdr import decode
 from impact_rs_trials.bags.recovery import recover

@@ -13,10 +13,10 @@ import pinocchio as pin
 from impact_rs_control.closed_loop import RobotCell, Tick, make_plant, run_closed_loop, without_garbage_collection
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.plant import Measurement, PlantExtension, Truth
-from impact_rs_sim.robot import Array
+from impact_rs_sim.plant.plant import Measurement, PlantExtension, Truth
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.urdf import WORLD, write_description, write_object_description
 from impact_rs_sim.scene import Scene
-from impact_rs_sim.urdf import WORLD, write_description, write_object_description
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import TF_PERIOD_S, Frame, MessageMaker, RosbagsTypes
 from impact_rs_trials.bags.outcome import TickLog, Verdict, judge

@@ -17,9 +17,9 @@ import numpy as np
 from impact_rs_control.controller import ArmCommand, Mode
 from impact_rs_control.plan import TrialPlan
 from impact_rs_control.qp import QpStatus
-from impact_rs_sim.plant import ArmTruth
-from impact_rs_sim.robot import Array
-from impact_rs_sim.sensors import ArmMeasurement
+from impact_rs_sim.plant.plant import ArmTruth
+from impact_rs_sim.plant.sensors import ArmMeasurement
+from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.cdr import Template
 from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes, reference_columns

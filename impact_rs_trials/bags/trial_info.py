@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 from impact_rs_control.plan import TrialPlan
-from impact_rs_sim.mechanics import Simulator
+from impact_rs_sim.plant.mechanics import Simulator
 from impact_rs_sim.seeds import seed_of
 from impact_rs_sim.version import git_revision, package_version
 from impact_rs_trials.spec import TrialSpec

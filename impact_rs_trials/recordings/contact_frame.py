@@ -25,7 +25,7 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 DISTANCE_SIGMA_M = 0.001  # standard deviation of the distance between pad and face
 ANGLE_SIGMA_RAD = 0.02  # standard deviation of the angle between them

@@ -23,13 +23,13 @@ import pinocchio as pin
 from pydantic import Field, PrivateAttr, model_validator
 
 from impact_rs_sim.errors import InputError, did_you_mean
-from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import Scenario, load_scenario
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
 from impact_rs_sim.schema import PositiveNumber, PositiveVector3, Schema, Vector3, load
 from impact_rs_trials.file_names import EXPERIMENT_FILE, RUN_TABLE
 from impact_rs_trials.recordings.mapping import Mapping, load_mapping
-from impact_rs_trials.recordings.run_finder import find_run, name_of
-from impact_rs_trials.recordings.table_columns import read_columns
+from impact_rs_trials.recordings.readers.run_finder import find_run, name_of
+from impact_rs_trials.recordings.readers.table_columns import read_columns
 
 HIT = "hit"
 FREE_MOTION = "free motion"

@@ -4,7 +4,7 @@
     value in SI = FACTORS[SI unit][unit] * number in the file
 
 Mappings state the unit of a signal, impact tables the unit of a column. All readers take their factors from here.
-SI units of joints are listed in :data:`impact_rs_sim.robot.UNITS`.
+SI units of joints are listed in :data:`impact_rs_sim.robots.robot.UNITS`.
 """
 
 from __future__ import annotations

@@ -28,21 +28,22 @@ from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.scene import BodyState, resting_pose
-from impact_rs_trials.recordings.clock import (
-    MAX_GRID_ERROR_PERIODS,
-    Gap,
-    check_jumps,
-    check_stamps,
-    even_grid,
-    gaps,
-    gaps_in_words,
-    grid_from,
+from impact_rs_trials.recordings.checks.clock_offset import OBJECT_SIGNALS, on_one_clock, shifted_to_impact
+from impact_rs_trials.recordings.checks.faults import without_faults
+from impact_rs_trials.recordings.checks.joint_checks import arm_warnings
+from impact_rs_trials.recordings.checks.joint_jumps import impact_time
+from impact_rs_trials.recordings.checks.plausibility import (
+    FIRST_POSE_S,
+    check_gravity_torque,
+    check_object,
+    check_touch,
+    gravity_torques,
+    height_on_support,
 )
-from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS, on_one_clock, shifted_to_impact
 from impact_rs_trials.recordings.contact_frame import CARRIED_S, FLAT_CONTACT_S, ContactFrame, PadOnFace, contact_frame
 from impact_rs_trials.recordings.experiment import (
     FRICTION_SIGMA_SHARE,
@@ -52,24 +53,23 @@ from impact_rs_trials.recordings.experiment import (
     read_runs,
     run_named,
 )
-from impact_rs_trials.recordings.faults import without_faults
-from impact_rs_trials.recordings.guesses import MAX_NORM_ERROR
-from impact_rs_trials.recordings.joint_checks import arm_warnings
-from impact_rs_trials.recordings.joint_jumps import impact_time
 from impact_rs_trials.recordings.mapping import REQUIRED, SignalName
 from impact_rs_trials.recordings.mapping import Mapping as SignalMapping
-from impact_rs_trials.recordings.plausibility import (
-    FIRST_POSE_S,
-    check_gravity_torque,
-    check_object,
-    check_touch,
-    gravity_torques,
-    height_on_support,
+from impact_rs_trials.recordings.readers.clock import (
+    MAX_GRID_ERROR_PERIODS,
+    Gap,
+    check_jumps,
+    check_stamps,
+    even_grid,
+    gaps,
+    gaps_in_words,
+    grid_from,
 )
+from impact_rs_trials.recordings.readers.guesses import MAX_NORM_ERROR
+from impact_rs_trials.recordings.readers.series import Names, Series
+from impact_rs_trials.recordings.readers.sources import read_series
 from impact_rs_trials.recordings.recording import TooShort, check_arm
 from impact_rs_trials.recordings.remarks import Amount, Remark
-from impact_rs_trials.recordings.series import Names, Series
-from impact_rs_trials.recordings.sources import read_series
 from impact_rs_trials.runs import NONE, ArmSignals, Run, Signals
 from impact_rs_trials.workers import Map
 

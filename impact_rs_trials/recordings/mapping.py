@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.files import is_file
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.robot import Array, EndEffector, RobotFacts, load_facts
+from impact_rs_sim.robots.robot import Array, EndEffector, RobotFacts, load_facts
 from impact_rs_sim.schema import NonNegativeVector, PositiveVector, Schema, Vector3, load
 from impact_rs_trials.recordings.file_units import CURRENTS, SLIDES, TURNS, UNITS
 from impact_rs_trials.recordings.servo import Servo

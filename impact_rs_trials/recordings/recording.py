@@ -16,25 +16,30 @@ import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import ArmPhysics, JointFriction, ObjectPhysics, Physics
-from impact_rs_sim.robot import Array, joined_units
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot import Array, joined_units
+from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.bags.topics import TRIAL_INFO
-from impact_rs_trials.recordings.bag_file import open_bag
-from impact_rs_trials.recordings.clock import check_stamps, gaps, gaps_in_words
-from impact_rs_trials.recordings.clock_offset import on_one_clock
-from impact_rs_trials.recordings.clock_steps import without_steps_back
-from impact_rs_trials.recordings.faults import MAX_LIMIT_FACTOR, MAX_OUTLIER_SHARE, MAX_POSITION_EXCESS, without_faults
+from impact_rs_trials.recordings.checks.clock_offset import on_one_clock
+from impact_rs_trials.recordings.checks.faults import (
+    MAX_LIMIT_FACTOR,
+    MAX_OUTLIER_SHARE,
+    MAX_POSITION_EXCESS,
+    without_faults,
+)
+from impact_rs_trials.recordings.checks.joint_checks import arm_warnings
+from impact_rs_trials.recordings.checks.sampling_times import timestamp_warning
+from impact_rs_trials.recordings.checks.torque_readings import check_includes_gravity, whole_torque
 from impact_rs_trials.recordings.file_units import CURRENTS
-from impact_rs_trials.recordings.guesses import at_rest
-from impact_rs_trials.recordings.joint_checks import arm_warnings
 from impact_rs_trials.recordings.mapping import JOINT_SIGNALS, REQUIRED, Mapping, SignalName
+from impact_rs_trials.recordings.readers.bag_file import open_bag
+from impact_rs_trials.recordings.readers.clock import check_stamps, gaps, gaps_in_words
+from impact_rs_trials.recordings.readers.clock_steps import without_steps_back
+from impact_rs_trials.recordings.readers.guesses import at_rest
+from impact_rs_trials.recordings.readers.run_finder import BAG_SUFFIXES, FILE_SUFFIXES, find_recordings, find_runs
+from impact_rs_trials.recordings.readers.series import Series
+from impact_rs_trials.recordings.readers.sources import read_series
 from impact_rs_trials.recordings.relations import PLAUSIBLE_FACTORS, pooled
-from impact_rs_trials.recordings.run_finder import BAG_SUFFIXES, FILE_SUFFIXES, find_recordings, find_runs
-from impact_rs_trials.recordings.sampling_times import timestamp_warning
-from impact_rs_trials.recordings.series import Series
 from impact_rs_trials.recordings.servo import ServoLaw
-from impact_rs_trials.recordings.sources import read_series
-from impact_rs_trials.recordings.torque_readings import check_includes_gravity, whole_torque
 from impact_rs_trials.runs import ArmSignals, Run, Signals
 
 logger = logging.getLogger(__name__)

@@ -26,7 +26,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from impact_rs_sim.robot import Array, RobotFacts
+from impact_rs_sim.robots.robot import Array, RobotFacts
 
 # Factors between a measured and an expected signal [-].
 SAME_UNIT_FACTORS = (0.8, 1.25)  # the unit is found: low-passed velocities differ by less, units by 57 and more

@@ -25,7 +25,7 @@ import numpy as np
 from pydantic import Field
 
 from impact_rs_sim.readings import delayed
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.schema import NonNegativeVector, PositiveVector, Schema
 
 Damps = Literal["velocity", "error"]

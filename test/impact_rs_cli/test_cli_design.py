@@ -14,8 +14,8 @@ from scene_source import of_scene
 from impact_rs_analysis.application import plant_bench as bench
 from impact_rs_analysis.application.plant_bench import PlantBench
 from impact_rs_analysis.design.design import WHICH_EFFECT
-from impact_rs_analysis.diagnosis.discovery_document import FOUND, DiscoveryDocument, write_discovery
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, write_document
+from impact_rs_analysis.diagnosis.laws.discovery_document import FOUND, DiscoveryDocument, write_discovery
 from impact_rs_analysis.investigation.rounds import Round, WantedTrials
 from impact_rs_analysis.investigation.rule_design import simple_design
 from impact_rs_analysis.investigation.settings import Settings
@@ -23,7 +23,7 @@ from impact_rs_cli.main import main
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.campaign import PlannedTrials
 from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign, read_plan, write_plan, write_scenario

@@ -20,7 +20,7 @@ from impact_rs_cli.main import main
 from impact_rs_sim.impact_map.measured import MeasuredImpact, corners_that_touch, solve_measured
 from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.scene import BodyState
-from impact_rs_trials.recordings.impact_table import read_impact_table
+from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 
 Document = Callable[..., dict[str, Any]]
 

@@ -38,22 +38,22 @@ from impact_rs_sim.effects.formula import load_formulas
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.robot import load_facts
-from impact_rs_sim.robot_import import import_urdf
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.robots.robot import load_facts
+from impact_rs_sim.robots.robot_import import import_urdf
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_sim.schema import load
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.campaign import Manifest, make_manifest
-from impact_rs_trials.recordings.array_file import ArrayFile
-from impact_rs_trials.recordings.candidates import candidates_of
 from impact_rs_trials.recordings.experiment import Experiment, load_experiment, read_runs
-from impact_rs_trials.recordings.impact_table import read_impact_table
-from impact_rs_trials.recordings.importing import ImportOptions, draft_import
+from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
+from impact_rs_trials.recordings.importing.candidates import candidates_of
+from impact_rs_trials.recordings.importing.import_recordings import ImportOptions, draft_import
+from impact_rs_trials.recordings.importing.table_layout import find_layout
 from impact_rs_trials.recordings.mapping import Mapping, load_mapping
-from impact_rs_trials.recordings.series import Names
-from impact_rs_trials.recordings.table_file import TableFile
-from impact_rs_trials.recordings.table_layout import find_layout
+from impact_rs_trials.recordings.readers.array_file import ArrayFile
+from impact_rs_trials.recordings.readers.series import Names
+from impact_rs_trials.recordings.readers.table_file import TableFile
 
 BAG = "cat_food__case_2__s1.000__r0"
 LONGEST = 2500  # characters of a message; those that list every known name are long

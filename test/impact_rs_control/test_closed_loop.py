@@ -19,11 +19,11 @@ from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import compute_impact_map
 from impact_rs_sim.impact_map.problem import ImpactProblem
-from impact_rs_sim.robot import Link, RobotFacts
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.plant.sensors import ArmMeasurement
+from impact_rs_sim.robots.robot import Link, RobotFacts
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_sim.scene import ArmState, Scene
-from impact_rs_sim.sensors import ArmMeasurement
 from impact_rs_trials.bags.outcome import TickLog, Verdict, judge
 
 # ---- push -----------------------------------------------------------------------------------------------------------

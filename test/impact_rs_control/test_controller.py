@@ -22,11 +22,11 @@ from impact_rs_control.plan import TrialPlan, plan_trial
 from impact_rs_control.qp import AccelerationProblem, AccelerationQp, JointLimits, QpSolution, QpStatus
 from impact_rs_control.references import SampledPath
 from impact_rs_sim import _kernel
-from impact_rs_sim.robot import Limits
-from impact_rs_sim.robot_model import RigidTerms
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.plant.sensors import ArmMeasurement
+from impact_rs_sim.robots.robot import Limits
+from impact_rs_sim.robots.robot_model import RigidTerms
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_sim.scene import Scene
-from impact_rs_sim.sensors import ArmMeasurement
 
 # ---- controller -----------------------------------------------------------------------------------------------------
 

@@ -14,10 +14,10 @@ from trials import scene_of
 from impact_rs_control.arm_limits import MAX_MEASURED_TORQUE_RATIO, rate_limited, state_complaint, torque_complaint
 from impact_rs_control.plan import TrialPlan, plan_trial, tick_times
 from impact_rs_sim.errors import Infeasible, InputError
-from impact_rs_sim.friction_compensation import TASKS, AccelerationSamples, ArmFriction, FrictionCompensation
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map, settle
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.friction_compensation import TASKS, AccelerationSamples, ArmFriction, FrictionCompensation
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.spec import TrialSpec
 

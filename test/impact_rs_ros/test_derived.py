@@ -8,7 +8,7 @@ import pytest
 
 from impact_rs_control.closed_loop import make_plant
 from impact_rs_ros.derived import DerivedMessages
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes
 from impact_rs_trials.bags.record import FrameSource

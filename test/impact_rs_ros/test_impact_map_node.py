@@ -22,7 +22,7 @@ from impact_rs_sim.impact_map.problem import ImpactProblem
 from impact_rs_sim.impact_map.uncertainty import predict
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 
 Ask = Callable[..., ComputeImpactMap.Response]

@@ -15,7 +15,7 @@ from robot_bench import PERIOD, PUSH, Wires, torque_message
 
 from impact_rs_ros import plant_node
 from impact_rs_ros.plant_node import Pace, PlantTrial
-from impact_rs_sim.plant import Plant
+from impact_rs_sim.plant.plant import Plant
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.record import FrameSource
 

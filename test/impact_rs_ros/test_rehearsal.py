@@ -18,9 +18,9 @@ from impact_rs_ros.effort_arms import rest_until
 from impact_rs_ros.node_parameters import defaults_of
 from impact_rs_ros.robot_states import joint_names
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import Reflexes
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.sensors import ArmMeasurement
+from impact_rs_sim.plant.sensors import ArmMeasurement
+from impact_rs_sim.robots.robot import Reflexes
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.checked_bound import CheckedBound
 from impact_rs_trials.spec import TrialSpec
 

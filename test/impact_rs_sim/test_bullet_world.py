@@ -15,9 +15,9 @@ import pinocchio as pin
 import pytest
 from trials import scene_of
 
-from impact_rs_sim.bullet_world import BulletWorld
 from impact_rs_sim.errors import NotABody
 from impact_rs_sim.physics import ObjectPhysics, Physics
+from impact_rs_sim.plant.bullet_world import BulletWorld
 from impact_rs_sim.rotations import yaw_of_quaternions
 from impact_rs_sim.scene import ArmState, BodyState
 

@@ -17,7 +17,7 @@ from impact_rs_sim.descriptions import FORMATS, ExportedScene
 from impact_rs_sim.effects import library
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.scene import Scene
 
 NOMINAL = load_model("nominal")

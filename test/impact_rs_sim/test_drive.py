@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from trials import nominal_physics
 
 from impact_rs_sim.assumed_drive import assumed_drive
-from impact_rs_sim.bullet_world import BulletWorld
 from impact_rs_sim.drive import Drive, DriveStart
-from impact_rs_sim.drive_stability import joint_stability, spectral_radius
 from impact_rs_sim.physics import JointFriction, Physics, ShaftFriction
-from impact_rs_sim.robot import RobotFacts, load_facts
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.plant.bullet_world import BulletWorld
+from impact_rs_sim.robots.drive_stability import joint_stability, spectral_radius
+from impact_rs_sim.robots.robot import RobotFacts, load_facts
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_sim.scene import ArmState
 
 # ---- the torque loop ------------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.impact_map import ImpactProblem, predict_impact
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import validate
 

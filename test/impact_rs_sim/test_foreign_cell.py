@@ -14,14 +14,14 @@ from scipy.integrate import solve_ivp
 cell_module = pytest.importorskip("mujoco_cell")
 
 from benchmarks.accuracy.limits import hit  # noqa: E402
-from impact_rs_analysis.evidence.simulated_trials import quiet  # noqa: E402
+from impact_rs_analysis.evidence.replays.simulated_trials import quiet  # noqa: E402
 from impact_rs_analysis.limits.drawn_hits import JUMP_SHARES, Hits, drawn, touching  # noqa: E402
 from impact_rs_analysis.limits.hit_bounds import Thresholds  # noqa: E402
 from impact_rs_control.closed_loop import make_plant, run_closed_loop  # noqa: E402
 from impact_rs_control.plan import plan_trial  # noqa: E402
 from impact_rs_sim.effects import library  # noqa: E402
 from impact_rs_sim.proportion import reach_of  # noqa: E402
-from impact_rs_sim.scenario import load_scenario  # noqa: E402
+from impact_rs_sim.scenarios.scenario import load_scenario  # noqa: E402
 from impact_rs_sim.scene import Scene  # noqa: E402
 
 STEP = cell_module.STEP

@@ -18,7 +18,7 @@ from slender_arm import mapping_of, slender_arm, with_effects
 
 from impact_rs_sim.forward_dynamics import ForwardDynamics
 from impact_rs_sim.physics import Load, LoadState, Physics
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.recordings.recording import ARM
 
 INERTIA, WEIGHT = 0.03 + 2.0 * 0.2**2, 2.0 * 9.81 * 0.2  # kg m^2, N m: a link of 2 kg, 0.2 m from the axis

@@ -26,7 +26,7 @@ from impact_rs_sim.impact_map.derivatives import (
 from impact_rs_sim.impact_map.laws import newton, solve_contacts, states
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem
 from impact_rs_sim.physics import ObjectPhysics
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.scene import BodyState
 
 COMPLIANCE = 1e-5  # so that rounding leaves room for a small step; the derivatives are the same code

@@ -19,19 +19,19 @@ from trials import plan_of
 from twin_scene import AGAINST_Y, BOX_MASS, PERIOD, RAIL_MASS, SIZE, TOWARDS_Y, rail, resting, scene
 
 from impact_rs_control.closed_loop import make_plant, run_closed_loop
-from impact_rs_sim.bullet_mechanics import BulletMechanics
 from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.mechanics import Mechanics, Simulator
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.plant import SIMULATORS, PlantExtension
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import STANDARD_GRAVITY
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.plant.bullet_mechanics import BulletMechanics
+from impact_rs_sim.plant.mechanics import Mechanics, Simulator
+from impact_rs_sim.plant.plant import SIMULATORS, PlantExtension
+from impact_rs_sim.plant.twin_mechanics import TwinMechanics
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import STANDARD_GRAVITY
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_sim.scene import ArmState, BodyState, Scene
 from impact_rs_sim.twin import Result, TwinJob, rests, simulate
-from impact_rs_sim.twin_mechanics import TwinMechanics
 
 # ---- an object rests only where its support holds it ----------------------------------------------------------------
 
@@ -370,7 +370,7 @@ HIT = """
 import numpy as np
 from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.impact_map import ImpactProblem
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.twin import TwinJob, simulate
 

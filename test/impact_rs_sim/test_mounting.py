@@ -9,15 +9,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from impact_rs_sim.bullet_mechanics import BulletMechanics
 from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import Base, Scenario, load_scenario
+from impact_rs_sim.plant.bullet_mechanics import BulletMechanics
+from impact_rs_sim.plant.twin_mechanics import TwinMechanics
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.scenarios.scenario import Base, Scenario, load_scenario
 from impact_rs_sim.scene import ArmState, BodyState, Scene
-from impact_rs_sim.twin_mechanics import TwinMechanics
 
 PUSH = load_scenario("push")
 PERIOD, PERIODS = 0.00025, 200

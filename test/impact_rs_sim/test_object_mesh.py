@@ -18,10 +18,10 @@ from impact_rs_sim.descriptions.exported_scene import ExportedScene
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
 from impact_rs_sim.model import load_model
-from impact_rs_sim.object_mesh import MAX_CORNERS, object_mesh, read_object_mesh
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import Scenario, load_scenario
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.scenarios.object_mesh import MAX_CORNERS, object_mesh, read_object_mesh
+from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.shapes import hull_of
 

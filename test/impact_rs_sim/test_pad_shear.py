@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from impact_rs_sim.pad_shear import ContactBody, PadContacts, PadShear
+from impact_rs_sim.plant.pad_shear import ContactBody, PadContacts, PadShear
 
 MASS, MOMENT = 1.0, 0.004  # kg, kg m^2 about the normal
 HALF, LOAD, FRICTION = 0.05, 20.0, 0.5  # m, N in all, -

@@ -15,11 +15,11 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.drive import Drive
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Load, LoadState
-from impact_rs_sim.plant import Plant, PlantExtension
-from impact_rs_sim.scenario import Sensors
+from impact_rs_sim.plant.plant import Plant, PlantExtension
+from impact_rs_sim.plant.sensors import ArmSensors, ObjectTracker
+from impact_rs_sim.plant.unmodelled import LAWS, OUTSIDE, Backlash, DriftingFriction, TorqueRipple
+from impact_rs_sim.scenarios.scenario import Sensors
 from impact_rs_sim.scene import ArmMotion, ArmState
-from impact_rs_sim.sensors import ArmSensors, ObjectTracker
-from impact_rs_sim.unmodelled import LAWS, OUTSIDE, Backlash, DriftingFriction, TorqueRipple
 
 # ---- the plant ------------------------------------------------------------------------------------------------------
 

@@ -18,7 +18,6 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.proportion import Proportion, reach_of
-from impact_rs_sim.robot import EndEffector, Flange, Link, RobotFacts, load_facts
 from impact_rs_sim.robot_check import (
     Check,
     check_drives,
@@ -28,8 +27,9 @@ from impact_rs_sim.robot_check import (
     failures_of,
     random_positions,
 )
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import Scenario, load_scenario
+from impact_rs_sim.robots.robot import EndEffector, Flange, Link, RobotFacts, load_facts
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
 
 # ---- facts ----------------------------------------------------------------------------------------------------------
 

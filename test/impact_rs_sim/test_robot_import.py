@@ -17,18 +17,18 @@ from hypothesis import strategies as st
 from trials import nominal_physics
 
 from impact_rs_sim.assumed_drive import assumed_drive
-from impact_rs_sim.bullet_mechanics import BulletMechanics
-from impact_rs_sim.bullet_world import mass_matrices
 from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import JointFriction
-from impact_rs_sim.robot import EndEffector, load_facts
-from impact_rs_sim.robot_import import FULL_TURN_RAD, facts_text, import_urdf, save_facts
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.plant.bullet_mechanics import BulletMechanics
+from impact_rs_sim.plant.bullet_world import mass_matrices
+from impact_rs_sim.robots.robot import EndEffector, load_facts
+from impact_rs_sim.robots.robot_import import FULL_TURN_RAD, facts_text, import_urdf, save_facts
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.robots.urdf import write_description
+from impact_rs_sim.robots.urdf_repairs import suspected_steiner_ratio
 from impact_rs_sim.scene import ArmState, BodyState
-from impact_rs_sim.urdf import write_description
-from impact_rs_sim.urdf_repairs import suspected_steiner_ratio
 
 PERIOD = 2.5e-4  # s, of the torque loop
 LIMIT = '<limit lower="-2" upper="1.5" velocity="3" effort="40"/>'

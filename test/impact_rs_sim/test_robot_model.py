@@ -13,21 +13,21 @@ from hypothesis import strategies as st
 from trials import nominal_physics
 
 from impact_rs_sim.assumed_drive import FRANKA_SPEED_LIMIT_RAD_S, assumed_drive
-from impact_rs_sim.bodies import ellipsoid_contains, inertia_of, is_physically_consistent, second_moments
-from impact_rs_sim.bullet_mechanics import BulletMechanics
-from impact_rs_sim.bullet_world import BulletWorld, mass_matrices
 from impact_rs_sim.drive import Drive, DriveStart
 from impact_rs_sim.errors import Infeasible, UnreachablePose
 from impact_rs_sim.impact_map import ImpactProblem, predict_impact
 from impact_rs_sim.impact_map.derivatives import parameters_of
 from impact_rs_sim.impact_map.problem import check_problem
 from impact_rs_sim.physics import JointFriction, Physics
-from impact_rs_sim.robot import Array, EndEffector, RobotFacts
+from impact_rs_sim.plant.bullet_mechanics import BulletMechanics
+from impact_rs_sim.plant.bullet_world import BulletWorld, mass_matrices
 from impact_rs_sim.robot_check import check_drives, check_facts
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import DriveSettings, load_scenario
+from impact_rs_sim.robots.bodies import ellipsoid_contains, inertia_of, is_physically_consistent, second_moments
+from impact_rs_sim.robots.robot import Array, EndEffector, RobotFacts
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.robots.urdf import write_urdf
+from impact_rs_sim.scenarios.scenario import DriveSettings, load_scenario
 from impact_rs_sim.scene import ArmState, BodyState
-from impact_rs_sim.urdf import write_urdf
 
 # ---- the rigid model ------------------------------------------------------------------------------------------------
 

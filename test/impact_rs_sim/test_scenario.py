@@ -11,12 +11,12 @@ import pytest
 import yaml
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.friction_compensation import TASKS
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import load_facts
-from impact_rs_sim.scenario import Gains, Scenario, Timing, load_scenario, scenario_path
-from impact_rs_sim.scenario_docs import markdown
+from impact_rs_sim.robots.robot import load_facts
+from impact_rs_sim.scenarios.friction_compensation import TASKS
+from impact_rs_sim.scenarios.scenario import Gains, Scenario, Timing, load_scenario, scenario_path
+from impact_rs_sim.scenarios.scenario_docs import markdown
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import validate
 
@@ -232,7 +232,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "scenarios.md"
 
 def test_the_page_is_up_to_date() -> None:
     assert PAGE.read_text(encoding="utf-8") == markdown(), (
-        "run: python -m impact_rs_sim.scenario_docs > docs/scenarios.md"
+        "run: python -m impact_rs_sim.scenarios.scenario_docs > docs/scenarios.md"
     )
 
 

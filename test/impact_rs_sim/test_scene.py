@@ -15,9 +15,9 @@ from impact_rs_control.plan import plan_trial
 from impact_rs_sim.clearance import LINK_RADIUS_M, capsules, check_clearance, deepest_penetration
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, JointFriction, Load, LoadState, Physics
-from impact_rs_sim.robot import SigmoidFriction
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import CaseRobot, Scenario, load_scenario
+from impact_rs_sim.robots.robot import SigmoidFriction
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.scenarios.scenario import CaseRobot, Scenario, load_scenario
 from impact_rs_sim.scene import BodyState, Scene, _impact_velocity
 
 # ---- scene ----------------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from twin_scene import AGAINST_Y, PAD, PERIOD, RAIL_MASS, TOWARDS_Y, rail, resti
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map, kinetic_energy
 from impact_rs_sim.impact_map.problem import EnergyGain, ImpactResult
 from impact_rs_sim.physics import ObjectPhysics, Physics
-from impact_rs_sim.robot import Array, EndEffector
+from impact_rs_sim.robots.robot import Array, EndEffector
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.shapes import CAPSULE, CYLINDER, SPHERE, ConvexShape
 

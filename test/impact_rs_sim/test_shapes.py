@@ -14,7 +14,7 @@ import scipy
 
 from impact_rs_sim import _kernel
 from impact_rs_sim.impact_map.contacts import ALIGNED, ConvexBody
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.shapes import BOX, CAPSULE, CYLINDER, SPHERE, ConvexShape
 
 CUBE = ConvexShape(

@@ -15,7 +15,7 @@ from twin_scene import scene
 
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
 from impact_rs_sim.physics import ObjectPhysics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.scene import BodyState
 from impact_rs_sim.shapes import ConvexShape, hull_of
 

@@ -29,7 +29,7 @@ from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.impact_map import compute_impact_map
 from impact_rs_sim.impact_map.problem import ImpactProblem
 from impact_rs_sim.physics import ObjectPhysics, Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.twin import Result, TwinJob, simulate
 

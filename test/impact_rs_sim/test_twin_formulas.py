@@ -12,13 +12,13 @@ from closed_forms import restitution_of_hunt_and_crossley
 from twin_scene import AGAINST_Y, BOX_MASS, PERIOD, RAIL_MASS, SIZE, rail, resting, run, scene
 
 from impact_rs_sim import _kernel
-from impact_rs_sim.bullet_mechanics import BulletMechanics
 from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.effects.formula import SYMBOLS, FormulaEffect, FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.plant.bullet_mechanics import BulletMechanics
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_sim.scene import ArmState, BodyState, Scene
 from impact_rs_sim.twin import TwinJob, simulate
 

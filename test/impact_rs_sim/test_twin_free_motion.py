@@ -10,15 +10,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from impact_rs_sim.bullet_mechanics import BulletMechanics
 from impact_rs_sim.drive import Drive, DriveStart
 from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.memory import Memory
 from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import Load, LoadState, Physics
-from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.plant.bullet_mechanics import BulletMechanics
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState
 from impact_rs_sim.twin import Result, TwinJob, simulate
 

@@ -10,11 +10,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from impact_rs_sim.link_shapes import Shape, link_shapes
-from impact_rs_sim.mesh_files import mesh_address, mesh_path
-from impact_rs_sim.robot import Flange, RobotFacts, load_facts
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.urdf import write_urdf
+from impact_rs_sim.robots.link_shapes import Shape, link_shapes
+from impact_rs_sim.robots.mesh_files import mesh_address, mesh_path
+from impact_rs_sim.robots.robot import Flange, RobotFacts, load_facts
+from impact_rs_sim.robots.urdf import write_urdf
+from impact_rs_sim.scenarios.scenario import load_scenario
 
 # ---- what is written ------------------------------------------------------------------------------------------------
 

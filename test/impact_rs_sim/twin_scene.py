@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.physics import ArmPhysics, JointFriction, ObjectPhysics, Physics
-from impact_rs_sim.robot import Array, EndEffector, RobotFacts
+from impact_rs_sim.robots.robot import Array, EndEffector, RobotFacts
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.twin import Result, TwinJob, simulate
 

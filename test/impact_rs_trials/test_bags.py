@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from trials import plan_of
 
 import impact_msgs_py
-from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_trials.bags import cdr, topics
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.bags.trial_info import TrialKey

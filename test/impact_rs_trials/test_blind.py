@@ -10,8 +10,8 @@ from trials import nominal_physics
 
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.scenario import scenario_path
-from impact_rs_sim.unmodelled import OUTSIDE
+from impact_rs_sim.plant.unmodelled import OUTSIDE
+from impact_rs_sim.scenarios.scenario import scenario_path
 from impact_rs_trials.blind import RUNS, SIZES, TRUTH, draw, draw_outside, draw_truth, hide, make, specs, tasks
 
 

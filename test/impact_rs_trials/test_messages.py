@@ -15,9 +15,9 @@ from trials import plan_of, ticks_of
 from impact_rs_control.controller import ArmCommand, ImpactDetection, Mode
 from impact_rs_control.plan import TrialPlan
 from impact_rs_control.qp import QpStatus
-from impact_rs_sim.plant import ArmTruth
+from impact_rs_sim.plant.plant import ArmTruth
+from impact_rs_sim.plant.sensors import ArmMeasurement, ObjectMeasurement
 from impact_rs_sim.scene import BodyState
-from impact_rs_sim.sensors import ArmMeasurement, ObjectMeasurement
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import Frame, MessageMaker, RosbagsTypes, reference_columns
 from impact_rs_trials.bags.streams import Stream, StreamMaker

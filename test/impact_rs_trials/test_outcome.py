@@ -15,7 +15,7 @@ from impact_rs_control.closed_loop import RUNAWAY, make_plant, run_closed_loop
 from impact_rs_control.controller import Mode
 from impact_rs_control.plan import TrialPlan
 from impact_rs_control.qp import QpStatus
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.bags.outcome import MIN_LIFT_SHARE, ArmRecord, TickLog, TrialRecord, Verdict, judge
 from impact_rs_trials.bags.reader import JointColumns, PoseColumns, TrialBag
 from impact_rs_trials.spec import TrialSpec
@@ -212,7 +212,7 @@ def test_the_gravest_is_told_and_of_equally_grave_ones_the_earliest() -> None:
 
 
 def test_a_damper_too_strong_for_a_wrist_ends_the_trial_and_names_it(tmp_path: Path) -> None:
-    """h^2 K + 2 h D < 4 m (impact_rs_sim.drive_stability): the wrist of an FR3 is too light for the drive of push."""
+    """h^2 K + 2 h D < 4 m (impact_rs_sim.robots.drive_stability): an FR3's wrist is too light for the drive of push."""
     scenario = load_scenario("push").with_settings({"robots.arm.facts": "franka_fr3"})
     verdict = recorded(TrialSpec.of(scenario, "cat_food", "case_2").plan, tmp_path / "trial", seed=1)
     assert verdict.outcome == "DIVERGED"

@@ -11,7 +11,7 @@ import pytest
 
 from impact_rs_control.closed_loop import run_closed_loop
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.plant import Plant
+from impact_rs_sim.plant.plant import Plant
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.runs import NONE, ArmSignals, Run, signals_of_ticks
 from impact_rs_trials.since import measured_since

@@ -8,10 +8,10 @@ import pytest
 
 from impact_rs_control.closed_loop import make_plant, run_closed_loop
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import load_facts
 from impact_rs_sim.robot_check import check_drives, empty_flange
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import ASSUMED_MOTOR_INERTIA, load_scenario
+from impact_rs_sim.robots.robot import load_facts
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.scenarios.scenario import ASSUMED_MOTOR_INERTIA, load_scenario
 from impact_rs_trials import scenario_draft
 from impact_rs_trials.scenario_draft import Draft, Pose, draft, scenario_text
 from impact_rs_trials.spec import TrialSpec

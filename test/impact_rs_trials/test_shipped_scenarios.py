@@ -13,7 +13,7 @@ from trials import recorded
 from impact_rs_sim.impact_map import ImpactProblem, predict_impact
 from impact_rs_sim.impact_map.uncertainty import predict
 from impact_rs_sim.robot_check import failures_of
-from impact_rs_sim.scenario import Uncertainties, load_scenario
+from impact_rs_sim.scenarios.scenario import Uncertainties, load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag

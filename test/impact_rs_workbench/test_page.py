@@ -26,7 +26,7 @@ from processes import PATIENCE, until
 from stub_job import Stub
 
 from impact_rs_analysis.diagnosis.document import EstimateDocument, write_document
-from impact_rs_analysis.evidence.measured_runs import runs_digest
+from impact_rs_analysis.evidence.replays.measured_runs import runs_digest
 from impact_rs_analysis.report.page import PALETTE
 from impact_rs_sim.files import write_whole
 from impact_rs_workbench import kept_choices

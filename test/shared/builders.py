@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from impact_rs_trials.recordings.importing import ImportDraft
+from impact_rs_trials.recordings.importing.import_recordings import ImportDraft
 from impact_rs_trials.recordings.mapping import Mapping, load_mapping
-from impact_rs_trials.recordings.series import Series
-from impact_rs_trials.recordings.sources import read_series
+from impact_rs_trials.recordings.readers.series import Series
+from impact_rs_trials.recordings.readers.sources import read_series
 
 
 def mapping_of(

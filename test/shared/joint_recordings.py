@@ -12,7 +12,7 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.bags.types import typestore
 
 Columns = dict[str, np.ndarray]

@@ -14,7 +14,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from impact_rs_analysis.application.followed_hits import FollowedHits, hits_options
-from impact_rs_analysis.evidence.replay_cache import ReplayCache
+from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
 from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.hits import BagHitSource
 from impact_rs_cli.full_diagnosis import FullDiagnosis

@@ -27,12 +27,12 @@ import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import ArmPhysics, JointFriction, LoadState, Physics, ShaftFriction
-from impact_rs_sim.plant import Measurement
-from impact_rs_sim.robot import Array
+from impact_rs_sim.plant.plant import Measurement
+from impact_rs_sim.plant.sensors import ArmMeasurement, ArmSensors, ObjectTracker
+from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.rotations import quaternion_of
-from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.scene import ArmMotion, BodyState
-from impact_rs_sim.sensors import ArmMeasurement, ArmSensors, ObjectTracker
 
 STEP = 1.0 / 8000.0  # s
 UNKNOWN_HERE = ("pad_shear", "pad_creep", "stiff_control")  # effects that this cell, which closes its loop, cannot hide

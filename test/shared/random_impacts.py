@@ -12,8 +12,8 @@ import pinocchio as pin
 from impact_rs_sim.errors import Infeasible
 from impact_rs_sim.impact_map.problem import ImpactProblem, check_problem
 from impact_rs_sim.physics import ObjectPhysics, Physics
-from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.scene import ArmState, BodyState
 
 logger = logging.getLogger(__name__)

@@ -15,8 +15,13 @@ import documents
 import numpy as np
 from scenes import PHYSICS, joints_track
 
-from impact_rs_analysis.diagnosis.discovery_document import DESCRIBED, DiscoveryDocument, LawDocument, NumberDocument
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, ModelIdentity
+from impact_rs_analysis.diagnosis.laws.discovery_document import (
+    DESCRIBED,
+    DiscoveryDocument,
+    LawDocument,
+    NumberDocument,
+)
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
 from impact_rs_analysis.investigation.rounds import Round, RoundDecision
 from impact_rs_analysis.investigation.settings import Settings, begin
@@ -34,7 +39,7 @@ from impact_rs_analysis.report.paper_figures import write_paper
 from impact_rs_analysis.report.rehearsal import write_rehearsal
 from impact_rs_analysis.report.speed_limits import write_limits
 from impact_rs_sim.model import load_model
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.campaign import PlannedTrials
 from impact_rs_trials.checked_bound import CheckedBound
 from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign, PlannedPair, write_plan

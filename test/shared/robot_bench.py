@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 
 from impact_rs_ros.effort_arms import EffortArms
 from impact_rs_ros.robot_states import RobotStates, joint_names
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.spec import TrialSpec
 
 PUSH = TrialSpec.of(load_scenario("push"), "juice", "case_1").plan

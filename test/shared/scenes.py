@@ -8,7 +8,7 @@ from mixed_grab import MIXED
 
 from impact_rs_analysis.evidence.tracks import ArmTrack, Track, TrackSide
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 PHYSICS = Physics.nominal(MIXED, next(iter(MIXED.objects)))
 

@@ -13,8 +13,8 @@ from joint_recordings import Columns, swinging
 
 from impact_rs_sim.effects import library
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array, JointType, RobotFacts
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot import Array, JointType, RobotFacts
+from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.recordings.mapping import Mapping, load_mapping
 from impact_rs_trials.recordings.recording import ARM, nominal_physics
 

@@ -11,8 +11,8 @@ from impact_rs_analysis.design.explanations import Decision, Explanation
 from impact_rs_analysis.design.forecast import ForecastTrial
 from impact_rs_analysis.design.possible_trials import PossibleTrial
 from impact_rs_analysis.evidence.cluster import Cluster, Feature
-from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.experiment_plan import Aim
 from impact_rs_trials.spec import TrialSpec
 

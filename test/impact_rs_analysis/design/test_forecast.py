@@ -11,8 +11,8 @@ from impact_rs_analysis.design.discrimination import Discrimination
 from impact_rs_analysis.design.explanations import Decision, Explanation, estimated, which_effect
 from impact_rs_analysis.design.forecast import Forecast, forecast_of
 from impact_rs_analysis.design.possible_trials import Envelope, PossibleTrial, possible_trials
-from impact_rs_analysis.evidence.measured_runs import read_runs
-from impact_rs_analysis.evidence.replay_cache import ReplayCache
+from impact_rs_analysis.evidence.replays.measured_runs import read_runs
+from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model

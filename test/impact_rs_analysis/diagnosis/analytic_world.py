@@ -11,16 +11,16 @@ from functools import cache
 import numpy as np
 from scipy.stats import binom
 
-from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
-from impact_rs_analysis.diagnosis.fit import Evidence
+from impact_rs_analysis.diagnosis.search.candidate import Candidate, linearise
+from impact_rs_analysis.diagnosis.search.fit import Evidence
 from impact_rs_analysis.evidence.cluster import Added, Cluster, Feature
 from impact_rs_analysis.evidence.source import Covariate, Source
 from impact_rs_sim.effects import ArmEffect, Effect, Parameter
 from impact_rs_sim.effects.depending import Depending
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.scenarios.scenario import load_scenario
 
 FEATURES = 40
 FLOOR = 0.3  # relevance limit, in multiples of the noise

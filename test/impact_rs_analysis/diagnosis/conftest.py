@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from impact_rs_analysis.diagnosis import drift, null_distribution
+from impact_rs_analysis.diagnosis import drift
+from impact_rs_analysis.diagnosis.search import null_distribution
 
 sys.path.insert(0, str(Path(__file__).parent))
 FEW, FEW_SIGNS = 999, 9999

@@ -18,13 +18,13 @@ from impact_rs_analysis.diagnosis.agreement import (
     places_in_words,
 )
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
-from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs, read_runs
-from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs, read_runs
+from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
+from impact_rs_analysis.evidence.sources.run_source import ReplaySource
 from impact_rs_analysis.report.agreement_graph import agreement_graph
 from impact_rs_analysis.report.comparison import write_comparison
 from impact_rs_sim.model import load_model
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.runs import ArmSignals, Run
 
 Fault = Callable[[ArmSignals], ArmSignals]

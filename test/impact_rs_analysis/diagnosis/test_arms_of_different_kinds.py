@@ -13,9 +13,9 @@ from impact_rs_analysis.diagnosis.add import add_effects
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document, write_document
 from impact_rs_analysis.diagnosis.verdict import CONFIRMED
-from impact_rs_analysis.evidence.measured_runs import Runs, read_runs
-from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_analysis.evidence.replays.measured_runs import Runs, read_runs
+from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
+from impact_rs_analysis.evidence.sources.run_source import ReplaySource
 from impact_rs_sim.model import load_model
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import TrialInfo

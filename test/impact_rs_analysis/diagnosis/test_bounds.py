@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from impact_table_cases import CUBE_HEADER, cube, cube_rows, write_csv
 
-from impact_rs_analysis.diagnosis.bounds import bounded, read_bounds
 from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.search.bounds import bounded, read_bounds
 from impact_rs_analysis.diagnosis.verdict import AT_BOUND
-from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
+from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
-from impact_rs_trials.recordings.impact_table import read_impact_table
+from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 
 NOMINAL = load_model(Path("nominal"))
 COULOMB = "joint_coulomb_friction.coulomb"

@@ -12,11 +12,11 @@ from functools import cache
 import pytest
 from analytic_world import EFFECTS, AnalyticSource, knowing
 
-from impact_rs_analysis.diagnosis.budget import UNLIMITED, Budget
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.diagnosis.search.budget import UNLIMITED, Budget
 from impact_rs_analysis.evidence.cluster import Added
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 CONSIDERED = ("straight", "bent", "payload", "stick_slip", "of_joints", "of_motors", "rippled", "saturated")
 FAR_OFF = (("straight", (20.0,)), ("stick_slip", (3.0, 2.0, -2.5)), ("saturated", (9.0,)), ("outside", (6.0,)))

@@ -14,9 +14,9 @@ from mcap_ros2.reader import read_ros2_messages
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
 from impact_rs_analysis.evidence.aligned_bags import write_aligned
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY
-from impact_rs_analysis.evidence.measured_runs import Runs, read_runs
-from impact_rs_analysis.evidence.replay_cache import Replay, ReplayCache
-from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_analysis.evidence.replays.measured_runs import Runs, read_runs
+from impact_rs_analysis.evidence.replays.replay_cache import Replay, ReplayCache
+from impact_rs_analysis.evidence.sources.run_source import ReplaySource
 from impact_rs_analysis.evidence.tracks import Track, track_of_run
 from impact_rs_analysis.report.comparison import write_comparison
 from impact_rs_cli.main import main

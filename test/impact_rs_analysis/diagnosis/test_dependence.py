@@ -21,17 +21,17 @@ from impact_rs_analysis.diagnosis.dependence import Dependences, dependences_of
 from impact_rs_analysis.diagnosis.dependence_verdicts import correlation_of, covariate_documents, dependence_documents
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DependenceDocument, DiagnosisDocument
-from impact_rs_analysis.diagnosis.fit import Evidence
-from impact_rs_analysis.diagnosis.hold_out import Fold, folds_of
-from impact_rs_analysis.diagnosis.search import Search
+from impact_rs_analysis.diagnosis.search.effect_selection import Search
+from impact_rs_analysis.diagnosis.search.fit import Evidence
+from impact_rs_analysis.diagnosis.search.hold_out import Fold, folds_of
 from impact_rs_analysis.diagnosis.verdict import CONFIRMED
-from impact_rs_analysis.diagnosis.verdicts import Findings
-from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
-from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
+from impact_rs_analysis.diagnosis.verdicts.model_verdict import Findings
 from impact_rs_analysis.evidence.source import Covariate
+from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
+from impact_rs_analysis.evidence.tables.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_trials.recordings.impact_table import read_impact_table
+from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 
 OF_SESSION = "straight by level of session"
 HALF = 1.96 / np.sqrt(12.0 * 40.0)  # of a size in one session: 12 rows of 40 features with noise of 1

@@ -18,17 +18,17 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from impact_rs_analysis.diagnosis.compare import compare
 from impact_rs_analysis.diagnosis.diagnose import diagnose, effects_for
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, read_document
-from impact_rs_analysis.diagnosis.fit import Evidence, replay_and_refit
-from impact_rs_analysis.diagnosis.hold_out import folds_of
-from impact_rs_analysis.diagnosis.search import Search
-from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_analysis.diagnosis.search.effect_selection import Search
+from impact_rs_analysis.diagnosis.search.fit import Evidence, replay_and_refit
+from impact_rs_analysis.diagnosis.search.hold_out import folds_of
+from impact_rs_analysis.evidence.sources.recording_source import RecordingSource
 from impact_rs_cli.main import main
 from impact_rs_sim.effects.formula import FormulaParameter, FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_trials.recordings.bag_file import typestore_for
+from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.recordings.mapping import load_mapping
+from impact_rs_trials.recordings.readers.bag_file import typestore_for
 from impact_rs_trials.recordings.recording import ARM, is_foreign, read_recordings
 
 MAPPING = load_mapping("joint_state")

@@ -15,8 +15,8 @@ from servo_arm import KD, KP, Servos, servo_log, servo_mapping
 from impact_rs_analysis.diagnosis.compare import compare
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
-from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_analysis.evidence.rollouts import CLOSED_LOOP
+from impact_rs_analysis.evidence.sources.recording_source import RecordingSource
 from impact_rs_sim.model import Model
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.recording import read_recordings

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from intervals import assert_covers
 
-from impact_rs_analysis.diagnosis.discover import _begins_beyond, _described, discover
-from impact_rs_analysis.diagnosis.discovery_document import (
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
+from impact_rs_analysis.diagnosis.laws.discover import _begins_beyond, _described, discover
+from impact_rs_analysis.diagnosis.laws.discovery_document import (
     DESCRIBED,
     FOUND,
     LIBRARY,
@@ -21,21 +22,20 @@ from impact_rs_analysis.diagnosis.discovery_document import (
     LawDocument,
     write_discovery,
 )
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
-from impact_rs_analysis.diagnosis.grammar import Grammar, laws_of, load_grammar
+from impact_rs_analysis.diagnosis.laws.grammar import Grammar, laws_of, load_grammar
 from impact_rs_analysis.diagnosis.verdict import NOTHING
-from impact_rs_analysis.evidence.measured_runs import read_runs
-from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_analysis.evidence.replays.measured_runs import read_runs
+from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
+from impact_rs_analysis.evidence.sources.run_source import ReplaySource
 from impact_rs_cli.main import main
 from impact_rs_control.plan import plan_trial
 from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.plant.unmodelled import LAWS
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_sim.scene import Scene
-from impact_rs_sim.unmodelled import LAWS
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
 from impact_rs_trials.blind import Hidden, hide

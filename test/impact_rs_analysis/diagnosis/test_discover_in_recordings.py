@@ -19,8 +19,8 @@ from slender_arm import ARM, UPRIGHT, mapping_of, slender_arm, swung, with_effec
 from slender_arm import RATE as SAMPLED
 
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
-from impact_rs_analysis.diagnosis.discover import discover
-from impact_rs_analysis.diagnosis.discovery_document import (
+from impact_rs_analysis.diagnosis.laws.discover import discover
+from impact_rs_analysis.diagnosis.laws.discovery_document import (
     DESCRIBED,
     FOUND,
     LIBRARY,
@@ -28,9 +28,9 @@ from impact_rs_analysis.diagnosis.discovery_document import (
     DiscoveryDocument,
     write_discovery,
 )
-from impact_rs_analysis.diagnosis.grammar import load_grammar
+from impact_rs_analysis.diagnosis.laws.grammar import load_grammar
 from impact_rs_analysis.diagnosis.verdict import DiagnosisVerdict, Kind
-from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_analysis.evidence.sources.recording_source import RecordingSource
 from impact_rs_cli.main import main
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model, save_model
 from impact_rs_trials.recordings.mapping import Mapping

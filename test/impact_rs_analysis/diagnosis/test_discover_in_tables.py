@@ -12,14 +12,14 @@ from ball_impacts import Racket, ball_table
 
 from impact_rs_analysis.diagnosis.add import add_effects
 from impact_rs_analysis.diagnosis.diagnose import diagnose
-from impact_rs_analysis.diagnosis.discover import discover
-from impact_rs_analysis.diagnosis.discovery_document import FOUND, LIBRARY, DiscoveryDocument
-from impact_rs_analysis.diagnosis.grammar import load_grammar
-from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
+from impact_rs_analysis.diagnosis.laws.discover import discover
+from impact_rs_analysis.diagnosis.laws.discovery_document import FOUND, LIBRARY, DiscoveryDocument
+from impact_rs_analysis.diagnosis.laws.grammar import load_grammar
+from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
 from impact_rs_analysis.evidence.visited import measured_ranges
 from impact_rs_sim.effects.formula import Formula
 from impact_rs_sim.model import load_model
-from impact_rs_trials.recordings.impact_table import ImpactTable, read_impact_table
+from impact_rs_trials.recordings.impacts.impact_table import ImpactTable, read_impact_table
 
 NOMINAL = load_model(Path("nominal"))
 CONSIDERED = ["restitution", "restitution_fall", "support_friction", "tangential_restitution"]

@@ -11,20 +11,20 @@ import pytest
 from impact_table_cases import arm_table, write_csv
 from joint_recordings import swinging, write_npz
 
-from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
 from impact_rs_analysis.diagnosis.diagnose import diagnose, effects_for
 from impact_rs_analysis.diagnosis.document import EffectDocument
-from impact_rs_analysis.diagnosis.fit import Evidence, Fit, replay_and_refit
-from impact_rs_analysis.diagnosis.search import Search
-from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
-from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
-from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_analysis.diagnosis.search.candidate import Candidate, linearise
+from impact_rs_analysis.diagnosis.search.effect_selection import Search
+from impact_rs_analysis.diagnosis.search.fit import Evidence, Fit, replay_and_refit
+from impact_rs_analysis.evidence.sources.recording_source import RecordingSource
+from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
+from impact_rs_analysis.evidence.tables.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_sim.effects.depending import Depending, Slope
 from impact_rs_sim.model import Model
-from impact_rs_sim.robot import EndEffector
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_trials.recordings.impact_table import read_impact_table
+from impact_rs_sim.robots.robot import EndEffector
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 from impact_rs_trials.recordings.mapping import Mapping, MountedEndEffector, load_mapping
 from impact_rs_trials.recordings.recording import read_recordings
 

@@ -17,10 +17,10 @@ from slender_arm import mapping_of, slender_arm, swung
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose, effects_for
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
-from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_analysis.evidence.sources.recording_source import RecordingSource
 from impact_rs_sim.model import Model
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.recording import read_recordings
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from impact_rs_analysis.diagnosis.discover import _tie
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
-from impact_rs_analysis.diagnosis.grammar import Law, curve_of, laws_of, load_grammar, unit_of
-from impact_rs_analysis.diagnosis.null_distribution import p_value_with_pareto_tail
+from impact_rs_analysis.diagnosis.laws.discover import _tie
+from impact_rs_analysis.diagnosis.laws.grammar import Law, curve_of, laws_of, load_grammar, unit_of
+from impact_rs_analysis.diagnosis.search.null_distribution import p_value_with_pareto_tail
 from impact_rs_sim.effects import Parameter
 from impact_rs_sim.effects.dimensions import check_units
 from impact_rs_sim.effects.formula import SYMBOLS, Formula, FormulaEffect

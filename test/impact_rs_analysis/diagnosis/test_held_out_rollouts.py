@@ -12,10 +12,10 @@ from slender_arm import FLAT, lighter, mapping_of, slender_arm, swung
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import HeldOutRollouts
-from impact_rs_analysis.diagnosis.held_out_rollouts import held_out_rollouts
-from impact_rs_analysis.diagnosis.hold_out import HoldOut, folds_of
+from impact_rs_analysis.diagnosis.search.hold_out import HoldOut, folds_of
+from impact_rs_analysis.diagnosis.verdicts.held_out_rollouts import held_out_rollouts
 from impact_rs_analysis.evidence.cluster import Added
-from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_analysis.evidence.sources.recording_source import RecordingSource
 from impact_rs_sim.model import Model
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.recording import read_recordings

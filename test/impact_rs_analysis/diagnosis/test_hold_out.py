@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 from analytic_world import EFFECTS, FEATURES, AnalyticSource, Slipping
 
-from impact_rs_analysis.diagnosis import search
-from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
-from impact_rs_analysis.diagnosis.fit import Evidence
-from impact_rs_analysis.diagnosis.hold_out import HoldOut, folds_of, hold_out
-from impact_rs_analysis.diagnosis.search import Search
+from impact_rs_analysis.diagnosis.search import effect_selection as search
+from impact_rs_analysis.diagnosis.search.candidate import Candidate, linearise
+from impact_rs_analysis.diagnosis.search.effect_selection import Search
+from impact_rs_analysis.diagnosis.search.fit import Evidence
+from impact_rs_analysis.diagnosis.search.hold_out import HoldOut, folds_of, hold_out
 from impact_rs_analysis.evidence.cluster import Added, Cluster
-from impact_rs_analysis.evidence.measured_runs import read_runs
-from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_analysis.evidence.replays.measured_runs import read_runs
+from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.source import Source
+from impact_rs_analysis.evidence.sources.run_source import ReplaySource
 from impact_rs_sim.effects import Effect, library
 from impact_rs_sim.model import load_model
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.workers import _packed, _work
 
 

@@ -8,9 +8,9 @@ import math
 import pytest
 
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, EstimateDocument
-from impact_rs_analysis.diagnosis.measurement import clauses_of, experiments_of, measurement_of
 from impact_rs_analysis.diagnosis.verdict import NONE, SMALL, DiagnosisVerdict
-from impact_rs_analysis.diagnosis.words import summary_of
+from impact_rs_analysis.diagnosis.verdicts.measurement import clauses_of, experiments_of, measurement_of
+from impact_rs_analysis.diagnosis.verdicts.words import summary_of
 from impact_rs_sim.effects import library
 from impact_rs_sim.effects.depending import Depending, Levels
 from impact_rs_sim.effects.each_arm import of_each

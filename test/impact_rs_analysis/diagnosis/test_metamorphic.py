@@ -24,11 +24,11 @@ from slender_arm import swung as swung_arm
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
-from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
-from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_analysis.evidence.sources.recording_source import RecordingSource
+from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
 from impact_rs_sim.model import load_model
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_trials.recordings.impact_table import read_impact_table
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 from impact_rs_trials.recordings.mapping import load_mapping
 from impact_rs_trials.recordings.recording import read_recordings
 

@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 from scene_source import of_scene
 
-from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, EstimateDocument, read_document
-from impact_rs_analysis.diagnosis.next_experiment import considered, left_open, next_experiment
-from impact_rs_analysis.diagnosis.verdicts import Findings
-from impact_rs_analysis.evidence.measured_runs import read_runs
-from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_analysis.diagnosis.search.candidate import Candidate
+from impact_rs_analysis.diagnosis.verdicts.model_verdict import Findings
+from impact_rs_analysis.diagnosis.verdicts.next_experiment import considered, left_open, next_experiment
+from impact_rs_analysis.evidence.replays.measured_runs import read_runs
+from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
+from impact_rs_analysis.evidence.sources.run_source import ReplaySource
 from impact_rs_sim.effects import library
 from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
 from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from analytic_world import FEATURES, AnalyticSource, assert_uniform, correlated,
 from scipy.stats import binom, norm
 from scipy.stats import t as student
 
-from impact_rs_analysis.diagnosis.null_distribution import (
+from impact_rs_analysis.diagnosis.search.null_distribution import (
     RotationNull,
     SignFlipNull,
     combined_half_width,

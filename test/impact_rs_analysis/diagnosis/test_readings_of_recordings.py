@@ -29,7 +29,7 @@ from wrong_readings import (
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.verdict import CONFIRMED
-from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_analysis.evidence.sources.recording_source import RecordingSource
 from impact_rs_sim.model import Model
 from impact_rs_trials.recordings.recording import read_recordings
 

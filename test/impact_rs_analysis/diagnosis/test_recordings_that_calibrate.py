@@ -20,14 +20,14 @@ from slender_arm import FLAT, LENGTH, UPRIGHT, lighter, mapping_of, slender_arm,
 from impact_rs_analysis.diagnosis.compare import compare
 from impact_rs_analysis.diagnosis.diagnose import diagnose, effects_for
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument
-from impact_rs_analysis.diagnosis.fit import Evidence
-from impact_rs_analysis.diagnosis.search import Search
-from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_analysis.diagnosis.search.effect_selection import Search
+from impact_rs_analysis.diagnosis.search.fit import Evidence
+from impact_rs_analysis.evidence.sources.recording_source import RecordingSource
 from impact_rs_sim.effects import library, of_trials
 from impact_rs_sim.model import Model
 from impact_rs_sim.proportion import Proportion
-from impact_rs_sim.robot import JointType
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot import JointType
+from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.recordings.mapping import Mapping, load_mapping
 from impact_rs_trials.recordings.recording import read_recordings
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from analytic_world import EFFECTS, FLOOR, AnalyticSource, direction
 
-from impact_rs_analysis.diagnosis.fit import Evidence, Fit
-from impact_rs_analysis.diagnosis.relevance import changes_of, exceeds_relevance_limit, noticeable, sizes_of
-from impact_rs_analysis.diagnosis.search import Search
-from impact_rs_sim.robot import Array
+from impact_rs_analysis.diagnosis.search.effect_selection import Search
+from impact_rs_analysis.diagnosis.search.fit import Evidence, Fit
+from impact_rs_analysis.diagnosis.search.relevance import changes_of, exceeds_relevance_limit, noticeable, sizes_of
+from impact_rs_sim.robots.robot import Array
 
 LARGEST = max(np.abs(direction(number, 0)).max() for number in range(6))  # of a change by one scale of ``straight``
 

@@ -29,10 +29,17 @@ from analytic_world import (
 from scipy.stats import binom, norm
 from scipy.stats import t as student
 
-from impact_rs_analysis.diagnosis import fit
-from impact_rs_analysis.diagnosis import search as search_module
-from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, bounded, linearise
-from impact_rs_analysis.diagnosis.fit import (
+from impact_rs_analysis.diagnosis.search import effect_selection as search_module
+from impact_rs_analysis.diagnosis.search import fit
+from impact_rs_analysis.diagnosis.search.candidate import Candidate, Problem, bounded, linearise
+from impact_rs_analysis.diagnosis.search.effect_selection import (
+    Search,
+    benjamini_hochberg,
+    encompasses,
+    j_test_p_value,
+    tied,
+)
+from impact_rs_analysis.diagnosis.search.fit import (
     Evidence,
     Fit,
     chord_method,
@@ -41,9 +48,8 @@ from impact_rs_analysis.diagnosis.fit import (
     nelder_mead,
     restart_from_afar,
 )
-from impact_rs_analysis.diagnosis.search import Search, benjamini_hochberg, encompasses, j_test_p_value, tied
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANCE_LEVEL
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 FREE = (0, 1)  # clusters in which nothing is hit, where there are any
 CONTACT = ("straight", "bent", "payload")
@@ -710,7 +716,7 @@ def test_a_fit_begins_at_the_estimates_of_an_earlier_model_where_it_is_stuck(mon
     """Without the simplex, which would find out as well; what the earlier model does not have is no start."""
     truth = np.array((5.9, -3.4, 1.7))
     evidence = Evidence.of(AnalyticSource(9, (("stick_slip", tuple(truth)),)))
-    monkeypatch.setattr("impact_rs_analysis.diagnosis.search.nelder_mead", lambda fitted: fitted)
+    monkeypatch.setattr("impact_rs_analysis.diagnosis.search.effect_selection.nelder_mead", lambda fitted: fitted)
     start = Search([EFFECTS["stick_slip"]], evidence).singles["stick_slip"]
     stuck = gauss_newton(chord_method(start, evidence))
     near = tuple((truth + 0.05).tolist())

@@ -15,9 +15,9 @@ from refusals import refusal
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
-from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
+from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
 from impact_rs_sim.model import load_model
-from impact_rs_trials.recordings.impact_table import read_impact_table
+from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 
 NOMINAL = load_model(Path("nominal"))
 NOISE = (0.1, 10.0)  # m/s, rad/s

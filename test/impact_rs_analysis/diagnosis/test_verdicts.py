@@ -19,18 +19,23 @@ from intervals import assert_covers
 
 from impact_rs_analysis.diagnosis.diagnose import _identifiability, diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument
-from impact_rs_analysis.diagnosis.effect_verdicts import _alike_at_joints, undetermined
-from impact_rs_analysis.diagnosis.fit import Evidence, Fit
-from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
-from impact_rs_analysis.diagnosis.residuals import residual_size, rests_of
 from impact_rs_analysis.diagnosis.scoring import held_against_truth
-from impact_rs_analysis.diagnosis.search import Search
+from impact_rs_analysis.diagnosis.search.effect_selection import Search
+from impact_rs_analysis.diagnosis.search.fit import Evidence, Fit
+from impact_rs_analysis.diagnosis.search.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.verdict import NOTHING, DiagnosisVerdict
-from impact_rs_analysis.diagnosis.verdicts import change_interval, excludes_nominal, reported_p, supported_by_hold_out
-from impact_rs_analysis.diagnosis.words import not_excluded
+from impact_rs_analysis.diagnosis.verdicts.effect_verdicts import _alike_at_joints, undetermined
+from impact_rs_analysis.diagnosis.verdicts.model_verdict import (
+    change_interval,
+    excludes_nominal,
+    reported_p,
+    supported_by_hold_out,
+)
+from impact_rs_analysis.diagnosis.verdicts.residuals import residual_size, rests_of
+from impact_rs_analysis.diagnosis.verdicts.words import not_excluded
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 
 def said(source: AnalyticSource, *names: str) -> DiagnosisDocument:

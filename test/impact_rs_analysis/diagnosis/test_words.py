@@ -34,7 +34,7 @@ from impact_rs_analysis.diagnosis.verdict import (
     DiagnosisVerdict,
     Kind,
 )
-from impact_rs_analysis.diagnosis.words import not_excluded, remaining, shown_unnamed, summary_of
+from impact_rs_analysis.diagnosis.verdicts.words import not_excluded, remaining, shown_unnamed, summary_of
 from impact_rs_analysis.evidence.cluster import TIMES, Added
 
 NAMES = ("friction", "offset", "restitution", "payload")

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from intervals import assert_covers
 
-from impact_rs_analysis.diagnosis import null_distribution
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
-from impact_rs_analysis.evidence.features import onset_level, onsets_of
-from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
-from impact_rs_analysis.evidence.measured_runs import MeasuredRun
-from impact_rs_analysis.evidence.simulated_trials import simulated
+from impact_rs_analysis.diagnosis.search import null_distribution
+from impact_rs_analysis.evidence.replays.features import onset_level, onsets_of
+from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun
+from impact_rs_analysis.evidence.replays.simulated_trials import simulated
+from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
 from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.physics import ArmPhysics, Physics
-from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.runs import ArmSignals, Run
 from impact_rs_trials.spec import TrialSpec
 

@@ -11,8 +11,8 @@ from joint_recordings import write_npz
 from refusals import lacking, refusal
 from slender_arm import mapping_of, slender_arm, swung
 
-from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
-from impact_rs_analysis.diagnosis.fit import Evidence
+from impact_rs_analysis.diagnosis.search.candidate import Candidate, linearise
+from impact_rs_analysis.diagnosis.search.fit import Evidence
 from impact_rs_analysis.evidence.calibration import (
     NO_CALIBRATION,
     LaboratoryCalibration,
@@ -21,7 +21,7 @@ from impact_rs_analysis.evidence.calibration import (
     check_faults,
     write_calibration,
 )
-from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_analysis.evidence.sources.recording_source import RecordingSource
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
 from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_trials.recordings.recording import read_recordings

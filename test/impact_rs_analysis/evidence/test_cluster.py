@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from mixed_grab import MIXED
 
-from impact_rs_analysis.diagnosis.fit import Evidence
+from impact_rs_analysis.diagnosis.search.fit import Evidence
 from impact_rs_analysis.evidence.cluster import Cluster, Feature, pooled_error, size_of
 from impact_rs_analysis.evidence.levels import Cell, where_of, where_of_blocks
 from impact_rs_analysis.evidence.source import Source, with_per_arm_parameters
@@ -19,7 +19,7 @@ from impact_rs_analysis.report.plots import where_plots
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 
 FEATURES = tuple(Feature("impact", "velocity", "x", number, "m/s", 0.01) for number in range(50))
 

@@ -21,7 +21,7 @@ from impact_rs_analysis.evidence.discrepancy import (
     read_patterns,
     write_patterns,
 )
-from impact_rs_analysis.evidence.features import layout
+from impact_rs_analysis.evidence.replays.features import layout
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
 

@@ -17,11 +17,11 @@ from ball_impacts import Racket, ball_table
 from impact_table_cases import CUBE_HEADER, NOISE, cube, cube_rows, write_csv
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
-from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
+from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
 from impact_rs_sim.effects import library
 from impact_rs_sim.model import load_model
-from impact_rs_trials.recordings.impact_checks import doubts_of, other_axes
-from impact_rs_trials.recordings.impact_table import read_impact_table
+from impact_rs_trials.recordings.impacts.impact_checks import doubts_of, other_axes
+from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 
 NOMINAL = load_model(Path("nominal"))
 RACKET = Racket(lambda speed: 0.6, 0.3)  # as is believed

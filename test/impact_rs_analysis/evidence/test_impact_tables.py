@@ -15,26 +15,26 @@ import pytest
 from impact_table_cases import CUBE_HEADER, NOISE, arm_table, cube, cube_rows, write_csv
 from intervals import assert_covers
 
-from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.compare import compare
 from impact_rs_analysis.diagnosis.dependence import terms_of
 from impact_rs_analysis.diagnosis.diagnose import diagnose, effects_for
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.diagnosis.search.candidate import Candidate
 from impact_rs_analysis.diagnosis.verdict import CONFIRMED, NOTHING
-from impact_rs_analysis.evidence import impact_tables
-from impact_rs_analysis.evidence.impact_tables import MAX_DISTINCT_NUMBERS, MAX_SMALL_BLOCKS, ImpactTableSource
-from impact_rs_analysis.evidence.map_discrepancy import (
+from impact_rs_analysis.evidence.sources import table_source as impact_tables
+from impact_rs_analysis.evidence.sources.table_source import MAX_DISTINCT_NUMBERS, MAX_SMALL_BLOCKS, ImpactTableSource
+from impact_rs_analysis.evidence.tables.map_discrepancy import (
     JOINT_VELOCITY_AFTER,
     NO_MAP_DISCREPANCY,
     measured_map_discrepancy,
 )
-from impact_rs_analysis.evidence.row_groups import BLOCKS
+from impact_rs_analysis.evidence.tables.row_groups import BLOCKS
 from impact_rs_sim.effects import library
 from impact_rs_sim.effects.depending import Depending
 from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_trials.recordings.impact_table import read_impact_table
+from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 
 from .conftest import assert_intervals
 

@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 from mixed_grab import write_experiment
 
-from impact_rs_analysis.evidence.ante_impact import ante_impact_state, obliqueness, problem_of
-from impact_rs_analysis.evidence.command_clock import command_offset, read_laboratory_runs
-from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs, read_runs, read_trial
-from impact_rs_analysis.evidence.replays import layout_of, pure_errors
-from impact_rs_analysis.evidence.simulated_trials import simulated
+from impact_rs_analysis.evidence.replays.ante_impact import ante_impact_state, obliqueness, problem_of
+from impact_rs_analysis.evidence.replays.command_clock import command_offset, read_laboratory_runs
+from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs, read_runs, read_trial
+from impact_rs_analysis.evidence.replays.simulated_trials import simulated
+from impact_rs_analysis.evidence.sources.run_source import layout_of, pure_errors
 from impact_rs_analysis.measure.velocity_jumps import jumps_of
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import compute_impact_map
 from impact_rs_sim.impact_map.contacts import SUPPORT, contact_pairs
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.bags.reader import OF_THE_TWIN
 from impact_rs_trials.campaign import make_manifest, run_one
 from impact_rs_trials.recordings.experiment import load_experiment

@@ -12,9 +12,9 @@ from joint_recordings import write_npz
 from slender_arm import mapping_of, slender_arm, swung
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose, effects_for
-from impact_rs_analysis.evidence.motion_difference import nearest, order_warning
-from impact_rs_analysis.evidence.recordings import RecordingSource
-from impact_rs_analysis.evidence.torque_balance import Motion, prepare
+from impact_rs_analysis.evidence.free_motion.motion_difference import nearest, order_warning
+from impact_rs_analysis.evidence.free_motion.torque_balance import Motion, prepare
+from impact_rs_analysis.evidence.sources.recording_source import RecordingSource
 from impact_rs_cli.main import main
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from ball_impacts import NOISE, Racket, ball_table
 
-from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
-from impact_rs_analysis.evidence.neighbour_noise import nearest_neighbour_noise
+from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
+from impact_rs_analysis.evidence.tables.neighbour_noise import nearest_neighbour_noise
 from impact_rs_sim.model import load_model
-from impact_rs_trials.recordings.impact_table import read_impact_table
+from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 
 NOMINAL = load_model(Path("nominal"))
 

@@ -14,7 +14,7 @@ import pinocchio as pin
 import pytest
 
 from impact_rs_sim.effects import library
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.runs import ArmSignals, Run
 
 from .conftest import residuals, with_signals

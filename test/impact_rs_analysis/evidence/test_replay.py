@@ -9,19 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
+from impact_rs_analysis.diagnosis.search.candidate import Candidate, linearise
 from impact_rs_analysis.evidence.discrepancy import measured_discrepancy
-from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
-from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.evidence.replays import ReplaySource, kind_of
-from impact_rs_analysis.evidence.simulated_trials import simulated
+from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs
+from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
+from impact_rs_analysis.evidence.replays.simulated_trials import simulated
+from impact_rs_analysis.evidence.sources.run_source import ReplaySource, kind_of
 from impact_rs_sim.effects import library
 from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.proportion import Proportion
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.runs import NONE, Run
 
 from .conftest import COULOMB, EXCITED, HIT, onset, replayed, residuals, with_arms, with_friction, with_signals

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Setup
-from impact_rs_analysis.evidence.replay_cache import MIN_BATCHES, Replay, ReplayCache, run_batch, run_replay
+from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Setup
+from impact_rs_analysis.evidence.replays.replay_cache import MIN_BATCHES, Replay, ReplayCache, run_batch, run_replay
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
 from impact_rs_sim.scene import ArmState
@@ -94,7 +94,7 @@ def test_a_replay_with_a_step_that_was_not_solved_is_passed_over_by_fits_and_ref
     def unsolved(jobs: Sequence[TwinJob], threads: int = 1) -> list[Result]:
         return [replace(result, failed=(0.1,)) for result in simulate(jobs, threads)]
 
-    monkeypatch.setattr("impact_rs_analysis.evidence.replay.simulate", unsolved)
+    monkeypatch.setattr("impact_rs_analysis.evidence.replays.replay.simulate", unsolved)
     assert run_replay(Replay(setup, NOMINAL, (("restitution", (0.1,)),))) is None
     nominal = run_replay(Replay(setup, NOMINAL))
     assert nominal is None or not np.isfinite(nominal).all()

@@ -14,8 +14,7 @@ import pytest
 from joint_recordings import Columns, write_npz
 from slender_arm import FLAT, mapping_of, slender_arm, swung, with_effects
 
-from impact_rs_analysis.evidence.measured_runs import MeasuredRun
-from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun
 from impact_rs_analysis.evidence.rollouts import (
     FreeMotion,
     RolloutDocument,
@@ -25,6 +24,7 @@ from impact_rs_analysis.evidence.rollouts import (
     starts_of,
     without,
 )
+from impact_rs_analysis.evidence.sources.recording_source import RecordingSource
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.readings import ArmReadings

@@ -12,8 +12,8 @@ import pytest
 from joint_recordings import Columns, write_npz
 from slender_arm import FLAT, mapping_of, slender_arm, with_effects
 
-from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_analysis.evidence.rollouts import FreeMotion, rollouts_of
+from impact_rs_analysis.evidence.sources.recording_source import RecordingSource
 from impact_rs_sim.model import Model
 from impact_rs_sim.readings import ArmReadings
 from impact_rs_trials.recordings.mapping import Mapping, load_mapping

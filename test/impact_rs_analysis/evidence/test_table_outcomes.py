@@ -12,15 +12,15 @@ from intervals import assert_covers
 
 from impact_rs_analysis.diagnosis.compare import compare
 from impact_rs_analysis.diagnosis.diagnose import diagnose
-from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
-from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
+from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
+from impact_rs_analysis.evidence.tables.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.measured import MeasuredImpacts
 from impact_rs_sim.model import load_model
 from impact_rs_sim.numbers import NORMAL_95
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_trials.recordings.impact_table import read_impact_table
+from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 
 NOMINAL = load_model(Path("nominal"))
 PUSH = load_scenario("push")

@@ -14,16 +14,16 @@ from impact_table_cases import write_csv
 from intervals import assert_covers
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
-from impact_rs_analysis.diagnosis.discover import discover
-from impact_rs_analysis.diagnosis.fit import Evidence
-from impact_rs_analysis.diagnosis.grammar import load_grammar
-from impact_rs_analysis.diagnosis.residuals import beyond_stated_noise
+from impact_rs_analysis.diagnosis.laws.discover import discover
+from impact_rs_analysis.diagnosis.laws.grammar import load_grammar
+from impact_rs_analysis.diagnosis.search.fit import Evidence
+from impact_rs_analysis.diagnosis.verdicts.residuals import beyond_stated_noise
 from impact_rs_analysis.evidence.cluster import Cluster, Feature
-from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
-from impact_rs_analysis.evidence.map_discrepancy import VELOCITY_AFTER
+from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
+from impact_rs_analysis.evidence.tables.map_discrepancy import VELOCITY_AFTER
 from impact_rs_sim.effects.formula import FormulaParameter, FormulaSpec
 from impact_rs_sim.model import Model, load_model
-from impact_rs_trials.recordings.impact_table import read_impact_table
+from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 
 from .conftest import assert_intervals
 

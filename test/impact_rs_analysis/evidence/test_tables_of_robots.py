@@ -12,13 +12,13 @@ from impact_table_cases import POSE, write_csv
 from intervals import assert_covers
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
-from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
+from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
 from impact_rs_control.closed_loop import run_closed_loop
 from impact_rs_sim.effects import library
 from impact_rs_sim.model import load_model
-from impact_rs_sim.plant import Plant
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_trials.recordings.impact_table import read_impact_table
+from impact_rs_sim.plant.plant import Plant
+from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 from impact_rs_trials.spec import TrialSpec
 
 NOMINAL = load_model(Path("nominal"))

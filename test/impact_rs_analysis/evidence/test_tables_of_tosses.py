@@ -11,10 +11,10 @@ from corner_impacts import NOISE, toss_table
 from impact_table_cases import CUBE_HEADER, cube, cube_rows, write_csv
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
-from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
+from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
 from impact_rs_sim.effects import library
 from impact_rs_sim.model import load_model
-from impact_rs_trials.recordings.impact_table import read_impact_table
+from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 
 from .conftest import assert_intervals
 

@@ -12,7 +12,7 @@ from joint_recordings import Columns, swinging, write_npz
 from slender_arm import mapping_of, slender_arm, swung, with_effects
 from wrong_readings import FAULTS, SCALE, Fault
 
-from impact_rs_analysis.evidence.torque_balance import FILTER_ORDER, TorqueBalance, prepare
+from impact_rs_analysis.evidence.free_motion.torque_balance import FILTER_ORDER, TorqueBalance, prepare
 from impact_rs_sim.physics import Physics
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.recording import ARM, read_recordings

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from impact_rs_analysis.evidence.measured_runs import MeasuredRun
-from impact_rs_analysis.evidence.tracker_start import tracker_start
+from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun
+from impact_rs_analysis.evidence.replays.tracker_start import tracker_start
 from impact_rs_sim.effects import library
 from impact_rs_trials.runs import Run
 

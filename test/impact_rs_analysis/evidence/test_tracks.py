@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
-from impact_rs_analysis.evidence.impacts import observe
-from impact_rs_analysis.evidence.measured_runs import MeasuredRun
-from impact_rs_analysis.evidence.simulated_trials import simulated
+from impact_rs_analysis.evidence.replays.impacts import observe
+from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun
+from impact_rs_analysis.evidence.replays.simulated_trials import simulated
 from impact_rs_analysis.evidence.tracks import (
     OBJECT,
     ComparedSignal,
@@ -24,7 +24,7 @@ from impact_rs_analysis.evidence.tracks import (
     track_of_run,
 )
 from impact_rs_sim.model import load_model
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.bags.types import typestore

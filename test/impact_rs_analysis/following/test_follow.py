@@ -15,9 +15,9 @@ import pytest
 from impact_table_cases import NOISE, arm_table, write_csv
 from intervals import assert_covers
 
-from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
-from impact_rs_analysis.evidence.measured_runs import read_trial
-from impact_rs_analysis.evidence.replay_cache import ReplayCache
+from impact_rs_analysis.evidence.replays.measured_runs import read_trial
+from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
+from impact_rs_analysis.evidence.tables.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_analysis.following import change, hits, posterior, proposals, recent_residuals
 from impact_rs_analysis.following.follow import Follower, HitsSince
 from impact_rs_analysis.following.hits import BagHitSource, TableHitSource
@@ -27,11 +27,11 @@ from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, load_model, save_model
 from impact_rs_sim.numbers import NORMAL_95
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import VIA, TrialInfo
 from impact_rs_trials.campaign import Trial
-from impact_rs_trials.recordings.impact_table import read_impact_table
+from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 from impact_rs_trials.spec import TrialSpec
 
 NOMINAL = load_model("nominal")

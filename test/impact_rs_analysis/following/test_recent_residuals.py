@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from impact_rs_analysis.following.recent_residuals import RecentResiduals
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 
 def errors(residuals: Array, weights: Array | None = None) -> tuple[float, float]:

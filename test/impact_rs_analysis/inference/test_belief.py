@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from impact_rs_analysis.inference.belief import Belief, Observation, fitted_out
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 FIRST, SECOND = slice(3, 6), slice(6, 9)
 DRIFT = 0.003

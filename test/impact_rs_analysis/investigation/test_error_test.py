@@ -12,7 +12,7 @@ from scipy.stats import binom
 
 from impact_rs_analysis.evidence.cluster import Cluster, Feature, pooled_error
 from impact_rs_analysis.investigation.error_test import p_in_words, p_of_error
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robots.robot import Array
 
 FEATURES = 12
 

@@ -13,8 +13,8 @@ import pytest
 from documents import comparison, diagnosis
 from processes import killed_at_file
 
-from impact_rs_analysis.diagnosis.discovery_document import DiscoveryDocument, LawDocument
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, EstimateDocument, ModelIdentity
+from impact_rs_analysis.diagnosis.laws.discovery_document import DiscoveryDocument, LawDocument
 from impact_rs_analysis.diagnosis.verdict import SMALL, DiagnosisVerdict
 from impact_rs_analysis.investigation import loop
 from impact_rs_analysis.investigation.endings import Ending, judged, read_ending

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from impact_rs_analysis.diagnosis.document import ModelIdentity
-from impact_rs_analysis.evidence.measured_runs import read_runs
-from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_analysis.evidence.replays.measured_runs import read_runs
+from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
+from impact_rs_analysis.evidence.sources.run_source import ReplaySource
 from impact_rs_analysis.investigation.prediction_check import ImpactPrediction, Predictions, predicted, prediction_error
 from impact_rs_sim.model import load_model
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.spec import TrialSpec
 
 PARCEL = TrialSpec.of(load_scenario("push"), "parcel", "case_1")

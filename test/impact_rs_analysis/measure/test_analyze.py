@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from impact_rs_analysis.evidence.measured_runs import read_runs
+from impact_rs_analysis.evidence.replays.measured_runs import read_runs
 from impact_rs_analysis.measure.analyze import Analysis, ExperimentSet, analyze_campaign
 from impact_rs_analysis.measure.export import export
 from impact_rs_analysis.measure.published import paper_row, published
@@ -20,7 +20,7 @@ from impact_rs_analysis.report.figures import figures_of
 from impact_rs_analysis.report.plots import curves_plot
 from impact_rs_cli.main import main
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.bags.topics import TRIAL_INFO, TRUTH
 from impact_rs_trials.recordings.recording import is_foreign

@@ -13,8 +13,8 @@ from impact_rs_analysis.measure.arms import arms_of, assumptions, robot_name
 from impact_rs_analysis.measure.predictions import predict, predict_arms
 from impact_rs_analysis.report.analysis import write_analysis_report
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import load_facts
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.robots.robot import load_facts
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.campaign import make_manifest, run_campaign
 
 

@@ -19,7 +19,7 @@ from impact_rs_analysis.measure.departure import SEPARATION_WINDOW_S, Departure,
 from impact_rs_analysis.report.analysis import write_analysis_report
 from impact_rs_cli.main import main
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.scenario import ObjectSpec
+from impact_rs_sim.scenarios.scenario import ObjectSpec
 from impact_rs_trials.bags.reader import ControllerColumns, PoseColumns, TrialBag
 from impact_rs_trials.bags.topics import TRUTH_OBJECT_POSE
 from impact_rs_trials.campaign import make_manifest, run_campaign

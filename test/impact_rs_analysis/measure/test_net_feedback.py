@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from impact_rs_analysis.measure.net_feedback import MAX_GAP_S, held_integral, net_feedback
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.bags.trial_info import OUTCOMES
 

@@ -18,7 +18,15 @@ import pytest
 from snapshots import assert_snapshot
 
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument
-from impact_rs_analysis.diagnosis.discovery_document import (
+from impact_rs_analysis.diagnosis.document import (
+    CalibrationExperiment,
+    CalibrationIdentity,
+    DiagnosisDocument,
+    HeldOutRollouts,
+    read_document,
+)
+from impact_rs_analysis.diagnosis.history import VersionError
+from impact_rs_analysis.diagnosis.laws.discovery_document import (
     DESCRIBED,
     FOUND,
     NO_LAW,
@@ -29,14 +37,6 @@ from impact_rs_analysis.diagnosis.discovery_document import (
     NumberDocument,
     PointDocument,
 )
-from impact_rs_analysis.diagnosis.document import (
-    CalibrationExperiment,
-    CalibrationIdentity,
-    DiagnosisDocument,
-    HeldOutRollouts,
-    read_document,
-)
-from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.levels import SignalLevel
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track

@@ -25,7 +25,7 @@ from impact_rs_analysis.report.page import BUNDLE, TEMPLATES
 from impact_rs_analysis.report.scene_3d import described_scene
 from impact_rs_cli.main import main
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Mesh
+from impact_rs_sim.robots.robot import Mesh
 from impact_rs_trials.bags.reader import TrialBag
 
 LARGEST_PAGE = 3e6  # bytes

@@ -12,7 +12,7 @@ from scenes import PHYSICS
 
 from impact_rs_analysis.report.scene_3d import scene_data
 from impact_rs_analysis.report.surface import MAX_FACES, surface_of
-from impact_rs_sim.robot import Mesh
+from impact_rs_sim.robots.robot import Mesh
 
 DAE = """<?xml version="1.0"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">

@@ -10,11 +10,11 @@ from bench import BOX, GRAVITY, REACH, bench, run, slope, switched_on, with_supp
 from closed_forms import restitution_of
 from trials import scene_of
 
-from impact_rs_sim.bullet_world import BulletWorld
 from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.effects import library
 from impact_rs_sim.impact_map import BulletEngine, ExactEngine, ImpactProblem
 from impact_rs_sim.impact_map.contacts import contact_pairs, find_contacts
+from impact_rs_sim.plant.bullet_world import BulletWorld
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.twin import TwinJob, simulate
 

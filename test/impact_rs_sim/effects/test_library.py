@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from impact_rs_analysis.evidence.measured_runs import MeasuredRun
-from impact_rs_analysis.evidence.replay_cache import Replay, run_replay
-from impact_rs_analysis.evidence.simulated_trials import simulated
+from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun
+from impact_rs_analysis.evidence.replays.replay_cache import Replay, run_replay
+from impact_rs_analysis.evidence.replays.simulated_trials import simulated
 from impact_rs_sim import effects
 from impact_rs_sim.effects import BUILT_IN, ArmEffect, Effect, Parameter, library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import JointFriction, Physics
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.spec import TrialSpec
 
 NAMES = [effect.name for effect in BUILT_IN]

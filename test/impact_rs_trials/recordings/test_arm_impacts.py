@@ -14,17 +14,17 @@ import scipy
 from known_recordings import IMPACT as HIT
 from known_recordings import Signals
 
-from impact_rs_trials.recordings.found_impacts import FoundImpacts, find_impacts
-from impact_rs_trials.recordings.impact_rows import table_text
-from impact_rs_trials.recordings.joint_jumps import joint_jump, jumps_of
-from impact_rs_trials.recordings.motion_fits import move, rest
-from impact_rs_trials.recordings.series import Series
+from impact_rs_trials.recordings.checks.joint_jumps import joint_jump, jumps_of
+from impact_rs_trials.recordings.impacts.found_impacts import FoundImpacts, find_impacts
+from impact_rs_trials.recordings.impacts.impact_rows import table_text
+from impact_rs_trials.recordings.impacts.motion_fits import move, rest
+from impact_rs_trials.recordings.readers.series import Series
 
 if TYPE_CHECKING:
     from .conftest import LaboratoryFolder
-from impact_rs_trials.recordings.arm_impacts import refined_by_onset
-from impact_rs_trials.recordings.contact_onset import onset_of
-from impact_rs_trials.recordings.joint_jumps import jump_at
+from impact_rs_trials.recordings.checks.joint_jumps import jump_at
+from impact_rs_trials.recordings.impacts.arm_impacts import refined_by_onset
+from impact_rs_trials.recordings.impacts.contact_onset import onset_of
 
 IMPACT = 0.5003  # s
 JUMP = np.array([-0.21, 0.35, 0.04])  # rad/s

@@ -11,11 +11,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from impact_rs_trials.recordings.body_impacts import TrackedBody, impacts_of_bodies
 from impact_rs_trials.recordings.experiment import Body, Plane, load_experiment
-from impact_rs_trials.recordings.found_impacts import find_impacts, tracked_body
-from impact_rs_trials.recordings.impact_rows import table_text
-from impact_rs_trials.recordings.motion_fits import fly
+from impact_rs_trials.recordings.impacts.body_impacts import TrackedBody, impacts_of_bodies
+from impact_rs_trials.recordings.impacts.found_impacts import find_impacts, tracked_body
+from impact_rs_trials.recordings.impacts.impact_rows import table_text
+from impact_rs_trials.recordings.impacts.motion_fits import fly
 
 GRAVITY = np.array([0.0, 0.0, -9.81])  # m/s^2
 CUBE = Body(mass=0.4, size=(0.1, 0.1, 0.1))

@@ -17,14 +17,20 @@ from ruamel.yaml import YAML
 
 from impact_rs_cli.main import main
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import load_facts
-from impact_rs_sim.robot_import import import_urdf
-from impact_rs_trials.recordings import candidates
-from impact_rs_trials.recordings.candidates import SignalCandidate, candidates_of, guess_of, joints_of, propose
-from impact_rs_trials.recordings.import_texts import Line, flow, mapping_text
-from impact_rs_trials.recordings.joint_streams import JointStream
-from impact_rs_trials.recordings.measured_limits import measured_limits
-from impact_rs_trials.recordings.series import Series
+from impact_rs_sim.robots.robot import load_facts
+from impact_rs_sim.robots.robot_import import import_urdf
+from impact_rs_trials.recordings.importing import candidates
+from impact_rs_trials.recordings.importing.candidates import (
+    SignalCandidate,
+    candidates_of,
+    guess_of,
+    joints_of,
+    propose,
+)
+from impact_rs_trials.recordings.importing.import_texts import Line, flow, mapping_text
+from impact_rs_trials.recordings.importing.joint_streams import JointStream
+from impact_rs_trials.recordings.importing.measured_limits import measured_limits
+from impact_rs_trials.recordings.readers.series import Series
 
 NUMBERED = tuple(f"joint{number}" for number in range(1, 8))
 

@@ -12,8 +12,11 @@ from measured_data import measured_data
 from refusals import refusal
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import Array
-from impact_rs_trials.recordings.clock import (
+from impact_rs_sim.robots.robot import Array
+from impact_rs_trials.recordings.checks.clock_offset import offset_between, start_of_motion
+from impact_rs_trials.recordings.checks.sampling_times import timestamp_warning
+from impact_rs_trials.recordings.importing.import_recordings import ImportOptions, draft_import
+from impact_rs_trials.recordings.readers.clock import (
     check_jumps,
     check_stamps,
     even_grid,
@@ -22,10 +25,7 @@ from impact_rs_trials.recordings.clock import (
     grid_from,
     seconds_of,
 )
-from impact_rs_trials.recordings.clock_offset import offset_between, start_of_motion
-from impact_rs_trials.recordings.importing import ImportOptions, draft_import
-from impact_rs_trials.recordings.sampling_times import timestamp_warning
-from impact_rs_trials.recordings.series import Series
+from impact_rs_trials.recordings.readers.series import Series
 
 BAG = Path("bag")
 

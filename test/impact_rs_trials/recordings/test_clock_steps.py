@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from joint_recordings import write_csv, write_npz
 
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_trials.recordings.clock_steps import MAX_STEPS_BACK, PAUSE_S, without_steps_back
+from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.recordings.mapping import load_mapping
+from impact_rs_trials.recordings.readers.clock_steps import MAX_STEPS_BACK, PAUSE_S, without_steps_back
+from impact_rs_trials.recordings.readers.series import Series
 from impact_rs_trials.recordings.recording import ARM, read_recordings
-from impact_rs_trials.recordings.series import Series
 
 PLAIN = load_mapping("joint_state").model_copy(update={"low_pass": 10.0})
 ROWS, PHASE = np.arange(400), np.arange(7)

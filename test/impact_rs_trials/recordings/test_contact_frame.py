@@ -13,18 +13,18 @@ import pytest
 from known_recordings import ARM
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_sim.scene import Scene
-from impact_rs_trials.recordings.contact_frame import PadOnFace, contact_frame
-from impact_rs_trials.recordings.laboratory import read_one
-from impact_rs_trials.recordings.plausibility import (
+from impact_rs_trials.recordings.checks.plausibility import (
     check_gravity_torque,
     check_object,
     check_touch,
     gravity_torques,
     noticed,
 )
+from impact_rs_trials.recordings.contact_frame import PadOnFace, contact_frame
+from impact_rs_trials.recordings.laboratory import read_one
 
 from .conftest import LaboratoryFolder
 

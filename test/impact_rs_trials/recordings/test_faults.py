@@ -15,13 +15,13 @@ from joint_recordings import write_npz
 from measured_data import measured_data
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_trials.recordings.checks.faults import outliers, without_faults
 from impact_rs_trials.recordings.experiment import Experiment
-from impact_rs_trials.recordings.faults import outliers, without_faults
 from impact_rs_trials.recordings.laboratory import read_laboratory
 from impact_rs_trials.recordings.mapping import SignalName, load_mapping
+from impact_rs_trials.recordings.readers.series import Series
 from impact_rs_trials.recordings.recording import ARM, read_recordings
-from impact_rs_trials.recordings.series import Series
 
 if TYPE_CHECKING:
     from .conftest import LaboratoryFolder

@@ -12,11 +12,11 @@ from builders import mapping_in
 from joint_recordings import Columns, swinging, write_bag
 from measured_data import measured_data
 
-from impact_rs_sim.robot import RobotFacts, load_facts
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_trials.recordings.importing import ImportOptions, draft_import
+from impact_rs_sim.robots.robot import RobotFacts, load_facts
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_trials.recordings.importing.import_recordings import ImportOptions, draft_import
+from impact_rs_trials.recordings.importing.measured_limits import measured_limits
 from impact_rs_trials.recordings.mapping import MountedEndEffector
-from impact_rs_trials.recordings.measured_limits import measured_limits
 from impact_rs_trials.recordings.recording import read_recordings
 
 TIME = np.arange(0.0, 8.0, 0.01)

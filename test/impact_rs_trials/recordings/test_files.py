@@ -14,11 +14,11 @@ from refusals import refusal
 from signal_files import TIME, VALUES, csv_file, hdf5_file, npz_file, parquet_file
 
 from impact_rs_sim.decimals import decimal
-from impact_rs_trials.recordings.array_file import ArrayFile
-from impact_rs_trials.recordings.csv_rows import csv_rows
 from impact_rs_trials.recordings.mapping import SignalSource, load_mapping
-from impact_rs_trials.recordings.series import DIFFERENCE_S, Names, Series
-from impact_rs_trials.recordings.table_file import TableFile
+from impact_rs_trials.recordings.readers.array_file import ArrayFile
+from impact_rs_trials.recordings.readers.csv_rows import csv_rows
+from impact_rs_trials.recordings.readers.series import DIFFERENCE_S, Names, Series
+from impact_rs_trials.recordings.readers.table_file import TableFile
 
 
 def read(path: Path, **source: object) -> Series:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from joint_recordings import Columns, swinging
 
-from impact_rs_sim.robot import load_facts
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_trials.recordings.hypotheses import (
+from impact_rs_sim.robots.robot import load_facts
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_trials.recordings.importing.hypotheses import (
     JointMotion,
     RoleChoice,
     RoleHypothesis,

@@ -15,12 +15,12 @@ from refusals import lacking, refusal
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.map_table import answer_table, write_answers
-from impact_rs_trials.recordings.impact_checks import doubts_of
-from impact_rs_trials.recordings.impact_columns import documentation
-from impact_rs_trials.recordings.impact_table import ImpactTable, read_impact_table
-from impact_rs_trials.recordings.unsure_scene import nominal_values, with_value
+from impact_rs_trials.recordings.impacts.impact_checks import doubts_of
+from impact_rs_trials.recordings.impacts.impact_columns import documentation
+from impact_rs_trials.recordings.impacts.impact_table import ImpactTable, read_impact_table
+from impact_rs_trials.recordings.impacts.unsure_scene import nominal_values, with_value
 
 PUSH = load_scenario("push")
 Rows = list[dict[str, Any]]  # by header
@@ -284,7 +284,8 @@ def test_missing_numbers_of_a_parquet_file_are_empty_cells(tmp_path: Path, cubes
 def test_the_table_of_columns_on_the_page_is_that_of_the_code() -> None:
     """Kills a column that is read or written without a line on the page, and a unit that differs there.
 
-    ``python -c "from impact_rs_trials.recordings.impact_columns import documentation as d; print(d())"`` prints it.
+    ``python -c "from impact_rs_trials.recordings.impacts import impact_columns as c; print(c.documentation())"`` prints
+    it.
     """
     pages = (Path(__file__).parents[3] / "docs").glob("*.md")
     assert [page.name for page in pages if documentation() in page.read_text(encoding="utf-8")]

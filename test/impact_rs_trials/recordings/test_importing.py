@@ -15,18 +15,18 @@ from refusals import refusal
 from ros_messages import message
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from impact_rs_sim.robot import RobotFacts, load_facts
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot import RobotFacts, load_facts
+from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.types import typestore
 from impact_rs_trials.recordings.experiment import Experiment, load_experiment, read_runs
-from impact_rs_trials.recordings.file_groups import group_files
-from impact_rs_trials.recordings.importing import ImportDraft, ImportOptions, draft_import
+from impact_rs_trials.recordings.importing.file_groups import group_files
+from impact_rs_trials.recordings.importing.import_recordings import ImportDraft, ImportOptions, draft_import
+from impact_rs_trials.recordings.importing.table_layout import find_layout
 from impact_rs_trials.recordings.laboratory import Laboratory
 from impact_rs_trials.recordings.mapping import Mapping, MountedEndEffector, load_mapping
+from impact_rs_trials.recordings.readers.sources import read_series
 from impact_rs_trials.recordings.recording import read_recordings
-from impact_rs_trials.recordings.sources import read_series
-from impact_rs_trials.recordings.table_layout import find_layout
 
 TIME = np.arange(0.0, 8.0, 0.01)
 

@@ -15,9 +15,9 @@ from measured_data import measured_data
 from slender_arm import lighter, mapping_of, slender_arm
 from slender_arm import swung as slender_swung
 
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_trials.recordings.checks.joint_checks import arm_warnings
 from impact_rs_trials.recordings.experiment import Experiment
-from impact_rs_trials.recordings.joint_checks import arm_warnings
 from impact_rs_trials.recordings.laboratory import read_laboratory
 from impact_rs_trials.recordings.mapping import load_mapping
 from impact_rs_trials.recordings.recording import read_recordings

@@ -10,14 +10,14 @@ import pinocchio as pin
 import pytest
 from joint_recordings import Columns, swinging
 
-from impact_rs_sim.robot import load_facts
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_trials.recordings.candidates import SignalCandidate, guess_of
-from impact_rs_trials.recordings.guesses import holds_a_turn
-from impact_rs_trials.recordings.joint_search import Assignment, JointSearch
-from impact_rs_trials.recordings.joint_streams import JointStream
+from impact_rs_sim.robots.robot import load_facts
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_trials.recordings.importing.candidates import SignalCandidate, guess_of
+from impact_rs_trials.recordings.importing.joint_search import Assignment, JointSearch
+from impact_rs_trials.recordings.importing.joint_streams import JointStream
 from impact_rs_trials.recordings.mapping import MountedEndEffector
-from impact_rs_trials.recordings.series import Series
+from impact_rs_trials.recordings.readers.guesses import holds_a_turn
+from impact_rs_trials.recordings.readers.series import Series
 
 TIME = np.arange(0.0, 8.0, 0.01)
 CENTRE, JOINTS = np.array([0.1, 0.6, 0.2, -1.2, 0.3, 0.9, 0.1]), np.arange(7)

@@ -12,7 +12,7 @@ from refusals import lacking, refusal
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.robot import RobotFacts, load_facts
+from impact_rs_sim.robots.robot import RobotFacts, load_facts
 from impact_rs_sim.schema import validate
 from impact_rs_trials.recordings.mapping import Mapping, MountedEndEffector, load_mapping, mapping_names
 

@@ -13,12 +13,12 @@ from builders import mapping_of, read_positions
 from refusals import refusal
 from signal_files import TIME, VALUES
 
-from impact_rs_trials.recordings.csv_rows import decimal_sign
 from impact_rs_trials.recordings.experiment import Experiment, read_runs
-from impact_rs_trials.recordings.inner_runs import run_column_of, run_groups_of
 from impact_rs_trials.recordings.mapping import Mapping
-from impact_rs_trials.recordings.run_finder import find_runs
-from impact_rs_trials.recordings.sources import read_series
+from impact_rs_trials.recordings.readers.csv_rows import decimal_sign
+from impact_rs_trials.recordings.readers.inner_runs import run_column_of, run_groups_of
+from impact_rs_trials.recordings.readers.run_finder import find_runs
+from impact_rs_trials.recordings.readers.sources import read_series
 
 ROWS = [" ".join(f"{value!r}" for value in row) for row in VALUES.tolist()]
 NAMES = [f"position_{joint}" for joint in range(1, 8)]

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from joint_recordings import swinging, write_bag
 
-from impact_rs_sim.robot import load_facts
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_trials.recordings import bag_file, candidates, read_once
-from impact_rs_trials.recordings.importing import ImportOptions, draft_import
+from impact_rs_sim.robots.robot import load_facts
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_trials.recordings.importing import candidates
+from impact_rs_trials.recordings.importing.import_recordings import ImportOptions, draft_import
 from impact_rs_trials.recordings.mapping import MountedEndEffector
-from impact_rs_trials.recordings.read_once import files_read_once, once
+from impact_rs_trials.recordings.readers import bag_file, read_once
+from impact_rs_trials.recordings.readers.read_once import files_read_once, once
 
 TIME = np.arange(0.0, 6.0, 0.01)
 read: list[str] = []

@@ -19,10 +19,10 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags.types import typestore
 from impact_rs_trials.recordings.mapping import Mapping, TimeSource, load_mapping
+from impact_rs_trials.recordings.readers.run_finder import find_recordings, natural_key
+from impact_rs_trials.recordings.readers.sources import read_series
 from impact_rs_trials.recordings.recording import ARM, is_foreign, read_recordings
 from impact_rs_trials.recordings.remarks import Amount, Remark, joined, merged
-from impact_rs_trials.recordings.run_finder import find_recordings, natural_key
-from impact_rs_trials.recordings.sources import read_series
 from impact_rs_trials.runs import Run
 
 PLAIN = load_mapping("joint_state")

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from refusals import refusal
 
 from impact_rs_trials.recordings.mapping import TableLayout
-from impact_rs_trials.recordings.series import Series
-from impact_rs_trials.recordings.table_columns import read_columns
+from impact_rs_trials.recordings.readers.series import Series
+from impact_rs_trials.recordings.readers.table_columns import read_columns
 
 TIME = 0.01 * np.arange(500)  # s
 VALUES = np.sin(2.0 * TIME[:, None] + np.arange(3))

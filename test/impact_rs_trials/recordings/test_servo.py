@@ -18,8 +18,8 @@ from servo_arm import servo_mapping
 from slender_arm import slender_arm
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_trials.recordings.importing import ImportDraft, ImportOptions, draft_import
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_trials.recordings.importing.import_recordings import ImportDraft, ImportOptions, draft_import
 from impact_rs_trials.recordings.mapping import MountedEndEffector
 from impact_rs_trials.recordings.recording import read_recordings
 from impact_rs_trials.recordings.servo import Servo, ServoLaw

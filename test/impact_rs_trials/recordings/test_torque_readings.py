@@ -14,14 +14,9 @@ from measured_data import measured_data
 from slender_arm import FLAT, mapping_of, slender_arm
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import load_facts
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_trials.recordings.import_texts import Line
-from impact_rs_trials.recordings.importing import ImportDraft, ImportOptions, draft_import
-from impact_rs_trials.recordings.mapping import Mapping, MountedEndEffector
-from impact_rs_trials.recordings.recording import read_recordings
-from impact_rs_trials.recordings.relations import DECISIVE_LOG_LIKELIHOOD
-from impact_rs_trials.recordings.torque_readings import (
+from impact_rs_sim.robots.robot import load_facts
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_trials.recordings.checks.torque_readings import (
     MotionTorque,
     exactness,
     is_computed,
@@ -29,6 +24,11 @@ from impact_rs_trials.recordings.torque_readings import (
     motor_inertia_in,
     order_of_joints,
 )
+from impact_rs_trials.recordings.importing.import_recordings import ImportDraft, ImportOptions, draft_import
+from impact_rs_trials.recordings.importing.import_texts import Line
+from impact_rs_trials.recordings.mapping import Mapping, MountedEndEffector
+from impact_rs_trials.recordings.recording import read_recordings
+from impact_rs_trials.recordings.relations import DECISIVE_LOG_LIKELIHOOD
 
 TIME = np.arange(0.0, 10.0, 0.01)
 CENTRES = {"ur10e": [0.0, -1.2, 1.4, -0.4, 0.5, 0.2], "kuka_iiwa7": [0.1, 0.6, 0.2, -1.2, 0.3, 0.9, 0.1]}  # rad

@@ -1,0 +1,500 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Grammar of laws: the formulas that ``impact-rs discover`` searches (``config/grammar.yaml``).
+
+A law is a place, a quantity and a form, for example torque on a motor × joint velocity × cube. Units follow: an
+amplitude of power n has the unit of the place over that of the quantity to the n. A law of a quantity that a
+dissipative force opposes has the sign that dissipates; a law between two bodies includes its reaction.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from impact_rs_analysis.evidence.visited import Range
+from impact_rs_sim.effects.dimensions import check_units
+from impact_rs_sim.effects.formula import (
+    AXES,
+    COEFFICIENTS,
+    PLACES,
+    Coefficient,
+    Formula,
+    FormulaEffect,
+    FormulaParameter,
+    FormulaSpec,
+)
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.paths import config_directory
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.schema import Schema, load
+
+GRAMMAR_FILE = "grammar.yaml"
+MAX_AMPLITUDE = 300.0  # noticeable amplitudes; the end of a range
+FREE_CURVE_KNOTS = (5, 9)  # more where they predict better
+MAX_WAVE_NUMBER_STARTS = 24
+MAX_WAVE_NUMBER = 80.0  # rad over the unit of the quantity, at a start
+MIN_SPAN_SHARE = 1e-3  # of the typical size; a quantity that hardly moves still has a range
+ANCHOR_REACH = 4.0  # typical distances; how far an anchor may lie from the start of its fit
+MIN_WIDTH_SHARE = 0.01  # of the range of the quantity
+
+
+class QuantityShape(Schema):
+    """A number in the formula of a quantity, as a time constant."""
+
+    unit: str = Field(description="unit")
+    starts: tuple[float, ...] = Field(min_length=1, description="values from which fits start, above 0, in its unit")
+    lower: float = Field(description="smallest value that makes sense")
+    upper: float = Field(description="largest value that makes sense")
+
+    @property
+    def parameter(self) -> FormulaParameter:
+        """The parameter of a formula; its noticeable change is a tenth of the geometric mean of the starts."""
+        usual = float(np.exp(np.mean(np.log(self.starts))))
+        return FormulaParameter(
+            unit=self.unit, nominal=self.starts[0], lower=self.lower, upper=self.upper, scale=0.1 * usual, shape=True,
+            grid=self.starts,
+        )  # fmt: skip
+
+
+class Quantity(Schema):
+    """What a law depends on."""
+
+    formula: str = Field(
+        description="in symbols of formulas; {joint} is the joint of the place, {before} the one before"
+    )
+    unit: str = Field(description="unit")
+    typical: float = Field(gt=0.0, description="its size, where it was not measured, in its unit")
+    words: str = Field(description="what it is, in a sentence")
+    opposes: bool = Field(False, description="whether a force that dissipates has the opposite sign")
+    along: str = Field("", description="the vector that it is the size of, with {axis} for an axis; empty: none")
+    of_place: str = Field(
+        "",
+        description="the place whose distance from a point it is, with {axis}; anchor_x, ... of the point are shapes",
+    )
+    shapes: dict[str, QuantityShape] = Field({}, description="numbers in its formula, by name")
+
+    def vector(self, axis: str) -> str:
+        """Formula of one component of the vector of which this is the norm; empty: this is no norm."""
+        return (
+            f"({self.of_place} - anchor_{{axis}})".format(axis=axis) if self.of_place else self.along.format(axis=axis)
+        )
+
+
+class Number(Schema):
+    """A parameter of a form."""
+
+    power: int = Field(0, description="of an amplitude, whose unit is that of the place over the quantity's to it")
+    shape: Literal["", "limit", "width", "wave_number"] = Field(
+        "", description="what changes nothing while the amplitudes are 0; empty: this is an amplitude"
+    )
+    starts: tuple[float, ...] = Field(
+        (),
+        description="where fits of a shape start, as shares of the range of the quantity; of a wave number the angle "
+        "over the range between two starts [rad]",
+    )
+
+
+class Form(Schema):
+    """How a law depends on its quantity u."""
+
+    law: str = Field(description="formula of u, the middle of its range, and the parameters")
+    along: str = Field("", description="the same over u, for a force along a vector; empty: there is none")
+    numbers: dict[str, Number] = Field(min_length=1, description="its parameters")
+    restores: bool = Field(False, description="whether it has the sign of a spring")
+    words: str = Field(description="what it is, in a sentence")
+
+
+class Place(Schema):
+    """What a law acts on."""
+
+    formula: str = Field(description="key of a formula effect")
+    each: Literal["joint", "pair", "opposed", "axis", "vector", "once"] | Coefficient = Field(
+        "once",
+        description="what there is one law of; pair: two joints in a row with the same torque, opposed: the second one "
+        "has its reaction; a coefficient of formulas: that of a contact of a single impact",
+    )
+    unit: str = Field(description="unit of the force or torque")
+    noticeable: float = Field(gt=0.0, description="amplitude at which it matters, in the unit")
+    words: str = Field(description="what it is, in a sentence")
+    contact: bool = Field(False, description="whether it acts in contact only")
+    against: bool = Field(False, description="whether it is positive against the motion")
+    needs: str = Field("", description="signal of free motion that shows it; empty: none does")
+    laws: dict[str, tuple[str, ...]] = Field(description="forms by quantity")
+
+
+class Grammar(Schema):
+    """``config/grammar.yaml``."""
+
+    quantities: dict[str, Quantity] = Field({}, description="quantities by name")
+    forms: dict[str, Form] = Field({}, description="forms by name")
+    places: dict[str, Place] = Field({}, description="places by name")
+
+
+@dataclass(frozen=True)
+class Law:
+    """One formula with the points from which its fit starts.
+
+    Attributes:
+        spec: The formula effect.
+        place: Name of its place in the grammar.
+        where: Joint (``joint4``), two of them (``joint4_5``) or axis; empty: none.
+        quantity: Its quantity.
+        symbol: The same as a formula.
+        form: Name of its form.
+        profile: The force over the quantity ``u``, before its sign.
+        needs: Signal of free motion that shows it; empty: none.
+        starts: Values of its shape parameters by name.
+        words: What it acts on, in a sentence.
+        unit: Unit of the force or torque.
+        noticeable: Amplitude at which it matters, in the unit.
+        opposes: Whether the formula is minus the profile.
+        reacts: Whether the second of two joints has the reaction.
+        knots: Knots of a piecewise linear free curve; empty: it is a law.
+    """
+
+    spec: FormulaSpec
+    place: str
+    where: str
+    quantity: Quantity
+    symbol: str
+    form: str
+    profile: str
+    needs: str
+    starts: tuple[Mapping[str, float], ...]
+    words: str
+    unit: str
+    noticeable: float
+    opposes: bool
+    reacts: bool = False
+    knots: tuple[float, ...] = ()
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joints that it acts on, as ``joint4``; empty: a force, which may load all joints."""
+        return _joints(self.where)
+
+    @property
+    def coefficient(self) -> str:
+        """Contact coefficient that it changes; empty: it acts during a motion."""
+        return self.where if self.where in COEFFICIENTS else ""
+
+    @property
+    def formula(self) -> tuple[str, dict[str, str] | str]:
+        """Key of its place among the keys of a formula effect, and its formulas there."""
+        return next((key, table) for key in PLACES if (table := getattr(self.spec, key)))
+
+    @property
+    def effects(self) -> list[FormulaEffect]:
+        """The effect, once for every start."""
+        found = []
+        for start in self.starts:
+            parameters = {
+                name: parameter.model_copy(update={"nominal": start.get(name, parameter.nominal)})
+                for name, parameter in self.spec.parameters.items()
+            }
+            found.append(FormulaEffect(self.spec.model_copy(update={"parameters": parameters}), self.family))
+        return found
+
+    @property
+    def family(self) -> str:
+        """Key of the laws of one form at several joints, which may be accepted together."""
+        where = "" if self.where.startswith("joint") else self.where
+        return f"{self.place} {where} {self.quantity.words} {self.form}"
+
+    def force(self, u: Array, numbers: Mapping[str, float]) -> Array:
+        """Its force at values ``u`` of the quantity, ``(k,)``, for some parameters, ``(k,)`` [unit of the place]."""
+        return np.broadcast_to(Formula(self.profile, {"u", *numbers})({"u": u, **numbers}), u.shape)
+
+
+def load_grammar(more: Path | None = None) -> Grammar:
+    """The shipped grammar with the terms of another file, which replace those of the same name.
+
+    Raises:
+        InputError: A file breaks the schema, or names an unknown quantity or form.
+    """
+    grammar = load(Grammar, config_directory() / GRAMMAR_FILE)
+    if more is not None:
+        own = load(Grammar, more)
+        grammar = Grammar(
+            quantities={**grammar.quantities, **own.quantities},
+            forms={**grammar.forms, **own.forms},
+            places={**grammar.places, **own.places},
+        )
+    for name, place in grammar.places.items():
+        for quantity, forms in place.laws.items():
+            _known("quantity", quantity, grammar.quantities, f"places.{name}.laws", more)
+            for form in forms:
+                _known("form", form, grammar.forms, f"places.{name}.laws", more)
+    return grammar
+
+
+def _known(kind: str, word: str, table: Mapping[str, object], key: str, file: Path | None) -> None:
+    if word not in table:
+        raise InputError(
+            f"unknown {kind}; known: {', '.join(table)}",
+            file=file or config_directory() / GRAMMAR_FILE,
+            key=key,
+            value=word,
+        )
+
+
+def laws_of(grammar: Grammar, ranges: Mapping[str, Range], joints: int) -> Iterator[Law]:
+    """Every law of a grammar.
+
+    Args:
+        grammar: The grammar.
+        ranges: Ranges of the symbols that were measured.
+        joints: Joints of an arm.
+
+    Raises:
+        InputError: A law has a wrong unit, or does not parse.
+    """
+    for name, place in grammar.places.items():
+        for quantity_name, forms in place.laws.items():
+            quantity = grammar.quantities[quantity_name]
+            for form_name in forms:
+                for where in _wheres(place, joints):
+                    if where == "joint1" and "{before}" in quantity.formula:
+                        continue
+                    yield _law(name, place, quantity_name, quantity, form_name, grammar.forms[form_name], where, ranges)
+
+
+def _wheres(place: Place, joints: int) -> Sequence[str]:
+    if place.each == "joint":
+        return [f"joint{number}" for number in range(1, joints + 1)]
+    if place.each in ("pair", "opposed"):
+        return [f"joint{number}_{number + 1}" for number in range(1, joints)]
+    if place.each in COEFFICIENTS:
+        return (place.each,)
+    return AXES if place.each == "axis" else ("",)
+
+
+def _law(
+    place_name: str,
+    place: Place,
+    quantity_name: str,
+    quantity: Quantity,
+    form_name: str,
+    form: Form,
+    where: str,
+    ranges: Mapping[str, Range],
+) -> Law:
+    symbol = _symbol(quantity, where)
+    low, high = ranges.get(symbol, (-quantity.typical if quantity.opposes else 0.0, quantity.typical))
+    anchors: list[dict[str, float]] = [{}]
+    if quantity.of_place:
+        centre, half = _region(quantity, ranges)
+        anchors = _anchors(centre, quantity.typical)
+        low, high = max(quantity.typical - half, 0.0), quantity.typical + half
+    high = max(high, low + MIN_SPAN_SHARE * quantity.typical)
+    size = max(abs(low), abs(high))
+    middle = (low + high) / 2.0
+    profile = form.law.replace("- middle", f"- {middle:.3g}" if middle > 0.0 else f"+ {-middle:.3g}")
+    opposes = (quantity.opposes or form.restores) and not place.against
+    bounded = quantity.opposes or form.restores or place.against
+    parameters: dict[str, FormulaParameter] = {}
+    starts: dict[str, list[float]] = {}
+    for name, item in form.numbers.items():
+        if item.shape:
+            starts[name] = _starts(item, low, high)
+            parameters[name] = _shape(item, quantity.unit, low, high, starts[name][0])
+            continue
+        scale = place.noticeable / size**item.power
+        parameters[name] = FormulaParameter(
+            unit=unit_of(place.unit, quantity.unit, item.power),
+            lower=0.0 if bounded else -MAX_AMPLITUDE * scale,
+            upper=MAX_AMPLITUDE * scale,
+            scale=scale,
+        )
+    parameters |= {name: inner.parameter for name, inner in quantity.shapes.items()}
+    starts |= {name: list(inner.starts) for name, inner in quantity.shapes.items()}
+    formula: dict[str, str] | str
+    if quantity.of_place:
+        for name, value in anchors[0].items():
+            reach = ANCHOR_REACH * quantity.typical
+            parameters[name] = FormulaParameter(
+                unit=quantity.unit, nominal=value, lower=value - reach, upper=value + reach,
+                scale=0.1 * quantity.typical, shape=True,
+            )  # fmt: skip
+    if place.each == "vector":
+        factor = _inserted(form.along, symbol)
+        formula = {axis: f"-({factor}) * {quantity.vector(axis)}" for axis in AXES}
+    else:
+        text = _inserted(profile, symbol)
+        text = f"-({text})" if opposes else text
+        formula = _on_joints(text, _joints(where), place.each == "opposed") or ({where: text} if where else text)
+    number = "" if where in COEFFICIENTS else where.removeprefix("joint")
+    words = f"{place.words} {' and '.join(number.split('_'))}".strip()
+    spec = FormulaSpec.model_validate(
+        {
+            "name": _name(place_name, place, quantity_name, form_name, number),
+            "sentence": f"{words}, {form.words} {quantity.words}."
+            if form_name != "constant"
+            else f"{words}, constant.",
+            place.formula: formula,
+            "parameters": parameters,
+            "valid": {symbol: (low, high)} if symbol in ranges else {},
+        }
+    )
+    check_units(spec)
+    FormulaEffect(spec)
+    own = [dict(zip(starts, values, strict=True)) for values in product(*starts.values())]
+    return Law(
+        spec=spec,
+        place=place_name,
+        where=where,
+        quantity=quantity,
+        symbol=symbol,
+        form=form_name,
+        profile=profile,
+        needs=place.needs,
+        starts=tuple(anchor | shape for anchor in anchors for shape in own),
+        words=words,
+        unit=place.unit,
+        noticeable=place.noticeable,
+        opposes=opposes or place.each == "vector",
+        reacts=place.each == "opposed",
+    )
+
+
+def _joints(where: str) -> tuple[str, ...]:
+    """``joint4``, ``joint5`` of ``joint4_5``."""
+    numbers = where.removeprefix("joint").split("_") if where.startswith("joint") else ()
+    return tuple(f"joint{number}" for number in numbers)
+
+
+def _on_joints(text: str, joints: Sequence[str], reacts: bool) -> dict[str, str]:
+    """A torque on one joint or two, by joint."""
+    reaction = text.removeprefix("-") if text.startswith("-(") else f"-({text})"
+    return {joint: reaction if reacts and place > 0 else text for place, joint in enumerate(joints)}
+
+
+def _symbol(quantity: Quantity, where: str) -> str:
+    """The formula of a quantity at a joint or along an axis."""
+    if not where.startswith("joint"):
+        return quantity.formula
+    number = int(_joints(where)[-1].removeprefix("joint"))
+    return quantity.formula.replace("{joint}", str(number)).replace("{before}", str(number - 1))
+
+
+def _region(quantity: Quantity, ranges: Mapping[str, Range]) -> tuple[Array, float]:
+    """Centre of the visited positions, ``(3,)``, and half of their largest extent [m]."""
+    default = (-quantity.typical / 2.0, quantity.typical / 2.0)
+    sides = [ranges.get(quantity.of_place.format(axis=axis), default) for axis in AXES]
+    ends = np.array(sides)
+    return ends.mean(axis=1), float(np.max(ends[:, 1] - ends[:, 0])) / 2.0
+
+
+def _anchors(middle: Array, distance: float) -> list[dict[str, float]]:
+    """Starts of the fit of an anchor: at a distance from the centre in both directions of every axis."""
+    found = []
+    for place in (middle + side * distance * row for row in np.eye(3) for side in (-1.0, 1.0)):
+        found.append({f"anchor_{axis}": float(value) for axis, value in zip(AXES, place, strict=True)})
+    return found
+
+
+def curve_of(law: Law, domain: Range, count: int = FREE_CURVE_KNOTS[0], absolute: bool = True) -> Law:
+    """A piecewise linear free curve in place of a law, with a force at each knot over the range of its quantity.
+
+    Beyond the knots it falls to 0 within one spacing: it is valid in the measured range alone.
+
+    Args:
+        law: Gives place and quantity.
+        domain: Range of the quantity.
+        count: Number of knots.
+        absolute: Whether it contains a constant; else it is 0 at the knot nearest to 0, for use with an offset.
+    """
+    (key, table), (low, high) = law.formula, domain
+    # A speed: at rest the force is 0 or stiction, no point of a curve. A slow impact has its coefficients as well.
+    from_rest = 0.0 <= low < high / count and not law.coefficient
+    every = np.linspace(0.0, high, count + 1)[1:] if from_rest else np.linspace(low, high, count)
+    width = float(every[1] - every[0])
+    knots = every if absolute else np.delete(every, np.argmin(np.abs(every)))
+    profile = " + ".join(f"f{n} * max(0, 1 - abs(u - {knot:.4g}) / {width:.4g})" for n, knot in enumerate(knots))
+    profile = profile.replace("u - -", "u + ")
+    text = _inserted(profile, law.symbol)
+    vector = law.quantity.vector
+    rows: dict[str, str] | str
+    if isinstance(table, str):
+        rows = text
+    elif vector(AXES[0]):
+        rows = {axis: f"-({text}) * {vector(axis)} / max({law.symbol}, {0.01 * high:.2g})" for axis in table}
+    else:
+        rows = _on_joints(text, law.joints, law.reacts) or dict.fromkeys(table, text)
+    most = MAX_AMPLITUDE * law.noticeable
+    force = FormulaParameter(unit=law.unit, lower=-most, upper=most, scale=law.noticeable)
+    stem = law.spec.name.removesuffix(f"_{law.form}")
+    spec = FormulaSpec.model_validate(
+        {
+            "name": f"{stem}_curve_{count}",
+            "sentence": f"{law.words}, a curve over {law.quantity.words}.",
+            key: rows,
+            "parameters": {f"f{number}": force for number in range(knots.size)},
+            "valid": law.spec.valid,
+        }
+    )
+    check_units(spec)
+    return replace(
+        law, spec=spec, form="curve", profile=profile, starts=({},), opposes=False, knots=tuple(knots.tolist())
+    )
+
+
+def _name(place_name: str, place: Place, quantity: str, form: str, number: str) -> str:
+    """Name of a law: ``motor4_velocity_cube``, ``end_effector_y_above_x``, ``object_drag_square``."""
+    if place.each == "vector":
+        return f"{place_name}_{form}"
+    where = f"_{number}" if place.each == "axis" else number
+    return f"{place_name}{where}_{quantity.removeprefix(f'{place_name}_')}_{form}"
+
+
+def _inserted(law: str, symbol: str) -> str:
+    """The formula of a form with its quantity substituted for u."""
+    inner = symbol if re.fullmatch(r"\w+", symbol) else f"({symbol})"
+    return re.sub(r"\bu\b", inner, law)
+
+
+def _shape(item: Number, unit: str, low: float, high: float, start: float) -> FormulaParameter:
+    """A shape parameter of a quantity with this unit and range."""
+    span = high - low
+    if item.shape == "wave_number":
+        own, lower, scale = unit_of("-", unit, 1), 0.0, 0.1 * item.starts[0] / span
+        upper = max(2.0 * MAX_WAVE_NUMBER, 4.0 * start)
+    elif item.shape == "width":
+        own, lower, upper, scale = unit, MIN_WIDTH_SHARE * span, 10.0 * span, 0.1 * span
+    else:
+        own, lower, upper, scale = unit, low - span, high + span, 0.1 * span
+    return FormulaParameter(unit=own, nominal=start, lower=lower, upper=upper, scale=scale, shape=True)
+
+
+def _starts(item: Number, low: float, high: float) -> list[float]:
+    """Starts of the fit of a shape."""
+    span = high - low
+    if item.shape == "wave_number":
+        step = item.starts[0] / span
+        count = max(1, min(int(MAX_WAVE_NUMBER / step), MAX_WAVE_NUMBER_STARTS))
+        return [number * step for number in range(1, count + 1)]
+    return [(low if item.shape == "limit" else 0.0) + share * span for share in item.starts]
+
+
+def unit_of(place: str, quantity: str, power: int) -> str:
+    """Unit of a place over that of a quantity to a power, as ``N m s^3/rad^3``; ``-`` is none."""
+    exponents: dict[str, int] = {}
+    for unit, factor in ((place, 1), (quantity, -power)):
+        for part, sign in zip(unit.split("/"), (1, -1), strict=False):
+            for word in part.split():
+                if word != "-":
+                    exponents[word] = exponents.get(word, 0) + sign * factor
+    above = " ".join(_power(word, value) for word, value in exponents.items() if value > 0)
+    below = " ".join(_power(word, -value) for word, value in exponents.items() if value < 0)
+    return f"{above or '1'}/{below}" if below else above or "-"
+
+
+def _power(word: str, value: int) -> str:
+    return word if value == 1 else f"{word}^{value}"

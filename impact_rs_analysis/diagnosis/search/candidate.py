@@ -1,0 +1,651 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Candidates: effects, alone or together, with their sensitivities, fitted to the evidence.
+
+In scaled coordinates the mean residual of cluster c is
+
+    r_c = J_c (theta - theta_0) + noise,        cov(noise) = (pure error + discrepancy) of c
+
+fitted by bounded least squares with a weak normal prior of ``PRIOR_DEVIATION`` parameter scales about nominal. Fits are
+compared by their leave-one-out error: the error of each cluster, predicted by a fit to all others.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from impact_rs_analysis.diagnosis.search.null_distribution import NullDistribution, combined_half_width
+from impact_rs_analysis.diagnosis.thresholds import PRIOR_DEVIATION
+from impact_rs_analysis.evidence.cluster import Added, Cluster
+from impact_rs_analysis.evidence.source import Source
+from impact_rs_sim.effects import Effect, Parameter
+from impact_rs_sim.effects.base import Joints
+from impact_rs_sim.effects.changed_bodies import of_other_bodies
+from impact_rs_sim.effects.formula import FormulaEffect
+from impact_rs_sim.errors import NotABody
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robots.robot import Array
+
+PROBE_SHARES = (0.25, 0.5, 1.0)  # of the distance from nominal to either end of a range
+MIN_STEP_ROOM_SHARE = 0.2  # of a finite-difference step; nearer a bound the step goes the other way
+# Unfitted share of the squared change by a calibration; with less left, the parameters of a fit stand for it.
+MIN_UNFITTED_SHARE = 1e-3
+# Mean square residual, scaled [-]: a smaller one would leave parameters that the data do not determine without a prior.
+MIN_NOISE_VARIANCE = 1e-4
+MIN_BOUND_GAP = 1e-9  # parameter scales, between bounds that coincide
+MAX_ACTIVE_SETS = 20  # iterations of the active-set method; three are usual
+EDGE_TOLERANCE = 1e-4  # of the distance from nominal: bisection to the last point with bodies, 1/100 of an interval
+EDGE_MARGIN = (
+    1e-3  # of the distance from nominal: so near the edge of the bodies an estimate lies at it; steps end there
+)
+DIFFERENCE_STEP_FACTORS = (1.0, -1.0, 0.1, -0.1, 0.01, -0.01)  # tried in this order until there are bodies
+
+
+def can_change(effect: Effect, cluster: Cluster) -> bool:
+    """Whether an effect can change the features of a cluster."""
+    return effect.seen_in(cluster.contact)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One or several effects, linearised about ``point``, in the clusters of a :class:`Problem` and in their order.
+
+    Attributes:
+        effects: The effects.
+        sizes: Number of parameters of each.
+        scalars: Parameters of all effects, concatenated.
+        lower: Bounds of the parameters under the physics at hand, ``(p,)``.
+        upper: The same, ``(p,)``.
+        point: Parameter values of the linearisation, ``(p,)``.
+        offsets: Per cluster, scaled features at ``point`` minus those at ``origin``, ``(F,)`` each.
+        jacobians: Per cluster, scaled features per parameter scale, ``(F, p)`` each.
+        origin: Effects added to the model when the residuals were computed.
+        share: Finite-difference step of the sensitivities, over the step of each parameter; infinite: they were
+            computed at another point.
+        inertial: Mask of the parameters that change inertial parameters of bodies, ``(p,)``.
+        worlds: Physics without the effects, for the test of physical consistency.
+    """
+
+    effects: tuple[Effect, ...]
+    sizes: tuple[int, ...]
+    scalars: tuple[Parameter, ...]
+    lower: Array
+    upper: Array
+    point: Array
+    offsets: tuple[Array, ...] = ()
+    jacobians: tuple[Array, ...] = ()
+    origin: Added = ()
+    share: float = math.inf
+    inertial: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    worlds: Sequence[Physics] = ()
+
+    @staticmethod
+    def of(effects: tuple[Effect, ...], source: Source, point: Array | None = None, origin: Added = ()) -> Candidate:
+        """Effects without sensitivities, at ``point`` (None: nominal values)."""
+        joints = source.joints
+        bounds = [effect.bounds_in(source.worlds) for effect in effects]
+        changing = [effect.changes_bodies(source.worlds[0]) for effect in effects]
+        inertial = np.repeat(changing, [len(low) for low, _ in bounds])
+        if point is None:
+            point = np.concatenate([effect.nominal(joints) for effect in effects])
+        return Candidate(
+            effects=effects,
+            sizes=tuple(len(low) for low, _ in bounds),
+            scalars=tuple(scalar for effect in effects for scalar in effect.scalars(joints)),
+            lower=np.concatenate([low for low, _ in bounds]),
+            upper=np.concatenate([high for _, high in bounds]),
+            point=point,
+            origin=origin,
+            inertial=inertial,
+            worlds=of_other_bodies(source.worlds) if np.any(inertial) else (),
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects."""
+        return tuple(effect.name for effect in self.effects)
+
+    @cached_property
+    def scale(self) -> Array:
+        """Scale of each parameter, ``(p,)``."""
+        return np.array([scalar.scale for scalar in self.scalars])
+
+    @cached_property
+    def _shapes(self) -> NDArray[np.bool_]:
+        """Mask of the shape parameters, which change nothing while the others are nominal, ``(p,)``."""
+        return np.array([scalar.shape for scalar in self.scalars], dtype=bool)
+
+    @cached_property
+    def nominal(self) -> Array:
+        """Nominal values, at which the effects change nothing, ``(p,)``."""
+        return np.array([scalar.nominal for scalar in self.scalars])
+
+    @cached_property
+    def prior(self) -> Array:
+        """Standard deviations of the prior about nominal, in parameter scales, ``(p,)``."""
+        return np.array([PRIOR_DEVIATION if one.prior is None else one.prior / one.scale for one in self.scalars])
+
+    def physically_consistent(self, vector: Array) -> bool:
+        """Whether the inertial parameters at ``vector``, ``(p,)``, are physically consistent: those of rigid bodies."""
+        moved = self.inertial & (vector != self.nominal)
+        own = [(effect, vector[part]) for effect, part in self.parts if np.any(moved[part])]
+        try:
+            for physics in self.worlds if own else ():
+                for effect, values in own:
+                    physics = effect.apply_vector(physics, values)
+        except NotABody:
+            return False
+        return True
+
+    def nearest_consistent(self, vector: Array) -> Array:
+        """``vector``, moved towards nominal until it is physically consistent, ``(p,)``."""
+        return vector if self.physically_consistent(vector) else self.consistency_boundary(vector)[0]
+
+    def consistency_boundary(self, vector: Array) -> list[Array]:
+        """Physically consistent points nearest to an inconsistent one, ``(p,)`` each.
+
+        By bisection on the line to nominal, where bodies are those of the model, in three subspaces: all inertial
+        parameters, their shapes alone (a mass nearer to the rest), or all but the shapes (less mass in the same place).
+        """
+        found = []
+        for moved in (self.inertial, self.inertial & self._shapes, self.inertial & ~self._shapes):
+            start = np.where(moved, self.nominal, vector)
+            if not self.physically_consistent(start):
+                continue
+            low, high = 0.0, 1.0
+            while high - low > EDGE_TOLERANCE:
+                middle = 0.5 * (low + high)
+                low, high = (
+                    (middle, high) if self.physically_consistent(start + middle * (vector - start)) else (low, middle)
+                )
+            found.append(start + low * (vector - start))
+        return found
+
+    def at_consistency_boundary(self, vector: Array) -> NDArray[np.bool_]:
+        """Mask of inertial parameters at the boundary: together they cannot grow physically consistently, ``(p,)``."""
+        away = np.where(self.inertial, vector - self.nominal, 0.0)
+        edge = not self.physically_consistent(vector + EDGE_MARGIN * away)
+        return np.asarray((away != 0.0) & edge)
+
+    @cached_property
+    def parts(self) -> tuple[tuple[Effect, slice], ...]:
+        """Every effect with the slice of its parameters."""
+        ends = np.cumsum(self.sizes).tolist()
+        return tuple(
+            (effect, slice(end - size, end)) for effect, size, end in zip(self.effects, self.sizes, ends, strict=True)
+        )
+
+    def part(self, name: str) -> slice:
+        """Slice of the parameters of one effect."""
+        return next(part for effect, part in self.parts if effect.name == name)
+
+    @property
+    def seen(self) -> bool:
+        """Whether some sensitivity at ``point`` is not zero."""
+        return any(np.any(jacobian) for jacobian in self.jacobians)
+
+    @property
+    def unseen(self) -> list[int]:
+        """Indices of the parameters with zero sensitivity at ``point``, as the centre of a payload without mass."""
+        zero = np.all([np.all(jacobian == 0.0, axis=0) for jacobian in self.jacobians], axis=0)
+        return [int(index) for index in np.flatnonzero(zero)]
+
+    def curved(self, index: int) -> bool:
+        """Whether the valley of the error is curved along a parameter: its effect has several shapes without a grid.
+
+        The length of a cable and the position of its end are an example. The position of a payload is not: torques are
+        linear in its mass and first moment, so that Gauss-Newton steps reach the minimum.
+        """
+        effect, part = next(item for item in self.parts if item[1].start <= index < item[1].stop)
+        return (
+            isinstance(effect, FormulaEffect)
+            and sum(scalar.shape and not scalar.grid for scalar in self.scalars[part]) > 1
+        )
+
+    def probes(self, index: int) -> list[Array]:
+        """Points over the range of one parameter, nearest to ``point`` first, ``(p,)`` each."""
+        low, high = self.lower[index], self.upper[index]
+        ends = [low, high, *np.clip(self.scalars[index].far, low, high)]
+        here = self.point[index]
+        values = {here + share * (end - here) for end in ends for share in PROBE_SHARES if end != here}
+        points = []
+        for value in sorted(values, key=lambda value: abs(value - here)):
+            points.append(self.point.copy())
+            points[-1][index] = value
+        return points
+
+    def with_sensitivity(self, index: int, columns: Sequence[Array]) -> Candidate:
+        """The candidate with the sensitivity to one parameter replaced, ``(F,)`` by cluster."""
+        jacobians = tuple(jacobian.copy() for jacobian in self.jacobians)
+        for jacobian, column in zip(jacobians, columns, strict=True):
+            jacobian[:, index] = column
+        return replace(self, jacobians=jacobians)
+
+    def steps(self, joints: Joints) -> Array:
+        """Finite-difference steps within the bounds; near a bound they go away from it, ``(p,)``."""
+        steps = np.concatenate([effect.steps(joints, self.point[part]) for effect, part in self.parts])
+        room = np.clip(self.point + steps, self.lower, self.upper) - self.point
+        steps = np.where(np.abs(room) < MIN_STEP_ROOM_SHARE * np.abs(steps), -steps, room)
+        return np.array([self.consistent_step(self.point, index, step) for index, step in enumerate(steps.tolist())])
+
+    def difference_ends(self, joints: Joints, share: float, central: bool) -> list[tuple[Array, Array]]:
+        """Both points of the finite difference of every parameter, ``(p,)`` each."""
+        ends = []
+        for index, step in enumerate((share * self.steps(joints)).tolist()):
+            low, high = self.point.copy(), self.point.copy()
+            high[index] += step
+            if central:
+                low[index] = np.clip(low[index] - step, self.lower[index], self.upper[index])
+                low = low if self.physically_consistent(low) else self.point
+            ends.append((low, high))
+        return ends
+
+    def consistent_step(self, vector: Array, index: int, step: float) -> float:
+        """A step of one parameter from a point; backwards or shorter where it is not physically consistent."""
+        if not self.inertial[index]:
+            return step
+        alone = step * (np.arange(vector.size) == index)
+        return step * next(
+            (share for share in DIFFERENCE_STEP_FACTORS if self.physically_consistent(vector + share * alone)), 1.0
+        )
+
+    def only(self, clusters: Sequence[int]) -> Candidate:
+        """The candidate restricted to some clusters, by number."""
+        return replace(
+            self,
+            offsets=tuple(self.offsets[number] for number in clusters),
+            jacobians=tuple(self.jacobians[number] for number in clusters),
+        )
+
+    def without(self, name: str) -> Candidate:
+        """The candidate without one of its effects."""
+        part = self.part(name)
+        kept = [number for number, effect in enumerate(self.effects) if effect.name != name]
+        keep = np.setdiff1d(np.arange(self.point.size), np.arange(part.start, part.stop))
+        return replace(
+            self,
+            effects=tuple(self.effects[number] for number in kept),
+            sizes=tuple(self.sizes[number] for number in kept),
+            scalars=tuple(self.scalars[index] for index in keep),
+            lower=self.lower[keep],
+            upper=self.upper[keep],
+            point=self.point[keep],
+            jacobians=tuple(jacobian[:, keep] for jacobian in self.jacobians),
+            inertial=self.inertial[keep],
+        )
+
+    def fixed(self, *indices: int) -> Candidate:
+        """The candidate with some parameters fixed at nominal, to first order."""
+        chosen = list(indices)
+        off = ((self.nominal - self.point) / self.scale)[chosen]
+        frozen = []
+        for jacobian in self.jacobians:
+            copy = jacobian.copy()
+            copy[:, chosen] = 0.0
+            frozen.append(copy)
+        offsets = tuple(
+            offset + jacobian[:, chosen] @ off for offset, jacobian in zip(self.offsets, self.jacobians, strict=True)
+        )
+        return replace(self, offsets=offsets, jacobians=tuple(frozen))
+
+    def widened(self, at: NDArray[np.bool_], source: Source) -> Candidate | None:
+        """The candidate with wider ranges for effects with a parameter at a bound; None if physics sets the bounds.
+
+        Args:
+            at: Mask of the parameters at a bound, ``(p,)``.
+            source: Measurements, whose physics bounds parameters.
+        """
+        effects = tuple(
+            effect.with_parameters(Parameter.widened) if np.any(at[part]) else effect for effect, part in self.parts
+        )
+        wider = Candidate.of(effects, source)
+        if np.all((wider.lower == self.lower)[at] & (wider.upper == self.upper)[at]):
+            return None
+        return replace(self, effects=effects, scalars=wider.scalars, lower=wider.lower, upper=wider.upper)
+
+    def split(self, vector: Array) -> Added:
+        """Effect names with their parameter values, without effects at nominal, so that equal physics share replays."""
+        return tuple(
+            (effect.name, tuple(float(value) for value in vector[part]))
+            for effect, part in self.parts
+            if np.any(((vector != self.nominal) & ~self._shapes)[part])
+        )
+
+    def beside(self, other: Candidate) -> Candidate:
+        """Both candidates as one, the sum of both linearisations: exact for small effects, a start for large ones."""
+        return Candidate(
+            effects=self.effects + other.effects,
+            sizes=self.sizes + other.sizes,
+            scalars=self.scalars + other.scalars,
+            lower=np.concatenate((self.lower, other.lower)),
+            upper=np.concatenate((self.upper, other.upper)),
+            point=np.concatenate((self.point, other.point)),
+            offsets=tuple(a + b for a, b in zip(self.offsets, other.offsets, strict=True)),
+            jacobians=tuple(np.hstack((a, b)) for a, b in zip(self.jacobians, other.jacobians, strict=True)),
+            origin=self.origin,
+            share=max(self.share, other.share),
+            inertial=np.concatenate((self.inertial, other.inertial)),
+            worlds=self.worlds or other.worlds,
+        )
+
+
+def required_predictions(
+    candidate: Candidate, numbers: Sequence[int], source: Source, share: float = 1.0, central: bool = False
+) -> list[tuple[int, Added]]:
+    """Predictions that :func:`linearise` needs, listed so that those of many effects run in one batch."""
+    at_nominal = not candidate.origin and bool(np.all(candidate.point == candidate.nominal))
+    here, ends = candidate.split(candidate.point), candidate.difference_ends(source.joints, share, central)
+    moved = [[candidate.split(end) for end in (both if central else both[1:])] for both in ends]
+    result: list[tuple[int, Added]] = []
+    for number in numbers:
+        result.append((number, candidate.origin))
+        if not at_nominal:
+            result.append((number, here))
+        for effect, part in candidate.parts:
+            if can_change(effect, source.clusters[number]):
+                result += [(number, added) for both in moved[part] for added in both]
+    return result
+
+
+def linearise(
+    candidate: Candidate,
+    clusters: Sequence[Cluster],
+    numbers: Sequence[int],
+    source: Source,
+    what: str = "sensitivities",
+    share: float = 1.0,
+    central: bool = False,
+) -> Candidate | None:
+    """Sensitivities about the candidate's point by finite differences; None if a replay has no contact.
+
+    Args:
+        candidate: Effects and point.
+        clusters: Evidence, with the scale of the features.
+        numbers: Indices of these clusters in the source.
+        source: Predicts the features.
+        what: Purpose, shown as progress.
+        share: Finite-difference step over the step of each parameter. Whole steps reach past stiction of joints and
+            contacts; near an optimum forward differences over them are biased by curvature.
+        central: Whether differences are central, at twice the cost: without that bias over whole steps, which average
+            what is rough on a smaller scale, as the torques of a pad that meets an edge first.
+    """
+    at_nominal = not candidate.origin and bool(np.all(candidate.point == candidate.nominal))
+    ends = candidate.difference_ends(source.joints, share, central)
+    results = iter(source.predict(required_predictions(candidate, numbers, source, share, central), what))
+    offsets, jacobians = [], []
+    for item in clusters:
+        base = next(results)
+        here = base if at_nominal else next(results)
+        if base is None or here is None:
+            return None
+        jacobian = np.zeros((base.size, candidate.point.size))
+        for effect, part in candidate.parts:
+            if not can_change(effect, item):
+                continue
+            for index in range(part.start, part.stop):
+                low = next(results) if central else here
+                high = next(results)
+                if low is None or high is None:
+                    return None
+                span = (ends[index][1][index] - ends[index][0][index]) / candidate.scale[index]
+                jacobian[:, index] = (high - low) / item.sigma / span
+        offsets.append((here - base) / item.sigma)
+        jacobians.append(jacobian)
+    return replace(candidate, offsets=tuple(offsets), jacobians=tuple(jacobians), share=share)
+
+
+class Problem:
+    """Bounded linear least squares of a candidate with a normal prior, and its leave-one-out solutions.
+
+    Args:
+        candidate: Effects with sensitivities.
+        clusters: Residuals, in the same order.
+        neighbours: Per cluster, neighbours with correlated noise, which are left out of its leave-one-out fit as well.
+        noise_unknown: Whether residuals are scaled by those of the model, as without repeats. The residual of the fit
+            is then the noise for the weight of the prior. Else the prior would pull the estimates of a light arm,
+            whose parameter scales are small, to their nominal values.
+    """
+
+    def __init__(
+        self,
+        candidate: Candidate,
+        clusters: Sequence[Cluster],
+        neighbours: Sequence[Sequence[int]] | None = None,
+        noise_unknown: bool = False,
+    ) -> None:
+        self.candidate = candidate
+        self.clusters = tuple(clusters)
+        self._neighbours = neighbours
+        self.targets = [item.mean - offset for item, offset in zip(clusters, candidate.offsets, strict=True)]
+        self.information = np.array(
+            [item.count * jacobian.T @ jacobian for item, jacobian in zip(clusters, candidate.jacobians, strict=True)]
+        )
+        self.scores = np.array(
+            [
+                item.count * jacobian.T @ target
+                for item, jacobian, target in zip(clusters, candidate.jacobians, self.targets, strict=True)
+            ]
+        )
+        self._counts = np.array([item.count * target.size for item, target in zip(clusters, self.targets, strict=True)])
+        self._powers = np.array([target @ target / target.size for target in self.targets])
+        scale = candidate.scale
+        self._lower = (candidate.lower - candidate.point) / scale
+        self._upper = np.maximum((candidate.upper - candidate.point) / scale, self._lower + MIN_BOUND_GAP)
+        self._nominal = (candidate.nominal - candidate.point) / scale
+        self._weigh_prior(1.0)
+        if noise_unknown:
+            self._weigh_prior(float(np.clip(self.error(self.solve()), MIN_NOISE_VARIANCE, 1.0)))
+
+    def _weigh_prior(self, noise: float) -> None:
+        """Weigh the prior for a noise variance in the scale of the clusters [-].
+
+        Where the noise is not known, residuals are scaled by those of the model. A prior that is weak beside these is
+        strong beside the smaller residuals of a better model.
+        """
+        self._prior = noise / np.square(self.candidate.prior)
+        self.total = self.information.sum(axis=0) + np.diag(self._prior)
+        self._total_score = self.scores.sum(axis=0) + self._nominal * self._prior
+
+    def solve(self, without: Sequence[int] = (), within: float = np.inf) -> Array:
+        """Least-squares change from the candidate's point in parameter scales, ``(p,)``.
+
+        Args:
+            without: Clusters that are left out.
+            within: Radius of the box trust region, in scales.
+        """
+        information, score = self.total, self._total_score
+        if len(without) > 0:
+            chosen = list(without)
+            information = information - self.information[chosen].sum(axis=0)
+            score = score - self.scores[chosen].sum(axis=0)
+        lower, upper = np.clip(self._lower, -within, within), np.clip(self._upper, -within, within)
+        upper = np.maximum(upper, lower + MIN_BOUND_GAP)
+        return self._consistent(bounded(information, score, lower, upper), information, score, lower, upper)
+
+    def _consistent(self, change: Array, information: Array, score: Array, lower: Array, upper: Array) -> Array:
+        """Physically consistent change: inertial parameters at the boundary, all others solved for there."""
+        candidate = self.candidate
+        wanted = candidate.point + change * candidate.scale
+        if candidate.physically_consistent(wanted):
+            return change
+        held, found = candidate.inertial, []
+        for edge in candidate.consistency_boundary(wanted):
+            ends = (edge - candidate.point) / candidate.scale
+            found.append(
+                bounded(information, score, np.where(held, ends, lower), np.where(held, ends + MIN_BOUND_GAP, upper))
+            )
+        return min(found, key=lambda one: 0.5 * one @ information @ one - score @ one, default=np.zeros_like(change))
+
+    def errors(self, change: Array) -> Array:
+        """Mean square scaled error per cluster, ``(c,)`` [-], at a change from the point, ``(p,)`` or ``(c, p)``."""
+        gains = np.sum((2.0 * self.scores - (self.information @ change[..., None])[..., 0]) * change, axis=-1)
+        return np.maximum(self._powers - gains / self._counts, 0.0)
+
+    def error(self, change: Array) -> float:
+        """Objective of :meth:`solve` at a change from the point ``(p,)``: the mean square over all measurements.
+
+            sum_c n_c |r_c|^2 / sum_c n_c F_c
+
+        with repeats n_c and features F_c of cluster c; the prior is left out.
+        """
+        return float(self._counts @ self.errors(change)) / float(self._counts.sum())
+
+    def residuals_at(self, change: Array) -> list[Array]:
+        """Mean residuals at a change from the point, ``(F,)`` per cluster [-]."""
+        return [t - j @ change for t, j in zip(self.targets, self.candidate.jacobians, strict=True)]
+
+    @cached_property
+    def leave_one_out_residuals(self) -> list[Array]:
+        """Leave-one-out residuals: of every cluster after the fit to all others, ``(F,)`` each [-]."""
+        return [
+            target - jacobian @ change
+            for target, jacobian, change in zip(self.targets, self.candidate.jacobians, self.left_out, strict=True)
+        ]
+
+    @cached_property
+    def left_out(self) -> Array:
+        """Leave-one-out estimates, as changes in parameter scales, ``(c, p)``."""
+        neighbours = self._neighbours or [()] * len(self.clusters)
+        return self._solved_without([[c, *neighbours[c]] for c in range(len(self.clusters))])
+
+    def _solved_without(self, left_out: Sequence[Sequence[int]]) -> Array:
+        """:meth:`solve` without some clusters, for every choice, ``(k, p)``; most solutions lie within the bounds."""
+        informations = np.array([self.total - self.information[chosen].sum(axis=0) for chosen in left_out])
+        scores = np.array([self._total_score - self.scores[chosen].sum(axis=0) for chosen in left_out])
+        changes = bounded(informations, scores, self._lower, self._upper)
+        candidate, held = self.candidate, self.candidate.inertial
+        if not np.any(held):
+            return changes
+        whole = self.solve()
+        for number, change in enumerate(changes):
+            if not candidate.physically_consistent(
+                candidate.point + change * candidate.scale
+            ):  # as in the fit to all clusters
+                lower, upper = np.where(held, whole, self._lower), np.where(held, whole + MIN_BOUND_GAP, self._upper)
+                changes[number] = bounded(informations[number], scores[number], lower, upper)
+        return changes
+
+    @cached_property
+    def held_out(self) -> Array:
+        """Leave-one-out mean square error of every cluster, ``(c,)`` [-]."""
+        return self.errors(self.left_out)
+
+    def jackknife(self) -> Array:
+        """Jackknife standard errors over the clusters, in parameter scales, ``(p,)`` (Efron 1982)."""
+        count = len(self.clusters)
+        alone = self._solved_without([[c] for c in range(count)]) if self._neighbours else self.left_out
+        spread = np.square(alone - alone.mean(axis=0)).sum(axis=0)
+        return np.asarray(np.sqrt((count - 1) / count * spread))
+
+    def half_widths(self, change: Array, null: NullDistribution, confidence: float = 0.95) -> Array:
+        """Half widths of intervals in parameter scales, ``(p,)``.
+
+        The prior shrinks parameters that the data do not determine to nominal. For true parameters that scatter about
+        nominal with the prior's covariance S, this bias has the covariance A^-1 P S P A^-1, with the total information
+        A and that of the prior P.
+        """
+        noise, jackknife, systematic, freedom = self._errors(change, null)
+        clusters: float | Array = sum(bool(np.any(jacobian)) for jacobian in self.candidate.jacobians)
+        return combined_half_width(
+            noise,
+            scipy.stats.t.ppf(0.5 + confidence / 2.0, freedom),
+            jackknife,
+            np.minimum(clusters, freedom + 1.0) if null.by_blocks else clusters,
+            systematic,
+            confidence,
+        )
+
+    def p_by_interval(self, change: Array, null: NullDistribution, index: int) -> float:
+        """p-value of one parameter being nominal, by Student's t with the standard error of its interval.
+
+        The sign-flip test has no power where few blocks depend on a parameter, however well these determine it.
+        Calibrations are left out.
+        """
+        noise, jackknife, systematic, freedom = (part[index] for part in self._errors(change, null))
+        error = math.hypot(max(noise, jackknife), systematic)
+        distance = abs(float(change[index] - self._nominal[index]))
+        return float(2.0 * scipy.stats.t.sf(distance / max(error, 1e-300), freedom))
+
+    def _errors(self, change: Array, null: NullDistribution) -> tuple[Array, Array, Array, Array]:
+        """Standard errors by noise, jackknife, and discrepancy with prior; degrees of freedom of noise, ``(p,)`` each.
+
+        See :meth:`half_widths`.
+        """
+        inverse = np.linalg.inv(self.total)
+        jacobians = self.candidate.jacobians
+        noise = null.covariance(jacobians, self.residuals_at(change), inverse)
+        pulled = inverse @ (np.square(self.candidate.prior * self._prior)[:, None] * inverse)
+        systematic = null.discrepancy(jacobians, inverse) + pulled
+        from_noise, from_others = (np.sqrt(np.maximum(np.diag(part), 0.0)) for part in (noise, systematic))
+        return from_noise, self.jackknife(), from_others, null.freedoms(jacobians, inverse)
+
+    def moved_by_calibrations(self) -> Array:
+        """Standard errors of the estimate from calibrations that all clusters share, ``(p,)``.
+
+        A calibration that an effect of the candidate spans, such as the gain of a torque, is fitted and adds none.
+        """
+        pairs = [
+            (np.sqrt(item.count) * item.calibrations, np.sqrt(item.count) * jacobian)
+            for item, jacobian in zip(self.clusters, self.candidate.jacobians, strict=True)
+            if item.calibrations is not None
+        ]
+        if not pairs:
+            return np.zeros(self.total.shape[0])
+        scores = np.sum([rows @ jacobian for rows, jacobian in pairs], axis=0)
+        changes = np.linalg.solve(self.total, scores.T).T
+        rests = [(rows, rows - changes @ jacobian.T) for rows, jacobian in pairs]
+        whole, left = np.sum([[np.sum(np.square(part), axis=1) for part in both] for both in rests], axis=0)
+        changes[left < MIN_UNFITTED_SHARE * whole] = 0.0
+        return np.asarray(np.sqrt(np.sum(np.square(changes), axis=0)))
+
+    def p_value(self, null: NullDistribution, tested: slice | Sequence[int]) -> float:
+        """p-value of some parameters being nominal while all others of the candidate are fitted (score test).
+
+        Args:
+            null: Of the residuals of the fit without the tested parameters, or of the model if nothing else is fitted.
+            tested: Indices of the tested parameters.
+        """
+        indices = np.arange(self.total.shape[0])
+        picked = indices[tested] if isinstance(tested, slice) else np.asarray(tested)
+        others = np.setdiff1d(indices, picked)
+        return null.p_value(
+            [jacobian[:, picked] for jacobian in self.candidate.jacobians],
+            [jacobian[:, others] for jacobian in self.candidate.jacobians],
+        )
+
+
+def bounded(information: Array, score: Array, lower: Array, upper: Array) -> Array:
+    """Minimiser of ``b^T information b / 2 - score^T b`` within bounds, of one problem or of several, ``(k, p)``.
+
+    Primal-dual active set method (Hintermüller, Ito and Kunisch 2002): entries stay at a bound as long as their
+    multipliers have the sign for it. The few problems that do not converge go to :func:`scipy.optimize.lsq_linear`.
+    """
+    change = np.linalg.solve(information, score[..., None])[..., 0]
+    matrices = information.reshape(-1, *information.shape[-2:])
+    scores, found = np.atleast_2d(score), np.atleast_2d(change)
+    low, high = found < lower - 1e-12, found > upper + 1e-12
+    left = np.flatnonzero(np.any(low | high, axis=-1))
+    for _ in range(MAX_ACTIVE_SETS):
+        if left.size == 0:
+            break
+        held = low[left] | high[left]
+        matrix = np.where(held[..., None], np.eye(held.shape[-1]), matrices[left])
+        ends = np.where(low[left], lower, np.where(high[left], upper, scores[left]))
+        found[left] = np.linalg.solve(matrix, ends[..., None])[..., 0]
+        pull = scores[left] - (matrices[left] @ found[left][..., None])[..., 0]
+        lower_now = np.where(low[left], pull <= 0.0, found[left] < lower - 1e-12)
+        upper_now = np.where(high[left], pull >= 0.0, found[left] > upper + 1e-12)
+        moved = np.any((lower_now != low[left]) | (upper_now != high[left]), axis=-1)
+        low[left], high[left] = lower_now, upper_now
+        left = left[moved]
+    for place in left:
+        root = np.linalg.cholesky(matrices[place]).T
+        target = np.linalg.solve(root.T, scores[place])
+        found[place] = scipy.optimize.lsq_linear(root, target, bounds=(lower, upper), method="bvls").x
+    return np.clip(found, lower, upper).reshape(score.shape)

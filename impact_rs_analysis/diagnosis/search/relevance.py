@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Practical relevance of effects: the change of every signal against its relevance limit."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from impact_rs_analysis.diagnosis.document import SizeDocument
+from impact_rs_analysis.diagnosis.search.fit import Fit
+from impact_rs_sim.robots.robot import Array
+
+MAX_SIZES = 3  # listed for an effect
+
+
+def changes_of(fitted: Fit, part: slice = slice(None), distance: Array | None = None) -> list[Array]:
+    """Absolute change of every feature by some parameters of a fit, ``(F,)`` per cluster, in the features' units.
+
+    To first order, |J_c delta| sigma_c with the sensitivities J_c of cluster c and its scales sigma_c.
+
+    Args:
+        fitted: The fit.
+        part: Which parameters.
+        distance: delta from a point without effect, ``(p,)`` [parameter scales]; None: from nominal.
+    """
+    if distance is None:
+        distance = ((fitted.estimate - fitted.candidate.nominal) / fitted.candidate.scale)[part]
+    pairs = zip(fitted.evidence.clusters, fitted.candidate.jacobians, strict=True)
+    return [np.abs(jacobian[:, part] @ distance) * item.sigma for item, jacobian in pairs]
+
+
+def exceeds_relevance_limit(fitted: Fit, part: slice = slice(None), distance: Array | None = None) -> bool:
+    """Whether some parameters of a fit change a feature by more than its relevance limit; see :func:`changes_of`."""
+    return any(
+        np.any(moved > [feature.relevance_limit for feature in item.features])
+        for item, moved in zip(fitted.evidence.clusters, changes_of(fitted, part, distance), strict=True)
+    )
+
+
+def noticeable(fitted: Fit, first: int = 0) -> bool:
+    """Whether the interval of a parameter, from index ``first`` on, excludes changes below that of the source.
+
+    An estimate at a bound of physics, such as no friction, is included; one at the end of a search range is not,
+    because its interval is invalid. Calibrations are taken as exact: they affect the size of an effect, not whether
+    there is one.
+    """
+    candidate = fitted.candidate
+    distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale - fitted.half_widths_of_noise
+    own = np.array([not scalar.shape for scalar in candidate.scalars]) & ~fitted.at_end_of_range
+    return bool(np.any((distance > fitted.evidence.source.least_change)[first:] & own[first:]))
+
+
+def is_relevant(fitted: Fit, name: str) -> bool:
+    """Whether an effect changes a signal beyond its relevance limit, or is noticeable in a recording."""
+    source = fitted.evidence.source
+    if not source.repeated and source.least_change > 0.0:
+        return noticeable(fitted)
+    return exceeds_relevance_limit(fitted, fitted.candidate.part(name))
+
+
+def sizes_of(fitted: Fit, name: str) -> list[SizeDocument]:
+    """Largest changes of signals by one effect of a fit, sorted by their ratio to the relevance limit."""
+    largest: dict[tuple[str, str], SizeDocument] = {}
+    for item, moved in zip(fitted.evidence.clusters, changes_of(fitted, fitted.candidate.part(name)), strict=True):
+        for one, value in zip(item.features, moved.tolist(), strict=True):
+            before = largest.get((one.phase, one.signal))
+            if value > (0.0 if before is None else before.value):
+                largest[one.phase, one.signal] = SizeDocument(
+                    phase=one.phase, signal=one.signal, value=value, unit=one.unit, floor=one.relevance_limit
+                )
+    return sorted(largest.values(), key=lambda size: -size.value / (size.floor or 1.0))[:MAX_SIZES]

@@ -1,0 +1,306 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Verdicts on effects and on their joints, with estimates, errors and sizes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rs_analysis.diagnosis.document import EffectDocument, EstimateDocument
+from impact_rs_analysis.diagnosis.search.effect_selection import tied_errors
+from impact_rs_analysis.diagnosis.search.fit import Evidence, Fit
+from impact_rs_analysis.diagnosis.search.relevance import is_relevant, sizes_of
+from impact_rs_analysis.diagnosis.thresholds import MAX_HALF_WIDTH, SIGNIFICANCE_LEVEL
+from impact_rs_analysis.diagnosis.verdict import (
+    AT_BOUND,
+    CONFIRMED,
+    NO_IMPROVEMENT,
+    SMALL,
+    TOO_FEW,
+    UNIDENTIFIABLE,
+    DiagnosisVerdict,
+    Kind,
+)
+from impact_rs_analysis.diagnosis.verdicts.model_verdict import Findings, excludes_nominal, reported_p
+from impact_rs_analysis.diagnosis.verdicts.residuals import residual_size
+from impact_rs_sim.effects import Effect
+from impact_rs_sim.robots.robot import Array
+
+SIZE_UNKNOWN = "predicts unseen data, but its interval holds the value at which it does nothing: more conditions decide"
+
+NOT_MEASURED = {
+    "motor side": "no motor-side signal was measured",
+    "actuation": "no commanded torque was measured",
+    "contact": "no contact was measured",
+    "object": "no object was measured",
+}
+
+
+def effect_documents(found: Findings, known: dict[str, Effect]) -> list[EffectDocument]:
+    """Documents of all effects: chosen ones, then the others by leave-one-out error, then those not measured."""
+    search = found.search
+    others = [_other_document(found, known[name]) for name in search.singles if name not in found.names]
+    others.sort(key=lambda report: report.held_out_error_after or 0.0)
+    reports = [*(_chosen_document(found, known[name]) for name in found.names), *others]
+    for name in sorted(search.unmeasured):
+        effect = known[name]
+        why = NOT_MEASURED.get(effect.acts_on, "no measured signal depends on it")
+        reports.append(
+            EffectDocument(
+                name=effect.shown_name,
+                sentence=effect.sentence,
+                verdict=UNIDENTIFIABLE,
+                reason=f"not measured: {why}",
+                measured=False,
+                parameters={},
+                held_out_error_before=None,
+                held_out_error_after=None,
+                p_value=None,
+            )
+        )
+    return reports
+
+
+def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
+    chosen, evidence = found.chosen, found.evidence
+    assert chosen is not None
+    name = effect.name
+    part = chosen.candidate.part(name)
+    rivals = found.shown(found.tied_with(name))
+    own = np.array([not scalar.shape for scalar in chosen.candidate.scalars[part]])
+    bound, shape = chosen.held_at_bound[part][own], chosen.held_at_bound[part][~own]
+    places = any(scalar.joint is not None or scalar.arm for scalar in chosen.candidate.scalars[part])
+    if evidence.null.shortage is not None:
+        verdict, reason = TOO_FEW, evidence.null.shortage
+    elif np.all(undetermined(chosen)[part][own]):
+        verdict, reason = UNIDENTIFIABLE, "the data do not determine it: its interval is too wide"
+    elif np.all(bound) or (np.any(bound) and not places) or np.any(shape):
+        verdict, reason = AT_BOUND, "the best value lies at a bound: another effect may be missing"
+    elif not is_relevant(chosen, name):
+        size = sizes_of(chosen, name)[0]
+        verdict = SMALL
+        reason = f"at most {size.value:.2g} {size.unit} of the {size.signal}; relevance limit {size.floor:.2g}"
+    elif rivals:
+        verdict = DiagnosisVerdict(Kind.CONFUSABLE, tuple(sorted(rivals)))
+        reason = "other effects predict unseen data as well"
+    else:
+        verdict, reason = CONFIRMED, "predicts unseen data, and no other effect does as well"
+    parameters = _estimates(found, chosen, name)
+    if verdict == CONFIRMED and (alike := _alike_at_joints([one.verdict for one in parameters.values()])):
+        rivals = alike
+        verdict = DiagnosisVerdict(Kind.CONFUSABLE, alike)
+        reason = "at no joint it predicts unseen data better than these"
+    if verdict == CONFIRMED or rivals:
+        shapes = {scalar.name for scalar in chosen.candidate.scalars[part] if scalar.shape}
+        if not any(parameters[key].excludes_nominal for key in parameters.keys() - shapes):
+            verdict, reason = UNIDENTIFIABLE, SIZE_UNKNOWN
+    searched = () if found.hold_out is None else found.hold_out.found
+    return EffectDocument(
+        name=effect.shown_name,
+        sentence=effect.sentence,
+        verdict=verdict,
+        reason=reason,
+        rivals=rivals,
+        parameters=parameters,
+        held_out_error_before=_error(found, None),
+        held_out_error_after=_error(found, chosen),
+        held_out_error_alone=_error(found, found.chosen if found.names == (name,) else found.search.alone(name)),
+        held_out_error_others=_error_without(found, name),
+        p_value=reported_p(found.adjusted[name]),
+        p_value_alone=reported_p(found.p_values[name]),
+        sizes=tuple(sizes_of(chosen, name)),
+        chosen_in_folds=sum(name in names for names in searched) if searched else None,
+    )
+
+
+def _other_document(found: Findings, effect: Effect) -> EffectDocument:
+    """Document of an unchosen effect: fitted in place of its chosen rival, or else added to the chosen ones."""
+    search, evidence, name = found.search, found.evidence, effect.name
+    own = [rival for rival in found.rivals if rival.name == name]
+    tied = [rival for rival in own if rival.tied]
+    best = min(tied or own, key=lambda rival: rival.fit.score, default=None)
+    fitted = search.beside(found.chosen, name) if best is None else best.fit
+    part = fitted.candidate.part(name)
+    shown = np.array([not scalar.shape for scalar in fitted.candidate.scalars[part]])
+    p = found.adjusted.get(name, 1.0)
+    rivals = found.shown(dict.fromkeys(rival.instead_of for rival in tied))
+    if evidence.null.shortage is not None:
+        verdict, reason = TOO_FEW, evidence.null.shortage
+    elif evidence.source.impossible:
+        verdict, reason = UNIDENTIFIABLE, "the measurements break a law that holds for every contact"
+    elif np.all(undetermined(fitted)[part][shown]):
+        verdict, reason = UNIDENTIFIABLE, "the data do not determine it: its interval is too wide"
+    elif rivals:
+        verdict = DiagnosisVerdict(Kind.CONFUSABLE, tuple(sorted(rivals)))
+        reason = "predicts unseen data as well in place of the chosen effect"
+    elif p < SIGNIFICANCE_LEVEL and best is None:
+        size = sizes_of(fitted, name)
+        verdict, reason = NO_IMPROVEMENT, "significant, but it hardly lowers the held-out error"
+        if not excludes_nominal(fitted, name):
+            reason = "significant, but its interval contains the nominal value"
+        elif size and all(entry.value <= entry.floor for entry in size):
+            verdict = SMALL
+            reason = f"at most {size[0].value:.2g} {size[0].unit} of the {size[0].signal}"
+    else:
+        verdict, reason = NO_IMPROVEMENT, ""
+        if name in search.ruled_out:
+            reason = "free motion shows no sign of it, so it was not fitted in contact"
+    before = _error(found, found.chosen)
+    return EffectDocument(
+        name=effect.shown_name,
+        sentence=effect.sentence,
+        verdict=verdict,
+        reason=reason,
+        rivals=rivals,
+        parameters=_estimates(found, fitted, name),
+        held_out_error_before=before,
+        held_out_error_after=_error(found, fitted),
+        held_out_error_alone=_error(found, found.chosen if found.names == (name,) else found.search.alone(name)),
+        held_out_error_others=before if best is None else _error_without(found, best.instead_of),
+        p_value=reported_p(p),
+        p_value_alone=reported_p(found.p_values.get(name, 1.0)),
+        sizes=tuple(sizes_of(fitted, name)) if verdict != NO_IMPROVEMENT else (),
+    )
+
+
+def _error(found: Findings, fitted: Fit | None) -> float:
+    """Leave-one-out error of a fit, or of the model (None)."""
+    rest = [item.mean for item in found.evidence.clusters] if fitted is None else fitted.problem.leave_one_out_residuals
+    return residual_size(found.evidence, rest)
+
+
+def _error_without(found: Findings, name: str) -> float | None:
+    """Leave-one-out error of the chosen effects but one; None if they cannot be simulated."""
+    assert found.chosen is not None
+    if found.names == (name,):
+        return _error(found, None)
+    fitted = found.search.without(found.chosen, name)
+    return None if fitted is None else _error(found, fitted)
+
+
+def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDocument]:
+    """Estimates of one effect with intervals, clipped to the bounds of the parameters."""
+    candidate = fitted.candidate
+    part = candidate.part(name)
+    ends = _ends(found, fitted, part)
+    result = {}
+    for index in range(part.start, part.stop):
+        scalar = candidate.scalars[index]
+        value = round(float(fitted.estimate[index]) / scalar.scale, 9) * scalar.scale  # no rounding error at bounds
+        low, high = (float(end[index - part.start]) for end in ends)
+        verdict = p = before = after = None
+        if scalar.joint is not None and name in found.names and fitted is found.chosen:
+            verdict, p, before, after = _joint(found, fitted, index)
+        low, high = min(low, value), max(high, value)
+        if verdict is not None and verdict.kind in (Kind.CONFIRMED, Kind.CONFUSABLE) and low <= scalar.nominal <= high:
+            verdict = UNIDENTIFIABLE
+        result[scalar.name] = EstimateDocument(
+            estimate=value,
+            ci95=(low, high),
+            unit=scalar.unit,
+            meaning=scalar.meaning,
+            joint=None if scalar.joint is None else f"joint{scalar.joint + 1}",
+            arm=scalar.arm or None,
+            verdict=verdict,
+            p_value=p,
+            error_before=before,
+            error_after=after,
+            nominal=scalar.nominal,
+            scale=None if scalar.shape else scalar.scale,
+            range=(float(candidate.lower[index]), float(candidate.upper[index])),
+            at_bound=bool(fitted.held_at_bound[index]),
+        )
+    return result
+
+
+def _ends(found: Findings, fitted: Fit, part: slice) -> tuple[Array, Array]:
+    """Ends of the 95 % intervals of one effect, ``(k,)`` each; simulated where its signals may be nonlinear."""
+    if fitted is found.chosen:
+        return fitted.interval[0][part], fitted.interval[1][part]
+    source = found.search.source
+    if source.of_motion and source.repeated and not _seen_in_free_motion(fitted, part):
+        return fitted.interval_of(range(part.start, part.stop))
+    candidate, half = fitted.with_room, fitted.half_widths * fitted.candidate.scale
+    low, high = fitted.estimate - half, fitted.estimate + half
+    return np.maximum(low, candidate.lower)[part], np.minimum(high, candidate.upper)[part]
+
+
+def _seen_in_free_motion(fitted: Fit, part: slice) -> bool:
+    """Whether free motion, which is nearly linear in every parameter, depends on an effect."""
+    if fitted.evidence.free_motion_part is None:
+        return False
+    free = fitted.evidence.linearised_in_free_motion(fitted.candidate).jacobians
+    return any(np.any(jacobian[:, part]) for jacobian in free)
+
+
+def undetermined(fitted: Fit) -> NDArray[np.bool_]:
+    """Mask of the parameters that are not identifiable, ``(p,)``: wide intervals that contain the nominal value.
+
+    Parameter scales follow the size of the robot. A drive that is large beside a light arm has wide intervals on that
+    scale and is determined all the same, if its interval excludes nominal.
+    """
+    away = np.abs(fitted.estimate - fitted.candidate.nominal) / fitted.candidate.scale
+    return np.asarray((fitted.half_widths > MAX_HALF_WIDTH) & (fitted.half_widths >= away))
+
+
+def _joint(found: Findings, fitted: Fit, index: int) -> tuple[DiagnosisVerdict, float, float | None, float | None]:
+    """Verdict and p-value of one joint's parameter given all others; its leave-one-out error without and with."""
+    candidate, evidence = fitted.candidate, fitted.evidence
+    scalar = candidate.scalars[index]
+    joint = f"joint{(scalar.joint or 0) + 1}"
+    without = evidence.problem(candidate.fixed(index))
+    left = without.residuals_at(without.solve())
+    shifts = [item.mean - rest for item, rest in zip(evidence.clusters, left, strict=True)]
+    if evidence.null.by_blocks:
+        p = fitted.problem.p_by_interval(fitted.change, evidence.null, index)
+    else:
+        p = fitted.problem.p_value(evidence.shifted(shifts).null, [index])
+    rest, rest_without = fitted.problem.leave_one_out_residuals, without.leave_one_out_residuals
+    own, own_without = (_of_joint(evidence, values, scalar.arm, joint) for values in (rest, rest_without))
+    if not own.size:  # nothing of the joint was measured
+        return UNIDENTIFIABLE, 1.0, None, None
+    error, error_without = float(own.mean()), float(own_without.mean())
+    rivals = [
+        name
+        for name, other in found.search.joint_alternatives(candidate, index)
+        if tied_errors(
+            own, _of_joint(evidence, evidence.problem(other).leave_one_out_residuals, scalar.arm, joint), 1e-12
+        )
+    ]
+    if undetermined(fitted)[index]:
+        verdict = UNIDENTIFIABLE
+    elif fitted.held_at_bound[index]:
+        verdict = AT_BOUND
+    elif p >= SIGNIFICANCE_LEVEL:
+        verdict = NO_IMPROVEMENT
+    else:
+        verdict = DiagnosisVerdict(Kind.CONFUSABLE, tuple(sorted(found.shown(rivals)))) if rivals else CONFIRMED
+    if evidence.source.repeated:
+        return verdict, reported_p(p), None, None
+    item = evidence.clusters[0]
+    sigma = next(float(s) for f, s in zip(item.features, item.sigma, strict=True) if f.index == joint)
+    return verdict, reported_p(p), sigma * math.sqrt(error_without), sigma * math.sqrt(error)
+
+
+def _of_joint(evidence: Evidence, rest: Sequence[Array], arm: str, joint: str) -> Array:
+    """Mean square residual of one joint by cluster that measures it, ``(c,)`` [-]; ``arm`` empty: all arms."""
+    picked = []
+    for item, values in zip(evidence.clusters, rest, strict=True):
+        own = np.array([f.index.rsplit(".", 1)[-1] == joint and (not arm or f.arm in ("", arm)) for f in item.features])
+        if np.any(own):
+            picked.append(float(np.mean(np.square(values[own]))))
+    return np.array(picked)
+
+
+def _alike_at_joints(verdicts: Sequence[DiagnosisVerdict | None]) -> tuple[str, ...]:
+    """Rivals of an effect by the verdicts on its joints: common to all joints, or else of any.
+
+    Empty if a joint is confirmed, or no joint has a rival: an effect is as certain as the most certain of its joints.
+    """
+    sets = [set(one.names) for one in verdicts if one is not None and one.kind is Kind.CONFUSABLE]
+    if CONFIRMED in verdicts or not sets:
+        return ()
+    return tuple(sorted(set.intersection(*sets) or set.union(*sets)))

@@ -1,0 +1,309 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Result of a search, the effects that the hold-out supports, and the verdict on the model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy
+
+from impact_rs_analysis.diagnosis.document import LackOfFit, explained
+from impact_rs_analysis.diagnosis.search.effect_selection import Rival, Search
+from impact_rs_analysis.diagnosis.search.fit import Evidence, Fit
+from impact_rs_analysis.diagnosis.search.hold_out import HoldOut
+from impact_rs_analysis.diagnosis.search.relevance import is_relevant
+from impact_rs_analysis.diagnosis.thresholds import MIN_EXPLAINED_SHARE, MIN_REPORTED_P, SIGNIFICANCE_LEVEL
+from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, NONE, NOTHING, SMALL, TOO_FEW, DiagnosisVerdict, Kind
+from impact_rs_analysis.diagnosis.verdicts.residuals import (
+    beyond_stated_noise,
+    exceeds_noise,
+    noise_size,
+    residual_size,
+    rests_of,
+    stated_signals,
+)
+from impact_rs_sim.robots.robot import Array
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Input of the verdicts.
+
+    Attributes:
+        search: Search over all clusters.
+        chosen: The accepted fit; None if no effect was accepted.
+        rivals: Alternatives to the chosen effects.
+        hold_out: Held-out errors; None with too few clusters.
+        p_values: Unadjusted, by effect: of unchosen effects given the chosen ones, of each chosen effect given the
+            other chosen ones.
+        suspected: Without repeats, effects that lower the held-out error by less than its interval.
+        within_discrepancy: Effects that lower an error of impacts that is within the discrepancy of the rigid map.
+        unsupported: Effects selected in all data that the hold-out does not support, with the reason; empty: none.
+    """
+
+    search: Search
+    chosen: Fit | None
+    rivals: tuple[Rival, ...]
+    hold_out: HoldOut | None
+    p_values: dict[str, float]
+    suspected: tuple[str, ...] = ()
+    within_discrepancy: tuple[str, ...] = ()
+    unsupported: str = ""
+
+    @property
+    def evidence(self) -> Evidence:
+        """Residuals of the model."""
+        return self.search.evidence
+
+    @cached_property
+    def adjusted(self) -> dict[str, float]:
+        """Benjamini-Hochberg adjusted p-values of all effects."""
+        return self.search.adjusted(self.p_values)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Chosen effects."""
+        return () if self.chosen is None else self.chosen.candidate.names
+
+    @property
+    def unexplained(self) -> list[Array]:
+        """Mean residuals with the chosen effects, ``(F,)`` per cluster [-]."""
+        return [item.mean for item in self.evidence.clusters] if self.chosen is None else self.chosen.residuals
+
+    @property
+    def held_out_sizes(self) -> tuple[float, float]:
+        """Held-out error of the model, and of the nested cross-validation."""
+        return _held_out_sizes(self.search, self.hold_out)
+
+    @property
+    def share_left(self) -> float:
+        """Share of the squared held-out error beyond noise that remains [-]."""
+        return 1.0 - explained(*self.held_out_sizes, noise_size(self.evidence))
+
+    def shown(self, names: Iterable[str]) -> tuple[str, ...]:
+        """Names of effects in documents."""
+        return shown_names(self.search, names)
+
+    def tied_with(self, name: str) -> tuple[str, ...]:
+        """Effects that predict as well in place of a chosen one."""
+        return tuple(dict.fromkeys(one.name for one in self.rivals if one.instead_of == name and one.tied))
+
+
+def shown_names(search: Search, names: Iterable[str]) -> tuple[str, ...]:
+    """Names of effects of a search in documents."""
+    return tuple(search.source.known_effects[name].shown_name for name in names)
+
+
+def reported_p(value: float) -> float:
+    """A p-value, bounded below by ``MIN_REPORTED_P``: the tails of the noise are not known further out."""
+    return max(value, MIN_REPORTED_P)
+
+
+def excludes_nominal(fitted: Fit, name: str) -> bool:
+    """Whether the 95 % interval of some parameter of an effect excludes its nominal value."""
+    candidate = fitted.candidate
+    distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale
+    own = np.array([not scalar.shape for scalar in candidate.scalars])
+    return bool(np.any(((distance > fitted.half_widths) & own)[candidate.part(name)]))
+
+
+def without_uncertain_effects(search: Search, chosen: Fit) -> Fit | None:
+    """The chosen effects without those that are neither relevant nor off nominal by their interval; or None."""
+    for name in chosen.candidate.names:
+        if is_relevant(chosen, name) or excludes_nominal(chosen, name):
+            continue
+        if len(chosen.candidate.names) == 1:
+            return None
+        others = search.without(chosen, name)
+        if others is not None:
+            return without_uncertain_effects(search, others)
+    return chosen
+
+
+def supported_by_hold_out(search: Search, chosen: Fit, held: HoldOut) -> Fit | None:
+    """The chosen effects that the nested hold-out supports; None if it supports none.
+
+    Searches that have not seen a fold must predict it better than the model does. With repeats, the p-values of the
+    effects already account for chance, and the sign of the change decides: its interval would require twice the effect,
+    because the squared error falls by 2 r d - d^2 with mean d^2 and standard deviation 2 d. Without repeats p-values
+    are less reliable, and the 95 % interval has to exclude 0. Effects that cannot be simulated in a fold are not
+    supported. Without repeats an effect also has to be selected, or replaced by another one, in most folds, and
+    effects below relevance need no support, because they hardly change a prediction.
+    """
+    if held.failed:
+        return None
+    repeated = search.evidence.source.repeated
+    if not repeated and not any(is_relevant(chosen, name) for name in chosen.candidate.names):
+        return chosen
+    change = change_interval([item.mean for item in search.evidence.clusters], held.residuals, search.evidence)
+    if not (lowers_held_out_error(search, held) if repeated else change is not None and change[1] < 0.0):
+        return None
+    for name in () if repeated else chosen.candidate.names:
+        if not held.found or 2 * sum(_found_or_replaced(name, f, chosen) for f in held.found) > len(held.found):
+            continue
+        others = search.without(chosen, name) if len(chosen.candidate.names) > 1 else None
+        return None if others is None else supported_by_hold_out(search, others, held)
+    return chosen
+
+
+def _found_or_replaced(name: str, found: Sequence[str], chosen: Fit) -> bool:
+    """Whether the search of a fold selects an effect, or one that the search of all data does not select."""
+    return name in found or any(other not in chosen.candidate.names for other in found)
+
+
+def unsupported_words(search: Search, suspected: Sequence[str], held: HoldOut) -> str:
+    """Why effects that were selected in all data are not named."""
+    before, after = _held_out_sizes(search, held)
+    found = sum(any(name in names for name in suspected) for names in held.found)
+    what = " and ".join(shown_names(search, suspected))
+    if held.failed:
+        return f"not named, because {what} cannot be simulated in a condition that was held out"
+    lower, it = ("lowers", "it") if len(suspected) == 1 else ("lower", "them")
+    folds = f"searches without the data that they predict find {it} in {found} of {len(held.found)} folds, and "
+    return (
+        f"not named, because the hold-out does not support it: {what} {lower} the error in all data, but "
+        f"{folds if held.found else ''}the held-out error goes from {before:.3g} to {after:.3g}"
+    )
+
+
+def lowers_held_out_error(search: Search, held: HoldOut) -> bool:
+    """Whether the nested cross-validation has a lower error than the model."""
+    before, after = _held_out_sizes(search, held)
+    return after < before
+
+
+def within_discrepancy(search: Search) -> tuple[str, ...]:
+    """The effect with the lowest leave-one-out error of impacts, if it more than halves it; empty: none does.
+
+    If a search names nothing all the same, the change by this effect is within the discrepancy of the rigid map.
+    """
+    if search.evidence.source.of_motion or not search.evidence.source.discrepancy_document.used:
+        return ()
+    scores = {name: search.alone(name).score for name in search.singles}
+    best = min(scores, key=lambda name: scores[name], default="")
+    before = float(np.mean([np.mean(np.square(item.mean)) for item in search.evidence.clusters]))
+    return (best,) if best and scores[best] < (1.0 - MIN_EXPLAINED_SHARE) * before else ()
+
+
+def _held_out_sizes(search: Search, held: HoldOut | None) -> tuple[float, float]:
+    """Held-out error of the model, and of the nested cross-validation."""
+    evidence = search.evidence
+    before = [item.mean for item in evidence.clusters]
+    after = before if held is None else held.residuals
+    return residual_size(evidence, before), residual_size(evidence, after)
+
+
+def headline(found: Findings) -> tuple[DiagnosisVerdict, LackOfFit]:
+    """The verdict on the model, and the p-values of lack of fit before and after the chosen effects."""
+    evidence, chosen = found.evidence, found.chosen
+    before = evidence.lack_of_fit
+    after = before if chosen is None else chosen.lack_of_fit()
+    if evidence.null.shortage is not None:
+        verdict = TOO_FEW
+    elif evidence.source.impossible:
+        verdict = IMPOSSIBLE
+    else:
+        stated = stated_signals(evidence)
+        if stated:
+            before = beyond_stated_noise(evidence, [item.mean for item in evidence.clusters])
+            after = beyond_stated_noise(evidence, found.unexplained, 0 if chosen is None else chosen.change.size)
+        verdict = _on_model(found, stated, after)
+    first, last = (None if p is None else reported_p(p) for p in (before, after))
+    return verdict, LackOfFit(before=first, after=last)
+
+
+def _on_model(found: Findings, stated: set[tuple[str, str]], p_value: float | None) -> DiagnosisVerdict:
+    """The verdict on a model, by the residuals after the chosen effects.
+
+    Args:
+        found: Result of the search.
+        stated: Signals of a table without repeats whose noise is stated.
+        p_value: Lack of fit of the remaining residuals.
+    """
+    evidence, chosen = found.evidence, found.chosen
+    tested = evidence.source.repeated or bool(stated)
+    significant = p_value is not None and p_value < SIGNIFICANCE_LEVEL
+    if tested:
+        rests = rests_of(evidence, found.unexplained)
+        unexplained = significant and any(
+            rest.value > rest.floor for rest in rests if not stated or (rest.signal, rest.index) in stated
+        )
+    else:
+        unexplained = exceeds_noise(evidence, found.unexplained)
+    if chosen is None:
+        # Without lack of fit a significant effect explains no deficit of the model.
+        return NONE if unexplained else SMALL if tested and significant else NOTHING
+    if unexplained:
+        return (
+            DiagnosisVerdict(Kind.PARTLY, found.shown(found.names))
+            if found.share_left < 1.0 - MIN_EXPLAINED_SHARE
+            else NONE
+        )
+    if tested and not any(is_relevant(chosen, name) for name in found.names):
+        return SMALL
+    return DiagnosisVerdict(Kind.NAMED, found.shown(found.names))
+
+
+def change_interval(before: Sequence[Array], after: Sequence[Array], evidence: Evidence) -> tuple[float, float] | None:
+    """95 % interval of the change of the held-out size; None with too few clusters.
+
+    From the scatter of repeats (:func:`_by_repeats`), or without repeats from a jackknife over the clusters
+    (:func:`_by_clusters`).
+
+    Args:
+        before: Mean residuals of the model, ``(F,)`` per cluster [-].
+        after: Mean residuals with the effects, ``(F,)`` per cluster [-].
+        evidence: The clusters.
+    """
+    if len(before) < 2:
+        return None
+    known = evidence.source.repeated and evidence.null.freedom > 0
+    return (_by_repeats if known else _by_clusters)(before, after, evidence)
+
+
+def _by_repeats(before: Sequence[Array], after: Sequence[Array], evidence: Evidence) -> tuple[float, float]:
+    """Interval of a change of the held-out size, from the noise of the held-out residuals.
+
+    A prediction d_c of cluster c does not depend on that cluster's noise e_c, so the squares fall by
+
+        |r_c|^2 - |r_c - d_c|^2 = 2 r_c d_c - |d_c|^2,    with variance 4 d_c cov(e_c) d_c
+
+    where cov(e_c) is the scatter of repeats, pooled over the layout. The model discrepancy is left out: a better
+    prediction is better, whether the model or its simulator was wrong. The p-value distinguishes these.
+    """
+    variance = 0.0
+    for item, first, second in zip(evidence.clusters, before, after, strict=True):
+        moved = (first - second) / first.size
+        like = [other for other in evidence.clusters if other.layout == item.layout]
+        freedom = sum(other.count - 1 for other in like)
+        scatter = sum(float(np.sum(np.square((other.residuals - other.mean) @ moved))) for other in like)
+        variance += 4.0 * scatter / max(freedom, 1) / item.count
+    scale = float(evidence.expected.sum())
+    sizes = [residual_size(evidence, rest) for rest in (before, after)]
+    half = float(scipy.stats.t.ppf(0.975, evidence.null.freedom)) * math.sqrt(variance) / scale
+    ends = [math.sqrt(max(sizes[1] ** 2 + side * half, 0.0)) - sizes[0] for side in (-1.0, 1.0)]
+    return ends[0], ends[1]
+
+
+def _by_clusters(before: Sequence[Array], after: Sequence[Array], evidence: Evidence) -> tuple[float, float]:
+    """Interval of a change of the held-out size, from the scatter of its ratio over the clusters (jackknife).
+
+    The logarithm of the ratio is about normal, because an effect lowers large and small errors by similar shares.
+    """
+    count = len(before)
+
+    def ratio(kept: Sequence[int]) -> float:
+        part = evidence.only(kept)
+        sizes = [residual_size(part, [rest[n] for n in kept]) for rest in (before, after)]
+        return math.log(max(sizes[1], 1e-12) / max(sizes[0], 1e-12))
+
+    whole = ratio(range(count))
+    alone = np.array([ratio([n for n in range(count) if n != left]) for left in range(count)])
+    spread = math.sqrt((count - 1) / count * float(np.sum(np.square(alone - alone.mean()))))
+    half = float(scipy.stats.t.ppf(0.975, count - 1)) * spread
+    size = residual_size(evidence, before)
+    return size * math.expm1(whole - half), size * math.expm1(whole + half)

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Difference of two recordings of one motion, for example with and without a load.
+
+The residual torque of a reference is subtracted from the recorded torque, at the same position of the motion:
+
+    tau'(t) = tau(t) - (tau_r - tau_r,model)(t + s)
+
+Friction, offsets and wrong link parameters are in both recordings and cancel; the residual of tau' was added between
+them. Each recording is predicted along its own measured motion, so a small difference of the motions changes tau' only
+by the errors of the model. The shift s minimises the mean square distance of the positions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+from impact_rs_analysis.evidence.free_motion.torque_balance import Motion, TorqueBalance
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robots.robot import Array
+
+SHIFTS_PER_PERIOD = 4.0  # of the cut-off frequency, tried before the best one is refined
+MIN_OVERLAP_SHARE = 0.5  # of the shorter motion
+PATH_POINTS = 200  # at equal arc length, where two paths are compared
+MAX_DISTANCE_SHARE = 0.05  # rms distance over the size of the motion; above, it is another motion
+WALL_CLOCK_FROM_S = 1e8  # 1973; smaller times count from the start of a recording
+MAX_ORDER_IMBALANCE = 0.2  # of the time of all recordings, between the mean times of both kinds
+
+
+@dataclass(frozen=True)
+class Match:
+    """Best alignment of a motion with a reference.
+
+    Attributes:
+        number: Index of the reference.
+        shift: Time of the reference minus time of the motion [s].
+        apart: Distance of their positions, rms over time and joints [rad].
+    """
+
+    number: int
+    shift: float
+    apart: float
+
+
+def minus_references(
+    motions: Sequence[Motion],
+    files: Sequence[Path],
+    references: Sequence[Motion],
+    physics: Physics,
+    at_motor: bool,
+) -> list[Motion]:
+    """Every motion with the residual torque of the nearest reference subtracted, where the two overlap.
+
+    Args:
+        motions: Motions of the recordings.
+        files: Their files, for messages.
+        references: Motions of the recordings to subtract.
+        physics: Physics of the arm under the model.
+        at_motor: Whether the torque was measured at the motors.
+
+    Raises:
+        InputError: No reference follows the motion of a recording.
+    """
+    predicted = TorqueBalance([one.without_motors for one in references], at_motor).predicted(physics)
+    rests = [reference.torque - torque for reference, torque in zip(references, predicted, strict=True)]
+    found = []
+    for motion, file in zip(motions, files, strict=True):
+        match = nearest(motion, references)
+        size = float(np.sqrt(np.mean(np.square(motion.position - motion.position.mean(axis=0)))))
+        if match is None or match.apart > MAX_DISTANCE_SHARE * size:
+            apart = "too short" if match is None else f"{match.apart:.3g} rad rms apart at best"
+            reason = f"{apart}; the motion has {size:.3g} rad rms"
+            if (speed := _speed_ratio_on_path(motion, references, MAX_DISTANCE_SHARE * size)) is not None:
+                reason = (
+                    f"one goes the same way {speed:.2g} times as fast; friction and inertial torques then differ, and "
+                    "their residuals do not cancel"
+                )
+            raise InputError(
+                f"follows the motion of no recording of --minus ({reason}): record the same motion twice at the same "
+                "speed, without and with the load",
+                file=file,
+            )
+        reference = references[match.number]
+        place = motion.time + match.shift
+        first, last = reference.time[reference.kept][[0, -1]]
+        inside = np.flatnonzero((place >= first) & (place <= last))
+        found.append(
+            replace(
+                motion.without_motors,
+                torque=motion.torque - _at(place, reference.time, rests[match.number]),
+                noise=np.hypot(motion.noise, reference.noise),
+                kept=slice(max(motion.kept.start, int(inside[0])), min(motion.kept.stop, int(inside[-1]) + 1)),
+            )
+        )
+    return found
+
+
+def order_warning(recorded: Sequence[Array], subtracted: Sequence[Array]) -> str | None:
+    """Warning that a drift, as of friction while gears warm up, does not cancel; None: it does, or times are unknown.
+
+    A drift that is linear in time cancels if both kinds of recordings have the same mean time, as in the order ABBA.
+
+    Args:
+        recorded: Timestamps of the recordings, ``(k,)`` each [s].
+        subtracted: Those of the recordings of ``--minus``.
+    """
+    every = [*recorded, *subtracted]
+    if any(time[0] < WALL_CLOCK_FROM_S for time in every):
+        return None
+    span = max(float(time[-1]) for time in every) - min(float(time[0]) for time in every)
+    middle, other = (float(np.mean([time.mean() for time in times])) for times in (recorded, subtracted))
+    if abs(middle - other) <= MAX_ORDER_IMBALANCE * span:
+        return None
+    when = "later" if middle > other else "earlier"
+    return (
+        f"the recordings are on average {abs(middle - other) / 60.0:.3g} minutes {when} "
+        "than those of --minus: what drifts meanwhile, as friction while gears warm up, stays in the difference. The "
+        "order without, with, with, without cancels a linear drift"
+    )
+
+
+def _speed_ratio_on_path(motion: Motion, references: Sequence[Motion], near: float) -> float | None:
+    """Speed of a reference on the same path, within ``near`` [rad], over that of the motion; None if none is."""
+    path, speed = _path(motion)
+    for other in references:
+        other_path, its_speed = _path(other)
+        if np.sqrt(np.mean(np.square(path - other_path))) <= near:
+            return its_speed / speed
+    return None
+
+
+def _path(motion: Motion) -> tuple[Array, float]:
+    """Positions at equal arc length along the path, ``(k, n)`` [rad], and the mean speed on it [rad/s]."""
+    length = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(motion.position, axis=0), axis=1))))
+    return _at(np.linspace(0.0, length[-1], PATH_POINTS), length, motion.position), float(length[-1] / motion.time[-1])
+
+
+def nearest(motion: Motion, references: Sequence[Motion]) -> Match | None:
+    """The reference and time shift nearest to a motion; None if no reference overlaps it for long enough."""
+    matches = [match for number, other in enumerate(references) if (match := _match(motion, number, other)) is not None]
+    return min(matches, key=lambda match: match.apart, default=None)
+
+
+def _match(motion: Motion, number: int, other: Motion) -> Match | None:
+    time, position = motion.time[motion.kept], motion.position[motion.kept]
+    first, last = other.time[other.kept][[0, -1]]
+    least = MIN_OVERLAP_SHARE * min(time.size / motion.rate, last - first)
+
+    def apart(shift: float) -> float:
+        inside = (time + shift >= first) & (time + shift <= last)
+        if np.count_nonzero(inside) < least * motion.rate:
+            return np.inf
+        distance = position[inside] - _at(time[inside] + shift, other.time, other.position)
+        return float(np.sqrt(np.mean(np.square(distance))))
+
+    step = 1.0 / (SHIFTS_PER_PERIOD * motion.cut_off)
+    shifts = np.arange(first - time[-1] + least, last - time[0] - least + step, step)
+    best = min(shifts.tolist(), key=apart, default=None)
+    if best is None or not np.isfinite(apart(best)):
+        return None
+    fine = scipy.optimize.minimize_scalar(apart, bounds=(best - step, best + step), method="bounded")
+    shift = min((best, float(fine.x)), key=apart)
+    return Match(number, shift, apart(shift))
+
+
+def _at(wanted: Array, time: Array, values: Array) -> Array:
+    """Columns of ``values`` at other times."""
+    return np.column_stack([np.interp(wanted, time, column) for column in values.T])

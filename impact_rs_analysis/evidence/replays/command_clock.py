@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of another controller: reading, and the offset of the clock of their commands from that of the joints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from impact_rs_analysis.evidence.replays.features import FreeBalances
+from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs
+from impact_rs_analysis.evidence.replays.replay import FREE_WINDOW_S, free_starts, held_means, recorded
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robots.robot import Array
+from impact_rs_trials.recordings.experiment import Experiment
+from impact_rs_trials.recordings.laboratory import read_laboratory
+from impact_rs_trials.recordings.remarks import Amount, Remark, merged
+from impact_rs_trials.runs import ArmSignals, Run
+from impact_rs_trials.workers import Map
+
+MAX_OFFSET_PERIODS = 0.5  # sampling periods; a larger offset is a delay, left to the diagnosis
+SLOPE_AVERAGING_S = 0.002  # of the command at both ends of a window, for its slope
+MIN_WINDOWS_OF_JOINT = 8  # for five terms
+
+
+def read_laboratory_runs(directory: Path, experiment: Experiment, map_tasks: Map) -> Runs:
+    """Every run of an experiment.
+
+    Args:
+        directory: Folder of the recordings.
+        experiment: Description of the recordings.
+        map_tasks: Parallel map.
+
+    Raises:
+        InputError: A file cannot be used; the message names it.
+    """
+    return read_runs_of_scenes(directory, (experiment,), map_tasks)
+
+
+def read_runs_of_scenes(directory: Path, experiments: Sequence[Experiment], map_tasks: Map) -> Runs:
+    """Every run of several experiments with the same arms, each in its own scene; they share one clock offset.
+
+    Args:
+        directory: Folder of the recordings.
+        experiments: Descriptions of the recordings, each with its scenario and its table of runs.
+        map_tasks: Parallel map.
+
+    Raises:
+        InputError: A file cannot be used; the message names it.
+    """
+    read = [read_laboratory(directory, experiment, map_tasks) for experiment in experiments]
+    runs, skipped = ([item for part in parts for item in part] for parts in zip(*read, strict=True))
+    remarks = [(run.name, remark) for run in runs for remark in run.remarks]
+    estimates = {arm: command_offset(runs, arm) for arm in runs[0].signals.arms}
+    offsets = {arm: offset for arm, (offset, _) in estimates.items()}
+    runs = [run.commands_later(offsets) for run in runs]
+    for arm, offset in offsets.items():
+        if offset == 0.0:
+            continue
+        whose = f"commands of arm {arm!r}" if len(offsets) > 1 else "commands"
+        said = (
+            f"{whose} act {1e3 * abs(offset):.2f} ms {'after' if offset > 0.0 else 'before'} their stamps, by the "
+            "torque balance of free motion; they are shifted by that (below half a sampling period it is an offset of "
+            "clocks)"
+        )
+        remarks.append(("", said))
+    measured = list(map_tasks(measured_or_why_not, runs))
+    remarks += [
+        (run.name, Remark(*_share(run), " windows of free motion touch a gap, and are dropped from all such runs"))
+        for run in measured
+        if isinstance(run, MeasuredRun) and run.lost
+    ]
+    found = Runs.of(directory, [*measured, *skipped])
+    clock = MAX_OFFSET_PERIODS * max((run.period for run in runs if run.commanded), default=0.0)
+    late = _late(found, runs, {arm: error for arm, (_, error) in estimates.items()}, map_tasks)
+    return replace(found, remarks=tuple(merged(remarks)), clock=clock, late=late)
+
+
+def _late(found: Runs, runs: Sequence[Run], errors: Mapping[str, float], map_tasks: Map) -> dict[str, MeasuredRun]:
+    """The first run of every condition with commands that act later by a standard error of their offset."""
+    if not any(errors.values()):
+        return {}
+    known = {run.path: run for run in runs}
+    firsts = {condition: own[0] for condition, own in found.conditions.items()}
+    shifted = map_tasks(measured_or_why_not, [known[first.path].commands_later(errors) for first in firsts.values()])
+    return {
+        condition: late.only(set(first.features))
+        for (condition, first), late in zip(firsts.items(), shifted, strict=True)
+        if isinstance(late, MeasuredRun) and set(first.features) <= set(late.features)
+    }
+
+
+def measured_or_why_not(run: Run) -> MeasuredRun | tuple[str, str]:
+    """The measured run, or its path and the reason why it cannot be used."""
+    try:
+        return MeasuredRun.of(run)
+    except InputError as error:
+        return str(run.path), error.message
+
+
+def command_offset(runs: Sequence[Run], name: str) -> tuple[float, float]:
+    """Offset of an arm's commands after their timestamps, and its standard error [s].
+
+    An offset above the limit is a delay of commands or torques, which the diagnosis names; the clock then keeps its
+    prior uncertainty.
+
+    In free motion the motor-side balance of a window is
+
+        b_m = delta dtau_d/dt + (contributions of friction, offset, gain and inertia of the joint)
+
+    to first order in the offset delta. A regression over all windows has one delta and, for every joint, a constant,
+    the sign and the mean of its velocity, the mean torque and the acceleration. Windows in which a joint reverses are
+    not used for that joint, because the sign of its dry friction changes. Runs in free motion are preferred, because
+    there are few windows before an impact.
+
+    Returned are posterior mean and standard deviation of delta, with a uniform prior over half a sampling period either
+    way.
+
+    Args:
+        runs: Of one laboratory.
+        name: Name of the arm.
+    """
+    chosen = [run for run in runs if run.commanded and not run.hit] or [run for run in runs if run.commanded]
+    rows: dict[int, list[Array]] = {}
+    for run in chosen:
+        starts = free_starts(run, {}) if not run.hit else free_starts(run, _rough_impact(run))
+        for start in (start for start in starts if recorded(run, start)):
+            terms, turns = _window_terms(run, name, run.signals.arms[name], start)
+            for joint in np.flatnonzero(np.logical_not(turns)).tolist():
+                rows.setdefault(joint, []).append(terms[joint])
+    tables = [np.array(own) for own in rows.values() if len(own) >= MIN_WINDOWS_OF_JOINT]
+    if not tables:
+        return 0.0, 0.0
+    slopes, rests = [], []
+    for table in tables:
+        balance, slope, beside = table[:, 0], table[:, 1], table[:, 2:]
+        design = np.column_stack((np.ones(len(table)), beside))
+        basis = np.linalg.qr(design / np.maximum(np.linalg.norm(design, axis=0), 1e-12))[0]
+        slopes.append(slope - basis @ (basis.T @ slope))
+        rests.append(balance - basis @ (basis.T @ balance))
+    # Weights: joints with less noise count more.
+    weights = [1.0 / max(float(np.std(rest)), 1e-9) for rest in rests]
+    a = np.concatenate([weight * slope for weight, slope in zip(weights, slopes, strict=True)])
+    b = np.concatenate([weight * rest for weight, rest in zip(weights, rests, strict=True)])
+    offset = float(a @ b / (a @ a))
+    error = float(np.sqrt(np.mean(np.square(b - offset * a)) / (a @ a)))
+    # The time at which the torque loop takes a command within its period is unknown: uniform, half a period either way.
+    error = math.hypot(error, chosen[0].drive_period / math.sqrt(12.0))
+    largest = MAX_OFFSET_PERIODS * chosen[0].period
+    believed = largest**2 / 3.0  # variance of a uniform distribution
+    if abs(offset) > largest:
+        return 0.0, math.sqrt(believed)
+    share = believed / (believed + error**2)
+    return float(np.clip(share * offset, -largest, largest)), math.sqrt(share) * error
+
+
+def _rough_impact(run: Run) -> dict[str, float]:
+    """Rough time of the impact by arm: where joint velocities change fastest."""
+    change = np.max([np.abs(np.diff(arm.velocity, axis=0)).max(axis=1) for arm in run.signals.arms.values()], axis=0)
+    return {name: float(run.signals.time[int(np.argmax(change))]) for name in run.signals.arms}
+
+
+def _window_terms(run: Run, name: str, arm: ArmSignals, start: float) -> tuple[Array, Array]:
+    """Terms of :func:`command_offset` for one window.
+
+    Returns:
+        By joint its balance, the slope of its command and the other regressors, ``(n, 6)``; whether it reverses,
+        ``(n,)``.
+    """
+    time = run.signals.time
+    rows = (time >= start - 1e-9) & (time <= start + FREE_WINDOW_S + 1e-9)
+    cut = arm.at(rows)
+    physics = run.physics.arms[name]
+    model, stacked = run.physics.robot_model(name), ArmSignals.stack([cut])
+    balances = FreeBalances.of(time[rows], stacked, physics, model, run.motor_measured)
+    begin, end = balances.middle
+    (ramp,), (passed,) = balances.acceleration, balances.transmitted
+    sent, values = arm.command_time, arm.command
+    torque = _held_mean(sent, values, begin, end)
+    slope = (
+        _held_mean(sent, values, end - SLOPE_AVERAGING_S, end + SLOPE_AVERAGING_S)
+        - _held_mean(sent, values, begin - SLOPE_AVERAGING_S, begin + SLOPE_AVERAGING_S)
+    ) / (end - begin)
+    balance = torque - passed - physics.motor_inertia_reduced * ramp
+    speed = cut.velocity.mean(axis=0)
+    # A delay delta lowers the mean of the command by delta times its slope.
+    turns = np.min(cut.velocity, axis=0) * np.max(cut.velocity, axis=0) < 0.0
+    return np.column_stack((balance, slope, np.sign(speed), speed, torque, ramp)), turns
+
+
+def _held_mean(sent: Array, values: Array, start: float, end: float) -> Array:
+    """Mean over a window of zero-order-hold commands, ``(n,)`` [N m]."""
+    return np.asarray(held_means(sent, values, np.array([start, end]))[0])
+
+
+def _share(run: MeasuredRun) -> tuple[Amount, str, Amount]:
+    """Number of windows of free motion dropped for gaps, and of all."""
+    return Amount(len(run.lost), "d"), " of ", Amount(run.free, "d")

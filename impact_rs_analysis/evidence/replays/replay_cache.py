@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cache of replays in memory: comparisons and diagnoses need many of them repeatedly.
+
+The key is the start of the replay, the model and the added effects, on which alone the result depends.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from impact_rs_analysis.evidence.cluster import Added
+from impact_rs_analysis.evidence.replays.measured_runs import Setup
+from impact_rs_sim.errors import NotABody
+from impact_rs_sim.model import Model
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robots.robot import Array
+from impact_rs_trials.workers import Map
+
+MIN_BATCH, MAX_BATCH = 4, 32  # replays per task, 30 to 300 ms of work: a task has an overhead of milliseconds
+MIN_BATCHES = 16  # so that workers finish at about the same time
+
+Progress = Callable[[str, int, int], None]
+
+Item = TypeVar("Item")
+Made = TypeVar("Made")
+
+
+@dataclass(frozen=True)
+class Replay:
+    """One replay: a run under a model with added effects at given values.
+
+    Attributes:
+        setup: Its start state and inputs.
+        model: The model.
+        added: Names of added effects with their parameter vectors.
+    """
+
+    setup: Setup
+    model: Model
+    added: Added = ()
+
+    @property
+    def key(self) -> tuple[str, str, Added]:
+        """Cache key: all inputs of the replay."""
+        return self.setup.digest, self.model.digest, self.added
+
+    @property
+    def physics(self) -> Physics:
+        """Its physics.
+
+        Raises:
+            NotABody: The effects leave no body.
+        """
+        return with_effects(self.model, self.setup.physics, self.added)
+
+
+def with_effects(model: Model, physics: Physics, added: Added) -> Physics:
+    """Nominal physics with a model and added effects.
+
+    Raises:
+        NotABody: The effects leave no body.
+    """
+    physics, known = model.apply(physics), model.known_effects
+    for name, values in added:
+        physics = known[name].apply_vector(physics, np.array(values))
+    return physics
+
+
+def run_replay(task: Replay) -> Array | None:
+    """Features of one replay, as :func:`run_batch`."""
+    return run_batch([task])[0]
+
+
+def run_batch(tasks: Sequence[Replay]) -> list[Array | None]:
+    """Features of replays of one run; None if an expected impact is missing.
+
+    None also if the added effects give a body without positive inertia or an unstable simulation: a fit then tries a
+    smaller step.
+
+    Raises:
+        InputError: The model itself is not valid.
+    """
+    found: list[Array | None] = [None] * len(tasks)
+    setup, physics = tasks[0].setup, {}
+    for number, task in enumerate(tasks):
+        try:
+            physics[number] = task.physics
+        except NotABody:
+            if not task.added:
+                raise
+    if not physics:
+        return found
+    simulations = setup.replayed_all(list(physics.values()))
+    for number, values in zip(physics, setup.features_of_all(simulations), strict=True):
+        blown_up = values is not None and not np.isfinite(values).all()
+        found[number] = None if blown_up and tasks[number].added else values
+    return found
+
+
+def _batches(missing: Iterable[Replay]) -> list[tuple[Replay, ...]]:
+    """Batches of replays of one run: its start state is sent once, and its features are computed together."""
+    grouped: dict[str, list[Replay]] = {}
+    for task in missing:
+        grouped.setdefault(task.setup.digest, []).append(task)
+    total = sum(map(len, grouped.values()))
+    size = min(max(math.ceil(total / MIN_BATCHES), MIN_BATCH), MAX_BATCH)
+    return [tuple(own[start : start + size]) for own in grouped.values() for start in range(0, len(own), size)]
+
+
+class ReplayCache:
+    """Computes missing replays in parallel, and caches their results.
+
+    Args:
+        map_tasks: Parallel map.
+        progress: Called with (what, done, total) while a batch runs.
+    """
+
+    def __init__(self, map_tasks: Map, progress: Progress | None = None) -> None:
+        self._map = map_tasks
+        self._progress = progress
+        self._known: dict[tuple[str, str, Added], Array | None] = {}
+
+    def in_one_process(self) -> ReplayCache:
+        """A copy that makes replays in its own process, without progress reports; it can be pickled."""
+        store = ReplayCache(map)
+        store._known = self._known
+        return store
+
+    def spread(self, function: Callable[[Item], Made], items: Sequence[Item], what: str) -> list[Made]:
+        """``function`` of every item over the map, with progress reports."""
+        found = []
+        self._report_progress(what, 0, len(items))
+        for result in self._map(function, items):
+            found.append(result)
+            self._report_progress(what, len(found), len(items))
+        return found
+
+    def __call__(self, tasks: Sequence[Replay], what: str = "replays") -> list[Array | None]:
+        """Features of each replay, in order."""
+        keys = [task.key for task in tasks]
+        missing = {key: task for key, task in zip(keys, tasks, strict=True) if key not in self._known}
+        batches = _batches(missing.values())
+        done = 0
+        for batch, results in zip(batches, self._map(run_batch, batches), strict=True):
+            self._known.update(zip((task.key for task in batch), results, strict=True))
+            done += len(batch)
+            self._report_progress(what, done, len(missing))
+        return [self._known[key] for key in keys]
+
+    def _report_progress(self, what: str, done: int, total: int) -> None:
+        if self._progress is not None:
+            self._progress(what, done, total)

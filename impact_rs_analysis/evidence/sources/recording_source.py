@@ -1,0 +1,708 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings of free motion as a source of evidence: clusters are stretches of time, predicted by a torque balance.
+
+Stretches last about a second, longer than the correlation time of the low-passed torque noise. Torques are divided by
+the root mean square of the residual of their joint, so that all joints have equal weight; the pure error is the noise
+of the recorded torque below the cut-off. The gain of an effect is also compared with the residual of each joint, whose
+noise is not known. The scale of each joint's torque is confounded with a payload and enters as a systematic error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rs_analysis.evidence.calibration import with_intervals
+from impact_rs_analysis.evidence.cluster import Added, Cluster, Feature
+from impact_rs_analysis.evidence.free_motion.motion_difference import minus_references, order_warning
+from impact_rs_analysis.evidence.free_motion.torque_balance import Motion, TorqueBalance, motor_ratios, prepare
+from impact_rs_analysis.evidence.levels import (
+    Cell,
+    Comparison,
+    ConditionScore,
+    Level,
+    RecordingDocument,
+    SignalLevel,
+    root_mean_square,
+    rounded,
+)
+from impact_rs_analysis.evidence.minimum_data import MIN_BLOCKS
+from impact_rs_analysis.evidence.rollouts import FreeMotion
+from impact_rs_analysis.evidence.source import Source
+from impact_rs_analysis.evidence.tracks import ComparedSignal, Track, track_of_motion
+from impact_rs_sim.effects import Effect
+from impact_rs_sim.effects.actuation import TORQUE_GAIN
+from impact_rs_sim.effects.sensing import (
+    COMMAND_CLOCK_OFFSET,
+    MOTOR_ENCODER_OFFSET,
+    TORQUE_DELAY,
+    TORQUE_SENSOR_CROSSTALK,
+    TORQUE_SENSOR_DRIFT,
+    TORQUE_SENSOR_GAIN,
+    TORQUE_SENSOR_LAG,
+    TORQUE_SENSOR_OFFSET,
+    VELOCITY_DELAY,
+    VELOCITY_GAIN,
+    VELOCITY_LAG,
+)
+from impact_rs_sim.errors import InputError, NotABody
+from impact_rs_sim.model import Model
+from impact_rs_sim.numbers import NORMAL_95
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.proportion import Proportion
+from impact_rs_sim.recent import Recent
+from impact_rs_sim.robots.robot import Array, joined_units
+from impact_rs_trials.recordings.file_units import CURRENTS
+from impact_rs_trials.recordings.mapping import Mapping
+from impact_rs_trials.recordings.recording import ARM, TooShort, servo_law
+from impact_rs_trials.recordings.remarks import merged
+from impact_rs_trials.recordings.servo import ServoLaw
+from impact_rs_trials.runs import Run
+from impact_rs_trials.workers import Map
+
+TARGET_STRETCHES = 24  # more in a recording that is longer than 24 times MAX_STRETCH_S
+MAX_STRETCH_S, MIN_STRETCH_S = 2.0, 0.5  # the noise remembers less than the shorter
+CLIPPING_ITERATIONS = 10  # of densities of information, until they settle
+MIN_MOVING_SPEED = 0.05  # rad/s, m/s
+TORQUE, DEFLECTION = "torque", "deflection"
+PHASES = ("moving up", "moving down", "slow")
+LEVEL_TEXT = "torque balance of the arm in free motion, both sides low-passed"
+CACHED_TORQUES_BYTES = 2**28
+MIN_CACHED_TORQUES = 64  # predictions that one linearisation needs
+TORQUE_SCALE_DEVIATION = {"link": 0.01, "motor": 0.02}  # over the torque; torque sensors of arms: 1 to 2 %
+UNKNOWN_GAIN_DEVIATION = 0.3  # of servos whose gains were found from the masses of the model
+# Without a command, faults of torque sensor and motor are confounded: torque_gain and torque_offset stand for both.
+CONFOUNDED_WITH_MOTOR_FAULTS = (TORQUE_SENSOR_GAIN, TORQUE_SENSOR_OFFSET)
+# No command was recorded, a deflection is known up to its mean, and the age of the arm is that of the recording.
+UNIDENTIFIABLE_FAULTS = (COMMAND_CLOCK_OFFSET, MOTOR_ENCODER_OFFSET, TORQUE_SENSOR_DRIFT)
+SERVO_WITHOUT_SENSOR = (TORQUE_DELAY, TORQUE_SENSOR_LAG)  # a torque that was computed passed no sensor
+TORQUE_SENSOR_FAULTS = (TORQUE_SENSOR_CROSSTALK,)  # strain gauges feel their neighbours' loads, currents do not
+VELOCITY_SENSOR_FAULTS = (VELOCITY_LAG, VELOCITY_DELAY, VELOCITY_GAIN)  # derivatives of positions have none
+TORQUE_UNIT = "N m"  # of a revolute joint
+TORQUE_QUANTILE = 0.99  # that stands for the largest torque: a few samples may be outliers
+MIN_SAMPLES_OF_PHASE = 5  # of one joint; fewer are not reported
+
+REMARKS = (
+    "a recording is one condition: stretches of it are held out, so estimates are not tested at other speeds, poses or "
+    "temperatures",
+    "without repeats there is no pure error: the noise is that of the torque signal, and residuals above it need not "
+    "come from an effect of the library",
+)
+DIFFERENCE_REMARK = (
+    "differences of recordings of one motion: common errors cancel, and an effect is a change between the recordings; "
+    "properties of arm, sensors and base do not change. A common gain of the torque scales the mass of the load, "
+    "unless --model contains the gain (diagnose the recording without the load first)"
+)
+INTERVALS_REMARK = (
+    "intervals count the scatter over the motion and a standard deviation of {scale:.0%} of the scale of each joint's "
+    "torque; links of the model count as exact"
+)
+MOTOR_ENCODERS_REMARK = (
+    "the motors of joints {joints} have encoders: their inertia and friction act on the motion of the motors, and the "
+    "deflection of the transmission is a signal of its own, up to its mean"
+)
+MOTORS_UNUSED_REMARK = "motor_position is not used: in a difference of recordings the motion of the motors cancels"
+NO_MOTOR_ENCODERS_REMARK = (
+    "no motor has an encoder of its own: the elasticity of a transmission shows only in the torque of its motor, and "
+    "resembles a delay, a damping or another inertia; positions of the motors separate them (signals.motor_position)"
+)
+LINK_TORQUE = "the torque was measured behind the motors, so their inertia is not in it"
+MOTOR_TORQUE = (
+    "the torque is that of the motors, before the gear: it accelerates their inertia and moves their friction"
+)
+CURRENT_TORQUE = "the torque is motor current times torque_constant: it accelerates the motors and moves their friction"
+ADDED = {
+    "whole": "",
+    "without_gravity": "; it was recorded without gravity, and the gravity torque of the nominal model is added",
+    "external": "; it was recorded without the whole torque of a rigid model, and that of the nominal model is added: "
+    "an error of the links shows as far as the two models differ",
+    "target": "",
+}
+ADDED_TO_SERVO = "; their controller adds the gravity torque, for which that of the nominal model is taken"
+SERVO_TORQUE = "no torque was recorded: it is that of position servos, {law}"
+UNKNOWN_GAIN = (
+    "; kp was estimated from gravity and inertia of the model (torque_gain corrects it), so this log cannot hold "
+    "masses or gains apart: torques and friction are known in proportion to the masses of the model alone"
+)
+UNKNOWN_DAMPING = "; kd is unknown, so viscous friction includes the damping of the servos"
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A stretch of a recording.
+
+    Attributes:
+        name: File and time.
+        unit: File.
+        rows: Its samples among those of all recordings.
+    """
+
+    name: str
+    unit: str
+    rows: slice
+
+
+@dataclass(frozen=True)
+class Column:
+    """A signal of one joint.
+
+    Attributes:
+        signal: Torque, or deflection of the transmission.
+        joint: Number of the joint.
+        unit: Unit.
+    """
+
+    signal: str
+    joint: int
+    unit: str
+
+    @property
+    def index(self) -> str:
+        """Name of its joint."""
+        return f"joint{self.joint + 1}"
+
+
+class RecordingSource(Source):
+    """Recordings of free motion against the torque balance of a model.
+
+    Args:
+        recordings: The recordings.
+        mapping: Mapping of their signals, and the mounted mass.
+        model: The model.
+        motions: Filtered recordings.
+        physics: Physics of the arm under the model.
+        stretches: Stretches of the recordings.
+        minus: Recordings of the same motions that were subtracted.
+        left_out: Path and reason of recordings that are too short.
+
+    Attributes:
+        balance: Torque balance that predicts them.
+        rest: Recorded minus predicted torque and deflection of the model, ``(k, c)`` [N m, rad].
+        sigma: Scale of every column, ``(c,)`` [N m, rad].
+        reading: Remarks on how the recordings were read.
+    """
+
+    kind = "recordings"
+    repeated = False
+    noise_apart = True
+    size_is = "root mean square of recorded minus predicted joint torque over all joints and samples"
+    not_measured = ("velocity jump", "contact and impulses", "object", "controller and its references")
+
+    def __init__(
+        self,
+        recordings: Sequence[Run],
+        mapping: Mapping,
+        model: Model,
+        motions: Sequence[Motion],
+        physics: Physics,
+        stretches: Sequence[Stretch],
+        minus: Sequence[Run] = (),
+        left_out: Sequence[tuple[str, str]] = (),
+    ) -> None:
+        self.recordings, self.mapping, self.model = tuple(recordings), mapping, model
+        self._minus = tuple(minus)
+        self.left_out = tuple(left_out)
+        self._known = model.known_effects
+        self.motions, self.physics = tuple(motions), physics
+        at_motor = mapping.torque_measured_at == "motor"
+        self.balance = TorqueBalance(list(motions), at_motor)
+        self._of_the_model = self.balance.predict(physics)
+        self.rest = self.balance.recorded - self._of_the_model
+        self.sigma = np.maximum(np.sqrt(np.mean(np.square(self.rest), axis=0)), 1e-12)
+        units = physics.arms[ARM].facts.units
+        self._columns = [Column(TORQUE, int(joint), units[joint].effort) for joint in self.balance.joints]
+        self._torques = len(self._columns)
+        self._columns += [Column(DEFLECTION, int(joint), units[joint].position) for joint in self.balance.elastic]
+        self._weights = self._column_weights()
+        self.size_unit = self.residual_unit = joined_units(column.unit for column in self._columns[: self._torques])
+        self._stretches = tuple(stretches)
+        self._predicted = Recent[Array | None](
+            max(MIN_CACHED_TORQUES, int(CACHED_TORQUES_BYTES / self.balance.recorded.nbytes))
+        )
+        self.clusters = with_intervals(self, [self._cluster(number) for number in range(len(self._stretches))])
+        remarks = merged((item.path.name, remark) for item in (*recordings, *minus) for remark in item.remarks)
+        remarks += [f"{Path(path).name} is left out: {why}" for path, why in left_out]
+        remarks += _of_motor_encoders(recordings, self.balance, minus)
+        if minus and (drifts := order_warning(*([one.signals.time for one in own] for own in (recordings, minus)))):
+            remarks.append(drifts)
+        self.reading = (torque_in_words(mapping), *dict.fromkeys(remarks))
+        self.remarks = (
+            *REMARKS,
+            *((DIFFERENCE_REMARK,) if minus else ()),
+            INTERVALS_REMARK.format(scale=scale_deviation(mapping)),
+            *((NO_MOTOR_ENCODERS_REMARK,) if at_motor and not self.balance.elastic.size and not minus else ()),
+            *self.reading,
+        )
+
+    @classmethod
+    def of(
+        cls,
+        recordings: Sequence[Run],
+        mapping: Mapping,
+        model: Model,
+        minus: Sequence[Run] = (),
+        left_out: Sequence[tuple[str, str]] = (),
+    ) -> RecordingSource:
+        """Filter recordings and predict them; those that are too short for the filter are left out.
+
+        Args:
+            recordings: The recordings.
+            mapping: Mapping of their signals, and the mounted mass.
+            model: The model.
+            minus: Recordings of the same motions to subtract
+                (:mod:`impact_rs_analysis.evidence.free_motion.motion_difference`).
+            left_out: Path and reason of recordings that were too short before.
+
+        Raises:
+            InputError: Sampled too slowly, all of them too short, too short for a hold-out, or of another motion than
+                those to subtract.
+        """
+        short = list(left_out)
+        law = servo_law(mapping)
+        recordings, motions = _prepared(recordings, mapping.low_pass, law, short)
+        physics = model.apply(_physics_of(recordings))
+        if minus:
+            minus, references = _prepared(minus, mapping.low_pass, law, short)
+            files = [recording.path for recording in recordings]
+            motions = minus_references(motions, files, references, physics, mapping.torque_measured_at == "motor")
+        return cls(recordings, mapping, model, motions, physics, _cut(recordings, motions), minus, short)
+
+    @property
+    def comparison_remarks(self) -> tuple[str, ...]:
+        """See :class:`Source`: those on how the recordings were read."""
+        return self.reading
+
+    def _column_weights(self) -> Array:
+        """Weight of a scaled residual in errors over all signals, ``(c,)`` [N m].
+
+        A deflection has the weight of its joint's torque, so that the error of a model has the size of torques.
+        """
+        torques = self._columns[: self._torques]
+        torque = {column.joint: float(size) for column, size in zip(torques, self.sigma, strict=False)}
+        usual = root_mean_square(self.sigma[: self._torques])
+        return np.array([torque.get(column.joint, usual) for column in self._columns])
+
+    def residual_weight(self, item: Cluster) -> Array:
+        """See :meth:`Source.residual_weight`."""
+        return np.resize(self._weights, item.sigma.size)
+
+    @property
+    def _weighted_residuals(self) -> Array:
+        """Weighted residuals of the model, ``(k, c)`` [N m]."""
+        return np.asarray(self.rest / self.sigma * self._weights)
+
+    @cached_property
+    def proportion(self) -> Proportion:
+        """See :attr:`Source.proportion`; its drives may be large beside its links, and are in what was recorded."""
+        turning = [number for number, column in enumerate(self._columns) if column.unit == TORQUE_UNIT]
+        largest = np.quantile(np.abs(self.balance.recorded[:, turning]), TORQUE_QUANTILE, axis=0).max(initial=0.0)
+        return super().proportion.driven_by(float(largest))
+
+    @cached_property
+    def recording(self) -> RecordingDocument:  # type: ignore[override]
+        """How the recordings were read."""
+        times = [run.signals.time for run in self.recordings]
+        return RecordingDocument(
+            files=tuple(dict.fromkeys(str(recording.path) for recording in self.recordings)),
+            robot=self.mapping.robot,
+            end_effector_mass_kg=self.mapping.end_effector.mass,
+            samples=int(sum(time.size for time in times)),
+            recorded_s=float(sum(time[-1] - time[0] for time in times)),
+            used_s=float(sum(m.time[m.kept].size / m.rate for m in self.motions)),
+            sampled_Hz=float(1.0 / np.median(np.diff(times[0]))),
+            low_pass_Hz=self.motions[0].cut_off,
+            signals=self._signals,
+            torque=torque_in_words(self.mapping),
+            minus=tuple(dict.fromkeys(str(recording.path) for recording in self._minus)),
+        )
+
+    @property
+    def _signals(self) -> tuple[str, ...]:
+        """Names of the recorded signals; the torque of a servo was not."""
+        found = set(self.recordings[0].signals.arms[ARM].measured)
+        if self.mapping.servo is not None:
+            found -= {"torque"} | {name for name in ("dq_desired",) if name not in self.mapping.signals}
+        return tuple(sorted(found))
+
+    @property
+    def stretch_seconds(self) -> float:
+        """Mean length of a stretch [s]."""
+        return self.recording.used_s / len(self._stretches)
+
+    def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
+        """See :meth:`Source.predict`."""
+        del what
+        found: list[Array | None] = []
+        last: Added | None = None
+        torque: Array | None = None
+        for number, added in wanted:
+            if added is not last:  # equal effects follow each other, and hashing many numbers is expensive
+                last, torque = added, self._torque(added)
+            found.append(None if torque is None else torque[self._stretches[number].rows].ravel())
+        return found
+
+    def offers(self, effect: Effect) -> bool:
+        """See :meth:`Source.offers`; recordings calibrate the bare arm, differences show what changes or has a load."""
+        without = [*CONFOUNDED_WITH_MOTOR_FAULTS, *UNIDENTIFIABLE_FAULTS]
+        if self.mapping.torque_measured_at == "motor":
+            without += TORQUE_SENSOR_FAULTS
+        if self.mapping.servo is not None:
+            without += SERVO_WITHOUT_SENSOR
+        if "velocity" not in self.mapping.signals:
+            without += VELOCITY_SENSOR_FAULTS
+        shown = effect.may_change or effect.shown_by_load or not self._minus
+        acts = bool(effect.scalars(self.joints))  # one joint has no neighbour
+        return acts and shown and effect.name not in {one.name for one in without}
+
+    def residuals_with(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
+        """See :meth:`Source.residuals_with`."""
+        torque = self._torque(added)
+        if torque is None:
+            return None
+        rest = self.balance.recorded - torque
+        numbers = {item.name: number for number, item in enumerate(self.clusters)}
+        return [
+            replace(item, residuals=(rest[self._stretches[numbers[item.name]].rows].ravel() / item.sigma)[None, :])
+            for item in like
+        ]
+
+    def size(self) -> float:
+        """See :meth:`Source.size`; root mean square of the torque residual [N m]."""
+        return root_mean_square(self._weighted_residuals)
+
+    def noise_size(self) -> float:
+        """See :meth:`Source.noise_size`."""
+        return root_mean_square(np.maximum(self.balance.noise, 1e-12) / self.sigma * self._weights)
+
+    def compare_levels(self) -> Comparison:
+        """See :meth:`Source.compare_levels`: the torque of every joint."""
+        noise = np.maximum(self.balance.noise, 1e-12)
+        phases = [[feature.phase for feature in item.features] for item in self.clusters]
+        phase = np.concatenate([np.array(row, dtype=object).reshape(-1, self.rest.shape[1]) for row in phases])
+        signals, cells = [], []
+        for number, column in enumerate(self._columns):
+            own = self.rest[:, number]
+            signals.append(
+                SignalLevel(
+                    phase="free",
+                    signal=column.signal,
+                    index=column.index,
+                    error=rounded(root_mean_square(own)),
+                    mean=rounded(float(own.mean())),
+                    noise_floor=rounded(float(noise[number])),
+                    unit=column.unit,
+                    times_noise=rounded(root_mean_square(own) / float(noise[number])),
+                )
+            )
+            for name in dict.fromkeys(phase[:, number]):
+                rows = phase[:, number] == name
+                if np.count_nonzero(rows) >= MIN_SAMPLES_OF_PHASE:
+                    cells.append(self._cell(name, number, rows, float(noise[number])))
+        every = root_mean_square(np.sqrt(np.mean(np.square(self.rest), axis=0)) / noise)
+        level = Level(what=LEVEL_TEXT, times_noise=rounded(every), signals=tuple(signals))
+        files: dict[str, list[Array]] = {}
+        for item in self.clusters:
+            files.setdefault(item.unit, []).append(item.mean * self.residual_weight(item))
+        return Comparison(
+            levels={"recording": level},
+            where=tuple(sorted(cells, key=lambda cell: -cell.share)),
+            conditions=tuple(
+                ConditionScore(name=name, repeats=len(parts), score=rounded(root_mean_square(np.concatenate(parts))))
+                for name, parts in files.items()
+            ),
+        )
+
+    def _cell(self, phase: str, number: int, rows: NDArray[np.bool_], noise: float) -> Cell:
+        """Residual of one column in one phase, which has some rows."""
+        rest, counted, column = self.rest[rows, number], self._weighted_residuals, self._columns[number]
+        return Cell(
+            scenario=", ".join(run.path.name for run in self.recordings),
+            object="",
+            case="",
+            phase=phase,
+            signal=column.signal,
+            index=column.index,
+            error=rounded(float(rest.mean())),
+            unit=column.unit,
+            floor=0.0,
+            share=rounded(float(np.sum(np.square(counted[rows, number]))) / max(float(np.sum(counted**2)), 1e-300)),
+            times_noise=rounded(root_mean_square(rest) / noise),
+        )
+
+    def joint_sizes(self, rest: Sequence[Array]) -> list[tuple[str, float, float, str]]:
+        """See :meth:`Source.joint_sizes`."""
+        sizes = np.sqrt(np.mean(np.square(np.concatenate(rest).reshape(-1, self.sigma.size)), axis=0)) * self.sigma
+        return [
+            (column.index, float(size), float(noise), column.unit)
+            for column, size, noise in zip(self._columns[: self._torques], sizes, self.balance.noise, strict=False)
+        ]
+
+    def tracks(self, map_tasks: Map, added: Added = ()) -> tuple[Track, ...]:
+        """See :meth:`Source.tracks`: torque of every joint of every recording, recorded and predicted."""
+        del map_tasks
+        rests = {"the model": self.rest}
+        if added:
+            rests = {"the model with what was found": self.rest_with(added), "the model as it is": self.rest}
+        found = []
+        for label, rest in rests.items():
+            start = 0
+            for run, motion in zip(self.recordings, self.motions, strict=True):
+                rows = slice(start, start := start + motion.time[motion.kept].size)
+                measured, predicted = self.balance.recorded[rows], (self.balance.recorded - rest)[rows]
+                curves = [
+                    ComparedSignal(f"{column.signal} of joint {column.joint + 1}", column.unit, one, other)
+                    for column, one, other in zip(self._columns, measured.T, predicted.T, strict=True)
+                ]
+                name = label if len(self.motions) == 1 else f"{run.path.name}, {label}"
+                found.append(track_of_motion(name, self.physics, motion, curves))
+        return tuple(found)
+
+    def free_motions(self, numbers: Sequence[int] | None = None) -> tuple[FreeMotion, ...]:
+        """See :meth:`Source.free_motions`; empty for differences, and where a joint's torque was not measured."""
+        if self._minus or not all(motion.measured.all() for motion in self.motions):
+            return ()
+        found, first = [], 0
+        for run, motion in zip(self.recordings, self.motions, strict=True):
+            own = motion.time[motion.kept]
+            last = first + own.size
+            for low, high in self._parts(numbers, first, last):
+                found.append(
+                    FreeMotion(
+                        arm=ARM,
+                        physics=self.physics,
+                        time=motion.time,
+                        position=motion.position,
+                        velocity=motion.velocity,
+                        acceleration=motion.acceleration,
+                        torque_time=run.signals.time - run.signals.time[0],
+                        torque=run.signals.arms[ARM].torque,  # unfiltered: a reversal of dry friction is sudden
+                        begin=float(own[low]),
+                        end=float(own[high - 1]),
+                        with_motor=self.mapping.torque_measured_at == "motor",
+                        servo=servo_law(self.mapping),
+                        q_desired=run.signals.arms[ARM].q_desired,
+                        dq_desired=run.signals.arms[ARM].dq_desired,
+                    )
+                )
+            first = last
+        return tuple(found)
+
+    def _parts(self, numbers: Sequence[int] | None, first: int, last: int) -> list[tuple[int, int]]:
+        """Rows of a motion that stretches cover, neighbours together; its samples are ``first`` to ``last`` of all."""
+        if numbers is None:
+            return [(0, last - first)]
+        found: list[tuple[int, int]] = []
+        for number in sorted(numbers):
+            rows = self._stretches[number].rows
+            if not first <= rows.start < last:
+                continue
+            low, high = rows.start - first, rows.stop - first
+            if found and found[-1][1] == low:
+                low = found.pop()[0]
+            found.append((low, high))
+        return found
+
+    def rest_with(self, added: Added) -> Array:
+        """Recorded minus predicted torque of the model with effects, ``(k, n)`` [N m].
+
+        Raises:
+            InputError: The effects give a body without positive inertia.
+        """
+        torque = self._torque(added)
+        if torque is None:
+            raise InputError("with these effects the arm has no positive inertia")
+        return np.asarray(self.balance.recorded - torque)
+
+    def _torque(self, added: Added) -> Array | None:
+        """Predicted torque of all recordings, ``(k, n)`` [N m]; None without positive inertia."""
+        return self._predicted.of(added, lambda: self._torque_anew(added))
+
+    def _torque_anew(self, added: Added) -> Array | None:
+        try:
+            torque = self.balance.predict(self._with(added))
+            shared = tuple(one for one in added if self._shared(one[0])) if self._minus else ()
+            return torque - self.balance.predict(self._with(shared)) + self._of_the_model if shared else torque
+        except NotABody:
+            return None
+
+    def _with(self, added: Added) -> Physics:
+        """The physics of the model with effects."""
+        physics = self.physics
+        for name, values in added:
+            physics = self._known[name].apply_vector(physics, np.array(values))
+        return physics
+
+    def _shared(self, name: str) -> bool:
+        """Whether an effect is common to two recordings of one motion, as a property of arm or sensors."""
+        return not self._known[name].may_change
+
+    def _cluster(self, number: int) -> Cluster:
+        stretch = self._stretches[number]
+        rest, velocity = self.rest[stretch.rows], self.balance.velocity[stretch.rows]
+        phase = np.where(velocity > MIN_MOVING_SPEED, 0, np.where(velocity < -MIN_MOVING_SPEED, 1, 2))
+        labels = [[_feature(name, column) for name in PHASES] for column in self._columns]
+        sigma = np.broadcast_to(self.sigma, rest.shape).ravel()
+        return Cluster(
+            name=stretch.name,
+            condition_key=(stretch.unit, stretch.name, ""),
+            layout=stretch.name,
+            unit=stretch.unit,
+            contact=False,
+            features=tuple(labels[place][phase[k, place]] for k in range(len(rest)) for place in range(rest.shape[1])),
+            residuals=(rest.ravel() / sigma)[None, :],
+            sigma=sigma,
+            pure_error=np.broadcast_to(self.balance.noise / self.sigma, rest.shape).ravel(),
+            discrepancy=np.zeros(rest.size),
+            calibrations=self._of_scales(stretch.rows),
+        )
+
+    @cached_property
+    def _scale_deviations(self) -> Array:
+        """Standard deviations of the scale of each joint's torque, with that of a gain in the model, ``(n,)`` [-]."""
+        found = np.full(self.physics.arms[ARM].facts.joint_count, scale_deviation(self.mapping))
+        for effect in self.model.effects:
+            if effect.name == TORQUE_GAIN.name:
+                for joint, scalar in enumerate(TORQUE_GAIN.scalars(self.joints)):
+                    known = effect.parameters[scalar.name]
+                    low, high = known.ci95 or (known.estimate, known.estimate)
+                    found[joint] = np.hypot(found[joint], (high - low) / (2.0 * NORMAL_95 * known.estimate))
+        return found[self.balance.joints]
+
+    def _of_scales(self, rows: slice) -> Array:
+        """Change of the residuals by one standard deviation of the scale of each joint's torque, ``(n, k n)`` [-].
+
+        In a difference of recordings the error of the common torque cancels.
+        """
+        torque = (self.rest if self._minus else self.balance.recorded)[rows] / self.sigma
+        own = np.eye(self._torques, self.sigma.size)[:, None, :]
+        each = self._scale_deviations[:, None, None] * torque[None, :, :] * own
+        return np.asarray(each.reshape(self._torques, -1))
+
+
+def scale_deviation(mapping: Mapping) -> float:
+    """Standard deviation of the scale of each joint's torque, over the torque [-]."""
+    if mapping.servo is not None and mapping.servo.gains == "estimated":
+        return UNKNOWN_GAIN_DEVIATION
+    return TORQUE_SCALE_DEVIATION[mapping.torque_measured_at]
+
+
+def torque_in_words(mapping: Mapping) -> str:
+    """What the torque of recordings is, in one line."""
+    if (servo := mapping.servo) is not None:
+        damping = "" if servo.kd is None else " - kd dq" if servo.damps == "velocity" else " + kd (dq_desired - dq)"
+        said = SERVO_TORQUE.format(law=f"kp (q_desired - q){damping}")
+        said += UNKNOWN_GAIN if servo.gains == "estimated" else ""
+        said += UNKNOWN_DAMPING if servo.kd is None else ""
+        return said + (ADDED_TO_SERVO if mapping.torque_meaning == "without_gravity" else "")
+    if mapping.torque_measured_at == "link":
+        said = LINK_TORQUE
+    else:
+        said = CURRENT_TORQUE if mapping.signals["torque"].units[0] in CURRENTS else MOTOR_TORQUE
+    return said + ADDED[mapping.torque_meaning]
+
+
+def _feature(phase: str, column: Column) -> Feature:
+    return Feature(phase, column.signal, column.index, 0, column.unit, 0.0)
+
+
+def _of_motor_encoders(recordings: Sequence[Run], balance: TorqueBalance, minus: Sequence[Run]) -> list[str]:
+    """Remarks on the use of recorded motor positions; empty: there are none."""
+    arms = [run.signals.arms[ARM] for run in recordings if run.signals.arms[ARM].motor_position.size]
+    if not arms:
+        return []
+    if minus:
+        return [MOTORS_UNUSED_REMARK]
+    used = [f"{joint + 1}" for joint in balance.elastic]
+    left = [joint for joint in range(arms[0].position.shape[1]) if joint not in balance.elastic]
+    ratios = motor_ratios(arms[0])
+    said = [MOTOR_ENCODERS_REMARK.format(joints=", ".join(used))] if used else []
+    if left:
+        moved = ", ".join(f"joint {joint + 1} {ratios[joint]:.3g} times" for joint in left)
+        said.append(
+            f"motor_position is not used where it shows no deflection of its own (motion over that of the link: {moved}"
+            "): expected the position of the motor, divided by the gear ratio (signals.motor_position.factor)"
+        )
+    return said
+
+
+def _physics_of(runs: Sequence[Run]) -> Physics:
+    """Nominal physics of the arm, with the mean end-effector position of all recordings."""
+    physics = runs[0].physics
+    places = [run.physics.arms[ARM].impact_position for run in runs]
+    return replace(physics, arms={ARM: replace(physics.arms[ARM], impact_position=np.mean(places, axis=0))})
+
+
+def _prepared(
+    recordings: Sequence[Run], cut_off: float, law: ServoLaw | None, short: list[tuple[str, str]]
+) -> tuple[list[Run], list[Motion]]:
+    """Recordings that are long enough for the filter, and their motions; the others are appended to ``short``.
+
+    Raises:
+        InputError: Sampled too slowly, or none is long enough.
+    """
+    kept: list[Run] = []
+    motions: list[Motion] = []
+    for recording in recordings:
+        try:
+            motions.append(prepare(recording, cut_off, law))
+            kept.append(recording)
+        except TooShort as error:
+            where = f"from {recording.begin:.3g} s on: " if recording.begin else ""
+            short.append((str(recording.path), f"{where}{error.message}"))
+    if not kept:
+        raise TooShort(short[-1][1], file=recordings[-1].path)
+    return kept, motions
+
+
+def _information(motions: Sequence[Motion], shortest: float) -> list[Array]:
+    """Cumulative information of the samples between the edges of every motion, ``(k,)`` each; its mean density is 1.
+
+    A third each for time, for gravity and offsets; squared velocity; and squared acceleration of the joints, over their
+    mean squares.
+
+    Args:
+        motions: Filtered recordings.
+        shortest: Length of the shortest stretch over that of the mean one; no density is higher than one over that.
+    """
+    signals = [np.stack((motion.velocity, motion.acceleration))[:, motion.kept] for motion in motions]
+    squares = np.mean(np.square(np.concatenate(signals, axis=1)), axis=1, keepdims=True)
+    densities = [(1.0 + 2.0 * np.mean(own**2 / np.maximum(squares, 1e-300), axis=(0, 2))) / 3.0 for own in signals]
+    for _ in range(CLIPPING_ITERATIONS):  # the mean is that of all motions
+        mean = float(np.mean(np.concatenate(densities)))
+        densities = [np.minimum(own / mean, 1.0 / shortest) for own in densities]
+    return [np.cumsum(own) for own in densities]
+
+
+def _cut(recordings: Sequence[Run], motions: Sequence[Motion]) -> list[Stretch]:
+    """Cut the motions into stretches of about equal information, not shorter than the correlation time of the noise.
+
+    Most of a chirp is above the cut-off: a few stretches of equal length would contain all of the motion below it, and
+    a sign-flip test of a few scores has no power.
+
+    Raises:
+        InputError: Too short for a hold-out.
+    """
+    lengths = [(motion.time[motion.kept].size, motion.rate) for motion in motions]
+    total = sum(size / rate for size, rate in lengths)
+    seconds = float(np.clip(total / TARGET_STRETCHES, MIN_STRETCH_S, MAX_STRETCH_S))
+    shares = _information(motions, MIN_STRETCH_S / seconds)
+    found, first = [], 0
+    for recording, motion, (size, rate), own in zip(recordings, motions, lengths, shares, strict=True):
+        parts = max(1, round(size / rate / seconds))
+        edges = np.searchsorted(own, np.arange(parts) / parts * own[-1]).tolist() + [size]
+        start = recording.begin + float(motion.time[motion.kept][0])
+        for low, high in zip(edges[:-1], edges[1:], strict=True):
+            name = f"{recording.path.name}, {start + low / rate:.1f} to {start + high / rate:.1f} s"
+            found.append(Stretch(name, str(recording.path), slice(first + int(low), first + int(high))))
+        first += size
+    if len(found) < MIN_BLOCKS:
+        raise InputError(
+            f"{total:.3g} s of usable motion, at least {MIN_BLOCKS * MIN_STRETCH_S:g} s are needed for a hold-out",
+            file=recordings[0].path,
+        )
+    return found

@@ -1,0 +1,379 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs as a source of evidence: clusters are conditions with their repeats, predicted by the replay twin."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property, partial
+from itertools import zip_longest
+from pathlib import Path
+
+import numpy as np
+
+from impact_rs_analysis.evidence.calibration import with_intervals
+from impact_rs_analysis.evidence.cluster import SCALE, TIMES, Added, Cluster, pooled_error
+from impact_rs_analysis.evidence.discrepancy import MAX_SQUARE_ANGLE_RAD, Discrepancy, Kind, measured_discrepancy
+from impact_rs_analysis.evidence.levels import Comparison, condition_scores, level_of, signal_levels, where_of
+from impact_rs_analysis.evidence.replays.ante_impact import obliqueness
+from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs
+from impact_rs_analysis.evidence.replays.replay_cache import Replay, ReplayCache
+from impact_rs_analysis.evidence.replays.tracker_start import tracker_start
+from impact_rs_analysis.evidence.rollouts import MAX_STARTS, FreeMotion, free_of_contact, without
+from impact_rs_analysis.evidence.source import Identity, Item, Made, Source, with_per_arm_parameters
+from impact_rs_analysis.evidence.tracks import Track, tracks_of_runs
+from impact_rs_sim.effects import Effect
+from impact_rs_sim.effects.base import SINGLE_IMPACT
+from impact_rs_sim.effects.sensing import COMMAND_CLOCK_OFFSET, TRACKED_POINT, TRACKER_FRAME
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import Model
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.proportion import Proportion
+from impact_rs_sim.robots.robot import Array
+from impact_rs_trials.runs import NONE, Signals
+from impact_rs_trials.workers import Map
+
+MAX_MISSED_SHARE = 0.5  # of the runs with an impact; if the replay misses more, the model is refused
+
+LEVELS = {  # what a level compares, and its phases
+    "free_motion": ("torque balances and deflection in windows without contact", ("free",)),
+    "trial": (
+        "the replay from before the impact through the push: velocity, contact force and object motion",
+        ("impact", "push"),
+    ),
+}
+
+
+def clusters_of(
+    runs: Runs, residuals: Sequence[Array], discrepancy: Discrepancy | None = None
+) -> tuple[tuple[Cluster, ...], list[str]]:
+    """Residuals of all runs as clusters, in order of appearance.
+
+    Without repeats of a layout its features have no pure error: they are scaled by the relevance limits, with a remark.
+
+    Args:
+        runs: The runs.
+        residuals: Measured minus predicted features per run, in their units.
+        discrepancy: Model discrepancy of the twin; None: the shipped one.
+
+    Returns:
+        Clusters, and remarks for the user.
+    """
+    discrepancy = measured_discrepancy() if discrepancy is None else discrepancy
+    firsts: dict[str, MeasuredRun] = {}
+    grouped: dict[str, list[Array]] = {}
+    stamps: dict[str, list[float]] = {}
+    for run, residual in zip(runs.runs, residuals, strict=True):
+        firsts.setdefault(run.condition, run)
+        stamps.setdefault(run.condition, []).append(np.nan if run.recorded is None else run.recorded)
+        grouped.setdefault(run.condition, []).append(residual)
+    rows = {condition: np.array(values) for condition, values in grouped.items()}
+    layouts = {condition: layout_of(first) for condition, first in firsts.items()}
+    pure = pure_errors(firsts, rows)
+    clusters = []
+    for condition, values in rows.items():
+        first, layout = firsts[condition], layouts[condition]
+        spread = pure[condition]
+        limit = np.array([feature.relevance_limit for feature in first.features]) / 2.0
+        kind = kind_of(first)
+        size = Proportion.of(first.physics)
+        larger = np.array([size.factor(feature.unit) for feature in first.features])  # than where it was measured
+        systematic, patterns = discrepancy.of(first.features, kind), discrepancy.patterns_of(first.features, kind)
+        systematic, patterns = larger * systematic, None if patterns is None else larger * patterns
+        known = np.zeros_like(limit) if spread is None else spread
+        sigma = np.sqrt(known**2 + limit**2 + systematic**2)
+        clusters.append(
+            Cluster(
+                name=condition,
+                condition_key=first.place,
+                layout=layout,
+                unit=condition,
+                contact=first.hit,
+                features=first.features,
+                residuals=values / sigma,
+                sigma=sigma,
+                pure_error=known / sigma,
+                discrepancy=systematic / sigma,
+                patterns=None if patterns is None else patterns / sigma,
+                # On oblique hits the difference between simulators depends on the condition.
+                discrepancy_key=condition if kind == "oblique" else f"{layout}, {kind}",
+                timestamps=None if np.isnan(stamps[condition]).any() else np.array(stamps[condition]),
+            )
+        )
+    alone = [item.name for item in clusters if pure[item.name] is None]
+    remarks = []
+    if alone:
+        remarks.append(
+            f"not repeated, so differences are in multiples of the relevance limit and not of repeatability: "
+            f"{', '.join(alone)}; two trials of one condition give the repeatability"
+        )
+    return tuple(clusters), remarks
+
+
+def _frame_words(runs: Runs) -> str:
+    """Warning if hits place the tracker frame elsewhere, with the remedy; else empty."""
+    found = tracker_start(TRACKER_FRAME, runs.runs)
+    if found is None:
+        return ""
+    return (
+        f"; pads and objects meet if the poses of the object are off by x {1e3 * found[0]:.1f} mm, y "
+        f"{1e3 * found[1]:.1f} mm, yaw {np.rad2deg(found[2]):.2f} degrees: expected poses in the frame of the robot; "
+        "motion_capture: {estimate: true} in the experiment file places their frame by the hits"
+    )
+
+
+def pure_errors(firsts: dict[str, MeasuredRun], rows: dict[str, Array]) -> dict[str, Array | None]:
+    """Pure error by condition, ``(F,)`` in the features' units; None without repeats of its kind.
+
+    It is pooled over all conditions with the feature whose features are equal without gaps.
+
+    Args:
+        firsts: A run of every condition.
+        rows: Residuals of its repeats, ``(n, F)``.
+    """
+    families: dict[tuple[object, ...], list[str]] = {}
+    for condition, run in firsts.items():
+        families.setdefault(run.family, []).append(condition)
+    found: dict[str, Array | None] = {}
+    for members in families.values():
+        whole = pooled_error([rows[condition] for condition in members if not firsts[condition].lost])
+        places = {c: {feature: column for column, feature in enumerate(firsts[c].features)} for c in members}
+        for condition in members:
+            if not any(firsts[other].lost for other in members):
+                found[condition] = whole
+                continue
+            columns = [
+                pooled_error([rows[other][:, [own[feature]]] for other, own in places.items() if feature in own])
+                for feature in firsts[condition].features
+            ]
+            known = [column for column in columns if column is not None]
+            found[condition] = np.concatenate(known) if len(known) == len(columns) else None
+    return found
+
+
+def kind_of(run: MeasuredRun) -> Kind:
+    """Kind of the model discrepancy of a run."""
+    if not run.hit:
+        return "free"
+    return "oblique" if obliqueness(run) > MAX_SQUARE_ANGLE_RAD else "square"
+
+
+def layout_of(run: MeasuredRun) -> str:
+    """Key of the composition of a run's feature vector."""
+    counted = dict.fromkeys(feature.group[:2] for feature in run.features)
+    bins = ", ".join(f"{phase} {signal} {max_bin(run, phase, signal)}" for phase, signal in counted)
+    lost = f", without {', '.join(map(str, run.lost))}" if run.lost else ""
+    arms = ", ".join(run.setup.physics.arms)
+    return f"{'hit' if run.hit else 'free'}: {arms}, {len(run.features)} features: {bins}{lost}"
+
+
+def max_bin(run: MeasuredRun, phase: str, signal: str) -> int:
+    """Number of time bins of a signal."""
+    return 1 + max(feature.bin for feature in run.features if (feature.phase, feature.signal) == (phase, signal))
+
+
+def _with_late(
+    clusters: Sequence[Cluster], runs: Runs, residuals: Sequence[Array], model: Model, store: ReplayCache
+) -> tuple[Cluster, ...]:
+    """Clusters with the systematic error of the command clock."""
+    firsts = {run.condition: values for run, values in zip(reversed(runs.runs), reversed(residuals), strict=True)}
+    late = {name: run for name, run in runs.late.items() if name in firsts}
+    predicted = store([Replay(run.setup, model) for run in late.values()], "clock of the commands")
+    moved = {
+        name: run.measured - values - firsts[name]
+        for (name, run), values in zip(late.items(), predicted, strict=True)
+        if values is not None and np.isfinite(values).all()
+    }
+    return tuple(
+        replace(item, calibrations=(moved[item.name] / item.sigma)[None, :]) if item.name in moved else item
+        for item in clusters
+    )
+
+
+class ReplaySource(Source):
+    """Runs against the replay twin of a model.
+
+    Args:
+        runs: The runs.
+        model: The model.
+        store: Cache of replays.
+        clusters: Residuals of the model by condition, in the order of ``runs.conditions``.
+        discrepancy: Model discrepancy of the twin.
+        remarks: Remarks for the reader.
+
+    Attributes:
+        conditions: Runs of every cluster, in the order of clusters.
+    """
+
+    repeated = True
+    runs: Runs
+
+    def __init__(
+        self,
+        runs: Runs,
+        model: Model,
+        store: ReplayCache,
+        clusters: tuple[Cluster, ...],
+        discrepancy: Discrepancy,
+        remarks: Sequence[str] = (),
+    ) -> None:
+        self.runs, self.model, self.store, self.clusters = runs, model, store, clusters
+        self.discrepancy, self.remarks, self.clock = discrepancy, tuple(remarks), runs.clock
+        self.conditions = list(runs.conditions.values())
+        self._known = model.known_effects
+        self.physics = model.apply(self.conditions[0][0].setup.physics)
+        self._numbers = {item.name: number for number, item in enumerate(clusters)}
+        known = self.noise_size() is not None
+        self.size_unit = TIMES if known else "-"
+        self.size_is = (
+            "size of the difference between measurement and replay over all features and conditions, in multiples of "
+            f"{'repeatability' if known else SCALE}"
+        )
+
+    @cached_property
+    def worlds(self) -> Sequence[Physics]:
+        """See :attr:`Source.worlds`."""
+        return [self.model.apply(runs[0].setup.physics) for runs in self.conditions]
+
+    @property
+    def identity(self) -> Identity:
+        """See :attr:`Source.identity`."""
+        return Identity(self.runs.digest, len(self.runs.runs), tuple(self.runs.conditions), self.runs.recorded)
+
+    @classmethod
+    def of(
+        cls,
+        runs: Runs,
+        model: Model,
+        store: ReplayCache,
+        discrepancy: Discrepancy | None = None,
+        each_arm: bool = False,
+    ) -> ReplaySource:
+        """Replay every run with the model; runs whose replay has no impact are left out, with a remark.
+
+        Args:
+            runs: The runs.
+            model: The model.
+            store: Cache of replays.
+            discrepancy: Model discrepancy of the twin; None: the shipped one.
+            each_arm: Whether arms of one kind have separate parameters (:func:`with_per_arm_parameters`).
+
+        Raises:
+            InputError: Most replays with this model have no impact, or one is not finite.
+        """
+        discrepancy = measured_discrepancy() if discrepancy is None else discrepancy
+        model = with_per_arm_parameters(model, [run.setup.physics for run in runs.runs], each_arm)
+        bare = model.containing(())
+        predicted = store([Replay(run.setup, bare) for run in runs.runs], "replays of the model")
+        residuals, kept, missed = [], [], []
+        for run, values in zip(runs.runs, predicted, strict=True):
+            if values is None:
+                missed.append(run)
+                continue
+            if not np.isfinite(values).all():
+                raise InputError(f"with model {model.name!r} the replay is not finite or not solved", file=run.path)
+            residuals.append(run.measured - values)
+            kept.append(run)
+        if missed:
+            words = f"with model {model.name!r} the replay hits nothing"
+            if len(missed) > MAX_MISSED_SHARE * sum(run.hit for run in runs.runs):
+                raise InputError(words + _frame_words(runs), file=missed[0].path)
+            names = ", ".join(Path(run.path).name for run in missed)
+            remark = f"left out, because {words}: {names}"
+            runs = replace(runs, runs=tuple(kept), remarks=(*runs.remarks, remark))
+        clusters, remarks = clusters_of(runs, residuals, discrepancy)
+        clusters = _with_late(clusters, runs, residuals, model, store)
+        found = cls(runs, model, store, clusters, discrepancy, (*runs.remarks, *remarks))
+        found.clusters = with_intervals(found, clusters)
+        return found
+
+    def compare_levels(self) -> Comparison:
+        """See :meth:`Source.compare_levels`: free motion, and the replay through the impact."""
+        limited = self.noise_size() is None
+        return Comparison(
+            levels={name: level_of(what, self.clusters, phases, limited) for name, (what, phases) in LEVELS.items()},
+            where=tuple(where_of(self.clusters, limited)),
+            conditions=condition_scores(self.clusters),
+            joints=tuple(signal_levels(self.clusters, by_joint=True, by_limit=limited)[0]),
+        )
+
+    def tracks(self, map_tasks: Map, added: Added = ()) -> tuple[Track, ...]:
+        """See :meth:`Source.tracks`: the first run of every condition beside its replay."""
+        return tracks_of_runs(self.runs, self.model, map_tasks, added)
+
+    def free_motions(self, numbers: Sequence[int] | None = None) -> tuple[FreeMotion, ...]:
+        """See :meth:`Source.free_motions`: runs up to the impact; of many runs some, of all conditions in turn."""
+        chosen = range(len(self.conditions)) if numbers is None else numbers
+        turns = zip_longest(*(self.conditions[number] for number in chosen))
+        runs = [run for turn in turns for run in turn if run is not None and run.signals.time.size]
+        worlds: dict[int, Physics] = {}
+        found = []
+        for run in runs[:MAX_STARTS]:
+            if id(run.setup.physics) not in worlds:
+                worlds[id(run.setup.physics)] = self.model.apply(run.setup.physics)
+            motions = free_of_contact(run, run.impacts, worlds[id(run.setup.physics)], run.setup.windows[0].age)
+            found += [part for motion in motions for part in without(motion, run.gaps)]
+        return tuple(found)
+
+    def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
+        """See :meth:`Source.predict`; the first run of every condition is replayed."""
+        return self.store(
+            [self._replay(self.conditions[number][0], self._of_trials(added)) for number, added in wanted], what
+        )
+
+    def _replay(self, run: MeasuredRun, added: Added) -> Replay:
+        """A replay of a run with effects; its model has the formulas of these effects alone, for the cache key."""
+        return Replay(run.setup, self.model.containing(name for name, _ in added), added)
+
+    def _of_trials(self, added: Added) -> Added:
+        """The effects without those that only tables of impacts have: they change no replay."""
+        return tuple(item for item in added if self._known[item[0]].phases != SINGLE_IMPACT)
+
+    @cached_property
+    def free_motion_part(self) -> ReplaySource | None:
+        """See :attr:`Source.free_motion_part`; a replay of an impact costs as much as several of free motion."""
+        if not any(item.contact for item in self.clusters):
+            return None
+        masks = [[feature.phase == "free" for feature in item.features] for item in self.clusters]
+        clusters = tuple(item.only(mask, contact=False) for item, mask in zip(self.clusters, masks, strict=True))
+        bare = tuple(
+            replace(run, signals=Signals(NONE, {}), setup=run.setup.free_motion_part) for run in self.runs.runs
+        )
+        return ReplaySource(replace(self.runs, runs=bare, late={}), self.model, self.store, clusters, self.discrepancy)
+
+    def offers(self, effect: Effect) -> bool:
+        """See :meth:`Source.offers`; commands of trials made here are on the clock of the joints."""
+        return super().offers(effect) and (self.clock > 0.0 or effect.name != COMMAND_CLOCK_OFFSET.name)
+
+    def starts(self, name: str) -> Sequence[Array]:
+        """See :meth:`Source.starts`: frame of the tracker, and tracked point."""
+        return self._tracker_starts.get(name, ())
+
+    @cached_property
+    def _tracker_starts(self) -> Mapping[str, Sequence[Array]]:
+        """Estimates from the impacts by effect."""
+        found = {effect.name: tracker_start(effect, self.runs.runs) for effect in (TRACKER_FRAME, TRACKED_POINT)}
+        return {name: (start,) for name, start in found.items() if start is not None}
+
+    def spread(self, function: Callable[[Source, Item], Made], items: Sequence[Item], what: str) -> list[Made]:
+        """See :meth:`Source.spread`; every process gets a copy of the cache."""
+        bare = tuple(replace(run, signals=Signals(NONE, {})) for run in self.runs.runs)  # for figures and clusters only
+        runs, store = replace(self.runs, runs=bare, late={}), self.store.in_one_process()
+        alone = ReplaySource(runs, self.model, store, self.clusters, self.discrepancy, self.remarks)
+        alone._tracker_starts = self._tracker_starts  # the copy has no signals
+        return self.store.spread(partial(function, alone), items, what)
+
+    def residuals_with(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
+        """See :meth:`Source.residuals_with`; every run is replayed from its own start."""
+        groups = [self.conditions[self._numbers[item.name]] for item in like]
+        tasks = [self._replay(run, self._of_trials(added)) for group in groups for run in group]
+        found = self.store(tasks, "every run again")
+        if any(values is None for values in found):
+            return None
+        predicted = iter(found)
+        return [
+            replace(
+                item, residuals=np.array([run.measured - np.asarray(next(predicted)) for run in group]) / item.sigma
+            )
+            for item, group in zip(like, groups, strict=True)
+        ]

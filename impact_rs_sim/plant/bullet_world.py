@@ -1,0 +1,559 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One Bullet world: arms, object and support, with explicit values for every setting that affects the result.
+
+Shared by the plant (many small steps with compliant pads) and the ``bullet`` impact map (single rigid steps). Bullet
+multiplies the friction coefficients of two bodies, so the object has 1 and its partner the coefficient of the pair. It
+adds rolling frictions, each times the other body's friction coefficient, so only the partner has the lever of the pair.
+It adds compliances.
+
+Its friction cone weights two fixed axes with the inverse mass along them, so that the friction of a sliding box has the
+magnitude of Coulomb's law but not the direction: it opposes ``D^-1 v_t`` instead of the sliding velocity ``v_t``, at
+most 13 degrees off for the boxes of the paper. A world with small steps corrects the direction: at every corner that
+slid in the previous step, an external force replaces Bullet's friction by ``-mu N v_t / |v_t|``.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim.errors import NotABody
+from impact_rs_sim.physics import ObjectPhysics, Physics
+from impact_rs_sim.plant.pad_shear import ContactBody, PadContacts, PadShear
+from impact_rs_sim.robots.robot import Array, EndEffector, RobotFacts
+from impact_rs_sim.robots.urdf import joint_names, write_urdf
+from impact_rs_sim.rotations import continuous, quaternion_of
+from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_sim.shapes import ConvexShape
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Suppress Bullet's banners on the C-level standard output and error."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    kept, null = (os.dup(1), os.dup(2)), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(null, 1)
+        os.dup2(null, 2)
+        yield
+    finally:
+        ctypes.CDLL(None).fflush(None)  # the banner lies in the C library's buffer where output is no terminal
+        for stream, original in enumerate(kept, start=1):
+            os.dup2(original, stream)
+            os.close(original)
+        os.close(null)
+
+
+with _quiet():
+    import pybullet
+    from pybullet_utils.bullet_client import BulletClient
+
+FACE_CONTACT_POINTS = 4  # Bullet keeps four points of a face contact; each gets a quarter of the face's stiffness
+SUPPORT_DAMPING_RATIO = 0.5  # of the object on a compliant support
+MAX_SUBSTEPS = 8  # Bullet steps per step of a world
+MARGIN_M = 1e-4  # radius at the rims of a cylinder and around a hull
+MIN_SLIDING_SPEED_M_S = 2e-3  # below, sliding stops within a few steps, so its direction does not matter
+
+
+class BulletWorld:
+    """Arms, object and support in a separate Bullet world; :meth:`load` makes one.
+
+    Args:
+        physics: Parameters of the scene.
+        client: Connection to the world.
+        arms: Body of every arm in Bullet, by name.
+        object_: Body of the object.
+        support: Body of the support; None: there is none.
+        shears: Shear of the pads that have any, by arm.
+        small_steps: Whether the friction of the support is turned, one step late.
+        substeps: Steps of Bullet in one of this world.
+    """
+
+    def __init__(
+        self,
+        physics: Physics,
+        client: BulletClient,
+        arms: dict[str, int],
+        object_: int,
+        support: int | None,
+        shears: dict[str, PadShear],
+        small_steps: bool,
+        substeps: int,
+    ) -> None:
+        self.physics = physics
+        self.client = client
+        self._open = True
+        self.arms = arms
+        counts = {name: arm.facts.joint_count for name, arm in physics.arms.items()}
+        self.joints = {name: list(range(count)) for name, count in counts.items()}
+        self.end_effector_link = counts
+        self.object = object_
+        self.support = support
+        self._shears = shears
+        self._substeps = substeps
+        self._torques: dict[str, list[float]] = {}
+        self._pushes: list[tuple[str | None, Array, Array, Array]] = []
+        self._support_friction = physics.support_friction
+        self._turns = small_steps and support is not None and physics.support_friction > 0.0
+        self._models = {name: physics.robot_model(name) for name in shears}
+        self._com_is_offset = bool(np.any(physics.object.com_offset))
+        # Bound once: the attribute look-up of the wrapper costs more than some of the calls in the inner loop.
+        self._step = client.stepSimulation
+        self._get_joints = client.getJointStates
+        self._set_torques = client.setJointMotorControlArray
+        self._get_pose = client.getBasePositionAndOrientation
+        self._get_velocity = client.getBaseVelocity
+        self._get_contacts = client.getContactPoints
+        self._push = client.applyExternalForce
+
+    @classmethod
+    def load(
+        cls,
+        physics: Physics,
+        *,
+        time_step: float,
+        gravity: bool,
+        compliant_pads: bool,
+        iterations: int,
+        residual_threshold: float,
+        contact_erp: float = 0.2,
+        small_steps: bool = True,
+    ) -> BulletWorld:
+        """Load arms, object and support into a new world.
+
+        Args:
+            physics: Parameters of the scene.
+            time_step: Step [s]; Bullet takes several in one where a pad damps too little for it (:func:`_substeps`).
+            gravity: Whether gravity acts.
+            compliant_pads: Whether contacts have what a rigid one lacks: stiffness and damping of pads and support,
+                shear of pads, resistance to rolling.
+            iterations: Largest number of solver iterations in a step.
+            residual_threshold: The solver stops when the largest squared change of a row is below this.
+            contact_erp: Share of a penetration that a rigid contact removes in one step.
+            small_steps: Whether many steps follow each other: what Bullet leaves out of a step is then made up for in
+                the next.
+
+        Raises:
+            NotABody: Mass and inertia of an end effector are physically inconsistent; Bullet would continue with zero
+                inertia.
+        """
+        for name, arm in physics.arms.items():
+            check_body(name, arm.end_effector)
+        substeps = _substeps(physics, time_step) if compliant_pads else 1
+        step = time_step / substeps
+        client = _connected()
+        client.setPhysicsEngineParameter(
+            fixedTimeStep=step,
+            numSubSteps=0,
+            numSolverIterations=iterations,
+            solverResidualThreshold=residual_threshold,
+            useSplitImpulse=0,
+            contactERP=contact_erp,
+            erp=contact_erp,
+            frictionERP=0.0,
+            globalCFM=0.0,
+            contactSlop=0.0,
+            restitutionVelocityThreshold=0.0,
+            enableConeFriction=1,
+            deterministicOverlappingPairs=1,
+            constraintSolverType=pybullet.CONSTRAINT_SOLVER_LCP_SI,
+        )
+        client.setGravity(*(physics.gravity if gravity else np.zeros(3)))
+        arms = {name: _load_arm(client, physics, name, compliant_pads, step) for name in physics.arms}
+        object_ = _make_object(client, physics.object)
+        support = _make_support(client, physics, arms, compliant_pads, step)
+        shears = _shears(physics, step) if compliant_pads else {}
+        for name in shears:
+            client.changeDynamics(arms[name], physics.arms[name].facts.joint_count, lateralFriction=0.0)
+        return cls(physics, client, arms, object_, support, shears, small_steps, substeps)
+
+    def close(self) -> None:
+        """Release the connection."""
+        if self._open:
+            self._open = False
+            _give_back(self.client)
+
+    def set_arm(self, name: str, state: ArmState) -> None:
+        """Set the joint state of an arm."""
+        body = self.arms[name]
+        for joint, q, dq in zip(self.joints[name], state.position, state.velocity, strict=True):
+            self.client.resetJointState(body, joint, float(q), float(dq))
+
+    def set_object(self, state: BodyState) -> None:
+        """Set the state of the object, given at its geometric centre."""
+        offset = state.rotation @ self.physics.object.com_offset
+        velocity = state.twist[:3] + np.cross(state.twist[3:], offset)
+        client = self.client
+        client.resetBasePositionAndOrientation(
+            self.object, (state.position + offset).tolist(), _quaternion(state.rotation)
+        )
+        client.resetBaseVelocity(self.object, velocity.tolist(), state.twist[3:].tolist())
+        for shear in self._shears.values():
+            shear.release()
+
+    def rest_object(self) -> None:
+        """Put the object to sleep until a body comes near; simulating it at rest costs as much as an arm.
+
+        Bullet wakes it when its bounding box overlaps that of a moving body, which is before any contact.
+        """
+        for state in (pybullet.ACTIVATION_STATE_ENABLE_SLEEPING, pybullet.ACTIVATION_STATE_SLEEP):
+            self.client.changeDynamics(self.object, -1, activationState=state)
+
+    def joint_motion(self, name: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Joint positions [rad] and velocities [rad/s] of an arm, as returned by Bullet."""
+        position, velocity, *_ = zip(*self._get_joints(self.arms[name], self.joints[name]), strict=True)
+        return position, velocity
+
+    def arm_state(self, name: str) -> ArmState:
+        """Joint positions and velocities of an arm."""
+        position, velocity = self.joint_motion(name)
+        return ArmState(np.array(position), np.array(velocity))
+
+    def object_pose(self) -> tuple[float, ...]:
+        """Centre of mass [m] and quaternion x y z w of the object in A, as returned by Bullet: seven numbers."""
+        position, quaternion = self._get_pose(self.object)
+        return position + quaternion
+
+    def tracked(self, poses: Array) -> Array:
+        """Trajectory of the object as a tracker measures it: geometric centre instead of centre of mass.
+
+        Args:
+            poses: Rows of :meth:`object_pose`, ``(k, 7)``.
+
+        Returns:
+            Its geometric centre [m] and orientation x y z w, without changes of sign between rows, ``(k, 7)``.
+        """
+        poses = np.column_stack((poses[:, :3], continuous(poses[:, 3:])))
+        if not self._com_is_offset:
+            return poses
+        axis, w, offset = poses[:, 3:6], poses[:, 6:], self.physics.object.com_offset
+        turned = np.cross(axis, offset)
+        poses[:, :3] -= offset + 2.0 * (w * turned + np.cross(axis, turned))
+        return poses
+
+    def object_state(self) -> BodyState:
+        """State of the object, at its geometric centre."""
+        position, quaternion = self._get_pose(self.object)
+        linear, angular = self._get_velocity(self.object)
+        rotation = pin.Quaternion(np.array(quaternion)).matrix()
+        centre, twist = np.array(position), np.array(linear + angular)
+        if self._com_is_offset:
+            offset = rotation @ self.physics.object.com_offset
+            centre -= offset
+            twist[:3] -= np.cross(twist[3:], offset)
+        return BodyState(centre, rotation, twist)
+
+    def apply_torque(self, name: str, torque: Array) -> None:
+        """Joint torque of an arm over the next step, ``(n,)`` [N m]."""
+        self._torques[name] = torque.tolist()
+
+    def push(self, arm: str | None, place: Array, force: Array, moment: Array | None = None) -> None:
+        """Apply a force at a point, and a moment, over the next step; in A.
+
+        Args:
+            arm: The arm whose end effector it acts on; None: the object.
+            place: Where, ``(3,)`` [m].
+            force: ``(3,)`` [N].
+            moment: ``(3,)`` [N m].
+        """
+        self._pushes.append((arm, place, force, np.zeros(3) if moment is None else moment))
+
+    def contact_points(self, arm: str | None) -> tuple[tuple[Any, ...], ...]:
+        """Contact points of the last step between object and arm (None: support)."""
+        if arm is None:
+            return self._get_contacts(self.object, self.support) if self.support is not None else ()
+        return self._get_contacts(self.arms[arm], self.object)
+
+    def set_support_friction(self, coefficient: float) -> None:
+        """Set the friction coefficient of the support, from the next step on; for extensions of a plant."""
+        self._support_friction = coefficient
+        self.client.changeDynamics(self.support, -1, lateralFriction=coefficient)
+
+    def step(self) -> None:
+        """Advance by one step."""
+        for _ in range(self._substeps):
+            for name, torque in self._torques.items():  # Bullet forgets them
+                self._set_torques(self.arms[name], self.joints[name], pybullet.TORQUE_CONTROL, forces=torque)
+            for name, shear in self._shears.items():
+                self._shear(name, shear)
+            for arm, place, force, moment in self._pushes:
+                body, link = (self.object, -1) if arm is None else (self.arms[arm], self.end_effector_link[arm])
+                self._push(body, link, force.tolist(), place.tolist(), pybullet.WORLD_FRAME)
+                if np.any(moment):
+                    self.client.applyExternalTorque(body, link, moment.tolist(), pybullet.WORLD_FRAME)
+            if self._turns:
+                self._correct_friction_direction()
+            self._step()
+        self._torques.clear()
+        self._pushes.clear()
+
+    def _correct_friction_direction(self) -> None:
+        """Correct the direction of the support's friction on the sliding object, over the next step.
+
+        In plain numbers, along z of A, the normal of every support: with arrays it would cost more than Bullet's step.
+        """
+        (vx, vy, _), (wx, wy, wz) = self._get_velocity(self.object)
+        if max(abs(vx), abs(vy), abs(wz)) < MIN_SLIDING_SPEED_M_S:
+            return
+        cx, cy, cz = self._get_pose(self.object)[0]
+        for point in self._get_contacts(self.object, self.support):
+            place, first, second = point[5], point[11], point[13]
+            x, y, z = place[0] - cx, place[1] - cy, place[2] - cz
+            ux, uy = vx + wy * z - wz * y, vy + wz * x - wx * z
+            speed, radius = math.hypot(ux, uy), self._support_friction * point[9]
+            given_x = point[10] * first[0] + point[12] * second[0]
+            given_y = point[10] * first[1] + point[12] * second[1]
+            if speed > MIN_SLIDING_SPEED_M_S and math.hypot(given_x, given_y) > 0.99 * radius:
+                force = (-radius * ux / speed - given_x, -radius * uy / speed - given_y, 0.0)
+                self._push(self.object, -1, force, place, pybullet.WORLD_FRAME)
+
+    def _shear(self, name: str, shear: PadShear) -> None:
+        """Friction of a pad that is compliant along its face, over the next step."""
+        points = self._get_contacts(self.arms[name], self.object)
+        touch = PadContacts(
+            points=np.array([point[6] for point in points]).reshape(-1, 3),
+            loads=np.array([max(point[9], 0.0) for point in points]),
+            normal=np.array(points[0][7] if points else np.zeros(3)),
+        )
+        if not np.any(touch.loads):
+            shear.release()
+            return
+        position, velocity = self.joint_motion(name)
+        upper, jacobian, placement = self._models[name].at_impact(np.array(position))
+        root = np.linalg.cholesky(upper.T)  # of which the lower triangle counts
+        moved = np.linalg.solve(root, jacobian.T)
+        pad = ContactBody(placement.translation, jacobian @ np.array(velocity), moved.T @ moved)
+        forces = shear.step(touch, self._object_side(), pad, placement.rotation)
+        arm, link = self.arms[name], self.end_effector_link[name]
+        for point, (x, y, z) in zip(touch.points.tolist(), forces.tolist(), strict=True):
+            self._push(self.object, -1, (x, y, z), point, pybullet.WORLD_FRAME)
+            self._push(arm, link, (-x, -y, -z), point, pybullet.WORLD_FRAME)
+
+    def _object_side(self) -> ContactBody:
+        """The object at its centre of mass."""
+        position, quaternion = self._get_pose(self.object)
+        linear, angular = self._get_velocity(self.object)
+        rotation = pin.Quaternion(np.array(quaternion)).matrix()
+        object_, mobility = self.physics.object, np.zeros((6, 6))
+        mobility[:3, :3] = np.eye(3) / object_.mass
+        mobility[3:, 3:] = rotation / object_.inertia @ rotation.T
+        return ContactBody(np.array(position), np.array(linear + angular), mobility)
+
+    def pad_force(self, name: str) -> Array:
+        """Force of the object on an arm's pad in the last step, in A, ``(3,)`` [N]."""
+        points = self._get_contacts(self.arms[name], self.object)
+        if not points:
+            return np.zeros(3)
+        sizes = np.array([(point[9], point[10], point[12]) for point in points])  # normal and both tangents
+        directions = np.array([(point[7], point[11], point[13]) for point in points])
+        force = np.asarray(sizes.ravel() @ directions.reshape(-1, 3))
+        return force - self._shears[name].force if name in self._shears else force
+
+
+_idle: list[BulletClient] = []
+_MAX_IDLE_CONNECTIONS = 4  # kept for reuse; a new connection takes as long as half a window of a replay
+
+
+def _connected() -> BulletClient:
+    """A connection to an empty world."""
+    if _idle:
+        client = _idle.pop()
+        client.resetSimulation()
+        return client
+    with _quiet():
+        return BulletClient(connection_mode=pybullet.DIRECT)
+
+
+def _give_back(client: BulletClient) -> None:
+    if len(_idle) < _MAX_IDLE_CONNECTIONS:
+        _idle.append(client)
+        return
+    client.disconnect()
+    client._client = -1
+
+
+def mass_matrices(facts: RobotFacts, end_effector: EndEffector, positions: Array) -> Array:
+    """Bullet's mass matrices of a single arm, ``(k, n, n)`` [kg m^2].
+
+    Args:
+        facts: Kinematics, inertials and limits.
+        end_effector: What is on its flange.
+        positions: Joint positions, ``(k, n)`` [rad].
+    """
+    client = _connected()
+    body = _load_urdf(client, facts, end_effector, pin.SE3.Identity())
+    found = np.array([client.calculateMassMatrix(body, row) for row in positions.tolist()])
+    _give_back(client)
+    return found
+
+
+def _load_urdf(client: BulletClient, facts: RobotFacts, end_effector: EndEffector, base: pin.SE3) -> int:
+    with tempfile.TemporaryDirectory(prefix="impact_rs_") as folder:
+        path = Path(folder) / "arm.urdf"
+        path.write_text(write_urdf(facts, end_effector), encoding="utf-8")
+        body = client.loadURDF(
+            str(path),
+            basePosition=base.translation.tolist(),
+            baseOrientation=_quaternion(base.rotation),
+            useFixedBase=1,
+            flags=pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_IGNORE_VISUAL_SHAPES,
+        )
+    return int(body)
+
+
+def _substeps(physics: Physics, period: float) -> int:
+    """Number of Bullet steps per period, so that the implicit spring does not overdamp a pad (:func:`_compliance`)."""
+    wanted = [
+        period * arm.pad_stiffness / max(arm.pad_damping, 1e-9)
+        for arm in physics.arms.values()
+        if arm.pad_stiffness is not None
+    ]
+    return min(math.ceil(max(wanted, default=1.0)), MAX_SUBSTEPS)
+
+
+def _compliance(stiffness: float, damping: float, step: float) -> dict[str, float]:
+    """Stiffness and damping of one of the contact points that share those of a face.
+
+    Bullet's spring is implicit in the depth, k (d - h u): this adds the damping h k, which is subtracted here.
+    """
+    own = max(damping - step * stiffness, 0.0)
+    return {"contactStiffness": stiffness / FACE_CONTACT_POINTS, "contactDamping": own / FACE_CONTACT_POINTS}
+
+
+def _load_arm(client: BulletClient, scene: Physics, name: str, compliant: bool, step: float) -> int:
+    physics = scene.arms[name]
+    body = _load_urdf(client, physics.facts, physics.end_effector, physics.base)
+    joints = list(range(len(joint_names(physics.facts))))
+    client.setJointMotorControlArray(body, joints, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(joints))
+    for link in range(-1, client.getNumJoints(body)):
+        client.changeDynamics(
+            body,
+            link,
+            linearDamping=0.0,
+            angularDamping=0.0,
+            jointDamping=0.0,
+            spinningFriction=0.0,
+            rollingFriction=0.0,
+            restitution=0.0,
+            maxJointVelocity=1e3,
+            jointLowerLimit=1.0,  # an empty interval switches Bullet's own joint stops off
+            jointUpperLimit=-1.0,
+            activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
+        )
+        # A separate call: together with maxJointVelocity or activationState Bullet ignores it silently.
+        client.changeDynamics(body, link, lateralFriction=scene.pad_friction)
+    if physics.end_effector.shape.kind == "cylinder":
+        client.changeDynamics(body, len(joints), collisionMargin=MARGIN_M)
+    if compliant and scene.rolling_arm:
+        client.changeDynamics(body, len(joints), rollingFriction=scene.rolling_arm)
+    if compliant and physics.pad_stiffness is not None:
+        client.changeDynamics(body, len(joints), **_compliance(physics.pad_stiffness, physics.pad_damping, step))
+    return body
+
+
+def _geometry(shape: ConvexShape, size: Array) -> dict[str, Any]:
+    """A shape as Bullet takes it."""
+    radius, height = float(size[0]) / 2.0, float(size[2])
+    if shape.kind == "sphere":
+        return {"shapeType": pybullet.GEOM_SPHERE, "radius": radius}
+    if shape.kind == "capsule":  # whose height is that of its tube
+        return {"shapeType": pybullet.GEOM_CAPSULE, "radius": radius, "height": height - 2.0 * radius}
+    if shape.kind == "cylinder":
+        return {"shapeType": pybullet.GEOM_CYLINDER, "radius": radius, "height": height}
+    if shape.kind == "hull":
+        return {"shapeType": pybullet.GEOM_MESH, "vertices": [list(corner) for corner in shape.corners]}
+    return {"shapeType": pybullet.GEOM_BOX, "halfExtents": (size / 2.0).tolist()}
+
+
+def _make_object(client: BulletClient, object_: ObjectPhysics) -> int:
+    shape = client.createCollisionShape(
+        **_geometry(object_.shape, object_.size), collisionFramePosition=(-object_.com_offset).tolist()
+    )
+    body = client.createMultiBody(baseMass=object_.mass, baseCollisionShapeIndex=shape)
+    if object_.shape.kind in ("cylinder", "hull"):  # Bullet rounds the rims of one, and adds a margin around the other
+        client.changeDynamics(body, -1, collisionMargin=MARGIN_M)
+    client.changeDynamics(
+        body,
+        -1,
+        localInertiaDiagonal=object_.inertia.tolist(),
+        linearDamping=0.0,
+        angularDamping=0.0,
+        lateralFriction=1.0,
+        spinningFriction=0.0,
+        rollingFriction=0.0,
+        restitution=0.0,
+        activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
+    )
+    return int(body)
+
+
+def _shears(physics: Physics, period: float) -> dict[str, PadShear]:
+    """Shear models of the pads with shear compliance or creep."""
+    yielding = {name: arm for name, arm in physics.arms.items() if arm.pad_shear_compliance or arm.pad_creep}
+    return {
+        name: PadShear(arm.pad_shear_compliance, arm.pad_creep, physics.pad_friction, period, pads=len(yielding))
+        for name, arm in yielding.items()
+    }
+
+
+def _make_support(
+    client: BulletClient, physics: Physics, arms: dict[str, int], compliant: bool, step: float
+) -> int | None:
+    if physics.support_height is None:
+        return None
+    thickness, height = 0.1, physics.support_height
+    yields = compliant and physics.support_compliance > 0.0
+    if yields:  # unloaded it is higher by what the object's weight presses it down
+        height -= float(physics.gravity[2]) * physics.object.mass * physics.support_compliance
+    half = (physics.support_size[0] / 2.0, physics.support_size[1] / 2.0, thickness / 2.0)
+    shape = client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half)
+    body = client.createMultiBody(
+        baseMass=0.0,
+        baseCollisionShapeIndex=shape,
+        basePosition=[0.0, 0.0, height - thickness / 2.0],
+    )
+    client.changeDynamics(
+        body,
+        -1,
+        lateralFriction=physics.support_friction,
+        spinningFriction=0.0,
+        rollingFriction=physics.rolling_arm if compliant else 0.0,
+        restitution=0.0,
+    )
+    if yields:
+        stiffness = 1.0 / physics.support_compliance
+        damping = 2.0 * SUPPORT_DAMPING_RATIO * float(np.sqrt(stiffness * physics.object.mass))
+        client.changeDynamics(body, -1, **_compliance(stiffness, damping, step))
+    for arm in arms.values():
+        for link in range(-1, client.getNumJoints(arm)):
+            client.setCollisionFilterPair(arm, body, link, -1, 0)
+    return int(body)
+
+
+def check_body(name: str, end_effector: EndEffector) -> None:
+    """Refuse an end effector without a physically consistent inertia.
+
+    Raises:
+        NotABody: Its mass is not positive, or its moments of inertia are physically inconsistent.
+    """
+    smallest, middle, largest = np.linalg.eigvalsh(end_effector.inertia)
+    if end_effector.mass <= 0.0 or smallest <= 0.0 or largest > (1.0 + 1e-6) * (smallest + middle):
+        raise NotABody(
+            f"end effector of arm {name!r}: mass {end_effector.mass:.4g} kg with principal moments of inertia "
+            f"{smallest:.3g}, {middle:.3g}, {largest:.3g} kg m^2 is no rigid body"
+        )
+
+
+def _quaternion(rotation: Array) -> list[float]:
+    return quaternion_of(rotation).tolist()

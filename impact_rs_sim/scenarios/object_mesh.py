@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A convex object from its mesh: corners of its hull, centre of mass and inertia of an even density.
+
+Mass, first and second moments of the polyhedron are sums over the tetrahedra between the origin and its triangles
+(a, b, c), of volume V = det(a, b, c) / 6, with middle (a + b + c) / 4 and second moments
+V / 20 (a a^T + b b^T + c c^T + s s^T), s = a + b + c (Tonon 2004). They are those of the mesh itself, with all of its
+corners. Contact takes the hull (Barber et al. 1996, Qhull); a mesh whose hull is larger than the mesh is refused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import coal
+import numpy as np
+import scipy
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import is_file
+from impact_rs_sim.robots.bodies import inertia_of
+from impact_rs_sim.robots.robot import Array
+
+MAX_CORNERS = 200  # of a hull; finer ones keep the corners that are furthest in as many directions
+MAX_HULL_EXCESS = 0.02  # volume of the hull over that of the mesh, less 1 [-]; what is more is a hollow
+MAX_PRODUCT_SHARE = 0.01  # of a product of inertia over the trace [-]; more: the principal axes are others
+
+
+@dataclass(frozen=True)
+class ObjectMesh:
+    """What a mesh says about an object.
+
+    Attributes:
+        corners: Of the hull, from the middle of its bounding box, ``(k, 3)`` [m].
+        size: Extents, ``(3,)`` [m].
+        com: Centre of mass from that middle, ``(3,)`` [m].
+        moments: Moments of inertia about the centre of mass over the mass, ``(3,)`` [m^2].
+    """
+
+    corners: Array
+    size: Array
+    com: Array
+    moments: Array
+
+
+def read_object_mesh(path: Path) -> ObjectMesh:
+    """The object of a mesh file (STL, OBJ, DAE or PLY), in metres; its z points up where the object stands.
+
+    Raises:
+        InputError: No such file, no closed surface, or a body that is not convex or whose principal axes of inertia are
+            not its own axes.
+    """
+    if not is_file(path):
+        raise InputError("no such file", file=path)
+    try:
+        mesh = coal.MeshLoader().load(str(path), np.ones(3))
+    except (ValueError, RuntimeError, IndexError) as error:
+        raise InputError(f"expected a mesh as STL, OBJ, DAE or PLY: {error}", file=path) from None
+    points = np.array(mesh.vertices(), dtype=float).reshape(-1, 3)
+    numbers = [mesh.tri_indices(index) for index in range(mesh.num_tris)]
+    return object_mesh(points, np.array([[one[0], one[1], one[2]] for one in numbers], dtype=int), path)
+
+
+def object_mesh(points: Array, triangles: Array, path: Path) -> ObjectMesh:
+    """The object of a closed surface.
+
+    Args:
+        points: Corners, ``(k, 3)`` [m].
+        triangles: Numbers of their corners, seen from outside anticlockwise, ``(m, 3)``.
+        path: File, for errors.
+
+    Raises:
+        InputError: As :func:`read_object_mesh`.
+    """
+    if len(points) < 4 or np.ptp(points, axis=0).min() <= 0.0:
+        raise InputError("expected a body with a volume", file=path)
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    points = points - middle
+    a, b, c = (points[triangles[:, side]] for side in range(3))
+    volumes = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
+    volume = float(volumes.sum())
+    hull = scipy.spatial.ConvexHull(points)
+    if not 0.0 < volume <= hull.volume * (1.0 + 1e-6):
+        raise InputError(
+            f"its surface does not close around a volume (found {volume:.3g} m^3, its hull has {hull.volume:.3g} m^3)",
+            file=path,
+        )
+    if hull.volume / volume - 1.0 > MAX_HULL_EXCESS:
+        raise InputError(
+            f"it is not convex: its hull has {hull.volume / volume - 1.0:.0%} more volume; one convex body can be hit, "
+            "no hollow and no handle",
+            file=path,
+        )
+    s = a + b + c
+    com = np.einsum("i,ij->j", volumes, s) / (4.0 * volume)
+    second = sum(np.einsum("i,ij,ik->jk", volumes, one, one) for one in (a, b, c, s)) / (20.0 * volume)
+    inertia = inertia_of(np.asarray(second) - np.outer(com, com))
+    products = np.abs(inertia - np.diag(np.diag(inertia))).max()
+    if products > MAX_PRODUCT_SHARE * np.trace(inertia):
+        nearest = np.abs(np.linalg.eigh(inertia)[1]).max(axis=0).min()  # cosine of a principal axis and an own one
+        turned = np.degrees(np.arccos(min(nearest, 1.0)))
+        raise InputError(
+            f"its principal axes of inertia are turned by about {turned:.0f} degrees against its axes; expected a mesh "
+            "whose axes they are",
+            file=path,
+        )
+    corners = points[hull.vertices]
+    if len(corners) > MAX_CORNERS:
+        corners = _furthest(corners)
+    half = np.maximum(corners.max(axis=0), -corners.min(axis=0))
+    return ObjectMesh(corners, 2.0 * half, com, np.diag(inertia).copy())
+
+
+def _furthest(corners: Array) -> Array:
+    """The corners that are furthest along the axes and in directions spread evenly over the sphere."""
+    count = MAX_CORNERS - 6
+    height = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+    turn = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(count)  # golden angle
+    across = np.sqrt(1.0 - height**2)
+    spread = np.column_stack((across * np.cos(turn), across * np.sin(turn), height))
+    directions = np.vstack((spread, np.eye(3), -np.eye(3)))
+    return corners[np.unique(np.argmax(directions @ corners.T, axis=1))]

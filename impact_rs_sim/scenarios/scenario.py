@@ -1,0 +1,856 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenario files: the scene, the motion of the robots, and the measurement.
+
+A scenario (``config/scenarios/*.yaml``) holds nominal values. Estimated physics is in model files.
+
+An unknown name raises an :class:`InputError` that lists the known ones; an invalid file raises one with file and key.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, TypeVar
+
+import numpy as np
+import pinocchio as pin
+from pydantic import Field, field_validator, model_validator
+
+from impact_rs_sim.errors import InputError, did_you_mean, shortened
+from impact_rs_sim.files import is_file
+from impact_rs_sim.paths import config_directory
+from impact_rs_sim.robots.bodies import is_physically_consistent
+from impact_rs_sim.robots.robot import Array, EndEffector, Reflexes, RobotFacts, load_facts
+from impact_rs_sim.robots.robot_model import STANDARD_GRAVITY, RobotModel
+from impact_rs_sim.scenarios.friction_compensation import FrictionCompensation
+from impact_rs_sim.scenarios.object_mesh import read_object_mesh
+from impact_rs_sim.schema import (
+    Name,
+    NonNegativeVector,
+    PositiveVector,
+    PositiveVector3,
+    Schema,
+    Vector,
+    Vector3,
+    load,
+    load_mapping,
+    omitted,
+    validate,
+)
+from impact_rs_sim.shapes import ConvexShape, check_extents, hull_of
+
+Positive = Annotated[float, Field(gt=0.0)]
+NonNegative = Annotated[float, Field(ge=0.0)]
+
+AXES = {"x": 0, "y": 1, "z": 2}
+CORNER_TOLERANCE_M = 1e-6  # of the corners of a hull and its size
+# Half width of the 95 % interval of a motor inertia that is assumed, relative: from none to three times the number.
+# Three times an assumed B_theta is B_rho, which the links carry where a torque loop does nothing. A known B_rho,
+# over that scaled from a Franka arm by the torque limit: 0.8 to 2.5 in a Franka arm itself, 1.1 to 3.1 in a UR10e,
+# 0.05 to 0.4 in a Stäubli TX40 (docs/real_data.md): 18 of 19 joints lie below three.
+ASSUMED_MOTOR_INERTIA = 2.0
+Item = TypeVar("Item")
+
+
+class Base(Schema):
+    """Mounting of an arm."""
+
+    position: Vector3 = Field(description="origin of the arm's base in the inertial frame [m]")
+    yaw: float = Field(0.0, description="rotation of the arm's base about z [rad]")
+    roll: float = omitted(
+        0.0, description="rotation about x, before pitch and yaw, as rpy in a URDF; pi: from a ceiling [rad]"
+    )
+    pitch: float = omitted(0.0, description="rotation about y, before yaw, likewise; pi/2: on a wall [rad]")
+
+    @property
+    def placement(self) -> pin.SE3:
+        """Placement of the base in the inertial frame."""
+        return pin.SE3(pin.rpy.rpyToMatrix(self.roll, self.pitch, self.yaw), np.array(self.position))
+
+
+class Pad(Schema):
+    """The flat pad that hits, and the silicone cover that makes it compliant."""
+
+    size: PositiveVector3 = Field(description="width, height and thickness of the pad [m]")
+    stiffness: Positive | None = Field(None, description="stiffness of the whole pad face [N/m]; absent: a rigid pad")
+    damping: NonNegative = Field(0.0, description="damping of the whole pad face [N s/m]")
+    shape: Literal["box", "sphere", "cylinder"] = omitted(
+        "box",
+        description="what fills the extents of size: box, sphere (three equal ones) or cylinder (a round pad: axis "
+        "along the thickness, equal width and height); frame E is at its foremost point [-]",
+    )
+
+    @model_validator(mode="after")
+    def _size_of_its_shape(self) -> Self:
+        check_extents(self.shape, self.size)
+        return self
+
+
+class EndEffectorSpec(Schema):
+    """Rigid end effector on the flange; its frame E lies in the middle of the pad's outer face, +z outwards."""
+
+    mass: Positive = Field(description="mass of the end effector [kg]")
+    com: Vector3 = Field(description="centre of mass in frame E [m]")
+    inertia: PositiveVector3 = Field(description="principal moments about the centre of mass, axes of frame E [kg m^2]")
+    length: Positive = Field(description="distance from the flange to the pad's outer face [m]")
+    mount_yaw: float = Field(0.0, description="rotation of the pad about the flange axis [rad]")
+    pad: Pad = Field(description="the pad")
+
+    @field_validator("inertia")
+    @classmethod
+    def _of_a_body(cls, inertia: tuple[float, float, float]) -> tuple[float, float, float]:
+        if not is_physically_consistent(1.0, np.diag(inertia)):
+            raise ValueError("no rigid body has these moments; expected none larger than the sum of the other two")
+        return inertia
+
+    def build(self) -> EndEffector:
+        """The rigid body for the URDF."""
+        return EndEffector(
+            mass=self.mass,
+            com=np.array(self.com),
+            inertia=np.diag(self.inertia),
+            length=self.length,
+            mount_yaw=self.mount_yaw,
+            pad_size=self.pad.size,
+            shape=ConvexShape(self.pad.shape),
+        )
+
+
+DriveNumber = Literal["motor_inertia_rotor", "motor_inertia_reduced", "stiffness", "damping"]
+
+
+class DriveSettings(Schema):
+    """Motor side of the joints (paper eqs. EOM_motor, torque_control_law)."""
+
+    type: Literal["torque_loop", "rigid"] = omitted(
+        "torque_loop",
+        description="torque_loop: a loop about the joint torque shapes the motor's inertia to B_theta; rigid: there is "
+        "none, and the links carry B_rho whole, whatever the motor is asked",
+    )
+    motor_inertia_rotor: PositiveVector = Field(
+        description="B_rho, rotor inertia times the square of the gear ratio, per joint [kg m^2], prismatic [kg]"
+    )
+    motor_inertia_reduced: PositiveVector | None = omitted(
+        None,
+        description="B_theta, motor inertia that the torque loop leaves, per joint [kg m^2], prismatic [kg]; required "
+        "for torque_loop, absent for rigid, where it is B_rho",
+    )
+    stiffness: PositiveVector = Field(
+        description="K, joint stiffness per joint, of the gear where it is rigid [N m/rad], prismatic [N/m]"
+    )
+    damping: NonNegativeVector = Field(description="D, joint damping per joint [N m s/rad], prismatic [N s/m]")
+    friction: Literal["none", "identified"] = Field(
+        "none", description="joint friction in the plant: none, or the robot's identified friction"
+    )
+    actuation_delay: NonNegative = Field(0.0, description="delay of the desired torque [s]")
+    assumed: tuple[DriveNumber, ...] = omitted(
+        (),
+        description="which keys of this section hold numbers that are assumed, neither measured nor published; "
+        "`robot check`, reports and verdicts say so",
+    )
+
+    @model_validator(mode="after")
+    def _inertia_of_its_type(self) -> Self:
+        if self.type == "torque_loop" and self.motor_inertia_reduced is None:
+            raise ValueError(
+                "motor_inertia_reduced (B_theta) is required for type torque_loop [kg m^2]; without a torque loop say "
+                "type: rigid"
+            )
+        if self.type == "rigid" and self.motor_inertia_reduced is not None:
+            raise ValueError("motor_inertia_reduced is what a torque loop leaves; type rigid has none: leave it out")
+        if missing := [name for name in self.assumed if getattr(self, name) is None]:
+            raise ValueError(f"assumed names {missing[0]}, which is not in this section")
+        return self
+
+    @property
+    def assumes_motor_inertia(self) -> bool:
+        """Whether :attr:`reflected_inertia` is an assumption."""
+        name = "motor_inertia_rotor" if self.motor_inertia_reduced is None else "motor_inertia_reduced"
+        return name in self.assumed
+
+    @property
+    def reflected_inertia(self) -> tuple[float, ...]:
+        """Motor inertia per joint, seen at the links: B_theta with a torque loop, else B_rho [kg m^2]."""
+        return self.motor_inertia_rotor if self.motor_inertia_reduced is None else self.motor_inertia_reduced
+
+
+POSE_KEYS = ("position", "pad_normal", "pad_up", "joint_guess")
+
+
+class ImpactPose(Schema):
+    """Configuration of the arm at the impact: the pose of frame E, or the position of every joint."""
+
+    position: Vector3 | None = omitted(None, description="origin of frame E at impact [m]")
+    pad_normal: Vector3 | None = omitted(None, description="direction out of the pad at impact, unit vector")
+    pad_up: Vector3 | None = omitted(None, description="direction of E's y axis at impact, unit vector")
+    joint_guess: Vector | None = omitted(
+        None, description="joint positions to start inverse kinematics from [rad], prismatic [m]"
+    )
+    joint_position: Vector | None = omitted(
+        None,
+        description="joint positions at impact, in the place of the four keys above; for arms that cannot hold a pose, "
+        "with fewer than six joints [rad], prismatic [m]",
+    )
+
+    @property
+    def placement(self) -> pin.SE3:
+        """Placement of E in the inertial frame at impact, where it is given as a pose."""
+        normal = np.array(self.pad_normal)
+        up = np.array(self.pad_up)
+        return pin.SE3(np.column_stack((np.cross(up, normal), up, normal)), np.array(self.position))
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Self:
+        missing = [name for name in POSE_KEYS if getattr(self, name) is None]
+        if self.joint_position is None and missing:
+            raise ValueError(
+                f"expected joint_position, or {', '.join(POSE_KEYS[:-1])} and {POSE_KEYS[-1]}; "
+                f"missing: {', '.join(missing)}"
+            )
+        if self.joint_position is not None and len(missing) < len(POSE_KEYS):
+            given = next(name for name in POSE_KEYS if name not in missing)
+            raise ValueError(f"joint_position stands beside {given}, expected one of both: it says where E is")
+        return self
+
+    @model_validator(mode="after")
+    def _orthonormal(self) -> Self:
+        if self.joint_position is not None:
+            return self
+        normal, up = np.array(self.pad_normal), np.array(self.pad_up)
+        if abs(np.linalg.norm(normal) - 1.0) > 1e-6 or abs(np.linalg.norm(up) - 1.0) > 1e-6:
+            raise ValueError("pad_normal and pad_up must be unit vectors")
+        if abs(normal @ up) > 1e-6:
+            raise ValueError("pad_normal and pad_up must be perpendicular")
+        return self
+
+
+class Robot(Schema):
+    """One arm of the scene."""
+
+    facts: str | RobotFacts = Field(
+        description="name of the robot in config/robots, or a path, seen from the scenario file's folder, to a YAML "
+        "file of your own. That file has these keys"
+    )
+    base: Base = Field(description="mounting of the arm")
+    end_effector: EndEffectorSpec = Field(description="end effector")
+    drive: DriveSettings = Field(description="motor side")
+    impact: ImpactPose = Field(description="pose at impact")
+    reflexes: Reflexes | None = omitted(
+        None,
+        description="thresholds of the robot's own reflexes that are set on it for these trials, in place of those of "
+        "the facts; the keys are those of reflexes there",
+    )
+
+    @model_validator(mode="after")
+    def _one_entry_per_joint(self) -> Self:
+        count = self.robot_facts.joint_count
+        for name in ("motor_inertia_rotor", "motor_inertia_reduced", "stiffness", "damping"):
+            values = getattr(self.drive, name)
+            found = count if values is None else len(values)
+            if found != count:
+                raise ValueError(f"drive.{name} has {found} entries, expected one per joint ({count})")
+        key = "joint_guess" if self.impact.joint_position is None else "joint_position"
+        if len(getattr(self.impact, key)) != count:
+            raise ValueError(f"impact.{key} must have one entry per joint ({count}) [rad], prismatic [m]")
+        for name in ("external_torque_Nm", "velocity_jump_rad_s"):
+            values = None if self.reflexes is None else getattr(self.reflexes, name)
+            if values is not None and len(values) != count:
+                raise ValueError(f"reflexes.{name} has {len(values)} entries, expected one per joint ({count})")
+        if self.drive.type == "torque_loop" and not self.robot_facts.joint_torque_loop:
+            raise ValueError(f"{self.facts_name} has no torque loop that could shape its inertia: drive.type: rigid")
+        if self.drive.friction == "identified" and self.robot_facts.friction is None:
+            raise ValueError(f"drive.friction is 'identified', but {self.facts_name} has none in its facts")
+        return self
+
+    @model_validator(mode="after")
+    def _facts_of_a_robot_that_can_be(self) -> Self:
+        """Refuse physically inconsistent inertias; ``robot check`` reads such facts and reports the errors."""
+        for number, link in enumerate(self.robot_facts.links):
+            least = float(np.linalg.eigvalsh(link.inertia_matrix)[0])
+            if least < 0.0:
+                place = f"{self.facts_name}: links.{number}.inertia"
+                raise ValueError(f"{place} has the principal moment {least:.3g}, expected none below 0 [kg m^2]")
+        limits = self.robot_facts.limits
+        for number, (low, high) in enumerate(zip(limits.position_min_rad, limits.position_max_rad, strict=True)):
+            if low >= high:
+                raise ValueError(
+                    f"{self.facts_name}: limits.position_min_rad.{number} = {low:g} must be below position_max_rad = "
+                    f"{high:g} [rad]"
+                )
+        return self
+
+    @property
+    def robot_facts(self) -> RobotFacts:
+        """Kinematics, inertials and limits."""
+        return load_facts(self.facts) if isinstance(self.facts, str) else self.facts
+
+    @property
+    def impact_placement(self) -> pin.SE3:
+        """Placement of E in the inertial frame at impact, as given or by forward kinematics."""
+        if self.impact.joint_position is None:
+            return self.impact.placement
+        model = RobotModel(self.robot_facts, self.end_effector.build(), self.base.placement)
+        return model.placement(np.array(self.impact.joint_position))
+
+    @property
+    def assumed(self) -> tuple[str, ...]:
+        """Assumptions about the arm, neither measured nor published: keys of its drive, and those in its facts."""
+        return (*(f"drive.{name}" for name in self.drive.assumed), *self.robot_facts.assumed)
+
+    @property
+    def facts_name(self) -> str:
+        """Name of the robot in errors: that in config/robots, or the source of its facts."""
+        return self.facts if isinstance(self.facts, str) else self.facts.source
+
+
+class ObjectSpec(Schema):
+    """A rigid convex object."""
+
+    label: str = Field(description="name for tables and figures")
+    mass: Positive = Field(description="mass of the object [kg]")
+    size: PositiveVector3 = Field(description="extent along x, y and z [m]")
+    com_offset: Vector3 = Field((0.0, 0.0, 0.0), description="centre of mass from the geometric centre [m]")
+    shape: Literal["box", "sphere", "capsule", "cylinder", "hull"] = omitted(
+        "box",
+        description="what fills the extents of size: box, sphere (three equal ones), capsule or cylinder (axis z, "
+        "equal along x and y), or the convex hull of corners [-]",
+    )
+    corners: tuple[Vector3, ...] = omitted(
+        (),
+        description="of a hull, from the middle of its bounding box [m]; mesh, a path seen from the scenario file's "
+        "folder, stands for shape, corners and size, and without com_offset and inertia for these of an even density",
+    )
+    rpy: Vector3 = omitted(
+        (0.0, 0.0, 0.0),
+        description="roll, pitch and yaw of the object where it rests, as in a URDF; pitch pi/2: a cylinder lies [rad]",
+    )
+    inertia: PositiveVector3 | None = omitted(
+        None,
+        description="principal moments about the centre of mass, in the axes of the object; absent: those of a "
+        "homogeneous body about its geometric centre [kg m^2]",
+    )
+
+    @field_validator("inertia")
+    @classmethod
+    def _inertia_of_a_body(cls, inertia: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
+        if inertia is not None and not is_physically_consistent(1.0, np.diag(inertia)):
+            raise ValueError("no rigid body has these moments; expected none larger than the sum of the other two")
+        return inertia
+
+    @model_validator(mode="after")
+    def _size_of_its_shape(self) -> Self:
+        check_extents(self.shape, self.size)
+        if (self.shape == "hull") != bool(self.corners):
+            raise ValueError("corners belong to shape: hull, and a hull needs them [m]")
+        if self.corners:
+            corners = np.array(self.form.corners)
+            far = np.maximum(corners.max(axis=0), -corners.min(axis=0))
+            if np.max(np.abs(2.0 * far - self.size)) > CORNER_TOLERANCE_M:
+                raise ValueError(f"size must be the extents of the corners, {(2.0 * far).tolist()} [m]")
+            if self.inertia is None:
+                raise ValueError("inertia is required for a hull; mesh has that of an even density [kg m^2]")
+        return self
+
+    @property
+    def form(self) -> ConvexShape:
+        """Its shape for the geometry."""
+        return hull_of(self.corners) if self.shape == "hull" else ConvexShape(self.shape)
+
+    @property
+    def moments(self) -> Array:
+        """Principal moments about its centre of mass, ``(3,)`` [kg m^2]."""
+        return self.form.moments(self.mass, np.array(self.size)) if self.inertia is None else np.array(self.inertia)
+
+    @property
+    def rotation(self) -> Array:
+        """Axes of the object in A where it rests, ``(3, 3)``."""
+        return np.eye(3) if self.rpy == (0.0, 0.0, 0.0) else np.asarray(pin.rpy.rpyToMatrix(*self.rpy))
+
+    def reach(self, direction: Array) -> float:
+        """Support function where it rests: its reach from its middle along a unit vector in A, ``(3,)`` [m]."""
+        return float(self.form.support(np.array(self.size), self.rotation.T @ direction))
+
+
+class Support(Schema):
+    """The horizontal surface the object lies on."""
+
+    height: float = Field(description="height of the surface [m]")
+    friction: NonNegative = Field(description="friction between object and support [-]")
+    size: tuple[Positive, Positive] = Field((2.0, 2.0), description="extent along x and y [m]")
+
+
+class Contact(Schema):
+    """Contact law between pad and object."""
+
+    friction: NonNegative = Field(description="friction between pad and object [-]")
+    restitution: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
+        0.0, description="restitution of the rigid impact map; in a trial 0, or that of the pads [-]"
+    )
+    restitution_law: Literal["newton", "poisson"] = omitted(
+        "newton",
+        description="whose law: newton (of velocities; may gain energy with friction) or poisson (of impulses)",
+    )
+
+
+class CaseRobot(Schema):
+    """Motion of one arm in one case."""
+
+    ante_velocity: Vector3 = Field(description="end-effector velocity just before impact [m/s]")
+    joint_1: float | None = Field(
+        None,
+        description="position of joint 1 at impact, the posture task that resolves the redundancy of seven joints "
+        "[rad], prismatic [m]; absent: free, as for six joints",
+    )
+    joint_1_velocity: float | None = Field(
+        None, description="velocity of joint 1 at impact [rad/s], prismatic [m/s]; absent: least-norm joint velocity"
+    )
+    posture: dict[str, float] = omitted(
+        {},
+        description="the same for further joints, or others: position at impact by joint, as in joint_3: 0.2 [rad], "
+        "prismatic [m]",
+    )
+
+    @model_validator(mode="after")
+    def _a_posture_of_joints(self) -> Self:
+        for name in self.posture:
+            if re.fullmatch(r"joint_[1-9]\d*", name) is None:
+                raise ValueError(f"posture names {name!r}, expected joint_N with N counted from 1 at the base")
+        if self.joint_1 is not None and "joint_1" in self.posture:
+            raise ValueError("joint_1 stands in posture as well; give it once [rad]")
+        if self.joint_1_velocity is not None and 0 not in self.held:
+            raise ValueError("joint_1_velocity needs a position joint_1 [rad]")
+        return self
+
+    @property
+    def held(self) -> dict[int, float]:
+        """Joints of the posture task, counted from 0, in order, with their positions at impact [rad]."""
+        positions = {int(name.removeprefix("joint_")) - 1: value for name, value in self.posture.items()}
+        if self.joint_1 is not None:
+            positions[0] = self.joint_1
+        return dict(sorted(positions.items()))
+
+
+class Case(Schema):
+    """One ante-impact state."""
+
+    label: str = Field(description="name for tables and figures")
+    robots: dict[str, CaseRobot] = Field(description="what each arm does")
+
+
+class Excursion(Schema):
+    """A motion there and back without contact; its peak speed is that of the case's ante_velocity."""
+
+    start: Vector3 = Field(description="start of frame E from its pose at impact [m]")
+    end: Vector3 = Field(description="turning point of frame E from its pose at impact [m]")
+    joint_1: float = Field(
+        0.0,
+        description="change of joint 1, where the posture task holds it, from start to turning point [rad], "
+        "prismatic [m]",
+    )
+    twist: float = Field(description="rotation of E about the pad's normal from start to turning point [rad]")
+    begin: Positive = Field(description="when the motion begins [s]")
+    rest: Annotated[float, Field(ge=0.0, description="rest at the turning point [s]")]
+
+
+class Timing(Schema):
+    """Times of a trial."""
+
+    nominal_impact: Positive = Field(description="T_nom, nominal impact time [s]")
+    approach: Positive = Field(description="duration of the motion that ends at T_nom [s]")
+    overrun: Positive = Field(description="how long the ante-impact reference keeps its velocity past T_nom [s]")
+    stop: Positive = Field(description="time the overrun reference takes to stop [s]")
+    push: Positive = Field(description="duration of the post-impact reference until rest [s]")
+    slide: Positive = Field(description="time in which the pad stops sliding across the object [s]")
+    duration: Positive = Field(description="length of a trial [s]")
+    window_before: Positive = Field(description="net feedback starts at T_nom minus this [s]")
+    window_after: Positive = Field(description="net feedback ends at T_nom plus this [s]")
+    control_period: Positive = Field(0.001, description="period of the controller [s]")
+    drive_period: Positive = Field(0.00025, description="period of the low-level torque loop [s]")
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.approach > self.nominal_impact:
+            raise ValueError("timing.approach must not be longer than timing.nominal_impact [s]")
+        if self.nominal_impact + self.window_after > self.duration:
+            raise ValueError("the window ends after the trial: nominal_impact + window_after > duration [s]")
+        ratio = self.control_period / self.drive_period
+        if abs(ratio - round(ratio)) > 1e-9 or ratio < 1:
+            raise ValueError("control_period must be a whole multiple of drive_period [s]")
+        return self
+
+    @property
+    def window(self) -> tuple[float, float]:
+        """``(t1, t2)`` of paper eq. a_fb_net [s]."""
+        return self.nominal_impact - self.window_before, self.nominal_impact + self.window_after
+
+    @property
+    def substeps(self) -> int:
+        """Drive periods in one control period."""
+        return round(self.control_period / self.drive_period)
+
+    @property
+    def ticks(self) -> int:
+        """Control periods in one trial."""
+        return round(self.duration / self.control_period)
+
+
+class Gains(Schema):
+    """Task gains and weights of the QP (paper eqs. e_pos_ante, e_theta_ante, QP_ante)."""
+
+    position: Positive = Field(description="k_p [1/s^2]")
+    orientation: Positive = Field(description="k_theta before impact [1/s^2]")
+    orientation_post: Positive = Field(description="k_theta after impact [1/s^2]")
+    posture: Positive = Field(description="k_q [1/s^2]")
+    position_weight: Positive = Field(description="w_p [s^4/m^2]")
+    orientation_weight: Positive = Field(description="w_theta [s^4/rad^2]")
+    posture_weight: Positive = Field(description="w_q [s^4/rad^2]")
+
+
+class Detection(Schema):
+    """Impact detection from measured signals."""
+
+    observer_gain: Positive = Field(description="gain of the momentum observer [1/s]")
+    threshold: Positive = Field(description="force against the motion that counts as impact [N]")
+    arm_before: Positive = Field(
+        description="detection starts this long before T_nom [s]; an earlier hit still counts as collision"
+    )
+
+
+class Control(Schema):
+    """Controller settings."""
+
+    gains: Gains = Field(description="task gains")
+    interim_duration: Positive = Field(description="Delta t_int, length of the interim mode [s]")
+    clamp_force: NonNegative = Field(
+        0.0, description="force with which every pad presses after the impact [N]; 0: the object is pushed, not held"
+    )
+    detection: Detection = Field(description="impact detection")
+    reference_contact: Literal["first", "settled"] = omitted(
+        "first",
+        description="post-impact references follow the velocity just after the first simultaneous impact (first), or "
+        "when the contact that lasts is closed (settled)",
+    )
+
+
+class Sensors(Schema):
+    """Errors of the measurement."""
+
+    joint_position_resolution: NonNegative = Field(description="encoder step [rad], prismatic [m]")
+    joint_velocity_noise: NonNegative = Field(description="standard deviation [rad/s], prismatic [m/s]")
+    joint_torque_noise: NonNegative = Field(description="standard deviation [N m], prismatic [N]")
+    object_position_noise: NonNegative = Field(description="standard deviation [m]")
+    object_orientation_noise: NonNegative = Field(description="standard deviation [rad]")
+    object_period: Positive = Field(0.004, description="period of the object tracker [s]")
+
+
+class Scatter(Schema):
+    """Scatter from trial to trial, standard deviations."""
+
+    object_position: NonNegative = Field(description="object position in the plane [m]")
+    object_yaw: NonNegative = Field(description="object orientation about z [rad]")
+    joint_position: NonNegative = Field(description="initial joint positions [rad], prismatic [m]")
+    support_friction: NonNegative = Field(description="relative change of the support's friction [-]")
+
+
+class Uncertainties(Schema):
+    """Uncertainty of the numbers of a prediction: half the width of a 95 % interval, and its source."""
+
+    motor_inertia: NonNegative = Field(
+        0.10,
+        description="B_theta, or B_rho of a rigid drive, relative, each joint by itself; the paper: known to 10 %; "
+        f"assumed: {ASSUMED_MOTOR_INERTIA:g}, from none to three times the number [-]",
+    )
+    link_inertia: NonNegative = Field(
+        0.05, description="M of the arm, relative; between published parameter sets of one robot [-]"
+    )
+    object_mass: NonNegative = Field(0.005, description="mass with its moments, relative; kitchen scales [-]")
+    object_inertia: NonNegative = Field(
+        0.10, description="each moment, relative; assumed: a box is not quite homogeneous [-]"
+    )
+    object_com_offset: NonNegative = Field(0.005, description="centre of mass, each axis; assumed, as above [m]")
+    object_position: NonNegative = Field(
+        0.003,
+        description="object in the plane, each axis; two standard deviations of scatter.object_position of push [m]",
+    )
+    object_yaw: NonNegative = Field(
+        0.012, description="object about z; two standard deviations of scatter.object_yaw of push [rad]"
+    )
+    joint_position: NonNegative = Field(
+        4e-4, description="each joint; two standard deviations of scatter.joint_position of push [rad], prismatic [m]"
+    )
+    joint_velocity: NonNegative = Field(
+        4e-3,
+        description="each joint; two standard deviations of sensors.joint_velocity_noise of push [rad/s], "
+        "prismatic [m/s]",
+    )
+    contact_point: NonNegative = Field(
+        0.002, description="contact points along the pad, each axis; assumed: rounded edges of a pad [m]"
+    )
+    pad_friction: NonNegative = Field(0.20, description="Coulomb coefficient, relative; assumed: dry contacts vary [-]")
+    support_friction: NonNegative = Field(
+        0.20, description="Coulomb coefficient, relative; assumed: dry contacts vary [-]"
+    )
+    restitution: NonNegative = Field(
+        0.0, description="restitution; a pad that keeps pushing ends a series of bounces at 0 [-]"
+    )
+
+
+class Scenario(Schema):
+    """A whole experiment (``config/scenarios/*.yaml``)."""
+
+    name: Name = Field(description="name of the scenario")
+    description: str = Field(description="what happens, in a sentence")
+    axis: Literal["x", "y", "z"] = Field(description="axis of the measure")
+    object_position: tuple[float, float] | None = Field(
+        None,
+        description="where the middle of the object stands, x and y [m]; the pads touch its faces. "
+        "Absent: the object stands where the only pad is",
+    )
+    object_gap: NonNegative = Field(
+        0.0, description="distance between pad and object at the nominal impact pose [m]; 0: the pad hits"
+    )
+    excursion: Excursion | None = Field(
+        None, description="a motion there and back without contact; absent: the pad hits the object"
+    )
+    robots: dict[Name, Robot] = Field(min_length=1, description="arms by name")
+    objects: dict[Name, ObjectSpec] = Field(min_length=1, description="objects by name")
+    support: Support = Field(description="what the object lies on")
+    contact: Contact = Field(description="contact between pad and object")
+    cases: dict[Name, Case] = Field(min_length=1, description="cases by name")
+    velocity_scales: PositiveVector = Field(description="post-impact references, as fractions of the prediction [-]")
+    trials: Annotated[int, Field(ge=1)] = Field(description="repeats of every scale")
+    timing: Timing = Field(description="times")
+    control: Control = Field(description="controller")
+    sensors: Sensors = Field(description="measurement")
+    scatter: Scatter = Field(description="trial-to-trial scatter")
+    gravity: Vector3 = omitted(
+        STANDARD_GRAVITY,
+        description="acceleration of gravity in the inertial frame, whose z is the normal of the support: a table that "
+        "is tilted has gravity with x and y components [m/s^2]",
+    )
+    uncertainty: Uncertainties = omitted(
+        Uncertainties(),
+        description="assumed uncertainties (half widths of 95 % intervals) used by `impact-rs map --uncertainty`",
+    )
+    friction_compensation: FrictionCompensation | None = omitted(
+        None,
+        description="a path, seen from the scenario file's folder, to what `impact-rs friction identify` wrote; "
+        "absent: friction is left to the feedback. That file has these keys",
+    )
+
+    @model_validator(mode="after")
+    def _friction_compensation_fits(self) -> Self:
+        if self.friction_compensation is not None:
+            _check_compensation(self.friction_compensation, self)
+        return self
+
+    @model_validator(mode="after")
+    def _every_case_moves_every_robot(self) -> Self:
+        for case_name, case in self.cases.items():
+            if set(case.robots) != set(self.robots):
+                raise ValueError(
+                    f"cases.{case_name}.robots names {sorted(case.robots)}, expected {sorted(self.robots)}"
+                )
+            for name, robot in case.robots.items():
+                count = self.robots[name].robot_facts.joint_count
+                if beyond := [joint + 1 for joint in robot.held if joint >= count]:
+                    place = f"cases.{case_name}.robots.{name}.posture"
+                    raise ValueError(f"{place} names joint_{beyond[0]}, but the arm has {count} joints")
+        return self
+
+    @model_validator(mode="after")
+    def _given_joints_say_where_everything_is(self) -> Self:
+        for name, robot in self.robots.items():
+            if robot.impact.joint_position is None:
+                continue
+            key = f"robots.{name}.impact.joint_position"
+            if self.object_position is not None:
+                raise ValueError(f"{key} says where the object stands, at the pad: leave object_position out [m]")
+            for case_name, case in self.cases.items():
+                if case.robots[name].held:
+                    raise ValueError(
+                        f"{key} holds every joint: leave joint_1 and posture out of cases.{case_name}.robots.{name}"
+                    )
+        return self
+
+    @model_validator(mode="after")
+    def _several_arms_need_an_object_between_them(self) -> Self:
+        if len(self.robots) > 1 and self.object_position is None:
+            raise ValueError("with several arms, object_position must say where the object stands [m]")
+        return self
+
+    @model_validator(mode="after")
+    def _excursion_fits(self) -> Self:
+        if self.excursion is None:
+            return self
+        if self.object_gap <= 0.0:
+            raise ValueError("an excursion is a motion without contact: object_gap must be > 0 [m]")
+        for name, case in self.cases.items():
+            for robot in case.robots.values():
+                if self.excursion.joint_1 != 0.0 and 0 not in robot.held:
+                    raise ValueError(f"excursion.joint_1 moves joint 1, which cases.{name} does not hold: give joint_1")
+                end = self.excursion_end(robot)
+                if end > self.timing.duration:
+                    raise ValueError(
+                        f"cases.{name}: there and back at this speed ends at {end:.2f} s, after timing.duration [s]"
+                    )
+        return self
+
+    def impact_placement(self, robot: str, object_name: str) -> pin.SE3:
+        """Placement of an arm's frame E in the inertial frame when its pad touches an object."""
+        placement = self.robots[robot].impact_placement
+        if self.object_position is not None:
+            normal = placement.rotation[:, 2]
+            centre = np.append(self.object_position, placement.translation[2])
+            depth = self.object(object_name).reach(-normal) + self.object_gap
+            placement.translation += normal * ((centre - placement.translation) @ normal - depth)
+        return placement
+
+    def excursion_leg(self, robot: CaseRobot) -> float:
+        """Duration of one leg of the excursion [s]; a quintic from rest to rest peaks at 15/8 of its mean speed."""
+        assert self.excursion is not None
+        distance = np.linalg.norm(np.array(self.excursion.end) - np.array(self.excursion.start))
+        return float(15.0 / 8.0 * distance / np.linalg.norm(robot.ante_velocity))
+
+    def excursion_end(self, robot: CaseRobot) -> float:
+        """End of the excursion [s]."""
+        assert self.excursion is not None
+        return self.excursion.begin + 2.0 * self.excursion_leg(robot) + self.excursion.rest
+
+    def with_settings(self, settings: Mapping[str, Any]) -> Scenario:
+        """The scenario with other values.
+
+        Args:
+            settings: Values by dotted key, as in ``control.clamp_force``; lists and mappings as in YAML.
+        """
+        if not settings:
+            return self
+        data = self.model_dump(mode="json")
+        for key, value in settings.items():
+            place: Any = data
+            *above, last = key.split(".")
+            for part in above:
+                place = place.setdefault(part, {})
+                if not isinstance(place, dict):
+                    raise InputError(f"{part!r} is a value and has no keys of its own", key=key)
+            place[last] = value
+        return validate(Scenario, data, f"scenario {self.name!r}")
+
+    @property
+    def digest(self) -> str:
+        """Digest of the motion of the arms, without names, number of trials and velocity scales."""
+        excluded: dict[str, Any] = dict.fromkeys(
+            ("name", "description", "velocity_scales", "trials", "friction_compensation", "uncertainty"), True
+        )
+        excluded["robots"] = {"__all__": {"drive": {"assumed"}}}
+        return hashlib.sha256(self.model_dump_json(exclude=excluded).encode()).hexdigest()[:16]
+
+    @property
+    def axis_index(self) -> int:
+        """0, 1 or 2 for x, y, z."""
+        return AXES[self.axis]
+
+    def object(self, name: str) -> ObjectSpec:
+        """The object ``name``."""
+        return _choose("object", name, self.objects, self.name)
+
+    def case(self, name: str) -> Case:
+        """The case ``name``; ``1`` is short for ``case_1``."""
+        return self.cases[self.case_name(name)]
+
+    def case_name(self, name: str) -> str:
+        """Full name of the case ``name``; ``1`` is short for ``case_1``."""
+        full = f"case_{name}" if f"case_{name}" in self.cases else name
+        _choose("case", full, self.cases, self.name)
+        return full
+
+
+def _choose(kind: str, name: str, table: dict[str, Item], scenario: str) -> Item:
+    if name not in table:
+        known = ", ".join(table)
+        near = did_you_mean(name, table)
+        raise InputError(f"scenario {scenario!r} has no {kind} {shortened(name)!r}; it has: {known}{near}")
+    return table[name]
+
+
+def scenario_path(name: str) -> Path:
+    """Path of the scenario ``name`` in the config folder, or ``name`` itself where it is a path to a YAML file."""
+    directory = config_directory() / "scenarios"
+    path = Path(name) if name.endswith((".yaml", ".yml")) else directory / f"{name}.yaml"
+    if not is_file(path):
+        known = sorted(file.stem for file in directory.glob("*.yaml"))
+        raise InputError(
+            f"no scenario {shortened(name)!r}; known scenarios: {', '.join(known)}, or give a path to a .yaml file"
+            f"{did_you_mean(name, known)}"
+        )
+    return path
+
+
+def _check_compensation(compensation: FrictionCompensation, scenario: Scenario) -> None:
+    cases = {name: set(case.robots) for name, case in scenario.cases.items()}
+    sets = dict.fromkeys(scenario.objects, cases)
+    compensation.check(scenario.name, scenario.digest, sets, scenario.timing.duration)
+
+
+def _read_robot_files(data: dict[str, Any], directory: Path) -> None:
+    """Replace paths to facts of robots by the facts, so that bags contain them."""
+    robots = data.get("robots")
+    for robot in robots.values() if isinstance(robots, dict) else ():
+        facts = robot.get("facts") if isinstance(robot, dict) else None
+        if isinstance(facts, str) and facts.endswith((".yaml", ".yml")):
+            robot["facts"] = load(RobotFacts, directory / facts).model_dump()
+
+
+def _read_meshes(data: dict[str, Any], directory: Path) -> None:
+    """Replace paths to meshes of objects by what they say, so that bags contain it."""
+    objects = data.get("objects")
+    for name, spec in objects.items() if isinstance(objects, dict) else ():
+        if not isinstance(spec, dict) or not isinstance(spec.get("mesh"), str):
+            continue
+        if given := {"shape", "corners", "size"} & set(spec):
+            raise InputError("mesh has shape, corners and size: leave these out", key=f"objects.{name}.{min(given)}")
+        found = read_object_mesh(directory / spec.pop("mesh"))
+        spec |= {"shape": "hull", "corners": found.corners.tolist(), "size": found.size.tolist()}
+        if isinstance(spec.get("mass"), (int, float)):
+            spec.setdefault("inertia", (spec["mass"] * found.moments).tolist())
+        spec.setdefault("com_offset", found.com.tolist())
+
+
+@functools.lru_cache(maxsize=32)
+def _load_cached(path: Path, modified: int) -> tuple[Scenario, Path | None]:
+    """The scenario of a file, and the file of its friction compensation."""
+    del modified
+    data = load_mapping(path)
+    named = data.get("friction_compensation")
+    if isinstance(named, str):
+        del data["friction_compensation"]
+    _read_robot_files(data, path.parent)
+    _read_meshes(data, path.parent)
+    return validate(Scenario, data, path), path.parent / named if isinstance(named, str) else None
+
+
+@functools.lru_cache(maxsize=32)
+def _compensated(path: Path, modified: int, compensation_path: Path, compensation_modified: int) -> Scenario:
+    del compensation_modified
+    scenario, _ = _load_cached(path, modified)
+    compensation = load(FrictionCompensation, compensation_path)
+    try:
+        _check_compensation(compensation, scenario)
+    except InputError as error:
+        raise error.in_file(compensation_path) from None
+    return scenario.model_copy(update={"friction_compensation": compensation})
+
+
+def load_scenario(name: str) -> Scenario:
+    """Load a scenario by name or path, and the friction compensation that it names."""
+    path = scenario_path(name).resolve()
+    modified = path.stat().st_mtime_ns
+    scenario, compensation = _load_cached(path, modified)
+    if compensation is None:
+        return scenario
+    if not is_file(compensation):
+        raise InputError("no such file", file=path, key="friction_compensation", value=str(compensation))
+    return _compensated(path, modified, compensation, compensation.stat().st_mtime_ns)

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Test whether samples were taken at their timestamps, by the common timing error of all joints.
+
+A sample that was taken later by d lies off the smooth motion by d times the velocity, in every joint. From the cubic
+polynomial through its four neighbours, which a smooth motion hardly leaves, it is by
+
+    r_i = q_i - sum_k q_k prod_{l != k} (t_i - t_l) / (t_k - t_l) = d_i dq_i + noise,    k, l in i-2, i-1, i+1, i+2
+
+away. Over the noise of each joint, r has a part along dq and n - 1 parts across it. Noise has as much power along
+dq as in any other direction; errors of the timestamps have all of theirs there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from impact_rs_sim.robots.robot import Array
+
+RMS_PER_PERIOD_ERROR = float(np.sqrt(20.0) / 6.0)  # of r / dq, for independent errors of the periods: third differences
+MIN_TIMESTAMPS = 50
+MIN_POWER_RATIO = 10.0  # along the velocity over across it, with wrong timestamps; F(50, 50) is at most 3
+MIN_JITTER_PERIODS = 0.03  # rms; less does not harm derivatives
+MAX_ROUNDING_PERIODS = 1e-3  # by which even timestamps differ because they are rounded
+
+
+def timestamp_warning(time: Array, position: Array) -> str | None:
+    """Warning that samples of a motion were not taken at their timestamps; None: no evidence.
+
+    Args:
+        time: Timestamps, increasing, ``(k,)`` [s].
+        position: q, ``(k, n)`` [rad].
+    """
+    count = position.shape[1]
+    if count < 2 or time.size < MIN_TIMESTAMPS:
+        return None
+    period = float(np.median(np.diff(time)))
+    off = _off_its_neighbours(time, position)
+    velocity = np.gradient(position, time, axis=0)[2:-2]
+    steps = np.diff(time)
+    held = np.all(np.diff(position, axis=0) == 0.0, axis=1) | (np.abs(steps / period - 1.0) > 0.5)
+    usable = ~np.any([held[first : held.size - 3 + first] for first in range(4)], axis=0)  # no gap, no repeated sample
+    if np.count_nonzero(usable) < MIN_TIMESTAMPS:
+        return None
+    off, velocity = off[usable], velocity[usable]
+    late = np.zeros(len(off))
+    for _ in range(3):  # noise of the joints is that about the common error
+        noise = np.sqrt(np.mean(np.square(off - late[:, None] * velocity), axis=0)) + 1e-12
+        r, v = off / noise, velocity / noise
+        late = np.sum(r * v, axis=1) / np.maximum(np.sum(np.square(v), axis=1), 1e-300)
+    along = np.square(late) * np.sum(np.square(v), axis=1)
+    across = (np.sum(np.square(r), axis=1) - along) / (count - 1)
+    error = float(np.sqrt(np.mean(np.square(late)))) / RMS_PER_PERIOD_ERROR
+    if np.mean(along) < MIN_POWER_RATIO * np.mean(across) or error < MIN_JITTER_PERIODS * period:
+        return None
+    if np.max(np.abs(steps / period - 1.0)) < MAX_ROUNDING_PERIODS:
+        return (
+            f"timestamps are nominal: exactly even ({1.0 / period:.4g} Hz), as a number of samples over a rate, while "
+            f"all joints together show periods that vary by {100.0 * error / period:.0f} % (rms). Velocities and "
+            "accelerations computed from them are wrong by as much: record the time of each sample"
+        )
+    return (
+        "samples were not taken at their timestamps: all joints together show periods that differ from them by "
+        f"{1e3 * error:.2g} ms (rms; the period is {1e3 * period:.3g} ms). Velocities and accelerations computed "
+        "from them are wrong by as much: take the timestamps of the measurement, not of a log"
+    )
+
+
+def _off_its_neighbours(time: Array, position: Array) -> Array:
+    """Residual of every sample from the cubic polynomial through its four neighbours, ``(k - 4, n)`` [rad]."""
+    ends = [(first, time.size - 4 + first) for first in range(5)]
+    middle, *others = (ends[place] for place in (2, 0, 1, 3, 4))
+    t = time[slice(*middle)]
+    off = position[slice(*middle)].copy()
+    for own in others:
+        weight = np.ones(t.size)
+        for other in others:
+            if other != own:
+                weight *= (t - time[slice(*other)]) / (time[slice(*own)] - time[slice(*other)])
+        off -= weight[:, None] * position[slice(*own)]
+    return np.asarray(off)

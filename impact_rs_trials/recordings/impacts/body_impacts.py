@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Impacts of a tracked body on a fixed plane: change points of its free flight, and the states before and after.
+
+In free flight the second difference of the height over k samples, (z(i+k) - 2 z(i) + z(i-k)) / (k h)^2, is g; where it
+differs, the body is in contact. k is the smallest number for which rest and flight differ by more than the noise of the
+tracker, which follows from third differences of the recording itself. An impact disturbs at most 2 k differences in a
+row; its time is where the parabolas before and after have the same height. Omitted with the reason, because they give
+no state before and after:
+
+* too few samples of flight on a side, or several impacts in a row;
+* a body that comes down so slowly that noise decides;
+* one that lands on an edge or a face: its next corner comes so soon that two impacts look like one;
+* a run that is there twice (the same heights).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from impact_rs_sim.robots.robot import Array
+from impact_rs_trials.recordings.experiment import Body
+from impact_rs_trials.recordings.impacts.impact_rows import Impact, NoRow
+from impact_rs_trials.recordings.impacts.motion_fits import FittedMotion, contact_noise, fly
+
+Rows = NDArray[np.signedinteger]
+
+MIN_FLIGHT_SAMPLES = 5  # on either side of an impact
+MAX_FLIGHT_S = 0.12  # of the used samples; longer flights feel drag
+MAX_DISTURBED = 2  # consecutive disturbed differences, over k; a single impact, on or between samples, disturbs no more
+MAX_DIFFERENCE_S = 0.04  # k h: enough for the noise of trackers, shorter than flights between bounces
+MIN_DISTURBANCE_SIGMA = 4.0  # standard deviations of a second difference, beyond which it is disturbed,
+MIN_DISTURBANCE_G = 0.5  # and at least so much of g
+MAX_NOISE_G = 0.9  # of g; a larger limit makes rest look like flight
+MIN_APPROACH_SIGMA = 5.0  # standard deviations of the normal velocity with which a body must come down
+MIN_NEXT_CORNER_SAMPLES = 2  # within which a second corner hits, and two impacts look like one
+MAX_ROTATION_RAD = 1.2  # of a body on either side of the middle of a window
+
+
+@dataclass(frozen=True)
+class TrackedBody:
+    """One run of a body, in a frame whose z axis is the normal of the plane and whose plane is z = 0.
+
+    Attributes:
+        run: Its name.
+        time: Stamps, ``(k,)`` [s].
+        position: Of the geometric centre, ``(k, 3)`` [m].
+        rotation: From its axes, ``(k, 3, 3)``.
+        gravity: ``(3,)`` [m/s^2].
+        spin: Assumed angular velocity before the impacts, ``(3,)`` [rad/s]; None: the orientation was tracked.
+    """
+
+    run: str
+    time: Array
+    position: Array
+    rotation: Array
+    gravity: Array
+    spin: Array | None = None
+
+
+def impacts_of_bodies(runs: Sequence[TrackedBody], body: Body) -> tuple[list[Impact], list[NoRow]]:
+    """Impacts of all runs, and the omitted ones with reasons.
+
+    Args:
+        runs: Tracked runs.
+        body: The body.
+    """
+    found: list[Impact] = []
+    left_out: list[NoRow] = []
+    heights: dict[bytes, str] = {}
+    for run in runs:
+        key = run.position[:, 2].round(6).tobytes()
+        if key in heights:
+            left_out.append(NoRow(run.run, f"recorded twice: the same heights as {heights[key]}"))
+            continue
+        heights[key] = run.run
+        own, out = _impacts_of(run, body)
+        found += own
+        left_out += out
+    return found, left_out
+
+
+def _impacts_of(run: TrackedBody, body: Body) -> tuple[list[Impact], list[NoRow]]:
+    if len(run.time) < 2 * MIN_FLIGHT_SAMPLES + 2:
+        return [], [NoRow(run.run, f"{len(run.time)} samples, at least {2 * MIN_FLIGHT_SAMPLES + 2} are needed")]
+    disturbed_and_reach = disturbed_samples(run.time, run.position[:, 2], float(run.gravity[2]))
+    if disturbed_and_reach is None:
+        return [], [NoRow(run.run, "the tracker is so noisy that rest looks like free flight")]
+    off, reach = disturbed_and_reach
+    if not off[reach:-reach].any():
+        return [], [NoRow(run.run, "nothing is hit")]
+    found: list[Impact] = []
+    left_out: list[NoRow] = []
+    flights = _stretches(~off)
+    for (a, b), (c, d) in zip(flights, flights[1:], strict=False):
+        name = run.run if not found and not left_out else f"{run.run}, impact {len(found) + len(left_out) + 1}"
+        if c - b - 1 > MAX_DISTURBED * reach:
+            left_out.append(NoRow(name, "several impacts in a row, or a contact that lasts"))
+            continue
+        # A difference about sample i reaches k samples further; the last of them may lie beyond the impact.
+        before, after = np.arange(a - reach, b + reach), np.arange(c - reach + 1, d + reach + 1)
+        if min(before.size, after.size) < MIN_FLIGHT_SAMPLES:
+            left_out.append(
+                NoRow(
+                    name,
+                    f"too few samples of free flight: {before.size} before, {after.size} after, of "
+                    f"{MIN_FLIGHT_SAMPLES}",
+                )
+            )
+            continue
+        result = _impact(run, body, name, before, after, reach)
+        if isinstance(result, Impact):
+            found.append(result)
+        else:
+            left_out.append(result)
+    if not found and not left_out:
+        left_out.append(NoRow(run.run, "too few samples of free flight on one side of what is hit"))
+    return found, left_out
+
+
+def disturbed_samples(time: Array, height: Array, gravity: float) -> tuple[NDArray[np.bool_], int] | None:
+    """Mask of the samples not in free flight, ``(k,)``, ends included, and the half width k; None: too noisy.
+
+    Args:
+        time: Stamps, ``(k,)`` [s].
+        height: ``(k,)`` [m].
+        gravity: Along the height, negative [m/s^2].
+    """
+    # Third differences of white noise are sqrt(20 / 6) times as large as second ones, and impacts are few.
+    noise = 1.4826 * float(np.median(np.abs(np.diff(_second_differences(time, height, 1))))) / np.sqrt(20.0 / 6.0)
+    most = round(MAX_DIFFERENCE_S / float(np.median(np.diff(time))))
+    for reach in range(1, min(most, (len(time) - 2) // 4) + 1):
+        limit = max(MIN_DISTURBANCE_SIGMA * noise / reach**2, MIN_DISTURBANCE_G * abs(gravity))
+        if limit <= MAX_NOISE_G * abs(gravity):
+            off = np.ones(len(time), dtype=bool)
+            off[reach:-reach] = np.abs(_second_differences(time, height, reach) - gravity) > limit
+            return off, reach
+    return None
+
+
+def _second_differences(time: Array, height: Array, reach: int) -> Array:
+    """Second differences over ``reach`` samples on either side [m/s^2]."""
+    first, last = time[reach:-reach] - time[: -2 * reach], time[2 * reach :] - time[reach:-reach]
+    slopes = (height[2 * reach :] - height[reach:-reach]) / last, (height[reach:-reach] - height[: -2 * reach]) / first
+    return np.asarray(2.0 * (slopes[0] - slopes[1]) / (first + last))
+
+
+def _stretches(flying: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and last index of every stretch of flight."""
+    edges = np.diff(np.concatenate(([False], flying, [False])).astype(int))
+    return [(int(a), int(b) - 1) for a, b in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True)]
+
+
+def _impact(run: TrackedBody, body: Body, name: str, before: Rows, after: Rows, reach: int) -> Impact | NoRow:
+    period = float(np.median(np.diff(run.time)))
+    before, after = _window(run, before, -1), _window(run, after, 1)
+    edge = (float(run.time[before[-1]]), float(run.time[after[0]]))
+    if edge[1] - edge[0] > (MAX_DISTURBED + 2.0) * reach * period:
+        return NoRow(name, f"the tracker does not see the impact: {edge[1] - edge[0]:.3f} s without a sample")
+    ante, post = (
+        fly(run.time[rows], run.position[rows], run.rotation[rows], run.gravity, body.moments, at)
+        for rows, at in ((before, edge[0]), (after, edge[1]))
+    )
+    time = _crossing_time(ante, post, edge)
+    position, rotation, twist = ante.at(time)
+    post_twist = post.at(time)[2]
+    if run.spin is not None:
+        twist = np.concatenate((twist[:3], run.spin))
+    noise = (float(np.hypot(ante.noise[0], post.noise[0])), float(np.hypot(ante.noise[1], post.noise[1])))
+    corners = _corners(position, rotation, body)
+    if corners is None:
+        approach = -float(twist[2])
+    else:
+        heights = np.sort(corners[:, 2])
+        speeds = twist[2] + np.cross(twist[3:], corners - position)[:, 2]
+        approach = -float(speeds[int(np.argmin(corners[:, 2]))])
+        gap = float(heights[1] - heights[0])
+        if gap < max(MIN_NEXT_CORNER_SAMPLES, reach) * period * max(approach, 0.0):
+            return NoRow(name, "lands on an edge or a face: another corner comes too soon after the first")
+    if approach < MIN_APPROACH_SIGMA * noise[0]:
+        return NoRow(
+            name,
+            f"comes down at {approach:.2f} m/s, less than {MIN_APPROACH_SIGMA:g} standard deviations of the velocity",
+        )
+    if post_twist[2] < twist[2]:
+        return NoRow(name, "goes on downwards faster than it came: not this plane")
+    extent = 0.0 if body.size is None else float(np.max(body.size))
+    return Impact(
+        run=name,
+        condition="",
+        object_name="",
+        time=time,
+        position=position,
+        rotation=rotation,
+        before=twist,
+        after=post_twist,
+        noise=noise,
+        tolerance=2.0 * (ante.scatter[0] + 0.5 * ante.scatter[1] * extent),
+        model="free flight",
+        turn_tracked=run.spin is None,
+        contact_noise=contact_noise(ante, before.size, extent, turns=False),
+    )
+
+
+def _window(run: TrackedBody, rows: Rows, side: int) -> Rows:
+    """Samples nearest to the impact, limited in duration and rotation."""
+    rows = rows if side > 0 else rows[::-1]
+    span = np.abs(run.time[rows] - run.time[rows[0]]) <= MAX_FLIGHT_S
+    rows = rows[: max(MIN_FLIGHT_SAMPLES, int(np.argmin(np.append(span, False))))]
+    turned = np.array([np.linalg.norm(pin.log3(run.rotation[row] @ run.rotation[rows[0]].T)) for row in rows])
+    near = turned <= 2.0 * MAX_ROTATION_RAD
+    rows = rows[: max(MIN_FLIGHT_SAMPLES, int(np.argmin(np.append(near, False))))]
+    return np.asarray(rows if side > 0 else rows[::-1])
+
+
+def _crossing_time(ante: FittedMotion, post: FittedMotion, edge: tuple[float, float]) -> float:
+    """Time at which both have the same height; both fall with g, so their difference is linear in time."""
+    start = edge[0]
+    gap = ante.at(start)[0][2] - post.at(start)[0][2]
+    slope = ante.at(start)[2][2] - post.at(start)[2][2]
+    return float(np.clip(start - gap / slope, *edge)) if slope != 0.0 else start
+
+
+def _corners(position: Array, rotation: Array, body: Body) -> Array | None:
+    """Corners of a box, ``(8, 3)`` [m]; None: a ball."""
+    if body.size is None:
+        return None
+    signs = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
+    return np.asarray(position + 0.5 * (signs * np.array(body.size)) @ rotation.T)

@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Impacts in the runs of an experiment: a body on a plane, or arms on an object."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robots.robot import Array
+from impact_rs_trials.recordings.checks.clock_offset import OBJECT_SIGNALS
+from impact_rs_trials.recordings.experiment import Body, Experiment, Plane, RunRow, read_runs
+from impact_rs_trials.recordings.impacts.arm_impacts import impacts_of_run
+from impact_rs_trials.recordings.impacts.body_impacts import TrackedBody, impacts_of_bodies
+from impact_rs_trials.recordings.impacts.impact_columns import (
+    FRICTION,
+    MASS,
+    MOMENTS,
+    RADIUS,
+    RESTITUTION,
+    SHELL,
+    SIZE,
+    ColumnGroup,
+)
+from impact_rs_trials.recordings.impacts.impact_rows import Impact, NoRow
+from impact_rs_trials.recordings.laboratory import Laboratory, placed, with_object
+from impact_rs_trials.recordings.mapping import Mapping
+from impact_rs_trials.recordings.readers.run_finder import find_runs
+from impact_rs_trials.recordings.readers.series import Names
+from impact_rs_trials.recordings.readers.sources import read_series
+from impact_rs_trials.recordings.remarks import Amount, Remark, merged
+from impact_rs_trials.workers import Map
+
+SPIN = (
+    "the rotation of the ball was not tracked: its spin before the impacts is body.spin, on which its friction "
+    "depends, and its spin after them is not compared"
+)
+NO_TURN = (
+    "in {} of {} impacts the velocity after follows from the sliding distance, which gives no angular velocity: the "
+    "table has no columns w_after"
+)
+WAYS = (
+    "the outcome of all impacts is the sliding distance (slide_distance): the object was tracked too slowly, so "
+    "the table has no columns v_after and w_after, and predictions depend on the friction of the support"
+)
+MAX_TRACKED_M = 1e4  # farther than any tracker sees
+NEIGHBOUR_SAMPLES = 4  # about a step, whose speeds are compared with its own
+MAX_STEP_RATIO = 5.0  # of a step to the speeds around it; no impact on a fixed plane exceeds it
+STILL = ("", "a motion in a plane, or it was not tracked", "a motion along a line, or they were not tracked")
+
+
+@dataclass(frozen=True)
+class FoundImpacts:
+    """Found impacts of an experiment.
+
+    Attributes:
+        impacts: Impacts in the order of the runs.
+        left_out: Runs and impacts without a row, with the reason.
+        runs: Number of searched runs.
+        constants: Constant columns of the table: properties of the body, and assumptions about the contact.
+        remarks: Warnings about reading the runs.
+    """
+
+    impacts: tuple[Impact, ...]
+    left_out: tuple[NoRow, ...]
+    runs: int
+    constants: dict[str, float]
+    remarks: tuple[str, ...] = ()
+
+
+def find_impacts(directory: Path, experiment: Experiment, map_tasks: Map) -> FoundImpacts:
+    """Impacts of all runs of an experiment.
+
+    Args:
+        directory: Folder of the recordings.
+        experiment: Description of the runs.
+        map_tasks: Maps a function over the runs, serially or by workers.
+
+    Raises:
+        InputError: The experiment, its table of runs or a file cannot be used.
+    """
+    if experiment.body is not None:
+        return _of_bodies(directory, experiment, experiment.body, map_tasks)
+    laboratory = Laboratory.of(experiment)
+    table = read_runs(directory, experiment, laboratory.scenario)
+    hits = [run for run in table if run.hit]
+    if not hits:
+        raise InputError("the table of runs names no hit; expected rows with kind hit", file=directory)
+    laboratory = placed(laboratory, table, map_tasks)
+    impacts: list[Impact] = []
+    left_out: list[NoRow] = []
+    remarks: list[tuple[str, str]] = []
+    tasks = [(laboratory, run) for run in hits]
+    for run, (results, found) in zip(hits, map_tasks(_arm_task, tasks), strict=True):
+        remarks += [(run.label, remark) for remark in found]
+        impacts += [one for one in results if isinstance(one, Impact)]
+        left_out += [one for one in results if isinstance(one, NoRow)]
+    said = merged(remarks, len(hits))
+    if unknown := sum(not impact.turn_tracked for impact in impacts):
+        said.append(WAYS if unknown == len(impacts) else NO_TURN.format(unknown, len(impacts)))
+    return FoundImpacts(tuple(impacts), tuple(left_out), len(hits), {}, tuple(said))
+
+
+def _arm_task(task: tuple[Laboratory, RunRow]) -> tuple[list[Impact | NoRow], tuple[str, ...]]:
+    return impacts_of_run(*task)
+
+
+# ---- a body on a plane ----------------------------------------------------------------------------------------------
+
+
+def _of_bodies(directory: Path, experiment: Experiment, body: Body, map_tasks: Map) -> FoundImpacts:
+    (mapping,) = experiment.load_mappings(["body"]).values()
+    plane = experiment.plane or Plane()
+    tables = (directory / experiment.runs, experiment.folder / experiment.runs)
+    if any(table.is_file() for table in tables):
+        rows = [row for row in read_runs(directory, experiment, None) if row.hit]
+    else:
+        rows = [RunRow(run, "body", True, "") for run in find_runs(directory, mapping)]
+    runs, left_out = [], []
+    remarks: list[tuple[str, str]] = []
+    for row, result in zip(rows, map_tasks(_track, [(row, mapping, body, plane) for row in rows]), strict=True):
+        if isinstance(result, InputError):
+            left_out.append(NoRow(row.label, result.message))
+        else:
+            run, said = result
+            runs.append(run)
+            remarks += [(row.label, remark) for remark in said]
+    impacts, out = impacts_of_bodies(runs, body)
+    by_name = {row.label: row for row in rows}
+    named = [_with_condition(impact, by_name) for impact in impacts]
+    constants = body_columns(body, plane)
+    assumed = () if all(impact.turn_tracked for impact in impacts) else (SPIN,)
+    remarks_said = (*merged(remarks, len(rows)), *assumed)
+    return FoundImpacts(tuple(named), (*left_out, *out), len(rows), constants, remarks_said)
+
+
+def _with_condition(impact: Impact, rows: dict[str, RunRow]) -> Impact:
+    row = rows[impact.run if impact.run in rows else impact.run.rsplit(", impact ", 1)[0]]
+    return replace(impact, condition=row.condition, session=row.session)
+
+
+def body_columns(body: Body, plane: Plane) -> dict[str, float]:
+    """Columns of an impact table with the properties of the body and the assumptions about the contact."""
+    found: list[tuple[ColumnGroup, Sequence[float]]] = [(MASS, (body.mass,))]
+    if body.radius is None or body.inertia is not None:
+        found.append((MOMENTS, body.moments.tolist()))
+    if body.radius is not None:
+        found += [(RADIUS, (body.radius,)), (SHELL, (float(body.shell),))]
+    if body.size is not None:
+        found.append((SIZE, body.size))
+    found += [(FRICTION, (plane.friction,)), (RESTITUTION, (plane.restitution,))]
+    return {header: value for one, own in found for header, value in zip(one.headers, own, strict=True)}
+
+
+def tracked_body(
+    name: str, time: Array, pose: Array, body: Body, plane: Plane, spin: Array | None = None
+) -> TrackedBody:
+    """A run in a frame whose z axis is the normal of the plane and whose plane is z = 0.
+
+    Args:
+        name: Of the run.
+        time: Stamps, ``(k,)`` [s].
+        pose: Pose of the tracked frame, position and quaternion x y z w, ``(k, 7)``.
+        body: Body, with its placement in that frame.
+        plane: Plane in the tracker's world.
+        spin: Angular velocity before impacts in that world, if the orientation was not tracked, ``(3,)`` [rad/s].
+    """
+    normal = np.array(plane.normal) / np.linalg.norm(plane.normal)
+    level = pin.Quaternion.FromTwoVectors(normal, np.array([0.0, 0.0, 1.0])).matrix()
+    placements = [pin.XYZQUATToSE3(np.concatenate((row[:3], row[3:] / np.linalg.norm(row[3:])))) for row in pose]
+    bodies = [placement * body.place.placement for placement in placements]
+    position = np.array([one.translation for one in bodies]) @ level.T - np.array([0.0, 0.0, plane.height])
+    rotation = np.array([level @ one.rotation for one in bodies])
+    around = None if spin is None else level @ spin
+    return TrackedBody(name, time - time[0], position, rotation, level @ np.array(plane.gravity), around)
+
+
+def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> tuple[TrackedBody, list[str]] | InputError:
+    remarks: list[str] = []
+    row, mapping, body, plane = task
+    turned = "object_quaternion" in mapping.signals or "object_pose" in mapping.signals
+    if not turned and body.spin is None:
+        said = "the orientation of the body was not tracked (object_quaternion), and how it bounces depends on its spin"
+        return InputError(f"{said}; of a ball body.spin says it, [0, 0, 0] for one that was dropped without any")
+    wanted = [name for name in OBJECT_SIGNALS if name in mapping.signals]
+    try:
+        read = dict(read_series(row.path, mapping, wanted, wanted, Names(run=row.name)))
+        if not turned:
+            place = read.pop("object_position")
+            upright = np.tile([0.0, 0.0, 0.0, 1.0], (place.time.size, 1))
+            read["object_pose"] = replace(place, values=np.hstack((place.values, upright)))
+        pose = with_object(row.path, read, remarks)["object_pose"]
+        remarks += pose.remarks
+        finite = np.isfinite(pose.values).all(axis=1)
+        if not finite.any():
+            raise InputError(f"{pose.place}: no sample holds finite numbers alone")
+        if np.any(np.diff(pose.time) <= 0.0):
+            raise InputError("time stamps stand still or run backwards; time.repeated: keep_first keeps one of each")
+        spin = None if turned else np.array(body.spin)
+        farthest = float(np.max(np.abs(pose.values[finite, :3]), initial=0.0))
+        if farthest > MAX_TRACKED_M:
+            raise InputError(f"{pose.place} is up to {farthest:.3g} m from the tracker's origin: wrong unit or column?")
+        if not finite.all():
+            share = Amount(int(np.sum(~finite)), "d"), " of ", Amount(finite.size, "d")
+            remarks.append(Remark(f"{pose.place}: ", *share, " samples are no finite numbers: left out"))
+        remarks += _motion_warnings(pose.place, pose.time[finite], pose.values[finite, :3])
+        return tracked_body(row.label, pose.time[finite], pose.values[finite], body, plane, spin), remarks
+    except InputError as error:
+        return error
+
+
+def _motion_warnings(place: str, time: Array, position: Array) -> list[str]:
+    """Warnings about impossible motions of a free body: a constant coordinate, or a jump; positions ``(k, 3)`` [m]."""
+    moves = np.ptp(position, axis=0) > 0.0
+    said = []
+    if still := [axis for axis, own in zip("xyz", moves, strict=True) if not own and moves.any()]:
+        said.append(f"{place}: {' and '.join(still)} the same in all samples: {STILL[len(still)]}")
+    steps = np.linalg.norm(np.diff(position, axis=0), axis=1) / np.diff(time)
+    if steps.size <= 2 * NEIGHBOUR_SAMPLES:
+        return said
+    around = np.array(
+        [np.roll(steps, shift) for shift in range(-NEIGHBOUR_SAMPLES, NEIGHBOUR_SAMPLES + 1) if abs(shift) > 1]
+    ).max(axis=0)
+    inside = slice(NEIGHBOUR_SAMPLES, -NEIGHBOUR_SAMPLES)  # rolled steps come from the other end
+    jumps = NEIGHBOUR_SAMPLES + np.flatnonzero(
+        steps[inside] > MAX_STEP_RATIO * np.maximum(around[inside], np.median(steps))
+    )
+    if jumps.size:
+        far = np.linalg.norm(position[jumps[0] + 1] - position[jumps[0]])
+        said.append(
+            Remark(
+                f"{place}: jumps by ",
+                Amount(1e3 * float(far)),
+                " mm between two samples at t = ",
+                Amount(float(time[jumps[0]] - time[0]), ".3f"),
+                f" s, {MAX_STEP_RATIO:g} times as fast as before and after: columns, units or a marker that changed?",
+            )
+        )
+    return said

@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cells of a table of impacts as numbers in SI units; errors name row, column, found and expected value."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rs_sim.decimals import decimal
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robots.robot import Array
+from impact_rs_trials.recordings.file_units import FACTORS
+from impact_rs_trials.recordings.impacts.impact_columns import ColumnGroup, Range, name_and_unit, with_unit
+from impact_rs_trials.recordings.readers import table_columns
+
+MAX_NUMBER = 1e12  # in any unit: larger than any measured number, and its square is finite
+
+
+@dataclass(frozen=True)
+class FoundColumn:
+    """A known column as a file has it.
+
+    Attributes:
+        header: Its header.
+        unit: Its unit, from the header; empty for text.
+        factor: From that unit to SI.
+        range: Range of its numbers.
+    """
+
+    header: str
+    unit: str
+    factor: float
+    range: Range
+
+
+@dataclass(frozen=True)
+class ImpactCells:
+    """The cells of a table of impacts.
+
+    Attributes:
+        path: The file.
+        columns: Cells by header.
+        found: Known columns by name.
+        others: Headers of unknown columns.
+        scale: Factors by name of a column, for variants of the table [-].
+    """
+
+    path: Path
+    columns: Mapping[str, list[str] | NDArray[Any]]
+    found: Mapping[str, FoundColumn]
+    others: tuple[str, ...]
+    scale: Mapping[str, float] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(next(iter(self.columns.values())))
+
+    def __contains__(self, column: object) -> bool:
+        """Whether the table has a column, by name, or some of the columns of a quantity."""
+        if isinstance(column, ColumnGroup):
+            return any(name in self.found for name in column.names)
+        return column in self.found
+
+    def header(self, column: ColumnGroup) -> str:
+        """Header of the first existing column of a quantity."""
+        return next(self.found[name].header for name in column.names if name in self.found)
+
+    def error(self, row: int, where: str, value: object, message: str) -> InputError:
+        """Error in a row.
+
+        Args:
+            row: Position of the row.
+            where: The column, or a quantity from several columns.
+            value: Value of the cell.
+            message: Expected value.
+        """
+        return InputError(message, file=self.path, key=f"{name_of_row(row + 1)}, {where}", value=value)
+
+    def column_error(self, row: int, name: str, value: object, message: str) -> InputError:
+        """Error in the cell of a known column."""
+        return self.error(row, f"column {self.found[name].header!r}", value, message)
+
+    def text(self, row: int, name: str) -> str:
+        """A cell as text; empty if it is empty, or the table has no such column."""
+        return _text(self.columns[self.found[name].header][row]) if name in self.found else ""
+
+    def value(self, row: int, name: str) -> float:
+        """The number in a cell, in SI units.
+
+        Raises:
+            InputError: The cell is empty, holds no finite number, or one outside the range of the column.
+        """
+        column = self.found[name]
+        unit, cell = column.unit, self.columns[column.header][row]
+        if not _text(cell):
+            raise self.column_error(row, name, None, f"this cell is empty; expected a number [{unit}]")
+        try:
+            number = decimal(cell) if isinstance(cell, str) else float(cell)
+        except ValueError:
+            raise self.column_error(row, name, cell, f"expected a number [{unit}]") from None
+        if not np.isfinite(number):
+            raise self.column_error(row, name, number, f"expected a finite number [{unit}]")
+        if abs(number) > MAX_NUMBER:
+            raise self.column_error(row, name, number, f"expected a number up to {MAX_NUMBER:g} [{unit}]")
+        number *= self.scale.get(name, 1.0)
+        if not column.range.holds(number * column.factor):
+            raise self.column_error(row, name, number, f"expected {column.range.words} [{unit}]")
+        return number * column.factor
+
+    def values(self, row: int, names: Sequence[str]) -> Array:
+        """Numbers in several cells, in SI units, ``(k,)``."""
+        return np.array([self.value(row, name) for name in names])
+
+    def circumstances(self, covariates: Mapping[str, str]) -> list[dict[str, float | str]]:
+        """Covariates of every row: numbers where a whole column holds such, else names of levels.
+
+        Args:
+            covariates: Headers by name.
+
+        Raises:
+            InputError: A cell is empty, or a number is not finite.
+        """
+        found: list[dict[str, float | str]] = [{} for _ in range(len(self))]
+        for name, header in covariates.items():
+            levels = [_text(cell) for cell in self.columns[header]]
+            for row, level in enumerate(levels):
+                if not level:
+                    said = "this cell is empty; a covariate has a value"
+                    raise self.error(row, f"column {header!r}", None, said)
+            values: Sequence[float | str] = _numbers(levels) or levels
+            for row, value in enumerate(values):
+                if isinstance(value, float) and not np.isfinite(value):
+                    raise self.error(row, f"column {header!r}", value, "expected a finite number")
+                found[row][name] = value
+        return found
+
+
+def name_of_row(number: int) -> str:
+    """Name of a row, counted from 1 without the header."""
+    return f"row {number}"
+
+
+def read_cells(path: Path, known: Iterable[ColumnGroup]) -> ImpactCells:
+    """Read a table of impacts.
+
+    Args:
+        path: CSV or Parquet file.
+        known: ColumnGroup that are read.
+
+    Raises:
+        InputError: It is no table, has no row, or a column has an unknown unit.
+    """
+    table = table_columns.read_columns(path, recorded=False)
+    if not table.cells:
+        raise InputError("no header; expected names of columns with their units", file=path)
+    columns = {
+        header: [str(stamp) for stamp in np.asarray(cells).astype("datetime64[ns]")] if header in table.dates else cells
+        for header, cells in table.cells.items()
+    }
+    by_name = {name: one for one in known for name in one.names}
+    found: dict[str, FoundColumn] = {}
+    others: list[str] = []
+    for header in columns:
+        name, unit = name_and_unit(header)
+        if name in found:
+            said = f"columns {found[name].header!r} and {header!r}: expected one of them"
+            raise InputError(said, file=path)
+        if name in by_name:
+            found[name] = _found(path, header, name, unit, by_name[name])
+        else:
+            others.append(header)
+    cells = ImpactCells(path, columns, found, tuple(others))
+    if not len(cells):
+        raise InputError("no rows; expected one per impact", file=path)
+    return cells
+
+
+def _found(path: Path, header: str, name: str, unit: str, column: ColumnGroup) -> FoundColumn:
+    """A known column, with the factor of the unit in its header."""
+    factors = FACTORS[column.unit] if column.unit else FACTORS["-"]
+    if not unit and column.unit in ("", "-"):
+        return FoundColumn(header, column.unit, 1.0, column.range)
+    if unit not in factors:
+        said = f"unit {unit!r}" if "[" in header else "no unit"
+        expected = " or ".join(f"'{with_unit(name, one)}'" for one in factors)
+        raise InputError(f"column {header!r} has {said}; expected {expected}", file=path)
+    return FoundColumn(header, unit, factors[unit], column.range)
+
+
+def _text(cell: object) -> str:
+    """A cell as text; numbers that are missing in a Parquet file are empty cells."""
+    return "" if isinstance(cell, float | np.floating) and np.isnan(cell) else str(cell).strip()
+
+
+def _numbers(texts: Sequence[str]) -> list[float] | None:
+    """Numbers of all cells of a column; None where one is something else."""
+    try:
+        return [decimal(text) for text in texts]
+    except ValueError:
+        return None

@@ -1,0 +1,354 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checks of a table of impacts that need no contact law: what holds for every friction and restitution.
+
+With H the inertia, u^- and u^+ the velocities before and after, and J_c u the velocities of the contact points,
+impulses L act at these points alone (paper eq. EOM_link, integrated over the impact),
+
+    H (u^+ - u^-) = J_c^T L
+
+so that, whatever L is,
+
+1. *momentum* outside the range of J_c^T does not change: of a free body with one contact point the angular momentum
+   about that point, with two that about the line through them. In the energy norm, H = C C^T,
+
+       m v_1^2 = |(1 - A A^+) C^T (u^+ - u^-)|^2,        A = C^-1 J_c^T
+
+2. *bodies do not enter each other*: v_2 = max(0, -n . J_c u^+) at every contact,
+3. *energy* does not grow: sqrt(m) v_3 = max(0, |C^T u^+| - |C^T u^-|).
+
+All three are speeds of the body with mass m. A column with a wrong sign or unit makes their rms large. Which one, is
+tried out: the factor that makes all three vanish is named, or several where they cannot be distinguished. Without such
+a factor only free bodies are reported: joints of real arms do not jump as the joints of a rigid arm.
+
+Angular velocities, or both velocities, of free bodies may be given in axes of another frame: with z and y exchanged, or
+of a left-handed frame. All 24 turns of a frame onto its own axes are tried out, and their mirrors (:func:`other_axes`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import permutations, product
+from typing import Literal
+
+import numpy as np
+import scipy
+
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_trials.recordings.impacts.impact_columns import (
+    AXES,
+    DQ_AFTER,
+    DQ_BEFORE,
+    V_AFTER,
+    V_BEFORE,
+    W_AFTER,
+    W_BEFORE,
+    ColumnGroup,
+    JointColumnGroup,
+    arm_label,
+)
+from impact_rs_trials.recordings.impacts.impact_table import ImpactRow, ImpactTable
+
+UNIT_FACTORS = (-1.0, np.pi / 180.0, 180.0 / np.pi, 1e-3, 1e3)  # sign, deg for rad, mm for m, and their inverses
+MAX_ROWS = 200  # of a table, evenly taken
+MIN_ROWS = 5
+MIN_VIOLATION_SHARE = 0.03  # of the whole change of velocity; below it noise and the geometry of the contact decide
+MAX_REMAINING_SHARE = 0.25  # of the squares; a factor that leaves more is no explanation
+MIN_CURED_ROWS_SHARE = 0.75  # of the rows that break a law, which a factor has to improve
+MAX_MISFIT_RATIO = 1.5  # to the best factor's; the data do not distinguish factors within it
+MAX_SHOWN_ROWS = 3  # in a message
+MAX_ALIGNMENT_ERROR = 1e-6  # rad and -, rounding of rotations by right angles and of their axes
+NEIGHBOUR_ROWS = 8  # on either side of a row from which a column may be in another unit
+MIN_UNIT_RATIO = 20.0  # of sizes in two units (57 and more), less their scatter,
+MAX_SIZE_RATIO = 3.0  # of velocities before the impacts, below which their unit stays
+MIN_UNEXPLAINED_SHARE = 0.5  # of the whole change; so much is reported although no single factor explains it
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """A factor of some columns.
+
+    Attributes:
+        columns: Their names.
+        factor: What their numbers are multiplied by [-].
+        before: The same for every entry of u^-, ``(nv,)`` [-].
+        after: Of u^+, ``(nv,)`` [-].
+    """
+
+    columns: tuple[str, ...]
+    factor: float
+    before: Array
+    after: Array
+
+    def covers(self, other: Remedy) -> bool:
+        """Whether the other one changes some of the same signals and no others."""
+        signals = [{name.rsplit("_", 1)[0] for name in remedy.columns} for remedy in (self, other)]
+        return signals[1] <= signals[0]
+
+
+@dataclass(frozen=True)
+class OtherAxes:
+    """Axes in which velocities may have been measured, ``measured = s R true``.
+
+    Attributes:
+        of: Angular velocities alone, or also velocities of the centre.
+        rotation: R, ``(3, 3)`` [-].
+        sign: s; -1: left-handed axes [-].
+        left: What breaks the laws with them, root mean square over the rows [m/s].
+    """
+
+    of: Literal["spins", "twists"]
+    rotation: Array
+    sign: float
+    left: float
+
+    @property
+    def vector(self) -> Array:
+        """Rotation vector of R, ``(3,)`` [rad]."""
+        return np.asarray(scipy.spatial.transform.Rotation.from_matrix(self.rotation).as_rotvec())
+
+    @property
+    def in_words(self) -> str:
+        """Which velocities are in which axes."""
+        what = "angular velocities" if self.of == "spins" else "velocities and angular velocities"
+        angle = float(np.linalg.norm(self.vector))
+        if angle < MAX_ALIGNMENT_ERROR:
+            return f"{what} are in left-handed axes"
+        axis = self.vector / angle
+        shares = [
+            f"{'' if share > 0 else '-'}{name}"
+            for name, share in zip(AXES, axis, strict=True)
+            if abs(share) > MAX_ALIGNMENT_ERROR
+        ]
+        about = shares[0] if len(shares) == 1 else f"({', '.join(f'{share:.3g}' for share in axis)})"
+        hand = " left-handed" if self.sign < 0.0 else ""
+        return f"{what} are in{hand} axes turned by {np.degrees(angle):.0f} degrees about {about}"
+
+
+@dataclass(frozen=True)
+class _Laws:
+    """What an impact obeys under any contact law; see the module.
+
+    Attributes:
+        root: C^T over the root of the body's mass, ``(nv, nv)``.
+        kept: Projects C^T (u^+ - u^-) on what no contact changes, ``(nv, nv)`` [-].
+        normals: n . J_c, ``(m, nv)``.
+    """
+
+    root: Array
+    kept: Array
+    normals: Array
+
+    @classmethod
+    def of(cls, row: ImpactRow, models: dict[str, RobotModel]) -> _Laws:
+        system = row.impact.system(row.physics, models)
+        jacobian = system.jacobian(row.impact.points)
+        root = np.linalg.cholesky(system.inertia)
+        changed = np.linalg.solve(root, jacobian.T)
+        kept = np.eye(len(root)) - changed @ np.linalg.pinv(changed, rcond=1e-9)
+        normals = np.array([point.normal for point in row.impact.points])
+        return cls(
+            root=root.T / np.sqrt(row.physics.object.mass),
+            kept=kept,
+            normals=np.einsum("mi,miv->mv", normals, jacobian.reshape(len(normals), 3, -1)),
+        )
+
+    def broken(self, before: Array, after: Array) -> Array:
+        """v_1, v_2 and v_3 of the module, ``(3,)`` [m/s]."""
+        momentum = np.linalg.norm(self.kept @ self.root @ (after - before))
+        inside = max(0.0, -float(np.min(self.normals @ after)))
+        gained = max(0.0, float(np.linalg.norm(self.root @ after) - np.linalg.norm(self.root @ before)))
+        return np.array([momentum, inside, gained])
+
+
+def doubts_of(table: ImpactTable) -> list[str]:
+    """Laws that the numbers of a table break whatever the contact is like, with the most likely mistake.
+
+    Args:
+        table: Impacts with velocities after them.
+    """
+    rows, laws = _looked_at(table)
+    if not rows:
+        return []
+    before = [
+        np.concatenate([*(arm.velocity for arm in row.impact.arms.values()), row.impact.object.twist]) for row in rows
+    ]
+    after = [row.after for row in rows]
+    scaled = _other_scale(table, rows, np.array(before), np.array(after))
+    broken = np.array([law.broken(b, a) for law, b, a in zip(laws, before, after, strict=True)])
+    whole = _rms([float(np.linalg.norm(law.root @ (a - b))) for law, b, a in zip(laws, before, after, strict=True)])
+    speeds = np.linalg.norm(broken, axis=1)
+    size = _rms(speeds)
+    if size <= MIN_VIOLATION_SHARE * whole:
+        return scaled
+    found = []
+    for remedy in remedies(table):
+        tried = np.array(
+            [
+                np.linalg.norm(law.broken(remedy.before * b, remedy.after * a))
+                for law, b, a in zip(laws, before, after, strict=True)
+            ]
+        )
+        wrong = speeds > MIN_VIOLATION_SHARE * whole
+        if np.any(wrong) and float(np.mean(tried[wrong] < speeds[wrong])) >= MIN_CURED_ROWS_SHARE:
+            found.append((_rms(tried), remedy))
+    law = _in_words(np.sqrt(np.mean(np.square(broken), axis=0)), whole)
+    left = min((rest for rest, _ in found), default=np.inf)
+    axes = [
+        other
+        for other in other_axes(table)
+        if MAX_MISFIT_RATIO * other.left < left and other.left**2 < MAX_REMAINING_SHARE * size**2
+    ]
+    if axes:
+        where = ", or ".join(other.in_words for other in axes[:MAX_SHOWN_ROWS])
+        return [f"{law}: wrong axes? {axes[0].left:.2g} m/s are left where {where}", *scaled]
+    if left**2 < MAX_REMAINING_SHARE * size**2:
+        simplest: list[Remedy] = []
+        for rest, remedy in found:
+            if rest <= MAX_MISFIT_RATIO * left and not any(remedy.covers(other) for other in simplest):
+                simplest.append(remedy)
+        words = [f"factor: {remedy.factor:.4g} for {', '.join(remedy.columns)}" for remedy in simplest[:MAX_SHOWN_ROWS]]
+        return [f"{law}: wrong sign or unit? {left:.2g} m/s are left with {', or '.join(words)}", *scaled]
+    if size > MIN_UNEXPLAINED_SHARE * whole and not table.arms:
+        return [f"{law}: no factor of one signal explains it; are contact points, axes and inertia right?", *scaled]
+    return scaled
+
+
+def other_axes(table: ImpactTable) -> list[OtherAxes]:
+    """Axes by right angles that velocities of free bodies may have been measured in, the most likely first.
+
+    Laws of every contact decide, so that no law of friction or restitution has to be known. Turns are looked at that
+    close all contacts; those that the laws do not distinguish from the best are given as well.
+
+    Args:
+        table: Impacts with velocities after them.
+
+    Returns:
+        None where the axes of the table do as well as any others, or where nothing turns.
+    """
+    rows, laws = ([], []) if table.arms or not (table.turning and table.centre) else _looked_at(table)
+    if not rows:
+        return []
+    twists = np.array([[row.impact.object.twist, row.after] for row in rows])  # (k, 2, 6)
+
+    def left(rotation: Array, of: str, sign: float) -> float:
+        """Rms of what breaks the laws; infinite where a contact does not close."""
+        true = twists.copy()
+        true[..., 3:] = sign * twists[..., 3:] @ rotation  # R^T applied to rows
+        if of == "twists":
+            true[..., :3] = twists[..., :3] @ rotation
+        if any(not np.min(law.normals @ before) < 0.0 for law, (before, _) in zip(laws, true, strict=True)):
+            return np.inf
+        return _rms(
+            [float(np.linalg.norm(law.broken(before, after))) for law, (before, after) in zip(laws, true, strict=True)]
+        )
+
+    here = left(np.eye(3), "spins", 1.0)
+    kinds: tuple[tuple[Literal["spins", "twists"], float], ...] = (("spins", 1.0), ("spins", -1.0), ("twists", 1.0))
+    tried = [
+        OtherAxes(of, rotation, sign, left(rotation, of, sign))
+        for of, sign in kinds
+        for rotation in _turns()
+        if sign < 0.0 or not np.allclose(rotation, np.eye(3))
+    ]
+    best = min(other.left for other in tried)
+    if not MAX_MISFIT_RATIO * best < here:
+        return []
+    alike = sorted((other for other in tried if other.left <= MAX_MISFIT_RATIO * best), key=lambda other: other.left)
+    # A ball on one plane keeps its spin about the normal: its sense, and so the hand of the axes, is not seen.
+    return [other for other in alike if other.sign > 0.0] or alike
+
+
+def _turns() -> list[Array]:
+    """The 24 turns of a right-handed frame onto its own axes."""
+    found = [
+        np.array([sign * np.eye(3)[axis] for axis, sign in zip(order, signs, strict=True)])
+        for order in permutations(range(3))
+        for signs in product((1.0, -1.0), repeat=3)
+    ]
+    return [turn for turn in found if np.linalg.det(turn) > 0.0]
+
+
+def _looked_at(table: ImpactTable) -> tuple[list[ImpactRow], list[_Laws]]:
+    """Rows, evenly taken, with the laws of each; empty for a table with too few."""
+    chosen = np.unique(np.linspace(0, len(table.rows) - 1, MAX_ROWS).astype(int)).tolist()
+    if len(chosen) < MIN_ROWS:
+        return [], []
+    rows = [table.rows[number] for number in chosen]
+    models: dict[int, dict[str, RobotModel]] = {}
+    for row in rows:
+        if id(row.physics) not in models:
+            models[id(row.physics)] = row.physics.robot_models()
+    return rows, [_Laws.of(row, models[id(row.physics)]) for row in rows]
+
+
+def _other_scale(table: ImpactTable, rows: Sequence[ImpactRow], before: Array, after: Array) -> list[str]:
+    """Velocities after impacts that are of another size from a row on, where those before are not; ``(k, nv)``."""
+    if len(rows) < 2 * NEIGHBOUR_ROWS:
+        return []
+    before_jumps, after_jumps = _jumps_of_size(before), _jumps_of_size(after)
+    steady = np.all((before_jumps < MAX_SIZE_RATIO) & (before_jumps > 1.0 / MAX_SIZE_RATIO), axis=1)
+    sizes = np.where(steady[:, None], np.maximum(after_jumps, 1.0 / after_jumps), 1.0)
+    place, column = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
+    if sizes[place, column] < MIN_UNIT_RATIO:
+        return []
+    row, name = rows[int(place) + NEIGHBOUR_ROWS].number, _signals(table, DQ_AFTER, V_AFTER, W_AFTER)[int(column)]
+    return [
+        f"{name} is {after_jumps[place, column]:.2g} times as large from row {row} on, while nothing changes "
+        "before the impacts: another unit?"
+    ]
+
+
+def _jumps_of_size(columns: Array) -> Array:
+    """Ratio of median sizes after and before a row, ``(k - 2 NEIGHBOUR_ROWS + 1, nv)`` [-]; 1 if one is 0."""
+    windows = np.lib.stride_tricks.sliding_window_view(np.abs(columns), NEIGHBOUR_ROWS, axis=0)
+    sizes = np.median(windows, axis=-1)
+    earlier, later = sizes[:-NEIGHBOUR_ROWS], sizes[NEIGHBOUR_ROWS:]
+    known = (earlier > 0.0) & (later > 0.0)
+    return np.where(known, later / np.where(known, earlier, 1.0), 1.0)
+
+
+def _signals(table: ImpactTable, joints: JointColumnGroup, *of_body: ColumnGroup) -> list[str]:
+    """Names of the columns of all velocities before or after."""
+    arms = table.rows[0].impact.arms
+    of_arms = [name for arm, own in arms.items() for name in joints.names(arm_label(arm, arms), own.velocity.size)]
+    return [*of_arms, *(name for one in of_body for name in one.names)]
+
+
+def _rms(values: Array | list[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _in_words(broken: Array, whole: float) -> str:
+    """The most violated law, with the size of the violation."""
+    what = (
+        "the momentum that no impulse at the contact points can change (with one of them, the angular momentum about "
+        "it) changes",
+        "after the impact the bodies move into each other",
+        "the kinetic energy grows",
+    )[int(np.argmax(broken))]
+    size = float(broken.max())
+    return f"{what} by {size:.2g} m/s rms, {100.0 * size / whole:.0f} % of the whole change of velocity"
+
+
+def remedies(table: ImpactTable) -> Iterator[Remedy]:
+    """Factors of single signals, the simplest first."""
+    sides = {
+        "before": _signals(table, DQ_BEFORE, V_BEFORE, W_BEFORE),
+        "after": _signals(table, DQ_AFTER, V_AFTER, W_AFTER),
+    }
+    count = len(sides["before"])
+    linear, angular = ([*range(first, first + 3)] for first in (count - 6, count - 3))
+    groups = [[place] for place in range(count)]
+    # If an axis is mirrored in lever and velocity, the other two angular velocities seem to be wrong.
+    groups += [[place for place in angular if place != mirrored] for mirrored in angular]
+    groups += [linear, angular]
+    for places in groups:
+        for factor in UNIT_FACTORS if len(places) == len(AXES) else (-1.0,):
+            for tried in (("before", "after"), ("after",), ("before",)):
+                scaled = {side: np.ones(count) for side in sides}
+                for side in tried:
+                    scaled[side][places] = factor
+                columns = tuple(sides[side][place] for place in places for side in tried)
+                yield Remedy(columns, factor, scaled["before"], scaled["after"])

@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contents of an impact table: free bodies, balls or arms, and the signals measured after the impacts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+
+from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_trials.recordings.impacts.impact_cells import ImpactCells, read_cells
+from impact_rs_trials.recordings.impacts.impact_columns import (
+    COLUMNS,
+    DISTANCES,
+    DQ_AFTER,
+    DQ_BEFORE,
+    FALL_HEIGHT,
+    FLIGHT_DISTANCE,
+    JOINT_COLUMNS,
+    MASS,
+    MOMENTS,
+    MOTOR_INERTIA,
+    ORIENTATION,
+    POINTS,
+    POSITION,
+    RADIUS,
+    SHELL,
+    SIZE,
+    SLIDE_DISTANCE,
+    V_AFTER,
+    V_BEFORE,
+    W_AFTER,
+    W_BEFORE,
+    ColumnGroup,
+    JointColumnGroup,
+    Q,
+    arm_label,
+    is_joint_column,
+    name_and_unit,
+    with_unit,
+)
+
+MIN_SIMILARITY = 0.75  # ratio of difflib, from which an unknown column is taken for a misspelled one
+
+
+@dataclass(frozen=True)
+class TableContents:
+    """Contents of a table.
+
+    Attributes:
+        scenario: Robots, pads and support of rows of arms; None: free bodies.
+        questions: Whether velocities after the impact are to be predicted and not read.
+        ball: Whether the bodies are balls.
+        joints: Whether some joint has a velocity after the impact.
+        centre: Whether the velocity of the centre after the impact is compared, not a distance.
+        turning: Whether the body has an angular velocity after the impact.
+    """
+
+    scenario: Scenario | None
+    questions: bool
+    ball: bool
+    joints: bool
+    centre: bool
+    turning: bool
+
+    @classmethod
+    def of(cls, cells: ImpactCells, scenario: Scenario | None, questions: bool) -> TableContents:
+        """Contents by the columns of a table."""
+        return cls(
+            scenario,
+            questions,
+            ball=RADIUS in cells,
+            joints=any(one in cells for one in _of_joints(scenario, DQ_AFTER)),
+            centre=V_AFTER in cells or not any(one in cells for one in DISTANCES),
+            turning=W_AFTER in cells,
+        )
+
+    @property
+    def arms(self) -> tuple[str, ...]:
+        """Names of the arms; empty: free bodies."""
+        return () if self.scenario is None else tuple(self.scenario.robots)
+
+    def names(self, columns: JointColumnGroup, arm: str) -> tuple[str, ...]:
+        """Columns of the joints of an arm, by name."""
+        return columns.names(arm_label(arm, self.arms), self.joint_count(arm))
+
+    def joint_count(self, arm: str) -> int:
+        """Number of joints of an arm."""
+        assert self.scenario is not None
+        return self.scenario.robots[arm].robot_facts.joint_count
+
+
+def read_with_contents(
+    path: Path, scenario: Scenario | None, questions: bool, covariates: Sequence[str]
+) -> tuple[ImpactCells, TableContents, dict[str, str]]:
+    """Cells and contents of a table, and the headers of its covariates by name.
+
+    Raises:
+        InputError: Not a table; a column is missing, has a wrong unit or no meaning; or two columns contradict.
+    """
+    known = [*COLUMNS, *(one for columns in JOINT_COLUMNS for one in _of_joints(scenario, columns))]
+    cells = read_cells(path, known)
+    declared = _declared(cells, covariates)
+    _check_others(cells, known, scenario, declared)
+    contents = TableContents.of(cells, scenario, questions)
+    _check_ball(cells, contents)
+    if not contents.centre:
+        _check_distances(cells, contents)
+    _check_needed(cells, contents)
+    return cells, contents, declared
+
+
+def unread(cells: ImpactCells, contents: TableContents, covariates: dict[str, str]) -> tuple[str, ...]:
+    """Headers of the columns that are not used."""
+    others = [header for header in cells.others if header not in covariates.values()]
+    if contents.centre:
+        others += [cells.header(one) for one in COLUMNS if one in cells and one.instead_of == V_AFTER.first]
+    return tuple(others)
+
+
+def _of_joints(scenario: Scenario | None, columns: JointColumnGroup) -> Iterator[ColumnGroup]:
+    """Columns of all joints of all arms."""
+    robots = {} if scenario is None else scenario.robots
+    for arm, robot in robots.items():
+        yield from columns.of_arm(arm_label(arm, robots), robot.robot_facts.units)
+
+
+def _declared(cells: ImpactCells, covariates: Sequence[str]) -> dict[str, str]:
+    """Headers of the covariates by their names."""
+    there = {name_and_unit(header)[0]: header for header in cells.columns}
+    for place, name in enumerate(covariates):
+        if name in covariates[:place]:
+            raise InputError(f"column {name!r} is named twice", file=cells.path, key="--covariates")
+        if name not in there:
+            said = f"no column {name!r}{did_you_mean(name, there)}; there are: {', '.join(there)}"
+            raise InputError(said, file=cells.path, key="--covariates")
+    return {name: there[name] for name in covariates}
+
+
+def _check_others(
+    cells: ImpactCells, known: Sequence[ColumnGroup], scenario: Scenario | None, declared: dict[str, str]
+) -> None:
+    """Refuse unknown columns that belong to joints, or resemble a known one."""
+    undeclared = [header for header in cells.others if header not in declared.values()]
+    joints = [header for header in undeclared if is_joint_column(name_and_unit(header)[0])]
+    if joints and scenario is None:
+        said = "is of an arm; --scenario NAME says which robot, pad and support there were"
+        raise InputError(f"column {joints[0]!r} {said}", file=cells.path)
+    if joints and scenario is not None:
+        counts = ", ".join(f"{arm} has {robot.robot_facts.joint_count}" for arm, robot in scenario.robots.items())
+        said = f"column {joints[0]!r} is of no joint of scenario {scenario.name!r} ({counts})"
+        raise InputError(said, file=cells.path)
+    free = {name: one.unit for one in known for name in one.names if name not in cells}
+    for header in undeclared:
+        if close := get_close_matches(name_and_unit(header)[0], free, n=1, cutoff=MIN_SIMILARITY):
+            meant = with_unit(close[0], free[close[0]])
+            raise InputError(f"no column is called {header!r}; did you mean {meant!r}?", file=cells.path)
+
+
+def _check_needed(cells: ImpactCells, contents: TableContents) -> None:
+    """Refuse a table that lacks a column."""
+    for one in _needed(cells, contents):
+        for name, wanted in zip(one.names, one.headers, strict=True):
+            if name not in cells:
+                near = did_you_mean(wanted, cells.others)
+                raise InputError(f"no column {wanted!r}{near}; {_there(cells)}", file=cells.path)
+    shaped = SIZE in cells or contents.ball
+    if contents.scenario is None and not (shaped or POINTS[0] in cells):
+        said = f"expected its size ({SIZE.header!r} ...) or contact points ({POINTS[0].header!r} ...)"
+        raise InputError(f"nothing says where the body touches; {said}; {_there(cells)}", file=cells.path)
+    if contents.scenario is None and not (shaped or MOMENTS in cells):
+        said = f"expected principal moments ({MOMENTS.header!r} ...) or its size ({SIZE.header!r} ...)"
+        raise InputError(f"nothing says how hard the body is to turn; {said}; {_there(cells)}", file=cells.path)
+
+
+def _there(cells: ImpactCells) -> str:
+    return f"there are: {', '.join(cells.columns)}"
+
+
+def _needed(cells: ImpactCells, contents: TableContents) -> Iterator[ColumnGroup]:
+    """Columns that a table must have."""
+    yield from () if contents.ball else (POSITION, ORIENTATION)
+    yield from (V_BEFORE, W_BEFORE)
+    if contents.centre and not contents.questions:
+        yield V_AFTER
+    joints = [Q, DQ_BEFORE, *([DQ_AFTER] if contents.joints and not contents.questions else [])]
+    if any(one in cells for one in _of_joints(contents.scenario, MOTOR_INERTIA)):
+        joints.append(MOTOR_INERTIA)
+    for columns in joints:
+        yield from _of_joints(contents.scenario, columns)
+    if contents.scenario is None:
+        yield MASS
+    after = (V_AFTER, W_AFTER) if contents.questions else ()
+    yield from (one for one in COLUMNS if one in cells and one not in after)  # all components, or none
+
+
+def _check_distances(cells: ImpactCells, contents: TableContents) -> None:
+    """Refuse a table with a distance that no law predicts from a velocity."""
+    if SLIDE_DISTANCE in cells and contents.scenario is None:
+        said = "a free body has no support on which it slides; flight_distance and fall_height say how far it flew"
+        raise InputError(f"column {cells.header(SLIDE_DISTANCE)!r}: {said}", file=cells.path)
+    if FLIGHT_DISTANCE in cells and FALL_HEIGHT not in cells:
+        said = f"without {FALL_HEIGHT.header!r}: how far the centre fell"
+        raise InputError(f"column {cells.header(FLIGHT_DISTANCE)!r} {said}", file=cells.path)
+    if contents.turning:
+        first = next(cells.header(one) for one in DISTANCES if one in cells)
+        said = f"stands in place of velocities after; leave out {', '.join(W_AFTER.names)}"
+        raise InputError(f"column {first!r} {said}", file=cells.path)
+
+
+def _check_ball(cells: ImpactCells, contents: TableContents) -> None:
+    """Refuse a ball with another shape."""
+    if not contents.ball:
+        if SHELL in cells:
+            said = f"column {cells.header(SHELL)!r} without {RADIUS.header!r}: it is of balls"
+            raise InputError(said, file=cells.path)
+        return
+    radius = cells.header(RADIUS)
+    if contents.scenario is not None:
+        said = f"is of a free ball; objects of scenario {contents.scenario.name!r} are boxes"
+        raise InputError(f"column {radius!r} {said}", file=cells.path)
+    for other in (SIZE, POINTS[0]):
+        if other in cells:
+            said = f"columns {radius!r} and {cells.header(other)!r}: expected one of them"
+            raise InputError(f"{said}; a ball touches below its centre", file=cells.path)

@@ -1,0 +1,641 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Impact tables: one row per impact and nothing else, as CSV or Parquet.
+
+Two kinds of rows. Without joint positions **one free body hits a fixed plane**: a tossed cube, or a ball on a racket so
+heavy that its motion does not change (velocities are then relative to it). With them
+**an arm (or two) hits an object**; a scenario then has robots, pads and support.
+:mod:`impact_rs_trials.recordings.impacts.impact_columns` lists the columns.
+
+Units of a header may be others of the same quantity (:mod:`impact_rs_trials.recordings.file_units`). Any column may
+also be declared a covariate: a circumstance of the measurement, a number or the name of a level. Other
+columns are ignored. Cells of a CSV file are separated by commas, semicolons or tabs; empty lines and lines that
+begin with # are skipped.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim.errors import Infeasible, InputError, did_you_mean
+from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE
+from impact_rs_sim.impact_map.measured import (
+    MeasuredImpact,
+    corners_that_touch,
+    points_of_scene,
+    points_on_plane,
+)
+from impact_rs_sim.physics import ObjectPhysics, Physics
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_sim.shapes import BOX, SPHERE
+from impact_rs_trials.recordings.impacts.distances import Distance
+from impact_rs_trials.recordings.impacts.impact_cells import ImpactCells, name_of_row
+from impact_rs_trials.recordings.impacts.impact_columns import (
+    AXES,
+    CONDITION,
+    CONTACT_NOISE,
+    DISTANCE_NOISE,
+    DISTANCES,
+    DQ_AFTER,
+    DQ_BEFORE,
+    DQ_NOISE,
+    FALL_HEIGHT,
+    FLIGHT_DISTANCE,
+    FRICTION,
+    MASS,
+    MOMENTS,
+    MOTOR_INERTIA,
+    NORMAL,
+    OBJECT,
+    ORIENTATION,
+    POINTS,
+    POSITION,
+    RADIUS,
+    RESTITUTION,
+    SHELL,
+    SIZE,
+    SUPPORT_FRICTION,
+    TIME,
+    TOLERANCE,
+    V_AFTER,
+    V_BEFORE,
+    V_NOISE,
+    V_NOISE_AXES,
+    W_AFTER,
+    W_BEFORE,
+    W_NOISE,
+    W_NOISE_AXES,
+    ColumnGroup,
+    Q,
+    name_and_unit,
+)
+from impact_rs_trials.recordings.impacts.impact_contents import TableContents, read_with_contents, unread
+from impact_rs_trials.recordings.impacts.unsure_scene import nominal_values, with_value
+from impact_rs_trials.since import measured_since
+
+SUFFIXES = (".csv", ".parquet")
+ASSUMED_FRICTION = 0.3  # of a free body on a plane, where a table says nothing; dry solids lie around it
+MAX_LENGTH_ERROR = 1e-3  # of a unit quaternion or normal; what remains is rounding
+MAX_MOMENT_EXCESS_SHARE = 1e-3  # of a moment of inertia over the sum of the others; rounding
+UP = np.array([0.0, 0.0, 1.0])
+MAX_TOLERANCE_FACTOR = 4.0  # points between a quarter of a tolerance and so many may touch or not
+OF_BODY = (MASS, MOMENTS, SIZE, RADIUS)  # columns that may be unsure
+BODY_UNITS = {name: one.unit for one in OF_BODY for name in one.names}
+OF_AXES = {V_NOISE: V_NOISE_AXES, W_NOISE: W_NOISE_AXES}  # noise columns that may stand in the place of one
+ALONE = "; without these columns the other signals are compared alone"
+UNSEEN_GEOMETRY = {  # what else may be unsure, 0 in a table: its unit
+    "offset_x": "m",  # of the tracked point from the centre, along the body's own axes
+    "offset_y": "m",
+    "offset_z": "m",
+    "tilt_x": "rad",  # of the plane's normal about x and y of A
+    "tilt_y": "rad",
+}
+SWEPT_SHARES = (0.25, 0.5, 1.0)  # of the way from the assumed value to either end of a range
+
+
+@dataclass(frozen=True)
+class ImpactRow:
+    """One impact.
+
+    Attributes:
+        number: Row of the table, counted from 1 without the header.
+        condition: Name of the condition that it repeats; empty: unknown.
+        object_name: Name of the object; empty: a free body.
+        physics: Nominal physics; rows with the same nominal physics share one.
+        impact: State just before, and contact points.
+        after: Measured u^+, joint velocities of every arm and then the twist of the centre, ``(nv,)`` [rad/s, m/s].
+        wider: The impact with the contact points within ``MAX_TOLERANCE_FACTOR`` tolerances; None: they are the same.
+        narrower: The impact with the contact points within a tolerance over ``MAX_TOLERANCE_FACTOR`` (no pose is known
+            better than ``GAP_TOLERANCE``); None: they are the same.
+        time: Time of the measurement, seconds since 1970 or since any other moment [s]; None: unknown.
+        circumstances: Its covariates by name, numbers or names of levels.
+        distance: Distance that the object travelled afterwards, if measured instead of its velocity.
+        contact_noise: Standard deviations of the positions of the contact points [m] and of their normal [rad].
+    """
+
+    number: int
+    condition: str
+    object_name: str
+    physics: Physics
+    impact: MeasuredImpact
+    after: Array
+    wider: MeasuredImpact | None = None
+    narrower: MeasuredImpact | None = None
+    time: float | None = None
+    circumstances: Mapping[str, float | str] = field(default_factory=dict)
+    distance: Distance | None = None
+    contact_noise: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A table read with another value of an uncertain quantity.
+
+    Attributes:
+        of: Name of the quantity: a column of the body, an ``UNSEEN_GEOMETRY``, or a number of the scenario
+            (:mod:`impact_rs_trials.recordings.impacts.unsure_scene`).
+        value: Its value, in the unit; the mean if the rows of a column differ.
+        unit: Unit.
+        table: The table with it.
+    """
+
+    of: str
+    value: float
+    unit: str
+    table: ImpactTable
+
+
+@dataclass(frozen=True)
+class ImpactTable:
+    """A table of impacts.
+
+    Attributes:
+        path: Its file.
+        digest: Of its bytes.
+        rows: Its impacts.
+        arms: Names of the arms; empty: free bodies.
+        joints: Whether joint velocities after the impact were measured.
+        centre: Whether velocities of the centre after the impact were measured; if not, distances were.
+        turning: Whether angular velocities after the impact were measured.
+        tolerance: Largest extra distance of a touching point beyond the nearest one [m]; with a column the mean.
+        noise: Standard deviation of a measured change of velocity in the order of ``after``, ``(rows, nv)``
+            [rad/s, m/s], nan if not measured; None: unknown.
+        assumed: Assumptions for missing columns, as text.
+        unread: Headers of unused columns.
+        covariates: Units of the covariates by name; empty if the header has no unit.
+        variants: The table with other values of the uncertain quantities, over their ranges.
+    """
+
+    path: Path
+    digest: str
+    rows: tuple[ImpactRow, ...]
+    arms: tuple[str, ...]
+    noise: Array | None
+    assumed: tuple[str, ...] = ()
+    unread: tuple[str, ...] = ()
+    joints: bool = True
+    centre: bool = True
+    turning: bool = True
+    tolerance: float = GAP_TOLERANCE
+    covariates: Mapping[str, str] = field(default_factory=dict)
+    variants: tuple[Variant, ...] = ()
+
+    def since(self, when: str) -> ImpactTable:
+        """The rows measured from a moment on.
+
+        Args:
+            when: A row, ``row 7``, or a time in column ``time`` (:func:`impact_rs_trials.since.measured_since`).
+
+        Raises:
+            InputError: There is no such moment.
+        """
+        stamps = {name_of_row(row.number): row.number if row.time is None else row.time for row in self.rows}
+        found = measured_since(when, stamps, all(row.time is not None for row in self.rows))
+        part = self.part([place for place, row in enumerate(self.rows) if name_of_row(row.number) in found])
+        digest = hashlib.sha256(f"{self.digest} {sorted(found)}".encode()).hexdigest()[: len(self.digest)]
+        return replace(part, digest=digest)
+
+    def part(self, places: Sequence[int]) -> ImpactTable:
+        """Some rows, by position."""
+        noise = None if self.noise is None else self.noise[list(places)]
+        variants = tuple(replace(one, table=one.table.part(places)) for one in self.variants)
+        return replace(self, rows=tuple(self.rows[place] for place in places), noise=noise, variants=variants)
+
+
+def read_impact_table(
+    path: Path,
+    scenario: Scenario | None = None,
+    questions: bool = False,
+    tolerance: float = GAP_TOLERANCE,
+    covariates: Sequence[str] = (),
+    unsure: Mapping[str, tuple[float, float]] = MappingProxyType({}),
+) -> ImpactTable:
+    """Read a table of impacts.
+
+    Args:
+        path: CSV or Parquet file.
+        scenario: Robots, pads and support of rows of arms; None: rows of free bodies.
+        questions: Whether velocities after are to be predicted: their columns may be absent and are not read.
+        tolerance: Largest extra distance of a touching point beyond the nearest one [m].
+        covariates: Names of the columns with circumstances of the measurement. A column of numbers is
+            a number, in the unit of its header; any other holds names of levels.
+        unsure: Ranges of uncertain quantities, in SI units: columns of the body, whose rows keep their ratios,
+            ``UNSEEN_GEOMETRY``, or numbers of the scenario (:mod:`impact_rs_trials.recordings.impacts.unsure_scene`).
+
+    Raises:
+        InputError: It cannot be read, a column is missing or has another unit, or a row is no impact; the message has
+            row, column, found and expected value.
+    """
+    digest = _digest(path)
+    cells, contents, declared = read_with_contents(path, scenario, questions, covariates)
+    reader = _Reader(cells, contents, tolerance, declared)
+    table, found = reader.table(digest), []
+    for name, (low, high) in unsure.items():
+        assumed, unit = reader.assumed_geometry(name)
+        values = {
+            assumed + share * (end - assumed)
+            for end in (low, high)
+            for share in SWEPT_SHARES
+            if not np.isclose(end, assumed)
+        }
+        for value in sorted(values):
+            try:
+                other = reader.with_geometry(name, value, assumed).table(digest)
+            except InputError as error:
+                raise InputError(
+                    f"with {name} = {value:.4g} {unit}: {error.message}", file=path, key=error.key
+                ) from None
+            found.append(Variant(name, value, unit, other))
+    return replace(table, variants=tuple(found))
+
+
+def _digest(path: Path) -> str:
+    """Digest of the bytes of a file, which is a table."""
+    if path.suffix not in SUFFIXES:
+        raise InputError(f"expected a table of impacts ({' or '.join(SUFFIXES)})", file=path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", file=path) from None
+    if not data:
+        raise InputError("this file is empty", file=path)
+    return hashlib.sha256(data).hexdigest()
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Turns cells into impacts.
+
+    Attributes:
+        cells: The table.
+        contents: Its contents.
+        tolerance: Largest extra distance of a touching point beyond the nearest one, without a column [m].
+        covariates: Headers by name.
+        geometry: Values of ``UNSEEN_GEOMETRY`` [m, rad].
+        physics: Shared physics and models of rows, by their assumptions.
+    """
+
+    cells: ImpactCells
+    contents: TableContents
+    tolerance: float
+    covariates: dict[str, str]
+    geometry: Mapping[str, float] = field(default_factory=dict)
+    physics: dict[tuple[Any, ...], tuple[Physics, dict[str, RobotModel]]] = field(default_factory=dict)
+
+    def table(self, digest: str) -> ImpactTable:
+        """All rows, checked."""
+        cells, contents = self.cells, self.contents
+        circumstances = cells.circumstances(self.covariates)
+        rows = tuple(replace(self._impact(row), circumstances=own) for row, own in enumerate(circumstances))
+        return ImpactTable(
+            path=cells.path,
+            digest=digest,
+            rows=rows,
+            arms=contents.arms,
+            noise=self._noise(rows),
+            assumed=self._assumed(),
+            unread=unread(cells, contents, self.covariates),
+            joints=contents.joints,
+            centre=contents.centre,
+            turning=contents.turning,
+            tolerance=float(np.mean([self._tolerance(row) for row in range(len(cells))])),
+            covariates={name: name_and_unit(header)[1] for name, header in self.covariates.items()},
+        )
+
+    def assumed_geometry(self, name: str) -> tuple[float, str]:
+        """Value that a table assumes for an uncertain quantity, and its SI unit.
+
+        Raises:
+            InputError: There is nothing of that name here.
+        """
+        known = [column for column in BODY_UNITS if column in self.cells]
+        known += [own for own in UNSEEN_GEOMETRY if not (self.contents.arms and own.startswith("tilt"))]
+        if not self.contents.turning:
+            known = [own for own in known if not own.startswith("offset")]
+        known += [SUPPORT_FRICTION.first] if self._scales(SUPPORT_FRICTION.first) else []
+        scenario = self.contents.scenario
+        of_scene = {} if scenario is None else nominal_values(scenario)
+        known += [own for own in of_scene if own not in known]
+        if name not in known:
+            raise InputError(
+                f"nothing called {name!r} can be unsure here{did_you_mean(name, known)}; known: {', '.join(known)}",
+                file=self.cells.path,
+                key="--unsure",
+            )
+        if name in UNSEEN_GEOMETRY:
+            return 0.0, UNSEEN_GEOMETRY[name]
+        if not self._scales(name):
+            return of_scene[name]
+        values = [self.cells.value(row, name) for row in range(len(self.cells)) if self.cells.text(row, name)]
+        return float(np.mean(values)), BODY_UNITS.get(name, SUPPORT_FRICTION.unit)
+
+    def _scales(self, name: str) -> bool:
+        """Whether an uncertain quantity is a column, whose rows keep their ratios."""
+        of_support = name == SUPPORT_FRICTION.first and not self.contents.centre
+        return name in self.cells and (name in BODY_UNITS or of_support)
+
+    def with_geometry(self, name: str, value: float, assumed: float) -> _Reader:
+        """A reader of the same table with another value of an uncertain quantity.
+
+        Args:
+            name: Name of the quantity.
+            value: Its value, in SI units.
+            assumed: Its value by :meth:`assumed_geometry`.
+        """
+        if self._scales(name):
+            return replace(self, cells=replace(self.cells, scale={name: value / assumed}), physics={})
+        if name in UNSEEN_GEOMETRY:
+            return replace(self, geometry={name: value}, physics={})
+        assert self.contents.scenario is not None
+        scenario = with_value(self.contents.scenario, name, value)
+        return replace(self, contents=replace(self.contents, scenario=scenario), physics={})
+
+    def _tolerance(self, row: int) -> float:
+        """Largest extra distance of a touching point of a row beyond the nearest one [m]."""
+        return self.cells.value(row, TOLERANCE.first) if TOLERANCE in self.cells else self.tolerance
+
+    def _after(self, row: int, names: Sequence[str], measured: bool) -> Array:
+        """Velocities after the impact; nan if not measured, or to be predicted."""
+        known = measured and not self.contents.questions
+        return self.cells.values(row, names) if known else np.full(len(names), np.nan)
+
+    def _impact(self, row: int) -> ImpactRow:
+        """One impact without its circumstances."""
+        cells, contents = self.cells, self.contents
+        body = BodyState(
+            position=cells.values(row, POSITION.names) if POSITION in cells else np.zeros(3),
+            rotation=self._rotation(row) if ORIENTATION in cells else np.eye(3),
+            twist=cells.values(row, [*V_BEFORE.names, *W_BEFORE.names]),
+        )
+        moving = self._after(row, V_AFTER.names, contents.centre)
+        turning = self._after(row, W_AFTER.names, contents.turning)
+        if any(lever := [self.geometry.get(f"offset_{axis}", 0.0) for axis in AXES]):
+            # v of the centre = v of the tracked point - omega x lever
+            off = body.rotation @ lever
+            moved = np.concatenate((body.twist[:3] - np.cross(body.twist[3:], off), body.twist[3:]))
+            body = BodyState(body.position - off, body.rotation, moved)
+            moving = moving - np.cross(turning, off)
+        arms = {
+            arm: ArmState(cells.values(row, contents.names(Q, arm)), cells.values(row, contents.names(DQ_BEFORE, arm)))
+            for arm in contents.arms
+        }
+        of_joints = [self._after(row, contents.names(DQ_AFTER, arm), contents.joints) for arm in arms]
+        object_name = self._object(row)
+        physics, models = self._assumption(row, object_name)
+        impact, narrower, wider = self._contacts(row, arms, body, physics, models)
+        closing = impact.closing_speed(physics, models)
+        if not closing > 0.0:
+            raise cells.error(
+                row, "normal velocity of the contact before [m/s]", round(-closing, 6),
+                "no impact: the contact does not close; expected a velocity < 0 m/s against the normal",
+            )  # fmt: skip
+        return ImpactRow(
+            number=row + 1,
+            condition=cells.text(row, CONDITION.first),
+            object_name=object_name,
+            physics=physics,
+            impact=impact,
+            after=np.concatenate((*of_joints, moving, turning)),
+            wider=None if len(wider.points) == len(impact.points) else wider,
+            narrower=None if len(narrower.points) == len(impact.points) else narrower,
+            time=cells.value(row, TIME.first) if TIME in cells else None,
+            distance=self._distance(row, physics),
+            contact_noise=self._contact_noise(row),
+        )
+
+    def _contacts(
+        self, row: int, arms: dict[str, ArmState], body: BodyState, physics: Physics, models: dict[str, RobotModel]
+    ) -> tuple[MeasuredImpact, MeasuredImpact, MeasuredImpact]:
+        """An impact with its contact points by the tolerance, by a smaller one, and by a larger one."""
+        normal, given = self._tilted(self._normal(row)), self._given_points(row)
+        on_pad = {next(iter(arms)): (given, normal)} if given and len(arms) == 1 else None
+        upwards = UP if normal is None else normal
+
+        def with_points(tolerance: float) -> MeasuredImpact:
+            if arms:
+                points = points_of_scene(physics, arms, body, models, on_pad, tolerance)
+            elif given:
+                points = points_on_plane(given, upwards)
+            elif self.contents.ball:
+                points = points_on_plane([body.position - physics.object.size[0] / 2.0 * upwards], upwards)
+            else:
+                points = corners_that_touch(body, physics.object.size, upwards, tolerance)
+            return MeasuredImpact(arms, body, points, bool(given))
+
+        tolerance = self._tolerance(row)
+        smaller = max(tolerance / MAX_TOLERANCE_FACTOR, min(tolerance, GAP_TOLERANCE))
+        try:
+            return with_points(tolerance), with_points(smaller), with_points(MAX_TOLERANCE_FACTOR * tolerance)
+        except Infeasible as error:
+            raise self.cells.error(row, "pose of pad and object", None, error.message) from None
+
+    def _distance(self, row: int, physics: Physics) -> Distance | None:
+        """Displacement of the object of a row; None: its velocity was measured."""
+        cells = self.cells
+        if self.contents.centre or self.contents.questions:
+            return None
+        given = [one for one in DISTANCES if cells.text(row, one.first)]
+        if len(given) != 1:
+            names = " and ".join(repr(cells.header(one)) for one in DISTANCES if one in cells)
+            raise cells.error(row, f"column {names}", None, "expected one distance in every row [m]")
+        (column,), friction, fall = given, None, None
+        noise = cells.value(row, DISTANCE_NOISE.first) if DISTANCE_NOISE in cells else None
+        if column == FLIGHT_DISTANCE:
+            fall = cells.value(row, FALL_HEIGHT.first)
+        elif cells.text(row, SUPPORT_FRICTION.first):
+            friction = cells.value(row, SUPPORT_FRICTION.first)
+        elif not physics.support_friction > 0.0:
+            said = "an object slides on without end; expected > 0 [-]"
+            raise cells.error(row, "support.friction of the scenario", 0.0, said)
+        return Distance(cells.value(row, column.first), fall, friction, noise)
+
+    def _contact_noise(self, row: int) -> tuple[float, float]:
+        """Standard deviations of position [m] and normal [rad] of the contact points of a row; 0: unknown."""
+        position, normal = (self.cells.value(row, one.first) if one in self.cells else 0.0 for one in CONTACT_NOISE)
+        return position, normal
+
+    def _rotation(self, row: int) -> Array:
+        x, y, z, w = self._unit_vector(row, ORIENTATION, "expected a unit quaternion: length 1")
+        return np.asarray(pin.Quaternion(w, x, y, z).toRotationMatrix())
+
+    def _normal(self, row: int) -> Array | None:
+        """Normal of the contact; None: not measured."""
+        return self._unit_vector(row, NORMAL, "expected a unit normal: length 1") if NORMAL in self.cells else None
+
+    def _unit_vector(self, row: int, columns: ColumnGroup, expected: str) -> Array:
+        """Numbers of some columns, whose length is 1 up to rounding."""
+        values = self.cells.values(row, columns.names)
+        length = float(np.linalg.norm(values))
+        if abs(length - 1.0) > MAX_LENGTH_ERROR:
+            raise self.cells.error(row, f"length of ({', '.join(columns.names)}) [-]", round(length, 6), expected)
+        return np.asarray(values / length)
+
+    def _tilted(self, normal: Array | None) -> Array | None:
+        """The normal after a further tilt of the plane."""
+        tilt = [self.geometry.get(name, 0.0) for name in ("tilt_x", "tilt_y")]
+        if not any(tilt):
+            return normal
+        return np.asarray(pin.rpy.rpyToMatrix(*tilt, 0.0) @ (UP if normal is None else normal))
+
+    def _given_points(self, row: int) -> list[Array]:
+        """Measured contact points."""
+        cells = self.cells
+        found = [
+            cells.values(row, point.names)
+            for point in POINTS
+            if point in cells and any(cells.text(row, name) for name in point.names)
+        ]
+        if not found and self.contents.scenario is None and not (self.contents.ball or SIZE in cells):
+            said = f"no contact point; expected at least one [m], or columns {SIZE.header!r} ... for the geometry"
+            raise cells.error(row, f"columns {', '.join(map(repr, POINTS[0].names))}", None, said)
+        return found
+
+    def _object(self, row: int) -> str:
+        """Name of the scenario's object in a row; empty: a free body."""
+        scenario = self.contents.scenario
+        if scenario is None:
+            return ""
+        known = scenario.objects
+        name = self.cells.text(row, OBJECT.first)
+        if not name and len(known) == 1:
+            return next(iter(known))
+        if name not in known:
+            said = f"expected an object of scenario {scenario.name!r}{did_you_mean(name, known)}"
+            raise self.cells.error(row, f"column {OBJECT.first!r}", name, f"{said}; known: {', '.join(known)}")
+        return name
+
+    def _assumption(self, row: int, object_name: str) -> tuple[Physics, dict[str, RobotModel]]:
+        """Physics of a row before any effect, shared between rows with equal assumptions."""
+        cells, contents = self.cells, self.contents
+        assumed = (*OF_BODY, SHELL, FRICTION, RESTITUTION)
+        own = {name: cells.value(row, name) for one in assumed if one in cells for name in one.names}
+        moments = [own[name] for name in MOMENTS.names if name in own]
+        if moments and max(moments) > (1.0 + MAX_MOMENT_EXCESS_SHARE) * (sum(moments) - max(moments)):
+            raise cells.error(
+                row, f"columns {', '.join(map(repr, MOMENTS.names))}", moments,
+                "no body has these principal moments; expected none larger than the sum of the other two [kg m^2]",
+            )  # fmt: skip
+        motors = {
+            arm: tuple(cells.values(row, names).tolist())
+            for arm in contents.arms
+            if (names := contents.names(MOTOR_INERTIA, arm))[0] in cells
+        }
+        key = (object_name, *own.items(), *motors.items())
+        if key not in self.physics:
+            physics = self._free(own) if contents.scenario is None else self._of_scene(object_name, own, motors)
+            self.physics[key] = physics, physics.robot_models()
+        return self.physics[key]
+
+    @staticmethod
+    def _free(own: Mapping[str, float]) -> Physics:
+        """A free body: an object without arms, on a support without an edge."""
+        mass, radius = own[MASS.first], own.get(RADIUS.first, 0.0)
+        size = np.array([own.get(name, 2.0 * radius) for name in SIZE.names])
+        inertia = _moments_of_box(mass, size)
+        if radius:
+            inertia = np.full(3, (2.0 / 3.0 if own.get(SHELL.first) else 2.0 / 5.0) * mass * radius**2)
+        return Physics(
+            arms={},
+            object=ObjectPhysics(mass, size, _moments(own, inertia), np.zeros(3), shape=SPHERE if radius else BOX),
+            support_height=None,
+            support_size=(np.inf, np.inf),
+            support_friction=own.get(FRICTION.first, ASSUMED_FRICTION),
+            pad_friction=0.0,
+            restitution=own.get(RESTITUTION.first, 0.0),
+        )
+
+    def _of_scene(self, object_name: str, own: Mapping[str, float], motors: Mapping[str, tuple[float, ...]]) -> Physics:
+        """A scenario with the values of the table."""
+        assert self.contents.scenario is not None
+        physics = Physics.nominal(self.contents.scenario, object_name)
+        box = physics.object
+        mass = own.get(MASS.first, box.mass)
+        size = np.array([own.get(name, value) for name, value in zip(SIZE.names, box.size, strict=True)])
+        inertia = _moments_of_box(mass, size) if SIZE.first in own else box.inertia * mass / box.mass
+        arms = {
+            name: replace(arm, motor_inertia_reduced=np.array(motors[name])) if name in motors else arm
+            for name, arm in physics.arms.items()
+        }
+        return replace(
+            physics,
+            arms=arms,
+            object=ObjectPhysics(mass, size, _moments(own, inertia), box.com_offset),
+            pad_friction=own.get(FRICTION.first, physics.pad_friction),
+            restitution=own.get(RESTITUTION.first, physics.restitution),
+        )
+
+    @property
+    def _noise_columns(self) -> dict[ColumnGroup, str]:
+        """Noise columns of the signals measured after the impact, with the names of these."""
+        contents = self.contents
+        wanted = {V_NOISE: "v*_after"} if contents.centre else {DISTANCE_NOISE: "distances"}
+        wanted |= {W_NOISE: "w*_after"} if contents.turning else {}
+        return wanted | ({DQ_NOISE: "dq*_after"} if contents.joints else {})
+
+    def _states_noise(self, *columns: ColumnGroup) -> bool:
+        """Whether a table has one of some noise columns, or its columns by axis."""
+        return any(one in self.cells or OF_AXES.get(one, one) in self.cells for one in columns)
+
+    def _noise(self, rows: Sequence[ImpactRow]) -> Array | None:
+        """Standard deviations in the order of ``after``, ``(rows, nv)``; None if the table has no noise column.
+
+        Signals without a noise column in a table with others have 0: unknown.
+        """
+        wanted = self._noise_columns
+        if not self._states_noise(*wanted, *CONTACT_NOISE) or self.contents.questions:
+            return None
+        found = []
+        for row, impact in enumerate(rows):
+            signals = ((DQ_NOISE, impact.after.size - 6), (V_NOISE, 3), (W_NOISE, 3))
+            parts = [
+                self._noise_of(row, column, count) if column in wanted else np.full(count, np.nan)
+                for column, count in signals
+            ]
+            found.append(np.concatenate(parts))
+        return np.array(found)
+
+    def _noise_of(self, row: int, column: ColumnGroup, count: int) -> Array:
+        """Standard deviations of some signals of a row by axis, by one column for all, or 0 without any."""
+        axes = OF_AXES.get(column, column)
+        if axes in self.cells and axes != column:
+            return self.cells.values(row, axes.names)
+        return np.full(count, self.cells.value(row, column.first) if column in self.cells else 0.0)
+
+    def _assumed(self) -> tuple[str, ...]:
+        """Assumptions for missing columns, as text."""
+        wanted = self._noise_columns
+        some = self._states_noise(*wanted, *CONTACT_NOISE)
+        unknown = tuple(
+            f"no column '{column.first}', though other noise is stated: how much of the residual of {signals} is noise "
+            f"is not known{'' if column == DISTANCE_NOISE else ALONE}"
+            for column, signals in wanted.items()
+            if some and not self._states_noise(column)
+        )
+        if self.contents.scenario is not None:
+            return unknown
+        taken = {FRICTION: ASSUMED_FRICTION, RESTITUTION: 0.0}
+        return unknown + tuple(
+            f"no column {column.header!r}: {value:g} is assumed, and estimates are relative to that"
+            for column, value in taken.items()
+            if column not in self.cells
+        )
+
+
+def _moments_of_box(mass: float, size: Array) -> Array:
+    """Principal moments of a homogeneous box about its centre, ``(3,)`` [kg m^2]."""
+    return np.asarray(mass / 12.0 * (np.sum(np.square(size)) - np.square(size)))
+
+
+def _moments(own: Mapping[str, float], shape: Array) -> Array:
+    """Principal moments of a row, or of its shape, ``(3,)`` [kg m^2]."""
+    return np.array([own[name] for name in MOMENTS.names]) if MOMENTS.first in own else shape

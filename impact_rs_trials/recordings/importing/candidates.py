@@ -1,0 +1,379 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contents of a foreign recording, and candidates for the signals of every arm.
+
+A proposal follows from their names; the user checks and changes it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from collections.abc import Mapping as AbstractMapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rs_sim.decimals import decimal
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.recordings.mapping import REQUIRED, TableLayout
+from impact_rs_trials.recordings.readers.array_file import ArrayFile
+from impact_rs_trials.recordings.readers.bag_file import POSE_PARTS, deserialized, open_bag, register, typestore_for
+from impact_rs_trials.recordings.readers.run_finder import ARRAY_SUFFIXES, BAG_SUFFIXES, TABLE_SUFFIXES, is_bag_folder
+from impact_rs_trials.recordings.readers.table_columns import read_columns
+from impact_rs_trials.recordings.readers.table_file import BETWEEN, BRACKETS
+from impact_rs_trials.recordings.readers.transforms import are_transforms
+
+MAX_JOINT_NUMBERS = 40  # in a sample of a stream that may hold joints
+MAX_NESTED_FIELDS = 3  # of a message
+POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
+STATIC = "/tf_static"  # frames that do not move are no pose of an object
+OBJECT_POSE: Final = "object_pose"
+# Parts of an arm from base to tip, for joints that are named after them and not numbered.
+PARTS = ("rail", "base", "shoulder_pan", "shoulder_lift", "shoulder", "upper_arm", "elbow", "forearm", "wrist")
+PART_OF_ARM = re.compile(rf"({'|'.join(PARTS)})(_?\d)?(_joint)?(?=[^a-z]|$)", re.IGNORECASE)
+MAX_GRIPPER_NUMBERS = 2  # in addition to those of the joints
+MAX_ROWS_READ = 50  # of a table whose columns are listed
+FINGERS = re.compile("finger|gripper|hand", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class SignalCandidate:
+    """A field or column of a recording that may hold a signal.
+
+    Attributes:
+        label: Its name in lists.
+        source: Its keys in a mapping, without unit.
+        pose: Whether it is a pose; else numbers of joints.
+        guess: The signal suggested by its name; empty: unknown.
+        width: Numbers per sample.
+        joints: Names of its joints, base to tip if the names show it; empty: not named.
+        stamped: Whether its samples have timestamps; messages of a bag without a header do not.
+        first: Index of a part's first number in a wider signal; None: it is whole.
+    """
+
+    label: str
+    source: dict[str, Any]
+    pose: bool
+    guess: str = ""
+    width: int = 0
+    joints: tuple[str, ...] = ()
+    stamped: bool = True
+    first: int | None = None
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """Proposed signals of an arm.
+
+    Attributes:
+        joints: Names of its joints, base to tip.
+        signals: Indices of candidates, by signal.
+    """
+
+    joints: tuple[str, ...]
+    signals: dict[str, int] = field(default_factory=dict)
+
+
+def candidates_of(path: Path, layout: TableLayout | None = None) -> list[SignalCandidate]:
+    """Candidates for signals in a recording.
+
+    Args:
+        path: The recording.
+        layout: Lines of names and rows of a text table; None: names first, then rows.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    if is_bag_folder(path) or path.suffix in BAG_SUFFIXES:
+        return _in_bag(path)
+    if path.suffix in TABLE_SUFFIXES:
+        return _in_table(path, layout or TableLayout())
+    if path.suffix in ARRAY_SUFFIXES:
+        return _in_arrays(path)
+    raise InputError("no recording that can be looked at", file=path)
+
+
+def propose(candidates: Sequence[SignalCandidate], arms: dict[str, int]) -> dict[str, Proposal]:
+    """Proposed signals of every arm.
+
+    Args:
+        candidates: Candidates of the recording.
+        arms: Number of joints, by arm.
+    """
+    found = {}
+    for place, (arm, count) in enumerate(arms.items()):
+        signals: dict[str, int] = {}
+        for name in (*REQUIRED, "command"):
+            fits = [
+                number
+                for number, one in enumerate(candidates)
+                if one.guess == name and (one.joints or one.width == count)
+            ]
+            own = [number for number in fits if len(arms) > 1 and arm in candidates[number].label]
+            common = [
+                number
+                for number in fits
+                if not any(other in candidates[number].label for other in arms if other != arm)
+            ]
+            if own or common:
+                # Without a name of an arm they are in the order of the arms.
+                signals[name] = own[0] if own else common[min(place, len(common) - 1)]
+            elif name in REQUIRED and (numeric := [n for n, one in enumerate(candidates) if not one.pose]):
+                signals[name] = numeric[0]
+        named = candidates[signals["position"]].joints if "position" in signals else ()
+        found[arm] = Proposal(joints_of(named, arm, len(arms) > 1, count), signals)
+    return found
+
+
+def joints_of(names: Sequence[str], arm: str, several: bool, count: int) -> tuple[str, ...]:
+    """The joints of an arm among the names of a recording; numbered if there are no names.
+
+    Args:
+        names: Joint names in the recording, base to tip.
+        arm: Name of the arm.
+        several: Whether there are other arms.
+        count: How many joints it has.
+    """
+    if not names:
+        return tuple(f"joint{number}" for number in range(1, count + 1))
+    own = [name for name in names if several and arm in name] or list(names)
+    if len(own) > count:
+        own = [name for name in own if not FINGERS.search(name)]
+    return tuple(own[:count])
+
+
+def parts_of(candidate: SignalCandidate, count: int) -> list[SignalCandidate]:
+    """Parts of a wider signal with as many numbers as an arm has joints; the others may be a gripper's.
+
+    Args:
+        candidate: A signal that may be wider.
+        count: How many joints the arm has.
+
+    Returns:
+        The first numbers, the next ones, and so on; empty if it is not a little wider, or names its joints.
+    """
+    beside, source = candidate.width - count, candidate.source
+    if candidate.pose or candidate.joints or "names" in source or not 0 < beside <= MAX_GRIPPER_NUMBERS or count == 1:
+        return []  # of one joint every column is a candidate of its own
+    found = []
+    for first in range(beside + 1):
+        which = "first" if first == 0 else "last" if first == beside else "middle"
+        own = {**source, "entries": list(range(first + 1, first + count + 1))}
+        if "columns" in source:
+            own = {"columns": source["columns"][first : first + count]}
+        elif "{joint}" in source.get("column", ""):
+            named = [source["column"].replace("{joint}", str(number)) for number in own["entries"]]
+            own = {"columns": named} if first else source  # {joint} stands for as many as there are joints
+        label = f"{candidate.label}, the {which} {count}"
+        found.append(replace(candidate, label=label, source=own, width=count, first=first))
+    return found
+
+
+def in_order(candidate: SignalCandidate, order: Sequence[int]) -> SignalCandidate:
+    """A candidate with reordered joints.
+
+    Args:
+        candidate: Signal of joints without names.
+        order: Index, from 0, of each joint's number, base to tip.
+    """
+    source = dict(candidate.source)
+    if "{joint}" in source.get("column", ""):
+        pattern = source.pop("column")
+        source["columns"] = [pattern.replace("{joint}", str(number + 1)) for number in range(len(order))]
+    key = "columns" if "columns" in source else "entries"
+    whole = source.get(key, range(1, len(order) + 1))
+    return replace(candidate, source={**source, key: [whole[number] for number in order]})
+
+
+def width_of(shape: tuple[int, ...]) -> int:
+    """Numbers per sample of an array, samples x numbers or transposed as in MATLAB; 0: not a signal."""
+    if len(shape) != 2:
+        return 0
+    width = shape[0] if shape[0] <= MAX_JOINT_NUMBERS < shape[1] else shape[1]
+    return width if width <= MAX_JOINT_NUMBERS else 0
+
+
+def single_candidates(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]], key: str) -> list[SignalCandidate]:
+    """Columns or arrays with one number per sample: signals of a robot with one joint.
+
+    Args:
+        columns: Contents by name.
+        key: Their key in a mapping, ``column`` or ``array``.
+    """
+    return [
+        SignalCandidate(name, {key: name}, False, guess_of(name), 1)
+        for name, cells in columns.items()
+        if np.ndim(cells) == 1 and vector_width(cells) == 1
+    ]
+
+
+def _in_bag(path: Path) -> list[SignalCandidate]:
+    """The first message of every topic."""
+    found: list[SignalCandidate] = []
+    store = typestore_for(path)
+    seen: set[str] = set()
+    try:
+        with open_bag(path) as reader:
+            for connection in reader.connections:
+                register(store, connection)
+            for connection, _, data in reader.messages():
+                if connection.topic in seen:
+                    continue
+                seen.add(connection.topic)
+                message = deserialized(store, path, data, connection.msgtype)
+                found += _in_message(connection.topic, connection.msgtype, message)
+                if len(seen) == len(reader.topics):
+                    break
+    except Exception as error:  # a damaged file can fail anywhere inside the library
+        raise InputError(f"not a readable bag ({type(error).__name__}: {error})", file=path) from None
+    return found
+
+
+def _in_message(topic: str, kind: str, message: Any) -> Iterator[SignalCandidate]:
+    if _holds_pose(message) and not topic.endswith(STATIC):
+        yield SignalCandidate(topic, {"topic": topic, "type": kind}, True, OBJECT_POSE)
+    names = _names(message)
+    for place, numbers in _numbers(message):
+        source = {"topic": topic, "type": kind, "field": place}
+        joints: tuple[str, ...] = ()
+        if names is not None and len(names) == numbers:
+            source["names"] = "name"
+            joints = tuple(sorted(names, key=_base_to_tip))
+        guess = {"effort": "torque"}.get(place, place)
+        guess = "command" if "command" in topic else guess if "names" in source else ""
+        label, stamped = f"{topic}: {place} ({numbers})", hasattr(message, "header")
+        yield SignalCandidate(label, source, False, guess, numbers, joints, stamped)
+
+
+def _names(message: Any) -> list[str] | None:
+    names = getattr(message, "name", None)
+    return list(names) if isinstance(names, list) and all(isinstance(name, str) for name in names) else None
+
+
+def _base_to_tip(name: str) -> tuple[int, list[Any]]:
+    part = next((place for place, part in enumerate(PARTS) if part in name), 0)
+    return part, [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", name)]
+
+
+def _holds_pose(message: Any, depth: int = MAX_NESTED_FIELDS) -> bool:
+    if hasattr(message, "transforms"):
+        return True
+    if any(hasattr(message, a) and hasattr(message, b) for a, b in POSE_PARTS):
+        return True
+    inner = (getattr(message, name, None) for name in ("pose", "transform"))
+    return depth > 0 and any(_holds_pose(part, depth - 1) for part in inner if part is not None)
+
+
+def _numbers(message: Any, before: str = "", depth: int = MAX_NESTED_FIELDS) -> Iterator[tuple[str, int]]:
+    """Path and size of the fields with several numbers."""
+    for name, value in vars(message).items():
+        if name.startswith("__"):
+            continue
+        place = f"{before}{name}"
+        if isinstance(value, np.ndarray):
+            if value.ndim == 1 and 0 < value.size <= MAX_JOINT_NUMBERS and np.issubdtype(value.dtype, np.floating):
+                yield place, int(value.size)
+        elif depth > 0 and hasattr(value, "__msgtype__") and name != "header":
+            yield from _numbers(value, f"{place}.", depth - 1)
+
+
+def _in_table(path: Path, layout: TableLayout) -> list[SignalCandidate]:
+    """Columns whose names differ in a number, a part of an arm or all but a word, with vectors as cells, of a pose."""
+    found = []
+    cells = read_columns(path, layout).cells
+    columns = list(cells)
+    groups: dict[str, set[int]] = {}
+    parts: dict[str, list[str]] = {}
+    for column in columns:
+        for number in re.finditer(r"\d+", column):
+            groups.setdefault(f"{column[: number.start()]}{{joint}}{column[number.end() :]}", set()).add(int(number[0]))
+        if part := PART_OF_ARM.search(column):
+            parts.setdefault(f"{column[: part.start()]}…{column[part.end() :]}", []).append(column)
+    for pattern, numbers in groups.items():
+        first, last = min(numbers), max(numbers)
+        if first > 1 or len(numbers) < 2 or numbers != set(range(first, last + 1)):
+            continue
+        names = [pattern.replace("{joint}", str(number)) for number in range(first, last + 1)]
+        source = {"column": pattern} if first == 1 else {"columns": names}
+        found.append(SignalCandidate(f"{names[0]} … {names[-1]}", source, False, guess_of(pattern), len(numbers)))
+    for pattern, own in parts.items():
+        if len(own) > 1:
+            names = sorted(own, key=_base_to_tip)
+            label = f"{names[0]} … {names[-1]}"
+            found.append(SignalCandidate(label, {"columns": names}, False, guess_of(pattern), len(names)))
+    found += [one for one in _alike_but_a_word(columns) if one.label not in {other.label for other in found}]
+    for column in columns:
+        width = vector_width(cells[column])
+        if width > 1:
+            pose = width == len(POSE_COLUMNS) and _is_of_an_object(column)
+            guess = OBJECT_POSE if pose else guess_of(column)
+            found.append(SignalCandidate(f"{column} ({width})", {"column": column}, pose, guess, width))
+    for column in columns:
+        before = column.removesuffix("qw")
+        names = [f"{before}{axis}" for axis in POSE_COLUMNS]
+        if before != column and set(names) <= set(columns):
+            found.append(SignalCandidate(f"{names[0]} … {names[-1]}", {"columns": names}, True, OBJECT_POSE))
+    return found
+
+
+def _alike_but_a_word(columns: Sequence[str]) -> Iterator[SignalCandidate]:
+    """Columns of joints that have names: ``lift_position``, ``arm_1_position``, ... or ``tau_lift``, ``tau_arm_1``."""
+    for place in (0, -1):
+        groups: dict[str, list[str]] = {}
+        for column in columns:
+            words = [word for word in re.split(r"[\W_]+", column) if word]
+            if len(words) > 1:
+                groups.setdefault(words[place], []).append(column)
+        for word, own in groups.items():
+            if 1 < len(own) <= MAX_JOINT_NUMBERS and (guess := guess_of(word)):
+                yield SignalCandidate(f"{own[0]} … {own[-1]}", {"columns": own}, False, guess, len(own))
+
+
+def _in_arrays(path: Path) -> list[SignalCandidate]:
+    found = []
+    for name, shape in ArrayFile.shapes_of(path).items():
+        if are_transforms(shape):
+            label = f"{name} ({' × '.join(map(str, shape))})"
+            found.append(SignalCandidate(label, {"array": name}, True, OBJECT_POSE, len(POSE_COLUMNS)))
+            continue
+        width = width_of(shape)
+        if width < 2:
+            continue
+        pose = width == len(POSE_COLUMNS) and _is_of_an_object(name)
+        guess = OBJECT_POSE if pose else guess_of(name)
+        found.append(SignalCandidate(f"{name} ({shape[0]} × {shape[1]})", {"array": name}, pose, guess, width))
+    return found
+
+
+def vector_width(cells: Sequence[str] | NDArray[Any]) -> int:
+    """Numbers per cell of a column; 0: it holds something else, or the cells differ."""
+    if not isinstance(cells, list):
+        return 1
+    widths = {len(numbers_in(cell)) for cell in cells[:MAX_ROWS_READ] if cell.strip()}
+    return widths.pop() if len(widths) == 1 else 0
+
+
+def numbers_in(cell: str) -> list[float]:
+    """Numbers of a cell, ``0.1 0.2`` or ``[0.1, 0.2]``; empty if it holds anything else."""
+    try:
+        return [decimal(part) for part in BETWEEN.split(cell.strip(BRACKETS)) if part]
+    except ValueError:
+        return []
+
+
+def _is_of_an_object(name: str) -> bool:
+    return "pose" in name.lower() or "object" in name.lower()
+
+
+def guess_of(name: str) -> str:
+    """The signal suggested by a name; empty: unknown."""
+    low = name.lower()
+    for part, signal in (("command|cmd|desired", "command"), ("ddq|qdd(?!es)|ddot", "acceleration"),
+                         ("vel|dq", "velocity"), ("pos", "position"), ("eff|tau|tor", "torque"), ("q", "position"),
+                         ("curr", "torque")):  # fmt: skip
+        if re.search(part, low):
+            return signal
+    return ""

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The runs that a mapping describes, their objects, and contradictions to the mapping."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robots.robot import RobotFacts
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_trials.file_names import RUN_TABLE
+from impact_rs_trials.recordings.checks.clock_offset import OBJECT_SIGNALS
+from impact_rs_trials.recordings.importing.file_groups import OBJECT, FileGroups
+from impact_rs_trials.recordings.importing.import_checks import (
+    MIN_OBJECT_DISPLACEMENT_M,
+    clocks_of,
+    impact_warnings,
+    mapping_warning,
+    object_moves,
+)
+from impact_rs_trials.recordings.importing.import_texts import FoundRun, Notes, flow
+from impact_rs_trials.recordings.mapping import NO_ROBOT, Mapping, MountedEndEffector, SignalName
+from impact_rs_trials.recordings.readers.run_finder import find_runs
+from impact_rs_trials.recordings.readers.sources import read_series
+from impact_rs_trials.recordings.recording import read_recordings
+
+MAX_RUNS_WITH_CLOCK = 5  # whose clocks are compared
+MAX_RUNS_COMPARED = 10  # with the first
+
+
+class DescribedRuns:
+    """Runs in files, read with a mapping.
+
+    Args:
+        groups: Files by kind and run.
+        scenario: Scenario of hits, by name or path; None: unknown.
+        notes: Findings, appended to.
+    """
+
+    def __init__(self, groups: FileGroups, scenario: str | None, notes: Notes) -> None:
+        self._groups, self._scenario, self._notes = groups, scenario, notes
+
+    def rows(self, mapping: Mapping) -> list[FoundRun]:
+        """Every readable run; the others are noted."""
+        groups = self._groups
+        has_object = any(name.startswith("object") for name in mapping.signals)
+        needed = {source.file for source in mapping.signals.values() if source.file is not None}
+        objects = groups.objects if any(OBJECT in file for file in needed) else {}
+        rows, missing = [], []
+        for run, session in self._named_runs(mapping):
+            lacking = needed & {kind for kind, files in groups.kinds.items() if groups.spread and run not in files}
+            if lacking:
+                missing.append(f"{run} ({', '.join(sorted(lacking))})")
+                continue
+            row = FoundRun(run, objects.get(run, ""), session)
+            try:
+                moves = has_object and object_moves(groups.folder / run, mapping, row.names)
+            except InputError as error:
+                self._notes.remarks.append(f"{run} is left out, for the reader refuses it: {error}")
+                continue
+            rows.append(replace(row, hit=moves or mapping.robot == NO_ROBOT))
+        if missing:
+            self._notes.remarks.append(f"left out, for a file is missing: {'; '.join(missing)}")
+        if not rows:
+            raise InputError(f"no run has all of its files: {'; '.join(missing)}", file=groups.folder)
+        self._say_unread(needed)
+        if (groups.folder / RUN_TABLE).is_file():
+            self._notes.remarks.append(
+                f"{groups.folder / RUN_TABLE} says what each run is, and is used before the one made here"
+            )
+        if groups.sessions:
+            self._notes.say(
+                "session in runs.csv", flow(list(dict.fromkeys(groups.sessions.values()))),
+                "the folders that runs lie in; impacts makes a column of it, for --covariates session",
+            )  # fmt: skip
+        if has_object and mapping.robot != NO_ROBOT and any(row.hit for row in rows):
+            self._notes.say(
+                "kind in runs.csv", "hit", f"the object moves by more than {1e3 * MIN_OBJECT_DISPLACEMENT_M:g} mm"
+            )
+            rows = self._with_objects(rows)
+        return rows
+
+    def _named_runs(self, mapping: Mapping) -> Iterator[tuple[str, str]]:
+        """All runs, also those inside of files, and their sessions."""
+        for run in self._groups.runs:
+            session = self._groups.sessions.get(run, "")
+            if not mapping.holds_runs or self._groups.spread:
+                yield run, session
+                continue
+            try:
+                inside = find_runs(self._groups.folder / run, mapping)
+            except InputError as error:
+                self._notes.remarks.append(f"{run} is left out, for the reader refuses it: {error}")
+                continue
+            yield from ((str(path.relative_to(self._groups.folder)), session) for path in inside)
+
+    def _say_unread(self, needed: set[str]) -> None:
+        """Files that hold no signal of the mapping."""
+        unread = [kind for kind in self._groups.kinds if self._groups.spread and kind not in needed]
+        names = [*unread, *(str(path.relative_to(self._groups.folder)) for path in self._groups.left_out)]
+        if names:
+            self._notes.remarks.append(f"not read, for the mapping takes no signal from them: {', '.join(names)}")
+
+    def _with_objects(self, rows: list[FoundRun]) -> list[FoundRun]:
+        """Rows with the object that was hit."""
+        objects = [] if self._scenario is None else list(load_scenario(self._scenario).objects)
+        if named := list(dict.fromkeys(row.object for row in rows if row.object)):
+            self._notes.say("object in runs.csv", flow(named), "the names of the files say which")
+            if objects and not set(named) <= set(objects):
+                self._notes.remarks.append(
+                    f"files call the objects {', '.join(named)}, {self._scenario} has {', '.join(objects)}: "
+                    "the objects of the scenario need the names that stand in the files"
+                )
+            return rows
+        path = [str(self._groups.folder / row.run) for row in rows]
+        inside = [next((name for name in objects if name in one), "") for one in path]
+        usual = (objects or ["OBJECT"])[0]
+        rows = [replace(row, object=one or usual) for row, one in zip(rows, inside, strict=True)]
+        if len(objects) != 1:
+            self._notes.say(
+                "object in runs.csv", flow([row.object for row in rows][:3]), "say which object was hit", False
+            )
+        return rows
+
+    def clock_of_object(self, mapping: Mapping, rows: Sequence[FoundRun], signals: dict[str, dict[str, Any]]) -> bool:
+        """Give the object its own clock if it does not start to move at the impact of the arm; whether it was given."""
+        names = [name for name in OBJECT_SIGNALS if name in signals]
+        hits = [row for row in rows if row.hit][:MAX_RUNS_WITH_CLOCK]
+        seen = [clocks_of(self._groups.folder / row.run, mapping, row.names) for row in hits] if names else []
+        apart = [one for one in seen if one is not None]
+        if 2 * len(apart) <= len(seen):
+            return False
+        middle = sorted(apart, key=lambda one: one.offset)[len(apart) // 2]
+        said = f"{middle.evidence}; so in {len(apart)} of {len(seen)} runs that were looked at"
+        for name in names:
+            signals[name]["clock"] = "own"
+            self._notes.say(f"signals.{name}.clock", "own", said)
+        return True
+
+    def check_first(self, mapping: Mapping, rows: Sequence[FoundRun]) -> None:
+        """Note the reader's warnings about the first run."""
+        row = next((row for row in rows if row.hit), rows[0])
+        path = self._groups.folder / row.run
+        try:
+            if mapping.robot == NO_ROBOT or row.hit:
+                wanted: list[SignalName] = list(mapping.signals)
+                read = read_series(path, mapping, wanted, wanted, row.names)
+                self._notes.remarks += [remark for one in read.values() for remark in one.remarks]
+                if mapping.robot != NO_ROBOT:
+                    self._notes.remarks += impact_warnings(read, mapping)
+            else:
+                target = path if path.exists() or path.parent.is_file() else path.parent
+                self._notes.remarks += [
+                    remark for run in read_recordings(target, mapping)[:1] for remark in run.remarks
+                ]
+        except InputError as error:
+            self._notes.remarks.append(f"the reader refuses {row.run} as it is described: {error}")
+
+    def compare(self, mapping: Mapping, rows: Sequence[FoundRun], facts: RobotFacts) -> None:
+        """Compare units and signs of further runs with the first, the source of the description."""
+        first, *others = rows
+        numbers = np.unique(np.linspace(0, len(others) - 1, min(MAX_RUNS_COMPARED, len(others))).astype(int))
+        model = RobotModel(facts, MountedEndEffector().build(), pin.SE3.Identity())
+        apart = 0
+        for row in (others[number] for number in numbers):
+            try:
+                doubt = mapping_warning(self._groups.folder / row.run, mapping, row.names, model)
+            except InputError as error:
+                doubt = f"the reader refuses it: {error}"
+            if doubt is not None:
+                apart += 1
+                self._notes.remarks.append(
+                    f"{row.run} is not as {first.run}, of which the description was made: {doubt}; describe it by "
+                    "itself, or take it out of runs.csv"
+                )
+        if others and not apart:
+            said = (
+                f"units and signs of {first.run} hold in {len(numbers)} other{'s' if len(numbers) > 1 else ''} as well"
+            )
+            self._notes.say("runs", f"{len(numbers)} of {len(others)} others", said)

@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Groups of files by the words and numbers of their names: files of one run, and files of one kind in many runs.
+
+    hit_1.csv, hit_2.csv                                       a file per run
+    IIWA_7_hit_{run}.csv, object_1_hit_{run}.csv               a file per signal and run in one folder
+    object_{object}_hit_{run}.csv                              also with different names of the object
+    q_loaded.csv, tau_loaded.csv, q_empty.csv, tau_empty.csv   also with words instead of numbers for the runs
+    run_1/joints.csv, run_1/pose.csv, run_2/joints.csv, ...    a folder per run
+    run_1/joints.csv, run_1/object_2.csv, run_2/object_1.csv   also with numbers for the objects
+    monday/hit_1.csv, tuesday/hit_1.csv, ...                   any of these in a folder per session
+
+Names that differ in numbers alone are of one kind; the last number that differs is the run's, or several at the end
+if files of all kinds have them. Folder and number identify a run: two sessions may count from 1.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.recordings.importing.candidates import guess_of
+from impact_rs_trials.recordings.readers.run_finder import name_of, natural_key
+
+NUMBER = re.compile(r"\d+")
+
+
+WORD = re.compile(r"[^\W_]+")  # of a name, between what separates words
+SEPARATORS = "_-. "
+RUN = "{run}"
+OBJECT = "{object}"
+
+
+@dataclass(frozen=True)
+class FileGroups:
+    """Files by kind and run.
+
+    Attributes:
+        folder: Folder to which the names of runs are relative.
+        kinds: Files by run, by name of the kind with ``{run}`` for the run and ``{object}`` for its object.
+        runs: Names of the runs relative to the folder, in natural order.
+        spread: Whether a run has several files, so that every signal needs its ``file``.
+        objects: Objects by run, if the names of files contain them.
+        left_out: Files whose names contain no run, in addition to others that do.
+    """
+
+    folder: Path
+    kinds: dict[str, dict[str, Path]]
+    runs: tuple[str, ...]
+    spread: bool
+    objects: Mapping[str, str] = field(default_factory=dict)
+    left_out: tuple[Path, ...] = ()
+
+    @property
+    def sessions(self) -> dict[str, str]:
+        """Folder of every run relative to :attr:`folder`; empty if no folder holds several runs."""
+        found = {run: os.path.dirname(run) for run in self.runs}
+        several = 1 < len(set(found.values())) < len(self.runs)
+        return {run: session or "." for run, session in found.items()} if several else {}
+
+
+def group_files(files: Sequence[Path]) -> FileGroups:
+    """Files by kind and run.
+
+    Args:
+        files: Files and folders of bags, at least one.
+
+    Raises:
+        InputError: Two files have the same kind and run.
+    """
+    if any(file.is_absolute() for file in files):
+        files = [file.absolute() for file in files]
+    files = sorted(dict.fromkeys(files), key=natural_key)
+    root = Path(os.path.commonpath([file.parent for file in files]))
+    by_folder: dict[Path, list[str]] = {}
+    for file in files:
+        by_folder.setdefault(file.parent, []).append(file.name)
+    if _are_runs(by_folder):
+        return _grouped(root, {file: (file.name, "") for file in files})
+    if numbered := _numbered_objects(files):
+        return _with_numbered_objects(root, numbered)
+    shapes: dict[str, list[Path]] = {}
+    for file in files:
+        shapes.setdefault(_shape(file.name), []).append(file)
+    if len(shapes) == 1:
+        by_run = {str(file.relative_to(root)): file for file in files}
+        return FileGroups(root, {"": by_run}, tuple(by_run), False)
+    if named := _named_by_words(files):
+        return _grouped(root, named)
+    return _grouped(root, dict(_with_runs(list(shapes.values()))))
+
+
+def _shape(name: str) -> str:
+    return NUMBER.sub("0", name)
+
+
+def _named_by_words(files: Sequence[Path]) -> dict[Path, tuple[str, str]]:
+    """Kind and run of files whose names suggest a signal and end or begin with a run; empty: other names."""
+    stems, ending = [file.stem for file in files], files[0].suffix
+    if len({file.parent for file in files}) > 1 or {file.suffix for file in files} != {ending}:
+        return {}
+    for word in WORD.finditer(stems[0]):
+        head, tail = stems[0][: word.start()], stems[0][word.start() :]
+        tails = [stem[len(head) :] for stem in stems if stem.startswith(head)]
+        heads = [stem[: -len(tail)] for stem in stems if stem.endswith(tail)]
+        if min(len(heads), len(tails)) < 2 or {one + other for one in heads for other in tails} != set(stems):
+            continue
+        if _are_signals(heads):
+            parted = {one + other: (f"{one}{RUN}{ending}", other) for one in heads for other in tails}
+        elif _are_signals(tails):
+            named = {one: one.rstrip(SEPARATORS) for one in heads}
+            parted = {
+                one + other: (f"{RUN}{one.removeprefix(run)}{other}{ending}", run)
+                for one, run in named.items()
+                for other in tails
+            }
+        else:
+            continue
+        return {file: parted[file.stem] for file in files}
+    return {}
+
+
+def _are_signals(parts: Sequence[str]) -> bool:
+    """Whether parts of names suggest signals, each a different one."""
+    hints = [guess_of(part) for part in parts]
+    return all(hints) and len(set(hints)) == len(hints)
+
+
+def _are_runs(by_folder: dict[Path, list[str]]) -> bool:
+    """Whether every folder holds the files of one run: the same names in all of them, some of which are alone."""
+    if len(by_folder) < 2 or len({frozenset(names) for names in by_folder.values()}) > 1:
+        return False
+    names = next(iter(by_folder.values()))
+    shapes = [_shape(name) for name in names]
+    return len(names) > 1 and any(shapes.count(shape) == 1 for shape in shapes)
+
+
+def _numbered_objects(files: Sequence[Path]) -> dict[Path, tuple[str, str]]:
+    """Kind and object of every file if folders are runs with a file of each kind; else empty.
+
+    One kind has the same name in all folders. The number of another is an object's: it comes back in other folders, or
+    is not the number of its folder.
+    """
+    folders = {file.parent for file in files}
+    shapes: dict[str, list[Path]] = {}
+    for file in files:
+        shapes.setdefault(_shape(file.name), []).append(file)
+    once = all(len({file.parent for file in alike}) == len(alike) == len(folders) for alike in shapes.values())
+    if len(folders) < 2 or len(shapes) < 2 or not once:
+        return {}
+    places = {shape: _differing(alike) for shape, alike in shapes.items()}
+    if all(places.values()) or not any(places.values()) or any(len(own) > 1 for own in places.values()):
+        return {}
+    found: dict[Path, tuple[str, str]] = {}
+    for shape, alike in shapes.items():
+        if not places[shape]:
+            found |= {file: (file.name, "") for file in alike}
+            continue
+        (place,) = places[shape]
+        numbers = [NUMBER.findall(file.name)[place] for file in alike]
+        of_run = all(number in NUMBER.findall(file.parent.name) for file, number in zip(alike, numbers, strict=True))
+        if of_run and len(set(numbers)) == len(numbers):
+            return {}
+        kinds = [_split(file.name, place, place)[0].replace(RUN, OBJECT) for file in alike]
+        found |= {file: (kind, number) for file, kind, number in zip(alike, kinds, numbers, strict=True)}
+    return found
+
+
+def _with_numbered_objects(root: Path, named: Mapping[Path, tuple[str, str]]) -> FileGroups:
+    """Files by kind and folder, from the kind and object of every file."""
+    kinds: dict[str, dict[str, Path]] = {}
+    objects: dict[str, str] = {}
+    for file, (kind, number) in named.items():
+        run = str(file.parent.relative_to(root))
+        kinds.setdefault(kind, {})[run] = file
+        if number:
+            objects[run] = number
+    runs = sorted({run for by_run in kinds.values() for run in by_run}, key=natural_key)
+    return FileGroups(root, kinds, tuple(runs), True, objects)
+
+
+def _with_runs(shapes: Sequence[Sequence[Path]]) -> Iterator[tuple[Path, tuple[str, str]]]:
+    """Kind and run of every file, from files grouped by the shape of their names; no run in the name: empty."""
+    differing = [_differing(alike) for alike in shapes]
+    runs: set[str] = set()
+    for count in range(min((len(places) for places in differing if places), default=0), 0, -1):
+        # Of several numbers at the end the run takes as many as files of all kinds have in common.
+        named = [
+            {_split(file.name, places[-count], places[-1])[1] for file in alike}
+            for alike, places in zip(shapes, differing, strict=True)
+            if places
+        ]
+        runs = set().union(*named)
+        if set.intersection(*named):
+            break
+    else:
+        count = 1
+    for alike, places in zip(shapes, differing, strict=True):
+        known = runs or _shared(shapes, alike)
+        for file in alike:
+            first, last = (places[-count], places[-1]) if places else (-1, -1)
+            if not places:
+                here = [place for place, number in enumerate(NUMBER.findall(file.name)) if number in known]
+                first = last = here[-1] if here else -1
+            yield file, _split(file.name, first, last) if last >= 0 else (file.name, "")
+
+
+def _differing(alike: Sequence[Path]) -> list[int]:
+    """Indices of the numbers that differ between names of one shape."""
+    columns = zip(*(NUMBER.findall(file.name) for file in alike), strict=True)
+    return [place for place, column in enumerate(columns) if len(set(column)) > 1]
+
+
+def _split(name: str, first: int, last: int) -> tuple[str, str]:
+    """Kind and run of a file, with the run from one of its numbers to another."""
+    numbers = list(NUMBER.finditer(name))
+    start, end = numbers[first].start(), numbers[last].end()
+    return f"{name[:start]}{RUN}{name[end:]}", name[start:end]
+
+
+def _shared(shapes: Sequence[Sequence[Path]], alike: Sequence[Path]) -> set[str]:
+    """Numbers in the names of all other shapes, for runs that nothing else distinguishes."""
+    others = [{number for file in own for number in NUMBER.findall(file.name)} for own in shapes if own is not alike]
+    return set.intersection(*others) if others else set()
+
+
+def _grouped(root: Path, named: Mapping[Path, tuple[str, str]]) -> FileGroups:
+    """Files by kind and run, from the kind and run of every file; without runs in the names they are the folders."""
+    numbered = any(run for _, run in named.values())
+    left_out = tuple(file for file, (_, run) in named.items() if numbered and not run)
+    if not numbered and any(file.parent == root for file in named):
+        root = root.parent
+    kinds: dict[str, dict[str, Path]] = {}
+    for file, (kind, run) in named.items():
+        if file not in left_out:
+            key = str((file.parent / run if run else file.parent).relative_to(root))
+            before = kinds.setdefault(kind, {}).setdefault(key, file)
+            if before != file:
+                raise InputError(f"run {key} has {before} already; import them one after the other", file=file)
+    kinds, objects = _with_objects(kinds)
+    runs = sorted({run for by_run in kinds.values() for run in by_run}, key=natural_key)
+    return FileGroups(root, kinds, tuple(runs), True, objects, left_out)
+
+
+def _with_objects(kinds: dict[str, dict[str, Path]]) -> tuple[dict[str, dict[str, Path]], dict[str, str]]:
+    """Merge kinds that differ in one word, the name of the object, and have no run in common."""
+    families: dict[tuple[str, str], dict[str, str]] = {}
+    for kind in kinds:
+        for word in WORD.finditer(kind) if RUN in kind else ():
+            if word[0] not in (RUN.strip("{}"), Path(kind).suffix[1:]):
+                families.setdefault((kind[: word.start()], kind[word.end() :]), {})[word[0]] = kind
+    for (before, after), family in families.items():
+        # A kind with all runs of another kind complements it, as a robot's file does, and is no alternative.
+        own = {word: kind for word, kind in family.items() if not _is_beside(kinds, kind, family.values())}
+        runs = [run for kind in own.values() for run in kinds[kind]]
+        rest = {kind: by_run for kind, by_run in kinds.items() if kind not in own.values()}
+        if len(own) > 1 and len(set(runs)) == len(runs) and any(set(runs) <= set(by_run) for by_run in rest.values()):
+            merged = {run: file for kind in own.values() for run, file in kinds[kind].items()}
+            objects = {run: word for word, kind in own.items() for run in kinds[kind]}
+            return {**rest, f"{before}{OBJECT}{after}": merged}, objects
+    return kinds, {}
+
+
+def _is_beside(kinds: Mapping[str, Mapping[str, Path]], kind: str, family: Iterable[str]) -> bool:
+    return any(set(kinds[kind]) >= set(kinds[other]) for other in family if other != kind)
+
+
+def run_name(run: str) -> str:
+    """Name of a run in the table of runs."""
+    return name_of(Path(run))

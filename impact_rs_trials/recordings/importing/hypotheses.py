@@ -1,0 +1,486 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Role of a stream of a recording: hypotheses with one likelihood.
+
+A hypothesis gives the numbers y of a stream a role in the motion q(t) of the joints, with unit u, signs s and factors:
+
+    position    y = q / u                             anywhere within the joints' limits
+    velocity    y = s a dq/dt / u                     0.8 < a < 1.25, for low-passes
+    torque      y = s a (M ddq + h) / u + F + c       0.2 < a < 5: loads and rough models; log a ~ N(0, 0.35^2)
+    current     y = s (M ddq + h) / K + F + c         torque constants K of one sign, apart by a factor of 30 at most
+    other       y = b (M ddq + h) + F + c             a factor b of any size and sign in every joint: in no unit
+                y = a b dq/dt                         one factor b in all joints: at another sampling rate
+                y = b dq/dt                           a different factor in every joint: viscous friction
+    motors      y = (N q + C (M ddq + h) + c) / u     angles of motors: gear ratio N, compliance C of the transmission
+    copy        y = s a (x + L dx/dt) / u + c         of x = q, dq or ddq, as commanded or filtered signals are
+    none        y = F + c                             F: Coulomb and viscous friction where it is a torque; c: offset
+
+Its log likelihood ratio to *none* is, with the residuals r of least squares and k independent samples,
+
+    sum_j  k_j / 2  log(sum r_none^2 / sum r^2)  -  log(k_j) / 2                             (Schwarz 1978)
+
+where k_j is the effective number of two autocorrelated signals (Bartlett 1946), for smooth motions resemble each other
+by chance. Its log prior holds the densities of the factors and the names. Both can be added and compared between
+streams, units and roles. A choice without evidence is assumed: the *margin* of a hypothesis is its log posterior
+less the next one's, and a margin below log(100) (Jeffreys 1961) is not decisive.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable, Sequence
+from collections.abc import Mapping as AbstractMapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rs_sim.proportion import Proportion
+from impact_rs_sim.robots.robot import Array, RobotFacts
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_trials.recordings.file_units import SLIDES, TURNS
+from impact_rs_trials.recordings.relations import (
+    DECISIVE_LOG_ODDS,
+    MIN_CORRELATION,
+    MIN_CORRELATION_OF_COLUMNS,
+    SAME_UNIT_FACTORS,
+    TORQUE_UNIT_FACTORS,
+    AveragedMotion,
+    LinearRelation,
+    averaged,
+    dry_friction,
+    effective_samples,
+    fit,
+    moves,
+)
+
+Role = Literal["position", "velocity", "torque", "current", "other", "copy", "none"]
+
+NAME_LOG_ODDS = float(np.log(20.0))  # log odds of a role that a name hints at: names are right in 20 of 21 files
+COMPARED_SAMPLES = 400  # of a motion and a stream
+LOG_TORQUE_FACTOR_SIGMA = 0.35  # standard deviation of log a: factors of rough models and loads
+MAX_CONSTANT_RATIO = 30.0  # of the torque constants of one arm
+INVERSE_TORQUE_CONSTANTS = (1e-2, 1e2)  # current over torque: from large geared joints to the smallest servos [A/(N m)]
+MAX_FACTOR_RATIO = 1e8  # largest over smallest factor, where its size is unknown
+MAX_GEAR_RATIO = 300.0  # of harmonic drives; the log of a ratio is uniform up to it
+MIN_TORQUE_NM = 0.3  # of the largest robot's scale, about its mean and rms, from which a motion shows a joint's torque
+MAX_OUTSIDE_SHARE = 0.01  # of the positions beyond the limits, as outliers
+MAX_EXCESS_SHARE = 0.05  # of a joint's range, by which positions may exceed it
+MAIN_TRAVEL_SHARE, MIN_TRAVEL_SHARE = 0.5, 0.2  # of the farthest travel of a joint, from which others show a relation
+PRIOR: dict[str, float] = {  # of units and roles
+    "rad": 0.8, "deg": 0.19, "mrad": 0.01, "rad/s": 0.8, "deg/s": 0.19, "mrad/s": 0.01,
+    "N m": 0.75, "mN m": 0.05, "A": 0.2, "other": 1e-4, "copy": 0.2,
+}  # fmt: skip
+LOW_PASS_LOG_DENSITY = -float(np.log(np.log(SAME_UNIT_FACTORS[1] / SAME_UNIT_FACTORS[0])))  # of log a in one unit
+PROBABILITY_OF_BROKEN_ORDER = 1e-3  # that the column of one joint holds another one
+SIGN_PRIOR = (0.9, 0.09, 0.01)  # all signals have the sign of the joints, all the opposite one, or they differ
+OUTLIERS = np.errstate(over="ignore", invalid="ignore", divide="ignore")  # of any size; what they spoil fits nothing
+
+
+@dataclass(frozen=True)
+class RoleHypothesis:
+    """A possible role of a stream.
+
+    Attributes:
+        role: Its role in the motion.
+        unit: Unit of its numbers, or the units of all joints.
+        evidence: Evidence in words.
+        log_likelihood: Log likelihood ratio to no role.
+        log_prior: Of unit, signs and factors.
+        further: Further keys of the mapping with their values.
+        remarks: Warnings to the user.
+    """
+
+    role: Role
+    unit: Any
+    evidence: str
+    log_likelihood: float
+    log_prior: float = 0.0
+    further: AbstractMapping[str, Any] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def log_posterior(self) -> float:
+        """Log posterior, up to a constant of the stream."""
+        return self.log_likelihood + self.log_prior
+
+    @property
+    def name(self) -> str:
+        """Role and unit."""
+        unit = self.unit if isinstance(self.unit, str) else ", ".join(self.unit)
+        return f"{self.role} in {unit}" if unit else self.role
+
+
+@dataclass(frozen=True)
+class RoleChoice:
+    """The likeliest of several hypotheses about one stream.
+
+    Attributes:
+        best: The likeliest.
+        next: The second likeliest; None: there is no other.
+        margin: Log posterior odds of the best against the next one, or against no role.
+    """
+
+    best: RoleHypothesis
+    next: RoleHypothesis | None
+    margin: float
+
+    @property
+    def sure(self) -> bool:
+        """Whether the margin is decisive."""
+        return bool(self.margin > DECISIVE_LOG_ODDS)
+
+    @property
+    def evidence(self) -> str:
+        """Evidence for the best, and the next one if the margin is not decisive."""
+        if self.sure or self.next is None:
+            return self.best.evidence
+        return f"{self.best.evidence}; next: {self.next.name}, log odds {self.margin:.2g}"
+
+
+def choose(hypotheses: Iterable[RoleHypothesis], least: float = 0.0) -> RoleChoice | None:
+    """Choose the likeliest hypothesis about one stream; None: there are no hypotheses.
+
+    Args:
+        hypotheses: Hypotheses about one stream.
+        least: Log posterior of having no role.
+    """
+    ordered = sorted(hypotheses, key=lambda one: one.log_posterior, reverse=True)
+    if not ordered:
+        return None
+    best, others = ordered[0], ordered[1:]
+    following = others[0] if others else None
+    last = least if following is None else max(least, following.log_posterior)
+    return RoleChoice(best, following, best.log_posterior - last)
+
+
+@dataclass(frozen=True)
+class JointMotion:
+    """Motion of the joints at some of its samples, after moving averages, ``(k, n)`` each.
+
+    Attributes:
+        time: Stamps of the recording, ``(m,)`` [s].
+        rows: Indices of the averaged samples, ``(k,)``.
+        moments: Their times, ``(k,)`` [s].
+        position: q [rad, m].
+        derivative: dq/dt of the positions [rad/s, m/s].
+        velocity: dq, measured or else the derivative [rad/s, m/s].
+        acceleration: ddq, the derivative of the velocity [rad/s^2, m/s^2].
+        model: Nominal arm.
+    """
+
+    time: Array
+    rows: NDArray[np.signedinteger]
+    moments: Array
+    position: Array
+    derivative: Array
+    velocity: Array
+    acceleration: Array
+    model: RobotModel
+
+    @staticmethod
+    def of(time: Array, position: Array, velocity: Array | None, model: RobotModel) -> JointMotion:
+        """Motion from signals ``(m, n)`` at common timestamps [s]; without a velocity it is the derivative."""
+        motion = AveragedMotion.of(time, position)
+        rows = np.unique(np.linspace(0, motion.time.size - 1, COMPARED_SAMPLES).astype(int))
+        dq = motion.velocity if velocity is None else averaged(time, velocity)[1]
+        ddq = np.gradient(dq, motion.time, axis=0)
+        q, derivative = motion.position[rows], motion.velocity[rows]
+        return JointMotion(time, rows, motion.time[rows], q, derivative, dq[rows], ddq[rows], model)
+
+    @property
+    def facts(self) -> RobotFacts:
+        """The robot."""
+        return self.model.facts
+
+    @functools.cached_property
+    def gravity_torque(self) -> Array:
+        """g, ``(k, n)`` [N m, N]."""
+        return np.array([self.model.gravity_torque(q) for q in self.position])
+
+    @functools.cached_property
+    def whole(self) -> Array:
+        """M ddq + h, ``(k, n)`` [N m, N]."""
+        states = zip(self.position, self.velocity, self.acceleration, strict=True)
+        return np.array([self.model.inverse_dynamics(*state) for state in states])
+
+    def sampled(self, time: Array, values: Array) -> Array:
+        """Another stream ``(m, c)`` on the same timestamps, averaged, at these samples."""
+        return averaged(time, values)[1][self.rows]
+
+    def units(self, turns: str, slide: str) -> list[str]:
+        """Unit of every joint."""
+        return [slide if kind == "prismatic" else turns for kind in self.facts.joint_types]
+
+
+# ---- roles ----------------------------------------------------------------------------------------------------------
+
+
+def positions(raw: Array, facts: RobotFacts) -> list[RoleHypothesis]:
+    """Units in which numbers ``(k, n)`` lie within the joints' limits, the likeliest first.
+
+    A position may be anywhere within its range, so that the density of its number is the unit over the range: numbers
+    that fill the range in one unit are unlikely where the unit makes it 57 times wider.
+    """
+    low, high = np.array(facts.limits.position_min_rad), np.array(facts.limits.position_max_rad)
+    margin = MAX_EXCESS_SHARE * (high - low)
+    slides = [kind == "prismatic" for kind in facts.joint_types]
+    span = ", ".join(f"{one:.3g} ... {other:.3g}" for one, other in zip(raw.min(axis=0), raw.max(axis=0), strict=True))
+    found: list[RoleHypothesis] = []
+    tried: list[str] = []
+    for turns, slide in (("rad", "m"), ("deg", "mm"), ("mrad", "mm")):
+        units = [slide if sliding else turns for sliding in slides]
+        factor = np.array([{**TURNS["position"], **SLIDES["position"]}[unit] for unit in units])
+        inside = np.mean((raw * factor >= low - margin) & (raw * factor <= high + margin), axis=0)
+        if np.all(inside > 1.0 - MAX_OUTSIDE_SHARE):
+            said = f"the joints reach {span}, which lies within their limits in {turns}"
+            said += f" and not in {' or '.join(tried)}" if tried else ""
+            density = float(np.sum(np.log(factor)))
+            found.append(
+                RoleHypothesis("position", common(units), said, density, np.log(PRIOR[turns]), {"factor_": factor})
+            )
+        elif not found:
+            tried.append(turns)
+    return found
+
+
+@OUTLIERS
+def velocities(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
+    """Units of a velocity, the likeliest first.
+
+    Args:
+        motion: Of the joints.
+        y: The stream, :meth:`JointMotion.sampled`, ``(k, n)``.
+    """
+    shown = moves(motion.derivative, motion.facts)
+    shown = shown if np.any(shown) else travels(motion.position, MAIN_TRAVEL_SHARE)
+    samples = effective_samples(motion.derivative, y)
+    plain = fit(motion.derivative, y)
+    found = []
+    for turns, slide in (("rad/s", "m/s"), ("deg/s", "mm/s"), ("mrad/s", "mm/s")):
+        per_unit = 1.0 / TURNS["velocity"][turns]
+        relation = fit(per_unit * motion.derivative, y, independent=samples, bounds=SAME_UNIT_FACTORS)
+        said = (
+            f"{spread(plain.factor[shown] / per_unit)} times the derivative of the position in {turns} "
+            f"(correlation {spread(plain.correlation[shown])})"
+        )
+        related = shown & (np.abs(plain.correlation) > MIN_CORRELATION)
+        signs = np.where(related, np.sign(relation.factor), usual_sign(relation.factor[shown]))
+        prior = float(np.log(PRIOR[turns])) + _signs_prior(signs[shown])
+        further = {} if np.all(signs > 0.0) else {"factor": signs_of(signs)}
+        remarks = _contradictions(shown, plain)
+        unit = common(motion.units(turns, slide))
+        found.append(RoleHypothesis("velocity", unit, said, _copied(relation, shown), prior, further, remarks))
+    usual = float(np.median(plain.factor[shown]))
+    relation = fit(usual * motion.derivative, y, independent=samples, bounds=SAME_UNIT_FACTORS)
+    prior = float(np.log(PRIOR["other"] / np.log(MAX_FACTOR_RATIO)))
+    said = f"{usual:.3g} times the derivative of the position: at another sampling rate?"
+    found.append(RoleHypothesis("other", "", said, _copied(relation, shown), prior, {"rate_": usual}))
+    free = fit(motion.derivative, y, independent=samples)
+    said = "a factor of its own times the derivative of every position: friction?"
+    prior = float(np.log(PRIOR["other"]))
+    found.append(
+        RoleHypothesis("other", "", said, _gains(free, shown, -float(np.log(2.0 * np.log(MAX_FACTOR_RATIO)))), prior)
+    )
+    return _ordered(found)
+
+
+@OUTLIERS
+def copies(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
+    """Hypotheses that a stream repeats a part of the motion: one factor for all joints, a lag and an offset."""
+    shown = travels(motion.position, MIN_TRAVEL_SHARE)
+    parts = motion.position, motion.velocity, motion.acceleration
+    rates = (motion.velocity, motion.acceleration, None)
+    found = []
+    for what, part, rate in zip(("positions", "velocities", "accelerations"), parts, rates, strict=True):
+        further = [np.ones_like(part), *([] if rate is None else [rate])]
+        samples = effective_samples(part, y)
+        for unit, factor in TURNS["position"].items():
+            relation = fit(part / factor, y, further, samples, SAME_UNIT_FACTORS)
+            said = f"repeats the {what}, in {unit}" if unit != "rad" else f"repeats the {what}"
+            prior = float(np.log(PRIOR["copy"] * PRIOR[unit])) + _signs_prior(np.sign(relation.factor[shown]))
+            found.append(RoleHypothesis("copy", unit, said, _copied(relation, shown), prior))
+    return _ordered(found)
+
+
+@OUTLIERS
+def motor_positions(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
+    """Units of motor angles, which equal joint angles up to gear ratio and deflection, the likeliest first.
+
+    Args:
+        motion: Motion of the joints.
+        y: The stream, :meth:`JointMotion.sampled`, ``(k, n)``.
+    """
+    shown = travels(motion.position, MIN_TRAVEL_SHARE)
+    further = np.ones_like(y), motion.whole
+    samples = effective_samples(motion.position, y)
+    found = []
+    for turns, slide in (("rad", "m"), ("deg", "mm")):
+        factor = TURNS["position"][turns]
+        relation = fit(motion.position / factor, y, further, samples)
+        if not np.all(np.abs(relation.correlation[shown]) > MIN_CORRELATION_OF_COLUMNS):
+            continue
+        usual = float(np.median(np.abs(relation.factor[shown])))
+        direct = SAME_UNIT_FACTORS[0] < usual < SAME_UNIT_FACTORS[1] and bool(np.all(relation.factor[shown] > 0.0))
+        if not direct and turns != "rad":  # the ratio of angles in radians says as much
+            continue
+        ratio = np.where(shown, relation.factor, usual)
+        apart = factor * y / (1.0 if direct else ratio) - motion.position
+        deflection = float(np.max(np.std(apart[:, shown], axis=0)))
+        if deflection == 0.0:  # the same signal once more
+            continue
+        said = f"follows the positions, {deflection:.3g} rad rms away from them"
+        said += "" if direct else f", with gear ratios {spread(ratio[shown])}"
+        keys = {} if direct else {"factor": [float(f"{1.0 / one:.6g}") for one in ratio]}
+        prior = float(np.log(PRIOR[turns])) - (0.0 if direct else float(np.log(MAX_GEAR_RATIO)))
+        found.append(RoleHypothesis("position", common(motion.units(turns, slide)), said, 0.0, prior, keys))
+    return _ordered(found)
+
+
+@OUTLIERS
+def torques(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
+    """Units of a torque, motor currents, or neither, the likeliest first; empty: the motion takes no torque.
+
+    Args:
+        motion: Of the joints.
+        y: The stream, :meth:`JointMotion.sampled`, ``(k, n)``.
+    """
+    needed = motion.whole
+    shown = driven_joints(needed - needed.mean(axis=0), motion.model) & (np.ptp(y, axis=0) > 0.0)
+    if not np.any(shown):
+        return []
+    friction = dry_friction(motion.velocity), motion.velocity, np.ones_like(y)
+    samples = effective_samples(needed, y)
+    free = fit(needed, y, friction, samples)
+    heavy = shown & (np.abs(free.correlation) > MIN_CORRELATION)
+    heavy = heavy if np.any(heavy) else shown
+    listed = ", ".join(str(joint + 1) for joint in np.flatnonzero(heavy))
+    said = (
+        f"{spread(free.factor[heavy])} times the torque that gravity and inertia of the arm take in joint"
+        f"{'s' if np.sum(heavy) > 1 else ''} {listed}"
+    )
+    said += "" if np.all(heavy) else "; the others show nothing and are taken like them"
+    signs = np.where(heavy, np.sign(free.factor), usual_sign(free.factor[heavy]))
+    further: dict[str, Any] = {} if np.all(signs > 0.0) else {"factor": signs_of(signs)}
+    found = []
+    for turns, slide in (("N m", "N"), ("mN m", "mN")):
+        per_unit = 1.0 / TURNS["torque"][turns]
+        relation = fit(per_unit * needed, y, friction, samples, TORQUE_UNIT_FACTORS)
+        size = np.log(np.abs(relation.factor)) / LOG_TORQUE_FACTOR_SIGMA
+        density = -0.5 * np.square(size) - np.log(LOG_TORQUE_FACTOR_SIGMA * np.sqrt(2.0 * np.pi))
+        prior = float(np.log(PRIOR[turns])) + _signs_prior(signs[heavy])
+        unit = common(motion.units(turns, slide))
+        found.append(RoleHypothesis("torque", unit, said, _gains(relation, shown, density), prior, further))
+    gravity_shown = heavy & (np.std(motion.gravity_torque, axis=0) > np.std(needed - motion.gravity_torque, axis=0))
+    # Inertia shows no torque constant, because the motors' own inertia is unknown.
+    gravity_shown = gravity_shown if np.any(gravity_shown) else heavy
+    usual = float(np.clip(np.median(np.abs(free.factor[gravity_shown])), *INVERSE_TORQUE_CONSTANTS))
+    sign = usual_sign(free.factor[heavy])
+    within = usual / np.sqrt(MAX_CONSTANT_RATIO), usual * np.sqrt(MAX_CONSTANT_RATIO)
+    relation = fit(sign * needed, y, friction, samples, within)
+    wrong = relation.factor < 0.0
+    constants = np.where(gravity_shown & ~wrong, 1.0 / np.maximum(np.abs(free.factor), 1e-12), 1.0 / usual)
+    own = {**({} if sign > 0.0 else {"factor": -1.0}), "torque_constant": [float(f"{one:.3g}") for one in constants]}
+    why = f"{said}: no unit of torque; taken for motor currents, with the constants shown by the gravity torque"
+    # The first joint's constant is anywhere in the range, the others are near it.
+    each = float(np.log(np.log(MAX_CONSTANT_RATIO)))
+    prior = (
+        float(
+            np.log(
+                PRIOR["A"]
+                * SIGN_PRIOR[0 if sign > 0.0 else 1]
+                / np.log(INVERSE_TORQUE_CONSTANTS[1] / INVERSE_TORQUE_CONSTANTS[0])
+            )
+        )
+        + each
+    )
+    gains = _gains(relation, shown, np.where(wrong, -np.inf, -each))
+    found.append(RoleHypothesis("current", "A", why, gains, prior, own))
+    gains = _gains(free, shown, -float(np.log(2.0 * np.log(MAX_FACTOR_RATIO))))
+    found.append(RoleHypothesis("other", "", f"{said}: in no unit", gains, float(np.log(PRIOR["other"]))))
+    return _ordered(found)
+
+
+def driven_joints(needed: Array, model: RobotModel) -> NDArray[np.bool_]:
+    """Joints with a noticeable torque, by the torque ``(k, n)`` [N m] of the motion; ``(n,)``."""
+    size = Proportion.of_robots([model.facts], np.asarray(model.pinocchio.gravity.linear)).factor("N m")
+    return np.asarray(np.sqrt(np.mean(np.square(needed), axis=0)) > MIN_TORQUE_NM * size)
+
+
+# ---- parts of them --------------------------------------------------------------------------------------------------
+
+
+def _gains(relation: LinearRelation, shown: NDArray[np.bool_], log_density: Array | float) -> float:
+    """Log likelihood ratio of a role to no role, with the density of the factors, of the joints that show it.
+
+    A joint's column is broken, or another joint's, with :data:`PROBABILITY_OF_BROKEN_ORDER`; one joint refutes nothing.
+    """
+    each = relation.log_likelihood_ratio - 0.5 * np.log(relation.independent) + log_density
+    return float(
+        np.sum(np.logaddexp(np.where(np.isfinite(each), each, -np.inf), np.log(PROBABILITY_OF_BROKEN_ORDER))[shown])
+    )
+
+
+def _copied(relation: LinearRelation, shown: NDArray[np.bool_]) -> float:
+    """As :func:`_gains` for streams with less noise than signal: velocities and copies of the motion."""
+    noisy = relation.misfit > (1.0 - MIN_CORRELATION**2) * relation.unexplained
+    return _gains(relation, shown, np.where(noisy, -np.inf, LOW_PASS_LOG_DENSITY))
+
+
+def _signs_prior(signs: Array) -> float:
+    if np.all(signs > 0.0):
+        return float(np.log(SIGN_PRIOR[0]))
+    return (
+        float(np.log(SIGN_PRIOR[1])) if np.all(signs < 0.0) else float(np.log(SIGN_PRIOR[2]) - signs.size * np.log(2.0))
+    )
+
+
+def _contradictions(moving: NDArray[np.bool_], relation: LinearRelation) -> tuple[str, ...]:
+    """Joints whose velocity has the opposite sign of the others, or is not the derivative of their position."""
+    ratio = relation.factor
+    related, turned = np.abs(relation.correlation) >= MIN_CORRELATION, np.sign(ratio) != usual_sign(ratio[moving])
+    apart, other = np.flatnonzero(moving & ~related), np.flatnonzero(moving & related & turned)
+    said = []
+    if apart.size:
+        said.append(f"velocities of joints {_joints(apart)} are not the derivative of their positions: other columns?")
+    if other.size:
+        said.append(
+            f"velocities of joints {_joints(other)} have the opposite sign of the others: their positions or "
+            "their velocities are inverted, and nothing here shows which; taken that velocities are"
+        )
+    return tuple(said)
+
+
+def _joints(numbers: NDArray[np.signedinteger]) -> str:
+    return ", ".join(str(number + 1) for number in numbers)
+
+
+def _ordered(hypotheses: Sequence[RoleHypothesis]) -> list[RoleHypothesis]:
+    return sorted(hypotheses, key=lambda one: one.log_posterior, reverse=True)
+
+
+def travels(position: Array, share: float) -> NDArray[np.bool_]:
+    """Joints that travel at least a share of the farthest travel of all, ``(n,)``."""
+    travel = np.ptp(position, axis=0)
+    return np.asarray(travel >= share * float(np.max(travel)))
+
+
+def usual_sign(ratio: Array) -> float:
+    """The sign of the majority; 1 if there is no majority."""
+    return -1.0 if np.sum(np.sign(ratio)) < 0.0 else 1.0
+
+
+def spread(values: Array) -> str:
+    """Smallest and largest of numbers, in words."""
+    low, high = float(np.min(values)), float(np.max(values))
+    return f"{low:.3g}" if f"{low:.3g}" == f"{high:.3g}" else f"{low:.3g} ... {high:.3g}"
+
+
+def signs_of(signs: Array) -> Any:
+    """One sign if all are equal, else a list."""
+    return float(signs[0]) if np.all(signs == signs[0]) else [float(sign) for sign in signs]
+
+
+def common(units: list[str]) -> Any:
+    """One unit if all are equal, else a list."""
+    return units[0] if len(set(units)) == 1 else units

@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From raw files to a mapping and an experiment file: every value is written with its evidence.
+
+    file_groups       files into runs by their names
+    recorded_files    layout, candidates, clock and raw numbers of each kind of file, read once (read_once)
+    joint_search      the likeliest assignment of streams to the roles of the joints (hypotheses)
+    joint_sections    sections of the mapping for the joints,
+    object_sections   and for the pose of an object, which does not move with the robot's tip (flange_path)
+    described_runs    the runs, read with the mapping, and contradictions to it
+
+Values without evidence, or without a decisive margin to the next reading, are marked as assumed. Signals are read
+by the readers of the analysis, so the mapping describes the numbers that the analysis uses.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping as AbstractMapping
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.paths import config_directory
+from impact_rs_sim.robots.robot import RobotFacts, load_facts
+from impact_rs_sim.schema import validate
+from impact_rs_trials.file_names import EXPERIMENT_FILE, MAPPING_FILE, RUN_TABLE
+from impact_rs_trials.recordings.importing.described_runs import DescribedRuns
+from impact_rs_trials.recordings.importing.file_groups import FileGroups, group_files
+from impact_rs_trials.recordings.importing.import_texts import (
+    ARM,
+    BODY,
+    Line,
+    Notes,
+    PossibleReading,
+    flow,
+    mapping_text,
+    runs_text,
+)
+from impact_rs_trials.recordings.importing.joint_sections import NO_HEADER, JointSections
+from impact_rs_trials.recordings.importing.object_sections import ObjectSections, poses_in
+from impact_rs_trials.recordings.importing.recorded_files import (
+    ImportedFiles,
+    RecordedFile,
+    open_recorded,
+    refuse_several,
+)
+from impact_rs_trials.recordings.mapping import NO_ROBOT, Mapping, TableLayout
+from impact_rs_trials.recordings.readers.guesses import STAMP, steps_back
+from impact_rs_trials.recordings.readers.read_once import files_read_once
+from impact_rs_trials.recordings.readers.run_finder import find_recordings
+
+
+@dataclass(frozen=True)
+class ImportDraft:
+    """Files that describe recordings.
+
+    Attributes:
+        folder: Folder to which the names of runs are relative.
+        texts: Contents by file name.
+        lines: Guessed keys with their evidence.
+        remarks: Warnings to the user.
+        hits: Number of runs with impacts.
+        runs: Number of runs.
+        readings: Possible readings by signal of the joints, the chosen one first.
+    """
+
+    folder: Path
+    texts: dict[str, str]
+    lines: tuple[Line, ...]
+    remarks: tuple[str, ...]
+    hits: int
+    runs: int
+    readings: AbstractMapping[str, tuple[PossibleReading, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """Options of an import: the user's knowledge about the files.
+
+    Attributes:
+        robot: Robot facts, by name or path; ``none``: an object alone; None: guess.
+        scenario: Scenario of hits, by name or path; None: unknown.
+        rate: Sampling rate of files without timestamps [Hz]; None: they have timestamps.
+        dedupe: Whether the first of several samples with one timestamp is kept.
+    """
+
+    robot: str | None = None
+    scenario: str | None = None
+    rate: float | None = None
+    dedupe: bool = False
+
+
+def draft_import(paths: Sequence[Path], output: Path, options: ImportOptions) -> ImportDraft:
+    """Describe recordings.
+
+    Args:
+        paths: Files, bags, or folders of them.
+        output: Folder of the description, to which paths of a robot are relative.
+        options: Options of the import.
+
+    Raises:
+        InputError: They cannot be read, or a key is missing without evidence; the message names the remedy.
+    """
+    with files_read_once():
+        files = [file for path in paths for file in find_recordings(path, notes=True)]
+        return _Importer(group_files(files), output, options).draft()
+
+
+class _Importer:
+    """Collects guesses."""
+
+    def __init__(self, groups: FileGroups, output: Path, options: ImportOptions) -> None:
+        self._groups, self._output, self._options = groups, output, options
+        self._notes = Notes()
+        self._parts = [
+            open_recorded(pattern, next(iter(files.values())), groups.spread, self._notes)
+            for pattern, files in groups.kinds.items()
+        ]
+
+    def draft(self) -> ImportDraft:
+        """All files."""
+        robot = self._robot()
+        facts = None if robot == NO_ROBOT else load_facts(robot)
+        signals: dict[str, dict[str, Any]] = {}
+        own: dict[str, Any] = {}
+        part = self._parts[0]
+        files = ImportedFiles(self._parts, self._groups, self._options.rate, self._notes)
+        joints = JointSections(files)
+        if facts is not None:
+            part, own, signals = joints.describe(robot, facts)
+        tracked = ObjectSections(files, joints.flange)
+        pose_part = tracked.describe(part, facts is not None, signals)
+        if facts is None and pose_part is None:
+            raise InputError(
+                "neither joints nor the pose of an object; expected columns of joints (--robot says which robot), or "
+                "x, y, z and a quaternion", file=self._parts[0].path,
+            )  # fmt: skip
+        if facts is None and pose_part is not None:
+            refuse_several(pose_part, self._groups, "objects without a robot", "object")
+        clock = self._time(part if facts is not None else pose_part or part)
+        content: dict[str, Any] = {
+            "description": f"{self._groups.folder.name or 'recordings'}, as impact-rs import found it",
+            "robot": robot if not robot.endswith((".yaml", ".yml")) else os.path.relpath(robot, self._output),
+            **own,
+            **({"time": clock} if clock else {}),
+        }
+        main = part if facts is not None else pose_part or part
+        if main.layout != TableLayout():
+            content["table"] = main.layout.model_dump(exclude_defaults=True)
+        if main.run_column is not None:
+            content["run_column"] = main.run_column
+        content["signals"] = signals
+        mapping = validate(Mapping, content | {"robot": robot}, self._output / MAPPING_FILE)
+        runs = DescribedRuns(tracked.groups, self._options.scenario, self._notes)
+        rows = runs.rows(mapping)
+        if facts is not None and runs.clock_of_object(mapping, rows, signals):
+            mapping = validate(Mapping, content | {"robot": robot}, self._output / MAPPING_FILE)
+        texts = {MAPPING_FILE: mapping_text(content, self._notes.lines), RUN_TABLE: runs_text(rows, facts is None)}
+        hits = sum(row.hit for row in rows)
+        if hits or facts is None or self._options.scenario is not None:
+            texts[EXPERIMENT_FILE] = self._experiment(facts, robot)
+        runs.check_first(mapping, rows)
+        if facts is not None:
+            runs.compare(mapping, rows, facts)
+        remarks = tuple(dict.fromkeys(self._notes.remarks))
+        return ImportDraft(
+            self._groups.folder, texts, tuple(self._notes.lines), remarks, hits, len(rows), joints.readings
+        )
+
+    def _robot(self) -> str:
+        if self._options.robot is not None:
+            if Path(self._options.robot).suffix in (".urdf", ".xacro"):
+                raise InputError(
+                    "robot facts are needed: impact-rs robot import makes them of a URDF",
+                    key="--robot",
+                    value=self._options.robot,
+                )
+            self._notes.say("robot", self._options.robot, "given with --robot")
+            return self._options.robot
+        known = sorted(path.stem for path in (config_directory() / "robots").glob("*.yaml"))
+        texts = [text for part in self._parts for text in (part.path.parent.name, part.path.stem)]
+        texts += [text for part in self._parts for one in part.candidates for text in (one.label, *one.joints)]
+        words = set().union(*map(_runs_of_words, texts))
+        named = [name for name in known if {name.replace("_", ""), name.partition("_")[2].replace("_", "")} & words]
+        if len(named) == 1:
+            self._notes.say(
+                "robot", named[0], "its name stands in the files; assumed, give --robot to be sure", sure=False
+            )
+            return named[0]
+        wide = {one.width for part in self._parts for one in part.candidates if not one.pose and one.guess}
+        counts = {name: load_facts(name).joint_count for name in known}
+        if not wide & set(counts.values()) and any(poses_in(part, False) for part in self._parts):
+            self._notes.say(
+                "robot", NO_ROBOT, "no signal is as wide as a robot has joints: an object alone", sure=False
+            )
+            return NO_ROBOT
+        fitting = [name for name, count in counts.items() if count in wide] or known
+        raise InputError(
+            f"--robot is needed: the files do not say which robot this is; known are {', '.join(fitting)}, your own "
+            "comes from a URDF (impact-rs robot import), and none stands for an object without a robot",
+            file=self._parts[0].path,
+        )
+
+    def _time(self, part: RecordedFile) -> dict[str, Any]:
+        keys = part.clock_keys(self._options.rate)
+        if self._options.rate is not None:
+            self._notes.say("time.rate", f"{self._options.rate:g}", "given with --rate")
+        elif part.on_log:
+            self._notes.say("time", flow(keys), f"of the positions: {NO_HEADER}")
+        elif part.clock is not None:
+            self._notes.say("time", flow(keys), part.clock.evidence, part.clock.sure)
+            self._notes.remarks += part.clock.remarks
+            if not any(STAMP.search(name) for name in part.clock_columns) and (back := steps_back(part.columns)):
+                self._notes.remarks.append(f"{back}; {flow(part.clock.value)} is taken for the clock instead")
+            if part.clock.remarks and not self._options.dedupe:
+                self._notes.remarks.append("repeated stamps are refused; --dedupe keeps the first sample of each")
+        if self._options.dedupe:
+            keys["repeated"] = "keep_first"
+            self._notes.say("time.repeated", "keep_first", "given with --dedupe")
+        return keys
+
+    def _experiment(self, facts: RobotFacts | None, robot: str) -> str:
+        if facts is None:
+            return BODY
+        scenario = self._options.scenario
+        if scenario is None:
+            self._notes.remarks.append(
+                f"{EXPERIMENT_FILE} names scenario.yaml, which is not there: impact-rs scenario new --robot {robot} -o "
+                "scenario.yaml in the same folder, with masses and sizes of your objects and the position of the robot"
+            )
+            return ARM.format(scenario="scenario.yaml   # to be made, see docs/scenarios.md")
+        if scenario.endswith((".yaml", ".yml")):
+            scenario = os.path.relpath(scenario, self._output)
+        return ARM.format(scenario=flow(scenario))
+
+
+def _runs_of_words(text: str) -> set[str]:
+    """Words of a text, and up to three neighbours joined: ``xarm 6`` and ``xarm_6`` hold ``xarm6``."""
+    words = re.findall(r"[a-z0-9]+", text.lower())
+    return {"".join(words[first : first + count]) for first in range(len(words)) for count in (1, 2, 3)}

@@ -1,0 +1,369 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Assignment of the streams of a recording to positions, velocities and torques of a robot's joints, by likelihood.
+
+Every candidate for the positions gives one assignment; the others are velocity, torque or neither in its motion
+(:mod:`hypotheses`). The log posterior of an assignment is the sum over its three streams; few streams are as wide as a
+robot has joints, so all are tried. Several streams may fit one role, as a measured and a commanded torque do. Only
+names show which of them was measured, for the other one is as likely in its own role: streams of one role are ordered
+by their names, and else in the order of the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_trials.recordings.checks.torque_readings import MotionTorque, is_computed, is_external, lacks_gravity
+from impact_rs_trials.recordings.file_units import TURNS, UNITS
+from impact_rs_trials.recordings.importing.hypotheses import (
+    OUTLIERS,
+    JointMotion,
+    RoleChoice,
+    RoleHypothesis,
+    choose,
+    common,
+    copies,
+    driven_joints,
+    motor_positions,
+    positions,
+    torques,
+    velocities,
+)
+from impact_rs_trials.recordings.importing.joint_streams import JointStream
+from impact_rs_trials.recordings.mapping import TorqueMeaning
+from impact_rs_trials.recordings.readers.guesses import holds_a_turn
+from impact_rs_trials.recordings.relations import DECISIVE_LOG_ODDS
+
+MAX_LOG_POSTERIOR_LOSS = 20.0  # below the best, of motions whose torques are compared
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A stream in a role.
+
+    Attributes:
+        stream: The stream.
+        choice: Its likeliest hypothesis, and the next.
+        computed: Whether a torque holds no friction of gears, so that it was computed and not measured.
+        meaning: What a torque holds.
+    """
+
+    stream: JointStream
+    choice: RoleChoice
+    computed: bool = False
+    meaning: TorqueMeaning = "whole"
+
+    @property
+    def best(self) -> RoleHypothesis:
+        """Its likeliest hypothesis."""
+        return self.choice.best
+
+    @property
+    def by_name(self) -> float:
+        """Log prior of the role by the stream's name."""
+        return self.stream.log_prior(self.best.role)
+
+    @property
+    def log_posterior(self) -> float:
+        """Log posterior, with the prior by the stream's name."""
+        return self.best.log_posterior + self.by_name
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """Sort key of the streams in a role: measured before computed, then by name."""
+        return not self.computed, self.by_name
+
+    @property
+    def factor(self) -> Array:
+        """Factor from its numbers to SI units, of all joints or ``(n,)``; of currents to amperes."""
+        units = [self.best.unit] if isinstance(self.best.unit, str) else self.best.unit
+        quantity = "torque" if self.best.role == "current" else self.best.role
+        factor = np.array([UNITS[quantity][unit] for unit in units])
+        return np.asarray(factor * np.asarray(self.best.further.get("factor", 1.0)))
+
+    @property
+    def values(self) -> Array:
+        """Its numbers in SI units, ``(k, n)``; currents in amperes."""
+        return np.asarray(self.stream.series.values * self.factor)
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """An alternative stream and unit of a signal.
+
+    Attributes:
+        stream: The stream.
+        hypothesis: Its hypothesis.
+        log_posterior: Of the whole assignment for positions; else the prior by names, for each stream of one role is as
+            likely in another role.
+    """
+
+    stream: JointStream
+    hypothesis: RoleHypothesis
+    log_posterior: float
+
+
+def alternatives(readings: Iterable[tuple[Reading, float]]) -> tuple[Alternative, ...]:
+    """Readings with their log posteriors and the next hypothesis of each; the first stays first, then by likelihood."""
+    (first, most), *others = readings
+    every = [Alternative(first.stream, first.best, most)]
+    further = [Alternative(one.stream, one.best, total) for one, total in others]
+    for one, total in ((first, most), *others):
+        if one.choice.next is not None:
+            further.append(Alternative(one.stream, one.choice.next, total - one.choice.margin))
+    return (*every, *sorted(further, key=lambda one: one.log_posterior, reverse=True))
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """Streams in the roles of position, velocity and torque.
+
+    Attributes:
+        position: The positions.
+        velocity: The velocities; None: derivatives of the positions.
+        torques: Streams that fit a torque, the chosen one first.
+        copies: Repeated part of the motion by label of further streams.
+        alternatives: Alternatives by signal, the chosen one first.
+    """
+
+    position: Reading
+    velocity: Reading | None
+    torques: tuple[Reading, ...]
+    copies: dict[str, str]
+    alternatives: Mapping[str, tuple[Alternative, ...]] = field(default_factory=dict)
+
+    @property
+    def time(self) -> Array:
+        """Timestamps of the positions, ``(k,)`` [s]."""
+        return self.position.stream.series.time
+
+    @property
+    def log_posterior(self) -> float:
+        """Log posterior of all its streams."""
+        torque = max((one.log_posterior for one in self.torques), default=0.0)
+        return self.motion_log_posterior + torque
+
+    @property
+    def motion_log_posterior(self) -> float:
+        """Log posterior of positions and velocities."""
+        return self.position.log_posterior + (0.0 if self.velocity is None else self.velocity.log_posterior)
+
+    @property
+    def speeds(self) -> Array:
+        """dq at the timestamps of the positions, ``(k, n)`` [rad/s, m/s]."""
+        if self.velocity is None:
+            return replace(self.position.stream.series, values=self.position.values).derivative().values
+        return replace(self.velocity.stream.series, values=self.velocity.values).at(self.time)
+
+
+class JointSearch:
+    """Assignments of the streams of one recording.
+
+    Args:
+        streams: As wide as the robot has joints; a pose is no signal of joints.
+        model: Nominal arm.
+    """
+
+    def __init__(self, streams: Sequence[JointStream], model: RobotModel) -> None:
+        self.streams, self.model = [one for one in streams if not holds_a_turn(one.series.values)], model
+        self._averages: dict[tuple[int, int], Array] = {}
+        found = [
+            (stream, choose(positions(stream.series.values, self.model.facts), -np.inf)) for stream in self.streams
+        ]
+        self.places = [
+            Reading(stream, choice)
+            for stream, choice in found
+            if choice is not None and np.ptp(stream.series.values, axis=0).any()
+        ]
+
+    def motions(self) -> list[Assignment]:
+        """Positions with velocity streams, the likeliest first."""
+        found = [
+            Assignment(place, fitting[0], (), {})
+            for place in self.places
+            if (
+                fitting := self._velocities(
+                    place, JointMotion.of(place.stream.series.time, place.values, None, self.model)
+                )
+            )
+        ]
+        return sorted(found, key=lambda one: one.motion_log_posterior, reverse=True)
+
+    def without_velocity(self) -> list[Assignment]:
+        """Positions alone, from streams without the name of another signal."""
+        return [Assignment(place, None, (), {}) for place in self.places if place.by_name >= 0.0]
+
+    def best(self, motions: Sequence[Assignment]) -> Assignment:
+        """The likeliest of motions, with its torques and the alternatives of its signals."""
+        most = max(one.motion_log_posterior for one in motions)
+        searched = [
+            one for one in motions if one.velocity is None or one.motion_log_posterior > most - MAX_LOG_POSTERIOR_LOSS
+        ]
+        found = sorted(map(self._with_torques, searched), key=lambda one: one.log_posterior, reverse=True)
+        best, places = found[0], {id(one.position.stream): one for one in (*motions, *found)}
+        others = [one for one in places.values() if one.position.stream is not best.position.stream]
+        listed = {"position": alternatives((one.position, one.log_posterior) for one in (best, *others))}
+        if best.velocity is not None:
+            motion = JointMotion.of(best.time, best.position.values, None, self.model)
+            fitting = self._velocities(best.position, motion)
+            listed["velocity"] = alternatives((one, one.by_name) for one in fitting)
+        if best.torques:
+            listed["torque"] = alternatives((one, one.by_name) for one in best.torques)
+        return replace(best, alternatives=listed)
+
+    def motors(self, found: Assignment) -> Reading | None:
+        """Angles of the motors, if a stream with such a name follows the positions; None: no stream does."""
+        taken = [one.stream for one in (found.position, found.velocity, *found.torques[:1]) if one is not None]
+        motion = JointMotion.of(found.time, found.position.values, found.speeds, self.model)
+        for stream in self.streams:
+            if stream.is_of_motors and not any(stream.stands_apart(other) for other in taken):
+                choice = choose(motor_positions(motion, self._sampled(motion, stream)), -np.inf)
+                if choice is not None:
+                    return Reading(stream, choice)
+        return None
+
+    def velocities_at_other_rates(self) -> Iterator[tuple[JointStream, JointStream, float]]:
+        """Positions, streams proportional to their derivative with one positive factor, and the factor."""
+        for place in self.places:
+            time = place.stream.series.time
+            motion = JointMotion.of(time, place.values, None, self.model)
+            for stream in self.streams:
+                if not stream.overlaps(place.stream):
+                    choice = choose(velocities(motion, self._sampled(motion, stream)))
+                    factor = 0.0 if choice is None or not choice.sure else choice.best.further.get("rate_", 0.0)
+                    if factor > 0.0:
+                        yield place.stream, stream, factor
+
+    def _sampled(self, motion: JointMotion, stream: JointStream) -> Array:
+        """A stream at the samples of a motion; many motions share timestamps."""
+        time = motion.time
+        key = id(stream), hash(time.tobytes())
+        if key not in self._averages:
+            self._averages[key] = motion.sampled(time, stream.series.at(time))
+        return self._averages[key]
+
+    def _velocities(self, place: Reading, motion: JointMotion) -> list[Reading]:
+        """Streams that are the derivative of the positions, the chosen one first."""
+        free = [stream for stream in self.streams if not stream.stands_apart(place.stream)]
+        found = [
+            Reading(stream, choice)
+            for stream in free
+            if (choice := choose(velocities(motion, self._sampled(motion, stream)))) is not None
+            and choice.best.role == "velocity"
+            and choice.best.log_posterior > DECISIVE_LOG_ODDS
+        ]
+        return _exclusive(found)
+
+    @OUTLIERS
+    def _with_torques(self, found: Assignment) -> Assignment:
+        """With the streams that fit the torque of a motion, or else by name."""
+        time, q, dq = found.time, found.position.values, found.speeds
+        motion = JointMotion.of(time, q, None if found.velocity is None else dq, self.model)
+        taken = [found.position.stream, *([] if found.velocity is None else [found.velocity.stream])]
+        free = [one for one in self.streams if not any(one.stands_apart(other) for other in taken)]
+        cut = found.position.stream.is_cut  # of another robot, perhaps, for which the torque must speak
+        fitting, weightless, repeated = [], [], {}
+        for stream in free:
+            raw = stream.series.at(time)
+            y = motion.sampled(time, raw)
+            copy, torque = choose(copies(motion, y)), choose(torques(motion, y))
+            least = DECISIVE_LOG_ODDS if torque is None else max(DECISIVE_LOG_ODDS, torque.best.log_posterior)
+            if copy is not None and copy.best.log_posterior > least:
+                repeated[stream.label] = copy.best.evidence
+                continue
+            if (lacking := self._without_gravity(stream, found)) is not None:
+                weightless.append(lacking)
+                continue
+            if torque is None or torque.best.role == "other" or torque.best.log_posterior <= DECISIVE_LOG_ODDS:
+                continue
+            if cut and not torque.sure:
+                continue
+            computed = self._is_computed(MotionTorque.of(time, q, dq, raw, self.model), torque.best)
+            fitting.append(Reading(stream, _named(stream, torque, motion, y), computed))
+        fitting = _exclusive(fitting or weightless)
+        if not fitting and not cut:
+            named = [one for one in free if _is_named(one) and one.label not in repeated]
+            fitting = [self._by_name(one, found, motion) for one in named]
+            fitting.sort(key=lambda one: one.rank, reverse=True)
+        return Assignment(found.position, found.velocity, tuple(fitting), repeated)
+
+    @OUTLIERS
+    def _without_gravity(self, stream: JointStream, found: Assignment) -> Reading | None:
+        """A stream in N m or mN m that is a torque without gravity; None: no evidence."""
+        raw = stream.series.at(found.time)
+        for unit in ("N m", "mN m"):
+            seen = MotionTorque.of(
+                found.time, found.position.values, found.speeds, TURNS["torque"][unit] * raw, self.model
+            )
+            if (why := lacks_gravity(seen)) is not None:
+                slides = {"N m": "N", "mN m": "mN"}[unit]
+                units = common([slides if kind == "prismatic" else unit for kind in self.model.facts.joint_types])
+                hypothesis = RoleHypothesis("torque", units, why, 0.0)
+                return Reading(stream, RoleChoice(hypothesis, None, np.inf), meaning="without_gravity")
+        return None
+
+    def _is_computed(self, seen: MotionTorque, hypothesis: RoleHypothesis) -> bool:
+        """Whether a torque at motors was computed; torque sensors behind the gears measure no gear friction."""
+        at_motor = hypothesis.role == "current" or not self.model.facts.joint_torque_loop
+        return at_motor and is_computed(seen)
+
+    def _by_name(self, stream: JointStream, found: Assignment, motion: JointMotion) -> Reading:
+        """A torque or a current that only its name shows."""
+        raw = stream.series.at(found.time)
+        if stream.log_prior("current") > stream.log_prior("torque"):
+            for one in torques(motion, motion.sampled(found.time, raw)):
+                if one.role == "current":
+                    return Reading(stream, RoleChoice(one, None, 0.0))
+        seen = MotionTorque.of(found.time, found.position.values, found.speeds, raw, self.model)
+        said = "the motion takes too little torque to show it"
+        if np.any(driven_joints(seen.whole, seen.model)):
+            most, left = (
+                np.sqrt(np.mean(np.square(seen.whole), axis=0)),
+                np.sqrt(seen.left(seen.whole) / len(seen.whole)),
+            )
+            joint = int(np.argmax(most))
+            said = (
+                f"gravity and inertia of the arm take {most[joint]:.3g} N m rms in joint {joint + 1}, from which the "
+                f"signal is {left[joint]:.3g} N m away: another robot, other joints or another quantity?"
+            )
+        unit = common(motion.units("N m", "N"))
+        if (external := is_external(seen, stream.is_external)) is not None:
+            hypothesis = RoleHypothesis("torque", unit, external.evidence, 0.0)
+            return Reading(stream, RoleChoice(hypothesis, None, external.margin), meaning="external")
+        return Reading(
+            stream, RoleChoice(RoleHypothesis("torque", unit, f"nothing but its name: {said}", 0.0), None, 0.0)
+        )
+
+
+def _named(stream: JointStream, choice: RoleChoice, motion: JointMotion, y: Array) -> RoleChoice:
+    """A choice between torque and current with the prior by the name."""
+    every = [
+        (one.log_posterior + stream.log_prior(one.role if one.role == "current" else "torque"), one)
+        for one in torques(motion, y)
+    ]
+    every.sort(key=lambda one: one[0], reverse=True)
+    (first, best), *others = every
+    following = others[0] if others else None
+    return RoleChoice(
+        best, following[1] if following else None, float(first - following[0]) if following else choice.margin
+    )
+
+
+def _is_named(stream: JointStream) -> bool:
+    named = max(stream.log_prior("torque"), stream.log_prior("current")) > 0.0
+    return named and bool(np.ptp(stream.series.values, axis=0).any())
+
+
+def _exclusive(readings: Sequence[Reading]) -> list[Reading]:
+    """Readings without shared columns: the likeliest of several that share one; the chosen one first."""
+    kept: list[Reading] = []
+    for one in sorted(readings, key=lambda one: one.log_posterior, reverse=True):
+        if not any(one.stream.overlaps(other.stream) for other in kept):
+            kept.append(one)
+    return sorted(
+        (one for one in readings if any(one is other for other in kept)), key=lambda one: one.rank, reverse=True
+    )

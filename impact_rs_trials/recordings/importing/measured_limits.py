@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Limits of joints from a recording, for a URDF without limits.
+
+The range of a motion is no limit of the robot: it suffices to compare a recording with its model, but not to plan
+other motions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.urdf_repairs import Limits
+from impact_rs_trials.recordings.importing.candidates import SignalCandidate, candidates_of, single_candidates
+from impact_rs_trials.recordings.importing.table_layout import find_layout
+from impact_rs_trials.recordings.mapping import TableLayout
+from impact_rs_trials.recordings.readers.run_finder import TABLE_SUFFIXES
+from impact_rs_trials.recordings.readers.table_columns import Columns, read_columns
+
+QUANTITIES = {"position": "position", "velocity": "velocity", "torque": "effort"}  # of a URDF, by signal
+MAX_POSITION_RAD = 4.0 * np.pi  # positions beyond are degrees
+
+
+def measured_limits(path: Path, joints: Sequence[str]) -> Limits:
+    """Ranges of positions, and largest velocities and efforts, by joint and quantity; SI units.
+
+    Args:
+        path: A table with columns of the joints, by name or in the order of the joints.
+        joints: Names of the joints in the URDF, base to tip.
+
+    Raises:
+        InputError: It is no table, has no such columns, or positions that are not in rad.
+    """
+    if path.suffix not in TABLE_SUFFIXES:
+        expected = f"expected a table ({', '.join(TABLE_SUFFIXES)}) of positions, velocities and efforts of the joints"
+        raise InputError(expected, file=path, key="--measured")
+    layout = TableLayout() if path.suffix in (".parquet", ".npy") else find_layout(path).layout
+    table = read_columns(path, layout)
+    found: dict[tuple[str, str], tuple[float, ...]] = {}
+    single = single_candidates(table.cells, "column") if len(joints) == 1 else []
+    for one in (*candidates_of(path, layout), *single):
+        quantity = QUANTITIES.get(one.guess)
+        if quantity is None or one.width != len(joints) or (joints[0], quantity) in found:
+            continue
+        for joint, values in zip(joints, _values(path, table, one, joints).T, strict=True):
+            most = (float(np.abs(values).max()),)
+            found[joint, quantity] = (float(values.min()), float(values.max())) if quantity == "position" else most
+    if not found:
+        raise InputError(
+            f"no {len(joints)} columns of positions, velocities or efforts; name them after the joints or number them: "
+            f"position_{joints[0]} or q1 ... q{len(joints)}",
+            file=path,
+            key="--measured",
+        )
+    for (joint, quantity), ends in found.items():
+        if quantity == "position" and max(abs(end) for end in ends) > MAX_POSITION_RAD:
+            said = f"joint {joint} is at {ends[0]:g} to {ends[1]:g}: expected rad or m, not degrees or mm"
+            raise InputError(said, file=path, key="--measured")
+    return found
+
+
+def _values(path: Path, table: Columns, one: SignalCandidate, joints: Sequence[str]) -> Array:
+    """Numbers of one signal, in the order of the joints, ``(k, n)``."""
+    pattern = one.source.get("column", "")
+    names = one.source.get("columns") or [pattern.replace("{joint}", str(n + 1)) for n in range(len(joints))]
+    named = [[column for column in names if joint in column] for joint in joints]
+    if all(len(own) == 1 for own in named):
+        names = [own[0] for own in named]
+    try:
+        return np.array([[float(cell) for cell in table.cells[name]] for name in names]).T
+    except ValueError as error:
+        raise InputError(f"column {one.label}: {error}", file=path, key="--measured") from None

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lines of names and rows of a text table, found from the text.
+
+Rows begin at the first of several consecutive lines with equally many cells that hold numbers (or vectors, dates,
+additional words). The names are in the line above with as many cells, or one line higher if units lie between.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.recordings.file_units import is_unit
+from impact_rs_trials.recordings.importing.candidates import numbers_in
+from impact_rs_trials.recordings.mapping import TableLayout
+from impact_rs_trials.recordings.readers.csv_rows import decimal_sign, read_lines, separator_of, split_line
+
+MAX_HEADER_LINES = 60  # before the first row of numbers
+MIN_TABLE_ROWS = 3  # consecutive lines of numbers that make a table
+MIN_NUMERIC_SHARE = 0.5  # of the cells of a row
+
+
+@dataclass(frozen=True)
+class FoundLayout:
+    """A layout, with its evidence.
+
+    Attributes:
+        layout: Line of the names and first row.
+        evidence: Evidence in words.
+        skipped: Lines above the names.
+    """
+
+    layout: TableLayout
+    evidence: str
+    skipped: int = 0
+
+
+def find_layout(path: Path) -> FoundLayout:
+    """Find the lines of names and rows of a text table.
+
+    Raises:
+        InputError: No table begins in its first lines.
+    """
+    lines = [(number, line) for number, line in read_lines(path)[:MAX_HEADER_LINES] if line.strip()]
+    texts = dict(lines)
+    point = decimal_sign([line for _, line in lines])
+    cells = {number: split_line(line.lstrip("# "), point) for number, line in lines}
+    data = [number for number, line in lines if not line.startswith("#") and _is_row(cells[number])]
+    for place, first in enumerate(data):
+        together = data[place : place + MIN_TABLE_ROWS]
+        alike = {(len(cells[number]), separator_of(texts[number], point)) for number in together}
+        if len(alike) == 1 and (len(together) == MIN_TABLE_ROWS or place == 0):
+            found = _named(cells, first, {number for number, line in lines if line.startswith("#")})
+            if point == ".":
+                return found
+            said = f"{found.evidence}; numbers have a decimal comma"
+            return replace(found, layout=found.layout.model_copy(update={"decimal": point}), evidence=said)
+    raise InputError(f"no table of numbers begins in its first {MAX_HEADER_LINES} lines", file=path)
+
+
+def _named(cells: dict[int, list[str]], first: int, remarks: set[int]) -> FoundLayout:
+    """The layout of a table whose numbers begin in a line."""
+    width = len(cells[first])
+    above = [number for number in cells if number < first]
+    if above and len(cells[above[-1]]) == width and all(map(is_unit, cells[above[-1]])):
+        units, above = above[-1], above[:-1]
+    else:
+        units = None
+    names = above[-1] if above and len(cells[above[-1]]) == width and not _is_row(cells[above[-1]]) else None
+    if names is None:
+        layout = TableLayout(header=0, first=first if first > 1 else None)
+        return FoundLayout(layout, f"no line of {width} names stands above the numbers in line {first}", len(above))
+    said = f"line {names} has {width} names, as many as the rows have cells"
+    if units is not None:
+        said += f"; units stand in line {units}"
+    if len(above) > 1:
+        said += f"; what stands above is skipped ({len(above) - 1} line{'s' if len(above) > 2 else ''})"
+    plain = names not in remarks and set(above[:-1]) <= remarks and units is None
+    layout = TableLayout() if plain else TableLayout(header=names, first=None if units is None else first)
+    return FoundLayout(layout, said, len(above) - 1)
+
+
+def _is_row(cells: list[str]) -> bool:
+    """Whether a line holds numbers: half of its non-empty cells, and its first or second cell."""
+    filled = [cell for cell in cells if cell.strip()]
+    numeric = [bool(numbers_in(cell)) for cell in filled]
+    return bool(filled) and sum(numeric) >= MIN_NUMERIC_SHARE * len(filled) and not all(map(_is_name, filled[:2]))
+
+
+def _is_name(cell: str) -> bool:
+    return not numbers_in(cell)

@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: Apache-2.0
+"""NPZ, HDF5 and MAT files: an array per signal, samples x joints, and one or several arrays of timestamps.
+
+MATLAB writes vectors as matrices, structures as ``data.q`` (here ``data/q``), and since version 7.3 an HDF5 file in
+which every array is transposed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping as AbstractMapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.optional_packages import require
+from impact_rs_sim.robots.robot import Array
+from impact_rs_trials.recordings.file_units import UNITS
+from impact_rs_trials.recordings.mapping import WIDTH, Mapping, SignalName, SignalSource
+from impact_rs_trials.recordings.readers.clock import seconds_of, seconds_of_pair
+from impact_rs_trials.recordings.readers.mat_file import read_mat
+from impact_rs_trials.recordings.readers.read_once import once
+from impact_rs_trials.recordings.readers.series import MissingSignal, Names, Series
+from impact_rs_trials.recordings.readers.transforms import are_transforms, poses_of
+
+UNSEALED = (
+    "{} has arrays without checksums (or with blocks of zeros, whose checksum equals a lost block's): accidental "
+    "changes of numbers cannot be detected (fletcher32 in h5py)"
+)
+TIME_KEY = "time.array"
+HDF5 = (".h5", ".hdf5")
+REAL = "iuf"  # kinds of NumPy types that are real numbers: neither complex numbers, booleans, texts nor durations
+
+
+class ArrayFile:
+    """One NPZ, HDF5 or MAT file.
+
+    Attributes:
+        unsealed: Arrays without checksums; arrays of an NPZ file always have one.
+
+    Args:
+        path: The file.
+        mapping: Where the signals are.
+        names: Values of the placeholders of the mapping.
+
+    Raises:
+        InputError: It is no such file.
+    """
+
+    def __init__(self, path: Path, mapping: Mapping, names: Names) -> None:
+        self._path, self._mapping, self._names = path, mapping, names
+        self.unsealed: frozenset[str] = frozenset()
+        named = [array for source in mapping.signals.values() for array in _arrays_of(source, mapping)]
+        within = {names.fill(array).strip("/") for array in named} if mapping.holds_runs else None
+        self._arrays, self.unsealed = _read(path, within)
+
+    @staticmethod
+    def arrays_of(path: Path) -> dict[str, NDArray[Any]]:
+        """Names and arrays of a file, vectors of MATLAB with one axis.
+
+        Raises:
+            InputError: It is no such file.
+        """
+        arrays = _read(path)[0]
+        return {name: one.ravel() if one.ndim == 2 and 1 in one.shape else one for name, one in arrays.items()}
+
+    @staticmethod
+    def shapes_of(path: Path) -> dict[str, tuple[int, ...]]:
+        """Names and shapes of the arrays of a file.
+
+        Raises:
+            InputError: It is no such file.
+        """
+        return {name: array.shape for name, array in _read(path)[0].items()}
+
+    @staticmethod
+    def names_of(path: Path) -> list[str]:
+        """Names of the arrays of a file.
+
+        Raises:
+            InputError: It is no such file.
+        """
+        return list(_read(path, set())[0]) if path.suffix in HDF5 else list(_read(path)[0])
+
+    def series(self, name: SignalName, source: SignalSource) -> Series:
+        """One signal in SI units.
+
+        Raises:
+            MissingSignal: The file lacks it.
+            InputError: It cannot be used.
+        """
+        if source.array is None:
+            raise MissingSignal(f"the mapping says no array for {name}", file=self._path, key=f"signals.{name}")
+        place, width = f"array {source.array!r} ({name})", self._mapping.width(name)
+        values = self._array(self._names.fill(source.array), name, f"signals.{name}.array")
+        if width == 1 and values.ndim == 1:
+            values = values[:, None]
+        if name == "object_pose" and are_transforms(values.shape):
+            poses = poses_of(values)
+            if poses is None:
+                said = f"{place} is {values.shape}, expected matrices of a rotation and a place above 0 0 0 1"
+                raise InputError(said, file=self._path)
+            values = poses
+        time = self._time(source, name, values)
+        remarks: tuple[str, ...] = (UNSEALED.format(self._path.name),) if self.unsealed else ()
+        whole = values.shape[1] if source.entries is not None and values.ndim == 2 else width
+        if values.ndim == 2 and values.shape[0] != time.size == values.shape[1]:
+            whole, values = values.shape[0] if source.entries is not None else width, values.T
+            remarks += (f"{place} is joints x samples, and was turned",)
+        if values.shape != (time.size, whole):
+            expected = f"{time.size} samples x {width} {'numbers' if name in WIDTH else 'joints'}"
+            more = ""
+            if values.ndim == 2 and values.shape[0] == time.size and values.shape[1] > width:
+                more = f"; entries in the mapping says which of the {values.shape[1]} numbers"
+            raise InputError(f"{place} is {values.shape}, expected {expected}{more}", file=self._path)
+        if source.entries is not None:
+            if whole < max(source.entries):
+                said = f"{place} has {whole} numbers a sample, expected at least the {max(source.entries)} of entries"
+                raise InputError(said, file=self._path, key=f"signals.{name}.entries")
+            values = values[:, [entry - 1 for entry in source.entries]]
+        return Series(place, time + source.delay, self._mapping.to_si(name, values), remarks=remarks).sampled()
+
+    def _time(self, source: SignalSource, name: SignalName, values: Array) -> Array:
+        """Timestamps of the samples of a signal [s]."""
+        clock = self._mapping.time
+        if clock.rate is not None:
+            width = self._mapping.width(name)
+            count = values.size // width if values.ndim == 2 and width in values.shape else 0
+            count = len(values) if source.entries is not None else count
+            return np.asarray(np.arange(count) / clock.rate)
+        if clock.unit == "date":
+            said = "arrays hold numbers, expected their unit: s, ms, us or ns"
+            raise InputError(said, file=self._path, key="time.unit", value=clock.unit)
+        named = source.time_array or clock.array
+        key = f"signals.{name}.time_array" if source.time_array else TIME_KEY
+        if not isinstance(named, str):
+            pair = [self._names.fill(one) for one in named]
+            whole, rest = (self._stamps(one, f"time of {name}", key) for one in pair)
+            return seconds_of_pair(self._path, f"arrays {pair[0]!r} and {pair[1]!r} (time)", whole, rest)
+        array = self._names.fill(named)
+        stamps = self._stamps(array, f"time of {name}", key)
+        if stamps.ndim != 1:
+            raise InputError(f"array {array!r} (time) is {stamps.shape}, expected one number a sample", file=self._path)
+        return seconds_of(stamps, UNITS["time"][clock.unit])
+
+    def _stamps(self, name: str, meaning: str, key: str) -> NDArray[Any]:
+        """An array of time, as integers if it holds integers; a vector of MATLAB has one axis."""
+        as_numbers, as_stored = self._array(name, meaning, key), self._arrays[name.strip("/")]
+        stamps = as_stored if np.issubdtype(as_stored.dtype, np.integer) else as_numbers
+        return stamps.ravel() if stamps.ndim == 2 and 1 in stamps.shape else stamps
+
+    def _array(self, name: str, meaning: str, key: str) -> Array:
+        name = name.strip("/")
+        if name not in self._arrays:
+            near, found = did_you_mean(name, self._arrays), ", ".join(self._arrays)
+            said = f"no array {name!r} ({meaning}){near}; found: {found}"
+            raise MissingSignal(said, file=self._path, key=f"{key} of the mapping")
+        stored = self._arrays[name]
+        if stored.dtype.kind not in REAL:
+            raise InputError(f"array {name!r} ({meaning}) holds {stored.dtype}, expected real numbers", file=self._path)
+        return np.asarray(stored, dtype=float)
+
+
+def _arrays_of(source: SignalSource, mapping: Mapping) -> list[str]:
+    """Names of the arrays of a signal and of its timestamps."""
+    time = source.time_array or mapping.time.array
+    return [*([source.array] if source.array else []), *([time] if isinstance(time, str) else time)]
+
+
+@once
+def _read(path: Path, within: set[str] | None = None) -> tuple[dict[str, Array], frozenset[str]]:
+    """Arrays by name, and the names without checksums; HDF5 arrays not in ``within`` are not loaded (left empty)."""
+    if path.suffix == ".npz":
+        return _read_npz(path), frozenset()
+    if path.suffix in HDF5:
+        return _read_hdf5(path, within)
+    with path.open("rb") as file:
+        newest = file.read(128).startswith(b"MATLAB 7.3")
+    if not newest:
+        arrays = read_mat(path)
+        return arrays, frozenset(arrays)
+    arrays, unsealed = _read_hdf5(path)
+    return {name: array.T for name, array in arrays.items()}, unsealed
+
+
+def _read_npz(path: Path) -> dict[str, Array]:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            names = list(archive.files)
+            arrays = {name: np.asarray(archive[name]) for name in names}
+    except Exception as error:  # a damaged archive fails in zipfile, in zlib or in NumPy
+        raise InputError(f"not a readable NPZ file ({error})", file=path) from None
+    if len(arrays) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"two arrays are called {twice!r}", file=path)
+    return arrays
+
+
+def _read_hdf5(path: Path, within: set[str] | None = None) -> tuple[dict[str, Array], frozenset[str]]:
+    """Arrays by name, and the names without checksums."""
+    require("h5py", path)
+    import h5py
+
+    arrays: dict[str, Array] = {}
+    unsealed: set[str] = set()
+
+    def keep(name: str | bytes, item: object) -> None:
+        if isinstance(name, bytes):  # no text in UTF-8
+            raise InputError(f"not a readable HDF5 file (name {name!r})", file=path)
+        if not isinstance(item, h5py.Dataset):
+            return
+        if not _holds_numbers(item.attrs):
+            return
+        if within is not None and name not in within:
+            arrays[name] = np.zeros(0)
+            return
+        if item.is_virtual or item.external:
+            raise InputError(f"array {name!r} is made of other files, expected its numbers in this one", file=path)
+        arrays[name] = np.zeros(0) if item.shape is None else np.asarray(item)
+        # The checksum of zeros is zero: a lost block of the disk looks like measured zeros.
+        if not (item.fletcher32 and all(arrays[name][chunk].any() for chunk in item.iter_chunks())):
+            unsealed.add(name)
+
+    try:
+        with h5py.File(path, "r") as file:
+            file.visititems(keep)
+    except InputError:
+        raise
+    except Exception as error:  # a damaged file can fail anywhere inside the library
+        said = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"not a readable HDF5 file ({said})", file=path) from None
+    return arrays, frozenset(unsealed)
+
+
+def _holds_numbers(attributes: AbstractMapping[str, Any]) -> bool:
+    """Whether an array holds numbers; MATLAB stores texts, booleans and the size of empty arrays as integers, too."""
+    kind = attributes.get("MATLAB_class", b"double")
+    return kind not in (b"char", b"logical", b"cell") and not attributes.get("MATLAB_empty", 0)

@@ -1,0 +1,495 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags of ROS 2 (SQLite or MCAP) and of ROS 1: a topic, a message type and a field per signal.
+
+A run has one clock. If header timestamps define it, times of a topic without headers are computed from log times:
+
+    stamp  =  log - median(log - stamp of the joint states)
+
+The common transport delay cancels; the excess over the delay of the joint states remains as an error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.interfaces import Connection, MessageDefinitionFormat
+from rosbags.rosbag1 import Reader as Ros1Reader
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.paths import config_directory
+from impact_rs_sim.robots.robot import Array
+from impact_rs_trials.recordings.mapping import WIDTH, Mapping, SignalName, SignalSource
+from impact_rs_trials.recordings.readers.read_once import once
+from impact_rs_trials.recordings.readers.run_finder import ROS1_SUFFIX
+from impact_rs_trials.recordings.readers.series import MissingSignal, Names, Series
+from impact_rs_trials.recordings.remarks import Amount, Remark
+
+MAX_STAMP_DRIFT_S = 0.002  # between log and header timestamps without a warning
+EXPECTED_LOG_DELAY_S = (-0.005, 0.05)  # behind the joint states; outside of this range comes a warning
+
+FIELDLESS: tuple[SignalName, ...] = ("object_pose", "wrench", "acceleration")  # what its message type says where it is
+
+STORED = (".db3", ".mcap", ".zstd")  # endings of files of messages
+
+POSE_PARTS = (("position", "orientation"), ("translation", "rotation"))
+
+
+def open_bag(path: Path) -> Reader | Ros1Reader:
+    """Reader of a bag of ROS 2, or of ROS 1 (``.bag``)."""
+    return Ros1Reader(path) if path.suffix == ROS1_SUFFIX else Reader(path)
+
+
+def deserialized(store: Typestore, path: Path, data: bytes, kind: str) -> Any:
+    """A message of a bag."""
+    return store.deserialize_ros1(data, kind) if path.suffix == ROS1_SUFFIX else store.deserialize_cdr(data, kind)
+
+
+def typestore_for(path: Path, definitions: Sequence[str] = ()) -> Typestore:
+    """Standard messages of the ROS of a bag, and the definitions that a mapping names.
+
+    Raises:
+        InputError: There are no such definitions.
+    """
+    store = get_typestore(Stores.ROS1_NOETIC if path.suffix == ROS1_SUFFIX else Stores.ROS2_JAZZY)
+    for package in definitions:
+        folder = config_directory() / "mappings" / "messages" / package
+        if not folder.is_dir():
+            raise InputError(f"definitions names {package!r}, but there is no folder {folder}")
+        types: dict[str, Any] = {}
+        for file in sorted(folder.glob("*.msg")):
+            types |= get_types_from_msg(file.read_text(encoding="utf-8"), f"{package}/msg/{file.stem}")
+        store.register(types)
+    return store
+
+
+def register(store: Typestore, connection: Connection) -> None:
+    """Prefer the definition that the bag carries itself."""
+    kind, definition = connection.msgtype, connection.msgdef
+    if connection.msgdef.format == MessageDefinitionFormat.NONE or kind.startswith(("sensor_msgs/", "std_msgs/")):
+        return
+    parse = {
+        MessageDefinitionFormat.MSG: lambda: get_types_from_msg(definition.data, kind),
+        MessageDefinitionFormat.IDL: lambda: get_types_from_idl(definition.data),
+    }
+    types = parse[definition.format]()
+    package = kind.split("/")[0]
+    own = {name: value for name, value in types.items() if name.split("/")[0] == package}
+    for name in own:
+        for table in (store.fielddefs, store.types):
+            table.pop(name, None)
+    store.register(own)
+
+
+class OpenedBag:
+    """Messages of a bag by topic, read on demand.
+
+    Attributes:
+        messages: Log time [ns] and message, by topic.
+        unread: Warnings about unread files in its folder.
+    """
+
+    def __init__(self, path: Path, store: Typestore) -> None:
+        self._path, self._store = path, store
+        self._connections: list[Connection] | None = None
+        self.messages: dict[str, list[tuple[int, Any]]] = {}
+        self.unread: tuple[str, ...] = ()
+
+    def read(self, choose: Callable[[list[Connection]], list[Connection]]) -> list[Connection]:
+        """Read the messages of the chosen connections unless they are read already.
+
+        Raises:
+            InputError: It is not a readable bag.
+        """
+        if self._connections is not None:
+            chosen = choose(self._connections)
+            if all(connection.topic in self.messages for connection in chosen):
+                return chosen
+        _check_pages(self._path)
+        try:
+            with open_bag(self._path) as reader:
+                self.unread, self._connections = _files_beside(self._path, reader), list(reader.connections)
+                chosen = choose(self._connections)
+                missing = [connection for connection in chosen if connection.topic not in self.messages]
+                read: dict[str, list[tuple[int, Any]]] = {connection.topic: [] for connection in missing}
+                for connection in missing:
+                    register(self._store, connection)
+                for connection, log, data in reader.messages(connections=missing) if missing else ():  # [] is all
+                    message = deserialized(self._store, self._path, data, connection.msgtype)
+                    read[connection.topic].append((log, message))
+        except InputError:
+            raise
+        except Exception as error:  # a damaged file can fail anywhere inside the library
+            text = str(error).splitlines()[0] if str(error) else ""
+            raise InputError(f"not a readable bag ({type(error).__name__}: {text})", file=self._path) from None
+        self.messages |= read
+        return chosen
+
+
+@once
+def _opened(path: Path, definitions: tuple[str, ...]) -> OpenedBag:
+    return OpenedBag(path, typestore_for(path, definitions))
+
+
+def read_topics(path: Path, topics: Collection[str]) -> None:
+    """Read messages of several topics in one pass, for later use (:mod:`read_once`).
+
+    Raises:
+        InputError: It is not a readable bag.
+    """
+    _opened(path, ()).read(lambda every: [connection for connection in every if connection.topic in topics])
+
+
+class BagFile:
+    """One bag.
+
+    Args:
+        path: Folder, or bare ``.db3``, ``.mcap`` or ``.bag`` file.
+        mapping: Where the signals are.
+        names: Values of the placeholders of the mapping.
+        wanted: Signals to read.
+
+    Raises:
+        InputError: It is not a readable bag.
+    """
+
+    def __init__(self, path: Path, mapping: Mapping, names: Names, wanted: tuple[SignalName, ...]) -> None:
+        self._path, self._mapping, self._names = path, mapping, names
+        self._joints = tuple(names.fill(joint) for joint in mapping.joints)
+        self._lost: dict[str, tuple[str, ...]] = {}
+        self._connections: list[Connection] = []
+        opened = _opened(path, mapping.definitions)
+        chosen = opened.read(lambda connections: self._chosen(wanted, connections))
+        self._messages = opened.messages
+        for connection in chosen:
+            found = len(self._messages[connection.topic])
+            if found != connection.msgcount:
+                said = f"{connection.topic}: {found} messages, {connection.msgcount} are counted in the bag's metadata"
+                if not found:
+                    raise InputError(said, file=path)
+                self._lost[connection.topic] = (f"{said}: a part is lost, or the metadata are of another bag",)
+        self._unread = opened.unread
+        self._shift: tuple[float, str] | None = None
+
+    def series(self, name: SignalName, source: SignalSource) -> Series:
+        """One signal in SI units.
+
+        Raises:
+            MissingSignal: The bag lacks it.
+            InputError: It cannot be used.
+        """
+        connection = self._connection(name, source)
+        messages = self._messages[connection.topic]
+        place = f"{connection.topic}: {source.field or connection.msgtype} ({name})"
+        if name in FIELDLESS:
+            found = self._samples(place, name, source, messages)
+            logs, headers = [log for log, _, _ in found], [header for _, header, _ in found]
+            values = np.array([numbers for _, _, numbers in found], dtype=float)
+        else:
+            kept, values = self._numbers(place, connection, name, source, [message for _, message in messages])
+            logs = [messages[index][0] for index in kept]
+            headers = [getattr(messages[index][1], "header", None) for index in kept]
+        log = 1e-9 * np.array(logs, dtype=float)
+        time, remarks = self._clock(name, source, connection.topic, headers, log)
+        remarks += (*self._unread, *self._lost.get(connection.topic, ()))
+        return Series(place, time + source.delay, values, log, remarks)
+
+    def _chosen(self, wanted: tuple[SignalName, ...], connections: list[Connection]) -> list[Connection]:
+        self._connections = connections
+        chosen: dict[str, Connection] = {}
+        clocks: tuple[SignalName, ...] = ("position",) if wanted and "position" in self._mapping.signals else ()
+        for name in dict.fromkeys((*wanted, *clocks)):  # other signals are put on the clock of the joint states
+            try:
+                connection = self._connection(name, self._mapping.signals[name])
+            except MissingSignal:
+                continue  # the caller of series() decides whether it is needed
+            chosen[connection.topic] = connection
+        return list(chosen.values())
+
+    def _connection(self, name: SignalName, source: SignalSource) -> Connection:
+        """The topic of a signal."""
+        if source.topic is None or (source.field is None and name not in FIELDLESS):
+            raise MissingSignal(f"the mapping says no topic and field for {name}", file=self._path)
+        topic = self._names.fill(source.topic)
+        named = [c for c in self._connections if fnmatchcase(c.topic, topic)]
+        found = [c for c in named if source.type is None or c.msgtype == source.type]
+        expected = f"{name}: expected topic {topic}" + ("" if source.type is None else f" of type {source.type}")
+        if not self._connections:
+            raise MissingSignal(f"{expected}, the bag is empty", file=self._path)
+        if len(found) > 1:
+            filled = [c for c in found if c.msgcount > 0]
+            found = filled if len(filled) == 1 else found
+        if len(found) > 1:
+            topics = ", ".join(c.topic for c in found)
+            raise InputError(
+                f"{expected}, found several: {topics}; name one of them in a mapping file", file=self._path
+            )
+        if not found:
+            near = did_you_mean(topic, [c.topic for c in self._connections]) if not named else ""
+            shown = ", ".join(f"{c.topic} ({c.msgtype})" for c in (named or self._connections)[:5])
+            raise MissingSignal(f"{expected}, found {shown}{near}", file=self._path)
+        if found[0].msgcount == 0:
+            raise MissingSignal(f"{expected}, topic {found[0].topic} holds no message", file=self._path)
+        return found[0]
+
+    # ---- time -------------------------------------------------------------------------------------------------------
+
+    def _clock(
+        self, name: SignalName, source: SignalSource, topic: str, headers: list[Any], log: Array
+    ) -> tuple[Array, tuple[str, ...]]:
+        """Timestamps on the clock of the run, and warnings about them."""
+        clock = self._mapping.time.stamp
+        stamped = headers[0] is not None
+        if clock == "log" and source.stamp != "header":
+            return log, ()
+        if name == "position" and not stamped:
+            raise InputError(f"{topic}: messages have no header: set time.stamp to log in the mapping", file=self._path)
+        if clock == "header" and (source.stamp == "log" or not stamped):
+            shift, remark = self._log_after_stamp()
+            return log - shift, (
+                Remark(
+                    f"{topic}: log time, less ",
+                    Amount(1e3 * shift, ".1f"),
+                    " ms to be on the stamps' clock",
+                    remark,
+                ),
+            )
+        if not stamped:
+            raise InputError(f"{topic}: messages have no header, but signals.{name}.stamp asks for it", file=self._path)
+        stamps = _stamps(headers)
+        if not np.any(stamps):
+            raise InputError(
+                f"{topic}: no header is stamped (all are zero): set time.stamp to log in the mapping", file=self._path
+            )
+        if clock == "log":
+            return stamps + float(np.median(log - stamps)), ()
+        if "position" not in self._mapping.signals:  # no joint states to be late against
+            return stamps, ()
+        late = float(np.median(log - stamps)) - self._log_after_stamp()[0]
+        if name in WIDTH and not EXPECTED_LOG_DELAY_S[0] < late < EXPECTED_LOG_DELAY_S[1]:
+            return stamps, (
+                Remark(
+                    f"{topic}: logged ",
+                    Amount(1e3 * late, "+.1f"),
+                    " ms after joint states of the same stamp: a slow "
+                    f"tracker, or another clock? signals.{name}.delay corrects it",
+                ),
+            )
+        return stamps, ()
+
+    def _log_after_stamp(self) -> tuple[float, str]:
+        """Median log delay of the joint states [s], 0 without them, and a warning if it drifts."""
+        if "position" not in self._mapping.signals:
+            return 0.0, ""
+        if self._shift is None:
+            connection = self._connection("position", self._mapping.signals["position"])
+            messages = self._messages[connection.topic]
+            log = 1e-9 * np.array([log for log, _ in messages], dtype=float)
+            later = log - _stamps([message.header for _, message in messages])
+            tenth = max(1, later.size // 10)
+            drift = float(np.median(later[-tenth:]) - np.median(later[:tenth]))
+            drifts = Remark(" (which drifts by ", Amount(1e3 * drift, ".1f"), " ms during the run)")
+            remark = drifts if abs(drift) > MAX_STAMP_DRIFT_S else ""
+            self._shift = float(np.median(later)), remark
+        return self._shift
+
+    # ---- numbers ----------------------------------------------------------------------------------------------------
+
+    def _numbers(
+        self, place: str, connection: Connection, name: SignalName, source: SignalSource, messages: list[Any]
+    ) -> tuple[list[int], Array]:
+        """Indices of the messages with a signal, and its numbers ``(k, n)``, joints in the mapping's order."""
+        assert source.field is not None
+        orders: dict[tuple[str, ...], list[int] | None] = {}
+        kept: list[int] = []
+        rows: list[Array] = []
+        width, entries = self._mapping.width(name), source.entries
+        whole = None if entries is None else np.size(self._field(place, messages[0], source.field))
+        if entries is not None and whole is not None and 0 < whole < max(entries):
+            said = f"{place} has {whole} numbers, expected at least the {max(entries)} of entries"
+            raise InputError(said, file=self._path, key=f"signals.{name}.entries of the mapping")
+        for index, message in enumerate(messages):
+            row = self._field(place, message, source.field)
+            joints = () if source.names is None else tuple(self._field(place, message, source.names))
+            if joints not in orders:
+                nameless = list(range(width)) if entries is None else [entry - 1 for entry in entries]
+                orders[joints] = self._order(place, joints) if joints else nameless
+            order = orders[joints]
+            if order is None:  # another device on the same topic, a gripper for example
+                continue
+            if np.size(row) == 0 and not rows:
+                if name in ("position", "velocity", "torque"):
+                    raise InputError(f"{place} is empty; expected {width} numbers", file=self._path)
+                raise MissingSignal(f"{place} is empty; expected {width} numbers", file=self._path)
+            if np.size(row) != (len(joints) or whole or width):
+                expected = (
+                    f"{len(joints)} joint names, expected one each" if joints else f"{width} joints, expected one each"
+                )
+                if not joints and whole is not None:
+                    expected = f"the {whole} of the first message, expected as many in all"
+                elif not joints and np.size(row) > width:
+                    expected += f"; entries in the mapping says which of the {np.size(row)}"
+                raise InputError(f"{place}: message {index} has {np.size(row)} numbers for {expected}", file=self._path)
+            kept.append(index)
+            rows.append(np.asarray(row, dtype=float)[order])
+        if not rows:
+            seen = ", ".join(sorted({joint for joints in orders for joint in joints}))
+            raise InputError(f"{place}: joint {self._joints[0]} is missing; the messages name {seen}", file=self._path)
+        return kept, np.array(rows) * self._mapping.factor(name) + self._mapping.offset(name)
+
+    def _field(self, place: str, message: Any, path: str) -> Any:
+        """Value at a path of fields and indices, ``points.0.effort``."""
+        found = message
+        try:
+            for part in path.split("."):
+                found = found[int(part)] if part.isdigit() else getattr(found, part)
+        except (AttributeError, IndexError, TypeError):
+            fields = [field for field in vars(message) if not field.startswith("__")]
+            raise InputError(
+                f"{place}: {message.__msgtype__} has no such field{did_you_mean(path, fields)}; it has: "
+                f"{', '.join(fields)}",
+                file=self._path,
+            ) from None
+        return found
+
+    def _order(self, place: str, names: tuple[str, ...]) -> list[int] | None:
+        """Indices of the mapping's joints among the names of a message; None if it names no such joint."""
+        found = [[i for i, name in enumerate(names) if fnmatchcase(name, joint)] for joint in self._joints]
+        if not any(found):
+            return None
+        if any(
+            len(each) > 1 for each in found
+        ):  # finger_joint1 besides joint1: what * stands for must be common to all
+            prefixes = [
+                {_stands_for(joint, names[i]) for i in each} for joint, each in zip(self._joints, found, strict=True)
+            ]
+            common = set.intersection(*prefixes)
+            if len(common) == 1:
+                found = [
+                    [i for i in each if _stands_for(joint, names[i]) in common]
+                    for joint, each in zip(self._joints, found, strict=True)
+                ]
+        for joint, each in zip(self._joints, found, strict=True):
+            if len(each) != 1:
+                what = "is missing" if not each else "fits several joints"
+                raise InputError(
+                    f"{place}: joint {joint} {what}; the message names {', '.join(names)}", file=self._path
+                )
+        return [each[0] for each in found]
+
+    def _samples(
+        self, place: str, name: SignalName, source: SignalSource, messages: list[tuple[int, Any]]
+    ) -> list[tuple[int, Any, list[float]]]:
+        """Log time [ns], header and numbers of every pose, wrench or acceleration."""
+        if name == "object_pose" and source.field is None and hasattr(messages[0][1], "transforms"):
+            child = self._child(place, source, [message for _, message in messages])
+            return [
+                (log, transform.header, self._pose(place, transform))
+                for log, message in messages
+                for transform in message.transforms
+                if transform.child_frame_id == child
+            ]
+        read = {"object_pose": self._pose, "wrench": self._wrench, "acceleration": self._acceleration}[name]
+        found = []
+        for log, message in messages:
+            holder = message if source.field is None else self._field(place, message, source.field)
+            numbers = read(place, holder)
+            found.append((log, getattr(message, "header", None), numbers))
+        return found
+
+    def _child(self, place: str, source: SignalSource, messages: list[Any]) -> str:
+        """The one child frame of transforms that the mapping selects."""
+        children = sorted({transform.child_frame_id for message in messages for transform in message.transforms})
+        wanted = self._names.fill(source.child_frame or "*")
+        chosen = [child for child in children if fnmatchcase(child, wanted)]
+        if not chosen:
+            near = did_you_mean(wanted, children)
+            raise MissingSignal(
+                f"{place}: no child_frame_id {wanted}{near}; found: {', '.join(children)}", file=self._path
+            )
+        if len(chosen) > 1:
+            raise InputError(
+                f"{place}: {', '.join(chosen)} all fit child_frame {wanted}; name one of them in a mapping file",
+                file=self._path,
+            )
+        return chosen[0]
+
+    def _wrench(self, place: str, holder: Any) -> list[float]:
+        """Force and torque of a Wrench or WrenchStamped."""
+        holder = getattr(holder, "wrench", holder)
+        if not (hasattr(holder, "force") and hasattr(holder, "torque")):
+            raise InputError(f"{place}: expected a WrenchStamped, or a field that holds a wrench", file=self._path)
+        factor = float(self._mapping.factor("wrench"))
+        return [factor * number for number in (*_xyz(holder.force), *_xyz(holder.torque))]
+
+    def _acceleration(self, place: str, holder: Any) -> list[float]:
+        """Linear acceleration of an Imu or AccelStamped, or of a field that holds it."""
+        holder = getattr(holder, "accel", holder)
+        holder = getattr(holder, "linear_acceleration", getattr(holder, "linear", holder))
+        if not all(hasattr(holder, axis) for axis in "xyz"):
+            raise InputError(f"{place}: expected an Imu, an AccelStamped, or a field x, y, z", file=self._path)
+        factor = float(self._mapping.factor("acceleration"))
+        return [factor * number for number in _xyz(holder)]
+
+    def _pose(self, place: str, holder: Any) -> list[float]:
+        """Position and quaternion, x y z w, of a pose or transform, however deep it lies."""
+        scale = float(self._mapping.factor("object_pose"))
+        for _ in range(3):  # PoseWithCovarianceStamped and Odometry hold a pose in a pose
+            for position, orientation in POSE_PARTS:
+                if hasattr(holder, position) and hasattr(holder, orientation):
+                    quaternion = getattr(holder, orientation)
+                    numbers = [scale * number for number in _xyz(getattr(holder, position))]
+                    return [*numbers, *_xyz(quaternion), float(quaternion.w)]
+            holder = getattr(holder, "pose", getattr(holder, "transform", holder))
+        raise InputError(
+            f"{place}: expected a PoseStamped, TransformStamped, TFMessage or Odometry, or a field that holds a pose",
+            file=self._path,
+        )
+
+
+def _check_pages(path: Path) -> None:
+    """Refuse a truncated SQLite file by the page count in its header; SQLite itself reads the rest without an error."""
+    for file in sorted(path.glob("*.db3")) if path.is_dir() else [path]:
+        if file.suffix != ".db3":
+            continue
+        with file.open("rb") as opened:
+            head = opened.read(100)
+        if not head.startswith(b"SQLite format 3\0") or head[24:28] != head[92:96]:  # no such file, or an old count
+            continue
+        size, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
+        size = 65536 if size == 1 else size
+        if file.stat().st_size < size * pages:
+            said = f"cut off: {file.stat().st_size} bytes are left of {size * pages}, expected the whole file"
+            raise InputError(said, file=file)
+
+
+def _files_beside(path: Path, reader: Reader | Ros1Reader) -> tuple[str, ...]:
+    """A warning about message files in the folder of a bag that its metadata do not name."""
+    if not path.is_dir():
+        return ()
+    storage = getattr(reader, "storage", None)
+    named = {Path(str(one.path)).name for one in getattr(storage, "storages", ())}
+    others = sorted(
+        file.name for file in path.iterdir() if {file.name, file.stem}.isdisjoint(named) and file.suffix in STORED
+    )
+    return (f"not read, for metadata.yaml does not name them: {', '.join(others)}",) if others else ()
+
+
+def _stamps(headers: list[Any]) -> Array:
+    return np.array([header.stamp.sec + 1e-9 * header.stamp.nanosec for header in headers], dtype=float)
+
+
+def _xyz(vector: Any) -> list[float]:
+    return [float(vector.x), float(vector.y), float(vector.z)]
+
+
+def _stands_for(pattern: str, name: str) -> str:
+    """Text of the first ``*`` of a pattern in a matching name."""
+    before, _, after = pattern.partition("*")
+    return name[len(before) : len(name) - len(after)]

@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Detection of clocks and poses in raw numbers, each with its evidence.
+
+    clock     the column that increases and gives a sampling rate of 1 Hz to 100 kHz in its unit
+    pose      a unit quaternion and three numbers within reach
+
+Roles of the joints' streams are found by their likelihood (:mod:`hypotheses`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping as AbstractMapping
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rs_sim.robots.robot import Array, RobotFacts
+from impact_rs_trials.recordings.file_units import UNITS
+from impact_rs_trials.recordings.readers.clock import seconds_of
+from impact_rs_trials.recordings.readers.clock_steps import MAX_STEPS_BACK
+from impact_rs_trials.recordings.readers.table_file import DATE
+from impact_rs_trials.recordings.relations import (
+    MIN_AVERAGED_SAMPLES,
+    MIN_CORRELATION_OF_COLUMNS,
+    SAME_UNIT_FACTORS,
+    AveragedMotion,
+    averaged,
+)
+
+STAMP = re.compile(r"(^|[^a-z])(t|time|times|timestamp|stamp|sec|secs|nsec)([^a-z]|$)|time|stamp", re.IGNORECASE)
+NANOSECONDS = re.compile(r"nano|n_?sec|(^|[^a-z])ns([^a-z]|$)", re.IGNORECASE)
+STAMP_UNITS = ("s", "ms", "us", "ns")
+RATES_HZ = (1.0, 1e5)  # of a recording: lowest and highest
+MIN_RANGE_SHARE = 1e-3  # of a joint's range, travelled by a joint that moves; encoders and sag make less
+MAX_SHOWN_STEPS = 3  # backwards in time, in a message
+OUTLIERS = np.errstate(over="ignore", invalid="ignore")  # may be of any size; what they spoil fits nothing
+MAX_NORM_ERROR = 0.02  # of a quaternion of length 1
+MIN_TURN = 0.1  # travelled by two numbers of the quaternion of a body that turns
+MAX_DISTANCE_M = 20.0  # of an object; a position beyond it is in millimetres
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A value of a key, with its evidence.
+
+    Attributes:
+        value: The value.
+        evidence: Evidence in words.
+        sure: Whether there is evidence; else the value is assumed.
+        further: Further keys of the same section with their values.
+        remarks: Warnings to the user.
+    """
+
+    value: Any
+    evidence: str
+    sure: bool = True
+    further: AbstractMapping[str, Any] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+
+
+def clock_of(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> Guess | None:
+    """The column of timestamps, with its unit, or the columns of whole seconds and nanoseconds; None: not found."""
+    columns = {
+        name: cells for name, cells in columns.items() if not (isinstance(cells, np.ndarray) and np.iscomplexobj(cells))
+    }
+    pair = _clock_of_two(columns)
+    for allowed in (0, MAX_STEPS_BACK):  # a clock that was set back if there is no other
+        found: list[tuple[float, str, Guess]] = []
+        for place, (name, cells) in enumerate(columns.items()):
+            guess = _clock(name, cells, allowed)
+            if guess is not None:
+                found.append((2.0 * bool(STAMP.search(name)) - 0.01 * place, name, guess))
+        if pair or found:
+            return pair or max(found)[2]
+    return None
+
+
+def steps_back(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> str | None:
+    """Warning about a column with the name of a clock that steps backwards; None: there is no such column."""
+    for name, cells in columns.items():
+        try:
+            stamps = np.asarray(cells, dtype=float) if STAMP.search(name) else np.zeros(0)
+        except (ValueError, TypeError):
+            continue
+        steps = np.diff(stamps)
+        if stamps.ndim != 1 or stamps.size < 3 or not np.isfinite(stamps).all() or not 0.0 < np.mean(steps < 0.0) < 0.5:
+            continue
+        rows = np.flatnonzero(steps < 0.0) + 1
+        listed = [
+            f"from {stamps[row - 1]:.10g} to {stamps[row]:.10g} at sample {row + 1}" for row in rows[:MAX_SHOWN_STEPS]
+        ]
+        more = f" and {rows.size - MAX_SHOWN_STEPS} times more" if rows.size > MAX_SHOWN_STEPS else ""
+        return f"{name!r} steps back {', '.join(listed)}{more}: the clock was set, or rows are not in order"
+    return None
+
+
+def _clock_of_two(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> Guess | None:
+    """Whole seconds that stay for many samples, and nanoseconds that begin anew with each second."""
+    whole = {name: stamps for name, cells in columns.items() if (stamps := _whole(cells)) is not None}
+    for name, rest in whole.items():
+        if not (NANOSECONDS.search(name) and rest.max() < 10**9):
+            continue
+        for other, seconds in whole.items():
+            if other == name or np.any(np.diff(seconds) < 0) or seconds[-1] >= 5e9:
+                continue
+            steps = np.diff(seconds * 10**9 + rest)
+            usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else np.inf
+            if np.all(steps >= 0) and RATES_HZ[0] <= 1e9 / usual <= RATES_HZ[1]:
+                said = f"whole seconds and nanoseconds; together they increase, at {1e9 / usual:.4g} Hz"
+                repeats = int(np.sum(steps == 0))
+                remarks = (f"{repeats} of {rest.size} stamps repeat the one before",) if repeats else ()
+                return Guess([other, name], said, True, {"unit": "s"}, remarks)
+    return None
+
+
+def _whole(cells: Sequence[str] | NDArray[Any]) -> NDArray[np.int64] | None:
+    """A column of non-negative integers; None: it holds other numbers."""
+    try:
+        numbers = np.asarray(cells, dtype=float)
+    except (ValueError, TypeError):
+        return None
+    if numbers.ndim != 1 or numbers.size < 3 or not np.isfinite(numbers).all() or numbers.min() < 0.0:
+        return None
+    return numbers.astype(np.int64) if numbers.max() < 5e9 and not np.any(np.mod(numbers, 1.0)) else None
+
+
+def _clock(name: str, cells: Sequence[str] | NDArray[Any], steps_back: int) -> Guess | None:
+    """A column of timestamps that steps back ``steps_back`` times at most; None: it is none."""
+    if isinstance(cells, list) and cells and all(DATE.fullmatch(cell.strip()) for cell in cells):
+        return Guess(name, "holds dates", further={"unit": "date"})
+    try:
+        stamps = np.asarray(cells, dtype=float)
+    except (ValueError, TypeError):
+        return None
+    if stamps.ndim != 1 or stamps.size < 3 or not np.isfinite(stamps).all():
+        return None
+    steps = np.diff(stamps)
+    if np.count_nonzero(steps < 0.0) > steps_back * bool(STAMP.search(name)):
+        return None
+    usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
+    if usual == 0.0 or float(np.mean(np.abs(steps[steps > 0.0] / usual - 1.0) < 0.9)) < 0.5:
+        return None
+    units = [unit for unit in STAMP_UNITS if _plausible(unit, stamps, usual)]
+    named = [unit for unit in units if re.search(rf"(^|[^a-z]){unit}([^a-z]|$)", name, re.IGNORECASE)]
+    if not units:
+        return None
+    unit = (named or units)[0]
+    rate = 1.0 / (usual * UNITS["time"][unit])
+    backwards = np.count_nonzero(steps < 0.0)
+    said = f"increases{f', {backwards} steps back aside' if backwards else ''}; in {unit} that is {rate:.4g} Hz"
+    if stamps[0] * UNITS["time"][unit] > 1e8:
+        said += f", from {_year(stamps[0] * UNITS['time'][unit])} on"
+    repeats = int(np.sum(steps == 0.0))
+    remarks = (f"{repeats} of {stamps.size} stamps repeat the one before",) if repeats else ()
+    return Guess(name, said, bool(named or len(units) == 1), {"unit": unit}, remarks)
+
+
+def other_units(clock: Guess, stamps: Array) -> list[str]:
+    """Units that fit the timestamps as well as the assumed one; empty if there is evidence for the unit.
+
+    Args:
+        clock: Result of :func:`clock_of`.
+        stamps: Its column, ``(k,)``.
+    """
+    steps = np.diff(stamps)
+    usual = float(np.median(steps[steps > 0.0]))
+    others = [] if clock.sure else [unit for unit in STAMP_UNITS if unit != clock.further["unit"]]
+    return [unit for unit in others if _plausible(unit, stamps, usual)]
+
+
+def _plausible(unit: str, stamps: Array, step: float) -> bool:
+    """Whether timestamps in a unit give a plausible sampling rate and year."""
+    seconds = UNITS["time"][unit]
+    start = float(seconds_of(stamps[:1], seconds)[0])
+    return RATES_HZ[0] <= 1.0 / (step * seconds) <= RATES_HZ[1] and start < 5e9
+
+
+def _year(seconds: float) -> str:
+    return str(np.datetime64(int(seconds), "s").astype("datetime64[Y]"))
+
+
+def at_rest(time: Array, position: Array, facts: RobotFacts) -> str | None:
+    """Warning that no joint moves, so that units, signs, inertia and friction remain unknown; None: some joint moves.
+
+    Args:
+        time: Stamps, ``(k,)`` [s].
+        position: q, ``(k, n)`` [rad].
+        facts: Facts with the ranges of the joints.
+    """
+    if time.size < 2 * MIN_AVERAGED_SAMPLES:
+        return None
+    ranges = np.array(facts.limits.position_max_rad) - np.array(facts.limits.position_min_rad)
+    moved = np.ptp(averaged(time, position)[1], axis=0)
+    if np.any(moved > MIN_RANGE_SHARE * ranges):
+        return None
+    joint = int(np.argmax(moved / ranges))
+    unit = facts.units[joint].position
+    return (
+        f"no motion, nothing to identify: joint {joint + 1} moves most, by {moved[joint]:.2g} {unit} in "
+        f"{time[-1] - time[0]:.3g} s, expected at least {MIN_RANGE_SHARE * ranges[joint]:.2g} {unit}"
+    )
+
+
+@OUTLIERS
+def are_derivatives(time: Array, values: Array, raw: Array) -> NDArray[np.bool_]:
+    """Which columns of signals ``(k, c)`` are the derivatives of the same columns of ``values``, ``(c,)``."""
+    found = AveragedMotion.of(time, values).velocity_relation(time, raw)
+    one_unit = (found.factor > SAME_UNIT_FACTORS[0]) & (found.factor < SAME_UNIT_FACTORS[1])
+    return np.asarray(one_unit & (found.correlation > MIN_CORRELATION_OF_COLUMNS))
+
+
+def pose_of(raw: Array) -> Guess | None:
+    """Unit and quaternion order of poses ``(k, 7)``; None: they hold no unit quaternion."""
+    place, quaternion = raw[:, :3], raw[:, 3:]
+    order = quaternion_order(quaternion)
+    if order is None:
+        return None
+    length = unit_of_length(place)
+    further = {} if order.value == "xyzw" else {"quaternion_order": order.value}
+    return Guess(length.value, f"{length.evidence}; {order.evidence}", order.sure, further)
+
+
+def unit_of_length(place: Array) -> Guess:
+    """Unit of positions ``(k, 3)`` of an object near a robot."""
+    largest = float(np.nanmax(np.abs(place)))
+    unit = "mm" if largest > MAX_DISTANCE_M else "m"
+    return Guess(unit, f"up to {largest:.3g} from the origin, which is a position near a robot in {unit}")
+
+
+def holds_a_turn(raw: Array) -> bool:
+    """Whether four neighbouring numbers of a stream ``(k, n)`` are the unit quaternion of a body that turns."""
+    for first in range(raw.shape[1] - 3):
+        four = raw[:, first : first + 4]
+        if np.sum(np.ptp(four, axis=0) > MIN_TURN) > 1 and quaternion_order(four) is not None:
+            return True
+    return False
+
+
+def quaternion_order(quaternion: Array) -> Guess | None:
+    """Order of unit quaternions ``(k, 4)``; None: their length is not 1."""
+    seen = quaternion[np.isfinite(quaternion).all(axis=1)]
+    if not len(seen) or not np.all(np.abs(np.linalg.norm(seen, axis=1) - 1.0) < MAX_NORM_ERROR):
+        return None
+    middle = np.abs(np.median(seen, axis=0))
+    if middle[0] > 0.9 or middle[3] > 0.9:
+        order = "xyzw" if middle[3] > middle[0] else "wxyz"
+        which = "last" if order == "xyzw" else "first"
+        return Guess(order, f"the {which} number of the unit quaternion is near 1, as w of a body that hardly turns")
+    return Guess("xyzw", "nothing shows which number of the unit quaternion is w; taken as x y z w", False)

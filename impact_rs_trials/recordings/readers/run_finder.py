@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Search for recordings and runs.
+
+A *recording* is a file or the folder of a bag (:func:`find_recordings`). A *run* is one experiment. A mapping describes
+how recordings contain runs (:func:`find_runs`):
+
+    hit_1.csv, hit_2.mcap/                  a recording is a run
+    recordings.h5/Rec_001, log.csv/3        a recording holds several (:mod:`inner_runs`), called as files in a folder
+    run_1/joints.csv, run_1/pose.csv        a run is a folder with the files that the mapping names
+    joints_1.csv, pose_1.csv                a run is the name that replaces ``{run}`` in them
+
+A table of runs names them (:func:`find_run`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_trials.file_names import BAG_METADATA, RUN_TABLE
+from impact_rs_trials.recordings.mapping import Mapping
+from impact_rs_trials.recordings.readers.array_file import ArrayFile
+from impact_rs_trials.recordings.readers.inner_runs import RUN
+from impact_rs_trials.recordings.readers.table_columns import run_names
+
+ROS1_SUFFIX = ".bag"
+BAG_SUFFIXES = (".db3", ".mcap", ROS1_SUFFIX)
+NOTE_SUFFIXES = (".txt", ".dat")  # of tables that are read where they are named; others of a folder may be notes
+TABLE_SUFFIXES = (".csv", ".tsv", ".parquet", ".npy", *NOTE_SUFFIXES)
+ARRAY_SUFFIXES = (".npz", ".h5", ".hdf5", ".mat")
+FILE_SUFFIXES = (*BAG_SUFFIXES, *TABLE_SUFFIXES, *ARRAY_SUFFIXES)
+SEARCHED_SUFFIXES = tuple(suffix for suffix in FILE_SUFFIXES if suffix not in NOTE_SUFFIXES)
+PLACEHOLDERS = ("run", "object", "arm")  # of names of files in a mapping
+
+
+def natural_key(name: str | Path) -> list[tuple[bool, int, str]]:
+    """Natural sort key: run 9 comes before run 10."""
+    parts = re.split(r"(\d+)", str(name))
+    return [(part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts]
+
+
+def is_bag_folder(path: Path) -> bool:
+    """Whether a folder is a bag."""
+    return (path / BAG_METADATA).is_file()
+
+
+def name_of(path: Path) -> str:
+    """Name of a run, without the ending of a file."""
+    return path.stem if path.suffix in FILE_SUFFIXES and not path.is_dir() else path.name
+
+
+def find_recordings(path: Path, notes: bool = False) -> list[Path]:
+    """The recording at ``path``, or all recordings below a folder but for tables of runs, sorted by path.
+
+    Args:
+        path: File or folder.
+        notes: Whether texts are recordings, too, where a folder has no others.
+
+    Raises:
+        InputError: There is nothing here that can be read.
+    """
+    if path.is_file():
+        if path.suffix not in FILE_SUFFIXES:
+            raise InputError(f"expected a recording ({', '.join(FILE_SUFFIXES)}), or a folder of them", file=path)
+        return [path]
+    if not path.is_dir():
+        raise InputError("no such file or folder", file=path)
+    if is_bag_folder(path):
+        return [path]
+    bags = {file.parent for file in path.rglob(BAG_METADATA)}
+    files = {
+        file
+        for file in path.rglob("*")
+        if file.suffix in FILE_SUFFIXES and file.name != RUN_TABLE and file.parent not in bags and file.is_file()
+    }
+    searched = {file for file in files if file.suffix in SEARCHED_SUFFIXES}
+    found = bags | (searched if searched or bags or not notes else files)
+    if not found:
+        expected = f"{', '.join(FILE_SUFFIXES if notes else SEARCHED_SUFFIXES)} or the folder of a bag"
+        raise InputError(f"no recording here; expected {expected}", file=path)
+    return sorted(found)
+
+
+def find_runs(path: Path, mapping: Mapping) -> list[Path]:
+    """The runs at a path.
+
+    Args:
+        path: A recording, a run inside of it, the name of a run in files of its name, or a folder of any of these.
+        mapping: Describes how recordings contain runs.
+
+    Raises:
+        InputError: No run is found, or a recording cannot be read.
+    """
+    patterns = _file_patterns(mapping)
+    if path.is_dir() and None not in patterns:
+        found = _spread_below(path, mapping) if mapping.spread else _run_folders(path, mapping)
+        if not found:
+            files = ", ".join(sorted(map(str, patterns)))
+            raise InputError(
+                f"no run here has the files that signals.NAME.file of the mapping names: {files}", file=path
+            )
+        return found
+    if mapping.spread and path.parent.is_dir() and not path.exists():
+        if path not in (beside := _spread_runs(path.parent, mapping)):
+            listed = ", ".join(run.name for run in beside) or "none"
+            raise InputError(f"no run of this name; those that signals.NAME.file finds here: {listed}", file=path)
+        return [path]
+    if not mapping.holds_runs:
+        return find_recordings(path)
+    recordings = [] if path.parent.is_file() else find_recordings(path)
+    return [run for file in recordings for run in _runs_inside(file, mapping)] or [path]
+
+
+def find_run(folder: Path, name: str, mappings: Sequence[Mapping]) -> Path:
+    """Find a run of a table of runs: a recording, with or without its ending, or a run of :func:`find_runs`.
+
+    Args:
+        folder: Folder of the recordings.
+        name: Its name or path, relative to the folder.
+        mappings: Of all arms.
+
+    Raises:
+        InputError: No run or several runs have this name.
+    """
+    if not name:
+        raise InputError("expected the name of a recording")
+    path = folder / name
+    if all(mapping.spread for mapping in mappings):
+        runs = _spread_runs(path.parent, mappings[0]) if path.parent.is_dir() else []
+        if path in runs:
+            return path
+        files = ", ".join(sorted({str(file) for mapping in mappings for file in _file_patterns(mapping)}))
+        near = did_you_mean(path.name, [run.name for run in runs])
+        raise InputError(f"no such run among the files {files} in {path.parent}{near}")
+    try:
+        if path.exists() or path.parent.is_file() and any(mapping.holds_runs for mapping in mappings):
+            return path
+    except (OSError, ValueError):  # a name that no file can have
+        raise InputError("expected the name of a recording") from None
+    endings = [path.with_name(path.name + suffix) for suffix in FILE_SUFFIXES]
+    found = [file for file in endings if file.is_file()]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise InputError(f"{', '.join(file.name for file in found)} are all there; name one of them")
+    others = [item.name for item in path.parent.iterdir()] if path.parent.is_dir() else []
+    others += [Path(item).stem for item in others]
+    raise InputError(f"no such recording in {path.parent}{did_you_mean(path.name, others)}")
+
+
+def _file_patterns(mapping: Mapping) -> set[str | None]:
+    """File patterns of the signals of a mapping; None: the run's own file."""
+    return {source.file for source in mapping.signals.values()}
+
+
+def _spread_below(folder: Path, mapping: Mapping) -> list[Path]:
+    """Runs of :func:`_spread_runs` in a folder, and in those below it, each a session."""
+    below = sorted((one for one in folder.rglob("*") if one.is_dir()), key=natural_key)
+    return [run for place in (folder, *below) for run in _spread_runs(place, mapping)]
+
+
+def _spread_runs(folder: Path, mapping: Mapping) -> list[Path]:
+    """Runs whose signals lie in several files of a folder, each with the run's name, in natural order."""
+    runs = set()
+    for pattern in filter(None, _file_patterns(mapping)):
+        expression = re.escape(pattern)
+        for part in PLACEHOLDERS:
+            expression = _with_group(expression, re.escape(f"{{{part}}}"), part)
+        runs |= {found["run"] for file in folder.iterdir() if (found := re.fullmatch(expression, file.name))}
+    return [folder / run for run in sorted(runs, key=natural_key)]
+
+
+def _run_folders(folder: Path, mapping: Mapping) -> list[Path]:
+    """Folders of one run each, with the files that the signals of a mapping lie in: this folder, or those below."""
+    files = sorted(filter(None, _file_patterns(mapping)))
+    found = {place.parent for place in folder.rglob(Path(files[0]).name)}
+    return sorted((one for one in found if all((one / file).is_file() for file in files)), key=natural_key)
+
+
+def _runs_inside(file: Path, mapping: Mapping) -> list[Path]:
+    """Runs inside a file (:mod:`inner_runs`), each named as a file in a folder; the file itself if it is one run."""
+    if mapping.run_column is not None and file.suffix in TABLE_SUFFIXES:
+        named = dict.fromkeys(run_names(file, mapping.table, mapping.run_column))
+        if strange := [run for run in named if "/" in run or run in ("", ".", "..")]:
+            said = "expected the name of a run in every row, without /"
+            raise InputError(said, file=file, key=f"column {mapping.run_column}", value=strange[0])
+        return [file / run for run in named]
+    arrays = {source.array for source in mapping.signals.values() if source.array is not None and RUN in source.array}
+    if not arrays or file.suffix not in ARRAY_SUFFIXES:
+        return [file]
+    found: set[str] = set()
+    names = ArrayFile.names_of(file)
+    for array in arrays:
+        expression = _with_group(re.escape(array.strip("/")), re.escape(RUN), "run")
+        found |= {match["run"] for name in names if (match := re.fullmatch(expression, name))}
+    return [file / run for run in sorted(found, key=natural_key)] if found - {file.stem} else [file]
+
+
+def _with_group(expression: str, placeholder: str, name: str) -> str:
+    """A regular expression with a placeholder as a group of any text without a slash, equal at all positions."""
+    once = expression.replace(placeholder, f"(?P<{name}>[^/]+)", 1)
+    return once.replace(placeholder, f"(?P={name})")

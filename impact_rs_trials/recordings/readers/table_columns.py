@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Columns of a table by name: CSV and other text, Parquet, NPY.
+
+Columns without names are ``c1``, ``c2`` and so on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.optional_packages import require
+from impact_rs_trials.recordings.mapping import TableLayout
+from impact_rs_trials.recordings.readers.csv_rows import csv_rows
+from impact_rs_trials.recordings.readers.inner_runs import runs_of
+from impact_rs_trials.recordings.readers.read_once import once
+
+Cells = dict[str, list[str] | NDArray[Any]]
+
+MAX_SHOWN_RUNS = 8  # in a message
+DEFAULT_LAYOUT = TableLayout()
+MAX_TORN_SHARE = 0.1  # of the lines; with more, the header is that of another table
+TRAILING = "; the names of the columns may stand in another line: table.header in the mapping says in which"
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Columns of a table.
+
+    Attributes:
+        cells: Texts or numbers by name of a column.
+        lines: Line of every row in a text file; empty: not a text file.
+        dates: Columns that hold dates, as nanoseconds since 1970.
+        remarks: Warnings about reading it.
+        header: Line of the names in a text file; 0: no names.
+    """
+
+    cells: Mapping[str, list[str] | NDArray[Any]]
+    lines: tuple[int, ...] = ()
+    dates: frozenset[str] = frozenset()
+    remarks: tuple[str, ...] = ()
+    header: int = 0
+
+    def in_rows(self, rows: NDArray[np.signedinteger]) -> Columns:
+        """Some of the rows."""
+        cells: dict[str, list[str] | NDArray[Any]] = {
+            name: own[rows] if isinstance(own, np.ndarray) else [own[row] for row in rows]
+            for name, own in self.cells.items()
+        }
+        return replace(self, cells=cells, lines=tuple(self.lines[row] for row in rows) if self.lines else ())
+
+
+@once
+def read_columns(path: Path, layout: TableLayout = DEFAULT_LAYOUT, recorded: bool = True) -> Columns:
+    """The columns of a table.
+
+    Args:
+        path: The file.
+        layout: Where a text has its names and rows.
+        recorded: Whether it was recorded sample by sample: its last line may be cut off, and it has at least one row.
+            Every line of other tables has as many cells as the header, and they may lack rows, or a header.
+
+    Raises:
+        InputError: It cannot be read, a line has another number of cells, or two columns share a name.
+    """
+    if path.suffix == ".parquet":
+        return _of_parquet(path)
+    return _of_npy(path) if path.suffix == ".npy" else _of_text(path, layout, recorded)
+
+
+def read_rows(path: Path, layout: TableLayout, column: str, run: str) -> Columns:
+    """The columns of a table in the rows of one run.
+
+    Args:
+        path: The file.
+        layout: Where a text has its names and rows.
+        column: Column with the run of each row.
+        run: The run.
+
+    Raises:
+        InputError: It cannot be read, or has no such column or run.
+    """
+    every = run_names(path, layout, column)
+    rows = np.flatnonzero([name == run for name in every])
+    if not rows.size:
+        known = list(dict.fromkeys(every))
+        listed = ", ".join(known[:MAX_SHOWN_RUNS]) + (" ..." if len(known) > MAX_SHOWN_RUNS else "")
+        raise InputError(f"no row is of run {run!r}{did_you_mean(run, known)}; found: {listed}", file=path, key=column)
+    if path.suffix == ".parquet":
+        return _of_parquet(path, (int(rows[0]), int(rows[-1]) + 1)).in_rows(rows - rows[0])
+    return read_columns(path, layout).in_rows(rows)
+
+
+def run_names(path: Path, layout: TableLayout, column: str) -> list[str]:
+    """Name of the run of every row.
+
+    Raises:
+        InputError: The file cannot be read, or has no such column.
+    """
+    columns = _of_parquet(path, names=[column]) if path.suffix == ".parquet" else read_columns(path, layout)
+    if column not in columns.cells:
+        found = ", ".join(columns.cells)
+        said = f"no column {column!r}{did_you_mean(column, columns.cells)}; found: {found}"
+        raise InputError(said, file=path, key="run_column of the mapping")
+    return runs_of(columns.cells[column])
+
+
+def _of_text(path: Path, layout: TableLayout, recorded: bool) -> Columns:
+    rows = csv_rows(path, layout.header, layout.first, layout.decimal)
+    if layout.header == 0 and rows:
+        rows.insert(0, (0, [f"c{number}" for number in range(1, len(rows[0][1]) + 1)]))
+    if recorded and len(rows) < 2:
+        raise InputError("expected a line of column names and lines of numbers", file=path)
+    if not rows:
+        return Columns({})
+    (at, names), *rows = rows
+    what = "numbers" if recorded else "cells"
+    header, remarks = [name.strip() for name in names], []
+    if recorded and len(rows) > 1 and len(rows[-1][1]) < len(header) and not path.read_bytes().endswith(b"\n"):
+        number, row = rows.pop()
+        said = f"line {number}, the last, is cut off ({len(row)} of {len(header)} numbers): left out"
+        remarks.append(f"{path.name}: {said}")
+    torn = []
+    for place, (number, row) in enumerate(rows):
+        if len(row) == len(header) + 1 and not row[-1].strip():  # a separator at the end of the line
+            rows[place] = number, row[:-1]
+        elif len(row) != len(header):
+            torn.append(place)
+    if torn:
+        number, row = rows[torn[0]]
+        said = f"line {number}: {len(row)} {what}, expected {len(header)} as in line {at or rows[0][0]}"
+        if not recorded or len(torn) > MAX_TORN_SHARE * len(rows):
+            raise InputError(f"{said}{TRAILING if recorded else ''}", file=path)
+        share = f"{len(torn)} of {len(rows)} lines are torn ({100.0 * len(torn) / len(rows):.2g} %)"
+        remarks.append(f"{path.name}: {share}, the first in {said}: left out")
+        rows = [row for place, row in enumerate(rows) if place not in set(torn)]
+    lines = tuple(number for number, _ in rows)
+    columns = [list(cells) for cells in zip(*(row for _, row in rows), strict=True)] or [[] for _ in header]
+    cells: Cells = dict(zip(header, columns, strict=True))
+    return Columns(_each_once(path, header, cells), lines, remarks=tuple(remarks), header=at)
+
+
+def _each_once(path: Path, names: Sequence[str], cells: Cells) -> Cells:
+    """Columns of a file, whose names are different."""
+    if len(cells) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"column {twice!r} appears twice", file=path)
+    return cells
+
+
+def _of_npy(path: Path) -> Columns:
+    try:
+        array = np.load(path, allow_pickle=False)
+    except Exception as error:  # a damaged file can fail anywhere inside the library
+        raise InputError(f"not a readable NPY file ({(str(error).splitlines() or [''])[0]})", file=path) from None
+    if not isinstance(array, np.ndarray):
+        raise InputError("several arrays where one is expected; is it an .npz file?", file=path)
+    if array.size == 0:
+        raise InputError(f"an array of {array.shape} has no sample", file=path)
+    if array.dtype.names is not None and array.ndim == 1:
+        cells = {name: array[name] for name in array.dtype.names}
+    elif array.ndim in (1, 2):
+        columns = array.reshape(len(array), -1).T
+        cells = {f"c{number}": column for number, column in enumerate(columns, start=1)}
+    else:
+        raise InputError(f"an array of {array.shape}, expected samples x columns", file=path)
+    for name, column in cells.items():
+        if column.dtype.kind not in "iuf" or column.ndim != 1:
+            said = f"column {name!r} holds {column.dtype} {column.shape}, expected real numbers, one a sample"
+            raise InputError(said, file=path)
+    return Columns(cells)
+
+
+def _of_parquet(path: Path, rows: tuple[int, int] | None = None, names: list[str] | None = None) -> Columns:
+    """Read selected columns and a row range (default: all)."""
+    require("pyarrow", path)
+    import pyarrow
+    import pyarrow.parquet
+
+    try:
+        if names is not None:
+            names = [name for name in names if name in pyarrow.parquet.read_schema(path).names] or None
+        table = pyarrow.parquet.read_table(path, columns=names)
+        table = table if rows is None else table.slice(rows[0], rows[1] - rows[0])
+        names = [str(name) for name in table.column_names]
+    except Exception as error:  # a damaged file can fail anywhere inside the library
+        text = (str(error).splitlines() or [""])[0]
+        raise InputError(f"not a readable Parquet file ({type(error).__name__}: {text})", file=path) from None
+    cells: Cells = {}
+    dates = set()
+    for name, column in zip(names, table.columns, strict=True):
+        if pyarrow.types.is_timestamp(column.type):
+            try:
+                nanoseconds = column.cast(pyarrow.timestamp("ns")).cast(pyarrow.int64())
+            except pyarrow.ArrowInvalid:
+                said = f"column {name!r} has a stamp outside the years 1678 to 2262, which 64 bits of nanoseconds hold"
+                raise InputError(said, file=path) from None
+            cells[name] = nanoseconds.to_numpy(zero_copy_only=False)
+            dates.add(name)
+        elif pyarrow.types.is_integer(column.type) or pyarrow.types.is_floating(column.type):
+            cells[name] = column.to_numpy(zero_copy_only=False)
+        else:
+            cells[name] = ["" if cell is None else _text(cell) for cell in column.to_pylist()]
+    return Columns(_each_once(path, names, cells), dates=frozenset(dates))
+
+
+def _text(cell: object) -> str:
+    """A non-numeric cell as text; the numbers of a list are joined by blanks."""
+    return " ".join(map(str, cell)) if isinstance(cell, list) else str(cell)
