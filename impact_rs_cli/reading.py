@@ -76,6 +76,8 @@ def measurement_options(
         exact=args.no_discrepancy,
         each_arm=each_arm,
     )
+    if options.experiment is not None and experiment is None:
+        terminal.say(f"runs as {options.experiment} describes them; as recordings of free motion: --mapping")
     recordings = options.kind == MeasurementKind.RECORDINGS
     if args.minus is not None and not recordings:
         raise InputError(NO_MINUS)

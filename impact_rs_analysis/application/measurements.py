@@ -62,7 +62,8 @@ class MeasurementOptions:
     Attributes:
         runs: Folder of trials, of runs or of recordings, or one recording.
         impacts: Table of impacts.
-        experiment: Experiment file of a laboratory's runs; None: they are trials or recordings.
+        experiment: Experiment file of a laboratory's runs; None: the one in their folder, where neither ``mapping`` nor
+            ``minus`` says that they are recordings of free motion. Without one they are trials or recordings.
         mapping: Mapping of recordings, by name or path; None: ``joint_state`` where the files are no trials.
         minus: The same recordings without the payload, whose torque is subtracted.
         scenario: Scenario of a table of impacts, by name or path; None: free bodies.
@@ -89,6 +90,11 @@ class MeasurementOptions:
     calibration: Path | str | None = None
     exact: bool = False
     each_arm: bool = False
+
+    def __post_init__(self) -> None:
+        """Find the experiment file of the folder."""
+        if self.experiment is None and self.runs is not None and self.mapping is None and self.minus is None:
+            object.__setattr__(self, "experiment", experiment_file_in(self.runs))
 
     @property
     def data(self) -> Path:
@@ -226,7 +232,7 @@ def read_measurements(data: str | Path, model: Model | str | Path = "nominal", m
         InputError: There is no usable run; a file cannot be used; with this model nothing is hit.
     """
     data = Path(data).absolute()
-    options = MeasurementOptions(runs=data, experiment=experiment_file_in(data))
+    options = MeasurementOptions(runs=data)
     model = model if isinstance(model, Model) else load_model(model)
     return open_measurements(options, map_tasks).against(model)
 

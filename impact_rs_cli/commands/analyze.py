@@ -24,12 +24,15 @@ from impact_rs_sim.numbers import speed_text
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_trials.bags.checksums import unsealed_words
 from impact_rs_trials.campaign import MANIFEST
+from impact_rs_trials.file_names import experiment_file_in
 from impact_rs_trials.store import is_url, local_copy
 from impact_rs_trials.workers import Map
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
+    if args.experiment is None and not is_url(args.directory):
+        args.experiment = experiment_file_in(Path(args.directory))
     if args.experiment is not None:
         return _laboratory(args, terminal)
     if is_url(args.directory) and args.output is None:

@@ -41,6 +41,16 @@ def test_the_kind_of_measurements_follows_from_the_options_and_from_what_is_ther
     assert MeasurementOptions(runs=tmp_path / "empty", mapping="franka_fer").kind == MeasurementKind.RECORDINGS
 
 
+def test_an_experiment_file_in_the_folder_describes_its_runs(tmp_path: Path) -> None:
+    """Kills hits that are read as free motion, whose contact force then becomes a payload of many kilograms."""
+    (tmp_path / "log.csv").write_text("time,q1\n0,0\n")
+    (tmp_path / "experiment.yaml").write_text("scenario: push\n")
+    assert MeasurementOptions(runs=tmp_path).experiment == tmp_path / "experiment.yaml"
+    assert MeasurementOptions(runs=tmp_path).kind == MeasurementKind.LABORATORY
+    for given in ({"mapping": "franka_fer"}, {"minus": tmp_path}):
+        assert MeasurementOptions(runs=tmp_path, **given).kind == MeasurementKind.RECORDINGS
+
+
 def test_python_and_command_line_find_the_same_in_a_table_of_impacts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
