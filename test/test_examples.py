@@ -77,26 +77,17 @@ def test_examples_of_a_campaign_run_and_say_what_is_so(
         assert line in printed
 
 
-def test_the_example_of_a_comparison_finds_no_fault_in_a_plant_that_hides_nothing(push_campaign: Path) -> None:
-    comparison = load("compare").main(push_campaign)
-    assert (comparison.trials, comparison.model.name) == (3, "nominal")
-    assert comparison.score < 3.0
-
-
-def test_the_example_of_a_diagnosis_records_a_trial_of_its_plant(tmp_path: Path) -> None:
-    load("diagnose").record(tmp_path, [("parcel", "case_1")], repeats=1)
-    (path,) = tmp_path.iterdir()
-    assert TrialBag.open(path).outcome == "OK"
-
-
 def test_the_example_of_a_diagnosis_finds_the_friction_that_it_hides(
-    monkeypatch: pytest.MonkeyPatch, hidden_campaign: Path, diagnosed: Path
+    monkeypatch: pytest.MonkeyPatch, hidden_campaign: Path, diagnosed: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """For one effect, whose twin runs are there already."""
+    """For one effect, whose twin runs are there already. Kills a comparison or an estimate that is not printed."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(diagnosed.parent / "cache"))
-    document = load("diagnose").main(hidden_campaign, ["support_friction"])
-    found = document.effect("support_friction").parameters["friction"]
-    assert_covers(found.ci95, 0.18, half_width=0.04)
+    document = load("diagnose").main(str(hidden_campaign), ["support_friction"])
+    assert list(document.named) == ["support_friction"]
+    assert_covers(document.effect("support_friction").parameters["friction"].ci95, 0.18, half_width=0.04)
+    score, *where, summary, estimate = capsys.readouterr().out.splitlines()
+    assert float(score.split()[1]) > 3.0 and len(where) == 3
+    assert summary == document.summary and estimate.startswith("  support_friction: friction 0.1")
 
 
 def test_the_cable_of_ones_own_holds_the_box_back_in_proportion_to_its_drag() -> None:
