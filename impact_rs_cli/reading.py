@@ -13,14 +13,13 @@ from impact_rs_analysis.application.measurements import (
     MeasurementOptions,
     Measurements,
     open_measurements,
-    read_laboratory,
 )
 from impact_rs_analysis.diagnosis.search.bounds import read_ranges
 from impact_rs_analysis.evidence.replays.measured_runs import Runs
 from impact_rs_cli.arguments import started
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
-from impact_rs_trials.workers import Map
+from impact_rs_trials.file_names import experiment_file_in
 
 EXPECTED_RANGE = "expected NAME=LOW:HIGH, for example size_z=0.09:0.11, or a YAML file"
 NO_MINUS = "--minus goes with recordings of free motion: RUNS and UNLOADED are recordings with one mapping (--mapping)"
@@ -59,7 +58,7 @@ def measurement_options(
     """
     _check_options(args, unsure)
     experiment = args.experiment
-    if experiment is not None and args.impacts is None:
+    if args.impacts is None and args.mapping is None and args.minus is None:
         experiment = experiment_file(experiment, Path(args.runs), terminal)
     options = MeasurementOptions(
         runs=None if args.runs is None else Path(args.runs),
@@ -76,8 +75,6 @@ def measurement_options(
         exact=args.no_discrepancy,
         each_arm=each_arm,
     )
-    if options.experiment is not None and experiment is None:
-        terminal.say(f"runs as {options.experiment} describes them; as recordings of free motion: --mapping")
     recordings = options.kind == MeasurementKind.RECORDINGS
     if args.minus is not None and not recordings:
         raise InputError(NO_MINUS)
@@ -117,19 +114,23 @@ def _check_options(args: argparse.Namespace, unsure: Sequence[str]) -> None:
         raise InputError("--mapping is for recordings; leave it out with --impacts, whose columns are fixed")
 
 
-def experiment_file(given: Path, directory: Path, terminal: Terminal) -> Path:
-    """The experiment file that a path on the command line names.
+def experiment_file(given: Path | None, directory: Path, terminal: Terminal) -> Path | None:
+    """The experiment file that a path on the command line names, or that is in the folder of the runs.
 
-    Relative to the working directory as any path, or else to the folder of the runs.
+    A path is relative to the working directory as any path, or else to the folder of the runs.
 
     Args:
-        given: The path.
+        given: The path; None: the file in the folder, if there is one.
         directory: Folder of the runs.
         terminal: Reports the chosen file if both are possible.
 
     Raises:
         InputError: There is no such file in either folder.
     """
+    if given is None:
+        if (found := experiment_file_in(directory)) is not None:
+            terminal.say(f"experiment: {found.absolute()}")
+        return found
     beside = directory / given
     if given.is_absolute() or beside.absolute() == given.absolute():
         return given
@@ -140,21 +141,6 @@ def experiment_file(given: Path, directory: Path, terminal: Terminal) -> Path:
     if file is given and beside.exists() and not given.samefile(beside):
         terminal.warn(f"there is another {given} in the folder of the runs, which was not read: {beside.absolute()}")
     return file
-
-
-def read_experiment(directory: Path, file: Path, map_tasks: Map, terminal: Terminal) -> Runs:
-    """Read the runs of an experiment file and warn of omitted ones.
-
-    Args:
-        directory: Folder of the runs.
-        file: The experiment file, see :func:`experiment_file`.
-        map_tasks: Parallel map.
-        terminal: Shows warnings and progress.
-
-    Raises:
-        InputError: The file, its table or a recording cannot be used.
-    """
-    return read_laboratory(directory, experiment_file(file, directory, terminal), map_tasks, terminal)
 
 
 def only_trials(measurements: Measurements, option: str) -> Runs:

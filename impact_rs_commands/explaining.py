@@ -35,12 +35,12 @@ Damaged or foreign bags and failed trials are listed with the reason and left ou
 fit. Published numbers appear next to a set with the published robot, object and velocity only. A warning names each
 prediction that is further from the estimate than a fifth of the ante-impact speed.
 
-Runs recorded with another controller have no net feedback. With --experiment the speed 20 to 40 ms after the impact is
+Runs recorded with another controller have no net feedback. For them the speed 20 to 40 ms after the impact is
 compared with the impact map of the measured state just before it.""",
     examples="""\
 impact-rs analyze campaigns/push                  # report in campaigns/push/report
 impact-rs analyze campaigns/push -o /tmp/report --json
-impact-rs analyze lab/ --experiment experiment.yaml""",
+impact-rs analyze lab/""",
     output="a table; report.html (opens offline and on a phone), analysis.json, and the figures as PNG.",
     units="speeds in m/s along the scenario's axis, errors in percent.",
     options=(
@@ -53,8 +53,9 @@ impact-rs analyze lab/ --experiment experiment.yaml""",
             "--experiment", kind="experiment", metavar="FILE.yaml", label="experiment file", advanced=True,
             help="DIR holds runs recorded with another controller: their experiment file, relative to the working "
             "directory, else to DIR",
+            otherwise="experiment.yaml in DIR, if there is one",
         ),
-        contact("predictions in the figures (both have a table); with --experiment predictions in the table"),
+        contact("predictions in the figures (both have a table); of other controllers predictions in the table"),
         *JOBS,
         JSON,
     ),
@@ -144,15 +145,16 @@ impact-rs impacts tosses --experiment my_tosses/experiment.yaml -o tosses.csv
 impact-rs diagnose --impacts tosses.csv -o diagnosis.json
 
 # a robot hits objects; the scenario says which
-impact-rs impacts lab --experiment lab/experiment.yaml -o impacts.csv
+impact-rs impacts lab -o impacts.csv
 impact-rs compare --impacts impacts.csv --scenario push""",
     output="number of impacts, omitted runs with reasons; the table as CSV.",
     units="in the header of every column.",
     options=(
         argument("directory", "folder of the recordings", kind="folder", metavar="DIR", label="recordings"),
         option(
-            "--experiment", kind="experiment", required=True, metavar="FILE.yaml", label="experiment file",
+            "--experiment", kind="experiment", metavar="FILE.yaml", label="experiment file",
             help="experiment file (impact-rs import writes one), relative to the working directory, else to DIR",
+            otherwise="experiment.yaml in DIR",
         ),
         output("new_file", "table to write", "TABLE.csv", required=True, label="file of the table"),
         *JOBS,
@@ -175,7 +177,7 @@ impact-rs compare campaigns/blind/runs --model config/models/nominal.yaml -o rep
 impact-rs compare campaigns/blind/runs --model model_2.yaml --mcap aligned --json
 
 # runs recorded with another controller (bags, CSV, NPZ, Parquet, HDF5)
-impact-rs compare lab/ --experiment experiment.yaml -o report
+impact-rs compare lab/ -o report
 
 # a recording of a real robot in free motion is compared on joint torque
 impact-rs compare recording.db3 --mapping joint_state
@@ -222,7 +224,7 @@ impact-rs diagnose campaigns/blind/runs -o diagnosis.json --effects torque_offse
 impact-rs add torque_offset --model config/models/nominal.yaml --from diagnosis.json -o model_2.yaml
 
 # runs recorded with another controller (bags, CSV, NPZ, Parquet, HDF5)
-impact-rs diagnose lab/ --experiment experiment.yaml -o diagnosis.json
+impact-rs diagnose lab/ -o diagnosis.json
 
 # a recording of a real robot in free motion is compared on joint torque
 impact-rs diagnose recording.db3 --mapping joint_state
@@ -383,7 +385,7 @@ impact-rs compare campaigns/blind/runs --model model_2.yaml
 impact-rs discover --impacts tosses.csv -o discovery.json
 
 # runs recorded with another controller, and terms of your own in addition to the shipped grammar
-impact-rs discover lab/ --experiment experiment.yaml --grammar my_terms.yaml -o discovery.json""",
+impact-rs discover lab/ --grammar my_terms.yaml -o discovery.json""",
     output="the law as a formula with intervals, laws tied with it; with -o a JSON file, with --report discovery.html.",
     units="next to each estimate; errors are multiples of repeatability, for recordings N m, for impacts m/s.",
     options=(
@@ -502,8 +504,8 @@ impact-rs show campaigns/push/cat_food__case_2__s1.000__r0
 impact-rs show campaigns/push/cat_food__case_2__s1.000__r0 -o impact.html --no-browser
 
 # a run recorded with another controller, as compare reads it; with --model next to its twin, window by window
-impact-rs show lab --experiment lab/experiment.yaml --run run_03
-impact-rs show lab --experiment lab/experiment.yaml --run run_03 --model model_2.yaml
+impact-rs show lab --run run_03
+impact-rs show lab --run run_03 --model model_2.yaml
 
 # running nodes
 impact-rs show --live
@@ -512,18 +514,18 @@ impact-rs show --live --namespace cell_a --no-browser""",
     units="s, m, m/s, N; joints in rad and rad/s (prismatic joints in m and m/s).",
     options=(
         argument(
-            "path", "folder of a trial; with --experiment the folder of the recordings; leave it out with --live",
+            "path", "folder of a trial, or of runs with an experiment file; leave it out with --live",
             kind="folder", metavar="BAG", required=False,
         ),
         option(
             "--experiment", kind="experiment", metavar="FILE.yaml",
             help="BAG is a folder of runs recorded with another controller: their experiment file "
-            "(docs/files.md); relative to the working directory, else to BAG",
+            "(docs/files.md); relative to the working directory, else to BAG", otherwise="experiment.yaml in BAG",
         ),
-        option("--run", name="run_name", metavar="NAME", help="with --experiment: name of the run in its table"),
+        option("--run", name="run_name", metavar="NAME", help="name of the run in the table of the experiment"),
         option(
             "--model", kind="model", metavar="FILE",
-            help="with --experiment: model file, or nominal, whose twin is shown next to the run",
+            help="for runs of an experiment file: model file, or nominal, whose twin is shown next to the run",
         ),
         option("--live", kind="switch", help="show the running nodes until Ctrl-C"),
         option(

@@ -81,8 +81,8 @@ SOURCE = (
     option(
         "--experiment", kind="experiment", metavar="FILE.yaml", label="experiment file", advanced=True,
         help="RUNS is a folder of runs recorded with another controller: experiment file with scenario, mapping and "
-        "table of runs (docs/files.md); path relative to the working directory, else to RUNS; default: experiment.yaml "
-        "in RUNS, if there is one",
+        "table of runs (docs/files.md); path relative to the working directory, else to RUNS",
+        otherwise="experiment.yaml in RUNS, if there is one",
     ),
     option(
         "--impacts", kind="file", metavar="TABLE", label="table of impacts", advanced=True,

@@ -9,6 +9,7 @@ from pathlib import Path
 from rich.table import Table
 from rich.text import Text
 
+from impact_rs_analysis.application.measurements import read_laboratory
 from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
 from impact_rs_analysis.measure.arms import assumptions
 from impact_rs_analysis.measure.far import far_words
@@ -17,22 +18,21 @@ from impact_rs_analysis.measure.velocity_jumps import jumps_of
 from impact_rs_analysis.report import write_report
 from impact_rs_analysis.report.analysis import ArmRow, arm_rows, sensitivity_rows
 from impact_rs_cli.arguments import started
-from impact_rs_cli.reading import read_experiment
+from impact_rs_cli.reading import experiment_file
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.numbers import speed_text
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_trials.bags.checksums import unsealed_words
 from impact_rs_trials.campaign import MANIFEST
-from impact_rs_trials.file_names import experiment_file_in
 from impact_rs_trials.store import is_url, local_copy
 from impact_rs_trials.workers import Map
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    if args.experiment is None and not is_url(args.directory):
-        args.experiment = experiment_file_in(Path(args.directory))
+    if not is_url(args.directory):
+        args.experiment = experiment_file(args.experiment, Path(args.directory), terminal)
     if args.experiment is not None:
         return _laboratory(args, terminal)
     if is_url(args.directory) and args.output is None:
@@ -45,10 +45,10 @@ def _laboratory(args: argparse.Namespace, terminal: Terminal) -> int:
     """Compare measured with predicted jumps of runs recorded with another controller."""
     if args.output is not None:
         raise InputError(
-            "-o is for trials of impact_rs; with --experiment use --json, or impact-rs compare -o for a report"
+            "-o is for trials of impact_rs; for other runs use --json, or impact-rs compare -o for a report"
         )
     with started(args) as map_tasks:
-        runs = read_experiment(Path(args.directory), args.experiment, map_tasks, terminal)
+        runs = read_laboratory(Path(args.directory), args.experiment, map_tasks, terminal)
     with terminal.progress("impact maps"):
         found = jumps_of(runs, args.contact)
     table = Table(

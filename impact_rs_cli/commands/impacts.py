@@ -26,7 +26,10 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         raise InputError("expected a name that ends in .csv", file=args.output)
     if args.output.exists():
         raise InputError("this file exists already; tables are never overwritten", file=args.output)
-    experiment = load_experiment(experiment_file(args.experiment, args.directory, terminal))
+    file = experiment_file(args.experiment, args.directory, terminal)
+    if file is None:
+        raise InputError("no experiment file here; name one with --experiment (import writes one)", file=args.directory)
+    experiment = load_experiment(file)
     with started(args) as map_tasks:
         found = find_impacts(args.directory.absolute(), experiment, map_tasks)
     if not found.impacts:

@@ -8,11 +8,12 @@ import webbrowser
 from itertools import islice
 from pathlib import Path
 
+from impact_rs_analysis.application.measurements import read_laboratory
 from impact_rs_analysis.application.shown_runs import laboratory_run, write_page_of_trial
 from impact_rs_analysis.evidence.tracks import Track, track_of_run
 from impact_rs_analysis.report.trial import write_run
 from impact_rs_cli.arguments import started
-from impact_rs_cli.reading import experiment_file, read_experiment
+from impact_rs_cli.reading import experiment_file
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
@@ -39,8 +40,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     _none_of(args, LIVE_ALONE, "without --live a page is written into a file")
     if args.path is None:
         raise InputError("expected BAG, the folder of a trial, or --live")
+    args.experiment = experiment_file(args.experiment, args.path, terminal)
     if args.experiment is None:
-        _none_of(args, LABORATORY_ALONE, "without --experiment BAG is a trial of impact_rs")
+        _none_of(args, LABORATORY_ALONE, "without an experiment file BAG is a trial of impact_rs")
         page = _trial_page(args)
     else:
         page = _laboratory_page(args, terminal)
@@ -96,9 +98,8 @@ def _trial_page(args: argparse.Namespace) -> Path:
 
 def _laboratory_page(args: argparse.Namespace, terminal: Terminal) -> Path:
     if args.run_name is None:
-        raise InputError("--experiment names a folder of runs; select one with --run NAME")
+        raise InputError("a folder of runs; select one with --run NAME")
     directory = args.path.absolute()
-    args.experiment = experiment_file(args.experiment, directory, terminal)
     with started(args) as map_tasks:
         shown = laboratory_run(directory, args.experiment, args.run_name, map_tasks)
         path = _output(args, f"{directory.name}_{shown.name}.html")
@@ -111,7 +112,7 @@ def _laboratory_page(args: argparse.Namespace, terminal: Terminal) -> Path:
 def _beside_model(args: argparse.Namespace, shown: Run, map_tasks: Map, terminal: Terminal) -> Track:
     """The run and its twin; all runs are read, because their clocks are estimated together."""
     model = load_model(args.model)
-    runs = read_experiment(args.path, args.experiment, map_tasks, terminal)
+    runs = read_laboratory(args.path, args.experiment, map_tasks, terminal)
     found = next((own for own in runs.runs if own.path == shown.path), None)
     if found is None:
         reason = dict(runs.skipped).get(str(shown.path), "it was left out")
