@@ -27,7 +27,7 @@ from impact_rs_sim.robots.robot import RobotFacts
 from impact_rs_sim.scenarios import scenario_docs
 from impact_rs_sim.scenarios.scenario_docs import key_table
 from impact_rs_trials.recordings.experiment import Experiment
-from impact_rs_trials.recordings.mapping import Mapping, SignalSource
+from impact_rs_trials.recordings.mapping import Mapping, SignalSource, TableLayout
 from tools import python_reference
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -58,7 +58,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "commands": commands,
     "experiment": lambda: key_table("Key", Experiment),
     "mapping": lambda: key_table("Key of a mapping", Mapping, (SignalSource,)),
-    "signal": lambda: key_table("Key of `signals.NAME`", SignalSource),
+    "signal": lambda: key_table("Key of `signals.NAME`", SignalSource, (TableLayout,)),
     "formula": lambda: key_table("Key of an effect", FormulaSpec),
     "model": lambda: key_table("Key of a model", Model, (FormulaSpec,)),
     "robot": lambda: key_table("Key of robot facts", RobotFacts),

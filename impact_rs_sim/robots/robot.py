@@ -109,7 +109,7 @@ class Link(Schema):
         description="ixx, ixy, ixz, iyy, iyz, izz about the centre of mass [kg m^2]"
     )
     meshes: tuple[Mesh, ...] = omitted((), description="what viewers show; none: a simple shape")
-    name: str = omitted("", description="name of the link in the file that the numbers come from, for messages")
+    name: str = omitted("", description="name of the link in its source file, for messages")
 
     @property
     def inertia_matrix(self) -> Array:
@@ -147,7 +147,7 @@ class Reflexes(Schema):
     )
     velocity_jump_rad_s: PositiveVector | None = Field(
         None,
-        description="largest joint velocity jump that the gears are trusted with [rad/s], prismatic [m/s]",
+        description="largest joint velocity jump that the gears endure [rad/s], prismatic [m/s]",
     )
     observer_gain: Annotated[float, Field(gt=0.0)] = Field(
         500.0, description="rate of the filter of external torques and forces [1/s]"
@@ -182,15 +182,15 @@ class RobotFacts(Schema):
     )
     reflexes: Reflexes | None = omitted(None, description="what stops the robot by itself at a hit")
     joint_torque_loop: bool = omitted(
-        True, description="whether the joints have torque sensors and a loop about them; without: drive.type rigid"
+        True, description="whether the joints have torque sensors and a torque loop; false: drive.type rigid"
     )
 
     assumed: tuple[str, ...] = Field(
         (),
         exclude_if=lambda value: value == (),
         repr=False,
-        description="which of these numbers are estimates or assumptions, neither measured nor published by the maker, "
-        "and why, in words; `robot check`, reports and verdicts say so",
+        description="estimated or assumed numbers, neither measured nor published by the maker, and why, in words; "
+        "`robot check`, reports and verdicts repeat it",
     )
 
     @model_validator(mode="after")

@@ -59,11 +59,9 @@ class Base(Schema):
     """Mounting of an arm."""
 
     position: Vector3 = Field(description="origin of the arm's base in the inertial frame [m]")
-    yaw: float = Field(0.0, description="rotation of the arm's base about z [rad]")
-    roll: float = omitted(
-        0.0, description="rotation about x, before pitch and yaw, as rpy in a URDF; pi: from a ceiling [rad]"
-    )
-    pitch: float = omitted(0.0, description="rotation about y, before yaw, likewise; pi/2: on a wall [rad]")
+    yaw: float = Field(0.0, description="rotation about z [rad]")
+    roll: float = omitted(0.0, description="rotation about x, first, as rpy in a URDF; pi: from a ceiling [rad]")
+    pitch: float = omitted(0.0, description="rotation about y, second; pi/2: on a wall [rad]")
 
     @property
     def placement(self) -> pin.SE3:
@@ -79,7 +77,7 @@ class Pad(Schema):
     damping: NonNegative = Field(0.0, description="damping of the whole pad face [N s/m]")
     shape: Literal["box", "sphere", "cylinder"] = omitted(
         "box",
-        description="what fills the extents of size: box, sphere (three equal ones) or cylinder (a round pad: axis "
+        description="shape with the extents size: a sphere has three equal ones, a cylinder is a round pad (axis "
         "along the thickness, equal width and height); frame E is at its foremost point [-]",
     )
 
@@ -127,8 +125,8 @@ class DriveSettings(Schema):
 
     type: Literal["torque_loop", "rigid"] = omitted(
         "torque_loop",
-        description="torque_loop: a loop about the joint torque shapes the motor's inertia to B_theta; rigid: there is "
-        "none, and the links carry B_rho whole, whatever the motor is asked",
+        description="torque_loop: a joint torque loop reduces the motor inertia to B_theta; rigid: the links carry "
+        "B_rho",
     )
     motor_inertia_rotor: PositiveVector = Field(
         description="B_rho, rotor inertia times the square of the gear ratio, per joint [kg m^2], prismatic [kg]"
@@ -136,20 +134,20 @@ class DriveSettings(Schema):
     motor_inertia_reduced: PositiveVector | None = omitted(
         None,
         description="B_theta, motor inertia that the torque loop leaves, per joint [kg m^2], prismatic [kg]; required "
-        "for torque_loop, absent for rigid, where it is B_rho",
+        "for torque_loop, absent for rigid",
     )
     stiffness: PositiveVector = Field(
         description="K, joint stiffness per joint, of the gear where it is rigid [N m/rad], prismatic [N/m]"
     )
     damping: NonNegativeVector = Field(description="D, joint damping per joint [N m s/rad], prismatic [N s/m]")
     friction: Literal["none", "identified"] = Field(
-        "none", description="joint friction in the plant: none, or the robot's identified friction"
+        "none", description="joint friction in the plant: none, or that of the robot facts"
     )
     actuation_delay: NonNegative = Field(0.0, description="delay of the desired torque [s]")
     assumed: tuple[DriveNumber, ...] = omitted(
         (),
-        description="which keys of this section hold numbers that are assumed, neither measured nor published; "
-        "`robot check`, reports and verdicts say so",
+        description="keys of this section with assumed numbers, neither measured nor published; `robot check`, "
+        "reports and verdicts name them",
     )
 
     @model_validator(mode="after")
@@ -191,8 +189,8 @@ class ImpactPose(Schema):
     )
     joint_position: Vector | None = omitted(
         None,
-        description="joint positions at impact, in the place of the four keys above; for arms that cannot hold a pose, "
-        "with fewer than six joints [rad], prismatic [m]",
+        description="joint positions at impact, instead of the four keys above; for arms with fewer than six joints "
+        "[rad], prismatic [m]",
     )
 
     @property
@@ -231,8 +229,8 @@ class Robot(Schema):
     """One arm of the scene."""
 
     facts: str | RobotFacts = Field(
-        description="name of the robot in config/robots, or a path, seen from the scenario file's folder, to a YAML "
-        "file of your own. That file has these keys"
+        description="robot in config/robots, or path of a YAML file from the scenario's folder. That file has these "
+        "keys"
     )
     base: Base = Field(description="mounting of the arm")
     end_effector: EndEffectorSpec = Field(description="end effector")
@@ -240,8 +238,8 @@ class Robot(Schema):
     impact: ImpactPose = Field(description="pose at impact")
     reflexes: Reflexes | None = omitted(
         None,
-        description="thresholds of the robot's own reflexes that are set on it for these trials, in place of those of "
-        "the facts; the keys are those of reflexes there",
+        description="reflex thresholds of the robot in these trials, in place of reflexes in its facts, with the same "
+        "keys",
     )
 
     @model_validator(mode="after")
@@ -315,22 +313,22 @@ class ObjectSpec(Schema):
     com_offset: Vector3 = Field((0.0, 0.0, 0.0), description="centre of mass from the geometric centre [m]")
     shape: Literal["box", "sphere", "capsule", "cylinder", "hull"] = omitted(
         "box",
-        description="what fills the extents of size: box, sphere (three equal ones), capsule or cylinder (axis z, "
-        "equal along x and y), or the convex hull of corners [-]",
+        description="shape with the extents size: a sphere has three equal ones, capsule and cylinder have the axis z "
+        "and equal x and y, hull is the convex hull of corners [-]",
     )
     corners: tuple[Vector3, ...] = omitted(
         (),
-        description="of a hull, from the middle of its bounding box [m]; mesh, a path seen from the scenario file's "
-        "folder, stands for shape, corners and size, and without com_offset and inertia for these of an even density",
+        description="corners of a hull from the middle of its bounding box [m]; or mesh, a path from the scenario's "
+        "folder, in place of shape, corners and size, and of com_offset and inertia (even density)",
     )
     rpy: Vector3 = omitted(
         (0.0, 0.0, 0.0),
-        description="roll, pitch and yaw of the object where it rests, as in a URDF; pitch pi/2: a cylinder lies [rad]",
+        description="roll, pitch, yaw of the object at rest, as in a URDF; pitch pi/2: a cylinder lies [rad]",
     )
     inertia: PositiveVector3 | None = omitted(
         None,
-        description="principal moments about the centre of mass, in the axes of the object; absent: those of a "
-        "homogeneous body about its geometric centre [kg m^2]",
+        description="principal moments about the centre of mass, in the axes of the object; absent: homogeneous, "
+        "about the geometric centre [kg m^2]",
     )
 
     @field_validator("inertia")
@@ -391,7 +389,7 @@ class Contact(Schema):
     )
     restitution_law: Literal["newton", "poisson"] = omitted(
         "newton",
-        description="whose law: newton (of velocities; may gain energy with friction) or poisson (of impulses)",
+        description="newton: of velocities, may gain energy with friction; poisson: of impulses",
     )
 
 
@@ -401,16 +399,14 @@ class CaseRobot(Schema):
     ante_velocity: Vector3 = Field(description="end-effector velocity just before impact [m/s]")
     joint_1: float | None = Field(
         None,
-        description="position of joint 1 at impact, the posture task that resolves the redundancy of seven joints "
-        "[rad], prismatic [m]; absent: free, as for six joints",
+        description="position of joint 1 at impact (posture task of seven joints) [rad], prismatic [m]; absent: free",
     )
     joint_1_velocity: float | None = Field(
         None, description="velocity of joint 1 at impact [rad/s], prismatic [m/s]; absent: least-norm joint velocity"
     )
     posture: dict[str, float] = omitted(
         {},
-        description="the same for further joints, or others: position at impact by joint, as in joint_3: 0.2 [rad], "
-        "prismatic [m]",
+        description="positions at impact of other joints, as in joint_3: 0.2 [rad], prismatic [m]",
     )
 
     @model_validator(mode="after")
@@ -447,8 +443,7 @@ class Excursion(Schema):
     end: Vector3 = Field(description="turning point of frame E from its pose at impact [m]")
     joint_1: float = Field(
         0.0,
-        description="change of joint 1, where the posture task holds it, from start to turning point [rad], "
-        "prismatic [m]",
+        description="change of joint 1, if the posture task holds it, from start to turning point [rad], prismatic [m]",
     )
     twist: float = Field(description="rotation of E about the pad's normal from start to turning point [rad]")
     begin: Positive = Field(description="when the motion begins [s]")
@@ -530,8 +525,8 @@ class Control(Schema):
     detection: Detection = Field(description="impact detection")
     reference_contact: Literal["first", "settled"] = omitted(
         "first",
-        description="post-impact references follow the velocity just after the first simultaneous impact (first), or "
-        "when the contact that lasts is closed (settled)",
+        description="velocity that the post-impact references follow: after the first simultaneous impact, or of the "
+        "settled contact",
     )
 
 
@@ -573,18 +568,15 @@ class Uncertainties(Schema):
     object_com_offset: NonNegative = Field(0.005, description="centre of mass, each axis; assumed, as above [m]")
     object_position: NonNegative = Field(
         0.003,
-        description="object in the plane, each axis; two standard deviations of scatter.object_position of push [m]",
+        description="object in the plane, each axis; twice scatter.object_position of push [m]",
     )
-    object_yaw: NonNegative = Field(
-        0.012, description="object about z; two standard deviations of scatter.object_yaw of push [rad]"
-    )
+    object_yaw: NonNegative = Field(0.012, description="object about z; twice scatter.object_yaw of push [rad]")
     joint_position: NonNegative = Field(
-        4e-4, description="each joint; two standard deviations of scatter.joint_position of push [rad], prismatic [m]"
+        4e-4, description="each joint; twice scatter.joint_position of push [rad], prismatic [m]"
     )
     joint_velocity: NonNegative = Field(
         4e-3,
-        description="each joint; two standard deviations of sensors.joint_velocity_noise of push [rad/s], "
-        "prismatic [m/s]",
+        description="each joint; twice sensors.joint_velocity_noise of push [rad/s], prismatic [m/s]",
     )
     contact_point: NonNegative = Field(
         0.002, description="contact points along the pad, each axis; assumed: rounded edges of a pad [m]"
@@ -606,8 +598,7 @@ class Scenario(Schema):
     axis: Literal["x", "y", "z"] = Field(description="axis of the measure")
     object_position: tuple[float, float] | None = Field(
         None,
-        description="where the middle of the object stands, x and y [m]; the pads touch its faces. "
-        "Absent: the object stands where the only pad is",
+        description="middle of the object, x and y [m]; the pads touch its faces; absent: at the only pad",
     )
     object_gap: NonNegative = Field(
         0.0, description="distance between pad and object at the nominal impact pose [m]; 0: the pad hits"
@@ -628,17 +619,17 @@ class Scenario(Schema):
     scatter: Scatter = Field(description="trial-to-trial scatter")
     gravity: Vector3 = omitted(
         STANDARD_GRAVITY,
-        description="acceleration of gravity in the inertial frame, whose z is the normal of the support: a table that "
-        "is tilted has gravity with x and y components [m/s^2]",
+        description="gravity in the inertial frame, whose z is the normal of the support: x and y components tilt the "
+        "table [m/s^2]",
     )
     uncertainty: Uncertainties = omitted(
         Uncertainties(),
-        description="assumed uncertainties (half widths of 95 % intervals) used by `impact-rs map --uncertainty`",
+        description="assumed half widths of 95 % intervals, for `impact-rs map --uncertainty`",
     )
     friction_compensation: FrictionCompensation | None = omitted(
         None,
-        description="a path, seen from the scenario file's folder, to what `impact-rs friction identify` wrote; "
-        "absent: friction is left to the feedback. That file has these keys",
+        description="path, from the scenario's folder, of a file that `impact-rs friction identify` wrote; absent: the "
+        "feedback compensates friction",
     )
 
     @model_validator(mode="after")

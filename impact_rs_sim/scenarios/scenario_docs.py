@@ -15,29 +15,29 @@ from annotated_types import Ge, Gt, Le
 from pydantic.fields import FieldInfo
 
 from impact_rs_sim.robots.robot import Reflexes, RobotFacts
+from impact_rs_sim.scenarios.friction_compensation import FrictionCompensation
 from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.schema import Schema
 
 HEADER = """\
 # Scenario files
 
-*Look up.* A scenario describes the scene, the task of the robots, and the measurement. Commands take its name
-(`config/scenarios/NAME.yaml`) or the path of a YAML file of your own:
+*Look up.* Scene, task of the robots, and measurement. Commands take the name of a scenario
+(`config/scenarios/NAME.yaml`) or the path of your own file; start from a copy of `config/scenarios/push.yaml`:
 
     ./run impact-rs map path/to/mine.yaml cat_food case_2
 
-Start from a copy of `config/scenarios/push.yaml`. Units are SI; vectors have the axes of the inertial frame A, z up
-(REP-103), unless a row names another frame. A key that is missing, misspelt, duplicated or out of range stops every
-command with one line that names file, key, value and unit. Estimates of effects beyond these nominal values belong in
-[model files](effects.md#model-files).
-
-Generated from `impact_rs_sim/scenarios/scenario.py` by `python -m impact_rs_sim.scenarios.scenario_docs >
-docs/scenarios.md`. `NAME` is a name of your choice; a list per joint has one entry per joint, base to tip.
+Units are SI; vectors have the axes of the inertial frame A, z up (REP-103), unless a row names another frame. `NAME` is
+a name of your choice. Lists per joint run from base to tip; for prismatic joints read m for rad, N for N m and kg for
+kg m². A key that is missing, misspelt, duplicated or out of range stops every command with one line that names file,
+key, value and unit. Estimated effects belong in [model files](effects.md#model-files). This page is written by
+`python -m impact_rs_sim.scenarios.scenario_docs > docs/scenarios.md`.
 """
 
 LIMITS = {Gt: ("gt", ">"), Ge: ("ge", ">="), Le: ("le", "<=")}
 MOST_WORDS_OF_A_NAME = 3  # a section that is described by so few ("Arms by name") has no row: its key says it
 UNIT = re.compile(r" ?\[([^\]]+)\](?!\()")
+PRISMATIC = re.compile(r",? prismatic \[[^\]]+\]")  # a page has the rule once
 
 
 def _key(name: str, annotation: Any) -> tuple[str, type[Schema] | None]:
@@ -77,14 +77,14 @@ def _kind(field: FieldInfo) -> str:
     """Type in words."""
     (kind,) = _alternatives(field.annotation)[:1]
     if get_origin(kind) is Literal:
-        return " or ".join(f"`{value}`" for value in get_args(kind))
+        return ", ".join(f"`{value}`" for value in get_args(kind))
     if get_origin(kind) is tuple:
         entries = get_args(kind)
         entry = _alternatives(entries[0])[0]
         of = "names" if get_origin(entry) is Literal else {str: "texts", int: "whole numbers"}.get(entry, "numbers")
         if isinstance(entry, type) and issubclass(entry, Schema):
             return "sections"
-        return f"list of {of}" if Ellipsis in entries else f"{len(entries)} {of}"
+        return of if Ellipsis in entries else f"{len(entries)} {of}"
     if get_origin(kind) is dict or (isinstance(kind, type) and issubclass(kind, Schema)):
         return "section"
     return {float: "number", int: "whole number", str: "text", bool: "`true` or `false`"}.get(kind, kind.__name__)
@@ -101,9 +101,9 @@ def _limits(schema: type[Schema], name: str, field: FieldInfo) -> str:
     declared = str(schema.__annotations__.get(name, ""))
     for word, text in (("PositiveVector3", "> 0"), ("PositiveVector", "> 0"), ("NonNegativeVector", ">= 0")):
         if re.search(rf"\b{word}\b", declared):
-            found.append(f"each {text}")
+            found.append(text)
     if "Positive, Positive" in declared:
-        found.append("each > 0")
+        found.append("> 0")
     return ", ".join(found)
 
 
@@ -124,7 +124,8 @@ def _sentence_case(text: str) -> str:
 
 
 def _row(schema: type[Schema], name: str, field: FieldInfo, key: str) -> tuple[str, str, str, str]:
-    description = (field.description or "").replace("That file has these keys", "[Its keys](robots.md#robot-facts)")
+    description = PRISMATIC.sub("", field.description or "")
+    description = description.replace("That file has these keys", "[Its keys](robots.md#robot-facts)")
     unit = UNIT.search(description)
     words = [_kind(field), _limits(schema, name, field), f"[{unit[1]}]" if unit and unit[1] != "-" else ""]
     meaning = _sentence_case(UNIT.sub("", description, count=1))
@@ -176,7 +177,7 @@ def key_table(head: str, schema: type[Schema], without: tuple[type[Schema], ...]
 
 def markdown() -> str:
     """``docs/scenarios.md``."""
-    return f"{HEADER}\n{key_table('Key', Scenario, (RobotFacts, Reflexes))}\n"
+    return f"{HEADER}\n{key_table('Key', Scenario, (RobotFacts, Reflexes, FrictionCompensation))}\n"
 
 
 if __name__ == "__main__":

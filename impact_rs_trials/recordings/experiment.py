@@ -62,8 +62,8 @@ class MotionCapture(FramePlacement):
 
     estimate: bool = Field(
         False,
-        description="estimate position and yaw from the contact in the hits; the rest keeps the given values: roll and "
-        "pitch, and the position across the direction of the hits if all have the same direction",
+        description="estimate position and yaw from the contact in the hits; roll, pitch, and the position across the "
+        "hits if all have one direction, keep the given values",
     )
     bodies: dict[str, FramePlacement] = Field(
         default_factory=dict,
@@ -86,8 +86,8 @@ class Body(Schema):
     )
     spin: Vector3 | None = Field(
         None,
-        description="angular velocity before the impacts of a ball without tracked rotation, along the axes of the "
-        "tracker; zeros if it was dropped or thrown without spin [rad/s]",
+        description="angular velocity before impact of a ball without tracked rotation, in axes of the tracker; "
+        "zeros: no spin [rad/s]",
     )
 
     @property
@@ -124,14 +124,13 @@ class Experiment(Schema):
 
     scenario: str | None = Field(
         None,
-        description="name or path of the scenario, needed where a robot hits; its references and control are not used",
+        description="name or path of the scenario, if a robot hits; its references and control are not used",
     )
     body: Body | None = Field(None, description="a body without a robot that hits a plane; in place of scenario")
     plane: Plane | None = Field(None, description="the plane that the body hits; absent: z = 0")
     mapping: str | dict[str, str] = Field(
         "joint_state_effort_controller",
-        description="name or path of the mapping; with several arms one by the name of each, or one for all, in which "
-        "{arm} stands for that name",
+        description="name or path of the mapping; with several arms one by arm, or one for all with {arm} for the name",
     )
     runs: str = Field(RUN_TABLE, description="table of runs, a path from the recordings' folder or from this file's")
     motion_capture: MotionCapture = Field(
@@ -140,8 +139,8 @@ class Experiment(Schema):
     )
     friction_noise: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
         FRICTION_SIGMA_SHARE,
-        description="relative standard deviation of the friction of the scenario's support [-]; velocities computed "
-        "from the sliding distance have half of it",
+        description="relative standard deviation of the support's friction [-]; velocities from sliding distances "
+        "have half of it",
     )
     _file: Path | None = PrivateAttr(None)
 

@@ -77,8 +77,8 @@ class TableLayout(Schema):
 
     header: Annotated[int | None, Field(ge=0)] = Field(
         None,
-        description="line of the column names, counted from 1; lines above it are skipped; 0: no names, and the "
-        "columns are c1, c2, ...; absent: the first line that is neither empty nor a comment (#)",
+        description="line of the column names, from 1; lines above it are skipped; 0: no names, columns are c1, c2, "
+        "...; absent: the first line that is neither empty nor a comment (#)",
     )
     first: Annotated[int | None, Field(ge=1)] = Field(
         None, description="line of the first row, below a line of units for example; absent: the next"
@@ -108,8 +108,8 @@ class SignalSource(Schema):
     columns: tuple[str, ...] | None = Field(None, description="columns of a table one by one, in order")
     entries: tuple[Annotated[int, Field(ge=1)], ...] | None = Field(
         None,
-        description="selected numbers of a cell, array sample or message without names, counted from 1, "
-        "for example to omit a gripper; absent: all",
+        description="selected numbers of a cell, array sample or message without names, from 1, for example to omit a "
+        "gripper; absent: all",
     )
     time_column: StampNames | None = Field(
         None, description="column of this signal's own time, or two as in time.column; absent: as in the mapping"
@@ -123,7 +123,7 @@ class SignalSource(Schema):
     quaternion_order: Literal["xyzw", "wxyz"] = Field("xyzw", description="order of a quaternion's numbers in a table")
     delay: float = Field(0.0, description="added to the timestamps [s]")
     clock: Literal["shared", "own"] = Field(
-        "shared", description="own: timestamps of another clock; the constant offset is found from the motion"
+        "shared", description="own: another clock, whose constant offset is estimated from the motion"
     )
     unit: str | tuple[str, ...] = Field(
         description="unit of the numbers in the file; a list with one per joint if some joints turn and some slide"
@@ -133,8 +133,8 @@ class SignalSource(Schema):
     )
     offset: float | tuple[float, ...] = Field(
         0.0,
-        description="then added, in the unit; for joints also a list of each, for example if the robot counts from "
-        "another zero than its facts",
+        description="then added, in the unit; for joints also a list of each, for example another zero than in the "
+        "facts",
     )
 
     @property
@@ -158,7 +158,7 @@ class TimeSource(Schema):
         None, description="sampling rate of files without timestamps [Hz]; absent: they have timestamps"
     )
     repeated: Literal["refuse", "keep_first"] = Field(
-        "refuse", description="samples that repeat a timestamp: refuse the file, or keep the first of each"
+        "refuse", description="repeated timestamps: refuse the file, or keep the first sample of each"
     )
 
 
@@ -191,8 +191,8 @@ class Mapping(Schema):
 
     description: str = Field(description="what kind of recording this reads")
     robot: str = Field(
-        description="robot facts: name of a file in config/robots, or a path relative to the mapping file's folder; "
-        "none: an object alone was tracked"
+        description="robot facts: file in config/robots, or path from the mapping's folder; none: only an object was "
+        "tracked"
     )
     joints: tuple[str, ...] = Field(
         (), description="joint names in order; * matches any text, {arm} is the name of the arm; required with a robot"
@@ -203,13 +203,12 @@ class Mapping(Schema):
     base_rpy: Vector3 = Field((0.0, 0.0, 0.0), description="roll, pitch, yaw of the robot's base in the world [rad]")
     torque_measured_at: Literal["link", "motor"] = Field(
         "link",
-        description="'link': torque sensor at the output of the gear; 'motor': commanded motor torque, which also "
-        "accelerates the motor's own inertia",
+        description="'link': sensor at the gear output; 'motor': motor torque, which also accelerates the motor",
     )
     motor_inertia: NonNegativeVector | None = Field(
         None,
-        description="motor inertia at the joint, only with torque_measured_at: motor; absent: 0 is assumed, and "
-        "diagnose estimates it [kg m^2], prismatic [kg]",
+        description="motor inertia at the joint, with torque_measured_at: motor; absent: 0, and diagnose estimates it "
+        "[kg m^2], prismatic [kg]",
     )
     torque_constant: PositiveVector | None = Field(
         None,
@@ -218,14 +217,13 @@ class Mapping(Schema):
     )
     torque_meaning: TorqueMeaning = Field(
         "whole",
-        description="'whole': it moves the joints; 'without_gravity': the controller adds the gravity torque, or its "
-        "driver has subtracted it; 'external': the whole torque of a rigid model has been subtracted; 'target': a "
-        "controller's own feedforward, which is no measurement and is refused. What is missing is added by the "
-        "nominal model",
+        description="'whole': it moves the joints; 'without_gravity': without the gravity torque; 'external': without "
+        "the torque of a rigid model; 'target': a controller's feedforward, no measurement, refused. The nominal "
+        "model adds what is missing",
     )
     servo: Servo | None = Field(
         None,
-        description="gains of position servos, in place of signals.torque: the torque follows from signals.q_desired",
+        description="gains of position servos: torque from signals.q_desired, in place of signals.torque",
     )
     command_includes_gravity: bool = Field(
         True, description="whether the commanded torque includes gravity torque; libfranka's does not"
@@ -235,7 +233,7 @@ class Mapping(Schema):
     table: TableLayout = Field(default_factory=TableLayout, description="lines of names and rows of a text table")
     run_column: str | None = Field(
         None,
-        description="column with the run of each row of a table, if a file holds several, such as episode_index",
+        description="column with the run of each row, if a table holds several, such as episode_index",
     )
     definitions: tuple[str, ...] = Field((), description="message packages whose definitions are in mappings/messages")
     signals: dict[SignalName, SignalSource] = Field(description="location of each signal")

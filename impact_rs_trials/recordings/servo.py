@@ -37,16 +37,16 @@ class Servo(Schema):
     kp: PositiveVector = Field(description="torque over position error of each joint [N m/rad], prismatic [N/m]")
     kd: NonNegativeVector | None = Field(
         None,
-        description="torque over velocity of each joint [N m s/rad], prismatic [N s/m]; absent: unknown, 0 is taken, "
-        "and what diagnose finds as viscous friction includes it",
+        description="torque over velocity of each joint [N m s/rad], prismatic [N s/m]; absent: 0, and viscous "
+        "friction in diagnose includes it",
     )
     damps: Damps = Field(
         "velocity", description="'velocity': - kd dq; 'error': + kd (dq_desired - dq), as trajectory controllers do"
     )
     gains: Literal["given", "estimated"] = Field(
         "given",
-        description="'estimated': kp was found from gravity and inertia of the model, so its scale and the masses "
-        "are one; a standard deviation of 30 % of each joint's torque counts as a systematic error",
+        description="'estimated': kp follows from gravity and inertia of the model, so its scale is that of the "
+        "masses; 30 % of each joint's torque (standard deviation) is a systematic error",
     )
     torque_max: PositiveVector | None = Field(
         None, description="torque at which each servo saturates [N m], prismatic [N]; absent: that of the robot"
