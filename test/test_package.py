@@ -44,7 +44,7 @@ PACKAGES = (
     "impact_rs_trials",
     "impact_rs_workbench",
 )
-PHYSICAL = ("float64", "uint8", "uint32", "uint64", "bool", "geometry_msgs/")
+PHYSICAL = ("float64", "uint8", "uint32", "uint64", "bool", "geometry_msgs/", "sensor_msgs/", "shape_msgs/")
 
 
 def pyproject() -> dict:
