@@ -123,7 +123,7 @@ class TrialSession:
 
     def describe(self, plan: TrialPlan) -> None:
         """Publish the URDFs of the arms and the object of a trial, in place of earlier ones, for viewers."""
-        self._describe(descriptions(plan))
+        self._describe(descriptions(plan.scene.physics))
 
     def close(self) -> None:
         """Destroy the subscriptions."""
