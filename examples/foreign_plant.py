@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node in the plant's place: another simulator, in plain rclpy and Pinocchio, runs trials with our four other nodes.
+"""A node in the plant's place: another simulator, in rclpy and Pinocchio, runs trials with our four other nodes.
 
 Shows the whole contract of such a node (docs/nodes.md): three services, joint states out, torques in, in lockstep.
 Its simulation is much simpler than our plant: drives are rigid and carry B_theta, sensors have no noise, and the object
@@ -25,14 +25,17 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
-from rclpy.subscription import Subscription
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from impact_msgs_py.conversions import pose_from_message, pose_to_message
+from impact_rs_ros.exchange import Inbox
+from impact_rs_ros.qos import AWAITED
+from impact_rs_ros.robot_states import OWN_JOINTS, joint_names
 from impact_rs_sim.physics import ArmPhysics
 from impact_rs_sim.scene import Scene
+from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.trial_info import TrialInfo
 
 DEPTH = 4000  # messages that a recorder which is late still gets
@@ -143,11 +146,9 @@ class ForeignPlant:
         self.node.create_service(FinishTrial, "~/finish_trial", self.finish)
         # The answer comes when the trial is over; meanwhile the other services stay open.
         self.node.create_service(Trigger, "~/run_trial", self.run, callback_group=MutuallyExclusiveCallbackGroup())
-        self.inbox = Node("plant_inbox", use_global_arguments=False, start_parameter_services=False)
-        self.listener = SingleThreadedExecutor()  # of torques alone: the fewer it looks after, the sooner they are here
-        self.listener.add_node(self.inbox)
+        self.inbox = Inbox(self.node, AWAITED)  # takes torques past the executor: the sooner they are here
         self.publishers: dict[str, Publisher] = {}
-        self.commands: dict[str, Subscription] = {}
+        self.commands: dict[str, str] = {}
         self.over: Future | None = None  # present while a trial runs
         self.ready = self.begun = False
         self.attempt = 0  # at a trial, the last one that was configured
@@ -162,7 +163,10 @@ class ForeignPlant:
         self.end("another trial was configured")
         try:
             spec = TrialInfo.from_message(request.trial).spec
-            start = {state.robot: np.array(state.joint_position) for state in request.start}
+            counts = {name: arm.facts.joint_count for name, arm in spec.scene.physics.arms.items()}
+            self.joints = joint_names(OWN_JOINTS, counts)
+            named = dict(zip(request.start.name, request.start.position, strict=True))
+            start = {arm: np.array([named[joint] for joint in joints]) for arm, joints in self.joints.items()}
             self.world = World(spec.scene, start, pose_from_message(request.object_pose))
         except Exception as error:  # a wrong request must not end the node
             response.message = f"plant: {error}"
@@ -171,14 +175,13 @@ class ForeignPlant:
         self.trial = f"{request.trial.scenario}/{request.trial.object}, {request.trial.case_name}"
         self.period_ns, self.last = round(timing.control_period * 1e9), timing.ticks
         self.object_every = max(1, round(sensors.object_period / timing.control_period))
-        self.joints = {arm: [f"{arm}_joint{number + 1}" for number in range(q.size)] for arm, q in start.items()}
         for arm in start:
             self.offer(f"{arm}/joint_states", JointState)
-            if arm not in self.commands:
-                self.commands[arm] = self.inbox.create_subscription(
-                    JointState, f"{arm}/joint_command", lambda message, arm=arm: self.hear(arm, message), 10
-                )
         self.offer("object/pose", PoseStamped)
+        commands = {topics.joint_command(arm): topics.JOINT_STATE for arm in start}
+        if commands != self.commands:
+            self.commands = commands
+            self.inbox.connect(commands)
         self.counts: Counter[str] = Counter()
         self.torques: dict[str, np.ndarray] = {}  # those of the present tick
         self.tick, self.begun, self.since = 0, False, time.monotonic()
@@ -242,7 +245,9 @@ class ForeignPlant:
             else:
                 time.sleep(0.005)
             return
-        self.listener.spin_once(timeout_sec=SLICE)
+        self.inbox.wait(SLICE)
+        for topic, message in self.inbox.take():
+            self.hear(topic.split("/")[1], message)
         if len(self.torques) == len(self.joints):
             if self.tick == self.last:
                 self.end()

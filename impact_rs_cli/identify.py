@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 from impact_rs_analysis.application.followed_hits import (
     FollowedHits,
@@ -56,15 +57,15 @@ class Lessons:
         if not documents and (begun := self._followed.diagnose()):
             lessons.append(Lesson(begun, hit=False))
         if (ended := self._diagnosis.ended()) is not None:
-            lessons.append(Lesson(f"full diagnosis: {ended.words}", diagnosis=ended.model_dump_json(), hit=False))
+            lessons.append(Lesson(f"full diagnosis: {ended.words}", "diagnosis", ended.model_dump(), hit=False))
         return lessons
 
-    def prediction(self) -> str:
-        """Prediction of the next hit and the parameters believed, as a JSON document; empty: not yet."""
+    def prediction(self) -> dict[str, Any]:
+        """Fields of the prediction of the next hit, with the parameters believed; empty: not yet."""
         found = self._followed.follower.prediction()
         if found is None:
-            return ""
-        return PublishedPrediction(**vars(found), followed=self._followed.follower.followed()).model_dump_json()
+            return {}
+        return PublishedPrediction(**vars(found), followed=self._followed.follower.followed()).model_dump()
 
     def close(self) -> None:
         """Stop a diagnosis that runs."""
@@ -73,8 +74,7 @@ class Lessons:
     def _refusals(self) -> Iterator[Lesson]:
         """Refused trials since the last call."""
         for name, reason in self._followed.follower.hit_source.newly_skipped().items():
-            document = RefusedHit(hit=name, reason=reason).model_dump_json()
-            yield Lesson(f"{name}: {reason}", refused=document, hit=False)
+            yield Lesson(f"{name}: {reason}", "refused", RefusedHit(hit=name, reason=reason).model_dump(), hit=False)
 
     def _lesson(self, document: HitDocument) -> Lesson:
         if document.error is None:
@@ -83,8 +83,7 @@ class Lessons:
         if (change := document.change) is None:
             return Lesson(line)
         command = self._diagnosis.command(change.since)
-        text = PublishedChange(**vars(change), diagnose=command).model_dump_json()
-        return Lesson(line, text, change.words)
+        return Lesson(line, "change", PublishedChange(**vars(change), diagnose=command).model_dump())
 
 
 class Identify(IdentifyNode):

@@ -30,8 +30,9 @@ from impact_rs_ros.effort_arms import (
     watched_topic,
 )
 from impact_rs_ros.exchange import Inbox
+from impact_rs_ros.message_types import RosidlTypes
 from impact_rs_ros.motion_capture import COORDINATES, MOCAP, TrackerPoses
-from impact_rs_ros.names import on_network, resolved
+from impact_rs_ros.names import frame_prefix, on_network, resolved
 from impact_rs_ros.presence import UNKNOWN
 from impact_rs_ros.process import run
 from impact_rs_ros.qos import COMMAND, LATCHED, WATCH
@@ -42,6 +43,8 @@ from impact_rs_ros.watchdog_node import BRAKING_TOPIC, TORQUES, WatchdogNode
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.messages import MessageMaker
+from impact_rs_trials.bags.record import FrameSource
 from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
 
@@ -78,7 +81,11 @@ class CellNode(LeadingNode[CellTrial]):
 
     def published(self, arms: list[str]) -> dict[str, str]:
         seen = {topics.OBJECT_POSE: topics.POSE} if self.parameter("mocap") else {}
-        return {topics.joint_states(arm): topics.JOINT_STATE for arm in arms} | seen
+        return (
+            {topics.joint_states(arm): topics.JOINT_STATE for arm in arms}
+            | {topics.TF_STATIC: topics.TF_MESSAGE}
+            | seen
+        )
 
     def streams(self, maker: StreamMaker) -> dict[str, Stream]:
         return {topics.joint_states(arm): maker.joint_states(arm) for arm in self.arms}
@@ -144,6 +151,9 @@ class CellNode(LeadingNode[CellTrial]):
             late_torque_share=self.parameter("late_torque_share"),
             start_tolerance=start,
         )
+        prefix = frame_prefix(self.node.get_namespace())
+        frames = [*FrameSource(plan.scene, prefix, links=False).static, *(mocap.frames(prefix) if mocap else ())]
+        self.outbox.later(topics.TF_STATIC, MessageMaker(RosidlTypes(), plan).transforms(0, frames))
         return CellTrial(plan, arms, limits, mocap, self.inbox, self.outbox)
 
     def _hold(self, arming: Arming) -> str:

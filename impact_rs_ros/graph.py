@@ -21,7 +21,7 @@ from typing import Any, Self
 
 import rclpy
 from impact_rs.action import RunCampaign, RunTrial
-from impact_rs.srv import ComputeImpactMap, ConfigureTrial, FinishTrial
+from impact_rs.srv import ConfigureTrial, FinishTrial, ImpactDerivatives, ImpactIntervals, PredictImpact
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -46,7 +46,14 @@ MAX_SILENCE_S = 60.0  # without feedback on a trial; longer than the experiment 
 _CONFIGURABLE = {"configure_trial": ConfigureTrial, "finish_trial": FinishTrial}
 SERVICES: dict[str, dict[str, Any]] = {
     "plant": {f"plant/{name}": kind for name, kind in (_CONFIGURABLE | {"run_trial": Trigger}).items()},
-    "impact_map": {"compute_impact_map": ComputeImpactMap},
+    "impact_map": {
+        f"impact_map/{name}": kind
+        for name, kind in (
+            ("predict", PredictImpact),
+            ("intervals", ImpactIntervals),
+            ("derivatives", ImpactDerivatives),
+        )
+    },
     "controller": {f"controller/{name}": kind for name, kind in _CONFIGURABLE.items()},
     "recorder": {f"recorder/{name}": kind for name, kind in _CONFIGURABLE.items()},
     "experiment": {},
@@ -454,8 +461,8 @@ def _instructions(nodes: Sequence[str], scenario: str, object_name: str, case: s
             f"  ros2 action send_goal --feedback {within(namespace, 'run_trial')} impact_rs/action/RunTrial \\",
             f'    "{what}, velocity_scale: 1.0, seed: 1, output_directory: trials}}"',
             "Call the impact map:",
-            f"  ros2 service call {within(namespace, 'compute_impact_map')} impact_rs/srv/ComputeImpactMap \\",
-            f'    "{what}, motor_inertia: reduced, restitution: -1.0}}"',
+            f"  ros2 service call {within(namespace, 'impact_map/predict')} impact_rs/srv/PredictImpact \\",
+            f'    "{{problem: {what}}}}}"',
             "Monitor the nodes:",
             "  ros2 topic echo /diagnostics",
             f"  ros2 param describe {within(namespace, 'plant')} realtime",

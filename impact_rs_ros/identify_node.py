@@ -1,51 +1,49 @@
 # SPDX-License-Identifier: Apache-2.0
 """Publishes results after every finished trial: prediction of the next hit, parameter estimates, changes.
 
-Topics, each a JSON document in a string (``docs/following.md`` lists their keys), latched:
+Topics, latched:
 
-    ~/prediction   prediction of the next hit, with intervals, and the present parameter estimates
-    ~/change       a change of the cell, with its evidence and explanations
-    ~/diagnosis    how the full diagnosis of the hits since then has ended
-    ~/refused      what gives no hit, and why
+    ~/prediction   HitPrediction: prediction of the next hit, with intervals, and the present parameter estimates
+    ~/change       CellChange: a change of the cell, with its evidence and explanations
+    ~/diagnosis    ChangeDiagnosis: how the full diagnosis of the hits since then has ended
+    ~/refused      RefusedHit: what gives no hit, and why
 
 How a hit is judged is not known here: the program that starts the node hands it an :class:`Identifier`.
 """
 
 from __future__ import annotations
 
-import json
 import time
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
-from std_msgs.msg import String
+from impact_rs.msg import CellChange, ChangeDiagnosis, HitPrediction, RefusedHit
 
+from impact_rs_ros.message_types import filled
 from impact_rs_ros.process import NodeProgram
 from impact_rs_ros.qos import LATCHED
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_trials.spec import TrialSpec
 
+TOPICS = {"prediction": HitPrediction, "change": CellChange, "diagnosis": ChangeDiagnosis, "refused": RefusedHit}
+
 
 @dataclass(frozen=True)
 class Lesson:
-    """Results of one hit, or of a diagnosis after a change.
+    """Result of one hit, or of a diagnosis after a change.
 
     Attributes:
         line: In a line.
-        change: A change as a JSON document; empty: no change.
-        words: The same in words.
-        diagnosis: Result of a full diagnosis, as a JSON document; empty: not ended.
-        refused: Refused trial with the reason, as a JSON document; empty: it is a hit, or a diagnosis.
+        topic: ``change``, ``diagnosis`` or ``refused``, on which it is published; empty: on none.
+        document: Fields of its message.
         hit: Whether it is about a hit.
     """
 
     line: str
-    change: str = ""
-    words: str = ""
-    diagnosis: str = ""
-    refused: str = ""
+    topic: str = ""
+    document: Mapping[str, Any] = field(default_factory=dict)
     hit: bool = True
 
 
@@ -55,8 +53,8 @@ class Identifier(Protocol):
     def arrived(self) -> Sequence[Lesson]:
         """Results of the hits since the last call; raises ``InputError`` if they cannot be read."""
 
-    def prediction(self) -> str:
-        """Prediction of the next hit and the parameters believed, as a JSON document; empty: not yet."""
+    def prediction(self) -> Mapping[str, Any]:
+        """Fields of the prediction of the next hit, with the parameters believed; empty: not yet."""
 
     def close(self) -> None:
         """Stop started processes."""
@@ -69,10 +67,9 @@ class IdentifyNode(NodeProgram):
 
     def __init__(self) -> None:
         super().__init__()
-        self._prediction = self.node.create_publisher(String, "~/prediction", LATCHED)
-        self._change = self.node.create_publisher(String, "~/change", LATCHED)
-        self._diagnosis = self.node.create_publisher(String, "~/diagnosis", LATCHED)
-        self._refused = self.node.create_publisher(String, "~/refused", LATCHED)
+        self._publishers = {
+            name: self.node.create_publisher(kind, f"~/{name}", LATCHED) for name, kind in TOPICS.items()
+        }
         self._identifier: Identifier | None = None
         self._looked = -float("inf")
         self._hits, self._changes, self._spent = 0, 0, 0.0
@@ -123,7 +120,7 @@ class IdentifyNode(NodeProgram):
         except Exception as error:  # no file ends a node
             self._complaint = f"hits could not be followed: {type(error).__name__}: {error}"
             self.log.error(full_traceback(error), throttle_duration_sec=5.0)
-            self._refuse(self._complaint, json.dumps({"hit": "", "reason": self._complaint}))
+            self._refuse(self._complaint, {"hit": "", "reason": self._complaint})
             return
         self._complaint = ""
         hits = [lesson for lesson in lessons if lesson.hit]
@@ -131,23 +128,25 @@ class IdentifyNode(NodeProgram):
         if hits:
             self._looked = -float("inf")  # more may wait
         for lesson in lessons:
-            if lesson.refused:
+            if lesson.topic == "refused":
                 self.log.warning(f"refused {lesson.line}")
-                self._refuse(lesson.line, lesson.refused)
+                self._refuse(lesson.line, lesson.document)
                 continue
             self.log.info(lesson.line)
-            if lesson.diagnosis:
-                self._diagnosis.publish(String(data=lesson.diagnosis))
-            if lesson.change:
+            if lesson.topic:
+                self._publish(lesson.topic, lesson.document)
+            if lesson.topic == "change":
                 self._changes += 1
-                self._last = lesson.words
-                self.log.warning(f"changed {lesson.words}")
-                self._change.publish(String(data=lesson.change))
-        if hits and (text := self._identifier.prediction()):
-            self._prediction.publish(String(data=text))
+                self._last = lesson.document["words"]
+                self.log.warning(f"changed {self._last}")
+        if hits and (found := self._identifier.prediction()):
+            self._publish("prediction", found)
         self._spent = time.monotonic() - now
 
-    def _refuse(self, line: str, document: str) -> None:
+    def _refuse(self, line: str, document: Mapping[str, Any]) -> None:
         """Count and publish a refused trial."""
         self._refusals, self._refusal = self._refusals + 1, line
-        self._refused.publish(String(data=document))
+        self._publish("refused", document)
+
+    def _publish(self, topic: str, document: Mapping[str, Any]) -> None:
+        self._publishers[topic].publish(filled(TOPICS[topic], document))

@@ -1,19 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The impact map as a service, ``/compute_impact_map``."""
+"""The impact map as services: ``impact_map/predict``, ``impact_map/intervals`` and ``impact_map/derivatives``."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from impact_rs.msg import ContactPoint, ImpactResidual, ObjectDescription, RigidBodyTwist, RobotState
-from impact_rs.srv import ComputeImpactMap
+import scipy
+from impact_rs.msg import ContactPoint, ImpactObject, ImpactResidual, RigidBodyTwist
+from impact_rs.msg import ImpactProblem as ImpactProblemMessage
+from impact_rs.srv import ComputeImpactMap, ImpactDerivatives, ImpactIntervals, PredictImpact
+from sensor_msgs.msg import JointState
+from shape_msgs.msg import SolidPrimitive
 
 from impact_msgs_py.conversions import (
+    joint_state_to_message,
+    point_from_message,
     point_to_message,
     pose_from_message,
     twist_from_message,
@@ -22,18 +30,26 @@ from impact_msgs_py.conversions import (
     vector_to_message,
 )
 from impact_rs_ros.process import NodeProgram, run
+from impact_rs_ros.robot_states import OWN_JOINTS, joint_names
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.impact_map import ImpactMapError, engine_name, predict_impact
 from impact_rs_sim.impact_map.derivatives import differentiate, velocity_names
 from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
 from impact_rs_sim.impact_map.uncertainty import predict
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
-from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, ObjectPhysics, Physics
+from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.scenarios.scenario import Scenario
-from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_sim.scenarios.object_mesh import MAX_PRODUCT_SHARE, object_mesh
+from impact_rs_sim.scenarios.scenario import ObjectSpec
+from impact_rs_sim.scene import ArmState, BodyState, Scene
+from impact_rs_sim.schema import validate
 from impact_rs_trials.spec import TrialSpec
+
+WORLD = ("", "world")  # frames in which an object may be described
+FORMER = (
+    "ComputeImpactMap has ended: call impact_map/predict (impact_rs/srv/PredictImpact), impact_map/intervals "
+    "(ImpactIntervals) or impact_map/derivatives (ImpactDerivatives); CHANGELOG.rst says which field became which"
+)
 
 
 class ImpactMapNode(NodeProgram):
@@ -47,86 +63,144 @@ class ImpactMapNode(NodeProgram):
         self._refused = 0
 
     def offer(self) -> None:
-        self.node.create_service(ComputeImpactMap, "compute_impact_map", self._on_request)
+        answers: dict[type, tuple[str, Callable[[Any, Any, ImpactProblem, Scene], str]]] = {
+            PredictImpact: ("predict", self._predict),
+            ImpactIntervals: ("intervals", _intervals),
+            ImpactDerivatives: ("derivatives", _derivatives),
+        }
+        for kind, (name, answer) in answers.items():
+            self.node.create_service(kind, f"~/{name}", partial(self._on_request, answer))
+        self.node.create_service(ComputeImpactMap, "compute_impact_map", self._on_former_request)
 
     def status(self) -> tuple[str, dict[str, object]]:
         return "ok", {"answered": self._answered, "refused": self._refused}
 
-    def _on_request(
-        self, request: ComputeImpactMap.Request, response: ComputeImpactMap.Response
-    ) -> ComputeImpactMap.Response:
+    def _on_request(self, answer: Callable[[Any, Any, ImpactProblem, Scene], str], request: Any, response: Any) -> Any:
+        """Fill a response in by ``answer``, which says in words what it has done."""
         started = time.perf_counter()
-        engine = engine_name(request.engine or self.parameter("engine"))
-        contact = request.contact or self.parameter("contact")
+        asked = request.problem
         try:
-            scenario = self.scenario(request.scenario)
-            problem, models = self._problem(request, scenario)
-            name = request.object_description.name if request.use_object_description else request.object_name
-            result = predict_impact(problem, contact, engine)
-            _fill(response, problem, result, name)
-            if contact == "first":
-                several = uniqueness_of(problem, models)
-                response.spread = several.relative
-                response.message = several.warning  # empty if u^+ is unique
-            _fill_more(response, request, problem, scenario, models, contact)
-            engine = result.engine  # the settled contact has only one
+            scenario = self.scenario(asked.scenario)
+            known = asked.object_name or (next(iter(scenario.objects)) if asked.object else "")
+            scene = TrialSpec.of(scenario, known, asked.case_name).scene  # the same every time: its engine stays warm
+            done = answer(request, response, _problem(asked, scene), scene)
             response.success = True
             self._answered += 1
-            self.log.info(f"answered {name}, case {request.case_name!r}, by engine {engine}, contact {contact}")
+            self.log.info(f"answered {_object_name(asked)}, case {asked.case_name!r}, {done}")
         except (InputError, ImpactMapError) as error:
-            self.log.warning(f"refused: {error}")
-            response.message = str(error)
-            self._refused += 1
+            self._refuse(response, str(error))
         except Exception as error:  # no request ends a node
             self.log.error(full_traceback(error))
-            response.message = f"the impact map failed: {type(error).__name__}: {error}"
-            self._refused += 1
-        response.engine = engine
-        response.contact = contact
+            self._refuse(response, f"the impact map failed: {type(error).__name__}: {error}")
         response.elapsed = time.perf_counter() - started
         return response
 
-    def _problem(
-        self, request: ComputeImpactMap.Request, scenario: Scenario
-    ) -> tuple[ImpactProblem, Mapping[str, RobotModel]]:
-        """The impact of a request, and the robot models of its arms, which no request changes."""
-        known = request.object_name or (next(iter(scenario.objects)) if request.use_object_description else "")
-        scene = TrialSpec.of(scenario, known, request.case_name).scene  # the same one every time: its engine stays warm
-        physics, body = scene.physics, scene.object
-        if request.use_object_description:
-            physics, body = _described(physics, request.object_description)
-        arms = dict(scene.arms)
-        for state in request.robots:
-            if state.robot not in arms:
-                raise InputError(
-                    f"scenario {scenario.name!r} has no robot {state.robot!r}; it has: {', '.join(arms)}", key="robots"
-                )
-            count = physics.arms[state.robot].facts.joint_count
-            for name in ("joint_position", "joint_velocity"):
-                if len(getattr(state, name)) != count:
-                    raise InputError(
-                        f"expected {count} values, one per joint, got {len(getattr(state, name))}",
-                        key=f"robots.{state.robot}.{name}",
-                    )
-            arms[state.robot] = ArmState(np.array(state.joint_position), np.array(state.joint_velocity))
-        restitution = physics.restitution if request.restitution < 0.0 else request.restitution
-        return ImpactProblem(physics, arms, body, _motor_inertia(request, physics), restitution), scene.models
+    def _on_former_request(
+        self, request: ComputeImpactMap.Request, response: ComputeImpactMap.Response
+    ) -> ComputeImpactMap.Response:
+        del request
+        self._refuse(response, FORMER)
+        return response
+
+    def _refuse(self, response: Any, reason: str) -> None:
+        self.log.warning(f"refused: {reason}")
+        response.message = reason
+        self._refused += 1
+
+    def _predict(
+        self, request: PredictImpact.Request, response: PredictImpact.Response, problem: ImpactProblem, scene: Scene
+    ) -> str:
+        response.contact = request.contact or self.parameter("contact")
+        result = predict_impact(problem, response.contact, engine_name(request.engine or self.parameter("engine")))
+        response.engine = result.engine  # the settled contact has only one
+        if response.contact == "first":
+            several = uniqueness_of(problem, scene.models)
+            response.spread, response.message = several.relative, several.warning  # no warning if u^+ is unique
+        _fill(response, problem, result, _object_name(request.problem))
+        return f"by engine {response.engine}, contact {response.contact}"
 
 
-def _described(physics: Physics, described: ObjectDescription) -> tuple[Physics, BodyState]:
+def _intervals(
+    request: ImpactIntervals.Request, response: ImpactIntervals.Response, problem: ImpactProblem, scene: Scene
+) -> str:
+    del request
+    prediction = predict(problem, scene.scenario.uncertainty, scene.models)
+    response.velocity_names = list(velocity_names(problem))
+    response.velocity = prediction.nominal.tolist()
+    response.low, response.high = prediction.low.tolist(), prediction.high.tolist()
+    return "intervals"
+
+
+def _derivatives(
+    request: ImpactDerivatives.Request, response: ImpactDerivatives.Response, problem: ImpactProblem, scene: Scene
+) -> str:
+    del request
+    found = differentiate(problem, scene.models)
+    response.velocity_names, response.velocity = list(velocity_names(problem)), found.velocities.tolist()
+    response.parameter_names = [parameter.name for parameter in found.parameters]
+    response.parameter_units = [parameter.unit for parameter in found.parameters]
+    response.derivatives = found.jacobian.ravel().tolist()
+    return "derivatives"
+
+
+def _object_name(asked: ImpactProblemMessage) -> str:
+    return str(asked.object[0].name if asked.object else asked.object_name)
+
+
+def _problem(asked: ImpactProblemMessage, scene: Scene) -> ImpactProblem:
+    """The impact of a request: that of the scene with what the request changes."""
+    diagonal = asked.motor_inertia == "diagonal"
+    problem = ImpactProblem.at_nominal_impact(scene, "reduced" if diagonal else asked.motor_inertia or "reduced")
+    if asked.object:
+        physics, body = _described(scene.physics, asked.object[0])
+        problem = replace(problem, physics=physics, object=body)
+    if asked.joint_state.name:
+        problem = replace(problem, arms=scene.arms | _arms(asked.joint_state, scene.physics))
+    if diagonal:
+        problem = replace(problem, motor_inertia=_diagonal(np.array(asked.motor_inertia_diagonal), scene.physics))
+    return problem if asked.restitution < 0.0 else replace(problem, restitution=asked.restitution)
+
+
+def _joints(physics: Physics) -> dict[str, list[str]]:
+    return joint_names(OWN_JOINTS, {name: arm.facts.joint_count for name, arm in physics.arms.items()})
+
+
+def _arms(asked: JointState, physics: Physics) -> dict[str, ArmState]:
+    """States of the arms whose joints are named."""
+    for name in ("position", "velocity"):
+        if len(getattr(asked, name)) != len(asked.name):
+            raise InputError(
+                f"expected {len(asked.name)} values, one per name, got {len(getattr(asked, name))}",
+                key=f"joint_state.{name}",
+            )
+    given = dict(zip(asked.name, zip(asked.position, asked.velocity, strict=True), strict=True))
+    arms, all_joints = {}, _joints(physics)
+    for arm, joints in all_joints.items():
+        if given.keys().isdisjoint(joints):
+            continue
+        if missing := [joint for joint in joints if joint not in given]:
+            raise InputError(f"expected every joint of {arm!r}, {', '.join(missing)} too", key="joint_state.name")
+        position, velocity = np.array([given.pop(joint) for joint in joints]).T
+        arms[arm] = ArmState(position, velocity)
+    if given:
+        known = ", ".join(f"{joints[0]} to {joints[-1]}" for joints in all_joints.values())
+        raise InputError(f"no joint {', '.join(given)}; known: {known}", key="joint_state.name")
+    return arms
+
+
+def _described(physics: Physics, described: ImpactObject) -> tuple[Physics, BodyState]:
     """Physics and state with the object of a request; the impact problem checks the remaining values."""
-    if not (np.isfinite(described.mass) and described.mass > 0.0):
-        raise InputError("expected a finite mass > 0 kg", key="object_description.mass", value=described.mass)
-    size = vector_from_message(described.size)
-    pose = pose_from_message(described.pose)
+    pose, twist = pose_from_message(described.pose), twist_from_message(described.twist)
+    if described.header.frame_id not in WORLD:
+        raise InputError("expected world", key="object.header.frame_id", value=described.header.frame_id)
     if not abs(np.linalg.norm(pose[3:]) - 1.0) < 1e-3:
         raise InputError(
-            "expected a unit quaternion (x, y, z, w)",
-            key="object_description.pose.orientation",
-            value=pose[3:].tolist(),
+            "expected a unit quaternion (x, y, z, w)", key="object.pose.orientation", value=pose[3:].tolist()
         )
-    x, y, z = np.square(size)
-    body = ObjectPhysics(described.mass, size, described.mass / 12.0 * np.array([y + z, x + z, x + y]), np.zeros(3))
+    body, middle = _body(described)
+    rotation = pin.Quaternion(pose[3:] / np.linalg.norm(pose[3:])).matrix()
+    arm = rotation @ middle  # from the origin of its own frame to its geometric centre
+    twist[:3] += np.cross(twist[3:], arm)
     changed = replace(
         physics,
         object=body,
@@ -134,39 +208,88 @@ def _described(physics: Physics, described: ObjectDescription) -> tuple[Physics,
         support_friction=described.support_friction,
         support_height=described.support_height if described.has_support else None,
     )
-    rotation = pin.Quaternion(pose[3:] / np.linalg.norm(pose[3:])).matrix()
-    return changed, BodyState(pose[:3], rotation, twist_from_message(described.twist))
+    return changed, BodyState(pose[:3] + arm, rotation, twist)
 
 
-def _motor_inertia(request: ComputeImpactMap.Request, physics: Physics) -> dict[str, Array]:
-    model = request.motor_inertia or "reduced"
-    if model == "diagonal":
-        diagonal = np.array(request.motor_inertia_diagonal, dtype=float)
-        counts = [arm.facts.joint_count for arm in physics.arms.values()]
-        if diagonal.size == sum(counts):
-            parts = np.split(diagonal, np.cumsum(counts)[:-1])
-        elif all(diagonal.size == count for count in counts):
-            parts = [diagonal] * len(counts)
-        else:
-            raise InputError(
-                f"expected {sum(counts)} values, one per joint [kg m^2], prismatic [kg], got {diagonal.size}",
-                key="motor_inertia_diagonal",
-            )
-        return dict(zip(physics.arms, parts, strict=True))
-    if model not in MOTOR_INERTIA_MODELS:
-        raise InputError(f"no motor-inertia model {model!r}; known: {', '.join(MOTOR_INERTIA_MODELS)}, diagonal")
-    return {name: arm.motor_inertia(model) for name, arm in physics.arms.items()}
+def _body(described: ImpactObject) -> tuple[ObjectPhysics, Array]:
+    """The body, and its geometric centre in its own frame, ``(3,)`` [m].
 
-
-def _fill(response: ComputeImpactMap.Response, problem: ImpactProblem, result: ImpactResult, object_name: str) -> None:
-    response.post = [
-        RobotState(
-            robot=name,
-            joint_position=problem.arms[name].position.tolist(),
-            joint_velocity=result.joint_velocity[name].tolist(),
+    Raises:
+        InputError: It is none that a scenario could have.
+    """
+    inertia, middle = described.inertia, np.zeros(3)
+    products = np.abs([inertia.ixy, inertia.ixz, inertia.iyz])
+    moments = np.array([inertia.ixx, inertia.iyy, inertia.izz])
+    if not products.max() <= MAX_PRODUCT_SHARE * moments.sum():
+        raise InputError(
+            "expected products of inertia 0: turn its own frame to its principal axes", key="object.inertia"
         )
-        for name in problem.arms
-    ]
+    given: dict[str, Any] = {"label": described.name, "mass": inertia.m}
+    com = vector_from_message(inertia.com)
+    if described.mesh.vertices:
+        points = np.array([point_from_message(vertex) for vertex in described.mesh.vertices])
+        triangles = np.array([triangle.vertex_indices for triangle in described.mesh.triangles], dtype=int)
+        middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        try:
+            mesh = object_mesh(points, triangles.reshape(-1, 3), Path("object.mesh"))
+        except (scipy.spatial.QhullError, IndexError, ValueError) as error:
+            raise error if isinstance(error, InputError) else InputError(str(error), key="object.mesh") from None
+        given |= {"shape": "hull", "corners": mesh.corners.tolist(), "size": mesh.size.tolist()}
+        com = com - middle if moments.any() else mesh.com
+        moments = moments if moments.any() else inertia.m * mesh.moments
+    else:
+        given["shape"], given["size"] = _filled(described.primitive, described.rounded)
+    if moments.any():
+        given["inertia"] = moments.tolist()
+    try:
+        spec = validate(ObjectSpec, given | {"com_offset": com.tolist()}, None)
+    except InputError as error:
+        raise InputError(
+            error.message, key=f"object.{error.key}" if error.key else "object", value=error.value
+        ) from None
+    return ObjectPhysics(spec.mass, np.array(spec.size), spec.moments, com, spec.form), middle
+
+
+def _filled(primitive: SolidPrimitive, rounded: bool) -> tuple[str, list[float]]:
+    """Shape and extents [m] of a primitive."""
+    counts = {SolidPrimitive.BOX: 3, SolidPrimitive.SPHERE: 1, SolidPrimitive.CYLINDER: 2}
+    sizes = [float(size) for size in primitive.dimensions]
+    if counts.get(primitive.type) != len(sizes):
+        raise InputError(
+            "expected BOX (1) with x, y, z, SPHERE (2) with radius, or CYLINDER (3) with height, radius",
+            key="object.primitive",
+            value=[primitive.type, *sizes],
+        )
+    if primitive.type == SolidPrimitive.BOX:
+        return "box", sizes
+    diameter = 2.0 * sizes[-1]
+    if primitive.type == SolidPrimitive.SPHERE:
+        return "sphere", [diameter] * 3
+    return "capsule" if rounded else "cylinder", [diameter, diameter, sizes[0]]
+
+
+def _diagonal(values: Array, physics: Physics) -> dict[str, Array]:
+    """Motor inertias of a request by arm; one arm's count of values is for each."""
+    counts = [arm.facts.joint_count for arm in physics.arms.values()]
+    if values.size == sum(counts):
+        parts = np.split(values, np.cumsum(counts)[:-1])
+    elif all(values.size == count for count in counts):
+        parts = [values] * len(counts)
+    else:
+        raise InputError(
+            f"expected {sum(counts)} values, one per joint [kg m^2], prismatic [kg], got {values.size}",
+            key="motor_inertia_diagonal",
+        )
+    return dict(zip(physics.arms, parts, strict=True))
+
+
+def _fill(response: PredictImpact.Response, problem: ImpactProblem, result: ImpactResult, object_name: str) -> None:
+    names = [joint for joints in _joints(problem.physics).values() for joint in joints]
+    position, velocity = (
+        np.concatenate([values[name] for name in problem.physics.arms])
+        for values in ({name: arm.position for name, arm in problem.arms.items()}, result.joint_velocity)
+    )
+    response.joint_state = joint_state_to_message(names, position, velocity)
     response.end_effector_twists = [_twist(name, twist) for name, twist in result.end_effector_twist.items()]
     response.body_twists = [_twist(object_name, result.object_twist)]
     response.contacts = [
@@ -179,38 +302,8 @@ def _fill(response: ComputeImpactMap.Response, problem: ImpactProblem, result: I
         )
         for contact in result.contacts
     ]
-    response.residual = ImpactResidual(
-        penetration_velocity=float(result.residual.penetration_velocity),
-        complementarity=float(result.residual.complementarity),
-        friction_cone=float(result.residual.friction_cone),
-        momentum=float(result.residual.momentum),
-    )
-
-
-def _fill_more(
-    response: ComputeImpactMap.Response,
-    request: ComputeImpactMap.Request,
-    problem: ImpactProblem,
-    scenario: Scenario,
-    models: Mapping[str, RobotModel],
-    contact: str,
-) -> None:
-    """Add intervals and derivatives if requested."""
-    if not (request.uncertainty or request.derivatives):
-        return
-    if contact != "first":
-        raise InputError("intervals and derivatives are those of the first contact", key="contact", value=contact)
-    response.velocity_names = list(velocity_names(problem))
-    if request.uncertainty:
-        prediction = predict(problem, scenario.uncertainty, models)
-        response.velocity = prediction.nominal.tolist()
-        response.velocity_low, response.velocity_high = prediction.low.tolist(), prediction.high.tolist()
-    if request.derivatives:
-        found = differentiate(problem, models)
-        response.velocity = found.velocities.tolist()
-        response.parameter_names = [parameter.name for parameter in found.parameters]
-        response.parameter_units = [parameter.unit for parameter in found.parameters]
-        response.derivatives = found.jacobian.ravel().tolist()
+    names_of_laws = ImpactResidual.get_fields_and_field_types()
+    response.residual = ImpactResidual(**{name: float(getattr(result.residual, name)) for name in names_of_laws})
 
 
 def _twist(body: str, twist: Any) -> RigidBodyTwist:

@@ -5,10 +5,14 @@ from __future__ import annotations
 
 import functools
 import importlib
+import math
+import re
 from array import array
+from collections.abc import Mapping
 from importlib.util import find_spec
 from typing import Any
 
+import numpy as np
 from rclpy.serialization import deserialize_message
 
 from impact_rs_sim.robots.robot import Array
@@ -33,6 +37,29 @@ def decoded(data: bytes, kind: Any) -> Any | None:
         return deserialize_message(data, kind)
     except Exception:  # of rclpy or the middleware, depending on the bytes
         return None
+
+
+def filled(kind: Any, document: Mapping[str, Any]) -> Any:
+    """A message of ``impact_rs`` with the fields of a document; None is NaN.
+
+    As ``rosidl_runtime_py.set_message_fields``, which pip does not install.
+    """
+    message = kind()
+    for name, field in kind.get_fields_and_field_types().items():
+        value: Any = math.nan if document[name] is None else document[name]
+        if nested := re.fullmatch(r"sequence<impact_rs/(\w+)>", field):
+            value = [filled(message_type(f"impact_rs/msg/{nested[1]}"), one) for one in value]
+        setattr(message, name, value)
+    return message
+
+
+def document_of(message: Any) -> Any:
+    """The document of a message of ``impact_rs``, for JSON: the inverse of :func:`filled`."""
+    if hasattr(message, "get_fields_and_field_types"):
+        return {name: document_of(getattr(message, name)) for name in message.get_fields_and_field_types()}
+    if isinstance(message, (list, np.ndarray)):
+        return [document_of(one) for one in message]
+    return None if isinstance(message, float) and not math.isfinite(message) else message
 
 
 class Uninstalled:

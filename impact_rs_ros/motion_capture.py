@@ -4,8 +4,8 @@
     T_world_object = T_world_tracker T_tracker_object
 
 with T_world_tracker from x y z and roll pitch yaw about fixed axes (REP-103): R = Rz(yaw) Ry(pitch) Rx(roll). It comes
-from a calibration and is constant in a trial. It is therefore a parameter and not looked up on /tf, where it could
-change or be missing while the arm moves; also, pip does not install tf2.
+from a calibration and is constant in a trial. It is therefore a parameter, which the cell publishes on /tf_static, and
+not looked up on /tf, where it could change or be missing while the arm moves; also, pip does not install tf2.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from impact_rs_ros.message_types import decoded
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.rotations import quaternion_of
+from impact_rs_trials.bags.messages import Frame
 
 MOCAP = "/mocap/object_pose"
 WORLD = "world"
@@ -40,6 +41,12 @@ class TrackerPoses:
         self._rotation = pin.rpy.rpyToMatrix(*(float(angle) for angle in placement[3:]))
         x, y, z, w = quaternion_of(self._rotation)
         self._turn = np.array([[w, -z, y, x], [z, w, -x, y], [-y, x, w, z], [-x, -y, -z, w]])  # q: left product by it
+
+    def frames(self, prefix: str) -> list[Frame]:
+        """The tracker's frame for ``/tf_static``, unless it is ``world``; ``prefix`` is that of ``world``."""
+        if self.frame == WORLD:
+            return []
+        return [Frame(prefix + WORLD, self.frame, pin.SE3(self._rotation, self._origin))]
 
     def read(self, data: bytes) -> PoseStamped | None:
         """A pose in ``world`` with its original timestamp; None: no valid pose, for example of an occluded object.

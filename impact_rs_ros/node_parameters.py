@@ -152,6 +152,11 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
             NodeParameter(
                 "answer_timeout", 1.5, "Time without an answer after which the trial is aborted", "s", (0.1, 600.0)
             ),
+            NodeParameter(
+                "link_transforms",
+                True,
+                "true: the links of the arms are published on /tf; false: robot_state_publisher does that",
+            ),
         ),
     ),
     "impact_map": (

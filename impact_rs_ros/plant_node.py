@@ -240,7 +240,8 @@ class PlantNode(LeadingNode[PlantTrial]):
             repeat_after=self.parameter("repeat_after"),
             answer_timeout=self.parameter("answer_timeout"),
         )
-        frames = FrameSource(plan.scene, frame_prefix(self.node.get_namespace()))
+        prefix = frame_prefix(self.node.get_namespace())
+        frames = FrameSource(plan.scene, prefix, links=self.parameter("link_transforms"))
         maker = MessageMaker(RosidlTypes(), plan)
         self.outbox.later(topics.TF_STATIC, maker.transforms(0, frames.static))
         return PlantTrial(plan, make_plant(plan, info.seed, physics), pace, self.inbox, self.outbox, frames)

@@ -358,7 +358,7 @@ class RecorderNode(NodeProgram):
             bag.describe(info)
             bag.write_raw(topics.TRIAL_INFO, 0, serialize_message(request.trial))
             own = {topics.ROBOT_DESCRIPTION: request.robot_description}
-            for topic, urdf in (own if plan is None else descriptions(plan)).items():
+            for topic, urdf in (own if plan is None else descriptions(plan.scene.physics)).items():
                 bag.write_raw(topic, 0, serialize_message(String(data=urdf)))
             bag.save()
             duration = (

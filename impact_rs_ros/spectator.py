@@ -7,6 +7,7 @@ decoded a thousand times a second, and no publisher waits for the observer.
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import time
@@ -20,9 +21,10 @@ import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 
+from impact_rs_ros import identify_node
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.joint_signals import joint_signals, names_of
-from impact_rs_ros.message_types import decoded, message_type
+from impact_rs_ros.message_types import decoded, document_of, message_type
 from impact_rs_ros.middleware import discovery, set_middleware
 from impact_rs_ros.names import full_namespace, resolved
 from impact_rs_ros.qos import LATCHED, WATCH
@@ -38,7 +40,7 @@ log = logging.getLogger(__name__)
 STATES = "/joint_states"  # of a robot without a trial, beside its /robot_description
 MAX_JOINT_SILENCE_S = 1.0  # without a joint state, after which the robot is taken to be at rest
 PUBLISHER_POLL_S = 0.5  # between two counts of publishers
-FOLLOWED = {f"/identify/{name}": topics.STRING for name in ("prediction", "change", "diagnosis", "refused")}
+FOLLOWED = {f"/identify/{name}": f"impact_rs/msg/{kind.__name__}" for name, kind in identify_node.TOPICS.items()}
 MAX_KEPT_CHANGES = 20  # the newest
 DESCRIBING = {topics.TRIAL_INFO: topics.TRIAL_INFO_TYPE, topics.ROBOT_DESCRIPTION: topics.STRING}
 
@@ -95,7 +97,7 @@ class Spectator:
             if topic == topics.TRIAL_INFO:
                 self._take_trial(message)
             elif topic in FOLLOWED:
-                self._with(followed=_with_document(self._known.followed, topic, message.data))
+                self._with(followed=_with_document(self._known.followed, topic, json.dumps(document_of(message))))
             elif self._info is None:
                 self._show(description=message.data)
         self._signals.gather()

@@ -13,17 +13,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from impact_rs.msg import RobotState
 from impact_rs.msg import TrialInfo as TrialInfoMessage
 from impact_rs.srv import ConfigureTrial, FinishTrial
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from impact_msgs_py.conversions import pose_to_message
+from impact_msgs_py.conversions import joint_state_to_message, pose_to_message
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros import node_parameters
 from impact_rs_ros.exchange import Inbox
@@ -31,6 +31,7 @@ from impact_rs_ros.message_types import RosidlTypes
 from impact_rs_ros.names import on_network, resolved
 from impact_rs_ros.presence import LEASE_GRACE_S, Presence
 from impact_rs_ros.qos import EVENT, LATCHED, LEASE_S, WATCH
+from impact_rs_ros.robot_states import OWN_JOINTS, joint_names
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.rotations import quaternion_of
@@ -122,7 +123,7 @@ class TrialSession:
 
     def describe(self, plan: TrialPlan) -> None:
         """Publish the URDFs of the arms and the object of a trial, in place of earlier ones, for viewers."""
-        self._describe(descriptions(plan))
+        self._describe(descriptions(plan.scene.physics))
 
     def close(self) -> None:
         """Destroy the subscriptions."""
@@ -278,10 +279,7 @@ class TrialSession:
         """Configure the nodes; only the plant gets the ``secret`` trial with hidden effects, and the initial state."""
         requests = {name: ConfigureTrial.Request(attempt=self._attempt, trial=trial) for name in self._configure}
         requests["plant"].trial = secret
-        requests["plant"].start = [
-            RobotState(robot=name, joint_position=arm.initial.tolist(), joint_velocity=[0.0] * arm.initial.size)
-            for name, arm in plan.arms.items()
-        ]
+        requests["plant"].start = starting_joints(plan)
         placed = plan.scene.object
         requests["plant"].object_pose = pose_to_message(
             np.concatenate((placed.position, quaternion_of(placed.rotation)))
@@ -393,3 +391,10 @@ class TrialSession:
         self._check_present("recorder")
         answer: FinishTrial.Response = self._call("recorder", self._finish["recorder"], request, patience)
         return answer
+
+
+def starting_joints(plan: TrialPlan) -> JointState:
+    """Joints of all arms at trial time 0, at rest."""
+    joints = joint_names(OWN_JOINTS, {name: arm.initial.size for name, arm in plan.arms.items()})
+    names = [joint for own in joints.values() for joint in own]
+    return joint_state_to_message(names, np.concatenate([arm.initial for arm in plan.arms.values()]))

@@ -16,7 +16,7 @@ stopped. ``gone``: they have stopped, and the nodes have ended."""
 
 @dataclass(frozen=True)
 class IdentifyMessages:
-    """The newest JSON documents of a node ``identify``, as published; empty: not yet.
+    """The newest messages of a node ``identify``, as JSON documents; empty: not yet.
 
     Attributes:
         prediction: Of the next hit, with the parameters believed.

@@ -3,11 +3,13 @@
 
 ``without:=plant`` does not start a node that you provide yourself; ``without:="plant controller"`` names several.
 A node that dies is started again, at most ``RESPAWNS`` times; one that refuses its parameters (exit code 2) is not.
-Each node configures discovery from the environment, as everywhere in impact_rs.
+Where robot_state_publisher is installed it publishes the links of every arm from /ARM/joint_states, and the plant does
+not. Each node configures discovery from the environment, as everywhere in impact_rs.
 """
 
 from pathlib import Path
 
+from ament_index_python.packages import get_packages_with_prefixes
 from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
 from launch.actions import DeclareLaunchArgument, EmitEvent, LogInfo, OpaqueFunction, RegisterEventHandler
 from launch.event_handlers import OnProcessExit
@@ -15,7 +17,14 @@ from launch.events import matches_action
 from launch.events.process import ProcessExited, ShutdownProcess
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
+
+from impact_rs_ros.names import frame_prefix, full_namespace, within
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.record import descriptions
 
 NODES = ("plant", "impact_map", "controller", "recorder", "experiment")
 LEVELS = ["debug", "info", "warn", "error", "fatal"]
@@ -80,7 +89,8 @@ def wanted_nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     if not Path(file).is_file():
         raise RuntimeError(f"params_file: there is no file {file!r}; expected a YAML file of node parameters")
     sim_time = LaunchConfiguration("use_sim_time").perform(context) == "true"
-    started: list[LaunchDescriptionEntity] = []
+    publishers = state_publishers(context, sim_time) if "robot_state_publisher" in get_packages_with_prefixes() else []
+    started: list[LaunchDescriptionEntity] = [*publishers]
     for name in NODES:
         if name not in without:
             node = Node(
@@ -97,7 +107,8 @@ def wanted_nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
                     {
                         "scenario": LaunchConfiguration("scenario"),
                         "use_sim_time": sim_time and name != "plant",
-                    },
+                    }
+                    | ({"link_transforms": not publishers} if name == "plant" else {}),
                 ],
                 remappings=[("/clock", "clock")],  # of its own namespace
                 ros_arguments=["--log-level", LaunchConfiguration("log_level")],
@@ -115,6 +126,31 @@ def stay_down_if_refused(event: ProcessExited, context: LaunchContext) -> list[L
         return None
     text = f"{event.process_name}: its parameters were refused (see above), so it is not started again"
     return [LogInfo(msg=text), EmitEvent(event=ShutdownProcess(process_matcher=matches_action(event.action)))]
+
+
+def state_publishers(context: LaunchContext, sim_time: bool) -> list[Node]:
+    """Return a robot_state_publisher for every arm, beside its joint states."""
+    scenario = load_scenario(LaunchConfiguration("scenario").perform(context))
+    namespace = full_namespace(LaunchConfiguration("namespace").perform(context))
+    urdfs = descriptions(Physics.nominal(scenario, next(iter(scenario.objects))))
+    return [
+        Node(
+            package="robot_state_publisher",
+            executable="robot_state_publisher",
+            namespace=within(namespace, arm),
+            output="screen",
+            parameters=[
+                {
+                    "robot_description": ParameterValue(urdfs[topics.robot_description(arm)], value_type=str),
+                    "frame_prefix": frame_prefix(namespace),
+                    "publish_frequency": 50.0,
+                    "use_sim_time": sim_time,
+                }
+            ],
+            remappings=[("/clock", within(namespace, "clock")), ("robot_description", "~/robot_description")],
+        )
+        for arm in scenario.robots
+    ]
 
 
 def viewer() -> Node:

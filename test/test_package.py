@@ -44,7 +44,7 @@ PACKAGES = (
     "impact_rs_trials",
     "impact_rs_workbench",
 )
-PHYSICAL = ("float64", "uint8", "uint32", "uint64", "bool", "geometry_msgs/")
+PHYSICAL = ("float64", "uint8", "uint32", "uint64", "bool", "geometry_msgs/", "sensor_msgs/", "shape_msgs/")
 
 
 def pyproject() -> dict:
@@ -265,6 +265,7 @@ def test_fri_is_set_up_alike_in_both_command_modes_and_smooths_no_hit_away() -> 
 
 PARAMETERS = str(ROOT / "config" / "nodes.yaml")
 CHOSEN = {"without": "", "params_file": PARAMETERS, "use_sim_time": "false", "rviz": "false"}
+CHOSEN |= {"scenario": "grab", "namespace": "cell_a"}
 
 
 def launched(launch_file: dict[str, Any], **chosen: str) -> list[Any]:
@@ -282,6 +283,24 @@ def test_the_launch_file_leaves_out_what_others_provide(launch_file: dict[str, A
         started("plant wall")
     with pytest.raises(RuntimeError, match=r"params_file: there is no file '/nope\.yaml'"):
         launched(launch_file, params_file="/nope.yaml")
+
+
+def test_where_robot_state_publisher_is_installed_it_publishes_the_links_and_the_plant_does_not(
+    launch_file: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert [node.parameters[-1].get("link_transforms") for node in launched(launch_file)][0] is True
+    monkeypatch.setattr(
+        "ament_index_python.packages.get_packages_with_prefixes", lambda: {"robot_state_publisher": "/"}
+    )
+    file = runpy.run_path(str(ROOT / "launch" / "impact_rs.launch.py"))
+    left, right, plant, *others = launched(file, use_sim_time="true")
+    assert (left.executable, plant.parameters[-1]["link_transforms"]) == ("robot_state_publisher", False)
+    assert not any("link_transforms" in node.parameters[-1] for node in others)
+    assert (left.namespace, right.namespace) == ("/cell_a/left", "/cell_a/right")  # of the joint states
+    (given,) = left.parameters
+    assert (given["frame_prefix"], given["use_sim_time"]) == ("cell_a/", True)
+    assert "left_joint7" in given["robot_description"] and "right" not in given["robot_description"]
+    assert ("/clock", "/cell_a/clock") in left.remappings
 
 
 def test_the_launch_file_restarts_nodes_unless_parameters_were_refused(

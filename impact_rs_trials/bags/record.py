@@ -27,9 +27,9 @@ from impact_rs_trials.bags.writer import BagWriter
 FIXED_TOLERANCE = 1e-9  # [-], m; a placement that changes by less does not depend on the joint positions
 
 
-def descriptions(plan: TrialPlan) -> dict[str, str]:
+def descriptions(physics: Physics) -> dict[str, str]:
     """URDFs by topic: all arms with the support, every arm alone, and the object."""
-    physics, body = plan.scene.physics, plan.scene.physics.object
+    body = physics.object
     arms = {name: (arm.facts, arm.end_effector, arm.base) for name, arm in physics.arms.items()}
     return {
         topics.ROBOT_DESCRIPTION: physics.description(),
@@ -47,13 +47,16 @@ class FrameSource:
         scene: The scene.
         prefix: Prefix of every frame, ``cell_a/``, if several graphs share ``/tf``; the prefixed ``world`` then is
             a child of the common ``world``, at the same pose.
+        links: Whether frames of links are among them; otherwise robot_state_publisher publishes these.
 
     Attributes:
-        static: Frames that never move in their parent: support, bases, frames fixed to a link.
+        static: Frames that never move in their parent: support, bases, pads, frames fixed to a link.
     """
 
-    def __init__(self, scene: Scene, prefix: str = "") -> None:
+    def __init__(self, scene: Scene, prefix: str = "", links: bool = True) -> None:
         self._models = scene.models
+        self._pads = {name: arm.end_effector.pad_placement for name, arm in scene.physics.arms.items()}
+        self._links = links
         self._prefix = prefix
         self._supported = scene.physics.support_height is not None
         self._every = max(1, round(TF_PERIOD_S / scene.scenario.timing.control_period))
@@ -95,10 +98,11 @@ class FrameSource:
         frames = [Frame(WORLD, "support", pin.SE3.Identity())] if self._supported else []
         for name, model in self._models.items():
             parent, before = WORLD, pin.SE3.Identity()
-            for link, placement in model.link_placements(arms[name]).items():
+            for link, placement in model.link_placements(arms[name]).items() if self._links else ():
                 child = f"{name}_{link}"
                 frames.append(Frame(parent, child, before.actInv(placement)))
                 parent, before = child, placement
+            frames.append(Frame(f"{name}_end_effector", f"{name}_pad", self._pads[name]))
         if not self._prefix:
             return frames
         named = [Frame(self._prefix + one.parent, self._prefix + one.name, one.placement) for one in frames]
@@ -182,7 +186,7 @@ def record_cell(
         with without_garbage_collection(), BagWriter.create(path, list(plan.arms), truth is not None) as bag:
             bag.describe(info)
             bag.write(topics.TRIAL_INFO, 0, maker.trial_info(info))
-            for topic, urdf in descriptions(plan).items():
+            for topic, urdf in descriptions(plan.scene.physics).items():
                 bag.write(topic, 0, maker.robot_description(urdf))
             bag.write(topics.TF_STATIC, 0, maker.transforms(0, frames.static))
             ticks, streaming = TickLog(plan), StreamMaker(plan)

@@ -19,7 +19,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import deserialize_message, serialize_message
 
 import impact_msgs_py
-from impact_msgs_py import ComputeImpactMap, ControllerState, FinishTrial, RunTrial, TrialOutcome
+from impact_msgs_py import ControllerState, FinishTrial, ImpactProblem, RunTrial, TrialOutcome
 from impact_msgs_py import conversions as convert
 from impact_rs_trials.bags.trial_info import OUTCOMES
 
@@ -125,7 +125,7 @@ def test_every_outcome_has_one_constant() -> None:
 
 
 def test_a_restitution_that_is_not_given_is_the_scenarios_and_not_zero() -> None:
-    assert ComputeImpactMap.Request().restitution < 0.0
+    assert ImpactProblem().restitution < 0.0
 
 
 def test_a_velocity_scale_that_is_not_given_is_that_of_the_prediction_and_not_zero() -> None:

@@ -204,7 +204,7 @@ def test_the_node_takes_a_few_hits_at_a_time_and_all_in_the_end(table: Path, tmp
         later += look
     lines = [lesson.line.partition(":")[0] for lesson in later]
     assert lines == [f"row {number}" for number in range(21, 43)]  # the state was saved after the tenth hit, twice
-    (change,) = [json.loads(lesson.change) for lesson in later if lesson.change]
+    (change,) = [lesson.document for lesson in later if lesson.topic == "change"]
     assert "--since 'row 37'" in change["diagnose"]
 
 

@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
-import json
+import math
 from collections.abc import Sequence
 from types import SimpleNamespace
+from typing import Any, get_args
 
 import pytest
-from std_msgs.msg import String
 
-from impact_rs_ros.identify_node import Identifier, IdentifyNode, Lesson
+from impact_rs_analysis.following.lessons import ChangeDiagnosis, PublishedChange, PublishedPrediction, RefusedHit
+from impact_rs_ros.identify_node import TOPICS, Identifier, IdentifyNode, Lesson
+from impact_rs_ros.message_types import message_type
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.schema import Schema
 
 
 class Lessons:
@@ -26,8 +29,17 @@ class Lessons:
             raise found
         return found
 
-    def prediction(self) -> str:
-        return json.dumps({"like": "row 1"})
+    def prediction(self) -> dict[str, Any]:
+        value = {
+            "signal": "v",
+            "index": "y",
+            "phase": "push",
+            "bin": 1,
+            "value": -0.5,
+            "ci95": (-0.6, -0.4),
+            "unit": "m/s",
+        }
+        return {"condition": "", "like": "row 1", "values": (value,), "followed": ()}
 
     def close(self) -> None:
         """Nothing was started."""
@@ -46,14 +58,8 @@ class Offline(IdentifyNode):
 
     def __init__(self, followed: Identifier) -> None:
         self.log = Log()  # type: ignore[assignment]
-        self.predicted: list[String] = []
-        self.changed: list[String] = []
-        self._prediction = SimpleNamespace(publish=self.predicted.append)  # type: ignore[assignment]
-        self._change = SimpleNamespace(publish=self.changed.append)  # type: ignore[assignment]
-        self.diagnosed: list[String] = []
-        self._diagnosis = SimpleNamespace(publish=self.diagnosed.append)  # type: ignore[assignment]
-        self.refused: list[String] = []
-        self._refused = SimpleNamespace(publish=self.refused.append)  # type: ignore[assignment]
+        self.said: dict[str, list[Any]] = {topic: [] for topic in TOPICS}
+        self._publishers = {topic: SimpleNamespace(publish=said.append) for topic, said in self.said.items()}  # type: ignore[misc]
         self._refusals, self._refusal = 0, ""
         self._identifier, self._looked = followed, -float("inf")
         self._hits, self._changes, self._spent, self._last, self._complaint = 0, 0, 0.0, "", ""
@@ -70,12 +76,17 @@ class Offline(IdentifyNode):
 
 
 def test_a_change_is_published_and_warned_of_and_stays_on_diagnostics() -> None:
-    change = Lesson("row 2: off", json.dumps({"hit": "row 2"}), "since row 1 heavier")
+    cause = {"effect": "object_mass", "share": 1.0, "since": "row 1", "parameters": (), "words": "heavier"}
+    text = dict.fromkeys(("instead", "apart", "diagnose"), "") | {"since": "row 1", "words": "since row 1 heavier"}
+    numbers = {"since_time": None, "hits": 2, "log10_ratio": 9.0, "false_alarm": 1e5, "again": False}
+    change = Lesson("row 2: off", "change", {"hit": "row 2", "causes": (cause,), **text, **numbers})
     node = Offline(Lessons([Lesson("row 1: off"), change], []))
     node.look()
     node.look()
-    assert [json.loads(message.data) for message in node.changed] == [{"hit": "row 2"}]
-    assert [json.loads(message.data) for message in node.predicted] == [{"like": "row 1"}]  # of the last hit, once
+    (changed,), (predicted,) = node.said["change"], node.said["prediction"]  # of the last hit, once
+    assert (changed.hit, changed.causes[0].effect, changed.hits) == ("row 2", "object_mass", 2)
+    assert math.isnan(changed.since_time)
+    assert (predicted.like, predicted.values[0].ci95.tolist()) == ("row 1", [-0.6, -0.4])
     assert ("warning", "changed since row 1 heavier") in node.log.lines
     line, numbers = node.status()
     assert line == "changed: since row 1 heavier"
@@ -83,13 +94,14 @@ def test_a_change_is_published_and_warned_of_and_stays_on_diagnostics() -> None:
 
 
 def test_a_diagnosis_that_has_ended_is_published_and_is_no_hit() -> None:
-    ended = Lesson("full diagnosis: CONFIRMED", diagnosis=json.dumps({"verdict": "object_mass"}), hit=False)
+    document = {"command": "", "file": "", "verdict": "object_mass", "words": ""}
+    ended = Lesson("full diagnosis: CONFIRMED", "diagnosis", document, hit=False)
     node = Offline(Lessons([Lesson("row 1: off")], [ended]))
     node.look()
     node.look()
-    assert [json.loads(message.data) for message in node.diagnosed] == [{"verdict": "object_mass"}]
+    assert [message.verdict for message in node.said["diagnosis"]] == ["object_mass"]
     assert ("info", "full diagnosis: CONFIRMED") in node.log.lines
-    assert node.status()[1]["hits"] == 1 and len(node.predicted) == 1
+    assert node.status()[1]["hits"] == 1 and len(node.said["prediction"]) == 1
 
 
 @pytest.mark.parametrize("error", [InputError("no such folder"), ValueError("bytes")])
@@ -98,19 +110,38 @@ def test_hits_that_cannot_be_read_are_a_warning_and_the_next_ones_are_taken(erro
     node.look()
     line, _ = node.status()
     assert str(error) in line
-    assert len(node.refused) == (not isinstance(error, InputError))  # a look that failed for a reason unknown
+    assert len(node.said["refused"]) == (not isinstance(error, InputError))  # a look that failed for a reason unknown
     node.look()
     assert node.status()[0] == "ok"
-    assert len(node.predicted) == 1
+    assert len(node.said["prediction"]) == 1
 
 
 def test_what_gives_no_hit_is_published_warned_of_and_counted() -> None:
-    refused = Lesson("r3: velocity is not finite", refused=json.dumps({"hit": "r3", "reason": "nan"}), hit=False)
+    refused = Lesson("r3: velocity is not finite", "refused", {"hit": "r3", "reason": "nan"}, hit=False)
     node = Offline(Lessons([refused, Lesson("r4: off")], []))
     node.look()
     node.look()
-    assert [json.loads(message.data) for message in node.refused] == [{"hit": "r3", "reason": "nan"}]
+    assert [(message.hit, message.reason) for message in node.said["refused"]] == [("r3", "nan")]
     assert ("warning", "refused r3: velocity is not finite") in node.log.lines
     line, numbers = node.status()
     assert (line, numbers["hits"], numbers["refused"]) == ("ok", 1, 1)
     assert numbers["last refused"] == "r3: velocity is not finite"
+
+
+@pytest.mark.parametrize(
+    ("topic", "schema"),
+    [("prediction", PublishedPrediction), ("change", PublishedChange), ("diagnosis", ChangeDiagnosis),
+     ("refused", RefusedHit)],
+)  # fmt: skip
+def test_a_message_has_every_field_of_its_document_down_to_the_parameters(topic: str, schema: type[Schema]) -> None:
+    """Fails where a field is added to a document of ``follow --json`` and not to the message, or the other way."""
+
+    def same(kind: Any, schema: type[Schema]) -> None:
+        fields = kind.get_fields_and_field_types()
+        assert set(fields) == set(schema.model_fields)
+        for name, field in fields.items():
+            if field.startswith("sequence<"):
+                (inner, _) = get_args(schema.model_fields[name].annotation)
+                same(message_type(f"impact_rs/msg/{field[len('sequence<impact_rs/') : -1]}"), inner)
+
+    same(TOPICS[topic], schema)

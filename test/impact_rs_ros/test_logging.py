@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 from impact_rs.action import RunCampaign, RunTrial
-from impact_rs.srv import ComputeImpactMap
+from impact_rs.msg import ImpactProblem
+from impact_rs.srv import PredictImpact
 from node_trials import begun, beside, result_of
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
@@ -66,10 +67,9 @@ def test_the_table_of_log_lines_is_what_the_nodes_write(
         assert "exists already" in graph.call_trial(RunTrial.Goal(**goal, seed=7, output_directory=".")).message
         _campaign_and_another_goal(graph, tmp_path, goal)
         _cancelled(graph, goal)
-        request = {"scenario": "push", "motor_inertia": "reduced", "restitution": -1.0}
         for name in ("cat_food", "dog_food"):
-            asked = ComputeImpactMap.Request(**request, object_name=name, case_name="1")
-            graph.call(ComputeImpactMap, "compute_impact_map", asked, 60.0)
+            problem = ImpactProblem(scenario="push", object_name=name, case_name="1")
+            graph.call(PredictImpact, "impact_map/predict", PredictImpact.Request(problem=problem), 60.0)
         unheard = graph.node.create_publisher(JointState, topics.motor_states("arm"), qos_profile_sensor_data)
         graph.call_trial(RunTrial.Goal(**goal, output_directory="unheard"))
         graph.node.destroy_publisher(unheard)

@@ -286,6 +286,16 @@ def test_in_a_frame_that_is_world_a_pose_stays_as_it_is_bit_by_bit() -> None:
     np.testing.assert_array_equal(pose_from_message(pose.pose), SEEN)
 
 
+def test_the_trackers_frame_is_on_tf_static_where_poses_are_moved_to() -> None:
+    tracker = TrackerPoses("tracker", PLACEMENT)
+    (frame,) = tracker.frames("cell_a/")
+    assert (frame.parent, frame.name) == ("cell_a/world", "tracker")
+    moved = tracker.read(told(SEEN))
+    assert moved is not None
+    np.testing.assert_allclose(frame.placement.act(SEEN[:3]), pose_from_message(moved.pose)[:3], atol=1e-12)
+    assert TrackerPoses("world", np.zeros(6)).frames("cell_a/") == []  # nor a loop of world and cell_a/world
+
+
 @pytest.mark.parametrize("frame", ["world", "tracker_2", ""])
 def test_a_pose_in_another_frame_is_refused(frame: str) -> None:
     with pytest.raises(InputError, match="frame_id of /mocap/object_pose = .*: expected tracker, see mocap_frame"):

@@ -3,19 +3,23 @@
 
 from __future__ import annotations
 
+import json
+import math
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
 from fake_graph import FakeGraph, fake_graph
+from impact_rs.msg import CellChange, ChangeCause, HitPrediction, PredictedValue, RefusedHit
 from processes import until as until_true
 from std_msgs.msg import String
 
-from impact_rs_ros.spectator import Spectator
+from impact_rs_ros.spectator import FOLLOWED, Spectator
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags import topics
-from impact_rs_trials.snapshot import IdentifyMessages, Snapshot
+from impact_rs_trials.snapshot import Snapshot
 
 POSE = np.array([0.4, -0.1, 0.5, 0.0, 0.0, 0.6, 0.8])
 URDF = "<robot name='r'><link name='a'/></robot>"
@@ -129,21 +133,25 @@ def test_positions_without_a_number_and_unseen_objects_are_left_out(graph: FakeG
 def test_what_identify_publishes_is_kept_through_trials_with_every_change_once(
     graph: FakeGraph, spectator: Spectator
 ) -> None:
-    def publish(name: str, text: str) -> None:
-        graph.say(f"/identify/{name}", topics.STRING, String(data=text), latched=True)
+    def publish(name: str, message: Any) -> None:
+        graph.say(f"/identify/{name}", FOLLOWED[f"/identify/{name}"], message, latched=True)
 
-    changes: tuple[str, ...] = ()
+    known: list[str] = []
     for text in ("first", "second", "second", "third"):  # one twice, by a node that was started again
-        publish("change", text)
-        changes = tuple(dict.fromkeys((*changes, text)))
-        until(spectator, lambda seen, expected=changes: seen.followed.changes == expected)
-    publish("prediction", "older")
-    publish("prediction", "newest")
-    publish("refused", "a bag")
-    found = until(spectator, lambda seen: seen.followed.refused and seen.followed.prediction == "newest")
-    assert found.followed == IdentifyMessages("newest", changes, "", "a bag")
+        publish("change", CellChange(hit=text, since_time=math.nan, causes=[ChangeCause(effect="pad_friction")]))
+        known = list(dict.fromkeys((*known, text)))
+        until(spectator, lambda seen, known=known: len(seen.followed.changes) == len(known))
+    for like in ("older", "newest"):
+        publish("prediction", HitPrediction(like=like, values=[PredictedValue(ci95=[-1.0, 2.0])]))
+    publish("refused", RefusedHit(hit="a bag"))
+    found = until(spectator, lambda seen: seen.followed.refused and "newest" in seen.followed.prediction).followed
+    changes = [json.loads(text) for text in found.changes]
+    assert [change["hit"] for change in changes] == known
+    assert (changes[0]["since_time"], changes[0]["causes"][0]["effect"]) == (None, "pad_friction")
+    assert json.loads(found.prediction)["values"][0]["ci95"] == [-1.0, 2.0]
+    assert (json.loads(found.refused), found.diagnosis) == ({"hit": "a bag", "reason": ""}, "")
     graph.trial("push")
-    assert until(spectator, lambda seen: seen.physics).followed == found.followed
+    assert until(spectator, lambda seen: seen.physics).followed == found
 
 
 def test_a_namespace_that_ros_does_not_have_is_refused() -> None:

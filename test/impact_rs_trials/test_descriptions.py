@@ -91,11 +91,12 @@ def test_forward_kinematics_of_the_joint_states_are_the_transforms(bag: TrialBag
 
 
 def test_transforms_are_those_of_robot_state_publisher(bag: TrialBag) -> None:
-    """Parent and child of every joint; what is beside them is the object."""
+    """Parent and child of every joint; what is beside them are the object and the pads, which are shapes of a link."""
     joints = Xml.fromstring(urdf(bag, topics.ROBOT_DESCRIPTION)).findall("joint")
     expected = {joint.find("child").get("link"): joint.find("parent").get("link") for joint in joints}
+    beside = {"object": "world"} | {f"{arm}_pad": f"{arm}_end_effector" for arm in bag.info.robots}
     for _, frames in transforms(bag):
-        assert {frame: parent for frame, (parent, _) in frames.items()} == expected | {"object": "world"}
+        assert {frame: parent for frame, (parent, _) in frames.items()} == expected | beside
 
 
 def test_moving_links_have_limits_inertials_and_visuals(bag: TrialBag) -> None:
@@ -113,7 +114,7 @@ def test_moving_links_have_limits_inertials_and_visuals(bag: TrialBag) -> None:
                 assert float(link.find("inertial/mass").get("value")) > 0.0
                 assert link.find("visual/geometry") is not None
                 seen.add(link.get("name"))
-    assert seen == {frame for _, frames in transforms(bag) for frame in frames}
+    assert seen == {frame for _, frames in transforms(bag) for frame in frames if not frame.endswith("_pad")}
 
 
 def test_descriptions_are_read_by_urdfdom_pinocchio_and_bullet_without_a_warning(

@@ -15,7 +15,7 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import Frame
 from impact_rs_trials.bags.reader import TrialBag
-from impact_rs_trials.bags.record import FrameSource, record_trial
+from impact_rs_trials.bags.record import FrameSource, descriptions, record_trial
 from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
 
 TICKS = 250
@@ -121,7 +121,7 @@ def test_frames_in_a_namespace_have_its_prefix_and_the_same_poses(plan: TrialPla
 
 def test_frames_that_never_move_are_static_and_no_others(plan: TrialPlan, bag: TrialBag) -> None:
     frames = FrameSource(plan.scene)
-    assert [frame.name for frame in frames.static] == ["support", "arm_base", "arm_end_effector"]
+    assert [frame.name for frame in frames.static] == ["support", "arm_base", "arm_end_effector", "arm_pad"]
     moving = frames.at({"arm": plan.scene.arms["arm"].position}, None)
     assert [frame.name for frame in moving] == [*(f"arm_link{number}" for number in range(1, 8)), "object"]
     beside = FrameSource(plan.scene, "cell_a/")
@@ -129,6 +129,27 @@ def test_frames_that_never_move_are_static_and_no_others(plan: TrialPlan, bag: T
     (recorded,) = bag.messages(topics.TF_STATIC)
     assert [one.child_frame_id for one in recorded.transforms] == [frame.name for frame in frames.static]
     assert {one.child_frame_id for one in bag.messages(topics.TF)[0].transforms} == {frame.name for frame in moving}
+
+
+def test_robot_state_publisher_may_publish_the_links_and_then_nobody_else_does(plan: TrialPlan) -> None:
+    """Two publishers of one frame would make it jump: no link is left, and all that is no link is still there."""
+    q = {"arm": plan.scene.arms["arm"].position}
+    every, rest = FrameSource(plan.scene), FrameSource(plan.scene, links=False)
+    model = pin.buildModelFromXML(descriptions(plan.scene.physics)[topics.robot_description("arm")])
+    links = {frame.name for frame in model.frames if frame.type == pin.FrameType.BODY} - {"universe", "world"}
+    names = [{one.name for one in (*source.static, *source.at(q, None))} for source in (every, rest)]
+    assert (names[0] - names[1], names[1]) == (links, {"support", "arm_pad", "object"})
+
+
+def test_the_pad_is_where_its_tilt_and_offset_put_it(plan: TrialPlan) -> None:
+    arm = plan.scene.physics.arms["arm"]
+    effector = replace(arm.end_effector, pad_tilt=(0.1, 0.0), pad_offset=(0.0, 0.02, 0.0))
+    scene = replace(plan.scene, physics=replace(plan.scene.physics, arms={"arm": replace(arm, end_effector=effector)}))
+    (pad,) = (frame for frame in FrameSource(scene).static if frame.name == "arm_pad")
+    assert pad.parent == "arm_end_effector"
+    face = pad.placement.act(np.array([0.0, 0.0, effector.pad_size[2] / 2.0]))
+    np.testing.assert_allclose(face, [0.0, 0.02, 0.0], atol=1e-12)
+    np.testing.assert_allclose(pad.placement.rotation[:, 2], [0.0, -np.sin(0.1), np.cos(0.1)], atol=1e-12)
 
 
 def in_world(frames: list[Frame]) -> dict[str, pin.SE3]:

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import rclpy
 from impact_rs.action import RunTrial
-from impact_rs.msg import RobotState
 from impact_rs.srv import ConfigureTrial
 from processes import until
 from rclpy.action import ActionClient
@@ -23,6 +22,7 @@ from impact_msgs_py.conversions import pose_to_message
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.graph import Graph, run_trial
 from impact_rs_ros.message_types import RosidlTypes
+from impact_rs_ros.trial_session import starting_joints
 from impact_rs_sim.model import Model
 from impact_rs_sim.rotations import quaternion_of
 from impact_rs_trials.bags.messages import MessageMaker
@@ -94,10 +94,7 @@ def configuration(plan: TrialPlan, bag: Path = Path(), attempt: int = 7) -> Conf
         attempt=attempt,
         trial=MessageMaker(RosidlTypes(), plan).trial_info(info),
         bag_path=str(bag),
-        start=[
-            RobotState(robot=name, joint_position=arm.initial.tolist(), joint_velocity=[0.0] * arm.initial.size)
-            for name, arm in plan.arms.items()
-        ],
+        start=starting_joints(plan),
         object_pose=pose_to_message(np.concatenate((placed.position, quaternion_of(placed.rotation)))),
     )
 

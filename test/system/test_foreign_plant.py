@@ -134,6 +134,6 @@ def test_a_graph_waits_for_a_foreign_node_and_says_what_is_wrong_with_it(
     assert unheard.message.startswith(
         "recorder: /arm/joint_states: published, but not received; is the publisher's QoS"
     )
-    assert [state.robot for state in request.start] == ["arm"]
-    assert len(request.start[0].joint_position) == 7
+    assert list(request.start.name) == [f"arm_joint{number}" for number in range(1, 8)]
+    assert len(request.start.position) == 7
     assert request.object_pose.position.z == pytest.approx(0.405 + 0.16 / 2)

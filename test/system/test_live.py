@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import signal
@@ -17,11 +16,13 @@ import pytest
 from fake_graph import FakeGraph, fake_graph
 from playwright.sync_api import Page, expect, sync_playwright
 from processes import Running, running, until
-from std_msgs.msg import String
 
+from impact_rs_analysis.following.lessons import PublishedChange, PublishedPrediction, RefusedHit
+from impact_rs_ros.identify_node import TOPICS
+from impact_rs_ros.message_types import filled
+from impact_rs_ros.spectator import FOLLOWED
 from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.scene import Scene
-from impact_rs_trials.bags import topics
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 SOFTWARE = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
@@ -195,12 +196,13 @@ def _what_identify_says(page: Page, graph: FakeGraph) -> None:
     words = "since r36 the object is 0.15 kg heavier (object_mass: scale +0.252 [0.233, 0.271])"
     change = {"hit": "r37", "since": "r36", "hits": 2, "log10_ratio": 5.9, "false_alarm": 1e5, "causes": [cause]}
     documents = {
-        "prediction": {"condition": "juice", "like": "push/r40", "values": [value], "followed": [believed]},
-        "change": change | {"words": words, "diagnose": "impact-rs diagnose day --since r36"},
-        "refused": {"hit": "r41", "reason": "NaN in joint velocities"},
+        "prediction": PublishedPrediction(condition="juice", like="push/r40", values=[value], followed=[believed]),
+        "change": PublishedChange(**change, words=words, diagnose="impact-rs diagnose day --since r36"),
+        "refused": RefusedHit(hit="r41", reason="NaN in joint velocities"),
     }
     for name, document in documents.items():
-        graph.say(f"/identify/{name}", topics.STRING, String(data=json.dumps(document)), latched=True)
+        topic = f"/identify/{name}"
+        graph.say(topic, FOLLOWED[topic], filled(TOPICS[name], document.model_dump()), latched=True)
     place = page.locator("#live-followed")
     expect(place).to_contain_text("Followed hits")
     expect(place).to_contain_text("the object is 0.15 kg heavier")

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from impact_rs.srv import ComputeImpactMap
+from impact_rs.msg import ImpactProblem as ImpactProblemMessage
+from impact_rs.srv import PredictImpact
 
 from impact_msgs_py.conversions import twist_from_message
 from impact_rs_analysis.measure.predictions import predict_arms
@@ -28,11 +29,10 @@ PROBLEM = ImpactProblem.at_nominal_impact(SCENE, MOTORS)
 EXACT = compute_impact_map(PROBLEM, "exact")
 
 
-def service(graph: Graph, engine: str = "") -> ComputeImpactMap.Response:
-    request = ComputeImpactMap.Request(
-        scenario="grab", object_name=OBJECT, case_name=CASE, motor_inertia=MOTORS, engine=engine
-    )
-    return graph.call(ComputeImpactMap, "compute_impact_map", request, timeout=60.0)
+def service(graph: Graph, engine: str = "") -> PredictImpact.Response:
+    problem = ImpactProblemMessage(scenario="grab", object_name=OBJECT, case_name=CASE, motor_inertia=MOTORS)
+    request = PredictImpact.Request(problem=problem, engine=engine)
+    return graph.call(PredictImpact, "impact_map/predict", request, timeout=60.0)
 
 
 def test_bullet_is_another_solver_with_velocities_of_its_own() -> None:
