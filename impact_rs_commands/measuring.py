@@ -194,7 +194,7 @@ impact-rs design --envelope envelope.yaml --budget 12 -o plan.yaml""",
         ),
         option(
             "--envelope", kind="file", metavar="FILE.yaml", advanced=True, otherwise="none",
-            help="only trials that the envelope of a real cell allows (docs/real_robot.md)",
+            help="only trials that the envelope of a real cell allows (docs/safety.md)",
         ),
         option(
             "--method", choices=("design", "random", "fixed"), default="design", advanced=True,
@@ -361,7 +361,7 @@ impact-rs blind score inquiry""",
         ),
         option(
             "--envelope", kind="file", metavar="FILE.yaml", advanced=True, otherwise="none",
-            help="which trials may run (docs/real_robot.md); needed with --via cell",
+            help="which trials may run (docs/safety.md); needed with --via cell",
         ),
         option("--yes", kind="switch", advanced=True, help="with --via cell: do not ask before motions"),
         option(

@@ -91,7 +91,7 @@ PROFILES = {
             states_end=False,  # assumed
             blocking=(
                 "no torques of the link side: effort in /joint_states is the motor current [A], or a torque made of "
-                "it, without the weight, and the robot has no torque sensors at its joints",
+                "it, without the gravity torque, and the robot has no torque sensors at its joints",
             ),
         ),
         DriverProfile(

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-import scipy
 from impact_rs.msg import ContactPoint, ImpactObject, ImpactResidual, RigidBodyTwist
 from impact_rs.msg import ImpactProblem as ImpactProblemMessage
 from impact_rs.srv import ComputeImpactMap, ImpactDerivatives, ImpactIntervals, PredictImpact
@@ -232,8 +231,8 @@ def _body(described: ImpactObject) -> tuple[ObjectPhysics, Array]:
         middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
         try:
             mesh = object_mesh(points, triangles.reshape(-1, 3), Path("object.mesh"))
-        except (scipy.spatial.QhullError, IndexError, ValueError) as error:
-            raise error if isinstance(error, InputError) else InputError(str(error), key="object.mesh") from None
+        except IndexError as error:
+            raise InputError(str(error), key="object.mesh") from None
         given |= {"shape": "hull", "corners": mesh.corners.tolist(), "size": mesh.size.tolist()}
         com = com - middle if moments.any() else mesh.com
         moments = moments if moments.any() else inertia.m * mesh.moments

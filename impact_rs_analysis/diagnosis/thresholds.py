@@ -2,7 +2,7 @@
 """Numbers on which a verdict turns, by the question that they decide, each with its reason.
 
 Numbers of pure numerics (tolerances, caches, steps of a fit) stand in the modules that use them.
-``docs/reliability.md`` shows the verdicts with each of these halved and doubled.
+``docs/evidence.md`` shows the verdicts with each of these halved and doubled.
 """
 
 from impact_rs_analysis.evidence.minimum_data import MIN_BLOCKS as MIN_BLOCKS

@@ -73,7 +73,7 @@ def settings_of(args: argparse.Namespace) -> Settings:
     if args.blind is not None and args.kind == "outside" and args.via == "nodes":
         raise InputError("--kind outside goes with --via inprocess only: the plant node knows effects of the library")
     if args.via == "cell" and args.envelope is None:
-        raise InputError("--via cell needs --envelope FILE.yaml, which says what may run (docs/real_robot.md)")
+        raise InputError("--via cell needs --envelope FILE.yaml, which says what may run (docs/safety.md)")
     if args.via != "cell" and args.yes:
         raise InputError("--yes answers questions of --via cell; no other trials ask")
     blind = None

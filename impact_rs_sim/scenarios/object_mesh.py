@@ -72,14 +72,15 @@ def object_mesh(points: Array, triangles: Array, path: Path) -> ObjectMesh:
     Raises:
         InputError: As :func:`read_object_mesh`.
     """
-    if len(points) < 4 or np.ptp(points, axis=0).min() <= 0.0:
-        raise InputError("expected a body with a volume", file=path)
+    try:
+        hull = scipy.spatial.ConvexHull(points)
+    except (scipy.spatial.QhullError, ValueError):  # too few corners, or all of them in one plane
+        raise InputError("expected a body with a volume", file=path) from None
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     points = points - middle
     a, b, c = (points[triangles[:, side]] for side in range(3))
     volumes = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
     volume = float(volumes.sum())
-    hull = scipy.spatial.ConvexHull(points)
     if not 0.0 < volume <= hull.volume * (1.0 + 1e-6):
         raise InputError(
             f"its surface does not close around a volume (found {volume:.3g} m^3, its hull has {hull.volume:.3g} m^3)",

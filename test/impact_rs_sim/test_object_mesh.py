@@ -127,6 +127,9 @@ def test_a_mesh_that_is_no_convex_body_is_refused_with_a_sentence(tmp_path: Path
     turned = CUBE * [0.3, 0.1, 0.1] @ np.array([[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
     with pytest.raises(InputError, match="principal axes of inertia are turned by about 37 degrees"):
         object_mesh(turned, triangles_of(turned), tmp_path / "turned.obj")
+    sheet = CUBE[:, [0, 1, 0]]  # tilted, so that all its extents are positive
+    with pytest.raises(InputError, match="a body with a volume"):
+        object_mesh(sheet, triangles_of(CUBE), tmp_path / "sheet.obj")
     with pytest.raises(InputError, match="no such file"):
         read_object_mesh(tmp_path / "none.stl")
     with pytest.raises(InputError, match="objects.thing.size"):
