@@ -27,6 +27,7 @@ from impact_rs_trials.recordings.checks.faults import (
     without_faults,
 )
 from impact_rs_trials.recordings.checks.joint_checks import arm_warnings
+from impact_rs_trials.recordings.checks.lost_rows import without_lost_rows
 from impact_rs_trials.recordings.checks.sampling_times import timestamp_warning
 from impact_rs_trials.recordings.checks.torque_readings import check_includes_gravity, whole_torque
 from impact_rs_trials.recordings.file_units import CURRENTS
@@ -122,6 +123,8 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
     recorded = read_series(path, mapping, JOINT_SIGNALS, needed)
     recorded |= {name: one.filled().without_held() for name, one in recorded.items() if name in SAMPLED_SIGNALS}
     recorded, set_back = without_steps_back(recorded)
+    measured = {name: one for name, one in recorded.items() if name != "velocity" or name in mapping.signals}
+    recorded, lost = without_lost_rows(measured)
     if "velocity" not in mapping.signals:
         recorded["velocity"] = recorded["position"].derivative()
     gaps_said = _checked_times(path, recorded, needed, mapping)
@@ -131,7 +134,7 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
     if mapping.servo is not None:
         series, saturated = with_servo_torque(path, series, mapping)
         remarks += saturated
-    remarks = [*set_back, *gaps_said, *_unmeasured(path, series["torque"], mapping), *remarks]
+    remarks = [*set_back, *lost, *gaps_said, *_unmeasured(path, series["torque"], mapping), *remarks]
     time = series["position"].time
     check_moves(path, series["position"], mapping)
     remarks = list(dict.fromkeys([*(remark for one in series.values() for remark in one.remarks), *remarks]))
