@@ -43,6 +43,7 @@ from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.schema import Schema
 
 COMMAND, TORQUE, ENCODER, VELOCITY = "command", "torque sensor", "encoder", "velocity"
+SERVO = "servo (desired position and gains)"  # which the torque was computed of, where none was recorded
 MOTOR_ENCODER, MOTOR_VELOCITY, TRACKER = "motor encoder", "motor velocity", "tracker"
 VELOCITY_LIMIT_RAD_S = 0.004  # rad/s, relevance limit of a velocity of a joint, as of its jump
 PUSH_SIGNALS = ("object velocity", "end-effector velocity")
@@ -88,11 +89,11 @@ ELASTIC_DEFLECTION = Relation(
     (MOTOR_ENCODER, ENCODER),
     "stiffness of the joint",
 )
-POSITION_SLOPE = Relation("velocity of positions", (), (VELOCITY, ENCODER), (VELOCITY,), "")
+POSITION_SLOPE = Relation("velocity of positions", ("velocity",), (VELOCITY, ENCODER), (VELOCITY,), "")
 OBJECT_TRACKING = Relation(
     "object and end effector", PUSH_SIGNALS, (TRACKER, ENCODER), (TRACKER,), "how the object slips and turns on the pad"
 )
-FEATURE_RELATIONS = (MOTOR_BALANCE, LINK_BALANCE, ELASTIC_DEFLECTION)
+FEATURE_RELATIONS = (MOTOR_BALANCE, LINK_BALANCE, ELASTIC_DEFLECTION, POSITION_SLOPE)
 FREE_MOTION_PHASES = ("free", "moving up", "moving down", "slow")  # phases without contact
 
 
@@ -194,6 +195,7 @@ def agreement_of(source: Source) -> AgreementDocument:
         own = {str(n): p for n, p in raw.items() if p is not None and tested[n][0] is relation}
         p_values |= benjamini_hochberg(own)
     motor = any(relation is ELASTIC_DEFLECTION for relation, _, _ in tested)
+    computed = source.recording is not None and "torque" not in source.recording.signals
     found = []
     for number, (relation, place, clusters) in enumerate(tested):
         p = p_values.get(str(number))
@@ -203,8 +205,8 @@ def agreement_of(source: Source) -> AgreementDocument:
             RelationDocument(
                 relation=relation.name,
                 place=place,
-                readings=tuple(_renamed(relation.readings, motor)),
-                clears=relation.clears,
+                readings=tuple(_renamed(relation.readings, motor, computed)),
+                clears=tuple(_renamed(relation.clears, motor, computed)),
                 assumes=relation.assumes,
                 times_noise=rounded(noise),
                 p_value=None if p is None else rounded(p),
@@ -219,9 +221,10 @@ def _belongs_to(relation: Relation, feature: Feature) -> bool:
     return feature.signal in relation.signals and feature.phase in FREE_MOTION_PHASES
 
 
-def _renamed(readings: Sequence[str], motor: bool) -> list[str]:
-    """Readings of a relation, without the motor's velocity if its motor has no encoder."""
-    return [name for name in readings if motor or name != MOTOR_VELOCITY]
+def _renamed(readings: Sequence[str], motor: bool, computed: bool) -> list[str]:
+    """Readings of a relation, without the motor's velocity if its motor has no encoder, and servos for sensors."""
+    names = [SERVO if computed and name == TORQUE else name for name in readings]
+    return [name for name in names if motor or name != MOTOR_VELOCITY]
 
 
 def _by_index(clusters: Sequence[Cluster], wanted: Callable[[Feature], bool]) -> list[tuple[str, list[Cluster]]]:

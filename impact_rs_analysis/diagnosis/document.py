@@ -423,8 +423,9 @@ class HeldOutRollouts(Schema):
         if change is None or change[1] >= 0.0 or not self.worse:
             return ""
         return (
-            "The two estimators disagree: with these effects the held-out error falls, but open-loop predictions over "
-            f"{self.after.last.horizon_s:g} s get worse in {self.compared - self.closer} of {self.compared} rollouts "
+            "The two estimators disagree: with these effects the held-out error falls, but predictions in "
+            f"{self.after.loop} over {self.after.last.horizon_s:g} s get worse in {self.compared - self.closer} of "
+            f"{self.compared} rollouts "
             f"(Wilcoxon signed-rank test, p = {self.p_value:.2g}), which is evidence of a wrong model class."
         )
 

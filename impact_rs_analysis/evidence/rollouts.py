@@ -233,6 +233,11 @@ class RolloutDocument(Schema):
         return self.horizons[-1]
 
     @property
+    def loop(self) -> str:
+        """``open loop``, or ``closed loop`` where servos drive the model along recorded targets."""
+        return self.what.partition(":")[0]
+
+    @property
     def growth_in_words(self) -> str:
         """Its law of growth; empty for one horizon."""
         if self.exponent is None or self.rate_per_s is None:
@@ -249,9 +254,8 @@ class RolloutDocument(Schema):
         number, worst = max(enumerate(self.last.joints), key=lambda one: one[1].error)
         joint = " / ".join(shown(one.joints[number].error) for one in self.horizons)
         time = " / ".join(f"{one.horizon_s:g}" for one in self.horizons)
-        loop = self.what.partition(":")[0]
         text = (
-            f"rollouts in {loop} from {self.starts} measured states, after {time} s: tool off by "
+            f"rollouts in {self.loop} from {self.starts} measured states, after {time} s: tool off by "
             f"{tool} mm and {angle} deg, {worst.joint} by {joint} {worst.unit} (rms)"
         )
         return "; ".join(filter(None, [text, self.growth_in_words]))

@@ -55,4 +55,4 @@ def show_history(found: list[VersionError], terminal: Terminal) -> None:
         )
     terminal.say(table)
     if rolled is not None:
-        terminal.say("tool: error of rollouts in open loop, rms over measured starts")
+        terminal.say(f"tool: error of rollouts in {rolled.loop}, rms over measured starts")

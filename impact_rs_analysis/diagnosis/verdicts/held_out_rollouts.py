@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rollouts held out: motions that the effects of a diagnosis have not seen, predicted in open loop.
+"""Rollouts held out: motions that the effects of a diagnosis have not seen, predicted from measured states.
 
 Every fold of the hold-out is rolled out with the model, and with the effects that were fitted without it, from the same
 measured states (:mod:`impact_rs_analysis.evidence.rollouts`). The torque balance judges accelerations, a rollout what

@@ -15,6 +15,7 @@ from impact_rs_analysis.diagnosis.document import HeldOutRollouts
 from impact_rs_analysis.diagnosis.search.hold_out import HoldOut, folds_of
 from impact_rs_analysis.diagnosis.verdicts.held_out_rollouts import held_out_rollouts
 from impact_rs_analysis.evidence.cluster import Added
+from impact_rs_analysis.evidence.rollouts import CLOSED_LOOP
 from impact_rs_analysis.evidence.sources.recording_source import RecordingSource
 from impact_rs_sim.model import Model
 from impact_rs_trials.recordings.mapping import Mapping
@@ -62,6 +63,10 @@ def test_effects_that_predict_worse_contradict_a_balance_that_improves(rubbed: R
     found = held_out(rubbed, (("joint_coulomb_friction", WRONG),))
     assert found.closer == 0 and found.worse
     assert "disagree" in found.disagreement((-0.2, -0.1)) and "wrong model class" in found.disagreement((-0.2, -0.1))
+    assert "predictions in open loop over" in found.disagreement((-0.2, -0.1))
+    servos = found.after.model_copy(update={"what": CLOSED_LOOP})  # kills a loop that is always open
+    closed = found.model_copy(update={"after": servos})
+    assert "predictions in closed loop over" in closed.disagreement((-0.2, -0.1))
     assert found.disagreement((-0.2, 0.1)) == "" == found.disagreement(None)
 
 
