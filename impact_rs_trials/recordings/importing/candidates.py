@@ -20,7 +20,14 @@ from impact_rs_sim.decimals import decimal
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.mapping import REQUIRED, TableLayout
 from impact_rs_trials.recordings.readers.array_file import ArrayFile
-from impact_rs_trials.recordings.readers.bag_file import POSE_PARTS, deserialized, open_bag, register, typestore_for
+from impact_rs_trials.recordings.readers.bag_file import (
+    POSE_PARTS,
+    deserialized,
+    open_bag,
+    register,
+    typestore_for,
+    unreadable,
+)
 from impact_rs_trials.recordings.readers.run_finder import ARRAY_SUFFIXES, BAG_SUFFIXES, TABLE_SUFFIXES, is_bag_folder
 from impact_rs_trials.recordings.readers.table_columns import read_columns
 from impact_rs_trials.recordings.readers.table_file import BETWEEN, BRACKETS
@@ -228,7 +235,7 @@ def _in_bag(path: Path) -> list[SignalCandidate]:
                 if len(seen) == len(reader.topics):
                     break
     except Exception as error:  # a damaged file can fail anywhere inside the library
-        raise InputError(f"not a readable bag ({type(error).__name__}: {error})", file=path) from None
+        raise unreadable(path, error) from None
     return found
 
 

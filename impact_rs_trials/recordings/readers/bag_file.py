@@ -38,12 +38,31 @@ FIELDLESS: tuple[SignalName, ...] = ("object_pose", "wrench", "acceleration")  #
 
 STORED = (".db3", ".mcap", ".zstd")  # endings of files of messages
 
+OTHER_PROFILE = "Profile is not ros2"  # as rosbags says it
 POSE_PARTS = (("position", "orientation"), ("translation", "rotation"))
 
 
 def open_bag(path: Path) -> Reader | Ros1Reader:
     """Reader of a bag of ROS 2, or of ROS 1 (``.bag``)."""
     return Ros1Reader(path) if path.suffix == ROS1_SUFFIX else Reader(path)
+
+
+def unreadable(path: Path, error: Exception) -> InputError:
+    """Why a bag could not be read, and for a file without messages of ROS what to do.
+
+    Args:
+        path: The bag.
+        error: What its reader raised.
+    """
+    text = str(error).splitlines()[0] if str(error) else ""
+    if OTHER_PROFILE in text:
+        return InputError(
+            "an MCAP file whose messages are not those of ROS 2 (JSON or Protobuf, as Foxglove writes them); expected "
+            "the profile ros2: record the topics with ros2 bag, or export time and joints as a table, a column each "
+            "(.csv, .parquet), and import that",
+            file=path,
+        )
+    return InputError(f"not a readable bag ({type(error).__name__}: {text})", file=path)
 
 
 def deserialized(store: Typestore, path: Path, data: bytes, kind: str) -> Any:
@@ -126,8 +145,7 @@ class OpenedBag:
         except InputError:
             raise
         except Exception as error:  # a damaged file can fail anywhere inside the library
-            text = str(error).splitlines()[0] if str(error) else ""
-            raise InputError(f"not a readable bag ({type(error).__name__}: {text})", file=self._path) from None
+            raise unreadable(self._path, error) from None
         self.messages |= read
         return chosen
 

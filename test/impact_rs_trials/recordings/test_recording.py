@@ -12,12 +12,14 @@ from builders import mapping_of, read_positions
 from hypothesis import given
 from hypothesis import strategies as st
 from joint_recordings import Columns, write_bag, write_csv, write_npz, write_ros1_bag
+from mcap.writer import Writer as McapWriter
 from refusals import refusal
 from ros_messages import message
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags.types import typestore
+from impact_rs_trials.recordings.importing.candidates import candidates_of
 from impact_rs_trials.recordings.mapping import Mapping, TimeSource, load_mapping
 from impact_rs_trials.recordings.readers.run_finder import find_recordings, natural_key
 from impact_rs_trials.recordings.readers.sources import read_series
@@ -63,6 +65,21 @@ def test_a_bag_of_ros_1_is_read_as_one_of_ros_2_is(tmp_path: Path) -> None:
     assert_read(read_recording(path))
     (tmp_path / "cut.bag").write_bytes(path.read_bytes()[:5000])
     assert "not a readable bag" in refusal(read_recordings, tmp_path / "cut.bag", PLAIN)
+
+
+def test_a_file_of_json_messages_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    """Kills the words of a library, which name a profile and no remedy."""
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start(profile="")
+        schema = writer.register_schema(name="state", encoding="jsonschema", data=b'{"type": "object"}')
+        channel = writer.register_channel(topic="/state", message_encoding="json", schema_id=schema)
+        writer.add_message(channel_id=channel, log_time=0, publish_time=0, data=b'{"q": [0.0]}')
+        writer.finish()
+    for read in (lambda: read_recordings(path, PLAIN), lambda: candidates_of(path)):
+        said = refusal(read)
+        assert "Profile" not in said and "JSON or Protobuf" in said and "export time and joints as a table" in said
 
 
 @pytest.mark.parametrize(("stamp", "start"), [("header", 5.0), ("log", 0.0)])
