@@ -5,7 +5,13 @@ Every candidate for the positions gives one assignment; the others are velocity,
 (:mod:`hypotheses`). The log posterior of an assignment is the sum over its three streams; few streams are as wide as a
 robot has joints, so all are tried. Several streams may fit one role, as a measured and a commanded torque do. Only
 names show which of them was measured, for the other one is as likely in its own role: streams of one role are ordered
-by their names, and else in the order of the file.
+by their names, and else torques in the order of the file, and velocities by how well they fit the positions.
+
+Commanded positions and velocities fit each other better than measured ones, because they have no noise, but do so in
+either role. An assignment therefore includes the likelihood of the pair that it leaves over, and the torque decides
+which pair moved the arm. Where one pair follows the other, tracking errors are small against the noise of measured
+accelerations, from which a command is free: then the lag of one pair behind the other decides in place of the torque,
+for a measured motion is late.
 """
 
 from __future__ import annotations
@@ -20,6 +26,7 @@ from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.recordings.checks.torque_readings import MotionTorque, is_computed, is_external, lacks_gravity
 from impact_rs_trials.recordings.file_units import TURNS, UNITS
 from impact_rs_trials.recordings.importing.hypotheses import (
+    NAME_LOG_ODDS,
     OUTLIERS,
     JointMotion,
     RoleChoice,
@@ -36,8 +43,15 @@ from impact_rs_trials.recordings.importing.hypotheses import (
 from impact_rs_trials.recordings.importing.joint_streams import JointStream
 from impact_rs_trials.recordings.mapping import TorqueMeaning
 from impact_rs_trials.recordings.readers.guesses import holds_a_turn
-from impact_rs_trials.recordings.relations import DECISIVE_LOG_ODDS
+from impact_rs_trials.recordings.relations import (
+    DECISIVE_LOG_ODDS,
+    MIN_REPORTED_SIGMA,
+    AveragedMotion,
+    averaged,
+    fit,
+)
 
+MAX_TRACKING_MISFIT_SHARE = 0.1  # of the squares of a motion about its mean, which its command and a lag leave
 MAX_LOG_POSTERIOR_LOSS = 20.0  # below the best, of motions whose torques are compared
 
 
@@ -128,6 +142,8 @@ class Assignment:
         torques: Streams that fit a torque, the chosen one first.
         copies: Repeated part of the motion by label of further streams.
         alternatives: Alternatives by signal, the chosen one first.
+        beside: Log likelihood of a further pair of positions and velocities as a command, and of its lead.
+        tracked: That pair, if one of both follows the other.
     """
 
     position: Reading
@@ -135,6 +151,8 @@ class Assignment:
     torques: tuple[Reading, ...]
     copies: dict[str, str]
     alternatives: Mapping[str, tuple[Alternative, ...]] = field(default_factory=dict)
+    beside: float = 0.0
+    tracked: Assignment | None = None
 
     @property
     def time(self) -> Array:
@@ -144,8 +162,12 @@ class Assignment:
     @property
     def log_posterior(self) -> float:
         """Log posterior of all its streams."""
-        torque = max((one.log_posterior for one in self.torques), default=0.0)
-        return self.motion_log_posterior + torque
+        return self.motion_log_posterior + self.beside + self.torque_log_posterior
+
+    @property
+    def torque_log_posterior(self) -> float:
+        """Log posterior of its torque; 0: none fits."""
+        return max((one.log_posterior for one in self.torques), default=0.0)
 
     @property
     def motion_log_posterior(self) -> float:
@@ -199,11 +221,11 @@ class JointSearch:
 
     def best(self, motions: Sequence[Assignment]) -> Assignment:
         """The likeliest of motions, with its torques and the alternatives of its signals."""
-        most = max(one.motion_log_posterior for one in motions)
-        searched = [
-            one for one in motions if one.velocity is None or one.motion_log_posterior > most - MAX_LOG_POSTERIOR_LOSS
-        ]
-        found = sorted(map(self._with_torques, searched), key=lambda one: one.log_posterior, reverse=True)
+        motions = [_with_command(one, motions) for one in motions]
+        most = max(one.log_posterior for one in motions)
+        searched = [one for one in motions if one.velocity is None or one.log_posterior > most - MAX_LOG_POSTERIOR_LOSS]
+        tried = [self._with_torques(one) for one in searched]
+        found = sorted((_with_shared_torque(one, tried) for one in tried), key=_log_posterior, reverse=True)
         best, places = found[0], {id(one.position.stream): one for one in (*motions, *found)}
         others = [one for one in places.values() if one.position.stream is not best.position.stream]
         listed = {"position": alternatives((one.position, one.log_posterior) for one in (best, *others))}
@@ -247,7 +269,7 @@ class JointSearch:
         return self._averages[key]
 
     def _velocities(self, place: Reading, motion: JointMotion) -> list[Reading]:
-        """Streams that are the derivative of the positions, the chosen one first."""
+        """Streams that are the derivative of the positions, by their names, and then by likelihood."""
         free = [stream for stream in self.streams if not stream.stands_apart(place.stream)]
         found = [
             Reading(stream, choice)
@@ -256,7 +278,7 @@ class JointSearch:
             and choice.best.role == "velocity"
             and choice.best.log_posterior > DECISIVE_LOG_ODDS
         ]
-        return _exclusive(found)
+        return sorted(_exclusive(found), key=lambda one: (one.by_name, one.log_posterior), reverse=True)
 
     @OUTLIERS
     def _with_torques(self, found: Assignment) -> Assignment:
@@ -289,7 +311,7 @@ class JointSearch:
             named = [one for one in free if _is_named(one) and one.label not in repeated]
             fitting = [self._by_name(one, found, motion) for one in named]
             fitting.sort(key=lambda one: one.rank, reverse=True)
-        return Assignment(found.position, found.velocity, tuple(fitting), repeated)
+        return replace(found, torques=tuple(fitting), copies=repeated)
 
     @OUTLIERS
     def _without_gravity(self, stream: JointStream, found: Assignment) -> Reading | None:
@@ -337,6 +359,62 @@ class JointSearch:
         return Reading(
             stream, RoleChoice(RoleHypothesis("torque", unit, f"nothing but its name: {said}", 0.0), None, 0.0)
         )
+
+
+def _log_posterior(found: Assignment) -> float:
+    return found.log_posterior
+
+
+def _with_shared_torque(found: Assignment, tried: Sequence[Assignment]) -> Assignment:
+    """A motion with the likelihood of the torque for its command, if it is larger and one of both follows the other."""
+    if found.tracked is None:
+        return found
+    command = found.tracked.position.stream
+    other = max((one.torque_log_posterior for one in tried if one.position.stream is command), default=0.0)
+    return replace(found, beside=found.beside + max(other - found.torque_log_posterior, 0.0))
+
+
+def _disjoint(found: Assignment, other: Assignment) -> bool:
+    """Whether two motions with velocities have no columns in common."""
+    pairs = (
+        (one.stream, two.stream)
+        for one in (found.position, found.velocity)
+        for two in (other.position, other.velocity)
+        if one is not None and two is not None
+    )
+    return found.velocity is not None and other.velocity is not None and not any(a.overlaps(b) for a, b in pairs)
+
+
+def _with_command(found: Assignment, motions: Sequence[Assignment]) -> Assignment:
+    """A motion with the likeliest pair of other streams as its command, by likelihood without names."""
+    others = [one for one in motions if _disjoint(found, one)]
+    if not others:
+        return found
+
+    def of(other: Assignment) -> float:
+        velocity = 0.0 if other.velocity is None else other.velocity.best.log_posterior
+        return other.position.best.log_posterior + velocity
+
+    command = max(others, key=of)
+    likelihood = of(command)
+    lateness = _lateness(found, command)
+    return replace(found, beside=likelihood + (lateness or 0.0), tracked=None if lateness is None else command)
+
+
+def _lateness(found: Assignment, other: Assignment) -> float | None:
+    """Log odds that a motion follows another one, by the sign of the lag L of q(t) = q_other(t - L) + c, all joints.
+
+    None: it does not follow it, nor the other way around.
+    """
+    series = other.position.stream.series
+    command = AveragedMotion.of(found.time, replace(series, values=other.position.values).at(found.time))
+    q = averaged(found.time, found.position.values)[1]
+    relation = fit(command.velocity, q - command.position, [np.ones_like(q)], command.independent)
+    if np.sum(relation.misfit) > MAX_TRACKING_MISFIT_SHARE * np.sum(np.square(q - q.mean(axis=0))):
+        return None
+    weight = 1.0 / np.maximum(np.square(relation.standard_error), 1e-12)
+    lag, error = -float(np.sum(weight * relation.factor) / np.sum(weight)), float(np.sum(weight) ** -0.5)
+    return float(np.sign(lag)) * NAME_LOG_ODDS if abs(lag) > MIN_REPORTED_SIGMA * error else 0.0
 
 
 def _named(stream: JointStream, choice: RoleChoice, motion: JointMotion, y: Array) -> RoleChoice:

@@ -135,3 +135,25 @@ def test_angles_of_motors_are_found_beside_the_positions_with_their_gear_ratio(g
     np.testing.assert_allclose(ratio, gear, rtol=1e-3)
     alone, search = searched(position=q, velocity=dq, torque=tau, motor_pos=q)
     assert search.motors(alone) is None  # the same numbers once more show no deflection
+
+
+@pytest.mark.parametrize("order", ["abcd", "cdab"])
+@pytest.mark.parametrize("with_torque", [True, False])
+def test_a_command_without_noise_is_not_taken_for_the_motion_that_follows_it(order: str, with_torque: bool) -> None:
+    """Its velocity fits its position better than any measured one. Kills a choice by that, and the lag's other sign."""
+    motion, rng = swing(), np.random.default_rng(3)
+    commanded = swinging(model(), TIME + 0.04, CENTRE, (0.11 + 0.02 * JOINTS, 0.31 + 0.03 * JOINTS), (0.35, 0.1))
+    pairs = {
+        "a": commanded["position"],
+        "b": commanded["velocity"],
+        "c": motion["position"] + rng.normal(0.0, 3e-4, (TIME.size, 7)),
+        "d": motion["velocity"] + rng.normal(0.0, 0.02, (TIME.size, 7)),
+    }
+    friction = 2.0 * np.tanh(motion["velocity"] / 0.01)
+    torque = {"e": motion["effort"] + friction + rng.normal(0.0, 0.5, (TIME.size, 7))} if with_torque else {}
+    found = assigned(**{name: pairs[name] for name in order}, **torque)
+    assert found.velocity is not None
+    assert (found.position.stream.series.place, found.velocity.stream.series.place) == ("c", "d")
+    assert [one.stream.series.place for one in found.torques] == [*torque]
+    listed = {one.stream.series.place: one.log_posterior for one in reversed(found.alternatives["position"])}
+    assert 0.0 < listed["c"] - listed["a"] < 1e3  # both are shown, and the velocities do not decide
