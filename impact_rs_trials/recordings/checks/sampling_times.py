@@ -52,7 +52,7 @@ def timestamp_warning(time: Array, position: Array) -> str | None:
     error = float(np.sqrt(np.mean(np.square(late)))) / RMS_PER_PERIOD_ERROR
     if np.mean(along) < MIN_POWER_RATIO * np.mean(across) or error < MIN_JITTER_PERIODS * period:
         return None
-    if np.max(np.abs(steps / period - 1.0)) < MAX_ROUNDING_PERIODS:
+    if np.max(np.abs(steps / period - np.round(steps / period))) < MAX_ROUNDING_PERIODS:  # lost rows: whole periods
         return (
             f"timestamps are nominal: exactly even ({1.0 / period:.4g} Hz), as a number of samples over a rate, while "
             f"all joints together show periods that vary by {100.0 * error / period:.0f} % (rms). Velocities and "
