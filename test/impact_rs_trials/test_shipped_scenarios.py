@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from trials import recorded
 
+from impact_rs_analysis.measure.analyze import analyze_campaign
 from impact_rs_analysis.measure.departure import MAX_CONTACT_DISTANCE_M, departures
 from impact_rs_analysis.measure.net_feedback import net_feedback
 from impact_rs_sim.impact_map import ImpactProblem, predict_impact
@@ -124,3 +125,5 @@ def test_a_trial_against_a_wall_ends_at_rest_on_it_in_both_plants(tmp_path: Path
         speeds = [(model.jacobian(joints.position[row]) @ joints.velocity[row])[:3] for row in resting]
         np.testing.assert_allclose(np.mean(speeds, axis=0), 0.0, atol=2e-3)
     np.testing.assert_allclose(*signals, atol=0.03)
+    (without,) = analyze_campaign(tmp_path).incomplete
+    assert "wall is fixed" in without.reason
