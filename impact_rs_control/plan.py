@@ -399,13 +399,16 @@ def _wrench(scene: Scene, name: str, post: SampledPath) -> Array:
 
     The paper asks the desired wrench to apply a normal contact force and to "compensate for the external forces exerted
     on the end effectors through interaction with the object", friction due to sliding among them (sec. Post-impact
-    mode). Held: the clamping force along the pad's normal n, and this arm's share of m (a_d - g).
+    mode). Held: the clamping force along the pad's normal n, and this arm's share of m (a_d - g), which a fixed object
+    does not need.
     """
     physics, scenario = scene.physics, scene.scenario
-    if scenario.control.clamp_force <= 0.0:
+    if scenario.control.clamp_force <= 0.0 and not physics.object.fixed:
         return _pushing_wrench(scene, name, post)
     normal = scenario.robots[name].impact_placement.rotation[:, 2]
-    share = physics.object.mass / len(scene.arms) * (post.acceleration - np.asarray(physics.gravity))
+    share = np.zeros_like(post.acceleration)
+    if not physics.object.fixed:
+        share = physics.object.mass / len(scene.arms) * (post.acceleration - np.asarray(physics.gravity))
     force = scenario.control.clamp_force * normal + share
     return np.hstack((force, np.zeros_like(force)))
 

@@ -395,9 +395,9 @@ class ObjectPhysics:
     """A rigid convex body, whose principal axes of inertia are its own x, y, z.
 
     Attributes:
-        mass: Mass [kg].
+        mass: Mass [kg]; infinite where it is fixed to the world, as a wall.
         size: Extent along its own x, y, z, ``(3,)`` [m].
-        inertia: Principal moments about the centre of mass, ``(3,)`` [kg m^2].
+        inertia: Principal moments about the centre of mass, ``(3,)`` [kg m^2]; infinite likewise.
         com_offset: Centre of mass from the geometric centre, in axes of the object, ``(3,)`` [m].
         shape: Its shape.
     """
@@ -407,6 +407,11 @@ class ObjectPhysics:
     inertia: Array
     com_offset: Array
     shape: ConvexShape = BOX
+
+    @property
+    def fixed(self) -> bool:
+        """Whether nothing moves it."""
+        return math.isinf(self.mass)
 
     @property
     def pad_share(self) -> float:
@@ -443,7 +448,7 @@ class Physics:
     Attributes:
         arms: Arms by name.
         object: The manipulated object.
-        support_height: Height of the support's surface [m]; None: no support.
+        support_height: Height of the support's surface [m]; None: no support, as of a fixed object.
         support_size: Extent of the support along x and y [m].
         support_friction: Friction between object and support [-].
         pad_friction: Friction between pad and object [-].
@@ -524,13 +529,13 @@ class Physics:
         return Physics(
             arms=arms,
             object=ObjectPhysics(
-                mass=spec.mass,
+                mass=math.inf if spec.mass is None else spec.mass,
                 size=np.array(spec.size),
                 inertia=spec.moments,
                 com_offset=np.array(spec.com_offset),
                 shape=spec.form,
             ),
-            support_height=scenario.support.height,
+            support_height=None if spec.fixed else scenario.support.height,
             support_size=scenario.support.size,
             support_friction=scenario.support.friction,
             pad_friction=scenario.contact.friction,

@@ -21,6 +21,7 @@ import numpy as np
 
 from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robots.robot import Array, RobotFacts
+from impact_rs_sim.shapes import BOX
 from impact_rs_sim.units import dimension_of
 
 FRANKA_MASS_KG = 16.062132  # links 1 to 7
@@ -81,8 +82,9 @@ class Proportion:
 
 
 def gyration_of(body: ObjectPhysics) -> float:
-    """Radius of gyration of a body, mean over its axes [m]."""
-    return float(np.sqrt(np.mean(body.inertia) / body.mass))
+    """Radius of gyration of a body, mean over its axes; of a fixed one that of a homogeneous box of its extents [m]."""
+    per_mass = BOX.moments(1.0, body.size) if body.fixed else body.inertia / body.mass
+    return float(np.sqrt(np.mean(per_mass)))
 
 
 def _mass(facts: RobotFacts) -> float:

@@ -291,8 +291,10 @@ def run_task(task: BlindTask, record: Recorder = _record) -> str:
 def specs(size: str, scenarios: Sequence[str] = SCENARIOS) -> list[tuple[TrialSpec, int]]:
     """Conditions of a blind campaign, with the number of repeats of each.
 
+    A scenario that has none of the objects or cases of the size has all of its own.
+
     Raises:
-        InputError: Unknown size or scenario, or one without the objects and cases of this size.
+        InputError: Unknown size or scenario.
     """
     if size not in SIZES:
         raise InputError(f"no size {size!r}; known: {', '.join(SIZES)}")
@@ -300,9 +302,9 @@ def specs(size: str, scenarios: Sequence[str] = SCENARIOS) -> list[tuple[TrialSp
     found: list[tuple[TrialSpec, int]] = []
     for scenario in map(load_scenario, scenarios):
         if scenario.excursion is None:
-            found += [
-                (TrialSpec.of(scenario, name, case), plan.repeats) for name in plan.objects for case in plan.cases
-            ]
+            objects = [name for name in plan.objects if name in scenario.objects] or list(scenario.objects)
+            cases = [name for name in plan.cases if name in scenario.cases] or list(scenario.cases)
+            found += [(TrialSpec.of(scenario, name, case), plan.repeats) for name in objects for case in cases]
         else:
             first = next(iter(scenario.objects))
             found += [(TrialSpec.of(scenario, first, case), plan.excite_repeats) for case in scenario.cases]

@@ -10,6 +10,7 @@ simulated in turn until a trial succeeds.
 from __future__ import annotations
 
 import itertools
+import math
 import re
 import tempfile
 import textwrap
@@ -471,7 +472,7 @@ def _read(text: str, facts: RobotFacts) -> Scenario:
 
 def _sets(scenario: Scenario) -> list[tuple[str, str]]:
     """Every case with the heaviest object, and the first one with the lightest."""
-    by_mass = sorted(scenario.objects, key=lambda name: scenario.object(name).mass)
+    by_mass = sorted(scenario.objects, key=lambda name: scenario.object(name).mass or math.inf)
     sets = [(by_mass[-1], case) for case in scenario.cases] + [(by_mass[0], next(iter(scenario.cases)))]
     return list(dict.fromkeys(sets))
 

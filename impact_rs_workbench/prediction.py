@@ -86,9 +86,10 @@ def sliders_of(scenario: Scenario, object_name: str) -> tuple[Slider, ...]:
     widths = Uncertainties.model_fields
     return (
         Slider(SPEED, "ante-impact speed", "×", 1.0, 0.3, 1.4, "factor on the velocity of every arm before the impact"),
-        Slider(
-            f"objects.{object_name}.mass", "object mass", "kg", target.mass, 0.25 * target.mass, 2.5 * target.mass,
-            "mass of the object",
+        *(
+            Slider(f"objects.{object_name}.mass", "object mass", "kg", mass, 0.25 * mass, 2.5 * mass,
+                   "mass of the object")
+            for mass in (target.mass,) if mass is not None
         ),
         Slider("contact.restitution", "restitution e", "-", scenario.contact.restitution, 0.0, 1.0,
                "normal velocity after over before, with the sign turned (Newton)"),

@@ -2,6 +2,9 @@
 
 #include "impact.hpp"
 
+#include <algorithm>
+#include <numeric>
+
 namespace impact_rs {
 
 namespace {
@@ -28,6 +31,10 @@ bool finite(const double* values, int count) {
   for (int i = 0; i < count; ++i)
     if (!std::isfinite(values[i])) return false;
   return true;
+}
+
+double mean(const std::vector<double>& values) {
+  return values.empty() ? 1.0 : std::accumulate(values.begin(), values.end(), 0.0) / static_cast<double>(values.size());
 }
 
 bool is_rotation(const Matrix& m) {
@@ -71,7 +78,8 @@ bool Impact::sound(const std::vector<ArmState>& arms, const ObjectState& object)
         return false;
   }
   return finite(object.position, 3) && finite(object.twist, 6) && finite(object.axes, 9) &&
-         is_rotation(matrix(object.axes));
+         is_rotation(matrix(object.axes)) &&
+         !(object.fixed() && std::any_of(object.twist, object.twist + 6, [](double value) { return value != 0.0; }));
 }
 
 bool Impact::find_points(const std::vector<ArmState>& arms, const ObjectState& object, const ContactState& contact) {
@@ -123,11 +131,15 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ObjectState& obje
   body.size = 6;
   body.inertia.assign(36, 0.0);
   before_.insert(before_.end(), object.twist, object.twist + 6);
+  // A fixed object keeps its velocity: no column of J_c is its own, and any inertia does.
+  const bool fixed = object.fixed();
+  if (fixed)
+    for (int i = 0; i < 6; ++i) body.inertia[7 * i] = 1.0;
   const Matrix axes = matrix(object.axes);
   const Vector c = axes * vector(object.offset);
   const double mass = *object.mass;
   const Matrix lever{0.0, -c[2], c[1], c[2], 0.0, -c[0], -c[1], c[0], 0.0};
-  for (int i = 0; i < 3; ++i) {
+  for (int i = 0; i < 3 && !fixed; ++i) {
     body.inertia[6 * i + i] = mass;
     for (int j = 0; j < 3; ++j) {
       body.inertia[6 * i + 3 + j] = -mass * lever[3 * i + j];
@@ -145,10 +157,10 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ObjectState& obje
   turning_.clear();
   for (std::size_t i = 0; i < points.size(); ++i)
     if (points[i].law.drilling_arm > 0.0 || points[i].law.rolling_arm > 0.0) turning_.push_back(static_cast<int>(i));
-  length_ = std::sqrt((object.moments[0] + object.moments[1] + object.moments[2]) / (3.0 * mass));
+  length_ = fixed ? norm(vector(object.half))
+                  : std::sqrt((object.moments[0] + object.moments[1] + object.moments[2]) / (3.0 * mass));
   const int m = static_cast<int>(points.size() + turning_.size()), size = 3 * m;
   terms_.resize(m);
-  terms_.mobility = 1.0 / mass;
   // Y = L^-1 J_c^T of the object and of the arm at every contact, three columns each; G = Y^T Y.
   int widest = 6;
   for (const Block& block : blocks_) widest = std::max(widest, block.size);
@@ -167,7 +179,8 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ObjectState& obje
         for (int j = 0; j < n; ++j) found[3 * j + k] = work_[k * n + j];
       forward(block.factor.data(), n, found, 3);
     };
-    columns(still, 6, point.position - vector(object.position), 1.0, body, object_columns_.data() + 18 * i);
+    if (fixed) std::fill_n(object_columns_.begin() + 18 * i, 18, 0.0);
+    else columns(still, 6, point.position - vector(object.position), 1.0, body, object_columns_.data() + 18 * i);
     if (point.partner < count) {
       const ArmState& arm = arms[point.partner];
       const Vector at = point.position - point.gap * point.normal - places_[point.partner];
@@ -192,6 +205,7 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ObjectState& obje
   }
   take_root(count);
   terms_.take_inverse_mass();
+  terms_.mobility = fixed ? mean(terms_.inverse_mass) : 1.0 / mass;
   relative_velocities(arms, object, before_twists_.data(), object.twist, terms_.approach.data());
   for (int i = 0; i < m; ++i) {
     const Point& point = point_of(i);
@@ -261,7 +275,7 @@ void Impact::impulses_to_momenta(const std::vector<ArmState>& arms, const Object
     const Vector impulse = turns(i) ? Vector{} : given, couple = turns(i) ? length_ * given : Vector{};
     double* body = momenta.data() + blocks_[count].start;
     const Vector moment = cross(point.position - vector(object.position), impulse) + couple;
-    for (int k = 0; k < 3; ++k) {
+    for (int k = 0; k < 3 && !object.fixed(); ++k) {
       body[k] += impulse[k];
       body[3 + k] += moment[k];
     }

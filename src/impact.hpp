@@ -3,6 +3,7 @@
 
 #pragma once
 
+#include <cmath>
 #include <vector>
 
 #include "boxes.hpp"
@@ -40,11 +41,13 @@ struct ObjectState {
   const double* position;  // geometric centre in A, (3)
   const double* axes;      // in A, (3, 3)
   const double* twist;     // (6)
-  const double* mass;      // (1)
+  const double* mass;      // (1); infinite: a fixed body, which no impulse moves
   const double* half;      // half extents, (3)
   const double* moments;   // principal, about the centre of mass, (3)
   const double* offset;    // of the centre of mass, in its axes, (3)
   Form form;               // its shape
+
+  bool fixed() const { return std::isinf(*mass); }
 };
 
 struct ContactState {

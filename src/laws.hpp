@@ -30,7 +30,7 @@ struct Terms {
   std::vector<double> rebound;       // velocity that restitution returns, e min(J_n u^-, 0) n, (3 m) [m/s]
   std::vector<double> least;         // bound a of the normal impulses, (m) [N s]
   std::vector<double> inverse_mass;  // g, (m) [1/kg]
-  double mobility = 0.0;             // 1 / m of the object [1/kg]
+  double mobility = 0.0;             // 1 / m of the object, or mean of g where it is fixed [1/kg]
   int rank = 0;                      // rows of the root; 0: the root is not used
   std::vector<double> root;          // Y = L^-1 J_c^T with H = L L^T, so that G = Y^T Y, (rank, 3 m)
 

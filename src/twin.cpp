@@ -14,6 +14,7 @@ constexpr double WHOLE_FACE = 2e-2;      // m; corners that far apart belong to 
 constexpr double FACE_POINTS = 4.0;      // that share stiffness and damping of a face
 constexpr double RIGID = 1e4;            // of the object's mass stops it within a step, and holds what sticks
 constexpr double SUPPORT_THICKNESS = 0.1;      // m
+constexpr double FIXED_MASS = 10.0;            // kg, of an arm at its pad; stands for the mass of a fixed object in tolerances
 constexpr double SUPPORT_DAMPING_RATIO = 0.5;  // of the object on a compliant support
 constexpr double RESOLVED = 1e-2;        // m/s; a pad that meets the object more slowly needs no shorter steps
 
@@ -71,6 +72,8 @@ Vector tangential(const Vector& a, const Vector& normal) { return a + -dot(a, no
 Twin::Twin(const TwinModel& model, const TwinStart& start)
     : model_(model),
       has_box_(start.box.has_value()),
+      fixed_(std::isinf(model.box.mass)),
+      mass_(fixed_ ? FIXED_MASS : model.box.mass),
       awake_(false),
       last_(model.period),
       centre_{},
@@ -100,6 +103,7 @@ void Twin::place(const BoxStart& box) {
   rotation_ = box.rotation;
   const Vector lever = rotation_ * model_.box.offset;
   centre_ = box.centre + lever;
+  if (fixed_) return;  // without velocity, and untouched so far
   angular_ = box.angular;
   velocity_ = box.velocity + cross(angular_, lever);
   momentum_ = inertia() * angular_;
@@ -392,7 +396,7 @@ void Twin::look_at_support() {
 void Twin::prepare(std::size_t number, double kick) {
   const Partner& partner = solver_.partners[number];
   const bool is_pad = partner.joints > 0;
-  const double hold = RIGID * model_.box.mass / (FACE_POINTS * kick);
+  const double hold = RIGID * mass_ / (FACE_POINTS * kick);
   const Vector half = model_.box.half;
   double stiffness = 0.0, damping = 0.0, friction = model_.pad_friction;
   bool rigid;
@@ -407,11 +411,11 @@ void Twin::prepare(std::size_t number, double kick) {
     friction = support.friction;
     if (!rigid) {
       stiffness = 1.0 / support.compliance;
-      damping = 2.0 * SUPPORT_DAMPING_RATIO * std::sqrt(stiffness * model_.box.mass);
+      damping = 2.0 * SUPPORT_DAMPING_RATIO * std::sqrt(stiffness * mass_);
     }
   }
   // Half of the damper acts after the step, for second order; more where it would reverse the velocity within a step.
-  const double decay = 2.0 * kick * damping / model_.box.mass;
+  const double decay = 2.0 * kick * damping / mass_;
   const double implicit = decay > 2.0 ? 1.0 - 1.0 / decay : 0.5;
   for (std::size_t i = partner.first; i < partner.first + partner.count; ++i) {
     ContactPoint& point = solver_.points[i];
@@ -500,7 +504,7 @@ void Twin::step(double length, double time) {
       if (!arm.coast(kick)) std::fill(arm.dq.begin(), arm.dq.end(), std::numeric_limits<double>::quiet_NaN());
   }
   for (TwinArm& arm : arms_) arm.move(kick, length);
-  if (awake_ && has_box_) move_box(length);
+  if (awake_ && has_box_ && !fixed_) move_box(length);
   if (pushes_ && !(is_zero(force_) && is_zero(moment_))) awake_ = true;  // with its support, from the next step on
   last_ = length;
 }
@@ -521,7 +525,8 @@ void Twin::touch_step(double kick, double time) {
   const int o = size, n = size + 6;
   solver.size = n;
   solver.kick = kick;
-  solver.object_mass = model_.box.mass;
+  solver.object_mass = mass_;
+  solver.fixed = fixed_;
   solver.mass.assign(n * n, 0.0);
   solver.impulse.resize(n);
   solver.velocity.resize(n);
@@ -541,15 +546,15 @@ void Twin::touch_step(double kick, double time) {
       solver.velocity[at + i] = arm.dq[i];
     }
   }
-  const Matrix turns = inertia();
-  momentum_ = momentum_ + kick * moment_;
-  const Vector free = velocity_ + kick * (model_.gravity + (1.0 / model_.box.mass) * force_);
+  const Matrix turns = fixed_ ? IDENTITY : inertia();
+  if (!fixed_) momentum_ = momentum_ + kick * moment_;
+  const Vector free = fixed_ ? Vector{} : velocity_ + kick * (model_.gravity + (1.0 / mass_) * force_);
   const Vector spin = divided(turns, momentum_);
   for (int i = 0; i < 3; ++i) {
     for (int j = 0; j < 3; ++j) solver.mass[(o + i) * n + o + j] = turns[3 * i + j];
-    solver.mass[(o + 3 + i) * n + o + 3 + i] = model_.box.mass;
+    solver.mass[(o + 3 + i) * n + o + 3 + i] = mass_;
     solver.impulse[o + i] = momentum_[i];
-    solver.impulse[o + 3 + i] = model_.box.mass * free[i];
+    solver.impulse[o + 3 + i] = mass_ * free[i];
     solver.velocity[o + i] = partners_.empty() ? spin[i] : angular_[i];
     solver.velocity[o + 3 + i] = partners_.empty() ? free[i] : velocity_[i];
   }
@@ -580,15 +585,17 @@ void Twin::touch_step(double kick, double time) {
       guesses.back().load = solver.loads()[i];
     }
     const double* wrench = solver.wrench(k);
-    for (int i = 0; i < 3; ++i) momentum_[i] += kick * wrench[i];
+    for (int i = 0; i < 3 && !fixed_; ++i) momentum_[i] += kick * wrench[i];
     if (partner.joints == 0) continue;
     TwinArm& arm = arms_[partners_[k]];
     pad_forces_[partners_[k]] = -1.0 * vector(wrench + 3);
     std::copy_n(solver.velocity.begin() + partner.offset, partner.joints, arm.dq.begin());
     if (softened_[partners_[k]].yields) remember(k);
   }
-  angular_ = vector(&solver.velocity[o]);
-  velocity_ = vector(&solver.velocity[o + 3]);
+  if (!fixed_) {
+    angular_ = vector(&solver.velocity[o]);
+    velocity_ = vector(&solver.velocity[o + 3]);
+  }
   for (std::size_t k = 0; k < partners_.size(); ++k) note(k, time);
 }
 

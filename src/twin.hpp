@@ -10,7 +10,7 @@
 namespace impact_rs {
 
 struct BoxModel {
-  double mass;     // [kg]
+  double mass;     // [kg]; infinite: the box is fixed
   Vector half;     // half extents [m]
   Vector inertia;  // principal moments about the centre of mass [kg m^2]
   Vector offset;   // centre of mass from the middle, in axes of the box [m]
@@ -131,7 +131,8 @@ class Twin {
   const TwinModel& model_;
   TwinReport report_;
   std::vector<TwinArm> arms_;
-  bool has_box_, awake_;
+  bool has_box_, fixed_, awake_;
+  double mass_;  // of the object, or in its place [kg]
   double last_;  // length of the step before [s]
   long periods_ = 0;  // of the torque loop so far
 

@@ -49,14 +49,14 @@ void StepSolver::evaluate(const std::vector<double>& x, bool with_derivative) {
       loaded = loaded || loads_[i] > 0.0 || held > 0.0;
     }
     if (!loaded) continue;
-    for (int i = 0; i < 6; ++i) rest_[o + i] -= kick * wrench[i];
+    for (int i = 0; i < 6 && !fixed; ++i) rest_[o + i] -= kick * wrench[i];
     for (int j = 0; j < partner.joints; ++j) {
       double sum = 0.0;
       for (int i = 0; i < 6; ++i) sum += partner.motions[6 * j + i] * wrench[i];
       rest_[partner.offset + j] += kick * sum;
     }
     if (!with_derivative) continue;
-    for (int i = 0; i < 6; ++i)
+    for (int i = 0; i < 6 && !fixed; ++i)
       for (int j = 0; j < 6; ++j) matrix_[(o + i) * n + o + j] += kick * z[6 * i + j];
     times_.resize(6 * partner.joints);
     for (int j = 0; j < partner.joints; ++j) {
@@ -68,6 +68,7 @@ void StepSolver::evaluate(const std::vector<double>& x, bool with_derivative) {
           left += own[l] * z[6 * l + i];
         }
         times_[6 * j + i] = kick * right;
+        if (fixed) continue;
         matrix_[(o + i) * n + partner.offset + j] -= kick * right;
         matrix_[(partner.offset + j) * n + o + i] -= kick * left;
       }

@@ -39,6 +39,7 @@ class StepSolver {
   double kick = 0.0;            // h in R [s]
   Span span{};                  // of the contact laws
   double object_mass = 0.0;     // turns a residual into a velocity [kg]
+  bool fixed = false;           // whether no wrench moves the object
   std::vector<double> mass;     // A, (size, size)
   std::vector<double> impulse;  // p
   std::vector<double> velocity; // x: first guess, then the root

@@ -42,8 +42,13 @@ def mean_of(of: Callable[[ArmPhysics], Array | float]) -> Callable[[Physics], fl
     return lambda physics: float(np.mean([np.mean(of(arm)) for arm in physics.arms.values()])) if physics.arms else 0.0
 
 
+def _mass(physics: Physics) -> float:
+    """Mass of the object [kg]; 0 of a fixed one, which no effect changes."""
+    return 0.0 if physics.object.fixed else physics.object.mass
+
+
 QUANTITIES = (
-    EverydayQuantity("the object", "heavier", "lighter", "kg", lambda physics: physics.object.mass),
+    EverydayQuantity("the object", "heavier", "lighter", "kg", _mass),
     EverydayQuantity("the tool", "heavier", "lighter", "kg", mean_of(lambda arm: arm.end_effector.mass)),
     EverydayQuantity("friction of the pad", "higher", "lower", "%", lambda physics: physics.pad_friction),
     EverydayQuantity("friction of the support", "higher", "lower", "%", lambda physics: physics.support_friction),

@@ -39,8 +39,8 @@ class HitlessCheck(NamedTuple):
 
 
 def _weight(physics: Physics) -> float:
-    """Weight of the object [N]."""
-    return float(np.linalg.norm(physics.gravity)) * physics.object.mass
+    """Weight of the object [N]; 0 of a fixed one."""
+    return 0.0 if physics.object.fixed else float(np.linalg.norm(physics.gravity)) * physics.object.mass
 
 
 HITLESS_CHECKS = (

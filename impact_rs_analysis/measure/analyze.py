@@ -500,9 +500,14 @@ def _one_scenario_each(trials: list[TrialFeedback], skipped: list[SkippedBag]) -
 
 def _evaluate(directory: Path, trials: list[TrialFeedback], example: TrialFeedback) -> ExperimentSet:
     info = example.info
+    scenario = recorded_scenario(info.scenario_json, directory / example.name)
+    if scenario.object(info.object).fixed:
+        raise FitError(
+            f"{info.object} is fixed: it stops the pad whatever the reference is, so that no net feedback measures the "
+            "velocity after the impact; compare and diagnose judge the model by all signals"
+        )
     references = np.array([trial.info.reference_post_velocity for trial in trials])
     fit = fit_zero_crossing(references, np.array([trial.net for trial in trials]))
-    scenario = recorded_scenario(info.scenario_json, directory / example.name)
     by_arm = [predict_arms(scenario, info.object, info.case_name, contact) for contact in CONTACTS]
     first, settled = (
         {model: Prediction.of(float(np.mean(list(own.values()))), fit) for model, own in found.items()}

@@ -27,7 +27,6 @@ from impact_rs_trials.bags.reader import ControllerColumns, PoseColumns, TrialBa
 from impact_rs_trials.bags.topics import OBJECT_POSE
 from impact_rs_trials.spec import recorded_scenario
 
-DEPARTURE_WINDOW_S = 0.1  # after the impact
 # After the impact: the pad has released the object, and the controller has hardly changed its speed
 SEPARATION_WINDOW_S = (0.005, 0.025)
 # A box on a compliant pad moves 2 mm to and fro, and motion capture resolves a millimetre
@@ -40,7 +39,7 @@ class Departure:
 
     Attributes:
         arm: The arm whose pad it is.
-        distance: Largest distance within ``DEPARTURE_WINDOW_S`` after the hit [m].
+        distance: Largest distance from the hit until the net feedback ends [m].
         speed: Rate at which the middle of the object goes away from the pad at first [m/s].
         restitution: The same over the speed with which the pad came [-].
         predicted: Restitution of the prediction [-].
@@ -87,9 +86,9 @@ class ObjectLeft:
         known = "goes on together" if self.predicted == 0.0 else f"parts with a restitution of {self.predicted:g}"
         return (
             f"the object leaves the pad of {self.arm} in {self.trials} of {self.of} trials: up to "
-            f"{1e3 * self.distance_m:.0f} mm within {DEPARTURE_WINDOW_S:g} s of the hit, "
-            f"at {self.speed_m_s:.2f} m/s at first, "
-            f"as with a restitution of {self.restitution:.2f}; what is predicted {known}"
+            f"{1e3 * self.distance_m:.0f} mm until the net feedback ends, at {self.speed_m_s:.2f} m/s at first, "
+            f"as with a restitution of {self.restitution:.2f}; what is predicted {known}. Net feedback measures the "
+            "error of a prediction while the contact lasts, and not then"
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -127,7 +126,7 @@ def _departure(
     speed = float(np.polyfit(after[first], middle[first], 1)[0])
     return Departure(
         arm=arm,
-        distance=float(distance[(after >= 0.0) & (after <= DEPARTURE_WINDOW_S)].max()),
+        distance=float(distance[(after >= 0.0) & (pose.time <= bag.info.window_end)].max()),
         speed=speed,
         restitution=speed / closing,
         predicted=scenario.contact.restitution,

@@ -213,10 +213,12 @@ def _predicted(run: MeasuredRun, ante: dict[str, Array], motor_inertia: str, con
 def _velocity_change_after(run: MeasuredRun, name: str, way: Array, motor_inertia: str) -> float:
     """Change of the speed along ``way`` by the recorded torque until 20 to 40 ms after the impact [m/s].
 
-    The object moves with the pad in the plane of the support, with its full mass for every arm. Without recorded
-    commands the joint torque is used.
+    The object moves with the pad in the plane of the support, with its full mass for every arm; a fixed one holds it.
+    Without recorded commands the joint torque is used.
     """
     setup = run.setup
+    if setup.physics.object.fixed:
+        return 0.0
     physics, window, signals = setup.physics.arms[name], setup.windows[-1], run.windowed[-1]
     model, arm, box = setup.physics.robot_model(name), signals.arms[name], setup.physics.object
     driving = window.commanded(name) if setup.drive == "command" else arm.torque

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import math
 
+from impact_rs_analysis.measure.departure import objects_left
 from impact_rs_analysis.measure.net_feedback import ANALYSED_OUTCOMES, net_feedback
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
@@ -46,5 +47,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             f"{ended.outcome}: net feedback {trial.net:+.4f} m/s along {info.axis} at a post-impact reference of "
             f"{info.reference_post_velocity:+.4f} m/s"
         )
+        for left in objects_left({(info.scenario, info.object, info.case_name): [trial.departures]}):
+            terminal.warn(left.words)
     terminal.say(f"bag: {path}")
     return 0 if ended.outcome == "OK" else 1

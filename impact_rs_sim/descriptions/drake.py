@@ -180,7 +180,10 @@ def _object(world: Xml.Element, scene: ExportedScene) -> list[str]:
     physics, object_ = scene.physics, scene.physics.object
     model = Xml.SubElement(world, "model", name="object")
     link = _link(model, "object", None, scene.object.position, scene.object.rotation)
-    _inertial(link, object_.mass, object_.com_offset, np.diag(object_.inertia))
+    if object_.fixed:
+        Xml.SubElement(model, "static").text = "true"
+    else:
+        _inertial(link, object_.mass, object_.com_offset, np.diag(object_.inertia))
     visual = Xml.SubElement(link, "visual", name="object")
     _box(visual, object_.size)
     body = Xml.SubElement(link, "collision", name="object")

@@ -47,8 +47,8 @@ NORMAL_OVER_FRICTION_REGULARISATION = 1e4  # MuJoCo's impratio [-]
 def write(scene: ExportedScene) -> tuple[str, list[str]]:
     """The model, and notes on how its numbers follow from those of the scene.
 
-    Bodies, joints and actuators are ``ARM_link1`` ..., ``ARM_joint1`` ...; the free body is ``object``; the keyframe
-    ``impact`` is the state just before the impact.
+    Bodies, joints and actuators are ``ARM_link1`` ..., ``ARM_joint1`` ...; the body ``object`` is free or fixed; the
+    keyframe ``impact`` is the state just before the impact.
     """
     root = Xml.Element("mujoco", model=scene.title.replace(" ", "_"))
     Xml.SubElement(root, "compiler", angle="radian", autolimits="false", balanceinertia="false")
@@ -74,9 +74,11 @@ def write(scene: ExportedScene) -> tuple[str, list[str]]:
     root.append(actuators)
     key = Xml.SubElement(Xml.SubElement(root, "keyframe"), "key", name="impact")
     state = scene.object
-    positions = [*(arm.position for arm in scene.arms.values()), state.position, _quaternion(state.rotation)]
-    spin = state.rotation.T @ state.twist[3:]
-    velocities = [*(arm.velocity for arm in scene.arms.values()), state.twist[:3], spin]
+    positions = [arm.position for arm in scene.arms.values()]
+    velocities = [arm.velocity for arm in scene.arms.values()]
+    if not scene.physics.object.fixed:
+        positions += [state.position, _quaternion(state.rotation)]
+        velocities += [state.twist[:3], state.rotation.T @ state.twist[3:]]
     key.set("qpos", _text(*np.concatenate(positions)))
     key.set("qvel", _text(*np.concatenate(velocities)))
     Xml.indent(root)
@@ -139,8 +141,9 @@ def _object(root: Xml.Element, world: Xml.Element, scene: ExportedScene) -> None
     if object_.shape.kind == "hull":
         corners = np.array(object_.shape.corners).ravel()
         Xml.SubElement(Xml.SubElement(root, "asset"), "mesh", name="object", vertex=_text(*corners))
-    Xml.SubElement(body, "freejoint", name="object")
-    _inertial(body, object_.mass, object_.com_offset, np.diag(object_.inertia))
+    if not object_.fixed:
+        Xml.SubElement(body, "freejoint", name="object")
+        _inertial(body, object_.mass, object_.com_offset, np.diag(object_.inertia))
     _geom(body, "object", object_.shape, object_.size, np.zeros(3), np.eye(3))
     height = scene.standing_height
     if height is not None:

@@ -37,7 +37,7 @@ def write(scene: ExportedScene) -> tuple[str, list[str]]:
         object_.size, object_.mass, object_.com_offset, np.diag(object_.inertia), object_.shape
     )
     root.extend(Xml.fromstring(described))
-    joint = Xml.SubElement(root, "joint", name="object", type="floating")
+    joint = Xml.SubElement(root, "joint", name="object", type="fixed" if object_.fixed else "floating")
     Xml.SubElement(joint, "parent", link=WORLD)
     Xml.SubElement(joint, "child", link="object")
     turn = pin.rpy.matrixToRpy(scene.object.rotation)
@@ -49,6 +49,8 @@ def write(scene: ExportedScene) -> tuple[str, list[str]]:
     )
     return Xml.tostring(root, encoding="unicode"), [
         "dynamics: friction is Coulomb friction, damping viscous friction of the joint",
-        "the object floats (joint type 'floating'); at the impact it is at its origin",
+        "the object is fixed to the world"
+        if object_.fixed
+        else "the object floats (joint type 'floating'); at the impact it is at its origin",
         f"joint positions at the impact: {positions}",
     ]

@@ -64,7 +64,11 @@ def write(scene: ExportedScene) -> tuple[str, list[str]]:
             attributes = [f"{key} = {float(value)!r}" for key, value in values]
             joints += _over(f"{arm_name}_joint{index + 1}", ["PhysxJointAPI"], attributes)
         lines += _block("over", "joints", joints)
-    lines += _mass("object", object_.mass, object_.com_offset, np.diag(object_.inertia), f"/{name}/materials/object")
+    if object_.fixed:  # without PhysicsRigidBodyAPI it is a static collider
+        lines += _over("object", ["MaterialBindingAPI"], [_binding(f"/{name}/materials/object")])
+    else:
+        com, moments = object_.com_offset, np.diag(object_.inertia)
+        lines += _mass("object", object_.mass, com, moments, f"/{name}/materials/object")
     materials = _material("object", OBJECT_FRICTION, 1.0)
     for arm_name, arm in physics.arms.items():
         compliant = []

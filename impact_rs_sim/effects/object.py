@@ -14,7 +14,7 @@ from impact_rs_sim.robots.robot import Array
 
 @dataclass(frozen=True)
 class ComOffsetEffect(SceneEffect):
-    """An offset of the centre of mass, which stays inside the box; a ball has none."""
+    """An offset of the centre of mass, which stays inside the box; a ball and a fixed object have none."""
 
     def bounds(self, physics: Physics) -> tuple[Array, Array]:
         """See :meth:`Effect.bounds`."""
@@ -25,12 +25,14 @@ class ComOffsetEffect(SceneEffect):
 
 def _mass(physics: Physics, values: Values) -> Physics:
     scale, object_ = number(values, "scale"), physics.object
+    if object_.fixed:
+        return physics
     return replace(physics, object=replace(object_, mass=object_.mass * scale, inertia=object_.inertia * scale))
 
 
 def _com_offset(physics: Physics, values: Values) -> Physics:
     object_ = physics.object
-    if object_.round:
+    if object_.round or object_.fixed:
         return physics
     return replace(physics, object=replace(object_, com_offset=object_.com_offset + vector3(values, ("x", "y", "z"))))
 

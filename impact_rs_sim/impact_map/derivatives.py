@@ -80,6 +80,7 @@ OF_OBJECT = {
     "velocity": "m/s",
     "angular_velocity": "rad/s",
 }
+OF_PLACE = ("position", "rotation")  # all that a fixed object has
 OF_JOINTS = {"motor_inertia": "inertia", "position": "position", "velocity": "velocity"}  # and the unit of each
 
 
@@ -92,9 +93,11 @@ class MapParameter:
 
 
 def parameters_of(problem: ImpactProblem) -> tuple[MapParameter, ...]:
-    """All parameters of a problem."""
-    found = [MapParameter("object.mass", "kg")]
-    found += [MapParameter(f"object.{kind}.{axis}", unit) for kind, unit in OF_OBJECT.items() for axis in AXES]
+    """All parameters of a problem; a fixed object has a pose alone."""
+    fixed = problem.physics.object.fixed
+    found = [] if fixed else [MapParameter("object.mass", "kg")]
+    of_object = {kind: unit for kind, unit in OF_OBJECT.items() if kind in OF_PLACE or not fixed}
+    found += [MapParameter(f"object.{kind}.{axis}", unit) for kind, unit in of_object.items() for axis in AXES]
     for name in problem.arms:
         found += [
             MapParameter(f"{name}.{kind}.{joint}", getattr(units, quantity))
@@ -325,7 +328,7 @@ def differentiate(
         raise ImpactMapError("Newton's method found no contact states to differentiate at")
     after = terms.before + terms.response @ impulses.ravel()
     opening = np.sum(terms.normals * (terms.jacobian @ terms.before).reshape(-1, 3), axis=1)
-    point = _Point(problem, models, contacts, impulses, after, opening <= 0.0, compliance)
+    point = _Point(problem, models, contacts, impulses, after, opening <= 0.0, compliance * terms.mobility)
     parameters = parameters_of(problem)
     partial = [_differences(point, one.name, STEP * _scale_of(one.name, problem, system)) for one in parameters]
     jacobian = np.array([rate.velocities for rate in partial]).T
@@ -356,7 +359,10 @@ def differentiate(
 
 
 class _Point(NamedTuple):
-    """Solution at which derivatives are taken: impulses ``(m, 3)``, u^+ ``(nv,)``, and which points close ``(m,)``."""
+    """Solution at which derivatives are taken.
+
+    Impulses ``(m, 3)``, u^+ ``(nv,)``, which points close ``(m,)``, and the velocity they yield per impulse [1/kg].
+    """
 
     problem: ImpactProblem
     models: Mapping[str, RobotModel]
@@ -364,7 +370,7 @@ class _Point(NamedTuple):
     impulses: Array
     after: Array
     closes: Array
-    compliance: float
+    yields: float
 
 
 class _Terms(NamedTuple):
@@ -399,7 +405,9 @@ def _terms_at(point: _Point, name: str, amount: float) -> _Terms:
     changed = change(point.problem, {name: amount})
     system = changed.system(point.models)
     contacts, smooth = _found_again(point.contacts, changed.contacts(point.models, tolerance=REACH))
-    jacobian, mass = system.jacobian(contacts), changed.problem.physics.object.mass
+    jacobian, yields = system.jacobian(contacts), point.yields
+    if not system.fixed:
+        yields *= point.problem.physics.object.mass / changed.problem.physics.object.mass
     normals = np.array([contact.normal for contact in contacts]).reshape(-1, 3)
     pairs = zip((contact.normal for contact in point.contacts), normals, strict=True)
     rotations = np.array([_rotation_between(*pair) for pair in pairs]).reshape(-1, 3, 3)
@@ -407,7 +415,7 @@ def _terms_at(point: _Point, name: str, amount: float) -> _Terms:
     velocity = system.velocity + np.linalg.solve(system.inertia, jacobian.T @ impulses.ravel())
     opening = np.sum(normals * (jacobian @ system.velocity).reshape(-1, 3), axis=1)
     rebound = changed.problem.restitution * np.where(point.closes, opening, 0.0)
-    slip = (jacobian @ point.after).reshape(-1, 3) + rebound[:, None] * normals + point.compliance / mass * impulses
+    slip = (jacobian @ point.after).reshape(-1, 3) + rebound[:, None] * normals + yields * impulses
     return _Terms(
         velocity=velocity,
         velocities=all_velocities(system, velocity),

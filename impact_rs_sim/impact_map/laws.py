@@ -49,8 +49,10 @@ import pinocchio as pin
 from impact_rs_sim import _kernel
 from impact_rs_sim.impact_map.contacts import ContactPoint
 from impact_rs_sim.impact_map.problem import ImpactProblem, Residual
+from impact_rs_sim.physics import ObjectPhysics
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.scene import BodyState
 
 COMPLIANCE = 1e-8  # rho [-]; ten times less, and rounding errors begin to decide the shares of the load
 SLIDING = 1e-7  # m/s, slower points stick
@@ -63,12 +65,13 @@ class System:
 
     Attributes:
         columns: Where each arm's joints, and under ``object`` the object's twist, stand in u.
-        inertia: H, ``(nv, nv)`` [kg m^2, kg m, kg].
+        inertia: H, ``(nv, nv)`` [kg m^2, kg m, kg]; a fixed object has unit inertia there, which no impulse moves.
         link_inertia: H with B = 0, ``(nv, nv)``.
         velocity: u^-, ``(nv,)`` [rad/s, m/s].
         end_effector_position: Origin of frame E in A by arm, ``(3,)`` [m].
         end_effector_jacobian: Jacobian of frame E in E[A] by arm, ``(6, n)``.
         object_position: Geometric centre of the object in A, ``(3,)`` [m].
+        fixed: Whether the object is fixed: no contact point then has columns of it in J_c.
     """
 
     columns: Mapping[str, slice]
@@ -78,6 +81,7 @@ class System:
     end_effector_position: Mapping[str, Array]
     end_effector_jacobian: Mapping[str, Array]
     object_position: Array
+    fixed: bool = False
 
     @property
     def kinetic_energy(self) -> float:
@@ -89,7 +93,8 @@ class System:
         size = self.velocity.size
         jacobian = np.zeros((len(contacts), 3, size))
         positions = np.array([contact.position for contact in contacts]).reshape(-1, 3)
-        jacobian[:, :, self.columns["object"]] = point_maps(positions - self.object_position)
+        if not self.fixed:
+            jacobian[:, :, self.columns["object"]] = point_maps(positions - self.object_position)
         for name, of_arm in self.end_effector_jacobian.items():
             rows = [row for row, contact in enumerate(contacts) if contact.partner == name]
             levers = np.array([contacts[row].partner_position for row in rows]).reshape(-1, 3)
@@ -133,8 +138,7 @@ def build_system(problem: ImpactProblem, models: Mapping[str, RobotModel]) -> Sy
         jacobians[name] = models[name].jacobian(state.position)
         positions[name] = models[name].placement(state.position).translation.copy()
     object_, body = problem.physics.object, problem.object
-    inertia = pin.Inertia(object_.mass, body.rotation @ object_.com_offset, _rotated(object_.inertia, body.rotation))
-    link_inertia[columns["object"], columns["object"]] = inertia.matrix()
+    link_inertia[columns["object"], columns["object"]] = _object_inertia(object_, body)
     velocity[columns["object"]] = body.twist
     return System(
         columns=columns,
@@ -144,7 +148,16 @@ def build_system(problem: ImpactProblem, models: Mapping[str, RobotModel]) -> Sy
         end_effector_position=positions,
         end_effector_jacobian=jacobians,
         object_position=body.position,
+        fixed=object_.fixed,
     )
+
+
+def _object_inertia(object_: ObjectPhysics, body: BodyState) -> Array:
+    """Spatial inertia of the object at its geometric centre, axes of A, ``(6, 6)``."""
+    if object_.fixed:
+        return np.eye(6)
+    com, moments = body.rotation @ object_.com_offset, _rotated(object_.inertia, body.rotation)
+    return np.asarray(pin.Inertia(object_.mass, com, moments).matrix())
 
 
 def _rotated(moments: Array, rotation: Array) -> Array:
@@ -165,7 +178,7 @@ class ContactTerms:
         friction: Coulomb coefficients, ``(m,)`` [-].
         rebound: e min(J_n u^-, 0): a point that opens before the impact has no restitution, ``(m,)`` [m/s].
         inverse_mass: Mean over the directions of a point of its J_c H^-1 J_c^T, ``(m,)`` [1/kg].
-        mobility: 1 / m of the object [1/kg].
+        mobility: 1 / m of the object, or mean of ``inverse_mass`` where it is fixed [1/kg].
     """
 
     contacts: Sequence[ContactPoint]
@@ -192,6 +205,8 @@ class ContactTerms:
         response = np.asarray(np.linalg.solve(system.inertia, jacobian.T), dtype=np.float64)
         normals = np.array([contact.normal for contact in contacts]).reshape(-1, 3)
         approach = np.sum(normals * (jacobian @ system.velocity).reshape(-1, 3), axis=1)
+        inverse_mass = np.einsum("ij,ji->i", jacobian, response).reshape(-1, 3).mean(axis=1)
+        first = system.columns["object"].start
         return cls(
             contacts=contacts,
             restitution=restitution,
@@ -201,8 +216,10 @@ class ContactTerms:
             normals=normals,
             friction=np.array([contact.friction for contact in contacts]),
             rebound=restitution * np.minimum(approach, 0.0),
-            inverse_mass=np.einsum("ij,ji->i", jacobian, response).reshape(-1, 3).mean(axis=1),
-            mobility=float(1.0 / system.inertia[system.columns["object"].start, system.columns["object"].start]),
+            inverse_mass=inverse_mass,
+            mobility=float(
+                inverse_mass.mean() if system.fixed and len(contacts) else 1.0 / system.inertia[first, first]
+            ),
         )
 
     @cached_property

@@ -4,7 +4,7 @@
 Given the configuration, the ante-impact velocities v^- of all bodies and the motor inertia B, find v^+ and contact
 impulses L such that, with the generalised inertia of arms (M + B) and object,
 
-    (M + B) (v^+ - v^-) = J_c^T L                              momentum balance
+    (M + B) (v^+ - v^-) = J_c^T L                              momentum balance; of a fixed object v^+ = v^- = 0
     0 <= L_n  perpendicular to  J_n v^+ + e min(J_n v^-, 0) >= 0   Newton restitution, per contact point (Poisson's:
                                                                :mod:`impact_rs_sim.impact_map.solve`)
     |L_t| <= mu L_n, opposing the sliding velocity J_t v^+     Coulomb friction
@@ -212,6 +212,8 @@ def check_problem(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
     body = problem.object
     _vector(body.position, 3, "object.position", "m")
     _vector(body.twist, 6, "object.twist", "m/s and rad/s")
+    if physics.object.fixed and np.any(body.twist):
+        raise InputError("a fixed object does not move: expected zeros [m/s, rad/s]", key="object.twist")
     rotation = np.asarray(body.rotation)
     if rotation.shape != (3, 3) or not np.all(np.isfinite(rotation)):
         raise InputError("expected a finite 3 x 3 rotation matrix [-]", key="object.rotation")
@@ -288,13 +290,17 @@ def check_physics(physics: Physics) -> None:
     """Refuse an impossible object or friction.
 
     Raises:
-        InputError: Non-finite or non-positive mass, size or moment of inertia, or friction that is negative.
+        InputError: Mass, size or moment of inertia that is not positive, a fixed object on a support, or friction that
+            is negative.
     """
     object_ = physics.object
-    if not (np.isfinite(object_.mass) and object_.mass > 0.0):
-        raise InputError("expected a finite mass > 0 kg", key="object.mass", value=object_.mass)
+    if not object_.mass > 0.0:
+        raise InputError("expected a mass > 0 kg, infinite for a fixed object", key="object.mass", value=object_.mass)
+    if object_.fixed and physics.support_height is not None:
+        raise InputError("a fixed object rests on no support: expected None", key="support_height")
     for key, unit, values in (("size", "m", object_.size), ("inertia", "kg m^2", object_.inertia)):
-        _vector(values, 3, f"object.{key}", unit)
+        if not (object_.fixed and key == "inertia"):
+            _vector(values, 3, f"object.{key}", unit)
         if np.min(values) <= 0.0:
             raise InputError(f"expected three values > 0 {unit}", key=f"object.{key}", value=values.tolist())
     _vector(object_.com_offset, 3, "object.com_offset", "m")
@@ -312,7 +318,7 @@ def kinetic_energy(problem: ImpactProblem, result: ImpactResult | None = None) -
     offset = object_state.rotation @ object_.com_offset
     linear = twist[:3] + np.cross(twist[3:], offset)
     angular = object_state.rotation.T @ twist[3:]
-    energy = 0.5 * (object_.mass * linear @ linear + object_.inertia @ np.square(angular))
+    energy = 0.0 if object_.fixed else 0.5 * (object_.mass * linear @ linear + object_.inertia @ np.square(angular))
     for name, arm in problem.arms.items():
         dq = arm.velocity if result is None else result.joint_velocity[name]
         inertia = problem.physics.robot_model(name).mass_matrix(arm.position)

@@ -28,7 +28,14 @@ import numpy as np
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.contacts import SUPPORT
-from impact_rs_sim.impact_map.derivatives import AXES, all_velocities, change, differentiate, velocity_names
+from impact_rs_sim.impact_map.derivatives import (
+    AXES,
+    all_velocities,
+    change,
+    differentiate,
+    parameters_of,
+    velocity_names,
+)
 from impact_rs_sim.impact_map.laws import solve_contacts, states
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, check_problem
 from impact_rs_sim.numbers import NORMAL_95
@@ -150,8 +157,11 @@ def sources_of(problem: ImpactProblem, stated: Uncertainties) -> tuple[Uncertain
     parts["pad_friction"] = [{"pad_friction": stated.pad_friction * physics.pad_friction}]
     parts["support_friction"] = [{"support_friction": stated.support_friction * physics.support_friction}]
     parts["restitution"] = [{"restitution": stated.restitution}]
+    known = {parameter.name for parameter in parameters_of(problem)}  # a fixed object has no mass
     return tuple(
-        UncertaintySource(name, tuple(part for part in own if any(sigma > 0.0 for sigma in part.values())))
+        UncertaintySource(
+            name, tuple(part for part in own if known >= set(part) and any(sigma > 0.0 for sigma in part.values()))
+        )
         for name, own in parts.items()
     )
 

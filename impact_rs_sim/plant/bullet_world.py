@@ -346,7 +346,7 @@ class BulletWorld:
         linear, angular = self._get_velocity(self.object)
         rotation = pin.Quaternion(np.array(quaternion)).matrix()
         object_, mobility = self.physics.object, np.zeros((6, 6))
-        mobility[:3, :3] = np.eye(3) / object_.mass
+        mobility[:3, :3] = np.eye(3) / object_.mass  # of a fixed one 0, and so below
         mobility[3:, 3:] = rotation / object_.inertia @ rotation.T
         return ContactBody(np.array(position), np.array(linear + angular), mobility)
 
@@ -480,13 +480,14 @@ def _make_object(client: BulletClient, object_: ObjectPhysics) -> int:
     shape = client.createCollisionShape(
         **_geometry(object_.shape, object_.size), collisionFramePosition=(-object_.com_offset).tolist()
     )
-    body = client.createMultiBody(baseMass=object_.mass, baseCollisionShapeIndex=shape)
+    mass, moments = (0.0, [0.0] * 3) if object_.fixed else (object_.mass, object_.inertia.tolist())  # 0: fixed
+    body = client.createMultiBody(baseMass=mass, baseCollisionShapeIndex=shape)
     if object_.shape.kind in ("cylinder", "hull"):  # Bullet rounds the rims of one, and adds a margin around the other
         client.changeDynamics(body, -1, collisionMargin=MARGIN_M)
     client.changeDynamics(
         body,
         -1,
-        localInertiaDiagonal=object_.inertia.tolist(),
+        localInertiaDiagonal=moments,
         linearDamping=0.0,
         angularDamping=0.0,
         lateralFriction=1.0,

@@ -10,6 +10,7 @@ checked before a trial (:mod:`impact_rs_sim.clearance`). Visual shapes are meshe
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Iterable, Mapping
 from xml.etree import ElementTree as Xml
 
@@ -196,14 +197,15 @@ def write_object_description(size: Array, mass: float, com: Array, inertia: Arra
 
     Args:
         size: Extent along x, y, z, ``(3,)`` [m].
-        mass: Mass [kg].
+        mass: Mass [kg]; infinite of a fixed object, which has no ``inertial``.
         com: Centre of mass in the link, ``(3,)`` [m].
         inertia: Inertia about the centre of mass, ``(3, 3)`` [kg m^2].
         shape: What fills the extents; of a capsule, which URDF lacks, a cylinder and two balls.
     """
     robot = Xml.Element("robot", name="object")
     link = Xml.SubElement(robot, "link", name="object")
-    _inertial(link, mass, com, inertia)
+    if math.isfinite(mass):
+        _inertial(link, mass, com, inertia)
     colour = "0.76 0.6 0.42 1"
     if shape.kind == "capsule":
         tube = np.array([size[0], size[1], size[2] - size[0]])

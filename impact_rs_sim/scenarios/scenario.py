@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
 import pinocchio as pin
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.files import is_file
@@ -305,10 +305,20 @@ class Robot(Schema):
 
 
 class ObjectSpec(Schema):
-    """A rigid convex object."""
+    """A rigid convex object, free or fixed to the world."""
 
     label: str = Field(description="name for tables and figures")
-    mass: Positive = Field(description="mass of the object [kg]")
+    fixed: bool = omitted(
+        False,
+        description="whether it is fixed to the world, as a wall: nothing moves it, and it has no mass, com_offset or "
+        "inertia [-]",
+    )
+    mass: Positive | None = Field(
+        None,
+        exclude_if=lambda value: value is None,
+        validate_default=True,
+        description="mass of the object [kg]; absent where it is fixed",
+    )
     size: PositiveVector3 = Field(description="extent along x, y and z [m]")
     com_offset: Vector3 = Field((0.0, 0.0, 0.0), description="centre of mass from the geometric centre [m]")
     shape: Literal["box", "sphere", "capsule", "cylinder", "hull"] = omitted(
@@ -331,6 +341,16 @@ class ObjectSpec(Schema):
         "about the geometric centre [kg m^2]",
     )
 
+    @field_validator("mass")
+    @classmethod
+    def _mass_where_it_moves(cls, mass: float | None, info: ValidationInfo) -> float | None:
+        fixed = info.data.get("fixed", False)
+        if fixed and mass is not None:
+            raise ValueError("nothing moves a fixed object: leave its mass out")
+        if not fixed and mass is None:
+            raise ValueError("missing; of an object that nothing moves, as a wall, say fixed: true")
+        return mass
+
     @field_validator("inertia")
     @classmethod
     def _inertia_of_a_body(cls, inertia: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
@@ -348,8 +368,14 @@ class ObjectSpec(Schema):
             far = np.maximum(corners.max(axis=0), -corners.min(axis=0))
             if np.max(np.abs(2.0 * far - self.size)) > CORNER_TOLERANCE_M:
                 raise ValueError(f"size must be the extents of the corners, {(2.0 * far).tolist()} [m]")
-            if self.inertia is None:
+            if self.inertia is None and not self.fixed:
                 raise ValueError("inertia is required for a hull; mesh has that of an even density [kg m^2]")
+        return self
+
+    @model_validator(mode="after")
+    def _fixed_without_inertia(self) -> Self:
+        if self.fixed and (self.inertia is not None or any(self.com_offset)):
+            raise ValueError("nothing moves a fixed object: leave com_offset and inertia out")
         return self
 
     @property
@@ -359,7 +385,9 @@ class ObjectSpec(Schema):
 
     @property
     def moments(self) -> Array:
-        """Principal moments about its centre of mass, ``(3,)`` [kg m^2]."""
+        """Principal moments about its centre of mass, ``(3,)`` [kg m^2]; of a fixed object infinite."""
+        if self.mass is None:
+            return np.full(3, np.inf)
         return self.form.moments(self.mass, np.array(self.size)) if self.inertia is None else np.array(self.inertia)
 
     @property
@@ -807,7 +835,8 @@ def _read_meshes(data: dict[str, Any], directory: Path) -> None:
         spec |= {"shape": "hull", "corners": found.corners.tolist(), "size": found.size.tolist()}
         if isinstance(spec.get("mass"), (int, float)):
             spec.setdefault("inertia", (spec["mass"] * found.moments).tolist())
-        spec.setdefault("com_offset", found.com.tolist())
+        if not spec.get("fixed"):
+            spec.setdefault("com_offset", found.com.tolist())
 
 
 @functools.lru_cache(maxsize=32)

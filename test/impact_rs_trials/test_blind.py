@@ -133,6 +133,12 @@ def test_a_pair_can_be_named() -> None:
     ]
 
 
+def test_a_scenario_with_other_objects_is_recorded_with_its_own() -> None:
+    """Kills a campaign of a wall that looks for the boxes of push."""
+    found = [(spec.scene.object_name, spec.scene.case_name, repeats) for spec, repeats in specs("small", ["hit_wall"])]
+    assert found == [("wall", "case_1", 3), ("wall", "case_2", 3)]
+
+
 def test_a_centre_of_mass_is_hidden_inside_every_box_of_the_campaign(tmp_path: Path) -> None:
     smallest = np.min([spec.plan.scene.physics.object.size / 2.0 for spec, _ in specs("small")], axis=0)
     for seed in range(10):

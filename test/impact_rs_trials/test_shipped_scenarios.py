@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 from trials import recorded
 
+from impact_rs_analysis.measure.analyze import analyze_campaign
+from impact_rs_analysis.measure.departure import MAX_CONTACT_DISTANCE_M, departures
+from impact_rs_analysis.measure.net_feedback import net_feedback
 from impact_rs_sim.impact_map import ImpactProblem, predict_impact
 from impact_rs_sim.impact_map.uncertainty import predict
 from impact_rs_sim.robot_check import failures_of
@@ -17,6 +20,7 @@ from impact_rs_sim.scenarios.scenario import Uncertainties, load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
+from impact_rs_trials.bags.trial_info import VIA
 from impact_rs_trials.spec import TrialSpec
 
 # By scenario of a round object: which one, what is predicted, and when after the impact it holds [s]
@@ -96,3 +100,30 @@ def test_a_trial_with_a_round_object_ends_near_the_impact_map(name: str, tmp_pat
     angle = 2.0 * np.arccos(np.abs(pose.quaternion[-1] @ pose.quaternion[0]))
     assert (angle > 1.0) == (name == "hit_ball")  # it rolls, the can stands
     assert np.ptp(pose.position[:, 2]) < 1e-3
+    (parted,) = departures(bag, {"arm": bag.controller("arm")})
+    assert (parted.distance > MAX_CONTACT_DISTANCE_M) == (name == "hit_ball")  # within 0.6 s, not within 0.1 s
+
+
+def test_a_trial_against_a_wall_ends_at_rest_on_it_in_both_plants(tmp_path: Path) -> None:
+    """Kills a wall that falls or is pushed away in a plant, and a clamping force that makes up for its weight."""
+    scenario = load_scenario("hit_wall")
+    plan = TrialSpec.of(scenario, "wall", "case_1").plan
+    model, begin = plan.scene.models["arm"], scenario.timing.nominal_impact
+    signals = []
+    for via in VIA.values():
+        verdict = recorded(plan, tmp_path / via, seed=1, via=via)
+        assert (verdict.outcome, verdict.reason) == ("OK", "")
+        bag = TrialBag.open(tmp_path / via)
+        assert abs(net_feedback(bag).net) < 0.03
+        assert np.ptp(bag.poses(topics.TRUTH_OBJECT_POSE).position, axis=0).max() == 0.0
+        joints = bag.joints(topics.joint_states("arm"))
+        hit = [begin - 0.01 < time < begin + 0.03 for time in joints.time]
+        signals.append(
+            [model.jacobian(q)[1] @ dq for q, dq in zip(joints.position[hit], joints.velocity[hit], strict=True)]
+        )
+        resting = np.flatnonzero((joints.time - begin > 0.4) & (joints.time - begin < 0.6))
+        speeds = [(model.jacobian(joints.position[row]) @ joints.velocity[row])[:3] for row in resting]
+        np.testing.assert_allclose(np.mean(speeds, axis=0), 0.0, atol=2e-3)
+    np.testing.assert_allclose(*signals, atol=0.03)
+    (without,) = analyze_campaign(tmp_path).incomplete
+    assert "wall is fixed" in without.reason

@@ -50,8 +50,8 @@ def made_up(directory: Path, trial: Trial) -> TrialReport:
     return TrialReport(trial.key, "OK")
 
 
-def recorded(plan: TrialPlan, path: Path, seed: int = 0) -> Verdict:
+def recorded(plan: TrialPlan, path: Path, seed: int = 0, via: str = "inprocess") -> Verdict:
     """How a trial ended whose bag is recorded at a path."""
     scene = plan.scene
-    info = TrialInfo.of(plan, TrialKey(scene.object_name, scene.case_name, plan.velocity_scale, 0), seed, "inprocess")
+    info = TrialInfo.of(plan, TrialKey(scene.object_name, scene.case_name, plan.velocity_scale, 0), seed, via)
     return record_trial(plan, info, path)[0]

@@ -194,7 +194,7 @@ class TableEntries:
         inertia = np.array([system.inertia for system in self.systems])
         half = np.swapaxes(_all_turned(inertia, self.axes), 1, 2)  # H T^T, then T H T^T, with T the axes
         diagonal = np.einsum("nii->ni", _all_turned(half, self.axes))
-        masses = np.array([self.worlds[world].object.mass for world in self.world_of])
+        masses = np.array([system.inertia[-6, -6] for system in self.systems])  # m, of a fixed object 1 kg
         worth = np.sqrt(diagonal / masses[:, None])
         return np.column_stack((worth, 1.0 / self.lasting)) if self.has_distances else np.asarray(worth)
 

@@ -149,7 +149,7 @@ class _Laws:
         kept = np.eye(len(root)) - changed @ np.linalg.pinv(changed, rcond=1e-9)
         normals = np.array([point.normal for point in row.impact.points])
         return cls(
-            root=root.T / np.sqrt(row.physics.object.mass),
+            root=root.T / np.sqrt(system.inertia[-6, -6]),  # m, of a fixed object 1 kg
             kept=kept,
             normals=np.einsum("mi,miv->mv", normals, jacobian.reshape(len(normals), 3, -1)),
         )

@@ -559,9 +559,13 @@ class _Reader:
         assert self.contents.scenario is not None
         physics = Physics.nominal(self.contents.scenario, object_name)
         box = physics.object
+        if box.fixed and own.keys() & {*MASS.names, *MOMENTS.names}:
+            raise InputError(f"object {object_name!r} is fixed and has neither mass nor moments: leave these out")
         mass = own.get(MASS.first, box.mass)
         size = np.array([own.get(name, value) for name, value in zip(SIZE.names, box.size, strict=True)])
-        inertia = _moments_of_box(mass, size) if SIZE.first in own else box.inertia * mass / box.mass
+        inertia = box.inertia
+        if not box.fixed:
+            inertia = _moments_of_box(mass, size) if SIZE.first in own else box.inertia * mass / box.mass
         arms = {
             name: replace(arm, motor_inertia_reduced=np.array(motors[name])) if name in motors else arm
             for name, arm in physics.arms.items()

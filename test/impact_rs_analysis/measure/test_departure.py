@@ -108,4 +108,4 @@ def test_a_prediction_with_restitution_is_reported_with_it() -> None:
     found = list(objects_left({("push", "box", "case_1"): [(thrown,), (replace(thrown, distance=0.001),)]}))
     assert [(one.trials, one.of) for one in found] == [(1, 2)]
     (bouncing,) = objects_left({("push", "box", "case_1"): [(replace(thrown, predicted=0.3),)]})
-    assert bouncing.words.endswith("as with a restitution of 0.40; what is predicted parts with a restitution of 0.3")
+    assert "as with a restitution of 0.40; what is predicted parts with a restitution of 0.3." in bouncing.words
