@@ -246,7 +246,7 @@ def _body(described: ImpactObject) -> tuple[ObjectPhysics, Array]:
         raise InputError(
             error.message, key=f"object.{error.key}" if error.key else "object", value=error.value
         ) from None
-    return ObjectPhysics(spec.mass, np.array(spec.size), spec.moments, com, spec.form), middle
+    return ObjectPhysics(inertia.m, np.array(spec.size), spec.moments, com, spec.form), middle
 
 
 def _filled(primitive: SolidPrimitive, rounded: bool) -> tuple[str, list[float]]:
