@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import logging
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
@@ -19,6 +20,7 @@ from importlib import import_module
 from impact_rs_cli.parser import CommandParser, Parser, spelled
 from impact_rs_commands import COMMANDS
 from impact_rs_sim.errors import InputError, MissingPackage, full_traceback, shortened
+from impact_rs_sim.progress import VARIABLE as PROGRESS_FILE
 
 MAX_ERROR_CHARACTERS = 2000  # of an error; some repeat what they were given
 
@@ -76,6 +78,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         0 if the job was done, 1 if it was not, 2 for a mistake in the input, 130 after Ctrl-C.
     """
+    if PROGRESS_FILE in os.environ and signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        # A page stops its jobs by SIGINT, which they ignore where a script has started the page in the background.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small; more threads of BLAS cost time
     args = argparse.Namespace(debug=False, json=False, resumable=False)
     try:

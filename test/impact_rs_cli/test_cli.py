@@ -8,6 +8,7 @@ import logging
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -29,6 +30,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import CONTACTS, DEFAULT_ENGINE, ENGINES
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, RESTITUTION_LAWS
+from impact_rs_sim.progress import VARIABLE as PROGRESS_FILE
 from impact_rs_trials import blind, scenario_draft
 from impact_rs_trials.campaign import FAILURES
 
@@ -477,3 +479,18 @@ def test_nobody_is_asked_where_nobody_answers_or_nothing_can_be_installed(
     out, said = capsys.readouterr()
     assert not situation.asked and out == "" and len(said.splitlines()) == 1
     assert ("pip install pyarrow" if where == "not made by ./run" else f"{RUN} sync export") in said
+
+
+def test_a_job_of_a_page_can_be_stopped_where_a_script_started_the_page_in_the_background(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Shells let background jobs ignore SIGINT, and children inherit it. Kills a Stop button that stops nothing."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        main(["effects", "--json"])
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN  # the user's own choice
+        monkeypatch.setenv(PROGRESS_FILE, str(tmp_path / "progress"))
+        main(["effects", "--json"])
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)

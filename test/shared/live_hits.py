@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -139,9 +138,8 @@ class Live:
         refused: dict[str, str] = {}
         while found := self.lessons.arrived():
             for lesson in found:
-                if lesson.refused:
-                    document = json.loads(lesson.refused)
-                    refused[document["hit"]] = document["reason"]
+                if lesson.topic == "refused":
+                    refused[lesson.document["hit"]] = lesson.document["reason"]
                 elif lesson.hit:
                     hits.append(lesson.line.split(":")[0])
         return hits, refused

@@ -81,9 +81,9 @@ def test_example_predicts_the_same_velocities() -> None:
     example = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(example)
     scenario = load_scenario("push")
-    problem = ImpactProblem.at_nominal_impact(Scene.resolve(scenario, OBJECT, CASE), MOTORS)
+    problem = ImpactProblem.at_nominal_impact(Scene.resolve(scenario, "cat_food", "case_2"), MOTORS)
     twist = compute_impact_map(problem, "exact").end_effector_twist["arm"]
-    assert example.main(OBJECT, CASE)[MOTORS] == twist[scenario.axis_index]
+    assert example.main()[MOTORS] == twist[scenario.axis_index]
 
 
 def test_former_name_of_the_engine_is_accepted(graph: Graph, capfd: pytest.CaptureFixture) -> None:

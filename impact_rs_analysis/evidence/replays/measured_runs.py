@@ -34,6 +34,7 @@ from impact_rs_trials.workers import Map
 Made = TypeVar("Made")
 CACHED_MODELS = 64  # per process
 MAX_DROPPED_WINDOW_SHARE = 0.5  # of the windows of free motion, dropped from all runs because some have a gap there
+MAX_FEATURE = 1e9  # in its SI unit; squares of such numbers overflow, and leave no belief
 
 
 @dataclass(frozen=True)
@@ -208,6 +209,12 @@ class MeasuredRun(Run):
             raise InputError("no impact found: the end effector loses no speed")
         if not np.isfinite(measured).all():
             raise InputError("its signals do not cover the windows about the impact")
+        largest = int(np.argmax(np.abs(measured)))
+        if abs(measured[largest]) > MAX_FEATURE:
+            one = features[largest]
+            raise InputError(
+                f"{one.signal} {one.index} of {measured[largest]:.3g} {one.unit}, which no sensor measures"
+            )
         return cls(
             **vars(run),
             setup=setup,

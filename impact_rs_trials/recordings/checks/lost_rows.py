@@ -55,7 +55,7 @@ def without_lost_rows(
     found, position = dict(recorded), recorded["position"]
     time, q = position.time, position.values
     alike = all(np.array_equal(one.time, time) for one in found.values())
-    if not alike or time.size < 4 * SIDE_SAMPLES or np.any(np.diff(time) <= 0.0):
+    if not alike or time.size < 4 * SIDE_SAMPLES or np.any(np.diff(time) <= 0.0) or not np.isfinite(q).all():
         return found, []
     velocity = recorded["velocity"].values if "velocity" in recorded else None
     stamped = np.diff(time)
