@@ -34,8 +34,8 @@ from impact_rs_trials.file_names import BAG_METADATA
 from impact_rs_trials.runs import ArmSignals, Run, Signals, run_of_trial
 
 OF_THE_TWIN = (
-    "the twin made these trials, and it is what the model replays them with: the simulator explains itself, so that no "
-    "difference between simulators shows"
+    "the twin recorded these trials and replays them as well, so that the comparison contains no difference between "
+    "simulators"
 )
 MAX_STAMP_DIFFERENCE_S = 1e-6  # between joint and motor states of one tick
 FRAME_OFFSET_BYTES = 12  # of the frame name in a serialized message with a header
