@@ -69,6 +69,12 @@ class _Version(argparse.Action):
         parser.exit()
 
 
+def _let_a_page_stop_its_job() -> None:
+    """Take SIGINT again, which a job ignores where a script has started its page in the background."""
+    if PROGRESS_FILE in os.environ and signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command.
 
@@ -78,9 +84,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         0 if the job was done, 1 if it was not, 2 for a mistake in the input, 130 after Ctrl-C.
     """
-    if PROGRESS_FILE in os.environ and signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        # A page stops its jobs by SIGINT, which they ignore where a script has started the page in the background.
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    _let_a_page_stop_its_job()
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small; more threads of BLAS cost time
     args = argparse.Namespace(debug=False, json=False, resumable=False)
     try:
