@@ -37,7 +37,7 @@ from impact_rs_trials.recordings.readers.clock import check_stamps, gaps, gaps_i
 from impact_rs_trials.recordings.readers.clock_steps import without_steps_back
 from impact_rs_trials.recordings.readers.guesses import at_rest
 from impact_rs_trials.recordings.readers.run_finder import BAG_SUFFIXES, FILE_SUFFIXES, find_recordings, find_runs
-from impact_rs_trials.recordings.readers.series import Series
+from impact_rs_trials.recordings.readers.series import MAX_BRIDGED_PERIODS, Series
 from impact_rs_trials.recordings.readers.sources import read_series
 from impact_rs_trials.recordings.relations import PLAUSIBLE_FACTORS, pooled
 from impact_rs_trials.recordings.servo import ServoLaw
@@ -46,8 +46,7 @@ from impact_rs_trials.runs import ArmSignals, Run, Signals
 logger = logging.getLogger(__name__)
 
 ARM = "arm"  # name of the arm of a recording
-MAX_GAP_PERIODS = 5.0  # sampling periods, or
-MAX_GAP_LOW_PASS_PERIODS = 0.1  # of the filter whose window the gap falls into
+MAX_GAP_LOW_PASS_PERIODS = 0.1  # of the filter whose window the gap falls into; beyond it the gap cuts the recording
 MIN_RECORDING_SAMPLES = 100
 MAX_NAMED_RECORDINGS = 3  # in a message
 MAX_SATURATED_SHARE = 0.5  # of the samples of a servo, beyond which its gain or target has another unit
@@ -293,7 +292,7 @@ def _between_faults(series: dict[SignalName, Series], low_pass: float) -> list[t
     period = float(np.median(np.diff(time)))
     start, end = max(float(own[0]) for own in needed), min(float(own[-1]) for own in needed)
     cuts = [gap for own in needed for gap in gaps(own, _longest_gap(period, low_pass))]
-    if not cuts and start <= time[0] + MAX_GAP_PERIODS * period and end >= time[-1] - MAX_GAP_PERIODS * period:
+    if not cuts and start <= time[0] + MAX_BRIDGED_PERIODS * period and end >= time[-1] - MAX_BRIDGED_PERIODS * period:
         return [(float(time[0]), float(time[-1]))]
     firsts = [start, *sorted(gap.end for gap in cuts)]
     lasts = [*sorted(gap.start for gap in cuts), end]
@@ -305,7 +304,7 @@ def _between_faults(series: dict[SignalName, Series], low_pass: float) -> list[t
 
 def _longest_gap(period: float, low_pass: float) -> float:
     """Longest gap that the low-pass bridges [s]."""
-    return max(MAX_GAP_PERIODS * period, MAX_GAP_LOW_PASS_PERIODS / low_pass)
+    return max(MAX_BRIDGED_PERIODS * period, MAX_GAP_LOW_PASS_PERIODS / low_pass)
 
 
 def _check_time(path: Path, time: Array, what: str, low_pass: float) -> list[str]:

@@ -172,10 +172,10 @@ def test_explicit_values_give_the_same_answer_as_the_scenario(ask: Ask, scene: S
     np.testing.assert_allclose(answer.joint_state.velocity, ask().joint_state.velocity, atol=1e-9)
 
 
-def expected_of(scene: Scene, thing: ObjectPhysics, state: BodyState) -> np.ndarray:
+def expected_of(scene: Scene, body: ObjectPhysics, state: BodyState) -> np.ndarray:
     """Twist of an object in the scene's object's place, after the impact."""
     problem = ImpactProblem.at_nominal_impact(scene)
-    changed = replace(problem, physics=replace(scene.physics, object=thing), object=state)
+    changed = replace(problem, physics=replace(scene.physics, object=body), object=state)
     return compute_impact_map(changed).object_twist
 
 
@@ -183,7 +183,7 @@ def test_a_capsule_with_an_inertia_of_its_own_is_that_of_the_library(ask: Ask, s
     """Fails where height and radius are swapped, where moments or centre of mass are dropped, or for a cylinder."""
     size, moments, com = scene.physics.object.size, np.array([0.004, 0.005, 0.002]), np.array([0.0, 0.004, 0.01])
     radius = float(size[1]) / 2.0
-    thing = ObjectPhysics(0.7, np.array([2 * radius, 2 * radius, size[2]]), moments, com, CAPSULE)
+    body = ObjectPhysics(0.7, np.array([2 * radius, 2 * radius, size[2]]), moments, com, CAPSULE)
     state = BodyState(scene.object.position, np.eye(3), np.zeros(6))
     solid = SolidPrimitive(type=SolidPrimitive.CYLINDER, dimensions=[float(size[2]), radius])
     inertia = Inertia(m=0.7, com=Vector3(y=com[1], z=com[2]), ixx=moments[0], iyy=moments[1], izz=moments[2])
@@ -191,7 +191,7 @@ def test_a_capsule_with_an_inertia_of_its_own_is_that_of_the_library(ask: Ask, s
     assert answer.success, answer.message
     free = replace(scene, physics=replace(scene.physics, support_height=None))
     np.testing.assert_allclose(
-        twist_from_message(answer.body_twists[0].twist), expected_of(free, thing, state), atol=1e-9
+        twist_from_message(answer.body_twists[0].twist), expected_of(free, body, state), atol=1e-9
     )
 
 
@@ -214,8 +214,8 @@ def test_a_mesh_is_its_hull_wherever_its_own_frame_lies(ask: Ask, scene: Scene) 
     assert answer.success, answer.message
     middle = twist + np.append(np.cross(twist[3:], size / 2.0), np.zeros(3))
     box = scene.physics.object
-    thing = replace(box, com_offset=np.zeros(3), shape=hull_of(tuple(map(tuple, corners - size / 2.0))))
-    expected = expected_of(scene, thing, BodyState(scene.object.position, np.eye(3), middle))
+    body = replace(box, com_offset=np.zeros(3), shape=hull_of(tuple(map(tuple, corners - size / 2.0))))
+    expected = expected_of(scene, body, BodyState(scene.object.position, np.eye(3), middle))
     np.testing.assert_allclose(twist_from_message(answer.body_twists[0].twist), expected, atol=1e-8)
 
 

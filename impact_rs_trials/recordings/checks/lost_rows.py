@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.recordings.mapping import SignalName
-from impact_rs_trials.recordings.readers.series import Series
+from impact_rs_trials.recordings.readers.series import MAX_BRIDGED_PERIODS, Series
 from impact_rs_trials.recordings.remarks import Amount, Remark, joined
 
 SIDE_SAMPLES = 6  # of each polynomial
@@ -37,7 +37,6 @@ MIN_ADVANCE_PER_JITTER = 7.0  # robust standard deviations of d, whose tails are
 MAX_JITTER_ERROR_PERIODS = 0.25  # standard deviation of d at the rows that show the jitter
 MIN_STEP_PER_KINK = 0.5  # of e over the change of the velocity in the duration of a polynomial
 MAX_ACROSS_SHARE = 0.1  # of the power of e along dq, over the noise, in every direction across it
-MAX_GAP_PERIODS = 5.0  # between timestamps, inside of which rows may be lost; longer gaps cut the recording anyway
 MAX_PASSES = 20  # each finds the clearest places, one in every two polynomials
 MAX_NAMED_PLACES = 3  # in a warning
 
@@ -93,7 +92,7 @@ def _advances(time: Array, position: Array, velocity: Array | None, period: floa
     after, speed_after = _extrapolated(time, values, order, at, SIDE_SAMPLES)
     speed = 0.5 * (speed_before + speed_after if velocity is None else (velocity[1:] + velocity[:-1])[inside])
     step = after - before
-    long = np.diff(time) > MAX_GAP_PERIODS * period
+    long = np.diff(time) > MAX_BRIDGED_PERIODS * period
     gaps = np.convolve(long, np.ones(2 * SIDE_SAMPLES - 1), "valid") > 0.5
     step[gaps] = np.nan
     steps = np.abs(np.diff(position, axis=0))
