@@ -18,13 +18,13 @@ import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from impact_rs_sim.effects.changed_bodies import check_bodies, differ
 from impact_rs_sim.errors import InputError, NotABody
-from impact_rs_sim.physics import ArmPhysics, Physics
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import Array, JointType
 
 if TYPE_CHECKING:
@@ -333,18 +333,18 @@ class Effect(ABC):
 
 
 @dataclass(frozen=True)
-class ArmEffect(Effect):
-    """An effect that changes every arm by itself; attributes as in :class:`Effect`.
+class LawEffect(Effect):
+    """An effect that consists of its parameters and a law; attributes as in :class:`Effect`.
 
     Attributes:
-        law: The arm with the effect, from the arm without it and the values as in :meth:`Effect.apply`.
+        law: What it acts on with the effect, from the same without it and the values as in :meth:`Effect.apply`.
     """
 
     name: str
     acts_on: str
     sentence: str
     parameters: tuple[Parameter, ...]
-    law: Callable[[ArmPhysics, Values], ArmPhysics]
+    law: Callable[[Any, Values], Any]
     phases: tuple[str, ...] = ("free", "contact")
     calibrates: bool = False
     lasting: bool = False
@@ -353,42 +353,30 @@ class ArmEffect(Effect):
     reading: str = ""
     calibration: str = ""
 
+    @property
+    def identity(self) -> str:
+        """See :attr:`Effect.identity`; the law is included with the module it stands in."""
+        law = getattr(self.law, "__qualname__", repr(self.law))
+        return digest(super().identity, law, _source(self.law.__module__))
+
+
+@dataclass(frozen=True)
+class ArmEffect(LawEffect):
+    """An effect that changes every arm by itself: its law takes and returns an arm."""
+
     def apply(self, physics: Physics, values: Values) -> Physics:
         """See :meth:`Effect.apply`."""
         return replace(physics, arms={name: self.law(arm, values) for name, arm in physics.arms.items()})
 
-    @property
-    def identity(self) -> str:
-        """See :attr:`Effect.identity`; the law counts with the module it stands in."""
-        return digest(super().identity, self.law.__qualname__, _source(self.law.__module__))
-
 
 @dataclass(frozen=True)
-class SceneEffect(Effect):
-    """An effect on the surroundings of the arms; attributes as in :class:`Effect`.
-
-    Attributes:
-        law: The physics with the effect, from the physics without it and the values as in :meth:`Effect.apply`.
-    """
-
-    name: str
-    acts_on: str
-    sentence: str
-    parameters: tuple[Parameter, ...]
-    law: Callable[[Physics, Values], Physics]
-    phases: tuple[str, ...] = ("free", "contact")
-    lasting: bool = False
-    reading: str = ""
-    calibration: str = ""
+class SceneEffect(LawEffect):
+    """An effect on the surroundings of the arms: its law takes and returns the physics."""
 
     def apply(self, physics: Physics, values: Values) -> Physics:
         """See :meth:`Effect.apply`."""
-        return self.law(physics, values)
-
-    @property
-    def identity(self) -> str:
-        """See :attr:`Effect.identity`; the law counts with the module it stands in."""
-        return digest(super().identity, self.law.__qualname__, _source(self.law.__module__))
+        changed: Physics = self.law(physics, values)
+        return changed
 
 
 def number(values: Values, name: str) -> float:
