@@ -278,30 +278,12 @@ class Analysis:
         """Percentage mismatch of a model in every set [%]."""
         return [entry.of_contact(contact)[model].error for entry in self.sets]
 
-    @property
-    def average_error(self) -> dict[str, float | None]:
-        """Mean of the percentage mismatch by model, first contact: the bias [%]; None without sets."""
-        return self._average("first")
-
-    @property
-    def average_error_settled(self) -> dict[str, float | None]:
-        """The same for the settled contact [%]."""
-        return self._average("settled")
-
-    @property
-    def absolute_error(self) -> dict[str, float | None]:
-        """Mean of its absolute value by model, first contact: the quality [%]; None without sets."""
-        return self._absolute("first")
-
-    @property
-    def absolute_error_settled(self) -> dict[str, float | None]:
-        """The same for the settled contact [%]."""
-        return self._absolute("settled")
-
-    def _average(self, contact: str) -> dict[str, float | None]:
+    def average_error(self, contact: str) -> dict[str, float | None]:
+        """Mean of the percentage mismatch by model: the bias [%]; None without sets."""
         return {model: _mean(self.errors(model, contact)) for model in MOTOR_INERTIA_MODELS}
 
-    def _absolute(self, contact: str) -> dict[str, float | None]:
+    def absolute_error(self, contact: str) -> dict[str, float | None]:
+        """Mean of its absolute value by model: the quality [%]; None without sets."""
         return {model: _mean([abs(error) for error in self.errors(model, contact)]) for model in MOTOR_INERTIA_MODELS}
 
     def nearest(self, contact: str) -> dict[str, int]:
@@ -318,10 +300,10 @@ class Analysis:
                 for entry in self.sets
             ],
             "sensitivity": self.sensitivity.to_json(),
-            "average_error_percent": self.average_error,
-            "average_error_percent_settled": self.average_error_settled,
-            "absolute_error_percent": self.absolute_error,
-            "absolute_error_percent_settled": self.absolute_error_settled,
+            "average_error_percent": self.average_error("first"),
+            "average_error_percent_settled": self.average_error("settled"),
+            "absolute_error_percent": self.absolute_error("first"),
+            "absolute_error_percent_settled": self.absolute_error("settled"),
             "nearest_sets": self.nearest("first"),
             "nearest_sets_settled": self.nearest("settled"),
             "far": [vars(jump) | {"mismatch": jump.mismatch} for jump in far_jumps(self.jumps)],

@@ -44,6 +44,7 @@ from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.scenarios.scenario import Uncertainties
 
 SWITCHES = 0.02  # share of draws in other contact states from which the linear interval is not taken
+SEED = 0  # of the draws
 DRAWS = 200  # the ends of an interval scatter by about a tenth of its width
 LEVEL = 0.95
 HITS = ("hits the object", "does not hit the object")
@@ -182,7 +183,6 @@ def predict(
     stated: Uncertainties,
     models: Mapping[str, RobotModel] | None = None,
     draws: int = DRAWS,
-    seed: int = 0,
     stopped: Callable[[], bool] = lambda: False,
 ) -> UncertainPrediction:
     """Predict with intervals.
@@ -192,7 +192,6 @@ def predict(
         stated: Uncertainties of the scenario.
         models: Rigid-body models by arm, where the caller has them already.
         draws: From all uncertainties; a quarter as many of every source where the interval is that of the draws.
-        seed: Seed of the draws.
         stopped: Callback before every draw; True ends the prediction.
 
     Raises:
@@ -209,7 +208,7 @@ def predict(
     found = differentiate(problem, models)
     nominal, usual = answer_of(problem, models, {})
     slopes = dict(zip((one.name for one in found.parameters), found.jacobian.T, strict=True))
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(SEED)
     sample, states_of, lost = _sample(problem, models, sources, draws, rng, stopped)
     switched = float(np.mean([one != usual for one in states_of])) if states_of else 0.0
     if len(sample) < 2:
@@ -252,7 +251,6 @@ def interval_of_draws(
     stated: Uncertainties,
     models: Mapping[str, RobotModel],
     draws: int,
-    seed: int = 0,
 ) -> tuple[tuple[str, ...], Array, Array]:
     """Names and ends of intervals from few draws, faster than :func:`predict`.
 
@@ -264,12 +262,11 @@ def interval_of_draws(
         stated: Uncertainties of the scenario.
         models: Rigid-body models by arm.
         draws: From all uncertainties.
-        seed: Seed of the draws.
 
     Raises:
         ImpactMapError: Fewer than two draws have an answer.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(SEED)
     nominal, _ = answer_of(problem, models, {})
     sample, _, lost = _sample(problem, models, sources_of(problem, stated), draws, rng)
     if len(sample) < 2:
