@@ -101,6 +101,14 @@ class ArmSet:
         interval = self.fit.interval
         return None if interval is None else max(abs(bound - self.fit.estimate) for bound in interval)
 
+    def of_contact(self, contact: str) -> dict[str, Prediction]:
+        """Predictions by motor-inertia model for the ``first`` or the ``settled`` contact."""
+        return {"first": self.predictions, "settled": self.predictions_settled}[contact]
+
+    def nearest(self, contact: str) -> str:
+        """Motor-inertia model with the smallest mismatch."""
+        return _nearest(self.of_contact(contact))
+
     def to_json(self) -> dict[str, Any]:
         """One entry of ``arms``; speeds in m/s, errors in percent."""
         sign = -1.0 if self.fit.estimate < 0.0 else 1.0
@@ -132,7 +140,7 @@ class ExperimentSet:
         prediction_interval: 95 % interval of the nominal prediction (B_theta, first contact) from the uncertainties
             that the scenario states, signed along the axis, low then high [m/s]; None if unavailable.
         ante_velocity: Ante-impact velocity, signed along the axis [m/s]; NaN where it is not known.
-        published: Row of the paper with the same robot, object and velocity; None if there is none.
+        published: Row of the paper with the same robot, object and velocity; None if the paper has no such row.
         arms: Results by arm, if there are several.
     """
 

@@ -66,7 +66,7 @@ class Parameter:
         lower: Smallest meaningful value; a fit that ends there widens the range, where it is not 0.
         upper: Largest meaningful value, likewise.
         scale: A noticeable change; unit of the weak prior.
-        meaning: What it is, for tables.
+        meaning: Meaning in words, for tables.
         per_joint: Whether there is one per joint.
         except_joint: Joint that has none, counted from 0, or from the end as -1; None: all have one.
         step: Step of the first finite difference; None: its scale.
@@ -182,7 +182,7 @@ class Effect(ABC):
         name: Name in model files and on the command line.
         acts_on: Where it acts: motor side, actuation, joint torque, link inertia, contact, object, scene, sensing.
         sentence: One sentence for the user.
-        parameters: What can be fitted.
+        parameters: Fitted quantities.
         phases: Where it is observable: ``free`` motion, ``contact``, or both; ``impact``: in tables of impacts alone.
         calibrates: Whether it describes the bare arm, which recordings of free motion calibrate: a search in trials and
             tables leaves it out unless it is named. A model that contains it predicts with it everywhere.
@@ -337,7 +337,7 @@ class LawEffect(Effect):
     """An effect that consists of its parameters and a law; attributes as in :class:`Effect`.
 
     Attributes:
-        law: What it acts on with the effect, from the same without it and the values as in :meth:`Effect.apply`.
+        law: The arm or the physics with the effect, from the same without it and values as in :meth:`Effect.apply`.
     """
 
     name: str

@@ -174,7 +174,7 @@ def _checked_times(
     path: Path, recorded: dict[SignalName, Series], needed: Collection[SignalName], mapping: Mapping
 ) -> list[str]:
     """Check times and numbers of the signals; returns one warning for all signals with the same gaps."""
-    gaps_of: dict[str, list[str]] = {}  # places by what is said of their gaps
+    gaps_of: dict[str, list[str]] = {}  # places by the text about their gaps
     for name, one in recorded.items():
         if name not in mapping.signals:  # the velocity, which is made of the position
             continue

@@ -63,7 +63,7 @@ class Reading:
         stream: The stream.
         choice: Its likeliest hypothesis, and the next.
         computed: Whether a torque holds no friction of gears, so that it was computed and not measured.
-        meaning: What a torque holds.
+        meaning: Meaning of a torque.
     """
 
     stream: JointStream

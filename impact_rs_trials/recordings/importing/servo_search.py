@@ -254,7 +254,7 @@ def _servo(
 def _estimated_gains(motion: JointMotion, error: Array, torque: Array) -> tuple[Array, NDArray[np.bool_]]:
     """K_p of every joint ``(n,)``, and the joints that show their own: those that carry gravity, or else all.
 
-    Where no gravity is carried the motor inertia, whose torque is like that of the links, counts as zero.
+    Where no gravity is carried the motor inertia, whose torque resembles the torque of the links, is taken as zero.
     """
     friction = [dry_friction(motion.velocity), motion.velocity, np.ones_like(error)]
     inertia = np.std(motion.whole - motion.gravity_torque, axis=0)

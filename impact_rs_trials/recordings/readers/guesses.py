@@ -130,7 +130,7 @@ def _whole(cells: Sequence[str] | NDArray[Any]) -> NDArray[np.int64] | None:
 
 
 def _clock(name: str, cells: Sequence[str] | NDArray[Any], steps_back: int) -> Guess | None:
-    """A column of timestamps that steps back ``steps_back`` times at most; None: it is none."""
+    """A column of timestamps that steps back ``steps_back`` times at most; None: not a clock."""
     if isinstance(cells, list) and cells and all(DATE.fullmatch(cell.strip()) for cell in cells):
         return Guess(name, "holds dates", further={"unit": "date"})
     try:
