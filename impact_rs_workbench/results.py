@@ -7,7 +7,7 @@ import functools
 import json
 import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from impact_rs_analysis.application.shown_runs import laboratory_run, page_of_trial
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument
@@ -41,6 +41,9 @@ from impact_rs_trials.store import trials_below
 from impact_rs_workbench.forms import seen, values_of
 from impact_rs_workbench.workspace import Workspace, read_json
 
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
 MAX_SHOWN_RESIDUALS = 5  # residuals that a diagnosis leaves
 
 
@@ -64,8 +67,7 @@ def comparison(folder: Path) -> dict[str, Any]:
         "model": document.model.name,
         "yardstick": part.yardstick,
         "figures": [
-            {"title": plot.title, "caption": plot.caption, "figure": json.loads(str(plot.figure.to_json()))}
-            for plot in part.plots
+            {"title": plot.title, "caption": plot.caption, "figure": _drawn(plot.figure)} for plot in part.plots
         ],
         "cells": [
             {
@@ -102,13 +104,18 @@ def run(folder: Path, name: str) -> dict[str, Any]:
     return _shown(run_page(laboratory_run(folder, None, name)))
 
 
+def _drawn(figure: go.Figure) -> Any:
+    """A figure as plain data."""
+    return json.loads(str(figure.to_json()))
+
+
 def _shown(page: TrialPage) -> dict[str, Any]:
     """A page of a run as the workbench draws it."""
     return {
         "title": page.title,
         "facts": [*(f"{term}: {text}" for term, text in page.facts), *(f"Note: {note}" for note in page.notes)],
         "replay": page.replay.data,
-        "plots": [{"title": plot.title, "figure": json.loads(str(plot.figure.to_json()))} for plot in page.plots],
+        "plots": [{"title": plot.title, "figure": _drawn(plot.figure)} for plot in page.plots],
     }
 
 
@@ -296,7 +303,7 @@ def diagnosis(workspace: Workspace, name: str) -> dict[str, Any]:
         "report": DISCOVERY_PAGE if discovered else DIAGNOSIS_PAGE,
         "unit": document.error_unit,
         "yardstick": yardstick_of_rest(document),
-        "figure": None if figure is None else json.loads(str(figure.to_json())),
+        "figure": None if figure is None else _drawn(figure),
         "left": [
             {
                 "what": f"{rest.signal} {rest.index}".strip(),

@@ -209,9 +209,8 @@ def predict(
     slopes = dict(zip((one.name for one in found.parameters), found.jacobian.T, strict=True))
     rng = np.random.default_rng(SEED)
     sample, states_of, lost = _sample(problem, models, sources, draws, rng, stopped)
-    switched = float(np.mean([one != usual for one in states_of])) if states_of else 0.0
-    if len(sample) < 2:
-        raise ImpactMapError(f"of {draws} draws from the stated uncertainties {lost} have no answer")
+    _check_answered(sample, lost)
+    switched = float(np.mean([one != usual for one in states_of]))
     parts = {
         source.name: np.array([sum(slopes[name] * sigma for name, sigma in part.items()) for part in source.deviations])
         for source in sources
@@ -268,8 +267,7 @@ def interval_of_draws(
     rng = np.random.default_rng(SEED)
     nominal, _ = answer_of(problem, models, {})
     sample, _, lost = _sample(problem, models, sources_of(problem, stated), draws, rng)
-    if len(sample) < 2:
-        raise ImpactMapError(f"of {draws} draws from the stated uncertainties {lost} have no answer")
+    _check_answered(sample, lost)
     low, high = _ends(sample, nominal)
     return velocity_names(problem), low, high
 
@@ -330,6 +328,12 @@ def _sample(
         sample.append(velocities)
         found.append(there)
     return np.array(sample), found, count - len(sample)
+
+
+def _check_answered(sample: Array, lost: int) -> None:
+    """Refuse an interval from fewer than two draws."""
+    if len(sample) < 2:
+        raise ImpactMapError(f"of {len(sample) + lost} draws from the stated uncertainties {lost} have no answer")
 
 
 def _ends(sample: Array, nominal: Array) -> tuple[Array, Array]:
