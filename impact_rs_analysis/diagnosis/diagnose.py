@@ -131,7 +131,7 @@ def diagnose(
     document = _over_ranges(document)
     unseen = all_rows.unseen(source, added_of(document, source))
     limit = None if math.isinf(budget.limit) else budget.limit
-    spent = BudgetDocument(limit=limit, left_out=tuple(budget.left_out))
+    spent = BudgetDocument(limit=limit, left_out=tuple(budget.left_out), stopped=budget.stop())
     remarks = (*filter(None, [not_tried(spent)]), *document.remarks, *unseen)
     rollouts = held_out_rollouts(source, found.hold_out)
     update = {"runs": _runs(all_rows), "budget": spent, "remarks": remarks, "rollouts": rollouts}

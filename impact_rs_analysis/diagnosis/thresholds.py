@@ -5,10 +5,10 @@ Numbers of pure numerics (tolerances, caches, steps of a fit) stand in the modul
 ``docs/evidence.md`` shows the verdicts with each of these halved and doubled.
 """
 
+from impact_rs_analysis.evidence.cluster import INDEPENDENT_DISCREPANCY_SHARE as INDEPENDENT_DISCREPANCY_SHARE
 from impact_rs_analysis.evidence.minimum_data import MIN_BLOCKS as MIN_BLOCKS
 from impact_rs_analysis.evidence.minimum_data import MIN_CLUSTERS as MIN_CLUSTERS
 from impact_rs_analysis.evidence.minimum_data import MIN_DEGREES_OF_FREEDOM as MIN_DEGREES_OF_FREEDOM
-from impact_rs_analysis.inference.noise import INDEPENDENT_DISCREPANCY_SHARE as INDEPENDENT_DISCREPANCY_SHARE
 
 # How small does a p-value have to be?
 SIGNIFICANCE_LEVEL = 0.01  # false discovery rate (Benjamini-Hochberg): one verdict in a hundred may be chance
@@ -38,11 +38,7 @@ MIN_CONFOUNDED_SHARE = 0.85  # variance of the order between conditions; three c
 
 # How many candidates does a search fit?
 MAX_EFFECTS = 6  # chosen together; more cannot be distinguished in one campaign
-MAX_TESTED_EFFECTS = 40  # with a p-value in every round, more than the library has; the others count as p = 1
 SHORTLIST_SIZE = 5  # candidates fitted by simulation in every round; in tests the true one was always among them
-MAX_CANDIDATES_OF_SHORTLIST = 40  # among more candidates, as among laws, the true one may be further down
-LONG_SHORTLIST_SIZE = 20  # then: a strong drag was the thirteenth of 57 by its slope at nominal
-LEADERS_WITH_SHAPES = 8  # best candidates whose shape parameters are scanned before fits by simulation
 
 # Can there be a law of this form?
 MIN_RESIDUAL_RATIO_OF_LAW = 1.5  # times repeatability; a smaller residual shows no law

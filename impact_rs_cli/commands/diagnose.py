@@ -31,6 +31,7 @@ from impact_rs_analysis.diagnosis.verdict import NO_IMPROVEMENT, TOO_FEW, UNIDEN
 from impact_rs_analysis.diagnosis.verdicts.measurement import calibration_text
 from impact_rs_analysis.diagnosis.verdicts.words import not_excluded, shown_unnamed
 from impact_rs_cli.arguments import number, on_local_runs
+from impact_rs_cli.interrupt import INTERRUPTED, ends_at_interrupt
 from impact_rs_cli.parser import command_line
 from impact_rs_cli.reading import measured
 from impact_rs_cli.terminal import Terminal, add_word_column, output_folder
@@ -57,10 +58,11 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     check_effects(extended, args.effects)
     bounds = read_bounds(args.bounds, extended.known_effects)
     with measured(args, terminal, args.each_arm, args.unsure) as measurements:
-        document = diagnosis_of(
-            measurements, model, extended, args.effects, terminal, args.output, bounds,
-            options=options_of(args), budget=Budget(args.budget, processor_time),
-        )  # fmt: skip
+        with ends_at_interrupt(terminal) as stop:
+            document = diagnosis_of(
+                measurements, model, extended, args.effects, terminal, args.output, bounds,
+                options=options_of(args), budget=Budget(args.budget, processor_time, stop),
+            )  # fmt: skip
         if args.report is not None:
             with output_folder(args.report):
                 path = report_diagnosis(document, measurements, args.model, extended, args.report)
@@ -72,7 +74,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             terminal.say(f"next: {add_command(names, args.model, args.output, document)}")
     if document.calls_for_a_law:
         terminal.say(f"a law that the library does not have: {discover_command(args, model)}")
-    return 0
+    return INTERRUPTED if document.budget.stopped else 0
 
 
 def options_of(args: argparse.Namespace) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 
 A search asks between two fits whether its time is spent. From then on it keeps the best answer so far, begins nothing
 new, and notes what it did not try. A fit that has begun ends with the step at hand, so the limit is exceeded by one
-step at most.
+step at most. A request to stop, as by Ctrl-C, spends what is left.
 """
 
 from __future__ import annotations
@@ -17,27 +17,46 @@ SEARCH_TIME_SHARE = 0.5  # of the time; the rest is for the hold-out, without wh
 Clock = Callable[[], float]
 
 
+class StopRequest:
+    """Whether a user has asked for the best answer so far."""
+
+    made = False
+
+    def __call__(self) -> bool:
+        """Whether the request was made."""
+        return self.made
+
+
+NEVER_STOPPED = StopRequest()
+
+
 class Budget:
     """Processor time of one search.
 
     Args:
         limit: Processor time from now on [s].
         clock: Processor time that was spent by this process, and by its workers if there are any [s].
+        stop: Request of the user; once it is made, nothing is left. Worker processes have a copy.
 
     Attributes:
         limit: See above [s].
         clock: See above.
+        stop: See above.
         left_out: Parts of the search that were not tried because the time was spent, in words, in order.
     """
 
-    def __init__(self, limit: float = math.inf, clock: Clock = time.process_time) -> None:
-        self.limit, self.clock = limit, clock
+    def __init__(
+        self, limit: float = math.inf, clock: Clock = time.process_time, stop: StopRequest = NEVER_STOPPED
+    ) -> None:
+        self.limit, self.clock, self.stop = limit, clock, stop
         self._begin = None if math.isinf(limit) else clock()
         self.left_out: dict[str, None] = {}
 
     @property
     def remaining(self) -> float:
         """Processor time that is left, not below 0 [s]."""
+        if self.stop():
+            return 0.0
         return math.inf if self._begin is None else max(0.0, self.limit - (self.clock() - self._begin))
 
     @property
@@ -54,7 +73,7 @@ class Budget:
 
     def part(self, share: float) -> Budget:
         """A share of the remaining time; what it leaves out is listed here as well."""
-        found = Budget(share * self.remaining, self.clock)
+        found = Budget(share * self.remaining, self.clock, self.stop)
         found.left_out = self.left_out
         return found
 

@@ -34,12 +34,8 @@ from impact_rs_analysis.diagnosis.search.fit import (
 )
 from impact_rs_analysis.diagnosis.search.relevance import exceeds_relevance_limit, noticeable
 from impact_rs_analysis.diagnosis.thresholds import (
-    LEADERS_WITH_SHAPES,
-    LONG_SHORTLIST_SIZE,
-    MAX_CANDIDATES_OF_SHORTLIST,
     MAX_EFFECTS,
     MAX_ERROR_RATIO,
-    MAX_TESTED_EFFECTS,
     MAX_TIE_LOG_RATIO,
     MIN_DEGREES_OF_FREEDOM,
     MIN_GAIN_SHARE,
@@ -283,10 +279,7 @@ class Search:
         return benjamini_hochberg(p_values, sum(max(1, self._looks[name]) for name in p_values))
 
     def raw_p_values(self, chosen: Fit | None) -> dict[str, float]:
-        """:meth:`p_values` without adjustment for multiple testing, each at its best start.
-
-        Effects beyond the best ``MAX_TESTED_EFFECTS`` have 1, which is conservative.
-        """
+        """:meth:`p_values` without adjustment for multiple testing, each at its best start."""
         return self.p_values_of(self._groups(() if chosen is None else chosen.candidate.names), chosen)
 
     def _groups(self, present: Collection[str], names: Collection[str] | None = None) -> list[str]:
@@ -312,22 +305,18 @@ class Search:
 
     def p_values_of(self, groups: Sequence[str], chosen: Fit | None) -> dict[str, float]:
         """:meth:`raw_p_values` of some groups, by their sensitivities in the presence of the chosen effects."""
-        evidence = self.evidence if chosen is None else chosen.evidence
-        fits = {}
+        beside = {}
         for group in groups:
             own = reduce(
                 Candidate.beside,
                 (self._with_sensitivities_beside(self.singles[name], chosen) for name in group.split("+")),
             )
-            fits[group] = Fit.of(own if chosen is None else chosen.candidate.beside(own), evidence)
-        raw = dict.fromkeys(fits, 1.0)
+            beside[group] = own if chosen is None else chosen.candidate.beside(own)
         null = (self.evidence if chosen is None else chosen.left).null
         first = 0 if chosen is None else chosen.candidate.point.size
-        tested = sorted(fits, key=lambda group: fits[group].misfit)[:MAX_TESTED_EFFECTS]
-        found = [fits[group].candidate.jacobians for group in tested]
-        own_part = [[jacobian[:, first:] for jacobian in jacobians] for jacobians in found]
+        own_part = [[jacobian[:, first:] for jacobian in fitted.jacobians] for fitted in beside.values()]
         fitted = () if chosen is None else chosen.candidate.jacobians
-        return raw | dict(zip(tested, null.p_values(own_part, fitted), strict=True))
+        return dict(zip(beside, null.p_values(own_part, fitted), strict=True))
 
     def p_value_of_chosen(self, chosen: Fit, name: str) -> float:
         """p-value of a chosen effect given the other chosen ones, not adjusted for multiple testing.
@@ -418,8 +407,6 @@ class Search:
             p_values: Adjusted, of the groups; None: those of all effects and groups that may be accepted.
         """
         p_values = self.p_values(chosen) if p_values is None else p_values
-        evidence = self.evidence if chosen is None else chosen.evidence
-        before = self._unexplained(chosen)
         possible = [group for group in groups if group not in self.ruled_out]
         likely = [group for group in possible if p_values[group] < SIGNIFICANCE_LEVEL]
         # Sensitivities at nominal may miss an effect that acts far from there: then fits and hold-out decide.
@@ -430,9 +417,6 @@ class Search:
         linear = self._with_shapes([self.beside(chosen, group) for group in likely])
         for entry in linear:
             self._report_progress(entry)
-        # Small effects are linear: without gain in the linear fit there is none by simulation.
-        if chosen is not None:
-            linear = [e for e in linear if evidence.gains(before, e.problem.leave_one_out_residuals, 0.5)]
         # Without lack of fit only effects beyond a relevance limit are accepted.
         if (
             self.source.repeated
@@ -441,9 +425,7 @@ class Search:
             and not self.has_lack_of_fit
         ):
             linear = [entry for entry in linear if exceeds_relevance_limit(entry)]
-        return self._best(
-            linear[: LONG_SHORTLIST_SIZE if len(possible) > MAX_CANDIDATES_OF_SHORTLIST else SHORTLIST_SIZE], chosen
-        )
+        return self._best(linear[:SHORTLIST_SIZE], chosen)
 
     def _pair_at_once(self, chosen: Fit | None) -> Fit | None:
         """Two effects that lower the error only together, as restitution and its decrease with speed; None: no pair.
@@ -464,14 +446,14 @@ class Search:
         return best
 
     def _with_shapes(self, linear: Sequence[Fit]) -> list[Fit]:
-        """Linear fits, best first; the leaders with unseen shapes are linearised again where the fit puts amplitudes.
+        """Linear fits, best first; unseen shapes are linearised again where the fit puts amplitudes.
 
         The length of a cable changes nothing while it does not pull. At a length from which a fit starts it pulls in
         few conditions, and predicts the others worse than what is wrong everywhere.
         """
         found = {entry.candidate.names: entry for entry in linear}
         unsure = [entry for entry in linear if any(entry.candidate.scalars[i].shape for i in entry.candidate.unseen)]
-        for entry in sorted(unsure, key=lambda entry: entry.misfit)[:LEADERS_WITH_SHAPES]:
+        for entry in unsure:
             there = self._linearised(replace(entry.candidate, point=entry.estimate), entry.evidence)
             if there is not None and (seen := Fit.of(there, entry.evidence)).score < entry.score:
                 found[entry.candidate.names] = seen

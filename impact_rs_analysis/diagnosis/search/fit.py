@@ -159,9 +159,7 @@ class Evidence:
             [np.array([(f.signal, f.index) == name for f in item.features]) for item in self.clusters] for name in names
         ]
 
-    def gains(
-        self, before: Sequence[Array], after: Sequence[Array], of_enough: float = 1.0, whole: bool = False
-    ) -> bool:
+    def gains(self, before: Sequence[Array], after: Sequence[Array], whole: bool = False) -> bool:
         """Whether an effect removes enough of the excess error, beyond repeatability and discrepancy.
 
         Enough is ``MIN_GAIN_SHARE`` of the excess of all features. Where every joint has an unknown noise of its own,
@@ -172,18 +170,16 @@ class Evidence:
         Args:
             before: Mean residuals without an effect, ``(F,)`` per cluster [-].
             after: The same with it.
-            of_enough: Factor of the required gain.
             whole: Whether a table's gain is compared with the excess of all features alone: the residual of a coarse
                 curve in one signal is no further dependence.
         """
         first, second = (self.excess(rest) for rest in (before, after))
-        least, in_one = of_enough * MIN_GAIN_SHARE, of_enough * MIN_GAIN_SHARE_OF_JOINT
-        if float(np.sum(first - second)) > least * float(np.sum(first)) or (
-            self.source.noise_apart and bool(np.any(first - second > in_one * first))
+        if float(np.sum(first - second)) > MIN_GAIN_SHARE * float(np.sum(first)) or (
+            self.source.noise_apart and bool(np.any(first - second > MIN_GAIN_SHARE_OF_JOINT * first))
         ):
             return True
         single = not whole and not self.source.of_motion and not self.source.repeated
-        return single and self._gain_where_it_acts(before, after) > least
+        return single and self._gain_where_it_acts(before, after) > MIN_GAIN_SHARE
 
     def _gain_where_it_acts(self, before: Sequence[Array], after: Sequence[Array]) -> float:
         """Share of a table's excess error that an effect removes, weighted by its change of each signal [-].

@@ -8,7 +8,8 @@ clusters, which saves simulations; it ends at the optimum of the training cluste
 they are cheap, and secants from other points mislead where contacts slip.
 
 A search needs two clusters that depend on an effect, to predict one from the other, and as many repeats as any verdict.
-With fewer, the fold fits the effects that the search of all clusters selected, and does not test the selection.
+With fewer, or without processor time, the fold fits the effects that the search of all clusters selected, and does not
+test the selection.
 
 Conditions are held out with all their repeats, several recordings as whole recordings, and a single recording in runs
 of neighbouring stretches, with a guard stretch on either side. Where effects may depend on covariates
@@ -25,7 +26,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rs_analysis.diagnosis.search.budget import UNLIMITED, Budget, Clock
+from impact_rs_analysis.diagnosis.search.budget import UNLIMITED, Budget
 from impact_rs_analysis.diagnosis.search.candidate import Candidate
 from impact_rs_analysis.diagnosis.search.effect_selection import Search
 from impact_rs_analysis.diagnosis.search.fit import Evidence
@@ -138,13 +139,15 @@ def hold_out(
     rest: dict[int, Array | None] = {}
     names, fitted, short = [], [], 0
     searched = [
-        _seen_by(chosen, fold.training) >= MIN_CLUSTERS_OF_EFFECT
+        not budget.leaves_out("the searches of the hold-out")
+        and _seen_by(chosen, fold.training) >= MIN_CLUSTERS_OF_EFFECT
         and Evidence.of(source, fold.training).null.shortage is None
         for fold in folds
     ]
     tasks = list(zip(folds, searched, strict=True))
     limit = budget.remaining / len(folds)
-    results = source.spread(partial(_predicted, effects, chosen, dict(known), limit, budget.clock), tasks, "hold-out")
+    task = partial(_predicted, effects, chosen, dict(known), limit, budget)
+    results = source.spread(task, tasks, "hold-out")
     for fold, (found, added, left, left_out) in zip(folds, results, strict=True):
         names.append(found)
         fitted.append(added)
@@ -167,7 +170,7 @@ def _predicted(
     chosen: Candidate,
     known: Mapping[tuple[str, ...], Candidate],
     limit: float,
-    clock: Clock,
+    whole: Budget,
     source: Source,
     task: tuple[Fold, bool],
 ) -> tuple[tuple[str, ...], Added, list[Array | None], tuple[str, ...]]:
@@ -177,7 +180,7 @@ def _predicted(
         Names, effects with estimates, mean residuals of its clusters (None: not simulated), and what was not tried.
     """
     fold, searched = task
-    budget = Budget(limit, clock)
+    budget = Budget(limit, whole.clock, whole.stop)
     evidence = Evidence.of(source, fold.training, budget)
     search = Search(effects, evidence, known=known, earlier=chosen.split(chosen.point))
     found = search.forward_selection() if searched else search.fitted(chosen.names)

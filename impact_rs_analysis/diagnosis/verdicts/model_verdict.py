@@ -131,14 +131,11 @@ def supported_by_hold_out(search: Search, chosen: Fit, held: HoldOut) -> Fit | N
     effects already account for chance, and the sign of the change decides: its interval would require twice the effect,
     because the squared error falls by 2 r d - d^2 with mean d^2 and standard deviation 2 d. Without repeats p-values
     are less reliable, and the 95 % interval has to exclude 0. Effects that cannot be simulated in a fold are not
-    supported. Without repeats an effect also has to be selected, or replaced by another one, in most folds, and
-    effects below relevance need no support, because they hardly change a prediction.
+    supported. Without repeats an effect also has to be selected, or replaced by another one, in most folds.
     """
     if held.failed:
         return None
     repeated = search.evidence.source.repeated
-    if not repeated and not any(is_relevant(chosen, name) for name in chosen.candidate.names):
-        return chosen
     change = change_interval([item.mean for item in search.evidence.clusters], held.residuals, search.evidence)
     if not (lowers_held_out_error(search, held) if repeated else change is not None and change[1] < 0.0):
         return None

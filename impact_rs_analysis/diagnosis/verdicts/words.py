@@ -37,9 +37,11 @@ def not_tried(budget: BudgetDocument) -> str:
     """What was not tried because the processor time was spent; empty: all was tried."""
     if not budget.left_out:
         return ""
+    what = ", ".join(budget.left_out)
+    if budget.stopped:
+        return f"not tried, because the search was stopped: {what}. The verdict is the best answer until then"
     return (
-        f"not tried, because the processor time of {budget.limit:.3g} s was spent: {', '.join(budget.left_out)}. A "
-        "larger --budget tries them"
+        f"not tried, because the processor time of {budget.limit:.3g} s was spent: {what}. A larger --budget tries them"
     )
 
 

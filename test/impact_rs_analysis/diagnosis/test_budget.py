@@ -14,7 +14,7 @@ from analytic_world import EFFECTS, AnalyticSource, knowing
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
-from impact_rs_analysis.diagnosis.search.budget import UNLIMITED, Budget
+from impact_rs_analysis.diagnosis.search.budget import UNLIMITED, Budget, StopRequest
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_sim.robots.robot import Array
 
@@ -79,3 +79,19 @@ def test_a_part_of_a_budget_notes_what_it_leaves_out_with_the_whole() -> None:
     now[0] = 6.0
     assert half.leaves_out("a fit") and not whole.leaves_out("another fit")
     assert whole.remaining == pytest.approx(4.0) and list(whole.left_out) == ["a fit"]
+
+
+def test_a_search_that_is_stopped_names_what_it_has_found_until_then() -> None:
+    """Stopped at its first fit of two effects. Kills: folds search on; the document does not say so."""
+    source, stop = Counted(), StopRequest()
+    knowing(source, *(EFFECTS[name] for name in CONSIDERED))
+
+    def stopping(names: str, error: float) -> None:
+        del error
+        stop.made = stop.made or "+" in names
+
+    found = diagnose(source, source.model, progress=stopping, budget=Budget(stop=stop))
+    assert found.budget.stopped and "the searches of the hold-out" in found.budget.left_out
+    assert found.remarks[0].startswith("not tried, because the search was stopped: ")
+    assert "straight" in found.named and found.hold_out.searched == 0
+    assert len(source.made) < diagnosed(None)[1] / 3

@@ -29,7 +29,6 @@ from impact_rs_analysis.diagnosis.verdicts.model_verdict import (
     change_interval,
     excludes_nominal,
     reported_p,
-    supported_by_hold_out,
 )
 from impact_rs_analysis.diagnosis.verdicts.residuals import residual_size, rests_of
 from impact_rs_analysis.diagnosis.verdicts.words import not_excluded
@@ -366,15 +365,6 @@ def test_an_effect_is_certain_where_one_interval_leaves_out_nothing() -> None:
     for mass, expected in ((1.1, True), (-1.1, True), (0.9, False)):
         moved = Fit(best.candidate, best.evidence, best.problem, np.array([mass * half[0], 9.0]))
         assert excludes_nominal(moved, "payload") == expected
-
-
-def test_without_repeats_what_is_too_small_to_matter_needs_no_support() -> None:
-    """Kills: it is asked to lower an error that it hardly changes."""
-    small = fitted(AnalyticSource(1, design=(1,) * 24, repeated=False), "straight", change=np.array([1e-3]))
-    rest = tuple(item.mean for item in small.evidence.clusters)
-    held = HoldOut((), rest, ((),) * 6, (True,) * 6)
-    search: Any = SimpleNamespace(evidence=small.evidence)
-    assert supported_by_hold_out(search, small, held) is small
 
 
 def test_a_wide_interval_determines_nothing_unless_it_leaves_out_the_nominal_value() -> None:
