@@ -58,6 +58,7 @@ class CellNode(LeadingNode[CellTrial]):
 
     kind = "cell"
     place = "plant"
+    ros_time = True
 
     def __init__(self) -> None:
         super().__init__()
@@ -125,8 +126,8 @@ class CellNode(LeadingNode[CellTrial]):
                 trial.stop(complaint)
         super().work(trial, until)
 
-    def prepare(self, plan: TrialPlan, info: TrialInfo) -> CellTrial:
-        del info
+    def prepare(self, plan: TrialPlan, info: TrialInfo, ros_time: bool) -> CellTrial:
+        del info, ros_time
         arms = arms_of(plan, self.parameter, self._clock, self._send)
         mocap = None
         if self.parameter("mocap"):
@@ -150,10 +151,13 @@ class CellNode(LeadingNode[CellTrial]):
             answer_timeout=self.parameter("answer_timeout"),
             late_torque_share=self.parameter("late_torque_share"),
             start_tolerance=start,
+            start_delay=self.parameter("start_delay"),
         )
         prefix = frame_prefix(self.node.get_namespace())
         frames = [*FrameSource(plan.scene, prefix, links=False).static, *(mocap.frames(prefix) if mocap else ())]
-        self.outbox.later(topics.TF_STATIC, MessageMaker(RosidlTypes(), plan).transforms(0, frames))
+        maker = MessageMaker(RosidlTypes(), plan)
+        maker.origin_ns = self._clock.now()
+        self.outbox.later(topics.TF_STATIC, maker.transforms(0, frames))
         return CellTrial(plan, arms, limits, mocap, self.inbox, self.outbox)
 
     def _hold(self, arming: Arming) -> str:

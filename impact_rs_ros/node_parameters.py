@@ -232,6 +232,14 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
                 (0.001, 10.0),
             ),
             NodeParameter(
+                "start_delay",
+                1.0,
+                "Time from the first state for the controller to the start of the trial; the controller has to answer"
+                " within it",
+                "s",
+                (0.05, 10.0),
+            ),
+            NodeParameter(
                 "late_torque_share",
                 0.2,
                 "Largest share of the last 100 ticks whose torque came after the next state, or"

@@ -89,6 +89,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
     """
 
     background = False
+    ros_time = False  # whether this node stamps states in ROS time
 
     def __init__(self) -> None:
         super().__init__()
@@ -114,8 +115,14 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         """Published signals of every tick, by topic."""
 
     @abstractmethod
-    def prepare(self, plan: TrialPlan, info: TrialInfo) -> AnyTrial:
-        """A trial that is ready to begin and independent of earlier ones."""
+    def prepare(self, plan: TrialPlan, info: TrialInfo, ros_time: bool) -> AnyTrial:
+        """A trial that is ready to begin and independent of earlier ones.
+
+        Args:
+            plan: The trial.
+            info: Its identity.
+            ros_time: Whether the plant's timestamps are ROS time; as the caller was told by the plant.
+        """
 
     def start(self) -> None:
         super().start()
@@ -171,6 +178,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
     def _on_configure(
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
     ) -> ConfigureTrial.Response:
+        response.ros_time = self.ros_time
         if request.attempt and request.attempt == self._attempt:
             response.success = True  # a repeated request, because the answer took long
             return response
@@ -183,7 +191,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
             self.connect(list(plan.arms))
             self.inbox.clear()
             self.outbox.reset(self.streams(StreamMaker(plan)))
-            self.trial = self.prepare(plan, info)
+            self.trial = self.prepare(plan, info, request.ros_time)
             self.running = True
             self._attempt = request.attempt
             self._name = f"{info.scenario}/{info.key.name}"

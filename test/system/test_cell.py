@@ -289,6 +289,7 @@ class LedCell:
         """Why a trial ended, which began as soon as the robot could be armed; empty: all is well, or the cell died."""
         plan = TrialSpec.of(load_scenario(self.scenario), *TRIAL).plan
         request = configuration(plan)
+        request.ros_time = True
         if self.graph.processes:
             answer = self.graph.call(ConfigureTrial, "controller/configure_trial", request)
             assert answer.success, answer.message
