@@ -104,6 +104,17 @@ class CellNode(LeadingNode[CellTrial]):
         for topic in wanted - set(self._publishers):
             self._publishers[topic] = self.node.create_publisher(Float64MultiArray, on_network(topic), COMMAND)
 
+    def disconnect(self) -> None:
+        """The arms rest, and are held on while the node is inactive, as between two trials."""
+
+    def cleanup(self) -> None:
+        """Leave the arms, at rest, with the torque that they were sent last."""
+        super().cleanup()
+        self.brake()
+        self._held = None
+        self.connect([])
+        super().disconnect()
+
     def turn(self) -> None:
         if self.running or self._held is None:
             super().turn()

@@ -88,6 +88,13 @@ SCENARIO, *OTHERS = COMMON = (
     NodeParameter("diagnostics_period", 1.0, "Wall-clock time between two messages on /diagnostics", "s", (0.1, 60.0)),
 )
 
+AUTOSTART = NodeParameter(
+    "autostart",
+    True,
+    "true: the node configures and activates itself when it starts; false: it waits for these transitions",
+    effect="node start",
+)
+
 DATA_ROOT = NodeParameter("data_root", "", "Folder below which requests may write bags; empty: working directory")
 
 STATE_TIMEOUT = NodeParameter(
@@ -125,6 +132,7 @@ ROBOT = with_effect(
 PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
     "plant": (
         *COMMON,
+        AUTOSTART,
         *with_effect(
             "next trial",
             NodeParameter(
@@ -170,9 +178,10 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
         ),
         NodeParameter("contact", "first", "Contact for requests that name none", choices=tuple(CONTACTS)),
     ),
-    "controller": COMMON,
+    "controller": (*COMMON, AUTOSTART),
     "cell": (
         *COMMON,
+        AUTOSTART,
         *ROBOT,
         STATE_TIMEOUT,
         NodeParameter(
@@ -281,6 +290,7 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
     ),
     "recorder": (
         *COMMON,
+        AUTOSTART,
         DATA_ROOT,
         NodeParameter("drain_period", 0.01, "Period of writing received messages to the bag", "s", (0.001, 0.1)),
         NodeParameter(

@@ -255,6 +255,7 @@ class RecorderNode(NodeProgram):
     """Writes with a :class:`~impact_rs_trials.bags.writer.BagWriter`."""
 
     kind = "recorder"
+    managed = True
 
     def __init__(self) -> None:
         super().__init__()
@@ -370,13 +371,14 @@ class RecorderNode(NodeProgram):
     def _on_configure(
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
     ) -> ConfigureTrial.Response:
-        if request.attempt and request.attempt == self._attempt:
+        if self.active and request.attempt and request.attempt == self._attempt:
             response.success = True  # a repeated request, because the answer took long
             return response
         self._abort()
         self._attempt, self._finished = 0, None
         self._failure = ""
         with self.answering(response, "open the bag"):
+            self.check_active()
             info = TrialInfo.from_message(request.trial)
             plan = info.spec.plan if info.scenario_json else None
             if not request.bag_path:
@@ -484,6 +486,16 @@ class RecorderNode(NodeProgram):
         except OSError as error:  # its folder is gone or full; the next trial has another bag
             self.log.error(f"the bag of an aborted trial cannot be closed: {error}")
         self._recording = None
+
+    def deactivate(self) -> None:
+        """Close the bag of a running trial as aborted, and disconnect."""
+        super().deactivate()
+        if self._recording is not None:
+            self._failure = f"recorder was deactivated at t = {self._recording.time:.3f} s"
+            self._finished = FinishTrial.Response(outcome="ABORTED", message=self._failure)
+        self._abort()
+        self._inbox.close()
+        self._arms = []
 
     def close(self) -> None:
         self._abort()

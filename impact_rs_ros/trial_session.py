@@ -363,9 +363,11 @@ class TrialSession:
         lost = self._presence.lost("plant", "controller")
         calls = {name: (self._finish[name], request) for name in ("plant", "controller") if name not in lost}
         answers, failures = self._call_all(calls, FINISH_TIMEOUT_S)
+        failures |= {name: answer.message for name, answer in answers.items() if not answer.success}
         if not aborted:
-            failures |= {name: answer.message for name, answer in answers.items() if not answer.success}
             reason = self._cause("; ".join(failures.values())) if failures else ""
+        elif (own := answers.get("controller")) and own.outcome == "ABORTED" and own.message not in reason:
+            reason = f"{reason} ({own.message})"  # the plant only knows that no torque came
         last = FinishTrial.Request(attempt=self._attempt, aborted=bool(reason), reason=reason)
         if not reason:
             last.reason = "; ".join(answer.message for answer in answers.values() if answer.message)  # a note
