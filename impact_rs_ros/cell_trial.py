@@ -2,8 +2,8 @@
 """One trial of real arms: every usable state of the robot is a tick, every torque that is in time goes to the robot.
 
 The time of tick 0 is chosen ahead, because states, torques and the bag have it in their stamps, which are ROS time:
-``start_delay`` after the first state that the controller is sent. Until then the arms are held, so this state stands for
-the one of tick 0, and the controller answers it; its torque is sent when the robot's states reach that time.
+``start_delay`` after the first state that the controller is sent. Until then the arms are held, so this state stands
+for the one of tick 0. The controller answers it; its torque is sent when the robot's states reach that time.
 
 A state that is not usable, a torque that is late or beyond a limit, silence of either, and an arm that rests away from
 its references, as after a stop of its own, end the trial with the reason; from then on the arms are braked and held

@@ -256,7 +256,9 @@ def run(program: type[NodeProgram]) -> None:
             raise SystemExit(2) from None
         try:
             node.start()
-            while not (stopping or node.over) and rclpy.ok() and (supervisor is None or os.getppid() == int(supervisor)):
+            while not (stopping or node.over) and rclpy.ok():
+                if supervisor is not None and os.getppid() != int(supervisor):
+                    break
                 node.turn()
         except (ExternalShutdownException, KeyboardInterrupt):
             pass

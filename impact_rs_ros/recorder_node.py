@@ -389,7 +389,8 @@ class RecorderNode(NodeProgram):
             self._inbox.clear()
             name = f"{info.scenario}/{info.key.name}"
             tracked = self._inbox.publishers()[topics.OBJECT_POSE] > 0
-            bag = self._open.enter_context(BagWriter.create(path, self._arms, origin_ns=None if request.ros_time else 0))
+            origin = None if request.ros_time else 0
+            bag = self._open.enter_context(BagWriter.create(path, self._arms, origin_ns=origin))
             bag.describe(info)
             bag.write_raw(topics.TRIAL_INFO, 0, serialize_message(request.trial))
             own = {topics.ROBOT_DESCRIPTION: request.robot_description}

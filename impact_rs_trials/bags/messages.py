@@ -2,8 +2,8 @@
 """Messages from plans, measurements and commands, the same for bags written in-process and for nodes.
 
 :class:`MessageMaker` fills messages of the classes that a :class:`MessageTypes` provides: those of the ``rosbags``
-typestore, or rosidl's. A stamp is the origin of the trial plus a whole number of nanoseconds per tick; in simulation the
-origin is 0, and stamps are trial time.
+typestore, or rosidl's. A stamp is the origin of the trial plus a whole number of nanoseconds per tick; in simulation
+the origin is 0, and stamps are trial time.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plant, controller, recorder and cell are managed nodes: inactive ones are at rest, and refuse trials with a sentence."""
+"""Plant, controller, recorder and cell are managed nodes; an inactive one is at rest and refuses trials."""
 
 from __future__ import annotations
 

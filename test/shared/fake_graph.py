@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from node_trials import participant
 from impact_rs.msg import ControllerState
+from node_trials import participant
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
