@@ -160,16 +160,16 @@ def test_a_node_that_is_deactivated_ends_its_trial_with_that_reason_and_serves_t
         if not changed and told.feedback.time > 0.1:
             changed.append(change("deactivate"))
 
-    result = graph.call_trial(goal(tmp_path, short, repeat=0), strike)
+    result = graph.call_trial(goal(tmp_path / "0", scenario=short), strike)
     assert changed[0].result().success
     assert result.outcome == "ABORTED"
     assert f"{victim} was deactivated at t = 0." in result.message
-    refused = graph.call_trial(goal(tmp_path, short, repeat=1))
+    refused = graph.call_trial(goal(tmp_path / "1", scenario=short))
     assert f"/{victim} is not active: ros2 lifecycle set /{victim} activate" in refused.message
     again = change("activate")
     spin_until(graph, again.done, "it does not activate")
     assert again.result().success
-    assert graph.call_trial(goal(tmp_path, short, repeat=2)).outcome == "OK"
+    assert graph.call_trial(goal(tmp_path / "2", scenario=short)).outcome == "OK"
     graph.node.destroy_client(client)
 
 
