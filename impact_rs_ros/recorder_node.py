@@ -109,8 +109,7 @@ class OpenTrial:
         """Write a message, unless it is computed here, or is a repetition of the last one."""
         if self._derived is not None and topic in DERIVED:
             return
-        if self._origin_ns is None and not self._begun(topic, data):
-            self._early.append((topic, data))
+        if not self._has_begun(topic, data):
             return
         if (now := self._time_of(topic, data)) is None:
             self.refused[topic] += 1
@@ -121,10 +120,8 @@ class OpenTrial:
             if 1e-9 * now > self._duration + STAMP_ROUNDING_S:
                 self.refused[topic] += 1
                 return
-        if topic != topics.DIAGNOSTICS:
-            if self._last.get(topic) == now:
-                return
-            self._last[topic] = now
+        if self._is_repeated(topic, now):
+            return
         self.bag.write_raw(topic, now, data)
         self.counts[topic] += 1
         if topic in self._kinds:
@@ -132,16 +129,26 @@ class OpenTrial:
         if self._derived is not None:
             self._write_derived(self._derived.receive(topic, now, data))
 
-    def _begun(self, topic: str, data: bytes) -> bool:
-        """Whether this message is the first of the trial; its stamp is then that of tick 0."""
-        if topic not in self._awaited or not self.readable(topic, data):
+    def _is_repeated(self, topic: str, now: int) -> bool:
+        """Whether the last message of this topic has the same trial time [ns]; diagnostics have none of their own."""
+        repeated = topic != topics.DIAGNOSTICS and self._last.get(topic) == now
+        if topic != topics.DIAGNOSTICS:
+            self._last[topic] = now
+        return repeated
+
+    def _has_begun(self, topic: str, data: bytes) -> bool:
+        """Whether the origin is known: by the first signal of the trial at the latest; other messages wait for it."""
+        if self._origin_ns is not None:
+            return True
+        first = topic in self._awaited and self.readable(topic, data)
+        origin = self._stamp_of(topic, data) if first else None
+        if origin is None:
+            self._early.append((topic, data))
             return False
-        self._origin_ns = self._stamp_of(topic, data)
-        if self._origin_ns is None:
-            return False
-        self.bag.begin(self._origin_ns)
+        self._origin_ns = origin
+        self.bag.begin(origin)
         if self._derived is not None:
-            self._derived.begin(self._origin_ns)
+            self._derived.begin(origin)
         early, self._early = self._early, []
         for message in early:
             self.store(*message)

@@ -142,17 +142,10 @@ class BagWriter:
         arms: Names of the arms.
         connections: Connections of the writer, by topic.
         store: Definitions of their types.
-        origin_ns: Stamp of trial time 0 [ns], which log times begin with; None: not known before :meth:`begin`.
     """
 
     def __init__(
-        self,
-        path: Path,
-        writer: SealedWriter,
-        arms: list[str],
-        connections: dict[str, Connection],
-        store: Typestore,
-        origin_ns: int | None = 0,
+        self, path: Path, writer: SealedWriter, arms: list[str], connections: dict[str, Connection], store: Typestore
     ) -> None:
         self.path = path
         self._origin_ns = 0
@@ -166,10 +159,6 @@ class BagWriter:
         self._present: set[str] = set()
         self._pending: list[tuple[str, int, Any]] = []
         self._rows: list[tuple[int, Connection, bytes | memoryview]] = []
-        if origin_ns is None:
-            self._early = []
-        else:
-            self.begin(origin_ns)
 
     @classmethod
     def create(cls, path: Path, arms: list[str], truth: bool = True, origin_ns: int | None = 0) -> BagWriter:
@@ -202,7 +191,12 @@ class BagWriter:
             topic: writer.add_connection(topic, kind, typestore=store, offered_qos_profiles=[_offered(topic)])
             for topic, kind in topics.recorded(arms, truth).items()
         }
-        return cls(path, writer, arms, connections, store, origin_ns)
+        bag = cls(path, writer, arms, connections, store)
+        if origin_ns is None:
+            bag._early = []
+        else:
+            bag.begin(origin_ns)
+        return bag
 
     def begin(self, origin_ns: int) -> None:
         """Trial time 0 has this stamp [ns]; messages that waited for it are written."""
