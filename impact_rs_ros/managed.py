@@ -7,7 +7,7 @@ A transition that the program refuses leaves the node in the state before, with 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
@@ -19,7 +19,7 @@ SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FA
 class Managed(Protocol):
     """A program in a lifecycle node."""
 
-    kind: str
+    kind: ClassVar[str]
 
     def configure(self) -> None:
         """Read scenario and parameters; raises ``InputError`` for wrong ones."""

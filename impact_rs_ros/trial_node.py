@@ -126,7 +126,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         Args:
             plan: The trial.
             info: Its identity.
-            ros_time: Whether the plant's timestamps are ROS time; as the caller was told by the plant.
+            ros_time: Whether the plant's timestamps are ROS time, as the request says.
         """
 
     def start(self) -> None:

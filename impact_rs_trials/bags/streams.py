@@ -187,5 +187,5 @@ class StreamMaker:
         )
         example = self._maker.controller_state(0, arm, command)
         tables = reference_columns(self._plan.arms[arm])
-        tables["trial_time"] = 1e-9 * (self._period_ns * np.arange(len(tables["ante_position"])))
+        tables["trial_time"] = 1e-9 * (self._period_ns * np.arange(len(tables["ante_position"]), dtype=np.float64))
         return Stream(topics.CONTROLLER_STATE, example, self._period_ns, _COMMAND, tables)
