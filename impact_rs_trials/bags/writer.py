@@ -168,7 +168,7 @@ class BagWriter:
             path: Folder of the bag; must not exist yet.
             arms: Names of the arms.
             truth: Whether the bag has topics for the truth.
-            origin_ns: Stamp of trial time 0 [ns]: ROS time of a robot, 0 in simulation; None: unknown before :meth:`begin`.
+            origin_ns: Stamp of trial time 0 [ns]: ROS time of a robot, 0 in simulation; None: not before :meth:`begin`.
 
         Raises:
             InputError: The folder exists already or cannot be made.
