@@ -106,6 +106,18 @@ def test_configure_reads_the_scenario_and_a_wrong_one_leaves_the_node_unconfigur
     assert program.node.trigger_configure() == SUCCESS
 
 
+@pytest.mark.parametrize("autostart", [True, False])
+def test_a_node_activates_itself_unless_autostart_is_false(
+    made: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch, autostart: bool
+) -> None:
+    program = made("controller")
+    own = program.parameter
+    monkeypatch.setattr(program, "parameter", lambda name: autostart if name == "autostart" else own(name))
+    program.start()
+    assert program.active == autostart
+    assert program.node._state_machine.current_state[1] == ("active" if autostart else "unconfigured")
+
+
 @pytest.mark.parametrize("kind", ["plant", "controller"])
 def test_activate_connects_and_deactivate_disconnects(made: Callable[[str], Any], kind: str) -> None:
     program = made(kind)
