@@ -31,7 +31,7 @@ from impact_rs_sim.scene import BodyState
 from impact_rs_sim.shapes import BOX, ConvexShape
 
 SUPPORT = "support"  # name of the support among the object's partners
-ALIGNED = 1e-9  # m; separations that differ by less are those of parallel faces
+ALIGNED = 1e-9  # m; separations that differ by less belong to parallel faces
 GAP_TOLERANCE = 1e-3  # m; points closer than this take part in the impact
 SUPPORT_THICKNESS = 0.1  # m, of the box that stands for the support; only its upper face is ever touched
 
@@ -106,7 +106,7 @@ class ContactPair:
 
 
 def contact_pairs(physics: Physics, state: BodyState, placements: Mapping[str, pin.SE3]) -> list[ContactPair]:
-    """Contact pairs of the object; ``placements`` are those of frame E in A by arm."""
+    """Contact pairs of the object; ``placements`` of frame E in A by arm."""
     object_ = ConvexBody(state.position, state.rotation, physics.object.size / 2.0, physics.object.shape)
     partners = {}
     for name, placement in placements.items():
@@ -124,7 +124,7 @@ def contact_pairs(physics: Physics, state: BodyState, placements: Mapping[str, p
 
 
 def support_box(physics: Physics) -> ConvexBody | None:
-    """The support; None: there is none."""
+    """The support; None: the scene has no support."""
     if physics.support_height is None:
         return None
     half = np.array([physics.support_size[0], physics.support_size[1], SUPPORT_THICKNESS]) / 2.0

@@ -28,7 +28,7 @@ from impact_rs_trials.bags import checksums, topics
 from impact_rs_trials.bags.cdr import decode
 from impact_rs_trials.bags.recovery import recover
 from impact_rs_trials.bags.trial_info import OUTCOMES, VIA, TrialInfo
-from impact_rs_trials.bags.types import typestore, typestore_of
+from impact_rs_trials.bags.types import NS_PER_S, typestore, typestore_of
 from impact_rs_trials.bags.writer import ORIGIN, RECORDED
 from impact_rs_trials.file_names import BAG_METADATA
 from impact_rs_trials.runs import ArmSignals, Run, Signals, run_of_trial
@@ -38,7 +38,6 @@ OF_THE_TWIN = (
     "simulators"
 )
 MAX_STAMP_DIFFERENCE_S = 1e-6  # between joint and motor states of one tick
-NS_PER_S = 1_000_000_000
 FRAME_OFFSET_BYTES = 12  # of the frame name in a serialized message with a header
 
 

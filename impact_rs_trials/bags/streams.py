@@ -23,9 +23,7 @@ from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.cdr import Template
 from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes, reference_columns
-from impact_rs_trials.bags.types import typestore
-
-NS_PER_S = 1_000_000_000
+from impact_rs_trials.bags.types import NS_PER_S, typestore
 
 
 def _component(name: str, index: int) -> Callable[[Any], float]:
