@@ -38,7 +38,7 @@ def main(path: Path = BAG, picture: Path = PICTURE) -> int:
         for connection, time, data in reader.messages():
             if connection.topic in (topics.ROBOT_DESCRIPTION, topics.OBJECT_DESCRIPTION):
                 urdfs.append(Xml.fromstring(reader.deserialize(data, connection.msgtype).data))
-            if connection.topic in (topics.TF, topics.TF_STATIC) and time < 1e9 * moment:
+            if connection.topic in (topics.TF, topics.TF_STATIC) and time - bag.origin_ns < 1e9 * moment:
                 for one in reader.deserialize(data, connection.msgtype).transforms:
                     at, turn = one.transform.translation, one.transform.rotation
                     rotation = pin.Quaternion(turn.w, turn.x, turn.y, turn.z).matrix()

@@ -58,6 +58,7 @@ class CellNode(LeadingNode[CellTrial]):
 
     kind = "cell"
     place = "plant"
+    ros_time = True
 
     def __init__(self) -> None:
         super().__init__()
@@ -103,6 +104,17 @@ class CellNode(LeadingNode[CellTrial]):
         for topic in wanted - set(self._publishers):
             self._publishers[topic] = self.node.create_publisher(Float64MultiArray, on_network(topic), COMMAND)
 
+    def disconnect(self) -> None:
+        """The arms rest, and are held on while the node is inactive, as between two trials."""
+
+    def cleanup(self) -> None:
+        """Leave the arms, at rest, with the torque that they were sent last."""
+        super().cleanup()
+        self.brake()
+        self._held = None
+        self.connect([])
+        super().disconnect()
+
     def turn(self) -> None:
         if self.running or self._held is None:
             super().turn()
@@ -125,8 +137,8 @@ class CellNode(LeadingNode[CellTrial]):
                 trial.stop(complaint)
         super().work(trial, until)
 
-    def prepare(self, plan: TrialPlan, info: TrialInfo) -> CellTrial:
-        del info
+    def prepare(self, plan: TrialPlan, info: TrialInfo, ros_time: bool) -> CellTrial:
+        del info, ros_time
         arms = arms_of(plan, self.parameter, self._clock, self._send)
         mocap = None
         if self.parameter("mocap"):
@@ -150,10 +162,13 @@ class CellNode(LeadingNode[CellTrial]):
             answer_timeout=self.parameter("answer_timeout"),
             late_torque_share=self.parameter("late_torque_share"),
             start_tolerance=start,
+            start_delay=self.parameter("start_delay"),
         )
         prefix = frame_prefix(self.node.get_namespace())
         frames = [*FrameSource(plan.scene, prefix, links=False).static, *(mocap.frames(prefix) if mocap else ())]
-        self.outbox.later(topics.TF_STATIC, MessageMaker(RosidlTypes(), plan).transforms(0, frames))
+        maker = MessageMaker(RosidlTypes(), plan)
+        maker.origin_ns = self._clock.now()
+        self.outbox.later(topics.TF_STATIC, maker.transforms(0, frames))
         return CellTrial(plan, arms, limits, mocap, self.inbox, self.outbox)
 
     def _hold(self, arming: Arming) -> str:

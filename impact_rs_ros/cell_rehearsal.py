@@ -189,6 +189,11 @@ class VirtualOutbox:
         self._gathered: dict[str, ArmMeasurement] = {}
         self.failed = 0
 
+    def begin(self, origin_ns: int) -> None:
+        """Tick 0 has this stamp [ns]."""
+        for stream in self._streams.values():
+            stream.origin_ns = origin_ns
+
     def now(self, topic: str, tick: int, sample: Any) -> bytes:
         """A state goes to the controller."""
         self._gathered[self._arm_of[topic]] = sample
@@ -485,7 +490,7 @@ class _Cell:
 
     def trial(self) -> CellTrial:
         """The trial, begun."""
-        names = ("state_timeout", "answer_timeout", "late_torque_share", "start_tolerance")
+        names = ("state_timeout", "answer_timeout", "late_torque_share", "start_tolerance", "start_delay")
         limits = TrialLimits(**{name: self.parameters[name] for name in names})
         trial = CellTrial(self.plan, self.arms, limits, None, self.inbox, self.outbox, self.clock)  # type: ignore[arg-type]
         trial.begin()

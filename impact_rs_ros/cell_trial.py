@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """One trial of real arms: every usable state of the robot is a tick, every torque that is in time goes to the robot.
 
+The time of tick 0 is chosen ahead, because states, torques and the bag have it in their stamps, which are ROS time:
+``start_delay`` after the first state that the controller is sent. Until then the arms are held, so this state stands
+for the one of tick 0. The controller answers it; its torque is sent when the robot's states reach that time.
+
 A state that is not usable, a torque that is late or beyond a limit, silence of either, and an arm that rests away from
 its references, as after a stop of its own, end the trial with the reason; from then on the arms are braked and held
 (:meth:`impact_rs_ros.effort_arms.EffortArms.rest`).
@@ -23,7 +27,7 @@ from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.joint_signals import JointReader
 from impact_rs_ros.motion_capture import MOCAP, TrackerPoses
 from impact_rs_ros.robot_states import STATES, ArmStates
-from impact_rs_ros.trial_node import CONNECTION_TIMEOUT_S, LeadingTrial
+from impact_rs_ros.trial_node import LeadingTrial
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags import topics
@@ -43,12 +47,14 @@ class TrialLimits:
         answer_timeout: A torque that takes longer [s].
         late_torque_share: A larger share of the last ticks whose torque came after the next state, or never.
         start_tolerance: Distance of a joint from the start of the trial before it is led [rad].
+        start_delay: From the first state for the controller to trial time 0 [s]; it has to answer within.
     """
 
     state_timeout: float
     answer_timeout: float
     late_torque_share: float
     start_tolerance: float
+    start_delay: float
 
 
 class CellTrial(LeadingTrial):
@@ -85,7 +91,8 @@ class CellTrial(LeadingTrial):
         self._period_ns = round(plan.scene.scenario.timing.control_period * 1e9)
         self._arm_of = {topics.joint_command(arm): arm for arm in plan.arms}
         self._readers = {arm: JointReader(names, ("effort",)) for arm, names in self._maker.joints.items()}
-        self._origin: int | None = None  # robot time of tick 0 [ns]; None: not answered yet
+        self._origin: int | None = None  # robot time of tick 0 [ns]; None: no state came yet
+        self._led = False  # whether the robot is sent torques of the controller
         self._tick = 0
         self._first: dict[str, bytes] = {}  # the messages of tick 0, by topic
         self._first_sent = 0.0  # when
@@ -153,9 +160,11 @@ class CellTrial(LeadingTrial):
             return
         self._heard = now = self._clock()
         if self._origin is None:
-            self._ask_first(states, now)
-            return
+            self._origin = self._maker.origin_ns = states.stamp + round(1e9 * self._limits.start_delay)
+            self._outbox.begin(self._origin)
         tick = round((states.stamp - self._origin) / self._period_ns)
+        if not self._led and not self._start(tick, states, now):
+            return
         if tick <= self._tick:
             return
         if (tick - self._tick) * self._period_ns > 1e9 * self._limits.state_timeout + self._period_ns:
@@ -211,11 +220,19 @@ class CellTrial(LeadingTrial):
         )
         return True
 
-    def _ask_first(self, states: ArmStates, now: float) -> None:
-        """Send the state of tick 0 until it is answered; the arms are held meanwhile, and time does not pass."""
+    def _start(self, tick: int, states: ArmStates, now: float) -> bool:
+        """Hold the arms until tick 0, and send its state until it is answered; returns whether they are led."""
         if complaint := start_complaint(self._plan, states, self._limits.start_tolerance):
             self.stop(complaint)
-            return
+            return False
+        if tick >= 0:
+            if 0 in self._asked:
+                self.stop(f"the controller does not answer the first state within {self._limits.start_delay:g} s")
+                return False
+            self._led = True
+            for arm, torque in self._torques.items():
+                self.arms.command(arm, torque)
+            return True
         self.arms.rest()
         if not self._first:
             self._first = {
@@ -226,6 +243,7 @@ class CellTrial(LeadingTrial):
             self._first_sent = now
             for topic, data in self._first.items():
                 self._outbox.repeat(topic, data)
+        return False
 
     def _commanded(self, arm: str, data: bytes) -> None:
         """Take a torque of the controller, check it, and send it to the robot."""
@@ -233,7 +251,7 @@ class CellTrial(LeadingTrial):
         if not signals.readable:
             self.unreadable += 1
             return  # as if it had not come: answer_timeout ends the trial if it stays so
-        tick = round(signals.stamp / self._period_ns)
+        tick = round((signals.stamp - (self._origin or 0)) / self._period_ns)
         torque = signals.values[2]
         if tick == self._answered[arm] and not signals.complaint and not np.array_equal(torque, self._torques[arm]):
             self.stop(
@@ -247,19 +265,17 @@ class CellTrial(LeadingTrial):
             self.stop(f"{topics.joint_command(arm)} {self._time}: {complaint}")
             return
         self._answered[arm], self._torques[arm] = tick, torque
-        if self._origin is not None:
+        if self._led:
             self.arms.command(arm, torque)
         done = [asked for asked in self._asked if asked <= min(self._answered.values())]
         for asked in done:
             took = self._clock() - self._asked.pop(asked)
-            if self._origin is not None and asked == tick:
+            if self._led and asked == tick:
                 self._slowest = max(self._slowest, took)
                 if took > self._limits.answer_timeout:
                     self._too_slow(took)
                     return
         self._lost += max(0, len(done) - 1)
-        if done and self._origin is None and self.arms.states.latest is not None:
-            self._origin = self.arms.states.latest.stamp
         if self._last not in self._asked and self._tick == self._last:
             self._complete()
 
@@ -280,13 +296,11 @@ class CellTrial(LeadingTrial):
             self.stop(f"{self._time}: no state of the robot for {silent:.4f} s, state_timeout is {limit:g} s")
         elif self._asked:
             waited = self._clock() - next(iter(self._asked.values()))
-            if self._origin is not None and waited > self._limits.answer_timeout:
+            if self._led and waited > self._limits.answer_timeout:
                 self._too_slow(waited)
-            elif self._origin is None and waited > CONNECTION_TIMEOUT_S:
-                self.stop(f"the controller does not answer the first state within {CONNECTION_TIMEOUT_S:g} s")
 
     def _seen(self, data: bytes) -> None:
-        """Forward the pose of the object, in trial time and in the world frame."""
+        """Forward the pose of the object in the world frame."""
         if self._origin is None or self._mocap is None:
             return
         try:
@@ -299,5 +313,4 @@ class CellTrial(LeadingTrial):
         stamp = pose.header.stamp.sec * 10**9 + pose.header.stamp.nanosec - self._origin
         if 0 <= stamp <= self._last * self._period_ns:
             self._poses += 1
-            pose.header.stamp.sec, pose.header.stamp.nanosec = divmod(stamp, 10**9)
             self._outbox.later(topics.OBJECT_POSE, pose)

@@ -27,9 +27,10 @@ class ControllerTrial(LockstepTrial):
         plan: The trial.
         inbox: Subscriptions to measured states.
         outbox: Publishers of commands.
+        ros_time: Whether stamps are ROS time, and the first state is tick 0; otherwise they are trial time.
     """
 
-    def __init__(self, plan: TrialPlan, inbox: Inbox, outbox: Outbox) -> None:
+    def __init__(self, plan: TrialPlan, inbox: Inbox, outbox: Outbox, ros_time: bool = False) -> None:
         super().__init__(plan)
         self._expects_impact = plan.expects_impact
         self._controller = Controller(plan)
@@ -41,6 +42,7 @@ class ControllerTrial(LockstepTrial):
         self._known = {arm: (own.initial, np.zeros_like(own.initial)) for arm, own in plan.arms.items()}
         self._plan = plan
         self._period_ns = round(plan.scene.scenario.timing.control_period * 1e9)
+        self._origin_ns: int | None = None if ros_time else 0  # stamp of tick 0
         self._tick = -1  # the last answered tick
         self._answers: dict[str, bytes] = {}
         self._gathering = -1
@@ -80,13 +82,19 @@ class ControllerTrial(LockstepTrial):
         if not signals.readable:
             self.unreadable += 1
             return False
-        inside = 0 <= round(signals.stamp / self._period_ns) <= self._last
+        if self._origin_ns is None:
+            self._origin_ns = self._maker.origin_ns = signals.stamp
+            self._outbox.begin(signals.stamp)
+        inside = 0 <= self._tick_of(signals) <= self._last
         self._outside += not inside
         return inside
 
+    def _tick_of(self, signals: JointSignals) -> int:
+        return round((signals.stamp - (self._origin_ns or 0)) / self._period_ns)
+
     def _answer(self, arm: str, signals: JointSignals) -> None:
         """Take the measured state of one arm; compute torques once all arms have one."""
-        tick = round(signals.stamp / self._period_ns)
+        tick = self._tick_of(signals)
         if tick <= self._tick:
             if tick == self._tick:  # the plant repeats its request
                 self._outbox.repeat(topics.joint_command(arm), self._answers[arm])
@@ -96,7 +104,7 @@ class ControllerTrial(LockstepTrial):
         if tick > self._gathering:
             self._gathering, self._gathered = tick, {}
         if signals.complaint:
-            self._fail(f"{topics.joint_states(arm)} at t = {1e-9 * signals.stamp:.3f} s: {signals.complaint}")
+            self._fail(f"{topics.joint_states(arm)} at t = {1e-9 * tick * self._period_ns:.3f} s: {signals.complaint}")
             position, velocity = self._known[arm]
             torque = np.zeros_like(position)
         else:
@@ -175,9 +183,9 @@ class ControllerNode(TrialNode[ControllerTrial]):
     def streams(self, maker: StreamMaker) -> dict[str, Stream]:
         return maker.of_controller()
 
-    def prepare(self, plan: TrialPlan, info: TrialInfo) -> ControllerTrial:
+    def prepare(self, plan: TrialPlan, info: TrialInfo, ros_time: bool) -> ControllerTrial:
         del info
-        return ControllerTrial(plan, self.inbox, self.outbox)
+        return ControllerTrial(plan, self.inbox, self.outbox, ros_time)
 
 
 def main() -> None:

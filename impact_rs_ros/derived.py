@@ -43,6 +43,10 @@ class DerivedMessages:
         self._known: dict[int, dict[str, Array]] = {}  # joint positions by arm, of ticks that are not written yet
         self._seen: list[tuple[int, bytes]] = []  # when [ns], and poses of the object
 
+    def begin(self, origin_ns: int) -> None:
+        """Tick 0 has this stamp [ns]."""
+        self._maker.origin_ns = origin_ns
+
     def static(self) -> bytes:
         """The serialized message of ``/tf_static``, for the begin of the trial."""
         transforms = self._maker.transforms(0, self._frames.static)

@@ -181,7 +181,13 @@ class Outbox:
         self._waiting.clear()
         self._streams = dict(streams)
         self._samples = 0
+        self.begin(0)
         self.counts = dict.fromkeys(self._publishers, 0)
+
+    def begin(self, origin_ns: int) -> None:
+        """Tick 0 has this stamp [ns]."""
+        for stream in self._streams.values():
+            stream.origin_ns = origin_ns
 
     def now(self, topic: str, tick: int, sample: Any) -> bytes:
         """Publish a sample at once; returns its bytes."""

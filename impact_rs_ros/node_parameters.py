@@ -88,6 +88,13 @@ SCENARIO, *OTHERS = COMMON = (
     NodeParameter("diagnostics_period", 1.0, "Wall-clock time between two messages on /diagnostics", "s", (0.1, 60.0)),
 )
 
+AUTOSTART = NodeParameter(
+    "autostart",
+    True,
+    "true: the node configures and activates itself when it starts; false: it waits for these transitions",
+    effect="node start",
+)
+
 DATA_ROOT = NodeParameter("data_root", "", "Folder below which requests may write bags; empty: working directory")
 
 STATE_TIMEOUT = NodeParameter(
@@ -125,6 +132,7 @@ ROBOT = with_effect(
 PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
     "plant": (
         *COMMON,
+        AUTOSTART,
         *with_effect(
             "next trial",
             NodeParameter(
@@ -170,9 +178,10 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
         ),
         NodeParameter("contact", "first", "Contact for requests that name none", choices=tuple(CONTACTS)),
     ),
-    "controller": COMMON,
+    "controller": (*COMMON, AUTOSTART),
     "cell": (
         *COMMON,
+        AUTOSTART,
         *ROBOT,
         STATE_TIMEOUT,
         NodeParameter(
@@ -232,6 +241,14 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
                 (0.001, 10.0),
             ),
             NodeParameter(
+                "start_delay",
+                1.0,
+                "Time from the first state for the controller to the start of the trial; the controller has to answer"
+                " within it",
+                "s",
+                (0.05, 10.0),
+            ),
+            NodeParameter(
                 "late_torque_share",
                 0.2,
                 "Largest share of the last 100 ticks whose torque came after the next state, or"
@@ -273,6 +290,7 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
     ),
     "recorder": (
         *COMMON,
+        AUTOSTART,
         DATA_ROOT,
         NodeParameter("drain_period", 0.01, "Period of writing received messages to the bag", "s", (0.001, 0.1)),
         NodeParameter(

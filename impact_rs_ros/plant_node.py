@@ -229,7 +229,8 @@ class PlantNode(LeadingNode[PlantTrial]):
     def streams(self, maker: StreamMaker) -> dict[str, Stream]:
         return maker.of_plant()
 
-    def prepare(self, plan: TrialPlan, info: TrialInfo) -> PlantTrial:
+    def prepare(self, plan: TrialPlan, info: TrialInfo, ros_time: bool) -> PlantTrial:
+        del ros_time
         physics = plan.scene.physics
         if info.model_yaml:
             physics = parse_model(info.model_yaml, "TrialInfo.model_yaml").apply(physics)

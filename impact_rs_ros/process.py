@@ -21,6 +21,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from impact_rs_ros import node_parameters, presence
+from impact_rs_ros.managed import ManagedNode
 from impact_rs_ros.middleware import discovery, set_middleware
 from impact_rs_ros.qos import offered
 from impact_rs_ros.roots import below, scenario_below
@@ -48,8 +49,14 @@ class NodeProgram:
     background: ClassVar[bool] = True
     """Whether the process has a lower priority: a recorder that wakes up must not interrupt plant or controller."""
 
+    managed: ClassVar[bool] = False
+    """Whether it is a lifecycle node, whose transitions call the methods of their names."""
+
     def __init__(self) -> None:
-        self.node = Node(self.kind)
+        self.active = self.over = False
+        self._offered = False
+        self._scenario: Scenario | None = None  # that it is configured for
+        self.node = ManagedNode(self) if self.managed else Node(self.kind)
         self.log = self.node.get_logger()
         node_parameters.declare(self.node, self.kind)
         self.executor = self.make_executor()
@@ -67,23 +74,58 @@ class NodeProgram:
         return SingleThreadedExecutor()
 
     def start(self) -> None:
-        """Prepare the node; called once, before the first turn.
+        """Configure and activate the node; called once, before the first turn. ``autostart`` false: wait for that."""
+        self.log.info(discovery(os.environ))
+        if not isinstance(self.node, ManagedNode):
+            self.configure()
+            self.activate()
+        elif self.parameter("autostart"):
+            self.node.start()
 
-        The data of the first trial is loaded before services are offered, because it takes a second: a caller that
-        discovers a service finds the node ready.
+    def configure(self) -> None:
+        """Read scenario and parameters, and load the data of the first trial.
+
+        It takes a second, and services are offered afterwards: a caller that discovers a service finds the node ready.
+
+        Raises:
+            InputError: The scenario cannot be read.
         """
-        scenario = load_scenario(self.parameter("scenario"))
-        self.connect(list(scenario.robots))
+        self._scenario = scenario = load_scenario(self.parameter("scenario"))
         try:
             self.rehearse(TrialSpec.of(scenario, next(iter(scenario.objects)), next(iter(scenario.cases))))
         except InputError as error:
             self.log.error(str(error))
-        self.offer()
-        self.log.info(discovery(os.environ))
+
+    def activate(self) -> None:
+        """Connect to the topics of the scenario's arms, and offer services and actions."""
+        assert self._scenario is not None
+        self.connect(list(self._scenario.robots))
+        self.active = True
+        if not self._offered:
+            self.offer()
+        self._offered = True
         self.log.info(
             f"ready: serves {', '.join(self.served())} in ROS domain {self.node.context.get_domain_id()}, namespace "
             f"{self.node.get_namespace()}; {node_parameters.text(self.node, self.kind)}"
         )
+
+    def deactivate(self) -> None:
+        """End what runs; requests are refused until :meth:`activate`."""
+        self.active = False
+
+    def cleanup(self) -> None:
+        """Forget what :meth:`configure` read."""
+        self._scenario = None
+
+    def finish(self) -> None:
+        """End the process."""
+        self.over = True
+
+    def check_active(self) -> None:
+        """Raise ``InputError`` if requests are refused."""
+        if self.managed and not self.active:
+            name = self.node.get_fully_qualified_name()
+            raise InputError(f"{name} is not active: ros2 lifecycle set {name} activate")
 
     def rehearse(self, spec: TrialSpec) -> None:
         """Load the data of a trial for this node."""
@@ -214,7 +256,9 @@ def run(program: type[NodeProgram]) -> None:
             raise SystemExit(2) from None
         try:
             node.start()
-            while not stopping and rclpy.ok() and (supervisor is None or os.getppid() == int(supervisor)):
+            while not (stopping or node.over) and rclpy.ok():
+                if supervisor is not None and os.getppid() != int(supervisor):
+                    break
                 node.turn()
         except (ExternalShutdownException, KeyboardInterrupt):
             pass

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recorder as a node: stores received messages unchanged, in one bag per trial.
 
-Messages are stored undecoded; trial time is read from the stamp, which is at a fixed position. ``/truth/model`` has no
+Messages are stored undecoded; trial time is read from the stamp, which is at a fixed position. On a robot, whose stamps
+are ROS time, the first signal of the trial has trial time 0. ``/truth/model`` has no
 stamp. ``/trial_info`` comes with the request that configures the trial, and the descriptions follow from it. Other
 graphs publish on ``/tf``, ``/clock`` and ``/diagnostics`` as well: the first two are computed from the measured signals
 of this graph, and of the third only the messages of its own nodes are stored.
@@ -62,6 +63,7 @@ class OpenTrial:
         duration: When the trial ends [s].
         plan: The trial; None: it has no scenario of impact_rs.
         tracked: Whether the pose of the object is published.
+        ros_time: Whether stamps are ROS time, and the first signal of every tick is that of tick 0.
 
     Attributes:
         counts: Number of messages in the bag, by topic.
@@ -70,7 +72,14 @@ class OpenTrial:
     """
 
     def __init__(
-        self, name: str, bag: BagWriter, arms: list[str], duration: float, plan: TrialPlan | None, tracked: bool
+        self,
+        name: str,
+        bag: BagWriter,
+        arms: list[str],
+        duration: float,
+        plan: TrialPlan | None,
+        tracked: bool,
+        ros_time: bool = False,
     ) -> None:
         self.bag = bag
         self.name = name
@@ -86,7 +95,9 @@ class OpenTrial:
         self._derived = None if plan is None else DerivedMessages(plan, tracked)
         if self._derived is not None:
             bag.write_raw(topics.TF_STATIC, 0, self._derived.static())
-        self._last: dict[str, int] = {}
+        self._origin_ns: int | None = None if ros_time else 0  # stamp of tick 0
+        self._early: list[tuple[str, bytes]] = []  # what came before it was known
+        self._last: dict[str, int] = {}  # trial time [ns] of the newest message, by topic
         kinds = topics.recorded(arms)
         self._readable = {topic: Readable(typestore(), kind) for topic, kind in kinds.items()}
         self.refused: Counter[str] = Counter()
@@ -98,6 +109,8 @@ class OpenTrial:
         """Write a message, unless it is computed here, or is a repetition of the last one."""
         if self._derived is not None and topic in DERIVED:
             return
+        if not self._has_begun(topic, data):
+            return
         if (now := self._time_of(topic, data)) is None:
             self.refused[topic] += 1
             return
@@ -107,16 +120,39 @@ class OpenTrial:
             if 1e-9 * now > self._duration + STAMP_ROUNDING_S:
                 self.refused[topic] += 1
                 return
-        if topic != topics.DIAGNOSTICS:
-            if self._last.get(topic) == now:
-                return
-            self._last[topic] = now
+        if self._is_repeated(topic, now):
+            return
         self.bag.write_raw(topic, now, data)
         self.counts[topic] += 1
         if topic in self._kinds:
             self._judged[topic].append(data)
         if self._derived is not None:
             self._write_derived(self._derived.receive(topic, now, data))
+
+    def _is_repeated(self, topic: str, now: int) -> bool:
+        """Whether the last message of this topic has the same trial time [ns]; diagnostics have none of their own."""
+        repeated = topic != topics.DIAGNOSTICS and self._last.get(topic) == now
+        if topic != topics.DIAGNOSTICS:
+            self._last[topic] = now
+        return repeated
+
+    def _has_begun(self, topic: str, data: bytes) -> bool:
+        """Whether the origin is known: by the first signal of the trial at the latest; other messages wait for it."""
+        if self._origin_ns is not None:
+            return True
+        first = topic in self._awaited and self.readable(topic, data)
+        origin = self._stamp_of(topic, data) if first else None
+        if origin is None:
+            self._early.append((topic, data))
+            return False
+        self._origin_ns = origin
+        self.bag.begin(origin)
+        if self._derived is not None:
+            self._derived.begin(origin)
+        early, self._early = self._early, []
+        for message in early:
+            self.store(*message)
+        return True
 
     def has(self, topic: str) -> bool:
         """Whether this is a topic of the trial."""
@@ -134,12 +170,16 @@ class OpenTrial:
             return 0
         if topic == topics.DIAGNOSTICS:  # its timestamp is not trial time
             return max(self._last.values(), default=0)
+        stamp, origin = self._stamp_of(topic, data), self._origin_ns
+        return None if stamp is None or origin is None or stamp < origin else stamp - origin
+
+    def _stamp_of(self, topic: str, data: bytes) -> int | None:
+        """Stamp of a message [ns]; None: a sequence without elements."""
         try:
             seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, self._stamp_at[topic])
-        except struct.error:  # a sequence without elements
+        except struct.error:
             return None
-        now = int(seconds * 1_000_000_000 + nanoseconds)
-        return None if now < 0 else now
+        return int(seconds * 1_000_000_000 + nanoseconds)
 
     def complete(self) -> None:
         """Write computed messages that waited for a pose of the object."""
@@ -213,7 +253,7 @@ class OpenTrial:
 
     def _columns(self, topic: str) -> dict[str, Array]:
         try:
-            return columns_of(self._kinds[topic], self._judged[topic])
+            return columns_of(self._kinds[topic], self._judged[topic], origin_ns=self._origin_ns or 0)
         except ValueError:
             raise InputError(f"{topic} has messages of different lengths: who else publishes?") from None
 
@@ -222,6 +262,7 @@ class RecorderNode(NodeProgram):
     """Writes with a :class:`~impact_rs_trials.bags.writer.BagWriter`."""
 
     kind = "recorder"
+    managed = True
 
     def __init__(self) -> None:
         super().__init__()
@@ -337,13 +378,14 @@ class RecorderNode(NodeProgram):
     def _on_configure(
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
     ) -> ConfigureTrial.Response:
-        if request.attempt and request.attempt == self._attempt:
+        if self.active and request.attempt and request.attempt == self._attempt:
             response.success = True  # a repeated request, because the answer took long
             return response
         self._abort()
         self._attempt, self._finished = 0, None
         self._failure = ""
         with self.answering(response, "open the bag"):
+            self.check_active()
             info = TrialInfo.from_message(request.trial)
             plan = info.spec.plan if info.scenario_json else None
             if not request.bag_path:
@@ -354,7 +396,8 @@ class RecorderNode(NodeProgram):
             self._inbox.clear()
             name = f"{info.scenario}/{info.key.name}"
             tracked = self._inbox.publishers()[topics.OBJECT_POSE] > 0
-            bag = self._open.enter_context(BagWriter.create(path, self._arms))
+            origin = None if request.ros_time else 0
+            bag = self._open.enter_context(BagWriter.create(path, self._arms, origin_ns=origin))
             bag.describe(info)
             bag.write_raw(topics.TRIAL_INFO, 0, serialize_message(request.trial))
             own = {topics.ROBOT_DESCRIPTION: request.robot_description}
@@ -366,7 +409,7 @@ class RecorderNode(NodeProgram):
                 if plan is None
                 else plan.scene.scenario.timing.ticks * plan.scene.scenario.timing.control_period
             )
-            self._recording = OpenTrial(name, bag, self._arms, duration, plan, tracked)
+            self._recording = OpenTrial(name, bag, self._arms, duration, plan, tracked, request.ros_time)
             self._attempt = request.attempt
             self.log.debug(f"recording {path}")
             response.success = True
@@ -451,6 +494,16 @@ class RecorderNode(NodeProgram):
         except OSError as error:  # its folder is gone or full; the next trial has another bag
             self.log.error(f"the bag of an aborted trial cannot be closed: {error}")
         self._recording = None
+
+    def deactivate(self) -> None:
+        """Close the bag of a running trial as aborted, and disconnect."""
+        super().deactivate()
+        if self._recording is not None:
+            self._failure = f"recorder was deactivated at t = {self._recording.time:.3f} s"
+            self._finished = FinishTrial.Response(outcome="ABORTED", message=self._failure)
+        self._abort()
+        self._inbox.close()
+        self._arms = []
 
     def close(self) -> None:
         self._abort()

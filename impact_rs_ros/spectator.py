@@ -157,7 +157,8 @@ class Spectator:
             return
         arms = list(spec.scenario.robots)  # their names are valid in topics
         self._arm_of = {topics.truth_contact_wrench(arm): arm for arm in arms}
-        names = [*(topics.joint_states(arm) for arm in arms), topics.OBJECT_POSE, *self._arm_of]
+        of_arms = [name(arm) for arm in arms for name in (topics.joint_states, topics.controller_state)]
+        names = [*of_arms, topics.OBJECT_POSE, *self._arm_of]
         kinds = topics.recorded(arms)
         self._signals.connect({name: kinds[name] for name in names})
 
@@ -174,6 +175,10 @@ class Spectator:
             message = decoded(data, message_type(topics.POSE))
             if message is not None:
                 self._with(object=_seen(message.pose))
+        elif topic.endswith("/controller_state"):
+            message = decoded(data, message_type(topics.CONTROLLER_STATE))
+            if message is not None:
+                self._with(time=message.trial_time)
         else:
             signals = joint_signals(data)
             position, velocity, _ = signals.values
@@ -181,8 +186,7 @@ class Spectator:
             if position.size != len(names) or not np.isfinite(position).all():
                 return
             positions = dict(zip(names, position.tolist(), strict=True))
-            stamp = None if topic == STATES else 1e-9 * signals.stamp
-            self._with(positions=self._known.positions | positions, time=stamp)
+            self._with(positions=self._known.positions | positions)
             if velocity.size == len(names) and np.isfinite(velocity).all():
                 moving = dict(zip(names, velocity.tolist(), strict=True))
                 self._with(velocities=self._known.velocities | moving)

@@ -53,6 +53,10 @@ class LockstepTrial(ABC):
     def work(self, until: float) -> None:
         """Process messages until ``until`` on the monotonic clock [s], or a little longer."""
 
+    def stop(self, failure: str) -> None:
+        """End the trial early; ``failure`` says why."""
+        self.failure = failure
+
     @abstractmethod
     def end(self) -> str:
         """End the trial; returns its outcome as this node sees it."""
@@ -89,6 +93,8 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
     """
 
     background = False
+    managed = True
+    ros_time = False  # whether this node stamps states in ROS time
 
     def __init__(self) -> None:
         super().__init__()
@@ -114,8 +120,14 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         """Published signals of every tick, by topic."""
 
     @abstractmethod
-    def prepare(self, plan: TrialPlan, info: TrialInfo) -> AnyTrial:
-        """A trial that is ready to begin and independent of earlier ones."""
+    def prepare(self, plan: TrialPlan, info: TrialInfo, ros_time: bool) -> AnyTrial:
+        """A trial that is ready to begin and independent of earlier ones.
+
+        Args:
+            plan: The trial.
+            info: Its identity.
+            ros_time: Whether the plant's timestamps are ROS time, as the request says.
+        """
 
     def start(self) -> None:
         super().start()
@@ -171,11 +183,13 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
     def _on_configure(
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
     ) -> ConfigureTrial.Response:
-        if request.attempt and request.attempt == self._attempt:
+        response.ros_time = self.ros_time
+        if self.active and request.attempt and request.attempt == self._attempt:
             response.success = True  # a repeated request, because the answer took long
             return response
         self._attempt, self._finished = 0, None
         with self.answering(response, "prepare the trial"):
+            self.check_active()
             if self.running:
                 self._leave()
             info = TrialInfo.from_message(request.trial)
@@ -183,7 +197,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
             self.connect(list(plan.arms))
             self.inbox.clear()
             self.outbox.reset(self.streams(StreamMaker(plan)))
-            self.trial = self.prepare(plan, info)
+            self.trial = self.prepare(plan, info, request.ros_time)
             self.running = True
             self._attempt = request.attempt
             self._name = f"{info.scenario}/{info.key.name}"
@@ -196,24 +210,49 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
     def _on_finish(self, request: FinishTrial.Request, response: FinishTrial.Response) -> FinishTrial.Response:
         if not self.running or self.trial is None or request.attempt not in (0, self._attempt):
             response.message = f"{self.kind}: there is no trial to finish"
-            return self._finished or response  # a repeated request, whose first answer was lost
+            again = request.attempt in (0, self._attempt)  # a repeated request, whose first answer was lost
+            return self._finished if self._finished is not None and again else response
+        self._finished = self._end(self.trial, request, response)
+        return response
+
+    def _end(
+        self, trial: AnyTrial, request: FinishTrial.Request, response: FinishTrial.Response
+    ) -> FinishTrial.Response:
+        """End the trial; returns the response, which says how."""
         self.outbox.flush()
         self.diagnose(now=True)
-        outcome, failure = self._leave(), self.trial.failure
+        outcome, failure = self._leave(), trial.failure
         response.success = not failure
-        response.message = failure or (f"{self.kind}: {note}" if (note := self.trial.note()) else "")
+        response.message = failure or (f"{self.kind}: {note}" if (note := trial.note()) else "")
         response.outcome = "ABORTED" if request.aborted or failure else outcome
         response.messages = sum(self.outbox.counts.values())
         response.topics = list(self.outbox.counts)
         response.counts = list(self.outbox.counts.values())
-        after = f"after {1e-9 * self.trial.now:.3f} s, {response.messages} messages published"
+        after = f"after {1e-9 * trial.now:.3f} s, {response.messages} messages published"
         text = f"{self._name}: {response.outcome} {after}"
         if response.outcome == "ABORTED" or response.message:
             self.log.warning(f"{text}: {response.message or request.reason}")
         else:
             self.log.info(text)
-        self._finished = response
         return response
+
+    def deactivate(self) -> None:
+        """End a running trial, and disconnect."""
+        super().deactivate()
+        if self.running and self.trial is not None:
+            self.trial.stop(f"{self.kind} was deactivated at t = {1e-9 * self.trial.now:.3f} s")
+            self._finished = self._end(self.trial, FinishTrial.Request(aborted=True), FinishTrial.Response())
+        self.disconnect()
+
+    def disconnect(self) -> None:
+        """Destroy publishers and subscriptions."""
+        self.arms = []
+        self.inbox.close()
+        self.outbox.connect({})
+
+    def cleanup(self) -> None:
+        super().cleanup()
+        self.trial = None
 
     def _leave(self) -> str:
         gc.enable()
@@ -244,9 +283,8 @@ class LeadingTrial(LockstepTrial):
         """Begin the trial; all its topics have subscribers."""
 
     def stop(self, failure: str) -> None:
-        """End the trial early; ``failure`` says why."""
         self.over = True
-        self.failure = failure
+        super().stop(failure)
 
 
 AnyLeadingTrial = TypeVar("AnyLeadingTrial", bound=LeadingTrial)
@@ -307,6 +345,6 @@ class LeadingNode(TrialNode[AnyLeadingTrial]):
     def _leave(self) -> str:
         trial, over = self.trial, self._over
         if trial is not None and over is not None:
-            trial.stop("the trial was aborted")
+            trial.stop(trial.failure or "the trial was aborted")
             self._answer(over, trial)
         return super()._leave()

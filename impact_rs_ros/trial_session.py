@@ -285,18 +285,19 @@ class TrialSession:
             np.concatenate((placed.position, quaternion_of(placed.rotation)))
         )
         requests["recorder"].bag_path = str(path)
-        timeout = node_parameters.value(self._node, "service_timeout")
-        failures = self._refusals(list(requests), requests, timeout)
-        if list(failures) == ["recorder"]:  # it may have looked for publishers before the others had them
-            failures = self._refusals(["recorder"], requests, timeout)
+        ros_time = self._configured(["plant"], requests)["plant"].ros_time
+        for name in ("controller", "recorder"):
+            requests[name].ros_time = ros_time
+            self._configured([name], requests)  # the recorder looks for the publishers of the others
+
+    def _configured(self, names: list[str], requests: dict[str, Any]) -> dict[str, Any]:
+        """Answers of nodes that are configured at once; raises ``TrialError`` with the reasons of those that refuse."""
+        calls = {name: (self._configure[name], requests[name]) for name in names}
+        answers, failures = self._call_all(calls, node_parameters.value(self._node, "service_timeout"))
+        failures |= {name: answer.message for name, answer in answers.items() if not answer.success}
         if failures:
             raise TrialError("; ".join(failures.values()))
-
-    def _refusals(self, names: list[str], requests: dict[str, Any], timeout: float) -> dict[str, str]:
-        """Configure some nodes at once; returns the reasons of refusing nodes, by node."""
-        calls = {name: (self._configure[name], requests[name]) for name in names}
-        answers, failures = self._call_all(calls, timeout)
-        return failures | {name: answer.message for name, answer in answers.items() if not answer.success}
+        return answers
 
     def _follow(
         self,
@@ -352,8 +353,7 @@ class TrialSession:
         self._newest.update(self._states.take())
         if len(self._newest) == len(self._arms):
             newest = list(self._newest.values())
-            stamps = [state.header.stamp for state in newest]
-            progress.time = min(stamp.sec + stamp.nanosec / 1e9 for stamp in stamps)
+            progress.time = min(state.trial_time for state in newest)
             progress.mode = min(state.mode for state in newest)
             progress.net_feedback = np.mean([state.net_feedback for state in newest], axis=0)
 
@@ -363,9 +363,11 @@ class TrialSession:
         lost = self._presence.lost("plant", "controller")
         calls = {name: (self._finish[name], request) for name in ("plant", "controller") if name not in lost}
         answers, failures = self._call_all(calls, FINISH_TIMEOUT_S)
+        failures |= {name: answer.message for name, answer in answers.items() if not answer.success}
         if not aborted:
-            failures |= {name: answer.message for name, answer in answers.items() if not answer.success}
             reason = self._cause("; ".join(failures.values())) if failures else ""
+        elif (own := answers.get("controller")) and own.outcome == "ABORTED" and own.message not in reason:
+            reason = f"{reason} ({own.message})"  # the plant only knows that no torque came
         last = FinishTrial.Request(attempt=self._attempt, aborted=bool(reason), reason=reason)
         if not reason:
             last.reason = "; ".join(answer.message for answer in answers.values() if answer.message)  # a note

@@ -43,7 +43,7 @@ class Snapshot:
         physics: Nominal physics of the scene of the trial; None: unknown.
         description: URDF of the robot without a trial; empty: not published.
         complaint: Why the published trial cannot be shown; empty: it can.
-        time: Trial time of the positions [s]; None: unknown.
+        time: Trial time of the newest controller state [s]; None: unknown.
         positions: Joint positions by their names in the URDF [rad, m].
         velocities: Joint velocities by the same names [rad/s, m/s]; empty if not published.
         object: Position of the object's centre in A [m] and quaternion x y z w, ``(7,)``; None: unknown.

@@ -2,7 +2,8 @@
 """Messages from plans, measurements and commands, the same for bags written in-process and for nodes.
 
 :class:`MessageMaker` fills messages of the classes that a :class:`MessageTypes` provides: messages of the ``rosbags``
-typestore, or rosidl's. Stamps are trial time; a tick is a whole number of nanoseconds.
+typestore, or rosidl's. A stamp is the origin of the trial plus a whole number of nanoseconds per tick; in simulation
+the origin is 0, and stamps are trial time.
 """
 
 from __future__ import annotations
@@ -78,9 +79,11 @@ class MessageMaker:
 
     Attributes:
         joints: Names of the joints of every arm, as messages have them.
+        origin_ns: Stamp of tick 0 [ns]: ROS time on a robot, 0 in simulation.
     """
 
     def __init__(self, types: MessageTypes, plan: TrialPlan) -> None:
+        self.origin_ns = 0
         self._types = types
         self._plan = plan
         self._header = types.type("std_msgs/msg/Header")
@@ -104,7 +107,7 @@ class MessageMaker:
 
     def stamp(self, tick: int) -> Any:
         """``builtin_interfaces/Time`` of a tick."""
-        seconds, nanoseconds = divmod(tick * self._period_ns, 1_000_000_000)
+        seconds, nanoseconds = divmod(self.origin_ns + tick * self._period_ns, 1_000_000_000)
         return self._time(sec=seconds, nanosec=nanoseconds)
 
     def header(self, tick: int, frame: str = WORLD) -> Any:
@@ -143,6 +146,7 @@ class MessageMaker:
         references = {name: column[tick] for name, column in self._references[arm].items()}
         return self._controller_state(
             header=self.header(tick),
+            trial_time=1e-9 * self.nanoseconds(tick),
             robot=arm,
             mode=int(command.mode),
             gamma=float(command.gamma),

@@ -28,8 +28,8 @@ from impact_rs_trials.bags import checksums, topics
 from impact_rs_trials.bags.cdr import decode
 from impact_rs_trials.bags.recovery import recover
 from impact_rs_trials.bags.trial_info import OUTCOMES, VIA, TrialInfo
-from impact_rs_trials.bags.types import typestore, typestore_of
-from impact_rs_trials.bags.writer import RECORDED
+from impact_rs_trials.bags.types import NS_PER_S, typestore, typestore_of
+from impact_rs_trials.bags.writer import ORIGIN, RECORDED
 from impact_rs_trials.file_names import BAG_METADATA
 from impact_rs_trials.runs import ArmSignals, Run, Signals, run_of_trial
 
@@ -64,7 +64,7 @@ class JointColumns:
     """One ``sensor_msgs/JointState`` topic as columns.
 
     Attributes:
-        time: Header stamps, ``(k,)`` [s].
+        time: Trial times by the header stamps, ``(k,)`` [s].
         position: ``(k, n)`` [rad]; empty where the topic has none.
         velocity: ``(k, n)`` [rad/s]; empty where the topic has none.
         effort: ``(k, n)`` [N m]; empty where the topic has none.
@@ -120,7 +120,7 @@ class PoseColumns:
     """One ``geometry_msgs/PoseStamped`` topic as columns.
 
     Attributes:
-        time: Header stamps, ``(k,)`` [s].
+        time: Trial times by the header stamps, ``(k,)`` [s].
         position: ``(k, 3)`` [m].
         quaternion: x y z w, ``(k, 4)``.
     """
@@ -191,6 +191,7 @@ class TrialBag:
 
     Attributes:
         counts: Number of messages by topic.
+        origin_ns: Stamp of trial time 0 [ns]: ROS time of a real robot, 0 in simulation and in bags of 0.1.0.
     """
 
     def __init__(
@@ -200,6 +201,7 @@ class TrialBag:
         self.sealed = sealed
         self.info = info
         self.metadata = metadata
+        self.origin_ns = int(metadata.get(ORIGIN, 0))
         self.counts = {connection.topic: connection.msgcount for connection in reader.connections}
         self._reader = reader
         self._ahead: dict[str, list[bytes]] = {}
@@ -281,10 +283,12 @@ class TrialBag:
         return _messages(self.path, self._reader, topic)
 
     def _columns(self, topic: str, of: Callable[[dict[str, Array]], Columns]) -> Columns:
-        """All numbers of a topic, and ``time`` from the header stamps [s], as columns of a kind."""
+        """All numbers of a topic, and trial ``time`` by the header stamps [s], as columns of a kind."""
         connection, rows = _raw(self.path, self._reader, topic, self._ahead)
         try:
-            return of({} if connection is None else columns_of(connection.msgtype, rows, typestore_of(connection)))
+            if connection is None:
+                return of({})
+            return of(columns_of(connection.msgtype, rows, typestore_of(connection), self.origin_ns))
         except Exception as error:  # damaged, or a topic of another type
             raise BagError(self.path, f"{topic}: damaged ({type(error).__name__}: {error})") from None
 
@@ -412,17 +416,25 @@ def _joints_of(row: bytes) -> tuple[list[str], slice]:
     return names, slice(start, at)
 
 
-def columns_of(kind: str, rows: Sequence[bytes], store: Typestore | None = None) -> dict[str, Array]:
-    """All numbers of serialized messages of a stamped type by field path, and ``time`` from the stamps [s].
+def columns_of(
+    kind: str, rows: Sequence[bytes], store: Typestore | None = None, origin_ns: int = 0
+) -> dict[str, Array]:
+    """All numbers of serialized messages of a stamped type by field path, and trial ``time`` by the stamps [s].
+
+    The origin is subtracted in integers: a double of seconds since 1970 resolves 0.2 us, and no trial would have the
+    same numbers twice.
 
     Args:
         kind: ``package/msg/Name`` of all of them.
         rows: The messages.
         store: Type definitions of the writer; None: this version's.
+        origin_ns: Stamp of trial time 0 [ns].
     """
     columns = decode(store or typestore(), kind, rows)
     if columns:
-        columns["time"] = columns["header.stamp.sec"] + 1e-9 * columns["header.stamp.nanosec"]
+        stamps = columns["header.stamp.sec"].astype(np.int64) * NS_PER_S + columns["header.stamp.nanosec"]
+        seconds, nanoseconds = np.divmod(stamps - origin_ns, NS_PER_S)
+        columns["time"] = seconds + 1e-9 * nanoseconds
     return columns
 
 

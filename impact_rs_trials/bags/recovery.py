@@ -30,14 +30,15 @@ def recover(cut: Path, whole: Path) -> bool:
         OSError: One of them cannot be read or written.
     """
     messages = [message for path in sorted(cut.glob("*.mcap")) for message in checksums.whole_messages(path)]
-    recorded = next((data for topic, _, data in messages if topic == topics.TRIAL_INFO), None)
-    if recorded is None:
+    found = next(((time, data) for topic, time, data in messages if topic == topics.TRIAL_INFO), None)
+    if found is None:
         return False
+    origin, recorded = found  # the first message of a trial, at trial time 0
     info = TrialInfo.from_message(typestore().deserialize_cdr(recorded, topics.TRIAL_INFO_TYPE))
-    with BagWriter.create(whole, list(info.robots)) as bag:
+    with BagWriter.create(whole, list(info.robots), origin_ns=origin) as bag:
         bag.describe(info)
         for topic, nanoseconds, data in messages:
-            bag.write_raw(topic, nanoseconds, data)
-        last = max(nanoseconds for _, nanoseconds, _ in messages)
+            bag.write_raw(topic, nanoseconds - origin, data)
+        last = max(nanoseconds for _, nanoseconds, _ in messages) - origin
         bag.finish("ABORTED", f"the recording was cut off at t = {1e-9 * last:.3f} s: the recorder was killed or froze")
     return True

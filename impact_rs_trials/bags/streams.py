@@ -23,9 +23,7 @@ from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.cdr import Template
 from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes, reference_columns
-from impact_rs_trials.bags.types import typestore
-
-NS_PER_S = 1_000_000_000
+from impact_rs_trials.bags.types import NS_PER_S, typestore
 
 
 def _component(name: str, index: int) -> Callable[[Any], float]:
@@ -63,6 +61,9 @@ class Stream:
         period_ns: Duration of a tick [ns].
         fields: Attribute of the sample by field path of the message.
         tables: One row per tick of the trial, by field path.
+
+    Attributes:
+        origin_ns: Stamp of tick 0 [ns].
     """
 
     def __init__(
@@ -73,6 +74,7 @@ class Stream:
         fields: Mapping[str, str | Callable[[Any], Any]],
         tables: Mapping[str, Array] | None = None,
     ) -> None:
+        self.origin_ns = 0
         self._template = Template.of(typestore(), kind, example)
         self._period_ns = period_ns
         self._fields = {path: attrgetter(get) if isinstance(get, str) else get for path, get in fields.items()}
@@ -92,7 +94,7 @@ class Stream:
         ticks, samples = np.array(self._ticks), self._samples
         self._ticks, self._samples = [], []
         times = ticks * self._period_ns
-        seconds, nanoseconds = np.divmod(times, NS_PER_S)
+        seconds, nanoseconds = np.divmod(self.origin_ns + times, NS_PER_S)
         columns: dict[str, Any] = {"header.stamp.sec": seconds, "header.stamp.nanosec": nanoseconds}
         columns |= {path: list(map(get, samples)) for path, get in self._fields.items()}
         columns |= {path: table[ticks] for path, table in self._tables.items()}
@@ -100,7 +102,7 @@ class Stream:
 
     def one(self, tick: int, sample: Any) -> bytes:
         """One sample, serialized at once."""
-        seconds, nanoseconds = divmod(tick * self._period_ns, NS_PER_S)
+        seconds, nanoseconds = divmod(self.origin_ns + tick * self._period_ns, NS_PER_S)
         columns: dict[str, Any] = {"header.stamp.sec": seconds, "header.stamp.nanosec": nanoseconds}
         columns |= {path: get(sample) for path, get in self._fields.items()}
         (row,) = self._template.rows(columns, 1)
@@ -183,4 +185,5 @@ class StreamMaker:
         )
         example = self._maker.controller_state(0, arm, command)
         tables = reference_columns(self._plan.arms[arm])
+        tables["trial_time"] = 1e-9 * (self._period_ns * np.arange(len(tables["ante_position"]), dtype=np.float64))
         return Stream(topics.CONTROLLER_STATE, example, self._period_ns, _COMMAND, tables)

@@ -12,6 +12,8 @@ from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+NS_PER_S = 1_000_000_000  # of ``builtin_interfaces/Time``
+
 
 @functools.cache
 def typestore() -> Typestore:

@@ -32,7 +32,8 @@ from impact_rs_trials.bags.trial_info import Outcome, TrialInfo
 from impact_rs_trials.bags.types import typestore
 
 MISSING = "missing"  # key of the metadata: topics without a message
-RECORDED = "recorded"  # key of the metadata: date and time (UTC) of the recording; stamps are trial time, from 0
+RECORDED = "recorded"  # key of the metadata: date and time (UTC) of the recording
+ORIGIN = "origin_ns"  # key of the metadata: stamp of trial time 0 [ns], ROS time; without it stamps are trial time
 FILES = ("scenario_json", "model_yaml")  # with a friction compensation 200 kB, which YAML takes a second for
 MAX_BLOCK_MESSAGES = 100_000  # kept in memory; several trials' worth
 MAX_CHUNK_BYTES = 2**20  # before compression, as in rosbags
@@ -147,6 +148,8 @@ class BagWriter:
         self, path: Path, writer: SealedWriter, arms: list[str], connections: dict[str, Connection], store: Typestore
     ) -> None:
         self.path = path
+        self._origin_ns = 0
+        self._early: list[tuple[str, int, bytes | memoryview]] | None = None  # messages that wait for the origin
         self._arms = arms
         self.messages = 0
         self._writer = writer
@@ -158,13 +161,14 @@ class BagWriter:
         self._rows: list[tuple[int, Connection, bytes | memoryview]] = []
 
     @classmethod
-    def create(cls, path: Path, arms: list[str], truth: bool = True) -> BagWriter:
+    def create(cls, path: Path, arms: list[str], truth: bool = True, origin_ns: int | None = 0) -> BagWriter:
         """Begin a bag with every topic of a trial.
 
         Args:
             path: Folder of the bag; must not exist yet.
             arms: Names of the arms.
             truth: Whether the bag has topics for the truth.
+            origin_ns: Stamp of trial time 0 [ns]: ROS time of a robot, 0 in simulation; None: not before :meth:`begin`.
 
         Raises:
             InputError: The folder exists already or cannot be made.
@@ -187,7 +191,21 @@ class BagWriter:
             topic: writer.add_connection(topic, kind, typestore=store, offered_qos_profiles=[_offered(topic)])
             for topic, kind in topics.recorded(arms, truth).items()
         }
-        return cls(path, writer, arms, connections, store)
+        bag = cls(path, writer, arms, connections, store)
+        if origin_ns is None:
+            bag._early = []
+        else:
+            bag.begin(origin_ns)
+        return bag
+
+    def begin(self, origin_ns: int) -> None:
+        """Trial time 0 has this stamp [ns]; messages that waited for it are written."""
+        self._origin_ns = origin_ns
+        if origin_ns:
+            self._writer.set_custom_data(ORIGIN, str(origin_ns))
+        early, self._early = self._early or [], None
+        for message in early:
+            self.write_raw(*message)
 
     def describe(self, info: TrialInfo) -> None:
         """Write the trial's identity to the metadata of the bag; texts of files are in ``/trial_info`` only."""
@@ -217,8 +235,11 @@ class BagWriter:
 
     def write_raw(self, topic: str, nanoseconds: int, data: bytes | memoryview) -> None:
         """Write a serialized (CDR) message at trial time [ns]."""
+        if self._early is not None:
+            self._early.append((topic, nanoseconds, data))
+            return
         self._flush()
-        self._writer.write(self._connections[topic], nanoseconds, data)
+        self._writer.write(self._connections[topic], self._origin_ns + nanoseconds, data)
         self._present.add(topic)
         self.messages += 1
 
@@ -242,7 +263,9 @@ class BagWriter:
             encoded = encode(self._store, connection.msgtype, messages)
             rows += [(time, connection, row) for time, row in zip(times, encoded, strict=True)]
         if rows:
-            self._writer.write_many(sorted(rows, key=itemgetter(0)))
+            later = self._origin_ns
+            stamped = [(later + time, connection, row) for time, connection, row in rows] if later else rows
+            self._writer.write_many(sorted(stamped, key=itemgetter(0)))
 
     def finish(self, outcome: Outcome, reason: str = "") -> None:
         """Close the bag and give it its name; topics without messages are listed in its metadata.
@@ -259,6 +282,8 @@ class BagWriter:
 
     def _close(self, outcome: Outcome, reason: str = "") -> None:
         try:
+            if self._early is not None:
+                self.begin(0)
             self._flush()
             self._writer.set_custom_data("outcome", outcome)
             if reason:

@@ -132,7 +132,7 @@ def test_whoever_else_can_send_torques_is_named_and_nothing_is_armed(cell: CellN
     assert eventually(cell, lambda: cell._strangers() != "")
     assert cell._strangers().startswith(f"/stranger can send torques on {COMMANDS} as well: stop it")
     with pytest.raises(InputError, match="^not armed: /stranger can send torques"):
-        cell.prepare(PUSH, None)  # type: ignore[arg-type]
+        cell.prepare(PUSH, None, True)  # type: ignore[arg-type]
     other.destroy_node()
     assert eventually(cell, lambda: cell._strangers() == "")
 

@@ -32,18 +32,18 @@ from impact_rs_control.fallback import holding_torque
 from impact_rs_ros.cell_trial import CellTrial, TrialLimits
 from impact_rs_ros.motion_capture import MOCAP, TrackerPoses
 from impact_rs_ros.robot_states import STATES
-from impact_rs_ros.trial_node import CONNECTION_TIMEOUT_S
 from impact_rs_trials.bags import topics
 
 COMMAND = topics.joint_command("arm")
 LAST = PUSH.scene.scenario.timing.ticks
+DELAY = 0.05  # s, from the first state for the controller to tick 0
 SWAY = np.full(7, 0.03)  # rad/s, of an arm that is not at rest
 
 
 class Bench(Wires):
     """A trial of one arm, a robot that reports what the test says, and a controller that answers what it says."""
 
-    def __init__(self, adds_gravity: bool = True, mocap: bool = False) -> None:
+    def __init__(self, adds_gravity: bool = True, mocap: bool = False, delay: float = DELAY) -> None:
         super().__init__()
         self.robot = Robot(adds_gravity)
         self.arms, self.sent = self.robot.arms, self.robot.sent
@@ -51,7 +51,7 @@ class Bench(Wires):
         self.trial = CellTrial(
             PUSH,
             self.arms,
-            TrialLimits(LIMIT, LIMIT, 0.2, 0.01),
+            TrialLimits(LIMIT, LIMIT, 0.2, 0.01, delay),
             TrackerPoses("tracker", np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])) if mocap else None,
             self,  # type: ignore[arg-type]
             self,  # type: ignore[arg-type]
@@ -90,13 +90,14 @@ class Bench(Wires):
     def answer(self, torque: np.ndarray, tick: int | None = None, after: float = 0.0) -> None:
         """The controller's answer to the last state, or to another."""
         self.robot.clock.time += after
-        self.bring(COMMAND, torque_message(self.asked[-1] if tick is None else tick, torque))
+        self.bring(COMMAND, torque_message(self.asked[-1] if tick is None else tick, torque, self.origin_ns))
 
     def under_way(self) -> Bench:
         """Tick 0 has its answer, and tick 1 as well."""
         self.state()
         self.answer(WEIGHT)
-        self.state()
+        while self.asked == [0]:
+            self.state()
         self.answer(WEIGHT)
         assert self.asked == [0, 1]
         assert not self.trial.over
@@ -171,26 +172,34 @@ def test_an_answer_that_is_late_ends_the_trial_whether_it_comes_or_not() -> None
         assert "answer_timeout is 0.01 s" in bench.trial.failure
 
 
-def test_until_the_first_answer_the_arm_is_held_and_time_stands_still() -> None:
+def test_until_tick_0_the_arm_is_held_whenever_its_answer_comes() -> None:
+    """The time of tick 0 is fixed with the first state; an answer before it moves nothing."""
     bench = Bench()
-    for _ in range(50):
+    for _ in range(30):
         bench.state()
     assert bench.asked == [0]
-    assert not bench.trial.over
+    assert bench.origin_ns == SWITCHED_ON + round(1e9 * DELAY)
+    bench.answer(WEIGHT + 0.5, tick=0)
+    for _ in range(20):
+        bench.state()
+    assert bench.asked == [0]
     np.testing.assert_allclose(bench.sent, 0.0, atol=1e-12)
     assert len(bench.sent) == 50
-    bench.answer(WEIGHT + 5.0, tick=0)  # of a state that is long gone: it says that the controller is there
-    assert len(bench.sent) == 50
+    bench.state()  # of tick 0: its torque goes to the robot
+    np.testing.assert_allclose(bench.sent[50:], [np.full(7, 0.5)])
     bench.state()
     assert bench.asked == [0, 1]
+    assert bench.trial.now == 1_000_000
 
 
-def test_a_controller_that_never_answers_ends_the_trial() -> None:
+def test_a_controller_that_does_not_answer_before_tick_0_ends_the_trial() -> None:
     bench = Bench()
     while not bench.trial.over:
         bench.state()
-    assert "the controller does not answer the first state within 8 s" in bench.trial.failure
-    assert bench.time == pytest.approx(100.0 + CONNECTION_TIMEOUT_S, abs=0.01)
+    assert "the controller does not answer the first state within 0.05 s" in bench.trial.failure
+    assert bench.time == pytest.approx(100.0 + DELAY)
+    bench.answer(WEIGHT + 0.5, tick=0)
+    np.testing.assert_allclose(bench.sent, 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -261,9 +270,9 @@ def test_no_trial_begins_with_an_arm_elsewhere_or_in_motion(changes: dict[str, n
     assert bench.asked == []
 
 
-def test_an_arm_that_drifts_before_the_first_answer_begins_no_trial() -> None:
-    """At 0.05 rad/s, for three seconds; below the speed that is rest, 0.02 rad/s, it takes longer."""
-    bench = Bench()
+def test_an_arm_that_drifts_before_tick_0_begins_no_trial() -> None:
+    """At 0.015 rad/s, below the speed that is rest, 0.02 rad/s."""
+    bench = Bench(delay=3.0)
     for step in range(3000):
         if bench.trial.over:
             break
@@ -370,14 +379,15 @@ def test_two_torques_for_one_state_are_of_two_controllers() -> None:
     assert bench.trial.failure.endswith("two torques for one state; are there two controllers?")
 
 
-def test_poses_are_passed_on_in_trial_time_and_in_world() -> None:
+def test_poses_are_passed_on_in_world_with_their_own_stamps() -> None:
     bench = Bench(mocap=True)
     bench.pose(0)  # before the trial
-    bench.under_way()  # with its origin at the stamp of its first state
+    bench.under_way()
+    begin = round(1e9 * DELAY)
     for taken, x in ((-1, 0.1), (700_000, 0.2), (900_000, np.nan), (1_600_000_000, 0.4), (1_800_000_001, 0.5)):
-        bench.pose(taken, x)
+        bench.pose(begin + taken, x)
     times = [pose.header.stamp.sec * 10**9 + pose.header.stamp.nanosec for pose in bench.kept]
-    assert times == [700_000, 1_600_000_000]
+    assert times == [SWITCHED_ON + begin + taken for taken in (700_000, 1_600_000_000)]
     assert [pose.pose.position.x for pose in bench.kept] == [0.2, 0.4]
     assert {(pose.header.frame_id, pose.pose.position.z) for pose in bench.kept} == {("world", 1.0)}
     assert not bench.trial.over

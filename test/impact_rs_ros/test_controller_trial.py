@@ -21,9 +21,11 @@ HELD = holding_torque(MODEL, MOTORS, START, STILL)
 class Bench(Wires):
     """One trial of the controller at the start pose, tick by tick."""
 
-    def __init__(self) -> None:
+    def __init__(self, first_ns: int | None = None) -> None:
+        """``first_ns``: stamp of the first state in ROS time; None: stamps are trial time."""
         super().__init__()
-        self.trial = ControllerTrial(PUSH, self, self)  # type: ignore[arg-type]
+        self.trial = ControllerTrial(PUSH, self, self, first_ns is not None)  # type: ignore[arg-type]
+        self.first_ns = first_ns or 0
         self.tick = 0
 
     @property
@@ -33,7 +35,8 @@ class Bench(Wires):
     def send(self, names: list[str] = ARM_JOINTS, tick: int | None = None, **changes: Any) -> None:
         """The state of the next tick, or of another one."""
         values = {"effort": STILL} | changes
-        self.bring(state_message((self.tick if tick is None else tick) * 1_000_000, names=names, **values))
+        stamp = self.first_ns + (self.tick if tick is None else tick) * 1_000_000
+        self.bring(state_message(stamp, names=names, **values))
         self.tick += 1
 
     def bring(self, data: bytes) -> None:
@@ -108,6 +111,20 @@ def test_a_state_from_outside_the_trial_is_left_alone_and_told() -> None:
     assert len(bench.torques) == 2
     assert bench.trial.failure == ""
     assert "1 states with a stamp outside the trial" in bench.trial.status()[0]
+
+
+@pytest.mark.parametrize("first_ns", [1, 1_700_000_000_123_456_789])
+def test_torques_do_not_depend_on_when_a_trial_begins(first_ns: int) -> None:
+    """In ROS time the first state is tick 0; a period off in the origin would change the torques of a moving arm."""
+    plain, later = Bench(), Bench(first_ns)
+    for bench in (plain, later):
+        for tick in range(400):
+            bench.send(position=START + 1e-6 * tick)
+    np.testing.assert_array_equal(plain.torques, later.torques)
+    assert (plain.origin_ns, later.origin_ns) == (0, first_ns)
+    assert later.trial.now == plain.trial.now == 399_000_000
+    later.send(tick=-1)
+    assert "1 states with a stamp outside the trial" in later.trial.status()[0]
 
 
 @pytest.mark.parametrize("data", [b"", b"\0\1\0\0abc", b"\0\1\0\0" + b"\xff" * 200])

@@ -8,12 +8,14 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
-from rosbags.rosbag2 import Reader
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader, Writer
 from sensor_msgs.msg import JointState
 
 from impact_rs_ros.derived import DERIVED
@@ -21,7 +23,8 @@ from impact_rs_ros.recorder_node import OpenTrial
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
-from impact_rs_trials.bags.writer import BagWriter
+from impact_rs_trials.bags.types import typestore
+from impact_rs_trials.bags.writer import BagWriter, partial_path
 
 END = 1.8  # s
 STATES, COMMANDS, CONTROLLER = topics.joint_states("arm"), topics.joint_command("arm"), topics.controller_state("arm")
@@ -41,13 +44,15 @@ def messages(push_campaign: Path) -> Messages:
 @pytest.fixture
 def opened(push_campaign: Path, tmp_path: Path) -> Iterator[Begin]:
     """Begins to record that trial; one of somebody else has no plan."""
-    info = TrialBag.open(push_campaign / "cat_food__case_2__s1.000__r0").info
-    bags = []
+    whole = TrialBag.open(push_campaign / "cat_food__case_2__s1.000__r0")
+    info, (identity,) = whole.info, whole.serialized(topics.TRIAL_INFO)
+    bags: list[BagWriter] = []
 
-    def begin(ours: bool = True) -> OpenTrial:
-        bags.append(BagWriter.create(tmp_path / str(len(bags)), ["arm"]))
+    def begin(ours: bool = True, ros_time: bool = False) -> OpenTrial:
+        bags.append(BagWriter.create(tmp_path / str(len(bags)), ["arm"], origin_ns=None if ros_time else 0))
         plan = info.spec.plan if ours else None
-        return OpenTrial("push/it", bags[-1], ["arm"], info.duration, plan, tracked=True)
+        bags[-1].write_raw(topics.TRIAL_INFO, 0, identity)
+        return OpenTrial("push/it", bags[-1], ["arm"], info.duration, plan, True, ros_time)
 
     yield begin
     for bag in bags:
@@ -129,6 +134,81 @@ def test_messages_of_an_abandoned_trial_are_not_in_the_next_bag(opened: Begin, m
     stored(trial, messages)
     assert (trial.verdict().outcome, trial.note()) == ("OK", "")
     assert trial.counts[STATES] == 1801
+
+
+def restamped(data: bytes, by: int) -> bytes:
+    """A message with a header whose stamp is ``by`` [ns] later."""
+    seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
+    return data[:4] + struct.pack("<iI", *divmod(seconds * 10**9 + nanoseconds + by, 10**9)) + data[12:]
+
+
+@pytest.mark.parametrize("origin", [1, 1_700_000_000_123_456_789])
+def test_a_trial_has_the_same_numbers_whenever_it_began(
+    opened: Begin, messages: Messages, push_campaign: Path, origin: int
+) -> None:
+    """In seconds since 1970 as a double the times would be off by up to 0.12 us."""
+    trial = opened(ros_time=True)
+    trial.store(topics.OBJECT_POSE, restamped(messages[0][1][1], origin - 1))  # of a tracker, before the trial
+    for _, (topic, data) in messages:
+        trial.store(topic, restamped(data, origin))
+    trial.complete()
+    assert trial.verdict().outcome == "OK"
+    assert trial.time == pytest.approx(END)
+    trial.bag.finish("OK")
+    with Reader(trial.bag.path) as reader:
+        assert {time - origin for _, time, _ in reader.messages()} >= {0, 1_000_000, 1_800_000_000}
+        assert reader.start_time == origin
+    plain, later = TrialBag.open(push_campaign / "cat_food__case_2__s1.000__r0"), TrialBag.open(trial.bag.path)
+    assert (plain.origin_ns, later.origin_ns) == (0, origin)
+    for topic in (STATES, COMMANDS, topics.motor_states("arm"), topics.truth_joint_states("arm")):
+        for mine, other in zip(vars(plain.joints(topic)).values(), vars(later.joints(topic)).values(), strict=True):
+            np.testing.assert_array_equal(mine, other)
+    for name, values in vars(plain.controller("arm")).items():
+        np.testing.assert_array_equal(values, getattr(later.controller("arm"), name))
+    np.testing.assert_array_equal(plain.run().signals.time, later.run().signals.time)
+    (frame,) = later.messages(topics.TF)[1].transforms[:1]
+    assert frame.header.stamp.sec * 10**9 + frame.header.stamp.nanosec - origin == 20_000_000
+
+
+def test_a_trial_in_ros_time_aligns_with_another_recording_of_the_robot(
+    opened: Begin, messages: Messages, tmp_path: Path
+) -> None:
+    """Merged by time, as ``ros2 bag convert`` does, every state stands beside the robot's own of the same moment."""
+    origin, store = 1_700_000_000_123_456_789, typestore()
+    trial = opened(ros_time=True)
+    for _, (topic, data) in messages:
+        trial.store(topic, restamped(data, origin))
+    trial.bag.finish("OK")
+    states = [data for _, (topic, data) in messages if topic == STATES]
+    with Writer(tmp_path / "robot", version=9) as writer:  # recorded by another program, 0.2 ms after each state
+        connection = writer.add_connection("/joint_states", topics.JOINT_STATE, typestore=store)
+        for data in states:
+            stamp = restamped(data, origin)
+            seconds, nanoseconds = struct.unpack_from("<iI", stamp, 4)
+            writer.write(connection, seconds * 10**9 + nanoseconds + 200_000, stamp)
+    with AnyReader([trial.bag.path, tmp_path / "robot"], default_typestore=store) as reader:
+        merged = [
+            (connection.topic, reader.deserialize(data, connection.msgtype))
+            for connection, _, data in reader.messages()
+            if connection.topic in (STATES, "/joint_states")
+        ]
+    assert [topic for topic, _ in merged] == [STATES, "/joint_states"] * len(states)
+    for (_, ours), (_, robots) in zip(merged[::2], merged[1::2], strict=True):
+        assert ours.header.stamp == robots.header.stamp
+        np.testing.assert_array_equal(ours.position, robots.position)
+
+
+def test_a_trial_in_ros_time_that_was_cut_off_is_read_in_trial_time(opened: Begin, messages: Messages) -> None:
+    origin = 1_700_000_000_123_456_789
+    trial = opened(ros_time=True)
+    for at, (topic, data) in messages:
+        if at < 0.5:
+            trial.store(topic, restamped(data, origin))
+    trial.bag.save()
+    found = TrialBag.open(partial_path(trial.bag.path))
+    assert found.origin_ns == origin
+    assert found.reason.startswith("the recording was cut off at t = 0.499 s")
+    np.testing.assert_array_equal(found.joints(STATES).time, [1e-9 * (1_000_000 * tick) for tick in range(500)])
 
 
 def test_a_message_with_too_many_joints_is_recorded_and_nothing_judged(opened: Begin, messages: Messages) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
+from impact_rs.msg import ControllerState
 from node_trials import participant
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -53,6 +54,7 @@ class FakeGraph:
             message.velocity = velocity[::-1].tolist()
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(round(time * 1e9), 10**9)
         self.say(topics.joint_states(arm), topics.JOINT_STATE, message)
+        self.say(topics.controller_state(arm), topics.CONTROLLER_STATE, ControllerState(trial_time=time))
 
     def object(self, pose: np.ndarray) -> None:
         """Publish where the object is."""

@@ -91,10 +91,10 @@ class Robot:
         return self.states.read(self.message(age, **changes))
 
 
-def torque_message(tick: int, torque: np.ndarray) -> bytes:
+def torque_message(tick: int, torque: np.ndarray, origin_ns: int = 0) -> bytes:
     """The controller's answer to a tick of 1 ms, ``torque`` in N m by joint."""
     message = JointState(name=ARM_JOINTS, effort=list(torque))
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(tick * 1_000_000, 10**9)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(origin_ns + tick * 1_000_000, 10**9)
     return bytes(serialize_message(message))
 
 
@@ -108,6 +108,7 @@ class Wires:
         self.asked: list[int] = []  # ticks of samples that were published at once
         self.samples: list[Any] = []  # these samples
         self.kept: list[Any] = []  # samples and messages of the next burst
+        self.origin_ns = 0  # stamp of tick 0
 
     def wait(self, timeout: float) -> None:
         """Nothing is on its way."""
@@ -115,6 +116,9 @@ class Wires:
     def take(self) -> Iterator[tuple[str, bytes]]:
         while self.waiting:
             yield self.waiting.pop(0)
+
+    def begin(self, origin_ns: int) -> None:
+        self.origin_ns = origin_ns
 
     def now(self, topic: str, tick: int, sample: Any) -> bytes:
         self.asked.append(tick)

@@ -165,6 +165,8 @@ def test_a_push_goes_through_a_robot_of_ros2_control(pushes: Pushes) -> None:
     for bag in pushes.bags:
         assert bag.counts[topics.joint_states("arm")] == bag.counts[topics.joint_command("arm")] == 1801
         assert bag.counts[topics.controller_state("arm")] == 1801
+        assert bag.origin_ns > 0  # stamps are of the robot's clock
+        assert bag.joints(topics.joint_states("arm")).time[0] == 0.0
         assert bag.missing == [topics.motor_states("arm"), topics.TRUTH]  # no robot tells these
     # The arm was held where the trial left it, and nobody has moved it back.
     assert pushes.again.outcome == "ABORTED"
@@ -289,6 +291,7 @@ class LedCell:
         """Why a trial ended, which began as soon as the robot could be armed; empty: all is well, or the cell died."""
         plan = TrialSpec.of(load_scenario(self.scenario), *TRIAL).plan
         request = configuration(plan)
+        request.ros_time = True
         if self.graph.processes:
             answer = self.graph.call(ConfigureTrial, "controller/configure_trial", request)
             assert answer.success, answer.message

@@ -16,9 +16,11 @@ from pathlib import Path
 import pytest
 from impact_rs.action import RunTrial
 from impact_rs.srv import ConfigureTrial, FinishTrial
+from lifecycle_msgs.srv import ChangeState
 from node_trials import TRIES, beside, configuration, goal, one_trial, result_of, spin_until
 from processes import PATIENCE, running, until
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -139,6 +141,36 @@ def test_trial_of_a_lost_node_is_repeated_and_the_node_named(
     # The experiment node is not in the lockstep: without it a fast machine reaches the end before the loss is noticed.
     assert victim == "experiment" or recorded < SAMPLES
     assert TrialBag.open(folder / manifest.keys[0].name).counts[STATES] == SAMPLES
+
+
+@pytest.mark.parametrize("victim", ["controller", "plant", "recorder"])
+def test_a_node_that_is_deactivated_ends_its_trial_with_that_reason_and_serves_the_next_once_active(
+    graph: Graph, tmp_path: Path, short: str, victim: str
+) -> None:
+    """By the services that ``ros2 lifecycle set`` calls; nothing is started again."""
+    client = graph.node.create_client(ChangeState, f"{victim}/change_state")
+    changed: list[Future] = []
+
+    def change(label: str) -> Future:
+        request = ChangeState.Request()
+        request.transition.label = label
+        return client.call_async(request)
+
+    def strike(told: RunTrial.Impl.FeedbackMessage) -> None:
+        if not changed and told.feedback.time > 0.1:
+            changed.append(change("deactivate"))
+
+    result = graph.call_trial(goal(tmp_path / "0", scenario=short), strike)
+    assert changed[0].result().success
+    assert result.outcome == "ABORTED"
+    assert f"{victim} was deactivated at t = 0." in result.message
+    refused = graph.call_trial(goal(tmp_path / "1", scenario=short))
+    assert f"/{victim} is not active: ros2 lifecycle set /{victim} activate" in refused.message
+    again = change("activate")
+    spin_until(graph, again.done, "it does not activate")
+    assert again.result().success
+    assert graph.call_trial(goal(tmp_path / "2", scenario=short)).outcome == "OK"
+    graph.node.destroy_client(client)
 
 
 def test_a_bag_that_was_closed_before_the_answer_was_lost_is_kept(
