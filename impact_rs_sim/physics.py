@@ -22,7 +22,7 @@ from impact_rs_sim.readings import EXACT, ArmReadings, TrackerReadings
 from impact_rs_sim.robots.robot import Array, EndEffector, JointType, RobotFacts, SigmoidFriction
 from impact_rs_sim.robots.robot_model import STANDARD_GRAVITY, RobotModel
 from impact_rs_sim.robots.urdf import write_description
-from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.scenario import ObjectSpec, Scenario
 from impact_rs_sim.shapes import BOX, ConvexShape
 from impact_rs_sim.twist_readings import TwistReadings
 

@@ -184,7 +184,9 @@ def _result(
     arms, bodies = motions(job.physics, rows)
     (poses, twists), *others = [(body[:, :7], body[:, 7:]) for body in _bodies(bodies)]
     neighbours = dict(zip((one.name for one in job.physics.neighbours), others, strict=False))
-    return Result(arms, poses, twists, neighbours, residual, steps, contact_steps, iterations, fallbacks, tuple(failed), failure)
+    return Result(
+        arms, poses, twists, neighbours, residual, steps, contact_steps, iterations, fallbacks, tuple(failed), failure
+    )
 
 
 def _bodies(columns: Array) -> list[Array]:

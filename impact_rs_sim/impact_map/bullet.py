@@ -109,7 +109,7 @@ class BulletEngine(Engine):
 
     def _solve(self, problem: ImpactProblem, system: System, pairs: Sequence[ContactPair]) -> Solution:
         if self.physics.neighbours:
-            raise InputError("engine 'bullet' solves with one object; 'exact' with several", key="engine", value=self.name)
+            raise InputError("engine 'bullet' has one object, 'exact' several", key="engine", value=self.name)
         shapes = [self.physics.object.shape, *(arm.end_effector.shape for arm in self.physics.arms.values())]
         for kind in {shape.kind for shape in shapes} - {"box", "sphere"}:
             raise InputError(

@@ -42,7 +42,7 @@ class ImpactProblem:
         restitution: Restitution e of every closing contact [-].
         measured: Whether the state was measured: then a robot has been there, whatever its data sheet allows.
         restitution_law: ``newton`` or ``poisson``.
-        neighbours: States of the neighbours of the object; None: at rest beside it (:func:`~impact_rs_sim.scene.standing`).
+        neighbours: States of the neighbours of the object; None: at rest beside it.
     """
 
     physics: Physics
@@ -59,9 +59,7 @@ class ImpactProblem:
         """All objects with their states, by name: the one that is hit first as ``object``, then its neighbours."""
         others = standing(self.physics, self.object) if self.neighbours is None else self.neighbours
         found = {OBJECT: (self.physics.object, self.object)}
-        return found | {
-            one.name: (one.body, state) for one, state in zip(self.physics.neighbours, others, strict=True)
-        }
+        return found | {one.name: (one.body, state) for one, state in zip(self.physics.neighbours, others, strict=True)}
 
     @staticmethod
     def at_nominal_impact(scene: Scene, motor_inertia: str = "reduced") -> ImpactProblem:

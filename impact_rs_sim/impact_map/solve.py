@@ -325,9 +325,7 @@ class CompiledMap:
         given = None if points is None else self._given(points, tuple(problem.arms), problem.restitution)
         first, *others = objects
         return Compiled(
-            *_kernel.solve_impacts(
-                1, arms, first, contact, self._support, RULES, points=given, neighbours=others
-            )
+            *_kernel.solve_impacts(1, arms, first, contact, self._support, RULES, points=given, neighbours=others)
         )
 
     def _given(self, points: Sequence[ContactPoint], names: tuple[str, ...], restitution: float) -> Points:

@@ -83,7 +83,9 @@ def lawful_answers(terms: ContactTerms) -> list[Array]:
     """u^+ of every solution found, that of the impact map first, ``(nv,)`` each."""
     chosen, _ = solve_contacts(terms)
     answers = [terms.before + terms.response @ chosen.ravel()]
-    for points in itertools.islice(_choices([(contact.body, contact.partner) for contact in terms.contacts]), MAX_CHOICES):
+    for points in itertools.islice(
+        _choices([(contact.body, contact.partner) for contact in terms.contacts]), MAX_CHOICES
+    ):
         impulses = np.zeros_like(chosen)
         impulses[points], converged = newton(_of_points(terms, points), chosen[points])
         velocity = terms.before + terms.response @ impulses.ravel()

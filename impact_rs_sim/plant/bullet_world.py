@@ -2,10 +2,10 @@
 """One Bullet world: arms, object and support, with explicit values for every setting that affects the result.
 
 Shared by the plant (many small steps with compliant pads) and the ``bullet`` impact map (single rigid steps). Bullet
-multiplies the friction coefficients of two bodies, so the object has 1 and its partner the coefficient of the pair; where
-objects touch each other each has the root of their coefficient, and the partner that much less or more. It
-adds rolling frictions, each times the other body's friction coefficient, so only the partner has the lever of the pair.
-It adds compliances.
+multiplies the friction coefficients of two bodies, so the object has 1 and its partner the coefficient of the pair; of
+several objects each has the root of the coefficient between them, and a partner its own over that root. It adds rolling
+frictions, each times the other body's friction coefficient, so only the partner has the lever of the pair. It adds
+compliances.
 
 Its friction cone weights two fixed axes with the inverse mass along them, so that the friction of a sliding box has the
 magnitude of Coulomb's law but not the direction: it opposes ``D^-1 v_t`` instead of the sliding velocity ``v_t``, at
