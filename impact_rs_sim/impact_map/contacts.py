@@ -27,7 +27,7 @@ import pinocchio as pin
 from impact_rs_sim import _kernel
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.scene import BodyState, standing
+from impact_rs_sim.scene import BodyState
 from impact_rs_sim.shapes import BOX, ConvexShape
 
 SUPPORT = "support"  # name of the support among the object's partners
@@ -114,15 +114,15 @@ def contact_pairs(
     physics: Physics,
     state: BodyState,
     placements: Mapping[str, pin.SE3],
-    neighbours: Sequence[BodyState] | None = None,
+    neighbours: Sequence[BodyState] = (),
 ) -> list[ContactPair]:
-    """Contact pairs of the objects.
+    """Contact pairs of the object, and of its neighbours where their states are given.
 
     Args:
         physics: Shapes of all bodies.
         state: State of the object.
         placements: Of frame E in A by arm.
-        neighbours: States of its neighbours; None: they stand beside it (:func:`impact_rs_sim.scene.standing`).
+        neighbours: States of its neighbours.
     """
     partners = {}
     for name, placement in placements.items():
@@ -133,9 +133,8 @@ def contact_pairs(
     support = support_box(physics)
     if support is not None:
         partners[SUPPORT] = support
-    others = standing(physics, state) if neighbours is None else neighbours
     bodies = {OBJECT: (physics.object, state)}
-    bodies |= {one.name: (one.body, own) for one, own in zip(physics.neighbours, others, strict=True)}
+    bodies |= {one.name: (one.body, own) for one, own in zip(physics.neighbours, neighbours, strict=False)}
     found = []
     for name, (physical, own) in bodies.items():
         body = ConvexBody(own.position, own.rotation, physical.size / 2.0, physical.shape)

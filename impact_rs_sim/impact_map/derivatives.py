@@ -157,7 +157,7 @@ class Changed:
         """
         if found is None:
             placements = {name: models[name].placement(arm.position) for name, arm in self.problem.arms.items()}
-            found = contact_pairs(self.problem.physics, self.problem.object, placements, self.problem.neighbours)
+            found = contact_pairs(self.problem.physics, self.problem.object, placements, self.problem.beside)
         shifts = {
             name: models[name].placement(self.problem.arms[name].position).rotation[:, :2] @ along
             for name, along in self.contact_point.items()
@@ -179,8 +179,8 @@ class Changed:
         placements = {name: models[name].placement(arm.position) for name, arm in self.problem.arms.items()}
         system, found = self.system(models), []
         positions = dict(system.end_effector_position)
-        for pair in contact_pairs(self.problem.physics, self.problem.object, placements, self.problem.neighbours):
-            if pair.partner in pads:
+        for pair in contact_pairs(self.problem.physics, self.problem.object, placements, self.problem.beside):
+            if pair.partner in pads and pair.body == OBJECT:
                 step = pair.separation * pair.normal
                 positions[pair.partner] = positions[pair.partner] + step
                 box = replace(pair.box, centre=pair.box.centre + step)
@@ -300,8 +300,8 @@ def velocity_names(problem: ImpactProblem) -> tuple[str, ...]:
 
 def all_velocities(system: System, velocity: Array) -> Array:
     """The velocities of :func:`velocity_names` from u ``(nv,)``, ``(k,)`` [rad/s, m/s]."""
-    joints, twists, bodies = system.split(velocity)
-    return np.concatenate((*joints.values(), *twists.values(), bodies[OBJECT]))
+    joints, twists, object_ = system.split(velocity)
+    return np.concatenate((*joints.values(), *twists.values(), object_))
 
 
 def differentiate(

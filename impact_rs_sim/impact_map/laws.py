@@ -40,14 +40,14 @@ The laws, their derivatives and the iterations are compiled (``src/laws.cpp``).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim import _kernel
-from impact_rs_sim.impact_map.contacts import ContactPoint
+from impact_rs_sim.impact_map.contacts import OBJECT, ContactPoint
 from impact_rs_sim.impact_map.problem import ImpactProblem, Residual
 from impact_rs_sim.physics import ObjectPhysics
 from impact_rs_sim.robots.robot import Array
@@ -70,8 +70,9 @@ class System:
         velocity: u^-, ``(nv,)`` [rad/s, m/s].
         end_effector_position: Origin of frame E in A by arm, ``(3,)`` [m].
         end_effector_jacobian: Jacobian of frame E in E[A] by arm, ``(6, n)``.
-        object_position: Geometric centre of each object in A by name, ``(3,)`` [m].
+        object_position: Geometric centre of the object in A, ``(3,)`` [m].
         fixed: Whether the object is fixed: no contact point then has columns of it in J_c.
+        neighbour_position: Geometric centres of its neighbours likewise, by name.
     """
 
     columns: Mapping[str, slice]
@@ -80,8 +81,9 @@ class System:
     velocity: Array
     end_effector_position: Mapping[str, Array]
     end_effector_jacobian: Mapping[str, Array]
-    object_position: Mapping[str, Array]
+    object_position: Array
     fixed: bool = False
+    neighbour_position: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def kinetic_energy(self) -> float:
@@ -93,7 +95,8 @@ class System:
         size = self.velocity.size
         jacobian = np.zeros((len(contacts), 3, size))
         positions = np.array([contact.position for contact in contacts]).reshape(-1, 3)
-        for name, middle in () if self.fixed else self.object_position.items():
+        middles = {OBJECT: self.object_position, **self.neighbour_position}
+        for name, middle in () if self.fixed else middles.items():
             own = [row for row, contact in enumerate(contacts) if contact.body == name]
             jacobian[own, :, self.columns[name]] = point_maps(positions[own] - middle)
             other = [row for row, contact in enumerate(contacts) if contact.partner == name]
@@ -106,11 +109,15 @@ class System:
             jacobian[rows, :, self.columns[name]] = -point_maps(levers) @ of_arm
         return jacobian.reshape(3 * len(contacts), size)
 
-    def split(self, velocity: Array) -> tuple[dict[str, Array], dict[str, Array], dict[str, Array]]:
-        """Joint velocity by arm, twist of frame E by arm, and twist of each object, out of u ``(nv,)``."""
+    def split(self, velocity: Array) -> tuple[dict[str, Array], dict[str, Array], Array]:
+        """Joint velocity by arm, twist of frame E by arm, and twist of the object, out of u ``(nv,)``."""
         joints = {name: velocity[self.columns[name]] for name in self.end_effector_jacobian}
         twists = {name: self.end_effector_jacobian[name] @ dq for name, dq in joints.items()}
-        return joints, twists, {name: velocity[self.columns[name]] for name in self.object_position}
+        return joints, twists, velocity[self.columns[OBJECT]]
+
+    def neighbour_twists(self, velocity: Array) -> dict[str, Array]:
+        """Twists of the neighbours of the object by name, out of u ``(nv,)``."""
+        return {name: velocity[self.columns[name]] for name in self.neighbour_position}
 
 
 def point_maps(levers: Array) -> Array:
@@ -154,8 +161,9 @@ def build_system(problem: ImpactProblem, models: Mapping[str, RobotModel]) -> Sy
         velocity=velocity,
         end_effector_position=positions,
         end_effector_jacobian=jacobians,
-        object_position={name: body.position for name, (_, body) in bodies.items()},
+        object_position=problem.object.position,
         fixed=problem.physics.object.fixed,
+        neighbour_position={name: body.position for name, (_, body) in bodies.items() if name != OBJECT},
     )
 
 

@@ -55,11 +55,17 @@ class ImpactProblem:
     neighbours: tuple[BodyState, ...] | None = None
 
     @property
+    def beside(self) -> tuple[BodyState, ...]:
+        """States of the neighbours of the object."""
+        return standing(self.physics, self.object) if self.neighbours is None else self.neighbours
+
+    @property
     def bodies(self) -> dict[str, tuple[ObjectPhysics, BodyState]]:
         """All objects with their states, by name: the one that is hit first as ``object``, then its neighbours."""
-        others = standing(self.physics, self.object) if self.neighbours is None else self.neighbours
         found = {OBJECT: (self.physics.object, self.object)}
-        return found | {one.name: (one.body, state) for one, state in zip(self.physics.neighbours, others, strict=True)}
+        return found | {
+            one.name: (one.body, state) for one, state in zip(self.physics.neighbours, self.beside, strict=True)
+        }
 
     @staticmethod
     def at_nominal_impact(scene: Scene, motor_inertia: str = "reduced") -> ImpactProblem:
@@ -94,7 +100,7 @@ def _touched(scene: Scene) -> BodyState:
     depths = [
         (-pair.separation if gaps_too else max(-pair.separation, 0.0)) * pair.normal
         for pair in contact_pairs(physics, object_, placements)
-        if pair.partner != SUPPORT and pair.body == OBJECT
+        if pair.partner != SUPPORT
     ]
     return replace(object_, position=object_.position + np.mean(depths, axis=0))
 
@@ -230,13 +236,13 @@ def check_problem(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
     if models is None:
         models = physics.robot_models()
     placements = {name: models[name].placement(state.position) for name, state in problem.arms.items()}
-    found = contact_pairs(physics, problem.object, placements, problem.neighbours)
+    found = contact_pairs(physics, problem.object, placements, problem.beside)
     for pair in found:
         depth = -pair.separation
         if depth > PENETRATION_TOLERANCE:
-            body = "the object" if pair.body == OBJECT else repr(pair.body)
+            which = "the object" if pair.body == OBJECT else repr(pair.body)
             raise Infeasible(
-                f"{body} penetrates {pair.partner!r} by {1e3 * depth:.3g} mm, accepted are "
+                f"{which} penetrates {pair.partner!r} by {1e3 * depth:.3g} mm, accepted are "
                 f"{1e3 * PENETRATION_TOLERANCE:.3g} mm",
                 key=f"{pair.body}.position",
             )
@@ -343,10 +349,10 @@ def kinetic_energy(problem: ImpactProblem, result: ImpactResult | None = None) -
         linear = twist[:3] + np.cross(twist[3:], state.rotation @ physical.com_offset)
         angular = state.rotation.T @ twist[3:]
         if not physical.fixed:
-            energy += 0.5 * (physical.mass * linear @ linear + physical.inertia @ np.square(angular))
+            energy += 0.5 * float(physical.mass * linear @ linear + physical.inertia @ np.square(angular))
     for name, arm in problem.arms.items():
         dq = arm.velocity if result is None else result.joint_velocity[name]
         inertia = problem.physics.robot_model(name).mass_matrix(arm.position)
         inertia = inertia + np.diag(problem.motor_inertia[name])
-        energy += 0.5 * dq @ inertia @ dq
-    return float(energy)
+        energy += 0.5 * float(dq @ inertia @ dq)
+    return energy

@@ -164,8 +164,7 @@ def result_of(
         iterations: Iterations of its outer loop.
         start: Start of the computation, by ``time.perf_counter`` [s].
     """
-    joints, twists, bodies = system.split(velocity)
-    twist = bodies.pop(OBJECT)
+    joints, twists, twist = system.split(velocity)
     return ImpactResult(
         joint_velocity=joints,
         end_effector_twist=twists,
@@ -178,7 +177,7 @@ def result_of(
         engine=engine,
         iterations=iterations,
         elapsed=time.perf_counter() - start,
-        neighbour_twists=bodies,
+        neighbour_twists=system.neighbour_twists(velocity),
     )
 
 

@@ -104,8 +104,9 @@ def spread_of(system: System, answers: Sequence[Array]) -> Uniqueness:
 
 def _linear(system: System, velocity: Array) -> Array:
     """Linear velocities of all end effectors and objects, in a row [m/s]."""
-    _, twists, bodies = system.split(velocity)
-    return np.concatenate([twist[:3] for twist in (*twists.values(), *bodies.values())])
+    _, twists, object_ = system.split(velocity)
+    others = system.neighbour_twists(velocity)
+    return np.concatenate([twist[:3] for twist in (*twists.values(), object_, *others.values())])
 
 
 def _choices(partners: Sequence[tuple[str, str]]) -> itertools.chain[list[int]]:
