@@ -263,8 +263,8 @@ def _links(arm: ArmPhysics, gravity: Array) -> tuple[_kernel.Chain, Array]:
     mass = np.array([link.mass for link in facts.links])
     com = np.array([link.com for link in facts.links])
     inertia = np.array([link.inertia_matrix for link in facts.links])
-    tip = flange @ pin.rpy.rpyToMatrix(0.0, 0.0, end_effector.mount_yaw)
-    place = np.array(facts.flange.xyz) + end_effector.length * flange[:, 2]
+    tip = flange @ end_effector.mount.rotation
+    place = np.array(facts.flange.xyz) + flange @ end_effector.mount.translation
     own = place + tip @ end_effector.com
     total = mass[-1] + end_effector.mass
     middle = (mass[-1] * com[-1] + end_effector.mass * own) / total

@@ -94,8 +94,14 @@ class EndEffectorSpec(Schema):
     mass: Positive = Field(description="mass of the end effector [kg]")
     com: Vector3 = Field(description="centre of mass in frame E [m]")
     inertia: PositiveVector3 = Field(description="principal moments about the centre of mass, axes of frame E [kg m^2]")
-    length: Positive = Field(description="distance from the flange to the pad's outer face [m]")
+    length: Positive = Field(description="distance from the flange to the pad's outer face, along the flange axis [m]")
     mount_yaw: float = Field(0.0, description="rotation of the pad about the flange axis [rad]")
+    mount_offset: tuple[float, float] = omitted(
+        (0.0, 0.0), description="middle of the pad's face beside the flange axis, along x and y of the flange [m]"
+    )
+    mount_tilt: tuple[float, float] = omitted(
+        (0.0, 0.0), description="roll and pitch of the pad on the flange, before mount_yaw, as rpy in a URDF [rad]"
+    )
     pad: Pad = Field(description="the pad")
 
     @field_validator("inertia")
@@ -113,6 +119,8 @@ class EndEffectorSpec(Schema):
             inertia=np.diag(self.inertia),
             length=self.length,
             mount_yaw=self.mount_yaw,
+            mount_offset=self.mount_offset,
+            mount_tilt=self.mount_tilt,
             pad_size=self.pad.size,
             shape=ConvexShape(self.pad.shape),
         )
