@@ -20,8 +20,6 @@ from impact_rs_sim.schema import parse_value
 from impact_rs_trials.store import is_url, local_copy
 from impact_rs_trials.workers import Map, Workforce, workers
 
-MAX_SHOWN_FILES = 5
-
 
 def on_local_runs(run: Action) -> Action:
     """A command that reads ``args.runs`` from a local folder; bags at a URL are copied into a temporary one.

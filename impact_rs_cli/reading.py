@@ -57,9 +57,8 @@ def measurement_options(
         InputError: Options that do not go together, or a range or path that there is not.
     """
     _check_options(args, unsure)
-    experiment = args.experiment
-    if args.impacts is None and args.mapping is None and args.minus is None:
-        experiment = experiment_file(experiment, Path(args.runs), terminal)
+    given = args.experiment
+    experiment = None if given is None else experiment_file(given, Path(args.runs), terminal)
     options = MeasurementOptions(
         runs=None if args.runs is None else Path(args.runs),
         impacts=None if args.impacts is None else Path(args.impacts),
@@ -75,6 +74,8 @@ def measurement_options(
         exact=args.no_discrepancy,
         each_arm=each_arm,
     )
+    if given is None and options.experiment is not None:
+        _say_experiment(options.experiment, terminal)
     recordings = options.kind == MeasurementKind.RECORDINGS
     if args.minus is not None and not recordings:
         raise InputError(NO_MINUS)
@@ -129,7 +130,7 @@ def experiment_file(given: Path | None, directory: Path, terminal: Terminal) -> 
     """
     if given is None:
         if (found := experiment_file_in(directory)) is not None:
-            terminal.say(f"experiment: {found.absolute()}")
+            _say_experiment(found, terminal)
         return found
     beside = directory / given
     if given.is_absolute() or beside.absolute() == given.absolute():
@@ -137,10 +138,15 @@ def experiment_file(given: Path | None, directory: Path, terminal: Terminal) -> 
     if not given.exists() and not beside.exists():
         raise InputError(f"no such file in {Path.cwd()} or in the folder of the runs, {directory}", file=given)
     file = given if given.exists() else beside
-    terminal.say(f"experiment: {file.absolute()}")
+    _say_experiment(file, terminal)
     if file is given and beside.exists() and not given.samefile(beside):
         terminal.warn(f"there is another {given} in the folder of the runs, which was not read: {beside.absolute()}")
     return file
+
+
+def _say_experiment(file: Path, terminal: Terminal) -> None:
+    """Name the experiment file that is read."""
+    terminal.say(f"experiment: {file.absolute()}")
 
 
 def only_trials(measurements: Measurements, option: str) -> Runs:

@@ -7,6 +7,7 @@ import math
 import sys
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 
+CONFIDENCE_LEVEL = 0.95  # of every interval
 NORMAL_95 = 1.959964  # half the width of a 95 % interval over the standard deviation, normal distribution
 PLAIN_NOTATION_RANGE = (1e-4, 1e6)  # numbers written without an exponent
 MAX_DIGITS = 15  # significant decimal digits of a float

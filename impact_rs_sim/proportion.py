@@ -21,13 +21,13 @@ import numpy as np
 
 from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robots.robot import Array, RobotFacts
+from impact_rs_sim.robots.robot_model import GRAVITY_M_S2
 from impact_rs_sim.shapes import BOX
 from impact_rs_sim.units import dimension_of
 
 FRANKA_MASS_KG = 16.062132  # links 1 to 7
 FRANKA_REACH_M = 0.98626233  # from joint 2 along all joints to the flange
 FRANKA_TORQUE_NM = 87.0  # limit of its strongest joints
-GRAVITY_M_S2 = 9.81  # m/s^2
 CUBE_GYRATION_RADIUS_M = 0.1 / 6.0**0.5  # of the cube of 0.1 m
 
 

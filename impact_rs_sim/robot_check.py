@@ -14,10 +14,10 @@ import numpy as np
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.plant.bullet_world import mass_matrices
-from impact_rs_sim.proportion import GRAVITY_M_S2, reach_of
+from impact_rs_sim.proportion import reach_of
 from impact_rs_sim.robots.drive_stability import JointStability, joint_stability, spectral_radius
 from impact_rs_sim.robots.robot import UNITS, Array, EndEffector, JointType, JointUnits, RobotFacts
-from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.robots.robot_model import GRAVITY_M_S2, RobotModel
 from impact_rs_sim.scenarios.scenario import ASSUMED_MOTOR_INERTIA, Robot, Scenario
 
 Outcome = Literal["ok", "warning", "failed"]

@@ -27,6 +27,7 @@ Method = Literal["design", "random", "fixed"]
 Aim = Literal["rivals", "effects", "parameters"]
 
 SCENARIO_FILE = "scenario.yaml"
+MAX_SHOWN_PAIRS = 8  # of explanations, the least certain first
 
 
 class PlannedPair(Schema):

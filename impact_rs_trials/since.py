@@ -8,6 +8,10 @@ from datetime import datetime
 
 from impact_rs_sim.errors import InputError, did_you_mean
 
+MIN_WALL_CLOCK_S = (
+    1e9  # later times count from 1970 (this is 2001), earlier ones from the start of a program or recording
+)
+
 
 def measured_since(when: str, stamps: Mapping[str, float], timed: bool = True) -> set[str]:
     """Names of the measurements from a moment on.

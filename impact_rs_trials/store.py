@@ -51,7 +51,7 @@ def is_bag(folder: Path) -> bool:
 def trials_in(folder: Path) -> list[Path]:
     """Trials directly in a campaign, also damaged ones: folders with files of a bag or without any, bare files.
 
-    What is hidden is half-written.
+    Hidden ones are half-written.
     """
     found = []
     for path in sorted(folder.iterdir()):
@@ -69,7 +69,7 @@ def trials_in(folder: Path) -> list[Path]:
 def trials_below(folder: Path) -> list[Path]:
     """Trials at any depth below a folder, also damaged ones: folders with files of a bag.
 
-    What is hidden is half-written.
+    Hidden ones are half-written.
 
     Raises:
         InputError: There is no such folder.

@@ -118,7 +118,7 @@ def order_of(data: Any, workspace: Workspace) -> Order:
 
 @functools.cache
 def schema_of(command: Command) -> type[Schema]:
-    """What a form must hold: the options of the command, each with values of its kind."""
+    """Required content of a form: the options of the command, each with values of its kind."""
     fields: dict[str, Any] = {option.name: _field(option) for option in options_of(command)}
     return create_model(f"form of {command.name}", __base__=Schema, command=(str, ...), **fields)
 
@@ -152,7 +152,7 @@ def _word(workspace: Workspace, option: Option, value: Any) -> Any:
 
 
 def _writes(workspace: Workspace, command: Command, given: Mapping[str, Any]) -> tuple[Path, ...]:
-    """What a command writes; an analysis without a folder for it writes beside the trials."""
+    """Output of a command; an analysis without a folder for it writes beside the trials."""
     writes = tuple(workspace.inside(given[name]) for name in command.written if given[name] is not None)
     if command.name == "analyze" and not writes:
         return (workspace.existing(given["directory"]) / "report",)
@@ -239,7 +239,7 @@ def named(workspace: Workspace, name: str, key: str = "scenario") -> str:
     """What the terminal calls a scenario, a mapping or a robot: the name of one that comes with impact_rs, or a file.
 
     Raises:
-        InputError: The file is none of the folder, or the name would be taken for an option.
+        InputError: The file lies outside the folder, or the name would be taken for an option.
     """
     if name.endswith((".yaml", ".yml")):
         return seen(workspace.existing(name))

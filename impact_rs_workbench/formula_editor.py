@@ -20,7 +20,7 @@ PLACE = "formulas"  # what errors call a text that has no file yet
 
 
 class FormulaText(Schema):
-    """What is written on the page."""
+    """Input of the page."""
 
     text: str = Field(max_length=100_000, description="YAML of a formula file")
     path: str = Field("", description="where it is kept")
@@ -63,7 +63,7 @@ def keep(workspace: Workspace, content: FormulaText) -> str:
         The file as it is seen from the folder.
 
     Raises:
-        InputError: They are not right, or the file is none of the folder.
+        InputError: They are not right, or the file lies outside the folder.
     """
     path = workspace.inside(content.path)
     if path.suffix not in (".yaml", ".yml"):

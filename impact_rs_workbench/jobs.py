@@ -75,7 +75,7 @@ class Job:
         step: Name of the command, in records of earlier versions the step of the loop.
         command: The command that does the same in a terminal.
         arguments: Arguments of ``impact-rs``.
-        writes: What it writes.
+        writes: Files or folders that it writes.
         started: When [s of the wall clock].
         ended: When [s of the wall clock]; None: it runs.
         exit_code: 0 done, 1 not done, 2 a mistake in the input, 130 stopped; None: it runs.
@@ -101,7 +101,7 @@ class Job:
 
 
 class PageAnswer(Schema):
-    """What a page answers to the question of a job."""
+    """Answer of a page to the question of a job."""
 
     job: StrictInt = Field(description="number of the job")
     question: StrictInt = Field(description="number of the question")
@@ -110,7 +110,7 @@ class PageAnswer(Schema):
 
 @dataclass
 class _Asking:
-    """What a running job asks, and the socket that takes the answer."""
+    """Question of a running job, and the socket that takes the answer."""
 
     socket: socket.socket
     number: int = 0
@@ -260,7 +260,7 @@ class Jobs:
         """A job.
 
         Raises:
-            InputError: There is none with this number.
+            InputError: There is no job with this number.
         """
         if number not in self._jobs:
             raise InputError(f"no job {number}; there are {len(self._jobs)}")
@@ -385,7 +385,7 @@ class Jobs:
 
 
 def _shared(writes: Sequence[Path], others: Sequence[str]) -> Path | None:
-    """A path that both write to, or inside of which the other writes; None: there is none."""
+    """A path that both write to, or inside of which the other writes; None: they write apart."""
     for path in writes:
         for other in map(Path, others):
             if path == other or path in other.parents or other in path.parents:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was chosen and pinned in the overlay, kept in the folder of the workbench: ``.workbench/overlay.json``.
+"""Choices and pins of the overlay, kept in the folder of the workbench: ``.workbench/overlay.json``.
 
 The address of a page, and with it the memory of the browser, changes with every start.
 """
@@ -42,7 +42,7 @@ class ListChoice(Chosen):
 
 
 def choices(workspace: Workspace) -> Choices:
-    """What was chosen; nothing where the file is missing or damaged, for it holds no result."""
+    """The choices; empty where the file is missing or damaged, for it holds no result."""
     path = workspace.root / HIDDEN / FILE
     try:
         return validate(Choices, read_json(path) or {}, path)

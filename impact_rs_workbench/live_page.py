@@ -160,9 +160,9 @@ def state_of(snapshot: Snapshot, scene: DrawnScene) -> dict[str, Any] | None:
 
 
 def followed_of(followed: IdentifyMessages) -> dict[str, Any]:
-    """What a node ``identify`` has published, as the page shows it; what is no such document is said.
+    """Document that a node ``identify`` has published, as the page shows it; another text is reported.
 
-    ``prediction``, ``diagnosis`` and ``refused`` are None while there is none; ``changes`` are the newest first.
+    ``prediction``, ``diagnosis`` and ``refused`` are None while missing; ``changes`` are the newest first.
     """
     unreadable: list[str] = []
 

@@ -2,7 +2,7 @@
 """Predictions while a slider moves: the impact map of a scenario with some of its values changed.
 
 Every slider is a key of the scenario, so the page shows what ``impact-rs map --uncertainty --set KEY=VALUE`` prints,
-and the answer contains the command. The interval is that of :mod:`impact_rs_sim.impact_map.uncertainty`; while a slider
+and the answer contains the command. The interval comes from :mod:`impact_rs_sim.impact_map.uncertainty`; while a slider
 moves, and along a band, it comes from a few draws, always the same ones, so that it does not flicker.
 """
 
@@ -22,9 +22,10 @@ from impact_rs_commands.predicting import MAP
 from impact_rs_control.plan import LARGEST_SCALE
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem, predict_impact
-from impact_rs_sim.impact_map.uncertainty import LEVEL, UncertainPrediction, interval_of_draws, predict
+from impact_rs_sim.impact_map.uncertainty import UncertainPrediction, interval_of_draws, predict
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 from impact_rs_sim.model import Model
+from impact_rs_sim.numbers import CONFIDENCE_LEVEL
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, Physics
 from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.scenarios.scenario import Scenario, Uncertainties, load_scenario
@@ -46,12 +47,12 @@ class Slider:
 
     Attributes:
         key: Key of the scenario, or ``speed``.
-        label: What it is, in short.
+        label: Short name.
         unit: Unit, ``-`` where it has none.
         value: Value of the scenario.
         low: Left end.
         high: Right end.
-        meaning: What it is, in a sentence.
+        meaning: Meaning in a sentence.
         page: Page of the manual.
         known: Whether it is an uncertainty.
     """
@@ -112,12 +113,9 @@ def settings_of(scenario: Scenario, question: Question) -> dict[str, Setting]:
     Raises:
         InputError: There is no such slider.
     """
-    known = {slider.key: slider for slider in sliders_of(scenario, question.object)}
     settings: dict[str, Setting] = {}
     for key, value in question.values.items():
-        if key not in known:
-            raise InputError(f"no slider {key!r}; known: {', '.join(known)}")
-        if key != SPEED:
+        if slider_of(scenario, question.object, key).key != SPEED:
             settings[key] = value
             continue
         case = scenario.case_name(question.case)
@@ -193,7 +191,7 @@ def answer(
         "budget": _budget(uncertain, f"{arm}.velocity.{scenario.axis}"),
         "interval": None
         if uncertain is None
-        else {"level": LEVEL, "method": uncertain.method, "draws": uncertain.draws},
+        else {"level": CONFIDENCE_LEVEL, "method": uncertain.method, "draws": uncertain.draws},
         "moving": question.moving,
         "residual": found.residual.largest,
         "note": note,
@@ -346,7 +344,7 @@ def drawn(question: Question, slider: Slider, points: Sequence[SweepPoint]) -> d
 
 
 def describe(name: str, path: str) -> dict[str, Any]:
-    """What can be chosen in a scenario.
+    """Choices in a scenario.
 
     Raises:
         InputError: There is no such scenario, or it breaks its schema.

@@ -94,7 +94,7 @@ class RunEntry(Schema):
 
 
 class ArmDescription(Schema):
-    """What was recorded of one arm."""
+    """Recorded signals of one arm."""
 
     joints: tuple[str, ...] = Field(min_length=1, max_length=MAX_JOINT_NUMBERS, description="joints in order")
     command_includes_gravity: bool = Field(True, description="whether the command holds the arm's own weight")
@@ -104,7 +104,7 @@ class ArmDescription(Schema):
 
 
 class Description(Schema):
-    """What a folder of recordings is."""
+    """Description of a folder of recordings."""
 
     path: str = Field(description="the folder")
     scenario: str = Field(description="scenario with robots, objects and support")
@@ -117,10 +117,10 @@ class Description(Schema):
 
 
 def look(workspace: Workspace, folder: str, scenario_name: str) -> dict[str, Any]:
-    """What the first recording of a folder holds, and what of it may be the signals of a scenario's arms.
+    """Contents of the first recording of a folder, with candidates for the signals of a scenario's arms.
 
     Raises:
-        InputError: There is none, or it cannot be read; or there is no such scenario.
+        InputError: There is no recording, or it cannot be read; or there is no such scenario.
     """
     directory = workspace.existing(folder)
     lab = next((one for one in workspace.contents().laboratories if one.path == folder), None)
@@ -167,7 +167,7 @@ def look(workspace: Workspace, folder: str, scenario_name: str) -> dict[str, Any
 
 @dataclass(frozen=True)
 class _Guesses:
-    """What import finds in a recording.
+    """Findings of import in a recording.
 
     Attributes:
         signals: Sections of a mapping, by signal.
@@ -223,7 +223,7 @@ def _chosen(streams: list[SignalCandidate], named: Proposal, guesses: _Guesses) 
 
 
 def _own_table(folder: Path, scenario_name: str, scenario: Scenario) -> dict[str, Any] | None:
-    """Rows of the user's own table of runs in the folder; None: there is none."""
+    """Rows of the user's own table of runs in the folder; None: the folder has no table."""
     if not (folder / RUN_TABLE).is_file():
         return None
     try:
@@ -425,7 +425,7 @@ def _mapping(
 
 
 def _seen_from(folder: Path, mapping: Mapping) -> dict[str, Any]:
-    """What a mapping file in a folder says, which names the file of a robot as it is seen from there."""
+    """Content of a mapping file in a folder, with the file of a robot as it is seen from there."""
     content = mapping.model_dump(mode="json", exclude_defaults=True)
     robot = mapping.robot
     return content | {"robot": os.path.relpath(robot, folder) if robot.endswith((".yaml", ".yml")) else robot}
@@ -436,7 +436,7 @@ def _yaml(content: dict[str, Any]) -> str:
 
 
 def _for_all_objects(source: SignalSource, scenario: Scenario) -> SignalSource:
-    """A topic that has the name of an object in it stands for those of all objects."""
+    """A topic that has the name of an object in it stands for the topics of all objects."""
     if source.topic is None:
         return source
     parts = ["{object}" if part in scenario.objects else part for part in source.topic.split("/")]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far a whole job is, and how long it still takes, from its stages and those of an earlier job of the same command.
+"""How far a whole job is, and how long it still takes, from its stages and an earlier job of the same command.
 
 A command reports one stage at a time (:mod:`impact_rs_sim.progress`). Stages that are over say how fast this job is
 against the earlier one; the rest takes as much longer. What is shown falls from look to look: an estimate replaces it

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What comparisons and diagnoses have found, as the page draws it; figures are those of the reports."""
+"""Results of comparisons and diagnoses, as the page draws them, with the figures of the reports."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import functools
 import json
 import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from impact_rs_analysis.application.shown_runs import laboratory_run, page_of_trial
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument
@@ -36,13 +36,15 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.schema import validate
 from impact_rs_trials.blind import RUNS, TRUTH
-from impact_rs_trials.experiment_plan import read_plan
+from impact_rs_trials.experiment_plan import MAX_SHOWN_PAIRS, read_plan
 from impact_rs_trials.store import trials_below
 from impact_rs_workbench.forms import seen, values_of
 from impact_rs_workbench.workspace import Workspace, read_json
 
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
 MAX_SHOWN_RESIDUALS = 5  # residuals that a diagnosis leaves
-MAX_SHOWN_PAIRS = 8  # of explanations, the least certain first
 
 
 def comparison(folder: Path) -> dict[str, Any]:
@@ -65,8 +67,7 @@ def comparison(folder: Path) -> dict[str, Any]:
         "model": document.model.name,
         "yardstick": part.yardstick,
         "figures": [
-            {"title": plot.title, "caption": plot.caption, "figure": json.loads(str(plot.figure.to_json()))}
-            for plot in part.plots
+            {"title": plot.title, "caption": plot.caption, "figure": _drawn(plot.figure)} for plot in part.plots
         ],
         "cells": [
             {
@@ -103,13 +104,18 @@ def run(folder: Path, name: str) -> dict[str, Any]:
     return _shown(run_page(laboratory_run(folder, None, name)))
 
 
+def _drawn(figure: go.Figure) -> Any:
+    """A figure as plain data."""
+    return json.loads(str(figure.to_json()))
+
+
 def _shown(page: TrialPage) -> dict[str, Any]:
     """A page of a run as the workbench draws it."""
     return {
         "title": page.title,
         "facts": [*(f"{term}: {text}" for term, text in page.facts), *(f"Note: {note}" for note in page.notes)],
         "replay": page.replay.data,
-        "plots": [{"title": plot.title, "figure": json.loads(str(plot.figure.to_json()))} for plot in page.plots],
+        "plots": [{"title": plot.title, "figure": _drawn(plot.figure)} for plot in page.plots],
     }
 
 
@@ -149,7 +155,7 @@ def investigation(folder: Path) -> dict[str, Any]:
 
 
 def reveal(workspace: Workspace, path: str) -> dict[str, Any]:
-    """What a campaign hid, beside what a diagnosis of its runs found.
+    """Hidden effects of a campaign, beside the diagnosis of its runs.
 
     Args:
         workspace: The folder.
@@ -227,7 +233,7 @@ def estimates(workspace: Workspace) -> list[dict[str, Any]]:
 def nearest_signal(cell: Cell) -> str:
     """Name of the signal over time (:mod:`impact_rs_analysis.evidence.tracks`) that shows best what a cell is about.
 
-    Forces and balances are worked out from signals and are none themselves: a force shows in the velocity along its
+    Forces and balances are computed from signals: a force shows in the velocity along its
     axis, a balance in the torque of its joint.
     """
     arm, _, index = cell.index.rpartition(".")
@@ -251,7 +257,7 @@ def _form_values(workspace: Workspace, document: DiagnosisDocument) -> dict[str,
 
 
 def practice_of(workspace: Workspace, document: DiagnosisDocument) -> str | None:
-    """The practice campaign whose runs were diagnosed, as it is seen from the folder; None: there is none."""
+    """The practice campaign whose runs were diagnosed, as it is seen from the folder; None: unknown."""
     for name in workspace.contents().blinds:
         if _digest(workspace.existing(name) / RUNS) == document.runs.digest:
             return name
@@ -265,7 +271,7 @@ def _digest(folder: Path) -> str:
 
 @functools.lru_cache(maxsize=200)
 def _digest_of(folder: Path, bags: tuple[tuple[Path, int], ...]) -> str:
-    """What is read of a folder while its bags stay as they are."""
+    """Digest of a folder, read once while its bags stay as they are."""
     return runs_digest(folder)
 
 
@@ -297,7 +303,7 @@ def diagnosis(workspace: Workspace, name: str) -> dict[str, Any]:
         "report": DISCOVERY_PAGE if discovered else DIAGNOSIS_PAGE,
         "unit": document.error_unit,
         "yardstick": yardstick_of_rest(document),
-        "figure": None if figure is None else json.loads(str(figure.to_json())),
+        "figure": None if figure is None else _drawn(figure),
         "left": [
             {
                 "what": f"{rest.signal} {rest.index}".strip(),

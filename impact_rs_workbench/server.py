@@ -83,7 +83,7 @@ class Workbench:
         return {"root": str(self.workspace.root), **asdict(self.workspace.contents())}
 
     def scenario(self, name: str) -> dict[str, Any]:
-        """What can be chosen in a scenario."""
+        """Choices in a scenario."""
         return prediction.describe(name, self.workspace.scenario_path(name))
 
     def scene(self, name: str, object_name: str) -> dict[str, Any]:
@@ -93,7 +93,7 @@ class Workbench:
     def predict(self, question: Question) -> dict[str, Any]:
         """One prediction, with the command that gives it; ``superseded`` where a slider has moved meanwhile.
 
-        Other questions wait for their turn: those of two windows would stop each other for ever.
+        Other questions wait for their turn: questions of two windows would stop each other for ever.
         """
         scenario = load_scenario(self.workspace.scenario_path(question.scenario))
         settings, model = prediction.settings_of(scenario, question), self.model(question)
@@ -146,8 +146,8 @@ def application(workbench: Workbench, token: str, port: int) -> ASGIApp:
     """The web application.
 
     Args:
-        workbench: What it shows.
-        token: What its address holds.
+        workbench: The shown workbench.
+        token: Token in its address.
         port: Port that it is reached at.
     """
 

@@ -42,7 +42,7 @@ Read = TypeVar("Read")
 
 
 def once(read: Callable[[Path], Read]) -> Callable[[Path], Read]:
-    """What is read of a file, kept until the file changes: the folder is looked at every other second."""
+    """Cached reader of a file, until the file changes: the folder is read every other second."""
 
     @functools.lru_cache(maxsize=2000)
     def kept(path: Path, modified: int, size: int) -> Read:
@@ -69,7 +69,7 @@ class Campaign:
         scenario: Scenario; empty: the folder has trials and no manifest.
         present: Trials that are there.
         trials: Trials that it is to have.
-        error: What is wrong with its manifest; empty: nothing.
+        error: Error of its manifest; empty: valid.
         loose: Names of its trials where there is no manifest.
     """
 
@@ -89,7 +89,7 @@ class LabFolder:
         path: Their folder, seen from the workspace.
         experiment: The experiment file, seen from the workspace; empty: the recordings are not described yet.
         recordings: Names of recordings in it.
-        error: What is wrong with the experiment file; empty: nothing.
+        error: Error of the experiment file; empty: valid.
         scenario: Scenario of the experiment, by name or by path seen from the workspace; empty: it has none here.
     """
 
@@ -112,8 +112,8 @@ class ModelNode:
         effects: Names of its effects.
         note: Why it was made.
         scores: Errors of the model, and the repeatability, from the newest comparisons and histories.
-        score: The one of them that may be compared with those of the other models; None: there is none.
-        error: What is wrong with the file; empty: nothing.
+        score: Score that may be compared with the scores of the other models; None: unknown.
+        error: Error of the file; empty: valid.
     """
 
     path: str
@@ -238,7 +238,7 @@ class Workspace:
         return str(self.existing(name)) if name.endswith((".yaml", ".yml")) else name
 
     def contents(self) -> Contents:
-        """What is there now; files that are none of ours are left out."""
+        """Present contents; foreign files are left out."""
         campaigns, laboratories, models, diagnoses, reports, scenarios, formulas = [], [], [], [], [], [], []
         scores: list[dict[str, Any]] = []
         blinds, plans, robots, tables, packages, calibrations = [], [], [], [], [], []
@@ -461,7 +461,7 @@ def _with_common_folders(paths: list[str]) -> set[str]:
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
-    """A JSON document of ours; None: it is none."""
+    """A JSON document of ours; None: not one."""
     try:
         if path.stat().st_size > MAX_DOCUMENT_BYTES:
             return None
@@ -521,6 +521,6 @@ def _with_scores(models: list[ModelNode], scores: list[dict[str, Any]]) -> Itera
 
 
 def _is_of(score: dict[str, Any], model: ModelNode) -> bool:
-    """Whether an error is that of a model: by its digest, or by its name where an older history has none."""
+    """Whether an error belongs to a model: by its digest, or by its name where an older history has no digest."""
     digest = score["digest"]
     return bool(model.digest) and (score["name"] == model.name if digest is None else digest == model.digest)

@@ -201,7 +201,7 @@ def report_diagnosis(
 
 @dataclass(frozen=True)
 class Addition:
-    """Diagnosed effects in files: those of the physics in a new model, faults of the readings in a calibration.
+    """Diagnosed effects in files: effects of the physics in a new model, faults of the readings in a calibration.
 
     Attributes:
         model: The model that was diagnosed.

@@ -290,7 +290,7 @@ def read_table(options: MeasurementOptions) -> ImpactTable:
 
 
 def _source_of_runs(runs: Runs, discrepancy: Discrepancy | None, each_arm: bool) -> SourceOfModel:
-    """Replays of runs under a model; ``discrepancy`` None: that of the shipped simulators."""
+    """Replays of runs under a model; ``discrepancy`` None: of the shipped simulators."""
     return lambda model, cache: ReplaySource.of(runs, model, cache, discrepancy, each_arm)
 
 

@@ -10,7 +10,7 @@ from typing import Protocol
 
 from impact_rs_analysis.evidence.replays.replay_cache import Progress
 
-MAX_SHOWN_FILES = 5  # bags that were left out
+MAX_SHOWN_FILES = 5  # of a message about bags or runs
 
 Report = Callable[[int, int], None]  # items done, and all items
 

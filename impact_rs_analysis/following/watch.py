@@ -24,12 +24,12 @@ from impact_rs_analysis.following.posterior import WINDOW_INSTANTS, huber_weight
 from impact_rs_analysis.following.proposals import distinguishing
 from impact_rs_analysis.inference.student import log_density, squared_distance
 from impact_rs_sim.robots.robot import Array
+from impact_rs_trials.since import MIN_WALL_CLOCK_S
 
 RETRY_LOG_GROWTH = 1.0  # of the log statistic since a failed attempt, before the next one
 MIN_HYPOTHESIS_PROBABILITY = 1e-3  # less likely hypotheses are dropped
 MIN_KNOWN_CAUSE_PROBABILITY = 0.95  # from which the cause is reported as known
 UNPREDICTED_REASON = "the model predicts no impact, or no velocities that obey the contact laws"
-MIN_WALL_CLOCK_S = 1e9  # since 1970; an earlier timestamp has another origin
 
 
 @dataclass

@@ -76,7 +76,7 @@ class Hits:
 
     Args:
         scene: Arms, object, case.
-        thresholds: In the place of those of the robot facts.
+        thresholds: Used instead of the limits of the robot facts.
         stated: What is uncertain; None: as the scenario states.
         draws: Number of draws; 0: the nominal hit alone, without discrepancy.
         seed: Seed of the draws.
@@ -153,7 +153,7 @@ def quantities(scene: Scene, time: Array, arms: Mapping[str, ArmMotion]) -> Arra
     """Quantities of a hit from its signals, in the order of :class:`Bounds`, ``(k,)``.
 
     Args:
-        scene: What the robot believes: its observer has this model.
+        scene: Scene of the model that the observer of the robot has.
         time: Times of the samples from the touch on, evenly spaced, ``(m,)`` [s].
         arms: Signals by arm, ``(m, n)``.
     """

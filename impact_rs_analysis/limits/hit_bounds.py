@@ -41,12 +41,12 @@ KIND_WORDS = {
 
 @dataclass(frozen=True)
 class Thresholds:
-    """User thresholds that replace those of the robot facts.
+    """User thresholds that replace the limits of the robot facts.
 
     Attributes:
-        velocity_jump: Of every joint [rad/s]; None: that of the facts.
-        external_torque: Of every joint [N m]; None: those of the facts.
-        external_force: [N]; None: that of the facts.
+        velocity_jump: Of every joint [rad/s]; None: as in the facts.
+        external_torque: Of every joint [N m]; None: as in the facts.
+        external_force: [N]; None: as in the facts.
     """
 
     velocity_jump: float | None = None

@@ -54,7 +54,7 @@ class LimitTask:
         case_name: Case.
         x: How far the hit is moved along x [m].
         z: How far it is moved upwards [m].
-        thresholds: In the place of those of the robot facts.
+        thresholds: Used instead of the limits of the robot facts.
         draws: Draws of the uncertain parameters.
     """
 
@@ -74,8 +74,8 @@ class PlacedLimit:
     Attributes:
         x: How far the hit is moved along x [m].
         z: How far it is moved upwards [m].
-        limit: The limit; None: there is none.
-        reason: Why there is none; empty: there is one.
+        limit: The limit; None: not known.
+        reason: Why it is not known; empty: it is known.
     """
 
     x: float

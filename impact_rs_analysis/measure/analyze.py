@@ -101,6 +101,14 @@ class ArmSet:
         interval = self.fit.interval
         return None if interval is None else max(abs(bound - self.fit.estimate) for bound in interval)
 
+    def of_contact(self, contact: str) -> dict[str, Prediction]:
+        """Predictions by motor-inertia model for the ``first`` or the ``settled`` contact."""
+        return {"first": self.predictions, "settled": self.predictions_settled}[contact]
+
+    def nearest(self, contact: str) -> str:
+        """Motor-inertia model with the smallest mismatch."""
+        return _nearest(self.of_contact(contact))
+
     def to_json(self) -> dict[str, Any]:
         """One entry of ``arms``; speeds in m/s, errors in percent."""
         sign = -1.0 if self.fit.estimate < 0.0 else 1.0
@@ -132,7 +140,7 @@ class ExperimentSet:
         prediction_interval: 95 % interval of the nominal prediction (B_theta, first contact) from the uncertainties
             that the scenario states, signed along the axis, low then high [m/s]; None if unavailable.
         ante_velocity: Ante-impact velocity, signed along the axis [m/s]; NaN where it is not known.
-        published: Row of the paper with the same robot, object and velocity; None if there is none.
+        published: Row of the paper with the same robot, object and velocity; None if the paper has no such row.
         arms: Results by arm, if there are several.
     """
 
@@ -278,30 +286,12 @@ class Analysis:
         """Percentage mismatch of a model in every set [%]."""
         return [entry.of_contact(contact)[model].error for entry in self.sets]
 
-    @property
-    def average_error(self) -> dict[str, float | None]:
-        """Mean of the percentage mismatch by model, first contact: the bias [%]; None without sets."""
-        return self._average("first")
-
-    @property
-    def average_error_settled(self) -> dict[str, float | None]:
-        """The same for the settled contact [%]."""
-        return self._average("settled")
-
-    @property
-    def absolute_error(self) -> dict[str, float | None]:
-        """Mean of its absolute value by model, first contact: the quality [%]; None without sets."""
-        return self._absolute("first")
-
-    @property
-    def absolute_error_settled(self) -> dict[str, float | None]:
-        """The same for the settled contact [%]."""
-        return self._absolute("settled")
-
-    def _average(self, contact: str) -> dict[str, float | None]:
+    def average_error(self, contact: str) -> dict[str, float | None]:
+        """Mean of the percentage mismatch by model: the bias [%]; None without sets."""
         return {model: _mean(self.errors(model, contact)) for model in MOTOR_INERTIA_MODELS}
 
-    def _absolute(self, contact: str) -> dict[str, float | None]:
+    def absolute_error(self, contact: str) -> dict[str, float | None]:
+        """Mean of its absolute value by model: the quality [%]; None without sets."""
         return {model: _mean([abs(error) for error in self.errors(model, contact)]) for model in MOTOR_INERTIA_MODELS}
 
     def nearest(self, contact: str) -> dict[str, int]:
@@ -318,10 +308,10 @@ class Analysis:
                 for entry in self.sets
             ],
             "sensitivity": self.sensitivity.to_json(),
-            "average_error_percent": self.average_error,
-            "average_error_percent_settled": self.average_error_settled,
-            "absolute_error_percent": self.absolute_error,
-            "absolute_error_percent_settled": self.absolute_error_settled,
+            "average_error_percent": self.average_error("first"),
+            "average_error_percent_settled": self.average_error("settled"),
+            "absolute_error_percent": self.absolute_error("first"),
+            "absolute_error_percent_settled": self.absolute_error("settled"),
             "nearest_sets": self.nearest("first"),
             "nearest_sets_settled": self.nearest("settled"),
             "far": [vars(jump) | {"mismatch": jump.mismatch} for jump in far_jumps(self.jumps)],

@@ -146,7 +146,7 @@ def objects_left(trials: Mapping[tuple[str, str, str], Sequence[Sequence[Departu
     """Sets whose object left a pad.
 
     Args:
-        trials: What was found in every trial, by scenario, object and case.
+        trials: Departures in every trial, by scenario, object and case.
     """
     for (scenario, object_name, case), found in trials.items():
         for arm in dict.fromkeys(item.arm for items in found for item in items):

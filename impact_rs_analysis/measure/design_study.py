@@ -8,7 +8,7 @@ ante-impact speed along the pad's normal n, with the smallest joint velocity. It
     joint jump     max_i |dq_i^+ - dq_i^-| / dq_i,max           over the limit of the joint's velocity [-]
     sensitivity    (v^+(1.05 B) - v^+(0.95 B)) / (0.1 v^+)     of the object's velocity v^+ to motor inertia [-]
 
-Intervals are those of draws from the uncertainties of a scenario (:mod:`impact_rs_sim.impact_map.uncertainty`): the
+Intervals follow from draws from the uncertainties of a scenario (:mod:`impact_rs_sim.impact_map.uncertainty`): the
 value of the nominal design, and Student's t times the deviation of the draws' logarithms. A motor inertia that is
 assumed, as of a drive scaled from another arm, is drawn from none to three times the number. Every draw orders all
 designs once, with the same object and the same errors of setting up, for these are common to them; a rank has the range
@@ -29,6 +29,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import DEFAULT_ENGINE, ENGINES, Engine, ImpactMapError, ImpactProblem
 from impact_rs_sim.impact_map.derivatives import change
 from impact_rs_sim.impact_map.uncertainty import answer_of, draw, sources_of, touching_pads
+from impact_rs_sim.numbers import CONFIDENCE_LEVEL
 from impact_rs_sim.physics import JointFriction, Physics
 from impact_rs_sim.robots.robot import Array, EndEffector, load_facts
 from impact_rs_sim.robots.robot_model import RobotModel
@@ -40,7 +41,6 @@ from impact_rs_trials.workers import Map
 ROBOTS = ("franka_fer", "franka_fr3", "kinova_gen3", "kuka_iiwa7", "ur5e", "ur10e")
 MOTOR_INERTIAS = ("reduced", "rotor")
 MOTOR_INERTIA_STEP = 0.05  # of B, relative
-CONFIDENCE_LEVEL = 0.95  # of intervals and ranks
 ARM_NAME = "arm"
 MAX_TRIES_PER_POSE = 60  # random positions
 
@@ -72,7 +72,7 @@ class Measure:
     """A measure by which designs are ranked.
 
     Attributes:
-        label: What it is called.
+        label: Its name in words.
         unit: Its unit.
     """
 
@@ -173,7 +173,7 @@ class DesignStudy:
     """All designs.
 
     Attributes:
-        question: What was asked.
+        question: The common conditions.
         designs: With answers, in the order of robots and poses.
         failed: Reason by name of the design, where the map has no answer.
         places: Random places that were tried, by robot.
@@ -207,7 +207,7 @@ def study_designs(
     """Evaluate every robot in every pose.
 
     Args:
-        question: What is asked.
+        question: The common conditions.
         robots: Names of robots, or paths of their facts.
         poses: Random poses per robot.
         map_tasks: Parallel map.
@@ -360,7 +360,7 @@ def uncertainties_of(question: DesignQuestion, robot: str, motor_inertia: str) -
     """Uncertainties of a scenario; of an assumed motor inertia, none to three times the number.
 
     Args:
-        question: What is asked.
+        question: The common conditions.
         robot: Name of the robot, or path of its facts.
         motor_inertia: ``reduced`` or ``rotor``.
     """

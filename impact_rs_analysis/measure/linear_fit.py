@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from impact_rs_sim.numbers import CONFIDENCE_LEVEL
 from impact_rs_sim.robots.robot import Array
 
 
@@ -58,7 +59,7 @@ class LineFit:
         return self.intercept + self.slope * velocity
 
 
-def fit_zero_crossing(velocity: Array, net: Array, confidence: float = 0.95) -> LineFit:
+def fit_zero_crossing(velocity: Array, net: Array, confidence: float = CONFIDENCE_LEVEL) -> LineFit:
     """Fit the line and find its zero crossing with a Fieller interval.
 
     Args:

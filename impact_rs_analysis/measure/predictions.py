@@ -9,7 +9,7 @@ import logging
 import numpy as np
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map import DEFAULT_ENGINE, ImpactMapError, ImpactProblem, predict_impact
+from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem, predict_impact
 from impact_rs_sim.impact_map.uncertainty import predict as uncertain
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.scenarios.scenario import Scenario
@@ -54,16 +54,14 @@ def prediction_interval(scenario_json: str, object_name: str, case_name: str) ->
     return predicted.interval_of({f"{arm}.velocity.{scenario.axis}": 1.0 / len(scene.arms) for arm in scene.arms})
 
 
-def predict(
-    scenario: Scenario, object_name: str, case_name: str, contact: str = "first", engine: str = DEFAULT_ENGINE
-) -> dict[str, float]:
+def predict(scenario: Scenario, object_name: str, case_name: str, contact: str = "first") -> dict[str, float]:
     """As :func:`predict_arms`, mean over the arms, by motor-inertia model [m/s]."""
-    by_arm = predict_arms(scenario, object_name, case_name, contact, engine)
+    by_arm = predict_arms(scenario, object_name, case_name, contact)
     return {model: float(np.mean(list(velocities.values()))) for model, velocities in by_arm.items()}
 
 
 def predict_arms(
-    scenario: Scenario, object_name: str, case_name: str, contact: str = "first", engine: str = DEFAULT_ENGINE
+    scenario: Scenario, object_name: str, case_name: str, contact: str = "first"
 ) -> dict[str, dict[str, float]]:
     """Post-impact end-effector velocity along the measured axis by motor-inertia model and arm [m/s].
 
@@ -73,7 +71,6 @@ def predict_arms(
         case_name: Name of the case.
         contact: ``first``: just after the first simultaneous impact; ``settled``: when the contact that lasts has
             closed.
-        engine: Engine of the first contact.
 
     Raises:
         InputError: The scenario has no such object or case, or its pose cannot be reached.
@@ -82,6 +79,6 @@ def predict_arms(
     scene = Scene.resolve(scenario, object_name, case_name)
     velocities = {}
     for model in MOTOR_INERTIA_MODELS:
-        result = predict_impact(ImpactProblem.at_nominal_impact(scene, model), contact, engine)
+        result = predict_impact(ImpactProblem.at_nominal_impact(scene, model), contact)
         velocities[model] = {arm: float(twist[scenario.axis_index]) for arm, twist in result.end_effector_twist.items()}
     return velocities

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paper's result tables, and which row a set of trials (one scenario, object and case) repeats.
 
-A set is compared with the published numbers only if robot, object and ante-impact velocity are those of the row: a
+A set is compared with the published numbers only if robot, object and ante-impact velocity equal the row's: a
 scenario with another arm or a heavier box may still be called ``push``.
 """
 
@@ -36,7 +36,7 @@ class PaperTables(RootModel[dict[str, dict[str, dict[str, PaperRow]]]]):
 
 
 def paper_row(scenario: str, object_name: str, case: str) -> PaperRow | None:
-    """The paper's row of these names; None if there is none."""
+    """The paper's row of these names; None if the paper has no such row."""
     path = config_directory() / "paper" / "tables.yaml"
     if not path.is_file():
         return None

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Systematic uncertainty of an estimate: its change with settings on which it should not depend.
 
-With x0 the zero crossing of some trials of a campaign, and x0(k) that of the same trials with setting k put to another
-value (:mod:`impact_rs_trials.varied_settings`, same seeds; the window is varied in the trials as they are),
+With x0 the zero crossing of some trials of a campaign, and x0(k) the same with setting k at another value
+(:mod:`impact_rs_trials.varied_settings`, same seeds; the window is varied in the trials as they are),
 
     s_k = (x0(k) - x0) / x0,    band = [-sqrt(sum over k of min(s_k, 0)^2), +sqrt(sum over k of max(s_k, 0)^2)]
 

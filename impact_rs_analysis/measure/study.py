@@ -46,11 +46,13 @@ def analyze_study(
         InputError: A campaign has no readable trial.
     """
     parts = {name: analyze_campaign(directory / name, progress, map_tasks) for name in SCENARIOS}
+    joined = {
+        field: tuple(entry for part in parts.values() for entry in getattr(part, field))
+        for field in ("sets", "incomplete", "skipped", "left", "arms")
+    }
     return Analysis(
+        **joined,
         directory=directory,
-        sets=tuple(entry for part in parts.values() for entry in part.sets),
-        incomplete=tuple(entry for part in parts.values() for entry in part.incomplete),
-        skipped=tuple(entry for part in parts.values() for entry in part.skipped),
         missing=tuple(f"{name}/{trial}" for name, part in parts.items() for trial in part.missing),
         no_impact=tuple(f"{name}/{trial}" for name, part in parts.items() for trial in part.no_impact),
         apart=tuple((f"{name}/{trial}", spread) for name, part in parts.items() for trial, spread in part.apart),

@@ -22,7 +22,7 @@ class Row:
     Attributes:
         label: Object and case, or the averaged sets.
         estimate: Experimental estimate [m/s]; None in the rows of averages.
-        half_interval: Larger half of the 95 % interval [m/s]; None where there is none.
+        half_interval: Larger half of the 95 % interval [m/s]; None without an interval.
         systematic: Systematic band about the estimate, low then high [%]; None where no setting was varied.
         errors: Mismatch by motor-inertia model, first contact [%].
         settled: The same, settled contact [%].

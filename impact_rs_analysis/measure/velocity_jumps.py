@@ -29,8 +29,8 @@ from impact_rs_analysis.measure.far import Jump, far_jumps
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactMapError, predict_impact
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
-from impact_rs_sim.proportion import GRAVITY_M_S2
 from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import GRAVITY_M_S2
 
 MIN_SLIDING_SPEED_M_S = 1e-3  # below, the friction of the support has no direction
 

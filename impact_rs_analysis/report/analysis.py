@@ -45,23 +45,6 @@ class TableRow:
 
 
 @dataclass(frozen=True)
-class ArmRow:
-    """One arm of one set.
-
-    Attributes:
-        label: Object and case.
-        arm: Its own estimate and predictions.
-        best: Motor-inertia model with the smallest error, first contact.
-        best_settled: The same, settled contact.
-    """
-
-    label: str
-    arm: ArmSet
-    best: str
-    best_settled: str
-
-
-@dataclass(frozen=True)
 class SensitivityRow:
     """How far the estimates of one object move with the settings.
 
@@ -129,7 +112,7 @@ class AnalysisPage:
     trials: int
     rows: tuple[TableRow, ...]
     arms: tuple[ArmDocument, ...]
-    by_arm: dict[str, tuple[ArmRow, ...]]
+    by_arm: dict[str, list[tuple[str, ArmSet]]]
     with_paper: bool
     contacts: tuple[str, ...]
     none_fit: bool
@@ -142,7 +125,7 @@ class AnalysisPage:
 
     @property
     def assumptions(self) -> list[str]:
-        """What of the arms is assumed, as one sentence; empty: nothing."""
+        """Assumptions about the arms, as one sentence; empty: without any."""
         return assumptions(self.arms)
 
     @property
@@ -157,7 +140,7 @@ def write_analysis_report(
     progress: Callable[[int, int], None] | None = None,
     contact: str = "first",
 ) -> list[Path]:
-    """Write ``report.html``, ``analysis.json`` and a PNG per figure, all or none; those of an earlier one are replaced.
+    """Write ``report.html``, ``analysis.json`` and a PNG per figure, all or none; an earlier report is replaced.
 
     Args:
         analysis: The analysis.
@@ -253,20 +236,14 @@ def _animation(entry: ExperimentSet) -> Track | None:
         return None
 
 
-def arm_rows(analysis: Analysis) -> dict[str, tuple[ArmRow, ...]]:
-    """Tables of results by title of the arm; empty if every set has one arm."""
+def arm_rows(analysis: Analysis) -> dict[str, list[tuple[str, ArmSet]]]:
+    """Sets with their labels, by title of the arm; empty if every set has one arm."""
     titles = {arm.name: arm.title for arm in analysis.arms}
-    found: dict[str, list[ArmRow]] = {}
+    found: dict[str, list[tuple[str, ArmSet]]] = {}
     for entry in analysis.sets:
         for arm in entry.arms:
-            first, settled = (
-                {model: prediction.error for model, prediction in predictions.items()}
-                for predictions in (arm.predictions, arm.predictions_settled)
-            )
-            found.setdefault(titles.get(arm.name, arm.name), []).append(
-                ArmRow(entry.label, arm, _best(first), _best(settled))
-            )
-    return {title: tuple(rows) for title, rows in found.items()}
+            found.setdefault(titles.get(arm.name, arm.name), []).append((entry.label, arm))
+    return found
 
 
 def sensitivity_rows(analysis: Analysis) -> Iterator[SensitivityRow]:
@@ -281,10 +258,6 @@ def sensitivity_rows(analysis: Analysis) -> Iterator[SensitivityRow]:
         band = found.band(scenario, name)
         assert band is not None
         yield SensitivityRow(f"{scenario}: {name}", shifts, band)
-
-
-def _best(errors: dict[str, float]) -> str:
-    return min(errors, key=lambda model: abs(errors[model]))
 
 
 def _left_out(analysis: Analysis) -> list[Listing]:

@@ -26,7 +26,7 @@ class ReplayPart:
     """Runs of a page in 3D.
 
     Attributes:
-        data: What the page's script reads (:func:`animation_data`).
+        data: Data of the page's script (:func:`animation_data`).
         choose: Whether to show a selection of the run; else the page has its own, in the same order.
     """
 

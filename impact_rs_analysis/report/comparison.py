@@ -63,7 +63,7 @@ class LevelPart:
 
     Attributes:
         title: Its heading.
-        what: What is compared.
+        what: Compared quantities.
         times_noise: Size of the difference in multiples of repeatability [-].
         jumps: Rows of predicted and measured jumps.
         signals: Rows of signals over time.

@@ -10,11 +10,12 @@ from pathlib import Path
 
 import plotly.graph_objects as go
 
-from impact_rs_analysis.measure.design_study import CONFIDENCE_LEVEL, MEASURES, Design, DesignStudy
+from impact_rs_analysis.measure.design_study import MEASURES, Design, DesignStudy
 from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, PURPLE, RED, SKY
 from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.page_names import DESIGN_STUDY_PAGE, DESIGNS_TABLE
 from impact_rs_analysis.report.plots import TEMPLATE
+from impact_rs_sim.numbers import CONFIDENCE_LEVEL
 
 COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
 MAX_TABLE_DESIGNS = 15  # designs of a table
@@ -27,7 +28,7 @@ class DesignPage:
 
     Attributes:
         title: Heading.
-        summary: What was asked, in a sentence.
+        summary: Conditions of the study in a sentence.
         plots: The figures.
         tables: By measure: its label with unit, and rows of design, value, interval and ranks.
         failed: Designs without an answer, with the reason.

@@ -78,7 +78,7 @@ def write_investigation(settings: Settings, rounds: Sequence[Round], directory: 
     """Write ``investigation.html``.
 
     Args:
-        settings: What was asked.
+        settings: Settings of the investigation.
         rounds: All rounds that have begun.
         directory: Folder of the report.
 

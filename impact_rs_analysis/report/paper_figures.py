@@ -24,7 +24,7 @@ class PaperPage:
 
     Attributes:
         title: Heading.
-        answer: What the page says, in a sentence.
+        answer: Result in a sentence.
         scale: Motor-inertia scale of the fit to all rows [-].
         plot: Mismatch over the scale.
         rows: Published rows with their mismatch at the scale [%].

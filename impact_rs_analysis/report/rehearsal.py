@@ -26,12 +26,12 @@ class RehearsalPage:
 
     Attributes:
         title: Heading.
-        verdict: What the rehearsal says.
+        verdict: Result of the rehearsal.
         passed: Whether it was passed.
         driver: The driver whose stand-in it was, and where its numbers come from.
         bounds: The checklist.
-        unknown: What was not checked, and why.
-        log: What the cell would log, and what happened.
+        unknown: Unchecked properties, and why.
+        log: Log of the cell, and events.
         plots: Figures.
     """
 

@@ -33,7 +33,7 @@ class SpeedLimitPage:
 
     Attributes:
         title: Heading.
-        answer: What the page says, in a sentence.
+        answer: Result in a sentence.
         limits: Rows of the table.
         kinds: Kinds of bounds that are known, with their names.
         unknown: Names of the others.

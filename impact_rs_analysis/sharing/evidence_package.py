@@ -26,7 +26,6 @@ from impact_rs_sim.schema import Schema, read_json, validate
 from impact_rs_sim.version import git_revision, package_version
 
 LIBRARIES = ("numpy", "scipy", "pin")
-READ_BLOCK_BYTES = 1 << 20  # bytes that are read at a time
 
 
 class FileDigest(Schema):
@@ -75,7 +74,7 @@ class EvidencePackage(Schema):
 
     @property
     def intact(self) -> bool:
-        """Whether the seal is that of the content."""
+        """Whether the seal matches the content."""
         return self.seal == self._digest()
 
     def _digest(self) -> str:
@@ -88,9 +87,9 @@ class PackageCheck:
     """Result of one check of a package.
 
     Attributes:
-        what: What was checked.
+        what: The checked property.
         passed: Whether it holds.
-        found: What was found, in words.
+        found: Result in words.
     """
 
     what: str
@@ -111,7 +110,7 @@ def make_package(
     """A sealed package.
 
     Args:
-        diagnosis: What was found.
+        diagnosis: The diagnosis.
         model: The model that was diagnosed.
         data: Folder or file of the measurements.
         laboratory: Who measured.
@@ -168,11 +167,9 @@ def digests_of(data: Path, progress: Callable[[int, int], None] = lambda *_: Non
         raise InputError("no measurements here; expected the file or folder that was diagnosed", file=data)
     found = []
     for number, path in enumerate(files, start=1):
-        digest = hashlib.sha256()
         try:
             with path.open("rb") as file:
-                while block := file.read(READ_BLOCK_BYTES):
-                    digest.update(block)
+                digest = hashlib.file_digest(file, "sha256")
             size = path.stat().st_size
         except OSError as error:
             raise InputError(f"cannot be read: {error.strerror or error}", file=path) from None

@@ -259,7 +259,7 @@ def _dispersion(
 
 
 def _residual(own: Sequence[_Study], kept: Sequence[int], index: int, dispersion: float = 1.0) -> float:
-    """Studentised residual of a study from those of other laboratories; nan where they are fewer than two."""
+    """Studentised residual of a study from the studies of other laboratories; nan with fewer than two."""
     study = own[index]
     others = [other for other in kept if own[other].package.laboratory != study.package.laboratory]
     return residual(study.value, study.error, *_numbers(own, others), dispersion)

@@ -10,7 +10,7 @@
     q     = sum w*_i (y_i - mu)^2 / (k - 1)                              Hartung 1999
     half  = max(t sqrt(q / W*), z / sqrt(W*)), Student's t of k - 1      Knapp and Hartung 2003
 
-The second half width is that of DerSimonian and Laird: a few studies agree by chance better than their errors allow,
+The second half width is due to DerSimonian and Laird: a few studies agree by chance better than their errors allow,
 and q alone then gives an interval that is too short. The wider one of both is asked for by Wiksten, Ruecker and
 Schwarzer (Statistics in Medicine 35:2503, 2016); with a floor of 1 for q instead, five studies or fewer cover 96 to
 100 %.
@@ -32,9 +32,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from impact_rs_sim.numbers import CONFIDENCE_LEVEL
 from impact_rs_sim.robots.robot import Array
 
-CONFIDENCE_LEVEL = 0.95  # of pooled intervals
 MAX_HETEROGENEITY_P = 0.05  # up to this p of Q, a residual uses tau of the others
 
 

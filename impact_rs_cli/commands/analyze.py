@@ -10,13 +10,13 @@ from rich.table import Table
 from rich.text import Text
 
 from impact_rs_analysis.application.measurements import read_laboratory
-from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
+from impact_rs_analysis.measure.analyze import Analysis, ArmSet, analyze_campaign
 from impact_rs_analysis.measure.arms import assumptions
 from impact_rs_analysis.measure.far import far_words
 from impact_rs_analysis.measure.table import Row, result_table, shown_contacts
 from impact_rs_analysis.measure.velocity_jumps import jumps_of
 from impact_rs_analysis.report import write_report
-from impact_rs_analysis.report.analysis import ArmRow, arm_rows, sensitivity_rows
+from impact_rs_analysis.report.analysis import arm_rows, sensitivity_rows
 from impact_rs_cli.arguments import started
 from impact_rs_cli.reading import experiment_file
 from impact_rs_cli.terminal import Terminal, output_folder
@@ -147,7 +147,7 @@ def _show(analysis: Analysis, terminal: Terminal) -> None:
         terminal.say(f"{len(analysis.missing)} trials of the manifest are missing: {shown}")
 
 
-def _arms_table(by_arm: dict[str, tuple[ArmRow, ...]]) -> Table:
+def _arms_table(by_arm: dict[str, list[tuple[str, ArmSet]]]) -> Table:
     """Estimates and errors of the predictions, arm by arm."""
     table = Table(title="Arm by arm, first contact [%]")
     table.add_column("", no_wrap=True)
@@ -156,9 +156,9 @@ def _arms_table(by_arm: dict[str, tuple[ArmRow, ...]]) -> Table:
     for title, rows in by_arm.items():
         table.add_section()
         table.add_row(Text(title, "bold"))
-        for row in rows:
-            errors = [f"{row.arm.predictions[model].error:+.2f}" for model in MOTOR_INERTIA_MODELS]
-            table.add_row(row.label, " ± ".join(speed_text(row.arm.speed, row.arm.half_interval)), *errors)
+        for label, arm in rows:
+            errors = [f"{arm.predictions[model].error:+.2f}" for model in MOTOR_INERTIA_MODELS]
+            table.add_row(label, " ± ".join(speed_text(arm.speed, arm.half_interval)), *errors)
     return table
 
 

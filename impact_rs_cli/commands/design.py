@@ -21,9 +21,8 @@ from impact_rs_sim.model import load_model
 from impact_rs_sim.schema import load
 from impact_rs_sim.seeds import seed_of
 from impact_rs_trials.envelope import CellEnvelope
-from impact_rs_trials.experiment_plan import ExperimentPlan, write_plan
+from impact_rs_trials.experiment_plan import MAX_SHOWN_PAIRS, ExperimentPlan, write_plan
 
-MAX_SHOWN_PAIRS = 8
 FOLLOWING_SEEDS = 2**31  # range of seeds of plans that follow others
 
 

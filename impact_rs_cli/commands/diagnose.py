@@ -132,7 +132,7 @@ def diagnosis_of(
     """Diagnose, write the result, and show it.
 
     Args:
-        measurements: What was measured.
+        measurements: The measurements.
         model: The model as its file says it.
         extended: The same with further formulas.
         only: Names of the effects to consider; None: all.

@@ -9,7 +9,8 @@ from dataclasses import asdict
 
 import numpy as np
 
-from impact_rs_cli.arguments import MAX_SHOWN_FILES, started
+from impact_rs_analysis.application.observer import MAX_SHOWN_FILES
+from impact_rs_cli.arguments import started
 from impact_rs_cli.parser import command_line
 from impact_rs_cli.reading import experiment_file
 from impact_rs_cli.terminal import Terminal

@@ -16,10 +16,10 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactProblem, predict_impact
 from impact_rs_sim.impact_map.derivatives import Derivatives, differentiate
 from impact_rs_sim.impact_map.problem import ImpactResult
-from impact_rs_sim.impact_map.uncertainty import LEVEL, UncertainPrediction, predict
+from impact_rs_sim.impact_map.uncertainty import UncertainPrediction, predict
 from impact_rs_sim.impact_map.uniqueness import CHOICE, Uniqueness, uniqueness_of
 from impact_rs_sim.model import Model, load_model
-from impact_rs_sim.numbers import estimate_text
+from impact_rs_sim.numbers import CONFIDENCE_LEVEL, estimate_text
 from impact_rs_sim.physics import assumed_words
 from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
 from impact_rs_sim.scene import Scene
@@ -186,7 +186,7 @@ def _uniqueness(several: Uniqueness) -> dict[str, Any]:
 def _uncertainty(prediction: UncertainPrediction) -> dict[str, Any]:
     """Intervals and budgets as JSON."""
     return {
-        "level": LEVEL,
+        "level": CONFIDENCE_LEVEL,
         "method": prediction.method,
         "switched": prediction.switched,
         "switches": dict(prediction.switches),
@@ -216,7 +216,7 @@ def _say_uncertainty(prediction: UncertainPrediction, terminal: Terminal) -> Non
         if prediction.method == "linear"
         else f"{prediction.draws} draws, contacts switch in {prediction.switched:.0%}"
     )
-    terminal.say(f"  {LEVEL:.0%} intervals from the stated uncertainties ({how}):")
+    terminal.say(f"  {CONFIDENCE_LEVEL:.0%} intervals from the stated uncertainties ({how}):")
     for what, share in [one for one in prediction.switches.items() if one[1] >= MIN_SWITCH_SHARE][:MAX_SHOWN_SWITCHES]:
         terminal.say(f"    in {share:.0%} of the draws {what}")
     for index, name in enumerate(prediction.names):

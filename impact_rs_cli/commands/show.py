@@ -24,7 +24,7 @@ from impact_rs_trials.workers import Map
 
 MAX_SEARCHED_FOLDERS = 1000  # for a trial to suggest
 LIVE_ALONE = ("namespace", "port")  # options that only --live has
-LABORATORY_ALONE = ("run_name", "model", "jobs", "scheduler")  # and those of --experiment
+LABORATORY_ALONE = ("run_name", "model", "jobs", "scheduler")  # and options of --experiment
 OF_PAGES = ("path", "output", "experiment", *LABORATORY_ALONE)  # and options that mean nothing with --live
 
 

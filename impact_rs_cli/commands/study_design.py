@@ -8,7 +8,6 @@ import argparse
 from rich.table import Table
 
 from impact_rs_analysis.measure.design_study import (
-    CONFIDENCE_LEVEL,
     MEASURES,
     DesignQuestion,
     DesignStudy,
@@ -18,6 +17,7 @@ from impact_rs_analysis.report.design_page import write_design_study
 from impact_rs_analysis.report.page_names import DESIGNS_TABLE
 from impact_rs_cli.arguments import started
 from impact_rs_cli.terminal import Terminal, output_folder
+from impact_rs_sim.numbers import CONFIDENCE_LEVEL
 from impact_rs_sim.scenarios.scenario import load_scenario
 
 MAX_SHOWN_DESIGNS = 8  # all are in the file

@@ -2,7 +2,7 @@
 """A scene and its model as files of other simulators: a format is one module that writes one file.
 
 A module has ``SUPPORTED_QUANTITIES``, the quantities that its format can hold, and ``write(scene)``, which returns the
-file and notes on how its numbers follow from those of the scene. The notes and the list of quantities left out are
+file and notes on how its numbers follow from the scene. The notes and the list of quantities left out are
 comments at the head of the file.
 """
 
@@ -24,7 +24,7 @@ class ExportedFile:
 
     Attributes:
         text: The file, comments included.
-        remarks: Notes: how its numbers follow from those of the scene.
+        remarks: Notes on how its numbers follow from the scene.
         left_out: Physics of the scene that the format cannot represent.
     """
 

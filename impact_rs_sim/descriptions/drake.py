@@ -47,7 +47,7 @@ RIGID_RATE_PER_S = 1e6  # sqrt(K / m) of a compliant contact that stands for a r
 
 
 def write(scene: ExportedScene) -> tuple[str, list[str]]:
-    """The file, and notes on how its numbers follow from those of the scene.
+    """The file, and notes on how its numbers follow from the scene.
 
     Models are the arms by name, ``object`` and ``support``; the links and joints of an arm are ``base``, ``link1`` ...,
     ``end_effector``, and ``joint1`` ....

@@ -2,7 +2,7 @@
 """Scene at its impact with the effects of a model, as exported to other simulators.
 
 The exported arm has rigid joints and the motor inertia B that the user chose: ``(M + B) ddq + h = tau + J^T f`` (paper
-eq. EOM_motor_mod without elasticity). Joint friction is that of the same equation; where the torque loop is off
+eq. EOM_motor_mod without elasticity). Joint friction follows the same equation; where the torque loop is off
 (B_rho), the motors feel ``B_rho B_theta^-1 tau_fric``. The contact is either ``rigid``, with the restitution of the
 impact map, or ``compliant``, with the stiffness and damping of the pad, from which its restitution follows.
 

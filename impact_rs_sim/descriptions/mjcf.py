@@ -2,14 +2,14 @@
 """A scene as a MuJoCo model (MJCF).
 
 * B is ``armature``, Coulomb friction ``frictionloss``, viscous friction ``damping``. Offset and gain of the commanded
-  torque are those of the actuators.
+  torque belong to the actuators.
 * A contact of MuJoCo accelerates as ``a = -b v - k r`` where it alone acts (MuJoCo documentation, "Computation",
   solver parameters). Of a rigid pad ``solref`` is a time constant T = 2 / b and a damping ratio, from which the
   restitution follows (:mod:`impact_rs_sim.damping_of_restitution`).
 * Of a compliant pad and of the support ``solref`` is negative, and has N/m and N s/m. A contact of MuJoCo adds a mass
   m to what it touches (its regularisation is R = 1 / m), and an impedance ``d = w m / (1 + w m)``, with the inverse
   weight w of both bodies, means this mass. A stiffness K and a damping C are then ``-(1 - d) w K`` and
-  ``-(1 - d) w C``, those of the face shared by its corners. The added masses are small against those that meet.
+  ``-(1 - d) w C`` with K and C of the face shared by its corners. The added masses are small against the others.
 * MuJoCo's friction cones are convex: a point that slides at v is pushed away from its partner at a share of ``mu v``.
   Under a sliding object a slow friction (``solreffriction``) on a small mass keeps it down. At rigid pads it stays.
 """
@@ -45,7 +45,7 @@ NORMAL_OVER_FRICTION_REGULARISATION = 1e4  # MuJoCo's impratio [-]
 
 
 def write(scene: ExportedScene) -> tuple[str, list[str]]:
-    """The model, and notes on how its numbers follow from those of the scene.
+    """The model, and notes on how its numbers follow from the scene.
 
     Bodies, joints and actuators are ``ARM_link1`` ..., ``ARM_joint1`` ...; the body ``object`` is free or fixed; the
     keyframe ``impact`` is the state just before the impact.

@@ -21,7 +21,7 @@ SUPPORTED_QUANTITIES = frozenset(
 
 
 def write(scene: ExportedScene) -> tuple[str, list[str]]:
-    """The file, and notes on how its numbers follow from those of the scene."""
+    """The file, and notes on how its numbers follow from the scene."""
     physics, object_ = scene.physics, scene.physics.object
     height = scene.standing_height
     arms = {name: (arm.facts, arm.end_effector, arm.base) for name, arm in physics.arms.items()}

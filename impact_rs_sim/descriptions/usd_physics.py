@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Physics of a scene as a layer of USD (text, .usda) over the same robot, imported from our URDF.
 
-Masses are those of ``PhysicsMassAPI``, friction and restitution of ``PhysicsMaterialAPI`` (UsdPhysics); B is
+Masses are in ``PhysicsMassAPI``, friction and restitution of ``PhysicsMaterialAPI`` (UsdPhysics); B is
 ``physxJoint:armature`` and the compliance of a pad ``physxMaterial:compliantContactStiffness`` (PhysX schema). Prims
 are named as links and joints of the URDF: ``/MODEL/ARM_link1``, ``/MODEL/joints/ARM_joint1``, ``/MODEL/object``.
 """
@@ -29,7 +29,7 @@ OBJECT_FRICTION = 1e3  # larger than any pair's coefficient: a pair takes the sm
 
 
 def write(scene: ExportedScene) -> tuple[str, list[str]]:
-    """The layer, and notes on how its numbers follow from those of the scene."""
+    """The layer, and notes on how its numbers follow from the scene."""
     physics, object_ = scene.physics, scene.physics.object
     name = "_".join(physics.arms)
     lines = [
@@ -91,7 +91,7 @@ def write(scene: ExportedScene) -> tuple[str, list[str]]:
 
 
 def _mass(name: str, mass: float, com: Array, inertia: Array, material: str = "") -> list[str]:
-    """A body; principal axes are those of its inertia."""
+    """A body; principal axes follow from its inertia."""
     moments, axes = np.linalg.eigh(inertia)
     if np.linalg.det(axes) < 0.0:
         axes[:, 0] = -axes[:, 0]

@@ -3,23 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-from impact_rs_sim.effects.base import ArmEffect, Parameter, Values, number
-from impact_rs_sim.physics import ArmPhysics
-
-
-def _offset(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    return replace(arm, torque_offset=arm.torque_offset + values["offset"])
-
-
-def _gain(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    return replace(arm, torque_gain=arm.torque_gain * values["gain"])
-
-
-def _delay(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    return replace(arm, actuation_delay=arm.actuation_delay + number(values, "delay"))
-
+from impact_rs_sim.effects.base import ArmEffect, Parameter
+from impact_rs_sim.effects.quantity_laws import Added, Multiplied
 
 TORQUE_OFFSET = ArmEffect(
     name="torque_offset",
@@ -28,7 +13,7 @@ TORQUE_OFFSET = ArmEffect(
         "Each joint delivers a constant torque that was not commanded, for example from a torque sensor with an offset."
     ),
     parameters=(Parameter("offset", "N m", 0.0, -5.0, 5.0, 0.1, "added torque", per_joint=True),),
-    law=_offset,
+    law=Added("torque_offset", ("offset",), per_joint=True),
 )
 
 TORQUE_GAIN = ArmEffect(
@@ -39,7 +24,7 @@ TORQUE_GAIN = ArmEffect(
         "torque sensor may as well read so."
     ),
     parameters=(Parameter("gain", "-", 1.0, 0.7, 1.3, 0.01, "delivered over desired torque", per_joint=True),),
-    law=_gain,
+    law=Multiplied("torque_gain", "gain", per_joint=True),
     lasting=True,
 )
 
@@ -48,5 +33,5 @@ ACTUATION_DELAY = ArmEffect(
     acts_on="actuation",
     sentence="Torque commands reach the joints some milliseconds late.",
     parameters=(Parameter("delay", "s", 0.0, 0.0, 0.02, 0.001, "delay of the desired torque"),),
-    law=_delay,
+    law=Added("actuation_delay", ("delay",)),
 )

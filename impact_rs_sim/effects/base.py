@@ -18,13 +18,13 @@ import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from impact_rs_sim.effects.changed_bodies import check_bodies, differ
 from impact_rs_sim.errors import InputError, NotABody
-from impact_rs_sim.physics import ArmPhysics, Physics
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import Array, JointType
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ class Parameter:
         lower: Smallest meaningful value; a fit that ends there widens the range, where it is not 0.
         upper: Largest meaningful value, likewise.
         scale: A noticeable change; unit of the weak prior.
-        meaning: What it is, for tables.
+        meaning: Meaning in words, for tables.
         per_joint: Whether there is one per joint.
         except_joint: Joint that has none, counted from 0, or from the end as -1; None: all have one.
         step: Step of the first finite difference; None: its scale.
@@ -182,7 +182,7 @@ class Effect(ABC):
         name: Name in model files and on the command line.
         acts_on: Where it acts: motor side, actuation, joint torque, link inertia, contact, object, scene, sensing.
         sentence: One sentence for the user.
-        parameters: What can be fitted.
+        parameters: Fitted quantities.
         phases: Where it is observable: ``free`` motion, ``contact``, or both; ``impact``: in tables of impacts alone.
         calibrates: Whether it describes the bare arm, which recordings of free motion calibrate: a search in trials and
             tables leaves it out unless it is named. A model that contains it predicts with it everywhere.
@@ -333,18 +333,18 @@ class Effect(ABC):
 
 
 @dataclass(frozen=True)
-class ArmEffect(Effect):
-    """An effect that changes every arm by itself; attributes as in :class:`Effect`.
+class LawEffect(Effect):
+    """An effect that consists of its parameters and a law; attributes as in :class:`Effect`.
 
     Attributes:
-        law: The arm with the effect, from the arm without it and the values as in :meth:`Effect.apply`.
+        law: The arm or the physics with the effect, from the same without it and values as in :meth:`Effect.apply`.
     """
 
     name: str
     acts_on: str
     sentence: str
     parameters: tuple[Parameter, ...]
-    law: Callable[[ArmPhysics, Values], ArmPhysics]
+    law: Callable[[Any, Values], Any]
     phases: tuple[str, ...] = ("free", "contact")
     calibrates: bool = False
     lasting: bool = False
@@ -353,42 +353,30 @@ class ArmEffect(Effect):
     reading: str = ""
     calibration: str = ""
 
+    @property
+    def identity(self) -> str:
+        """See :attr:`Effect.identity`; the law is included with the module it stands in."""
+        law = getattr(self.law, "__qualname__", repr(self.law))
+        return digest(super().identity, law, _source(self.law.__module__))
+
+
+@dataclass(frozen=True)
+class ArmEffect(LawEffect):
+    """An effect that changes every arm by itself: its law takes and returns an arm."""
+
     def apply(self, physics: Physics, values: Values) -> Physics:
         """See :meth:`Effect.apply`."""
         return replace(physics, arms={name: self.law(arm, values) for name, arm in physics.arms.items()})
 
-    @property
-    def identity(self) -> str:
-        """See :attr:`Effect.identity`; the law counts with the module it stands in."""
-        return digest(super().identity, self.law.__qualname__, _source(self.law.__module__))
-
 
 @dataclass(frozen=True)
-class SceneEffect(Effect):
-    """An effect on the surroundings of the arms; attributes as in :class:`Effect`.
-
-    Attributes:
-        law: The physics with the effect, from the physics without it and the values as in :meth:`Effect.apply`.
-    """
-
-    name: str
-    acts_on: str
-    sentence: str
-    parameters: tuple[Parameter, ...]
-    law: Callable[[Physics, Values], Physics]
-    phases: tuple[str, ...] = ("free", "contact")
-    lasting: bool = False
-    reading: str = ""
-    calibration: str = ""
+class SceneEffect(LawEffect):
+    """An effect on the surroundings of the arms: its law takes and returns the physics."""
 
     def apply(self, physics: Physics, values: Values) -> Physics:
         """See :meth:`Effect.apply`."""
-        return self.law(physics, values)
-
-    @property
-    def identity(self) -> str:
-        """See :attr:`Effect.identity`; the law counts with the module it stands in."""
-        return digest(super().identity, self.law.__qualname__, _source(self.law.__module__))
+        changed: Physics = self.law(physics, values)
+        return changed
 
 
 def number(values: Values, name: str) -> float:

@@ -3,7 +3,7 @@
 
 Effects change masses and moments by parameters of their own (mass of a payload, density of a link), and several of them
 may change one body, so no parametrisation of the inertia (log-Cholesky: Rucker and Wensing 2022, IEEE RA-L 7(2)) covers
-all of them, nor those of users. Instead an effect that leaves the set of physically consistent bodies is refused, and
+all of them, nor effects of users. Instead an effect that leaves the set of physically consistent bodies is refused, and
 fits stop at the boundary of that set.
 """
 
@@ -28,7 +28,7 @@ class InertialBody(NamedTuple):
     """Inertial parameters of one body.
 
     Attributes:
-        name: What it is, for messages.
+        name: Name for messages.
         mass: Mass [kg].
         inertia: About the centre of mass, ``(3, 3)`` [kg m^2].
     """

@@ -7,6 +7,7 @@ restitution results from stiffness and damping of the pad.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,8 +22,8 @@ from impact_rs_sim.effects.base import (
     Values,
     number,
     types_of,
-    vector3,
 )
+from impact_rs_sim.effects.quantity_laws import Added, Multiplied
 from impact_rs_sim.physics import ArmPhysics, ContactCondition, ContactLaw, ObjectPhysics, Physics
 from impact_rs_sim.robots.robot import Array
 
@@ -99,40 +100,6 @@ def _with_restitution_added(arm: ArmPhysics, more: float, object_: ObjectPhysics
         return arm
     restitution = arm.pad_restitution(object_) + more
     return replace(arm, pad_damping=arm.pad_damping_of(restitution, object_))
-
-
-def _pad_compliance(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    if arm.pad_stiffness is None:
-        return arm
-    return replace(arm, pad_stiffness=arm.pad_stiffness * number(values, "scale"))
-
-
-def _pad_shear(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    return replace(arm, pad_shear_compliance=arm.pad_shear_compliance + number(values, "compliance"))
-
-
-def _pad_creep(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    return replace(arm, pad_creep=arm.pad_creep + number(values, "creep"))
-
-
-def _pad_tilt(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    before = arm.end_effector
-    tilt = (before.pad_tilt[0] + number(values, "roll"), before.pad_tilt[1] + number(values, "pitch"))
-    return replace(arm, end_effector=replace(before, pad_tilt=tilt))
-
-
-def _pad_position(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    before = arm.end_effector
-    x, y, z = np.array(before.pad_offset) + vector3(values, ("x", "y", "z"))
-    return replace(arm, end_effector=replace(before, pad_offset=(float(x), float(y), float(z))))
-
-
-def _support_compliance(physics: Physics, values: Values) -> Physics:
-    return replace(physics, support_compliance=physics.support_compliance + number(values, "compliance"))
-
-
-def _rolling_resistance(physics: Physics, values: Values) -> Physics:
-    return replace(physics, rolling_arm=physics.rolling_arm + number(values, "arm"))
 
 
 @dataclass(frozen=True)
@@ -253,41 +220,22 @@ class DrillingFriction(ContactLaw):
         )
 
 
-def _with_law(physics: Physics, law: ContactLaw) -> Physics:
-    return replace(physics, contact_laws=(*physics.contact_laws, law))
+@dataclass(frozen=True)
+class WithContactLaw:
+    """Law of an effect that adds a contact law; where the first parameter is 0, there is nothing to add.
 
+    Attributes:
+        kind: The contact law.
+        parameters: Names of the parameters, in the order of its attributes.
+    """
 
-def _restitution_fall(physics: Physics, values: Values) -> Physics:
-    fall = number(values, "fall")
-    return _with_law(physics, RestitutionFall(fall)) if fall else physics
+    kind: Callable[..., ContactLaw]
+    parameters: tuple[str, ...]
 
-
-def _contact_dissipation(physics: Physics, values: Values) -> Physics:
-    dissipation = number(values, "dissipation")
-    return _with_law(physics, ContactDissipation(dissipation)) if dissipation else physics
-
-
-def _restitution_threshold(physics: Physics, values: Values) -> Physics:
-    speed, order = number(values, "speed"), number(values, "order")
-    return _with_law(physics, RestitutionThreshold(speed, order)) if speed else physics
-
-
-def _tangential_restitution(physics: Physics, values: Values) -> Physics:
-    restitution, fall = number(values, "restitution"), number(values, "fall")
-    return _with_law(physics, TangentialRestitution(restitution, fall)) if restitution else physics
-
-
-def _drilling_friction(physics: Physics, values: Values) -> Physics:
-    arm, restitution = number(values, "arm"), number(values, "restitution")
-    return _with_law(physics, DrillingFriction(arm, restitution)) if arm else physics
-
-
-def _former_pad_friction(physics: Physics, values: Values) -> Physics:
-    return replace(physics, pad_friction=physics.pad_friction * number(values, "scale"))
-
-
-def _former_support_friction(physics: Physics, values: Values) -> Physics:
-    return replace(physics, support_friction=physics.support_friction * number(values, "scale"))
+    def __call__(self, physics: Physics, values: Values) -> Physics:
+        """The physics with the contact law."""
+        numbers = [number(values, name) for name in self.parameters]
+        return replace(physics, contact_laws=(*physics.contact_laws, self.kind(*numbers))) if numbers[0] else physics
 
 
 RESTITUTION = RestitutionEffect(
@@ -304,7 +252,7 @@ PAD_COMPLIANCE = ArmEffect(
     acts_on="contact",
     sentence="The silicone cover of the pad is softer or stiffer than assumed.",
     parameters=(Parameter("scale", "-", 1.0, 0.1, 10.0, 0.2, "pad stiffness over its assumed value"),),
-    law=_pad_compliance,
+    law=Multiplied("pad_stiffness", "scale"),
     phases=("contact",),
 )
 
@@ -340,10 +288,10 @@ FORMER = {
         effect.acts_on,
         effect.sentence,
         (Parameter("scale", "-", 1.0, 0.0, 4.0, 0.2, "friction coefficient over its assumed value"),),
-        law,
+        Multiplied(effect.name, "scale"),
         ("contact",),
     )
-    for effect, law in ((PAD_FRICTION, _former_pad_friction), (SUPPORT_FRICTION, _former_support_friction))
+    for effect in (PAD_FRICTION, SUPPORT_FRICTION)
 }
 
 # Two effects and not one of two parameters: shear comes back when the load ends and creep does not, so that each can be
@@ -353,7 +301,7 @@ PAD_SHEAR = ArmEffect(
     acts_on="contact",
     sentence="The silicone cover of the pad yields sideways under friction, and springs back.",
     parameters=(Parameter("compliance", "m/N", 0.0, 0.0, 3e-4, 1.5e-5, "shear of the pad over the friction force"),),
-    law=_pad_shear,
+    law=Added("pad_shear_compliance", ("compliance",)),
     phases=("contact",),
 )
 
@@ -362,7 +310,7 @@ PAD_CREEP = ArmEffect(
     acts_on="contact",
     sentence="What sticks to the pad creeps along it under load, and does not come back.",
     parameters=(Parameter("creep", "m/(s N)", 0.0, 0.0, 0.02, 1e-3, "speed of creep over the friction force"),),
-    law=_pad_creep,
+    law=Added("pad_creep", ("creep",)),
     phases=("contact",),
 )
 
@@ -374,7 +322,7 @@ PAD_TILT = ArmEffect(
         Parameter("roll", "rad", 0.0, -0.1, 0.1, 0.002, "tilt of the pad about x of frame E"),
         Parameter("pitch", "rad", 0.0, -0.1, 0.1, 0.002, "tilt of the pad about y of frame E"),
     ),
-    law=_pad_tilt,
+    law=Added("end_effector.pad_tilt", ("roll", "pitch")),
     phases=("contact",),
 )
 
@@ -387,7 +335,7 @@ PAD_POSITION = ArmEffect(
         Parameter("y", "m", 0.0, -0.05, 0.05, 0.002, "pad along y of frame E"),
         Parameter("z", "m", 0.0, -0.05, 0.05, 0.002, "pad along z of frame E: longer tool"),
     ),
-    law=_pad_position,
+    law=Added("end_effector.pad_offset", ("x", "y", "z")),
     phases=("contact",),
     lasting=True,
 )
@@ -397,7 +345,7 @@ SUPPORT_COMPLIANCE = SceneEffect(
     acts_on="contact",
     sentence="What the object stands on gives way when something presses it down or lifts it.",
     parameters=(Parameter("compliance", "m/N", 0.0, 0.0, 1e-4, 5e-7, "yield of the support over the load on it"),),
-    law=_support_compliance,
+    law=Added("support_compliance", ("compliance",)),
     phases=("contact",),
 )
 
@@ -406,7 +354,7 @@ ROLLING_RESISTANCE = SceneEffect(
     acts_on="contact",
     sentence="Edges of the object dig in: a moment resists its tipping and rolling on pad and support.",
     parameters=(Parameter("arm", "m", 0.0, 0.0, 0.03, 2e-3, "resisting moment over the normal force"),),
-    law=_rolling_resistance,
+    law=Added("rolling_arm", ("arm",)),
     phases=("contact",),
 )
 
@@ -416,7 +364,7 @@ RESTITUTION_FALL = SceneEffect(
     sentence="The faster the object comes, the less it bounces.",
     # No body is known to bounce more when it comes faster: a rise would stand for a restitution that is not assumed.
     parameters=(Parameter("fall", "s/m", 0.0, 0.0, 0.5, 0.01, "fall of restitution with the closing speed"),),
-    law=_restitution_fall,
+    law=WithContactLaw(RestitutionFall, ("fall",)),
     phases=SINGLE_IMPACT,
 )
 
@@ -427,7 +375,7 @@ CONTACT_DISSIPATION = SceneEffect(
     parameters=(
         Parameter("dissipation", "s/m", 0.0, 0.0, 5.0, 0.02, "dissipation of Hunt and Crossley's contact", step=0.1),
     ),
-    law=_contact_dissipation,
+    law=WithContactLaw(ContactDissipation, ("dissipation",)),
     phases=SINGLE_IMPACT,
 )
 
@@ -451,7 +399,7 @@ RESTITUTION_THRESHOLD = SceneEffect(
             hidden=(2.0, 8.0),
         ),
     ),
-    law=_restitution_threshold,
+    law=WithContactLaw(RestitutionThreshold, ("speed", "order")),
     phases=SINGLE_IMPACT,
 )
 
@@ -465,7 +413,7 @@ TANGENTIAL_RESTITUTION = ReturningEffect(
             "fall", "s/m", 0.0, -0.5, 0.5, 0.01, "fall of that share with the slip", shape=True, hidden=(0.0, 0.05)
         ),
     ),
-    law=_tangential_restitution,
+    law=WithContactLaw(TangentialRestitution, ("restitution", "fall")),
     phases=SINGLE_IMPACT,
 )
 
@@ -479,6 +427,6 @@ DRILLING_FRICTION = ReturningEffect(
             "restitution", "-", 0.0, 0.0, 1.0, 0.1, "share of the spin that is returned", shape=True, hidden=(0.0, 0.5)
         ),
     ),
-    law=_drilling_friction,
+    law=WithContactLaw(DrillingFriction, ("arm", "restitution")),
     phases=SINGLE_IMPACT,
 )

@@ -127,7 +127,7 @@ Terms = Levels | Slope | Knots
 class Depending(Effect):
     """An effect whose parameters depend on a covariate.
 
-    Its scalars are those of the effect term by term, without the shapes, which come last.
+    Its scalars are the scalars of the effect term by term, without the shapes, which come last.
 
     Args:
         effect: The effect under one circumstance.
@@ -188,7 +188,7 @@ class Depending(Effect):
         return np.concatenate([*own, values[shapes]])
 
     def steps(self, joints: Joints, at: Array) -> Array:
-        """See :meth:`Effect.steps`: those of the effect."""
+        """See :meth:`Effect.steps`: as the effect."""
         shapes, count = self._shapes(joints), len(self.terms.labels)
         terms, shape = np.split(np.asarray(at), [count * np.count_nonzero(~shapes)])
         steps = []

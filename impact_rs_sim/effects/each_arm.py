@@ -24,7 +24,7 @@ class EachArm(Effect):
 
     Args:
         effect: What it does to one arm.
-        joints: Joints by arm; the parameters of one arm come after those of the other, in this order.
+        joints: Joints by arm; parameters come arm by arm, in this order.
     """
 
     def __init__(self, effect: ArmEffect, joints: Mapping[str, Joints]) -> None:
@@ -59,7 +59,7 @@ class EachArm(Effect):
         return [(parameter.name, parameter.scalars(self.joints[parameter.arm])) for parameter in self.parameters]
 
     def bounds(self, physics: Physics) -> tuple[Array, Array]:
-        """See :meth:`Effect.bounds`; an arm that is not in the scene sets none beyond those of its parameters.
+        """See :meth:`Effect.bounds`; an arm that is not in the scene has the bounds of its parameters.
 
         Raises:
             InputError: As :meth:`apply`.

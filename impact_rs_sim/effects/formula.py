@@ -38,7 +38,7 @@ Where formulas act:
   before.
 
 Symbols: :data:`SYMBOLS`; ``q1`` ... ``dq1`` ... ``tau1`` ... of the joints [rad, rad/s, N m]; ``pi``; and the named
-parameters. Formulas of object and support have those of time, object and support, and ``normal_force`` and
+parameters. Formulas of object and support have the symbols of time, object and support, and ``normal_force`` and
 ``since_contact`` of all pads together. Functions: see :data:`FUNCTIONS`; and ``lag(u, T)`` or ``lag(u, T, start)``, the
 memory of :mod:`impact_rs_sim.memory`, with a time constant T [s] that may depend on the state. The text is parsed into
 a syntax tree of which only arithmetic is accepted; nothing is ever evaluated as Python. Whether an arm has the joints
@@ -113,7 +113,7 @@ SCENE_SYMBOLS = frozenset(SYMBOLS) - {
     *AXES,
     *(f"v{axis}" for axis in AXES),
     "speed",
-}  # of object and contact, without those of the arm
+}  # of object and contact, without the arm
 OBJECT_SYMBOLS = frozenset(
     name for name in SYMBOLS if name in ("t", "normal_force", "since_contact") or name.startswith(("object", "support"))
 )
@@ -468,7 +468,7 @@ class FormulaContact(ContactLaw):
 
 
 def _evaluated(effect: str, table: dict[int, Formula], size: int, symbols: Symbols, memory: Memory | None) -> Array:
-    """Values of formulas by number, 0 where there is none, ``(..., size)`` with an axis of samples in front if any.
+    """Values of formulas by number, 0 without a formula, ``(..., size)`` with an axis of samples in front if any.
 
     Raises:
         InputError: One of them is not finite.

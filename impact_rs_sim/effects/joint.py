@@ -7,12 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from impact_rs_sim.effects.base import ArmEffect, Parameter, Values, number
+from impact_rs_sim.effects.base import ArmEffect, Parameter, Values
+from impact_rs_sim.effects.quantity_laws import Multiplied
 from impact_rs_sim.physics import ArmPhysics
-
-
-def _stiffness(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    return replace(arm, stiffness=arm.stiffness * number(values, "scale"))
 
 
 def _elasticity(arm: ArmPhysics, values: Values) -> ArmPhysics:
@@ -29,7 +26,7 @@ JOINT_STIFFNESS = ArmEffect(
     acts_on="joint torque",
     sentence="The transmission between motor and link is softer or stiffer than assumed.",
     parameters=(Parameter("scale", "-", 1.0, 0.2, 3.0, 0.1, "K over its assumed value"),),
-    law=_stiffness,
+    law=Multiplied("stiffness", "scale"),
 )
 
 JOINT_ELASTICITY = ArmEffect(

@@ -12,7 +12,7 @@ of last link and end effector. r is the same about all axes: one number for the 
 slow motions hardly excite.
 
 A link whose moment about its joint axis z changes is stretched across z, by D = diag(s, s, 1) with s^2 = I'_zz / I_zz:
-its second moments of mass become D (tr(I)/2 1 - I) D, those of a body for any I'_zz > 0.
+its second moments of mass become D (tr(I)/2 1 - I) D, moments of a body for any I'_zz > 0.
 
 Torque is linear in the inertial parameters of the links, and depends on combinations of them only. Of link i behind a
 joint that turns about its z, the mass, m z and the moment about y can be moved into link i-1 (Gautier and Khalil 1990,
@@ -36,7 +36,7 @@ from impact_rs_sim.robots.bodies import ellipsoid_contains, inertia_of, second_m
 from impact_rs_sim.robots.robot import Array, Link
 from impact_rs_sim.robots.robot_model import mounted_inertia
 
-MAX_REMOVABLE_MOMENT_SHARE = 0.99  # share of a link's moment of inertia about its axis, which may be that of a rod [-]
+MAX_REMOVABLE_MOMENT_SHARE = 0.99  # share of a link's moment of inertia about its axis; the rest may be a rod [-]
 MIN_MASS_KG = 1e-6  # for a nearly cancelled mass the centre of mass goes to infinity
 
 
@@ -120,7 +120,7 @@ END_EFFECTOR_PAYLOAD = PayloadEffect(
             "radius of gyration of the added mass about its centre",
             step=0.05,  # its square acts, so that smaller steps from 0 show nothing
             shape=True,
-            prior=0.05,  # of a gripper; that of the Franka hand is 0.034 to 0.058 m
+            prior=0.05,  # of a gripper; the Franka hand has 0.034 to 0.058 m
         ),
     ),
     law=_payload,

@@ -32,17 +32,8 @@ from dataclasses import replace
 import numpy as np
 
 from impact_rs_sim.effects.base import SINGLE_IMPACT, ArmEffect, Parameter, Values, number
+from impact_rs_sim.effects.quantity_laws import Added, Multiplied
 from impact_rs_sim.physics import ArmPhysics, ShaftFriction
-
-
-def _coulomb(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    friction = arm.friction
-    return replace(arm, friction=replace(friction, coulomb=friction.coulomb + values["coulomb"]))
-
-
-def _viscous(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    friction = arm.friction
-    return replace(arm, friction=replace(friction, viscous=friction.viscous + values["viscous"]))
 
 
 def _stribeck(arm: ArmPhysics, values: Values) -> ArmPhysics:
@@ -54,20 +45,6 @@ def _stribeck(arm: ArmPhysics, values: Values) -> ArmPhysics:
         stribeck_velocity=np.full(arm.stiffness.size, number(values, "stribeck_velocity")),
     )
     return replace(arm, friction=friction)
-
-
-def _asymmetric(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    if not np.any(values["difference"]):
-        return arm
-    before = 0.0 if arm.friction.asymmetry is None else arm.friction.asymmetry
-    return replace(arm, friction=replace(arm.friction, asymmetry=before + values["difference"]))
-
-
-def _load_dependent(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    if not np.any(values["coefficient"]):
-        return arm
-    before = 0.0 if arm.friction.load is None else arm.friction.load
-    return replace(arm, friction=replace(arm.friction, load=before + values["coefficient"]))
 
 
 def _with_shafts(arm: ArmPhysics, values: Values, ratio: float) -> ArmPhysics:
@@ -85,14 +62,6 @@ def _of_differences(arm: ArmPhysics, values: Values) -> ArmPhysics:
     return _with_shafts(arm, values, -1.0)
 
 
-def _motor_inertia(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    return replace(arm, motor_inertia_reduced=arm.motor_inertia_reduced * number(values, "scale"))
-
-
-def _added_motor_inertia(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    return replace(arm, motor_inertia_reduced=arm.motor_inertia_reduced + values["inertia"])
-
-
 def _stiff_control(arm: ArmPhysics, values: Values) -> ArmPhysics:
     turns = np.array([kind == "revolute" for kind in arm.facts.joint_types])
     return replace(arm, motor_inertia_reduced=arm.motor_inertia_reduced + number(values, "inertia") * turns)
@@ -103,7 +72,7 @@ COULOMB_FRICTION = ArmEffect(
     acts_on="motor side",
     sentence="Each joint resists motion with a constant torque that flips sign with the direction of motion.",
     parameters=(Parameter("coulomb", "N m", 0.0, 0.0, 5.0, 0.1, "Coulomb friction torque", per_joint=True),),
-    law=_coulomb,
+    law=Added("friction.coulomb", ("coulomb",), per_joint=True),
 )
 
 VISCOUS_FRICTION = ArmEffect(
@@ -111,7 +80,7 @@ VISCOUS_FRICTION = ArmEffect(
     acts_on="motor side",
     sentence="Each joint resists motion with a torque that grows with its speed.",
     parameters=(Parameter("viscous", "N m s/rad", 0.0, 0.0, 5.0, 0.1, "viscous friction", per_joint=True),),
-    law=_viscous,
+    law=Added("friction.viscous", ("viscous",), per_joint=True),
 )
 
 STRIBECK_FRICTION = ArmEffect(
@@ -146,7 +115,7 @@ LOAD_DEPENDENT_FRICTION = ArmEffect(
     parameters=(
         Parameter("coefficient", "-", 0.0, 0.0, 0.5, 0.01, "friction torque over transmitted torque", per_joint=True),
     ),
-    law=_load_dependent,
+    law=Added("friction.load", ("coefficient",), per_joint=True),
     lasting=True,
     shown_by_load=True,
     drawn=False,
@@ -172,7 +141,7 @@ ASYMMETRIC_FRICTION = ArmEffect(
             per_joint=True,
         ),
     ),
-    law=_asymmetric,
+    law=Added("friction.asymmetry", ("difference",), per_joint=True),
     calibration="read the torque with the brakes on and the drives idle: an offset remains, friction does not",
     drawn=False,
 )
@@ -234,7 +203,7 @@ MOTOR_INERTIA_SCALE = ArmEffect(
     acts_on="motor side",
     sentence="The motor inertia that the torque loop leaves is a multiple of the assumed one.",
     parameters=(Parameter("scale", "-", 1.0, 0.1, 3.0, 0.1, "B_theta over its assumed value"),),
-    law=_motor_inertia,
+    law=Multiplied("motor_inertia_reduced", "scale"),
 )
 
 ADDED_MOTOR_INERTIA = ArmEffect(
@@ -244,7 +213,7 @@ ADDED_MOTOR_INERTIA = ArmEffect(
     parameters=(
         Parameter("inertia", "kg m^2", 0.0, 0.0, 5.0, 0.05, "added motor inertia, seen at the joint", per_joint=True),
     ),
-    law=_added_motor_inertia,
+    law=Added("motor_inertia_reduced", ("inertia",), per_joint=True),
     calibrates=True,
 )
 

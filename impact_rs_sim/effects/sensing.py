@@ -7,55 +7,19 @@ single impact: :mod:`impact_rs_sim.twist_readings`.
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from impact_rs_sim.effects.base import (
-    SINGLE_IMPACT,
-    ArmEffect,
-    Parameter,
-    SceneEffect,
-    Values,
-    number,
-)
+from impact_rs_sim.effects.base import SINGLE_IMPACT, ArmEffect, Parameter, SceneEffect, Values
+from impact_rs_sim.effects.quantity_laws import Added, Multiplied
 from impact_rs_sim.physics import ArmPhysics, Physics
-from impact_rs_sim.readings import ArmReadings, TrackerReadings
-from impact_rs_sim.twist_readings import Three, TwistReadings
 
 SENSING = "sensing"
 AXES = ("x", "y", "z")
 CONTACT_PHASES = ("contact",)
 # Ranges of encoders are firm: a zero 6 degrees off and a gear ratio 10 % off are seen by eye; zeros of industrial arms
 # are known to some mrad.
-
-
-def _arm_law(change: Callable[[ArmReadings, Values], ArmReadings]) -> Callable[[ArmPhysics, Values], ArmPhysics]:
-    """Law of an arm from the change of its sensor models."""
-
-    @functools.wraps(change)
-    def law(arm: ArmPhysics, values: Values) -> ArmPhysics:
-        readings = change(arm.readings, values)
-        return arm if readings.same_as(arm.readings) else replace(arm, readings=readings)
-
-    return law
-
-
-def _tracker_law(change: Callable[[TrackerReadings, Values], TrackerReadings]) -> Callable[[Physics, Values], Physics]:
-    """Law of a scene from the change of the model of its object tracker."""
-
-    @functools.wraps(change)
-    def law(physics: Physics, values: Values) -> Physics:
-        return replace(physics, tracker=change(physics.tracker, values))
-
-    return law
-
-
-@_arm_law
-def _encoder_offset(r: ArmReadings, v: Values) -> ArmReadings:
-    return replace(r, position_offset=r.position_offset + v["offset"])
 
 
 ENCODER_OFFSET = ArmEffect(
@@ -65,16 +29,11 @@ ENCODER_OFFSET = ArmEffect(
     parameters=(
         Parameter("offset", "rad", 0.0, -0.1, 0.1, 0.002, "reading minus position of the link", True, firm=True),
     ),
-    law=_encoder_offset,
+    law=Added("readings.position_offset", ("offset",), per_joint=True),
     lasting=True,
     reading="{joint} reads {size} {more}",
     calibration="hold still in six poses far apart",
 )
-
-
-@_arm_law
-def _encoder_scale(r: ArmReadings, v: Values) -> ArmReadings:
-    return replace(r, position_scale=r.position_scale * v["scale"])
 
 
 ENCODER_SCALE = ArmEffect(
@@ -82,16 +41,11 @@ ENCODER_SCALE = ArmEffect(
     acts_on=SENSING,
     sentence="A joint's encoder reads angles and velocities by a factor too large, as with a wrong gear ratio.",
     parameters=(Parameter("scale", "-", 1.0, 0.9, 1.1, 0.002, "reading over position of the link", True, firm=True),),
-    law=_encoder_scale,
+    law=Multiplied("readings.position_scale", "scale", per_joint=True),
     lasting=True,
     reading="{joint} reads angles {size} {more}",
     calibration="move every joint between two marks of known angle",
 )
-
-
-@_arm_law
-def _motor_encoder_offset(r: ArmReadings, v: Values) -> ArmReadings:
-    return replace(r, motor_offset=r.motor_offset + v["offset"])
 
 
 MOTOR_ENCODER_OFFSET = ArmEffect(
@@ -101,16 +55,11 @@ MOTOR_ENCODER_OFFSET = ArmEffect(
     parameters=(
         Parameter("offset", "rad", 0.0, -0.1, 0.1, 0.002, "reading minus position of the motor", True, firm=True),
     ),
-    law=_motor_encoder_offset,
+    law=Added("readings.motor_offset", ("offset",), per_joint=True),
     lasting=True,
     reading="the motor of {joint} reads {size} {more}",
     calibration="hold still without a load, and compare motors with links",
 )
-
-
-@_arm_law
-def _torque_sensor_gain(r: ArmReadings, v: Values) -> ArmReadings:
-    return replace(r, torque_gain=r.torque_gain * v["gain"])
 
 
 TORQUE_SENSOR_GAIN = ArmEffect(
@@ -118,16 +67,11 @@ TORQUE_SENSOR_GAIN = ArmEffect(
     acts_on=SENSING,
     sentence="A joint's torque sensor reads some percent too much or too little.",
     parameters=(Parameter("gain", "-", 1.0, 0.7, 1.3, 0.01, "reading over torque of the joint", per_joint=True),),
-    law=_torque_sensor_gain,
+    law=Multiplied("readings.torque_gain", "gain", per_joint=True),
     lasting=True,
     reading="the torque of {joint} reads {size} {more}",
     calibration="hold a known weight still in several poses, and compare commanded with measured torques",
 )
-
-
-@_arm_law
-def _torque_sensor_offset(r: ArmReadings, v: Values) -> ArmReadings:
-    return replace(r, torque_offset=r.torque_offset + v["offset"])
 
 
 TORQUE_SENSOR_OFFSET = ArmEffect(
@@ -135,16 +79,11 @@ TORQUE_SENSOR_OFFSET = ArmEffect(
     acts_on=SENSING,
     sentence="A joint's torque sensor reads a torque where there is none.",
     parameters=(Parameter("offset", "N m", 0.0, -5.0, 5.0, 0.1, "reading without torque", per_joint=True),),
-    law=_torque_sensor_offset,
+    law=Added("readings.torque_offset", ("offset",), per_joint=True),
     lasting=True,
     reading="the torque of {joint} reads {size} {more}",
     calibration="hold still in six poses, each reached from both sides",
 )
-
-
-@_arm_law
-def _torque_sensor_drift(r: ArmReadings, v: Values) -> ArmReadings:
-    return replace(r, torque_drift=r.torque_drift + v["rate"])
 
 
 TORQUE_SENSOR_DRIFT = ArmEffect(
@@ -152,20 +91,22 @@ TORQUE_SENSOR_DRIFT = ArmEffect(
     acts_on=SENSING,
     sentence="The zero of a joint's torque sensor drifts over the campaign, as it does while an arm warms up.",
     parameters=(Parameter("rate", "N m/s", 0.0, -5e-3, 5e-3, 1e-4, "growth since the first run", per_joint=True),),
-    law=_torque_sensor_drift,
+    law=Added("readings.torque_drift", ("rate",), per_joint=True),
     lasting=True,
     reading="the torque of {joint} drifts by {size}",
     calibration="hold one pose still at the beginning, in the middle and at the end of the campaign",
 )
 
 
-@_arm_law
-def _torque_sensor_crosstalk(r: ArmReadings, v: Values) -> ArmReadings:
-    return replace(
-        r,
-        torque_from_previous=r.torque_from_previous + np.append(0.0, v["from_previous"]),
-        torque_from_next=r.torque_from_next + np.append(v["from_next"], 0.0),
+def _torque_sensor_crosstalk(arm: ArmPhysics, v: Values) -> ArmPhysics:
+    if not (np.any(v["from_previous"]) or np.any(v["from_next"])):
+        return arm
+    readings = replace(
+        arm.readings,
+        torque_from_previous=arm.readings.torque_from_previous + np.append(0.0, v["from_previous"]),
+        torque_from_next=arm.readings.torque_from_next + np.append(v["from_next"], 0.0),
     )
+    return replace(arm, readings=readings)
 
 
 TORQUE_SENSOR_CROSSTALK = ArmEffect(
@@ -183,26 +124,16 @@ TORQUE_SENSOR_CROSSTALK = ArmEffect(
 )
 
 
-@_arm_law
-def _torque_sensor_lag(r: ArmReadings, v: Values) -> ArmReadings:
-    return replace(r, torque_lag=r.torque_lag + number(v, "lag"))
-
-
 TORQUE_SENSOR_LAG = ArmEffect(
     name="torque_sensor_lag",
     acts_on=SENSING,
     sentence="Torques passed a low-pass filter before they were recorded.",
     parameters=(Parameter("lag", "s", 0.0, 0.0, 0.2, 0.002, "time constant of the filter of first order"),),
-    law=_torque_sensor_lag,
+    law=Added("readings.torque_lag", ("lag",)),
     lasting=True,
     reading="torques pass a filter of {size}",
     calibration="move every joint there and back in free motion, fast",
 )
-
-
-@_arm_law
-def _torque_delay(r: ArmReadings, v: Values) -> ArmReadings:
-    return replace(r, torque_delay=r.torque_delay + number(v, "delay"))
 
 
 TORQUE_DELAY = ArmEffect(
@@ -213,7 +144,7 @@ TORQUE_DELAY = ArmEffect(
         "of the mapping takes it back."
     ),
     parameters=(Parameter("delay", "s", 0.0, -0.1, 0.1, 0.002, "delay of the torque after the positions"),),
-    law=_torque_delay,
+    law=Added("readings.torque_delay", ("delay",)),
     phases=("free",),
     calibrates=True,
     reading="torques are recorded {size} {late}",
@@ -221,26 +152,16 @@ TORQUE_DELAY = ArmEffect(
 )
 
 
-@_arm_law
-def _command_clock_offset(r: ArmReadings, v: Values) -> ArmReadings:
-    return replace(r, command_delay=r.command_delay + number(v, "offset"))
-
-
 COMMAND_CLOCK_OFFSET = ArmEffect(
     name="command_clock_offset",
     acts_on=SENSING,
     sentence="Commands carry the stamps of another clock: they act some milliseconds after or before them.",
     parameters=(Parameter("offset", "s", 0.0, -0.05, 0.03, 0.001, "from the stamp of a command until it acts"),),
-    law=_command_clock_offset,
+    law=Added("readings.command_delay", ("offset",)),
     lasting=True,
     reading="commands act {size} {late}, by their stamps",
     calibration="command a step of the torque at rest, and see when the measured torque follows",
 )
-
-
-@_arm_law
-def _velocity_lag(r: ArmReadings, v: Values) -> ArmReadings:
-    return replace(r, velocity_lag=r.velocity_lag + number(v, "lag"))
 
 
 VELOCITY_LAG = ArmEffect(
@@ -248,16 +169,11 @@ VELOCITY_LAG = ArmEffect(
     acts_on=SENSING,
     sentence="Velocities of joints passed a low-pass filter before they were recorded.",
     parameters=(Parameter("lag", "s", 0.0, 0.0, 0.2, 0.002, "time constant of the filter of first order"),),
-    law=_velocity_lag,
+    law=Added("readings.velocity_lag", ("lag",)),
     lasting=True,
     reading="velocities pass a filter of {size}",
     calibration="move every joint there and back in free motion, fast",
 )
-
-
-@_arm_law
-def _velocity_delay(r: ArmReadings, v: Values) -> ArmReadings:
-    return replace(r, velocity_delay=r.velocity_delay + number(v, "delay"))
 
 
 VELOCITY_DELAY = ArmEffect(
@@ -265,16 +181,11 @@ VELOCITY_DELAY = ArmEffect(
     acts_on=SENSING,
     sentence="Velocities of joints lag behind positions, as differences of positions over some samples do.",
     parameters=(Parameter("delay", "s", 0.0, -0.1, 0.1, 0.002, "delay of the velocities after the positions"),),
-    law=_velocity_delay,
+    law=Added("readings.velocity_delay", ("delay",)),
     lasting=True,
     reading="velocities are recorded {size} {late}",
     calibration="move every joint there and back in free motion, fast",
 )
-
-
-@_arm_law
-def _velocity_gain(r: ArmReadings, v: Values) -> ArmReadings:
-    return replace(r, velocity_gain=r.velocity_gain * v["gain"])
 
 
 VELOCITY_GAIN = ArmEffect(
@@ -282,18 +193,17 @@ VELOCITY_GAIN = ArmEffect(
     acts_on=SENSING,
     sentence="The velocity of a joint is recorded by a factor too large; its position is right.",
     parameters=(Parameter("gain", "-", 1.0, 0.8, 1.2, 0.01, "reading over velocity of the link", per_joint=True),),
-    law=_velocity_gain,
+    law=Multiplied("readings.velocity_gain", "gain", per_joint=True),
     lasting=True,
     reading="the velocity of {joint} reads {size} {more}",
     calibration="move every joint there and back in free motion, fast",
 )
 
 
-@_tracker_law
-def _tracker_frame(t: TrackerReadings, v: Values) -> TrackerReadings:
-    return replace(
-        t, position=(t.position[0] + number(v, "x"), t.position[1] + number(v, "y")), yaw=t.yaw + number(v, "yaw")
-    )
+def _tracker_frame(physics: Physics, values: Values) -> Physics:
+    moved = Added("tracker.position", ("x", "y"))(physics, values)
+    turned: Physics = Added("tracker.yaw", ("yaw",))(moved, values)
+    return turned
 
 
 TRACKER_FRAME = SceneEffect(
@@ -313,11 +223,6 @@ TRACKER_FRAME = SceneEffect(
 )
 
 
-@_tracker_law
-def _tracked_point(t: TrackerReadings, v: Values) -> TrackerReadings:
-    return replace(t, point=(t.point[0] + number(v, "x"), t.point[1] + number(v, "y")))
-
-
 TRACKED_POINT = SceneEffect(
     name="tracked_point",
     acts_on=SENSING,
@@ -326,7 +231,7 @@ TRACKED_POINT = SceneEffect(
         Parameter("x", "m", 0.0, -0.2, 0.2, 0.002, "tracked point from the centre, along x of the object"),
         Parameter("y", "m", 0.0, -0.2, 0.2, 0.002, "tracked point from the centre, along y of the object"),
     ),
-    law=_tracked_point,
+    law=Added("tracker.point", ("x", "y")),
     phases=CONTACT_PHASES,
     lasting=True,
     reading="the tracked point is off the centre of the object by {size}",
@@ -334,17 +239,12 @@ TRACKED_POINT = SceneEffect(
 )
 
 
-@_tracker_law
-def _tracker_delay(t: TrackerReadings, v: Values) -> TrackerReadings:
-    return replace(t, delay=t.delay + number(v, "delay"))
-
-
 TRACKER_DELAY = SceneEffect(
     name="tracker_delay",
     acts_on=SENSING,
     sentence="Poses of the object carry stamps that are later than those of the joints.",
     parameters=(Parameter("delay", "s", 0.0, -0.1, 0.1, 0.002, "delay of the poses after the joints"),),
-    law=_tracker_delay,
+    law=Added("tracker.delay", ("delay",)),
     phases=CONTACT_PHASES,
     lasting=True,
     reading="poses of the object are recorded {size} {late}",
@@ -352,38 +252,17 @@ TRACKER_DELAY = SceneEffect(
 )
 
 
-@_tracker_law
-def _tracker_lag(t: TrackerReadings, v: Values) -> TrackerReadings:
-    return replace(t, lag=t.lag + number(v, "lag"))
-
-
 TRACKER_LAG = SceneEffect(
     name="tracker_lag",
     acts_on=SENSING,
     sentence="Poses of the object passed a low-pass filter before they were recorded.",
     parameters=(Parameter("lag", "s", 0.0, 0.0, 0.2, 0.002, "time constant of the filter of first order"),),
-    law=_tracker_lag,
+    law=Added("tracker.lag", ("lag",)),
     phases=CONTACT_PHASES,
     lasting=True,
     reading="poses of the object pass a filter of {size}",
     calibration="push the object there and back, fast",
 )
-
-
-def _added(before: Three, values: Values) -> Three:
-    """Sum of three numbers and those of an effect."""
-    x, y, z = (own + number(values, axis) for own, axis in zip(before, AXES, strict=True))
-    return x, y, z
-
-
-def _twist_law(change: Callable[[TwistReadings, Values], TwistReadings]) -> Callable[[Physics, Values], Physics]:
-    """Law of a scene from the change of how the twist of a body is read."""
-
-    @functools.wraps(change)
-    def law(physics: Physics, values: Values) -> Physics:
-        return replace(physics, twist_readings=change(physics.twist_readings, values))
-
-    return law
 
 
 def _rotation_vector(what: str) -> tuple[Parameter, ...]:
@@ -396,26 +275,22 @@ def _rotation_vector(what: str) -> tuple[Parameter, ...]:
     return tuple(Parameter(axis, "rad", 0.0, -4.0, 4.0, 0.01, f"component {axis} {meaning}") for axis in AXES)
 
 
-@_twist_law
-def _spin_axes(t: TwistReadings, v: Values) -> TwistReadings:
-    return replace(t, spin_axes=_added(t.spin_axes, v))
-
-
 SPIN_AXES = SceneEffect(
     name="spin_axes",
     acts_on=SENSING,
     sentence="Angular velocities were measured in axes that are turned against those of positions and velocities.",
     parameters=_rotation_vector("A to these axes"),
-    law=_spin_axes,
+    law=Added("twist_readings.spin_axes", AXES),
     phases=SINGLE_IMPACT,
     reading="angular velocities are in axes turned by the rotation vector {size}",
     calibration="spin the body about three known axes in free flight",
 )
 
 
-@_twist_law
-def _mirrored_spins(t: TwistReadings, v: Values) -> TwistReadings:
-    return replace(t, spin_axes=_added(t.spin_axes, v), spin_factor=t.spin_factor * number(v, "factor"))
+def _mirrored_spins(physics: Physics, values: Values) -> Physics:
+    turned = Added("twist_readings.spin_axes", AXES)(physics, values)
+    mirrored: Physics = Multiplied("twist_readings.spin_factor", "factor")(turned, values)
+    return mirrored
 
 
 MIRRORED_SPINS = SceneEffect(
@@ -433,26 +308,16 @@ MIRRORED_SPINS = SceneEffect(
 )
 
 
-@_twist_law
-def _twist_axes(t: TwistReadings, v: Values) -> TwistReadings:
-    return replace(t, axes=_added(t.axes, v))
-
-
 TWIST_AXES = SceneEffect(
     name="twist_axes",
     acts_on=SENSING,
     sentence="Both velocities were measured in axes that are turned against those of the pose and of the contact.",
     parameters=_rotation_vector("A to these axes"),
-    law=_twist_axes,
+    law=Added("twist_readings.axes", AXES),
     phases=SINGLE_IMPACT,
     reading="velocities and angular velocities are in axes turned against the pose by {size}",
     calibration="throw the body along three known axes without a spin",
 )
-
-
-@_twist_law
-def _tracked_point_of_impact(t: TwistReadings, v: Values) -> TwistReadings:
-    return replace(t, point=_added(t.point, v))
 
 
 TRACKED_POINT_OF_IMPACT = SceneEffect(
@@ -463,7 +328,7 @@ TRACKED_POINT_OF_IMPACT = SceneEffect(
         Parameter(axis, "m", 0.0, -0.05, 0.05, 0.001, f"tracked point from the centre, along {axis} of the body")
         for axis in AXES
     ),
-    law=_tracked_point_of_impact,
+    law=Added("twist_readings.point", AXES),
     phases=SINGLE_IMPACT,
     reading="the tracked point is off the centre of the body by {size}",
     calibration="spin the body about three axes in free flight, in which its centre moves straight on",

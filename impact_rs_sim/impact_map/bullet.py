@@ -26,7 +26,7 @@ Settings and their reasons:
 * Bullet applies joint torques before it evaluates Newton's restitution, whose approach velocity would contain p. Its
   restitution is 0. Instead the step starts from u^- + s and s is taken off its answer, with J_n s = e min(J_n u^-, 0)
   and J_t s = 0 at the contact points: the normal velocity that Bullet keeps from being negative is then
-  J_n u^+ + e min(J_n u^-, 0), and the sliding velocity is that of u^+.
+  J_n u^+ + e min(J_n u^-, 0), and the sliding velocity belongs to u^+.
 * Contact points survive in Bullet's manifolds from call to call. The object is moved out of reach first, which empties
   them, so a result depends on its problem only.
 * Bullet's sequential impulses converge linearly, and may end in a small limit cycle. Few iterations suffice for most

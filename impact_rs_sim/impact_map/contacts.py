@@ -147,7 +147,7 @@ def contact_pairs(
 
 
 def support_box(physics: Physics) -> ConvexBody | None:
-    """The support; None: there is none."""
+    """The support; None: the scene has no support."""
     if physics.support_height is None:
         return None
     half = np.array([physics.support_size[0], physics.support_size[1], SUPPORT_THICKNESS]) / 2.0

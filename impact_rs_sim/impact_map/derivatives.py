@@ -73,7 +73,7 @@ from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState, BodyState
 
-COMPLIANCES = (COMPLIANCE, 1e-5)  # rho of the derivatives; the second where Newton's method fails at that of the map
+COMPLIANCES = (COMPLIANCE, 1e-5)  # rho of the derivatives; the second where Newton's method fails with the first
 STEP = 1e-4  # of a difference, in units of the parameter's scale: both errors are near 1e-8 of a derivative
 LENGTH_SCALE = 0.1  # m, of pads and objects
 LARGEST_SHIFT = 5e-3  # m; a contact point that a step moves further is another corner

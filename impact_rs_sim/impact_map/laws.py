@@ -29,7 +29,7 @@ impulse L_n >= a of every contact point, r_i = 1 / g_i and the projection P onto
 
 **Uniqueness.** Four corners of a face share a load in many ways. Where they slide, each share has its own friction, and
 u^+ is not unique. A compliance rho > 0 makes it unique: every contact point yields by rho / m per impulse. As rho goes
-to 0 the impulses tend to those of minimum norm among all with the same velocities. With ``COMPLIANCE`` a point yields
+to 0 the impulses tend to the impulses of minimum norm with the same velocities. With ``COMPLIANCE`` a point yields
 by 1e-8 of the velocity that its impulse gives the object. The solution is then :func:`hardened <harden>`: rho L / m is
 replaced by rho (L - L') / m with the previous solution L' (proximal point method, Rockafellar 1976). This removes the
 effect of the compliance, keeps the choice, and the result obeys the rigid laws.
@@ -314,7 +314,7 @@ def linearise(terms: ContactTerms, impulses: Array, velocity: Array, least: Arra
 
 
 def yielding_velocity(terms: ContactTerms, operator: Array, impulses: Array) -> Array:
-    """s at impulses ``(m, 3)``, ``(m, 3)`` [m/s]; ``operator`` is that of :func:`delassus`."""
+    """s at impulses ``(m, 3)``, ``(m, 3)`` [m/s]; ``operator`` by :func:`delassus`."""
     moved = (terms.jacobian @ terms.before + operator @ impulses.ravel()).reshape(-1, 3)
     return np.asarray(moved + terms.rebound[:, None] * terms.normals)
 

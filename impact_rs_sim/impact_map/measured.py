@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The impact map at a measured state: one arm or two and an object, or one free body on a plane.
 
-The laws are those of :mod:`impact_rs_sim.impact_map.problem`, solved by the compiled map of
+The laws of :mod:`impact_rs_sim.impact_map.problem` are solved by the compiled map of
 :mod:`impact_rs_sim.impact_map.solve`, at all impacts of a table in one call. One impact is looked at by itself, so its
-contact points have more laws than those of a push that goes on (:mod:`impact_rs_sim.impact_map.contact_laws`).
+contact points have more laws than the points of a push that goes on (:mod:`impact_rs_sim.impact_map.contact_laws`).
 
 What differs from a planned impact is where the contact points come from. Poses are measured to a millimetre or so, and
 bodies that touch seem to overlap or to stay apart; so the nearest points of two bodies are taken for touching, whatever
@@ -55,8 +55,8 @@ class MeasuredImpact:
     Attributes:
         arms: Configuration and ante-impact velocity by arm; empty: a free body hits something fixed.
         object: Pose and ante-impact twist of the object, or of the free body.
-        points: Contact points; their friction is that of the physics at hand.
-        points_measured: Whether the points were measured in A; if not, they are those of the body where it seems to be.
+        points: Contact points; their friction comes from the physics at hand.
+        points_measured: Whether the points were measured in A; if not, they belong to the body in its measured pose.
     """
 
     arms: dict[str, ArmState]
@@ -95,7 +95,7 @@ class MeasuredImpact:
 class MeasuredImpacts:
     """Impacts with the same arms, solved together.
 
-    Physics of a fit differ little, and so do their impulses: those of the first solution are where all others begin,
+    Physics of a fit differ little, and so do their impulses: all others begin at the impulses of the first solution,
     which takes a tenth of the steps. The answer depends on the first physics and on its own, not on what was solved in
     between.
 
@@ -310,7 +310,7 @@ def corners_that_touch(
         body: Pose of the box.
         size: Extent along its own axes, ``(3,)`` [m].
         normal: Unit normal of the plane, into the body, in A, ``(3,)``.
-        tolerance: Largest distance of a touching corner beyond that of the first [m].
+        tolerance: Largest distance of a touching corner beyond the distance of the first [m].
     """
     signs = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
     corners = body.position + (signs * size / 2.0) @ body.rotation.T

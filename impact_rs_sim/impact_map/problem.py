@@ -74,7 +74,7 @@ class ImpactProblem:
         A tilted pad gets there with an edge first; the object is where that edge touches it.
 
         Raises:
-            InputError: ``motor_inertia`` is none of ``reduced``, ``rotor`` and ``zero``.
+            InputError: ``motor_inertia`` is neither ``reduced``, ``rotor`` nor ``zero``.
         """
         if motor_inertia not in MOTOR_INERTIA_MODELS:
             raise InputError(f"no motor-inertia model {motor_inertia!r}; known: {', '.join(MOTOR_INERTIA_MODELS)}")
@@ -218,7 +218,7 @@ def check_problem(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
 
     Raises:
         InputError: Non-finite or wrong-length state, negative mass or motor inertia, restitution outside [0, 1], or a
-            rotation that is none.
+            matrix that is no rotation.
         Infeasible: Joint positions or velocities beyond their limits, or initial penetration.
     """
     physics = problem.physics

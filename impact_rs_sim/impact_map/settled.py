@@ -65,7 +65,7 @@ from impact_rs_sim.robots.robot import Array
 
 REACH = 0.01  # m; points of a pad's face that are nearer than this close: a pad of 0.1 m that is tilted by 0.1 rad
 
-_RANK = 1e-9  # singular values below this share of the largest are none
+_RANK = 1e-9  # singular values below this share of the largest are taken as 0
 _NOTHING = 1e-6  # m/s, impulse of a pad times the inverse mass of its points: below it a pad does not press
 
 
@@ -76,7 +76,7 @@ def settle(problem: ImpactProblem) -> ImpactResult:
         problem: The impact problem; its restitution is not used.
 
     Returns:
-        The answer. Impulses are L + A n, those of the whole sequence, at the points of the pads' faces and of the
+        The answer. Impulses L + A n of the whole sequence, at the points of the pads' faces and of the
         support. Its residual judges the laws above; penetration counts whatever turns a pad on its face.
 
     Raises:

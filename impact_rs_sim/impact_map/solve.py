@@ -5,8 +5,8 @@
 velocities: contact points, Delassus operator, contact laws and residuals (:mod:`impact_rs_sim.impact_map.laws`).
 
 **Poisson's law of restitution**: an impact in two phases, compression and expansion. Newton's law sets velocities, and
-the impulses that give these velocities may exceed those of the compression: with friction u^+ can carry more energy
-than u^-. Poisson's law sets impulses. Compression ends where no contact point closes any more,
+the impulses that give these velocities may exceed the compression's: with friction u^+ can carry more energy than u^-.
+Poisson's law sets impulses. Compression ends where no contact point closes any more,
 
     u^c = u^- + H^-1 J_c^T L^c,      0 <= L^c_n  perpendicular to  J_n u^c >= 0
 

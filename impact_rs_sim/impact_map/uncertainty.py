@@ -7,8 +7,8 @@ With independent uncertainties of the standard deviations sigma_k and the Jacobi
     var(u^+_i) = sum_k (J_ik sigma_k)^2,       interval u^+_i -+ 1.96 sqrt(var),      budget (J_ik sigma_k)^2 / var
 
 Draws from the stated uncertainties check the linearisation. Where more than ``SWITCHES`` of them end in other contact
-states (or other contact points), the interval is that of the draws, and the budget the variance that is left when one
-source alone is drawn, over the sum of these. Where most draws end in another contact state than the prediction, their
+states (or other contact points), the interval is taken from the draws, and the budget is the variance when one source
+alone is drawn, over the sum of these. Where most draws end in another contact state than the prediction, their
 quantiles can leave the prediction out; the interval is then extended to it, and ``switches`` says what else happens.
 
 In the draws a pad that touches in the prediction comes on until it touches: an impact comes later or sooner, but it
@@ -38,14 +38,14 @@ from impact_rs_sim.impact_map.derivatives import (
 )
 from impact_rs_sim.impact_map.laws import solve_contacts, states
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, check_problem
-from impact_rs_sim.numbers import NORMAL_95
+from impact_rs_sim.numbers import CONFIDENCE_LEVEL, NORMAL_95
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.scenarios.scenario import Uncertainties
 
 SWITCHES = 0.02  # share of draws in other contact states from which the linear interval is not taken
+SEED = 0  # of the draws
 DRAWS = 200  # the ends of an interval scatter by about a tenth of its width
-LEVEL = 0.95
 HITS = ("hits the object", "does not hit the object")
 MEETS_SUPPORT = ("the object presses on its support", "the object does not press on its support")
 SOURCES = (
@@ -62,7 +62,7 @@ SOURCES = (
     "support_friction",
     "restitution",
 )
-_TAILS = ((1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0)
+_TAILS = ((1.0 - CONFIDENCE_LEVEL) / 2.0, (1.0 + CONFIDENCE_LEVEL) / 2.0)
 _LAWFUL = 1e-5  # m/s, residual of a draw that counts
 
 
@@ -90,7 +90,7 @@ class UncertainPrediction:
     Attributes:
         names: Names of the velocities: joint velocities, ``ARM.velocity.x`` ... of frame E, and the object's twist.
         nominal: Predicted values, ``(k,)`` [rad/s, m/s].
-        low: Lower ends at ``LEVEL``, ``(k,)``.
+        low: Lower ends at ``CONFIDENCE_LEVEL``, ``(k,)``.
         high: Upper ends, ``(k,)``.
         deviation: Standard deviations, ``(k,)``.
         budget: Share of the variance by source, ``(k,)`` each [-].
@@ -118,7 +118,7 @@ class UncertainPrediction:
     sample: Array
 
     def interval_of(self, weights: Mapping[str, float]) -> tuple[float, float]:
-        """Interval at ``LEVEL`` of a weighted sum of velocities, by their names."""
+        """Interval at ``CONFIDENCE_LEVEL`` of a weighted sum of velocities, by their names."""
         weight = np.array([weights.get(name, 0.0) for name in self.names])
         if self.method == "linear":
             half = NORMAL_95 * float(np.linalg.norm(weight @ self.factors))
@@ -182,7 +182,6 @@ def predict(
     stated: Uncertainties,
     models: Mapping[str, RobotModel] | None = None,
     draws: int = DRAWS,
-    seed: int = 0,
     stopped: Callable[[], bool] = lambda: False,
 ) -> UncertainPrediction:
     """Predict with intervals.
@@ -191,8 +190,7 @@ def predict(
         problem: The problem; Newton's law of restitution.
         stated: Uncertainties of the scenario.
         models: Rigid-body models by arm, where the caller has them already.
-        draws: From all uncertainties; a quarter as many of every source where the interval is that of the draws.
-        seed: Seed of the draws.
+        draws: From all uncertainties; a quarter as many of every source where the draws give the interval.
         stopped: Callback before every draw; True ends the prediction.
 
     Raises:
@@ -209,11 +207,10 @@ def predict(
     found = differentiate(problem, models)
     nominal, usual = answer_of(problem, models, {})
     slopes = dict(zip((one.name for one in found.parameters), found.jacobian.T, strict=True))
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(SEED)
     sample, states_of, lost = _sample(problem, models, sources, draws, rng, stopped)
-    switched = float(np.mean([one != usual for one in states_of])) if states_of else 0.0
-    if len(sample) < 2:
-        raise ImpactMapError(f"of {draws} draws from the stated uncertainties {lost} have no answer")
+    _check_answered(sample, lost)
+    switched = float(np.mean([one != usual for one in states_of]))
     parts = {
         source.name: np.array([sum(slopes[name] * sigma for name, sigma in part.items()) for part in source.deviations])
         for source in sources
@@ -252,11 +249,10 @@ def interval_of_draws(
     stated: Uncertainties,
     models: Mapping[str, RobotModel],
     draws: int,
-    seed: int = 0,
 ) -> tuple[tuple[str, ...], Array, Array]:
     """Names and ends of intervals from few draws, faster than :func:`predict`.
 
-    Quantiles of the draws, extended to the prediction: as skew as those of :func:`predict`, and of a few draws somewhat
+    Quantiles of the draws, extended to the prediction: as skew as by :func:`predict`, and from a few draws somewhat
     too narrow.
 
     Args:
@@ -264,16 +260,14 @@ def interval_of_draws(
         stated: Uncertainties of the scenario.
         models: Rigid-body models by arm.
         draws: From all uncertainties.
-        seed: Seed of the draws.
 
     Raises:
         ImpactMapError: Fewer than two draws have an answer.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(SEED)
     nominal, _ = answer_of(problem, models, {})
     sample, _, lost = _sample(problem, models, sources_of(problem, stated), draws, rng)
-    if len(sample) < 2:
-        raise ImpactMapError(f"of {draws} draws from the stated uncertainties {lost} have no answer")
+    _check_answered(sample, lost)
     low, high = _ends(sample, nominal)
     return velocity_names(problem), low, high
 
@@ -336,8 +330,14 @@ def _sample(
     return np.array(sample), found, count - len(sample)
 
 
+def _check_answered(sample: Array, lost: int) -> None:
+    """Refuse an interval from fewer than two draws."""
+    if len(sample) < 2:
+        raise ImpactMapError(f"of {len(sample) + lost} draws from the stated uncertainties {lost} have no answer")
+
+
 def _ends(sample: Array, nominal: Array) -> tuple[Array, Array]:
-    """Ends of the interval of draws at ``LEVEL``, extended to the prediction where that lies outside."""
+    """Ends of the interval of draws at ``CONFIDENCE_LEVEL``, extended to the prediction where that lies outside."""
     low, high = np.quantile(sample, _TAILS, axis=0)
     return np.minimum(low, nominal), np.maximum(high, nominal)
 

@@ -37,7 +37,7 @@ class Uniqueness:
     Attributes:
         spread: Largest difference of two answers in a linear velocity of an end effector or the object [m/s].
         relative: The same over the ante-impact speed, the largest of all bodies [-].
-        answers: Number of lawful solutions found, including that of the impact map.
+        answers: Number of lawful solutions found, including the solution of the impact map.
     """
 
     spread: float
@@ -80,7 +80,7 @@ def uniqueness_of(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
 
 
 def lawful_answers(terms: ContactTerms) -> list[Array]:
-    """u^+ of every solution found, that of the impact map first, ``(nv,)`` each."""
+    """u^+ of every solution found, the solution of the impact map first, ``(nv,)`` each."""
     chosen, _ = solve_contacts(terms)
     answers = [terms.before + terms.response @ chosen.ravel()]
     for points in itertools.islice(

@@ -62,7 +62,7 @@ with _quiet():
 
 FACE_CONTACT_POINTS = 4  # Bullet keeps four points of a face contact; each gets a quarter of the face's stiffness
 SUPPORT_DAMPING_RATIO = 0.5  # of the object on a compliant support
-MAX_SUBSTEPS = 8  # Bullet steps per step of a world
+MAX_BULLET_STEPS = 8  # Bullet steps per step of a world
 MARGIN_M = 1e-4  # radius at the rims of a cylinder and around a hull
 MIN_SLIDING_SPEED_M_S = 2e-3  # below, sliding stops within a few steps, so its direction does not matter
 
@@ -428,7 +428,7 @@ def _substeps(physics: Physics, period: float) -> int:
         for arm in physics.arms.values()
         if arm.pad_stiffness is not None
     ]
-    return min(math.ceil(max(wanted, default=1.0)), MAX_SUBSTEPS)
+    return min(math.ceil(max(wanted, default=1.0)), MAX_BULLET_STEPS)
 
 
 def _compliance(stiffness: float, damping: float, step: float) -> dict[str, float]:

@@ -24,7 +24,8 @@ from impact_rs_sim.robots.robot import Array, EndEffector, RobotFacts
 from impact_rs_sim.robots.urdf import write_urdf
 
 TIP = "end_effector"
-STANDARD_GRAVITY = (0.0, 0.0, -9.81)  # m/s^2
+GRAVITY_M_S2 = 9.81
+STANDARD_GRAVITY = (0.0, 0.0, -GRAVITY_M_S2)  # m/s^2, z up
 MAX_IK_RESTARTS = 30  # of inverse kinematics, where the guess leads nowhere
 MAX_IK_NEWTON_STEPS = 30  # of inverse kinematics; from a guess within a radian it takes six to ten
 MAX_IK_STEP = 0.5  # of any joint in one Newton step [rad or m]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checksums of a bag, which detect any changed bit.
 
-``rosbags`` writes MCAP with checksums of 0, which mean "unknown". The writer sets those of the chunks, :func:`seal` the
-two of the file (CRC-32, at the positions that the format defines)::
+``rosbags`` writes MCAP with checksums of 0, which mean "unknown". The writer sets the checksums of chunks, :func:`seal`
+the two of the file (CRC-32, at the positions that the format defines)::
 
     magic | header | chunks, message indexes, metadata | data end | summary | footer | magic
                      ^ of a chunk's messages             ^ of all before it   ^ of the summary and the footer itself

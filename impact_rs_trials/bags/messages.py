@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages from plans, measurements and commands, the same for bags written in-process and for nodes.
 
-:class:`MessageMaker` fills messages of the classes that a :class:`MessageTypes` provides: those of the ``rosbags``
+:class:`MessageMaker` fills messages of the classes that a :class:`MessageTypes` provides: messages of the ``rosbags``
 typestore, or rosidl's. Stamps are trial time; a tick is a whole number of nanoseconds.
 """
 

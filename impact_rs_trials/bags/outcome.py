@@ -283,7 +283,7 @@ def _tipped(seen: PoseColumns, about_axis: bool) -> Iterator[_Finding]:
 
     Args:
         seen: Its poses.
-        about_axis: Whether it is round about its z, and may roll: the angle is that of its z alone.
+        about_axis: Whether it is round about its z, and may roll: the angle of its z alone is taken.
     """
     # The vertical in body axes is the last row of R: (2 (x z - y w), 2 (y z + x w), 1 - 2 (x^2 + y^2)).
     if seen.time.size < 2:

@@ -149,7 +149,7 @@ def contact_frame(touches: Sequence[PadOnFace], given: Array, given_yaw: float) 
 
 
 def _undetermined(slopes: Array) -> Array | None:
-    """Horizontal direction in which the hits do not determine the position, ``(2,)``; None: there is none.
+    """Horizontal direction in which the hits do not determine the position, ``(2,)``; None: they determine it.
 
     Args:
         slopes: Derivatives of the weighted residuals by x, y and yaw, ``(2 h, 3)``; by x and y: normals of faces.

@@ -71,6 +71,7 @@ from impact_rs_trials.recordings.readers.sources import read_series
 from impact_rs_trials.recordings.recording import TooShort, check_arm
 from impact_rs_trials.recordings.remarks import Amount, Remark
 from impact_rs_trials.runs import NONE, ArmSignals, Run, Signals
+from impact_rs_trials.since import MIN_WALL_CLOCK_S
 from impact_rs_trials.workers import Map
 
 logger = logging.getLogger(__name__)
@@ -78,7 +79,6 @@ logger = logging.getLogger(__name__)
 ARM_SIGNALS: tuple[SignalName, ...] = (*REQUIRED, "motor_position", "motor_velocity")
 
 MIN_RUN_SAMPLES = 20
-MIN_WALL_CLOCK_S = 1e9  # later timestamps count from 1970 (this is 2001), earlier ones from the start of some program
 MIN_PIECE_S = 0.3  # of a piece between gaps
 MIN_GAP_PERIODS = 3.0  # a gap is longer than so many sampling periods, and
 MIN_REPORTED_GAP_S = 0.005  # longer than this; a shorter one fits into the window of the velocity fit at an impact

@@ -135,7 +135,8 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
         remarks += saturated
     remarks = [*set_back, *lost, *gaps_said, *_unmeasured(path, series["torque"], mapping), *remarks]
     time = series["position"].time
-    check_moves(path, series["position"], mapping)
+    if (resting := at_rest(time, series["position"].values, mapping.facts)) is not None:
+        raise TooShort(resting, file=path)
     remarks = list(dict.fromkeys([*(remark for one in series.values() for remark in one.remarks), *remarks]))
     found = []
     for first, last in _between_faults(series, mapping.low_pass):
@@ -173,7 +174,7 @@ def _checked_times(
     path: Path, recorded: dict[SignalName, Series], needed: Collection[SignalName], mapping: Mapping
 ) -> list[str]:
     """Check times and numbers of the signals; returns one warning for all signals with the same gaps."""
-    gaps_of: dict[str, list[str]] = {}  # places by what is said of their gaps
+    gaps_of: dict[str, list[str]] = {}  # places by the text about their gaps
     for name, one in recorded.items():
         if name not in mapping.signals:  # the velocity, which is made of the position
             continue
@@ -318,21 +319,6 @@ def _check_time(path: Path, time: Array, what: str, low_pass: float) -> list[str
         return []
     said = gaps_in_words(found, time[0])
     return [f"gap of {said} (period {period:.4f} s, low-pass {low_pass:g} Hz); the pieces between are used"]
-
-
-def check_moves(path: Path, position: Series, mapping: Mapping) -> None:
-    """Check that some joint moves; an arm at rest shows neither units and signs nor velocity, inertia and friction.
-
-    Args:
-        path: Recording, for messages.
-        position: q, ``(k, n)`` [rad].
-        mapping: Knows the robot.
-
-    Raises:
-        TooShort: None does.
-    """
-    if (why := at_rest(position.time, position.values, mapping.facts)) is not None:
-        raise TooShort(why, file=path)
 
 
 def check_arm(path: Path, time: Array, arm: ArmSignals, mapping: Mapping, briefly: float = 0.0) -> None:

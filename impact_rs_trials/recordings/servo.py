@@ -71,7 +71,7 @@ class ServoLaw:
 
     @staticmethod
     def of(servo: Servo, torque_max: Array) -> ServoLaw:
-        """Law of a mapping's servos; ``torque_max`` ``(n,)`` is that of the robot [N m]."""
+        """Law of a mapping's servos; ``torque_max`` ``(n,)``: limits of the robot [N m]."""
         kp = np.array(servo.kp)
         kd = np.zeros_like(kp) if servo.kd is None else np.array(servo.kd)
         return ServoLaw(kp, kd, servo.damps, np.array(torque_max if servo.torque_max is None else servo.torque_max))

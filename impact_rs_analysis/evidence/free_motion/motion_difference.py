@@ -23,12 +23,12 @@ from impact_rs_analysis.evidence.free_motion.torque_balance import Motion, Torqu
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import Array
+from impact_rs_trials.since import MIN_WALL_CLOCK_S
 
 SHIFTS_PER_PERIOD = 4.0  # of the cut-off frequency, tried before the best one is refined
 MIN_OVERLAP_SHARE = 0.5  # of the shorter motion
 PATH_POINTS = 200  # at equal arc length, where two paths are compared
 MAX_DISTANCE_SHARE = 0.05  # rms distance over the size of the motion; above, it is another motion
-WALL_CLOCK_FROM_S = 1e8  # 1973; smaller times count from the start of a recording
 MAX_ORDER_IMBALANCE = 0.2  # of the time of all recordings, between the mean times of both kinds
 
 
@@ -110,7 +110,7 @@ def order_warning(recorded: Sequence[Array], subtracted: Sequence[Array]) -> str
         subtracted: Those of the recordings of ``--minus``.
     """
     every = [*recorded, *subtracted]
-    if any(time[0] < WALL_CLOCK_FROM_S for time in every):
+    if any(time[0] < MIN_WALL_CLOCK_S for time in every):
         return None
     span = max(float(time[-1]) for time in every) - min(float(time[0]) for time in every)
     middle, other = (float(np.mean([time.mean() for time in times])) for times in (recorded, subtracted))

@@ -132,7 +132,7 @@ def _extrapolated(time: Array, values: Array, order: int, at: Array, first: int)
 
 
 def _remark(rows: Array, time: Array, what: str, how: str) -> list[str]:
-    """A warning about rows that were lost, or that took no time, ``(k - 1,)``; empty: there are none."""
+    """A warning about rows that were lost, or that took no time, ``(k - 1,)``; empty without such rows."""
     places = np.flatnonzero(rows > 0.5)
     if not places.size:
         return []

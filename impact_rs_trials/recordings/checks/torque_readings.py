@@ -177,11 +177,11 @@ def lacks_gravity(seen: MotionTorque) -> str | None:
 
 @dataclass(frozen=True)
 class MeaningChoice:
-    """What a torque signal holds.
+    """Meaning of a torque signal.
 
     Attributes:
         best: The likeliest meaning.
-        margin: Log likelihood of it less that of the next one; 0 where gravity takes no torque.
+        margin: Log likelihood over the next meaning; 0 where gravity takes no torque.
         evidence: Evidence in words.
     """
 
@@ -196,11 +196,11 @@ class MeaningChoice:
 
 
 def meaning_of(seen: MotionTorque, expected: TorqueMeaning, computed: bool = False) -> MeaningChoice:
-    """What a torque signal holds, with the margin of the likelihood.
+    """Likeliest meaning of a torque signal, with its margin.
 
     Args:
         seen: Signal and motion.
-        expected: What its likelihoods and names say by themselves: all of the torque, or what it lacks.
+        expected: Meaning by its likelihoods and names alone.
         computed: Whether a torque of motors holds no dry friction.
     """
     tried: tuple[TorqueMeaning, ...] = ("whole", "without_gravity", "external")
@@ -269,7 +269,7 @@ def motor_inertia_in(seen: MotionTorque, meaning: TorqueMeaning) -> tuple[float,
 
     Args:
         seen: Signal and motion.
-        meaning: What the signal holds.
+        meaning: Meaning of the signal.
     """
     torque = seen.reading(meaning)
     friction = (dry_friction(seen.velocity), seen.velocity)
@@ -291,7 +291,7 @@ def whole_torque(path: Path, time: Array, arm: ArmSignals, meaning: TorqueMeanin
         path: Recording, for messages.
         time: Stamps, ``(k,)`` [s].
         arm: Recorded signals of free motion.
-        meaning: What the torque signal holds.
+        meaning: Meaning of the torque signal.
         model: Nominal arm with its load.
 
     Raises:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.robots.robot_model import STANDARD_GRAVITY
+from impact_rs_sim.robots.robot_model import GRAVITY_M_S2, STANDARD_GRAVITY
 from impact_rs_trials.recordings.checks.clock_offset import OBJECT_SIGNALS, clocks_apart
 from impact_rs_trials.recordings.checks.joint_jumps import MIN_JUMP_SHARE, JointJump, jump_at, jumps_of
 from impact_rs_trials.recordings.checks.plausibility import check_touch
@@ -252,7 +252,7 @@ def _with_object(seen: _Seen, jumps: Jumps, between: tuple[float, float]) -> Imp
         post_twist, noise = post.at(time)[2], post.noise
         sliding = -float(post.acceleration @ post_twist[:3]) / max(float(np.linalg.norm(post_twist[:3])), 1e-9)
         if law == "sliding" and sliding > 0.0:
-            outcomes = {SUPPORT_FRICTION: sliding / -STANDARD_GRAVITY[2], **outcomes}
+            outcomes = {SUPPORT_FRICTION: sliding / GRAVITY_M_S2, **outcomes}
     noise = (float(np.hypot(noise[0], ante.noise[0])), float(np.hypot(noise[1], ante.noise[1])))
     before = ante.at(time)[2]
     if float(np.linalg.norm(post_twist[:3] - before[:3])) < MIN_OBJECT_JUMP_SIGMA * noise[0]:
@@ -298,7 +298,7 @@ def _after(time: Array, positions: Array, rotations: Array, rows: Rows, at: floa
     first = rows[time[rows] <= at + OBJECT_AFTER_S[0]]
     first = first if first.size >= MIN_OBJECT_SAMPLES else rows[:MIN_OBJECT_SAMPLES]
     slide = move(time[first], positions[first], rotations[first], at)
-    if slide.acceleration[2] < MIN_FALL_SHARE * STANDARD_GRAVITY[2]:
+    if slide.acceleration[2] < -MIN_FALL_SHARE * GRAVITY_M_S2:
         gravity = np.array(STANDARD_GRAVITY)
         return fly(time[rows], positions[rows], rotations[rows], gravity, np.ones(3), at), "free flight"
     speed, slows = float(np.linalg.norm(slide.at(at)[2][:3])), float(np.linalg.norm(slide.acceleration))
@@ -324,6 +324,6 @@ def _by_distance(seen: _Seen, time: float, way: float) -> tuple[Array, tuple[flo
     """Velocity after by the sliding distance, v = sqrt(2 mu g D); the rotation remains unknown."""
     start, end = seen.positions[seen.time <= time][-1], seen.positions[-1]
     direction = (end - start) * [1.0, 1.0, 0.0]
-    speed = float(np.sqrt(2.0 * seen.laboratory.scenario.support.friction * 9.81 * way))
+    speed = float(np.sqrt(2.0 * seen.laboratory.scenario.support.friction * GRAVITY_M_S2 * way))
     twist = np.concatenate((speed * direction / np.linalg.norm(direction), np.full(3, np.nan)))
     return twist, (0.5 * seen.laboratory.friction_noise * speed, np.nan), BY_SLIDING_DISTANCE

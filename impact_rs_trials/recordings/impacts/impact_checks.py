@@ -128,7 +128,7 @@ class OtherAxes:
 
 @dataclass(frozen=True)
 class _Laws:
-    """What an impact obeys under any contact law; see the module.
+    """Laws that an impact obeys under any contact law; see the module.
 
     Attributes:
         root: C^T over the root of the body's mass, ``(nv, nv)``.

@@ -41,7 +41,7 @@ OBJECT_POSE: Final = "object_pose"
 # Parts of an arm from base to tip, for joints that are named after them and not numbered.
 PARTS = ("rail", "base", "shoulder_pan", "shoulder_lift", "shoulder", "upper_arm", "elbow", "forearm", "wrist")
 PART_OF_ARM = re.compile(rf"({'|'.join(PARTS)})(_?\d)?(_joint)?(?=[^a-z]|$)", re.IGNORECASE)
-MAX_GRIPPER_NUMBERS = 2  # in addition to those of the joints
+MAX_GRIPPER_NUMBERS = 2  # in addition to the numbers of the joints
 MAX_ROWS_READ = 50  # of a table whose columns are listed
 FINGERS = re.compile("finger|gripper|hand", re.IGNORECASE)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Path of the flange of a robot, which separates the pose of its own tool from that of an object."""
+"""Path of the flange of a robot, which separates the pose of its own tool from the pose of an object."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class FlangePath:
         """Distance from the flange and rms deviation [m] of a point that is fixed on it; None: it is not.
 
         Least squares of p = x + R c + b over the place c on the flange and the origin b of the frame in which p was
-        measured, whose axes are those of the robot's base.
+        measured, in the axes of the robot's base.
 
         Args:
             place: Path of the point at the same times, ``(k, 3)`` [m].

@@ -63,7 +63,7 @@ class Reading:
         stream: The stream.
         choice: Its likeliest hypothesis, and the next.
         computed: Whether a torque holds no friction of gears, so that it was computed and not measured.
-        meaning: What a torque holds.
+        meaning: Meaning of a torque.
     """
 
     stream: JointStream
@@ -225,7 +225,8 @@ class JointSearch:
         most = max(one.log_posterior for one in motions)
         searched = [one for one in motions if one.velocity is None or one.log_posterior > most - MAX_LOG_POSTERIOR_LOSS]
         tried = [self._with_torques(one) for one in searched]
-        found = sorted((_with_shared_torque(one, tried) for one in tried), key=_log_posterior, reverse=True)
+        found = [_with_shared_torque(one, tried) for one in tried]
+        found.sort(key=lambda one: one.log_posterior, reverse=True)
         best, places = found[0], {id(one.position.stream): one for one in (*motions, *found)}
         others = [one for one in places.values() if one.position.stream is not best.position.stream]
         listed = {"position": alternatives((one.position, one.log_posterior) for one in (best, *others))}
@@ -359,10 +360,6 @@ class JointSearch:
         return Reading(
             stream, RoleChoice(RoleHypothesis("torque", unit, f"nothing but its name: {said}", 0.0), None, 0.0)
         )
-
-
-def _log_posterior(found: Assignment) -> float:
-    return found.log_posterior
 
 
 def _with_shared_torque(found: Assignment, tried: Sequence[Assignment]) -> Assignment:

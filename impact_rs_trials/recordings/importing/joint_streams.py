@@ -40,6 +40,11 @@ class JointStream:
         return f"{self.file}: {self.candidate.label}" if self.file else self.candidate.label
 
     @property
+    def column_text(self) -> str:
+        """Names of its columns, or else its label."""
+        return " ".join(self.candidate.source.get("columns") or [self.candidate.label])
+
+    @property
     def is_cut(self) -> bool:
         """Whether it is a part of a wider signal."""
         return self.candidate.first is not None
@@ -57,7 +62,7 @@ class JointStream:
     def log_prior(self, role: Role) -> float:
         """Log odds of a role by the names of columns, or else of the file."""
         guess = self.candidate.guess or guess_of(self.file)
-        text = " ".join([self.file, *(self.candidate.source.get("columns") or [self.candidate.label])])
+        text = f"{self.file} {self.column_text}"
         hinted = {"torque": "current" if CURRENT.search(text) else "torque"}.get(guess, guess)
         other = bool(hinted) and (hinted, role) != ("torque", "current")
         odds = NAME_LOG_ODDS if hinted == role else -NAME_LOG_ODDS if other else 0.0
@@ -66,14 +71,12 @@ class JointStream:
     @property
     def is_of_motors(self) -> bool:
         """Whether its name calls it a measurement at the motors."""
-        text = " ".join(self.candidate.source.get("columns") or [self.candidate.label])
-        return bool(OF_MOTOR.search(text)) and not COMMANDED.search(text)
+        return bool(OF_MOTOR.search(self.column_text)) and not COMMANDED.search(self.column_text)
 
     @property
     def is_external(self) -> bool:
         """Whether its name calls it an external torque."""
-        text = " ".join(self.candidate.source.get("columns") or [self.candidate.label])
-        return bool(EXTERNAL.search(text))
+        return bool(EXTERNAL.search(self.column_text))
 
     def in_order(self, order: tuple[int, ...]) -> JointStream:
         """The stream with reordered joints."""

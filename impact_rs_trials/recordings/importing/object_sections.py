@@ -69,7 +69,7 @@ class ObjectSections:
         if self._flange is None:
             return False
         name: SignalName = "object_pose" if "object_pose" in sections else "object_position"
-        own = {key: one for key, one in sections[name].items() if key != "file"}  # that of a run, opened here
+        own = {key: one for key, one in sections[name].items() if key != "file"}  # the file of a run, opened here
         source = SignalSource.model_validate(own)
         raw = part.raw_mapping(NO_ROBOT, (), self._rate).model_copy(update={"signals": {name: source}})
         series = open_file(part.path, raw, part.names, (name,)).series(name, source)

@@ -103,8 +103,7 @@ class FoundServo:
 def gains_in(streams: Sequence[JointStream], pattern: re.Pattern[str]) -> tuple[Array | None, str | None]:
     """Constant gains in a stream with such a name, ``(n,)``, and a warning about one that changes."""
     for stream in streams:
-        text = " ".join(stream.candidate.source.get("columns") or [stream.candidate.label])
-        if not pattern.search(text) or stream.is_cut:
+        if not pattern.search(stream.column_text) or stream.is_cut:
             continue
         values = stream.series.values
         if np.ptp(values, axis=0).any():
@@ -172,8 +171,7 @@ def _servos_of(search: JointSearch, found: Assignment, kp: Array | None, kd: Arr
         if any(stream.stands_apart(other) for other in taken) or not np.ptp(stream.series.values, axis=0).all():
             continue
         y = motion.sampled(time, stream.series.at(time))
-        text = " ".join([stream.file, *(stream.candidate.source.get("columns") or [stream.candidate.label])])
-        named = NAME_LOG_ODDS if COMMANDED.search(text) else 0.0
+        named = NAME_LOG_ODDS if COMMANDED.search(f"{stream.file} {stream.column_text}") else 0.0
         named -= NAME_LOG_ODDS if stream.candidate.guess in ("velocity", "torque") else 0.0
         for unit in ("rad", "deg", "mrad"):
             slides = [kind == "prismatic" for kind in facts.joint_types]
@@ -256,7 +254,7 @@ def _servo(
 def _estimated_gains(motion: JointMotion, error: Array, torque: Array) -> tuple[Array, NDArray[np.bool_]]:
     """K_p of every joint ``(n,)``, and the joints that show their own: those that carry gravity, or else all.
 
-    Where no gravity is carried the motor inertia, whose torque is like that of the links, counts as zero.
+    Where no gravity is carried the motor inertia, whose torque resembles the torque of the links, is taken as zero.
     """
     friction = [dry_friction(motion.velocity), motion.velocity, np.ones_like(error)]
     inertia = np.std(motion.whole - motion.gravity_torque, axis=0)

@@ -21,7 +21,7 @@ def without_steps_back(
 ) -> tuple[dict[SignalName, Series], list[str]]:
     """Signals on clocks that go on after a pause where they were set back, and a warning about each step.
 
-    A gap of :data:`PAUSE_S` cuts a recording into pieces. The offset after a step is that of the positions for all
+    A gap of :data:`PAUSE_S` cuts a recording into pieces. The offset of the positions after a step holds for all
     signals, so that these stay together. Clocks with other numbers of steps are left as they are.
 
     Args:

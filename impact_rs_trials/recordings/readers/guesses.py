@@ -30,6 +30,7 @@ from impact_rs_trials.recordings.relations import (
     AveragedMotion,
     averaged,
 )
+from impact_rs_trials.since import MIN_WALL_CLOCK_S
 
 STAMP = re.compile(r"(^|[^a-z])(t|time|times|timestamp|stamp|sec|secs|nsec)([^a-z]|$)|time|stamp", re.IGNORECASE)
 NANOSECONDS = re.compile(r"nano|n_?sec|(^|[^a-z])ns([^a-z]|$)", re.IGNORECASE)
@@ -129,7 +130,7 @@ def _whole(cells: Sequence[str] | NDArray[Any]) -> NDArray[np.int64] | None:
 
 
 def _clock(name: str, cells: Sequence[str] | NDArray[Any], steps_back: int) -> Guess | None:
-    """A column of timestamps that steps back ``steps_back`` times at most; None: it is none."""
+    """A column of timestamps that steps back ``steps_back`` times at most; None: not a clock."""
     if isinstance(cells, list) and cells and all(DATE.fullmatch(cell.strip()) for cell in cells):
         return Guess(name, "holds dates", further={"unit": "date"})
     try:
@@ -152,7 +153,7 @@ def _clock(name: str, cells: Sequence[str] | NDArray[Any], steps_back: int) -> G
     rate = 1.0 / (usual * UNITS["time"][unit])
     backwards = np.count_nonzero(steps < 0.0)
     said = f"increases{f', {backwards} steps back aside' if backwards else ''}; in {unit} that is {rate:.4g} Hz"
-    if stamps[0] * UNITS["time"][unit] > 1e8:
+    if stamps[0] * UNITS["time"][unit] > MIN_WALL_CLOCK_S:
         said += f", from {_year(stamps[0] * UNITS['time'][unit])} on"
     repeats = int(np.sum(steps == 0.0))
     remarks = (f"{repeats} of {stamps.size} stamps repeat the one before",) if repeats else ()

@@ -25,7 +25,7 @@ Cells = dict[str, list[str] | NDArray[Any]]
 
 MAX_SHOWN_RUNS = 8  # in a message
 DEFAULT_LAYOUT = TableLayout()
-MAX_TORN_SHARE = 0.1  # of the lines; with more, the header is that of another table
+MAX_TORN_SHARE = 0.1  # of the lines; with more, the header belongs to another table
 TRAILING = "; the names of the columns may stand in another line: table.header in the mapping says in which"
 
 

@@ -104,7 +104,7 @@ def test_a_trial_without_impact_never_enters_the_fit(campaign: Path, tmp_path: P
     assert analysis.no_impact == (name,)
     assert not analysis.sets
     assert "2 trials with impact" in analysis.incomplete[0].reason
-    assert analysis.average_error == dict.fromkeys(MODELS)
+    assert analysis.average_error("first") == dict.fromkeys(MODELS)
 
 
 def test_a_trial_that_diverged_is_left_out_with_the_reason(campaign: Path, with_outcome: Callable) -> None:

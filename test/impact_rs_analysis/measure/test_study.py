@@ -48,6 +48,7 @@ def test_grab_is_measured_upward_as_the_mean_of_both_arms(analysis: Analysis) ->
     entry = next(entry for entry in analysis.sets if entry.scenario == "grab")
     assert entry.axis == "z"
     assert entry.estimate == pytest.approx(entry.predictions["reduced"].velocity, rel=0.1)
+    assert [arm.name for arm in analysis.arms] == ["arm", *(arm.name for arm in entry.arms)]
 
 
 def test_a_study_without_one_of_its_campaigns_says_which(push_campaign: Path, tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from impact_rs_sim.effects import ArmEffect, Parameter, SceneEffect, library
 from impact_rs_sim.effects.depending import Depending, Levels, Slope
 from impact_rs_sim.effects.each_arm import of_each
 from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
+from impact_rs_sim.effects.quantity_laws import Added, Multiplied
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
 
@@ -35,6 +36,23 @@ def test_a_parameter_per_joint_has_a_scalar_for_every_joint():
         assert STRIBECK.complexity(count) == count
     with pytest.raises(InputError, match="2 finite numbers"):
         STRIBECK.apply_vector(bench(), np.zeros(8))
+
+
+def test_laws_of_one_quantity_add_up_and_multiply(physics):
+    """Kills: a component of a tuple that takes another's parameter, and an error where the quantity is None."""
+    (arm,) = physics.arms.values()
+    turned = Added("end_effector.pad_tilt", ("roll", "pitch"))
+    once = turned(arm, {"roll": np.array([0.01]), "pitch": np.array([0.03])})
+    twice = turned(once, {"pitch": np.array([0.04]), "roll": np.array([0.02])})
+    assert twice.end_effector.pad_tilt == pytest.approx((0.03, 0.07))
+    uneven = Added("friction.asymmetry", ("difference",), per_joint=True)
+    first = uneven(arm, {"difference": np.arange(7.0)})
+    assert arm.friction.asymmetry is None and np.array_equal(first.friction.asymmetry, np.arange(7.0))
+    assert np.array_equal(uneven(first, {"difference": np.ones(7)}).friction.asymmetry, 1.0 + np.arange(7.0))
+    softer, rigid = Multiplied("pad_stiffness", "scale"), replace(arm, pad_stiffness=None)
+    assert softer(arm, {"scale": np.array([0.5])}).pad_stiffness == 0.5 * arm.pad_stiffness
+    assert softer(rigid, {"scale": np.array([0.5])}) is rigid
+    assert softer(arm, {"scale": np.ones(1)}) is arm and uneven(arm, {"difference": np.zeros(7)}) is arm
 
 
 def test_shape_parameters_do_nothing_while_the_effect_is_off(physics):
