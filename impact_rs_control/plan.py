@@ -245,9 +245,16 @@ def check_restitution(scene: Scene) -> None:
     inelastic impact (paper sec. Single-arm hit-and-push scenario).
 
     Raises:
-        InputError: A restitution that a pad does not have; says what would give it.
+        InputError: A restitution that a pad does not have; says what would give it. Or one of objects, which part
+            inelastically in a trial.
     """
     assumed, object_ = scene.physics.restitution, scene.physics.object
+    if assumed > 0.0 and scene.physics.neighbours:
+        raise InputError(
+            "object and neighbours do not bounce off each other in a trial: expected 0",
+            key="contact.restitution",
+            value=assumed,
+        )
     for name, arm in scene.physics.arms.items() if assumed > 0.0 else ():
         pad, found = f"robots.{name}.end_effector.pad", arm.pad_restitution(object_)
         if abs(found - assumed) <= RESTITUTION_TOLERANCE:
@@ -421,7 +428,7 @@ def _pushing_wrench(scene: Scene, name: str, post: SampledPath) -> Array:
     object shall not rotate, so the vertical moment about its centre of mass is compensated; the support carries the
     tipping moment.
     """
-    physics, mass = scene.physics, scene.physics.object.mass
+    physics, mass = scene.physics, scene.physics.moved_mass
     normal = scene.scenario.robots[name].impact_placement.rotation[:, 2]
     gravity = np.asarray(physics.gravity, dtype=float)
     weight = mass * float(np.linalg.norm(gravity))

@@ -32,6 +32,7 @@ from impact_rs_ros.process import NodeProgram, run
 from impact_rs_ros.robot_states import OWN_JOINTS, joint_names
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.impact_map import ImpactMapError, engine_name, predict_impact
+from impact_rs_sim.impact_map.contacts import OBJECT
 from impact_rs_sim.impact_map.derivatives import differentiate, velocity_names
 from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
 from impact_rs_sim.impact_map.uncertainty import predict
@@ -290,11 +291,12 @@ def _fill(response: PredictImpact.Response, problem: ImpactProblem, result: Impa
     )
     response.joint_state = joint_state_to_message(names, position, velocity)
     response.end_effector_twists = [_twist(name, twist) for name, twist in result.end_effector_twist.items()]
-    response.body_twists = [_twist(object_name, result.object_twist)]
+    named = {OBJECT: object_name}
+    response.body_twists = [_twist(named.get(name, name), twist) for name, twist in result.twists.items()]
     response.contacts = [
         ContactPoint(
-            body_a=object_name,
-            body_b=contact.body_b,
+            body_a=named.get(contact.body_a, contact.body_a),
+            body_b=named.get(contact.body_b, contact.body_b),
             position=point_to_message(contact.position),
             normal=vector_to_message(contact.normal),
             impulse=vector_to_message(contact.impulse),

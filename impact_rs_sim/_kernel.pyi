@@ -102,7 +102,8 @@ def solve_impacts(
     rules: tuple[float, float, float, float],
     points: tuple[Sequence[int], Sequence[int], Array, Array, Array, Array] | None = None,
     near: Array | None = None,
-) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array, Array, Array, Array, Array]:
+    neighbours: Sequence[Sequence[Array | float | Shape | None]] = (),
+) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array, Array, Array, Array, Array, Array]:
     """Solve ``count`` problems; arrays without such a first axis hold for all of them.
 
     Args:
@@ -111,7 +112,7 @@ def solve_impacts(
             of E in A, middle, axes and half extents of the pad in E; and, unless it is a box, its :class:`Shape`.
         object: Position, axes, twist, mass, half extents, principal moments, centre of mass of the object; and, unless
             it is a box, its :class:`Shape`.
-        contact: Friction of pads and of the support, restitution.
+        contact: Friction of pads and of the support, restitution; with neighbours, friction between objects.
         support: Centre and half extents of the support in A, ``(6,)`` [m]; None: no support.
         rules: ``ALIGNED``, ``GAP_TOLERANCE``, ``PENETRATION_TOLERANCE`` [m] and ``COMPLIANCE`` [-].
         points: Contact points with their laws, in place of those where the bodies touch and of ``contact``: number of
@@ -119,12 +120,14 @@ def solve_impacts(
             ``(M, 6)`` of :func:`impact_rs_sim.impact_map.contact_laws.table_of`.
         near: Impulses near the answer at these points, as those of other parameters, ``(M, 3)`` [N s]: a problem whose
             Newton's method does not converge from there is solved from nothing. None: all are.
+        neighbours: Further objects, as ``object``; their twists follow its own in u.
 
     Returns:
         Status (0 solved, 1 invalid data, 2 not converged) ``(N,)``; u^+ ``(N, nv)``; twists of E
         ``(N, 6 k)``; residuals ``(N, 4)``; kinetic energy before and its gain ``(N, 2)``; steps ``(N,)``; number of the
-        first contact point ``(N + 1,)``; and of all points partner (arm; the number of arms: the support), state (0
-        open, 1 stick, 2 slide), position on the object, normal, gap and impulse.
+        first contact point ``(N + 1,)``; and of all points partner (arm; the number of arms: the support; beyond it:
+        the objects), state (0 open, 1 stick, 2 slide), position on the object, normal, gap, impulse, and number of the
+        object.
 
     Raises:
         ValueError: An array has the wrong size.
@@ -393,9 +396,11 @@ class Twin:
 
     Args:
         arms: The arms.
-        box: Mass [kg], half extents [m], principal moments [kg m^2], centre of mass [m] and shape of the object.
+        boxes: Mass [kg], half extents [m], principal moments [kg m^2], centre of mass [m] and shape of the object and
+            of its neighbours.
         support: Height, half extents along x and y [m], friction and compliance [m/N]; None: there is none.
         pad_friction: Coulomb coefficient of the pads [-].
+        box_friction: Between objects [-].
         rolling_arm: Lever of the moment that resists rolling [m].
         gravity: Acceleration of gravity in A, ``(3,)`` [m/s^2].
         period: Period of the torque loop [s].
@@ -409,9 +414,10 @@ class Twin:
     def __init__(
         self,
         arms: Sequence[TwinArm],
-        box: tuple[float, Array, Array, Array, Shape | None],
+        boxes: Sequence[tuple[float, Array, Array, Array, Shape | None]],
         support: tuple[float, float, float, float, float] | None,
         pad_friction: float,
+        box_friction: float,
         rolling_arm: float,
         gravity: Array,
         period: float,
@@ -422,11 +428,11 @@ class Twin:
 TwinArmStart = tuple[Array, Array, Array, Array, Array, Array, Array]
 """q, dq, tau_J, dtau_J, times [s] and values of earlier commands, and samples before the start: time, q, dq, tau_J."""
 TwinBoxStart = tuple[Array, Array, Array]
-"""Position, axes and twist of the object."""
+"""Position, axes and twist of an object."""
 TwinTask = tuple[
-    Twin, Sequence[TwinArmStart], TwinBoxStart | None, Array, int, Sequence[tuple[Array, NDArray[np.int32]]]
+    Twin, Sequence[TwinArmStart], Sequence[TwinBoxStart], Array, int, Sequence[tuple[Array, NDArray[np.int32]]]
 ]
-"""Scene; states of the arms and of the object (None: there is none); ticks [s], and periods from one to the next; by
+"""Scene; states of the arms and of the objects; ticks [s], and periods from one to the next; by
 arm torques, and the row that acts in every period."""
 
 class TwinRun:
@@ -435,7 +441,7 @@ class TwinRun:
     Args:
         model: Scene.
         arms: States of the arms.
-        box: State of the object; None: the arms are alone.
+        boxes: States of the object and its neighbours; empty: the arms are alone.
 
     Raises:
         ValueError: An array has the wrong size.
@@ -450,7 +456,7 @@ class TwinRun:
     failed: Sequence[float]
     """Times of the steps that were not solved [s]."""
 
-    def __init__(self, model: Twin, arms: Sequence[TwinArmStart], box: TwinBoxStart | None) -> None: ...
+    def __init__(self, model: Twin, arms: Sequence[TwinArmStart], boxes: Sequence[TwinBoxStart]) -> None: ...
     def step(self, time: float, substeps: int, torques: Sequence[Array]) -> Array:
         """Advance by ``substeps`` periods of the torque loop from ``time`` [s], with a desired torque by arm.
 

@@ -202,7 +202,7 @@ def _collision_bodies(model: RobotModel) -> list[_MovingBody]:
     """Collision bodies of the links (without the base), the end effector and the pad."""
     effector = model.end_effector
     links = link_shapes(model.facts)[1:]
-    tube = Shape(np.array([0.0, 0.0, -effector.length]), np.array([0.0, 0.0, -effector.pad_size[2]]), TOOL_RADIUS_M)
+    tube = Shape(effector.mount.inverse().translation, np.array([0.0, 0.0, -effector.pad_size[2]]), TOOL_RADIUS_M)
     return [
         *(
             _MovingBody(f"link {number}", f"link{number}", [_collider(one) for one in shapes])

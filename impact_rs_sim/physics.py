@@ -22,7 +22,7 @@ from impact_rs_sim.readings import EXACT, ArmReadings, TrackerReadings
 from impact_rs_sim.robots.robot import Array, EndEffector, JointType, RobotFacts, SigmoidFriction
 from impact_rs_sim.robots.robot_model import STANDARD_GRAVITY, RobotModel
 from impact_rs_sim.robots.urdf import write_description
-from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.scenario import ObjectSpec, Scenario
 from impact_rs_sim.shapes import BOX, ConvexShape
 from impact_rs_sim.twist_readings import TwistReadings
 
@@ -408,6 +408,17 @@ class ObjectPhysics:
     com_offset: Array
     shape: ConvexShape = BOX
 
+    @staticmethod
+    def of(spec: ObjectSpec) -> ObjectPhysics:
+        """The nominal body of an object of a scenario."""
+        return ObjectPhysics(
+            mass=math.inf if spec.mass is None else spec.mass,
+            size=np.array(spec.size),
+            inertia=spec.moments,
+            com_offset=np.array(spec.com_offset),
+            shape=spec.form,
+        )
+
     @property
     def fixed(self) -> bool:
         """Whether nothing moves it."""
@@ -442,6 +453,23 @@ def assumed_words(by_arm: Mapping[str, Sequence[str]]) -> str:
 
 
 @dataclass(frozen=True)
+class Neighbour:
+    """A free object that stands beside the one that is hit first.
+
+    Attributes:
+        name: Its name.
+        body: The rigid body.
+        position: From the middle of the object that is hit first, in its axes, ``(3,)`` [m].
+        rotation: Its axes there, ``(3, 3)``.
+    """
+
+    name: str
+    body: ObjectPhysics
+    position: Array
+    rotation: Array
+
+
+@dataclass(frozen=True)
 class Physics:
     """Physical parameters of one scene.
 
@@ -467,6 +495,8 @@ class Physics:
             them (:mod:`impact_rs_sim.effects.depending`).
         twist_readings: Sensor model of the twist of a body at a single impact.
         tracker: Sensor model of the object tracker.
+        neighbours: Further objects that the first one hits, and where they stand beside it before the first impact.
+        object_friction: Friction between objects [-].
     """
 
     arms: dict[str, ArmPhysics]
@@ -486,6 +516,8 @@ class Physics:
     circumstances: Mapping[str, float | str] = field(default_factory=dict)
     twist_readings: TwistReadings = TwistReadings()
     tracker: TrackerReadings = TrackerReadings()
+    neighbours: tuple[Neighbour, ...] = ()
+    object_friction: float = 0.0
 
     @staticmethod
     def nominal(scenario: Scenario, object_name: str) -> Physics:
@@ -528,13 +560,7 @@ class Physics:
             )
         return Physics(
             arms=arms,
-            object=ObjectPhysics(
-                mass=math.inf if spec.mass is None else spec.mass,
-                size=np.array(spec.size),
-                inertia=spec.moments,
-                com_offset=np.array(spec.com_offset),
-                shape=spec.form,
-            ),
+            object=ObjectPhysics.of(spec),
             support_height=None if spec.fixed else scenario.support.height,
             support_size=scenario.support.size,
             support_friction=scenario.support.friction,
@@ -542,7 +568,25 @@ class Physics:
             restitution=scenario.contact.restitution,
             restitution_law=scenario.contact.restitution_law,
             gravity=np.array(scenario.gravity),
+            neighbours=tuple(
+                Neighbour(name, ObjectPhysics.of(other), spec.rotation.T @ shift, spec.rotation.T @ other.rotation)
+                for (name, other), shift in zip(
+                    scenario.neighbours.items(), scenario.neighbour_shifts(object_name), strict=True
+                )
+            ),
+            object_friction=scenario.contact.object_friction if scenario.neighbours else 0.0,
         )
+
+    def friction_of(self, partner: str) -> float:
+        """Coulomb coefficient of an object against an arm's pad, the support (``support``) or an object before it."""
+        if partner in self.arms:
+            return self.pad_friction
+        return self.support_friction if partner == "support" else self.object_friction
+
+    @property
+    def moved_mass(self) -> float:
+        """Mass of the objects that the first one pushes along, and its own [kg]."""
+        return self.object.mass + sum(one.body.mass for one in self.neighbours)
 
     @property
     def assumed(self) -> str:

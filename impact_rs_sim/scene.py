@@ -70,6 +70,14 @@ class BodyState:
         return np.asarray(self.twist[:3] + np.cross(self.twist[3:], point - self.position))
 
 
+def standing(physics: Physics, object_: BodyState) -> tuple[BodyState, ...]:
+    """Neighbours of the object (:attr:`Physics.neighbours`), at rest beside it wherever it is."""
+    return tuple(
+        BodyState(object_.position + object_.rotation @ one.position, object_.rotation @ one.rotation, np.zeros(6))
+        for one in physics.neighbours
+    )
+
+
 @dataclass(frozen=True)
 class Scene:
     """One object and case of a scenario, at the nominal moment of impact.

@@ -31,11 +31,12 @@ from impact_rs_sim.effects.surroundings import Spring
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import ArmPhysics, Load, Physics
 from impact_rs_sim.robots.robot import Array, Flange, JointOrigin
-from impact_rs_sim.scene import ArmMotion, ArmState, BodyState
+from impact_rs_sim.scene import ArmMotion, ArmState, BodyState, standing
 
 # Points of action of formulas beyond joints and end effector: `Acts` in src/twin_formula.hpp.
 ON_PAD, ALONG_PAD, ON_OBJECT, TURNING_OBJECT, ON_SUPPORT, ALONG_SUPPORT = range(3, 9)
 LAG_WITH_START = "lag_from"  # its name in `Formula::NAMES` of src/twin_formula.hpp
+BOX_COLUMNS = 13  # of an object in a state of the kernel: pose and twist
 CONTACT_REFINEMENT = 2  # time steps per period of the torque loop during pad contact
 DISTANT_PAST_S = -1e9  # time from which a command without a time has been held
 
@@ -52,7 +53,7 @@ class TwinJob:
         acting: By arm, row of ``torque`` in every period of the torque loop, ``((k - 1) s,)``.
         time: Ticks, ``(k,)`` [s].
         period: Period of the torque loop [s].
-        object: State of the object at the start; None: the arms are alone.
+        object: State of the object at the start, whose neighbours stand beside it; None: the arms are alone.
         joint_torque: Whether the torques are measured joint torques, without motors and torque loop: each is tau_J at
             the end of its period, and the links receive tau_J + D K^-1 dtau_J (paper eq. EOM_link).
         refinement: Steps in a period of the torque loop in which a pad meets the object.
@@ -82,6 +83,7 @@ class Result:
         poses: Middle [m] and orientation x y z w of the object in A, without changes of sign, ``(k, 7)``; without an
             object ``(k, 0)``.
         twists: Velocity of its middle and angular velocity in A, ``(k, 6)`` [m/s, rad/s], likewise.
+        neighbours: Poses and twists of its neighbours by name, likewise.
         residual: Largest residual of a step's equations, as a velocity of the object [m/s].
         steps: Number of steps.
         contact_steps: Those with a contact.
@@ -95,6 +97,7 @@ class Result:
     arms: dict[str, ArmMotion]
     poses: Array
     twists: Array
+    neighbours: dict[str, tuple[Array, Array]]
     residual: float
     steps: int
     contact_steps: int
@@ -125,13 +128,13 @@ def simulate(jobs: Sequence[TwinJob], threads: int = 1) -> list[Result]:
 
 
 def rests(physics: Physics, state: BodyState) -> bool:
-    """Whether the object is in stable static equilibrium on its support.
+    """Whether the object, and each neighbour beside it, is in stable static equilibrium on its support.
 
     It is if its velocity is zero, gravity lies in the friction cone, and the line of gravity through the centre of mass
     lies in the support polygon; corners within 2 mm of the surface belong to the polygon.
     """
     alone = kernel_twin(replace(physics, arms={}, object_loads=()), period=1.0, joint_torque=False, refinement=1)
-    return _kernel.TwinRun(alone, [], box_start(state)).asleep
+    return _kernel.TwinRun(alone, [], box_starts(physics, state)).asleep
 
 
 def _prepared(model: _kernel.Twin, job: TwinJob) -> _kernel.TwinTask:
@@ -140,7 +143,8 @@ def _prepared(model: _kernel.Twin, job: TwinJob) -> _kernel.TwinTask:
     driving = [(job.torque[name], job.acting[name]) for name in job.physics.arms]
     ticks = len(job.time) - 1
     substeps = len(driving[0][1]) // ticks if ticks else 1
-    return model, arms, None if job.object is None else box_start(job.object), job.time, substeps, driving
+    boxes = [] if job.object is None else box_starts(job.physics, job.object)
+    return model, arms, boxes, job.time, substeps, driving
 
 
 def arm_start(state: ArmState, drive: DriveStart, before: Array | None = None) -> _kernel.TwinArmStart:
@@ -151,13 +155,13 @@ def arm_start(state: ArmState, drive: DriveStart, before: Array | None = None) -
     return state.position, state.velocity, drive.torque, drive.torque_rate, times, values, samples
 
 
-def box_start(state: BodyState) -> _kernel.TwinBoxStart:
-    """Initial state of the object in the form of the kernel."""
-    return state.position, state.rotation, state.twist
+def box_starts(physics: Physics, object_: BodyState) -> list[_kernel.TwinBoxStart]:
+    """Initial states of the object and the neighbours that stand beside it, in the form of the kernel."""
+    return [(state.position, state.rotation, state.twist) for state in (object_, *standing(physics, object_))]
 
 
 def motions(physics: Physics, rows: Array) -> tuple[dict[str, ArmMotion], Array]:
-    """Split states of the kernel, ``(row,)`` or ``(k, row)``: motion of the arms, and columns of the object."""
+    """Split states of the kernel, ``(row,)`` or ``(k, row)``: motion of the arms, and columns of the objects."""
     arms, at = {}, 0
     for name, arm in physics.arms.items():
         n = arm.facts.joint_count
@@ -177,24 +181,33 @@ def _result(
     failed: Sequence[float],
     failure: str,
 ) -> Result:
-    arms, body = motions(job.physics, rows)
-    poses, twists = body[:, :7], body[:, 7:]
-    return Result(arms, poses, twists, residual, steps, contact_steps, iterations, fallbacks, tuple(failed), failure)
+    arms, bodies = motions(job.physics, rows)
+    (poses, twists), *others = [(body[:, :7], body[:, 7:]) for body in _bodies(bodies)]
+    neighbours = dict(zip((one.name for one in job.physics.neighbours), others, strict=False))
+    return Result(
+        arms, poses, twists, neighbours, residual, steps, contact_steps, iterations, fallbacks, tuple(failed), failure
+    )
+
+
+def _bodies(columns: Array) -> list[Array]:
+    """Columns of every object; of the object that is not there, without any."""
+    return np.split(columns, range(BOX_COLUMNS, columns.shape[-1], BOX_COLUMNS), axis=-1)
 
 
 def kernel_twin(physics: Physics, period: float, joint_torque: bool, refinement: int) -> _kernel.Twin:
     """A scene in the form of the kernel; arguments as the attributes of :class:`TwinJob`."""
     arms = [_arm(physics, name, period, joint_torque) for name in physics.arms]
-    box = physics.object
+    boxes = (physics.object, *(one.body for one in physics.neighbours))
     support = None
     if physics.support_height is not None:
         half_x, half_y = (extent / 2.0 for extent in physics.support_size)
         support = (physics.support_height, half_x, half_y, physics.support_friction, physics.support_compliance)
     return _kernel.Twin(
         arms,
-        (box.mass, box.size / 2.0, box.inertia, box.com_offset, box.shape.kernel),
+        [(box.mass, box.size / 2.0, box.inertia, box.com_offset, box.shape.kernel) for box in boxes],
         support,
         physics.pad_friction,
+        physics.object_friction,
         physics.rolling_arm,
         physics.gravity,
         period,
@@ -250,8 +263,8 @@ def _links(arm: ArmPhysics, gravity: Array) -> tuple[_kernel.Chain, Array]:
     mass = np.array([link.mass for link in facts.links])
     com = np.array([link.com for link in facts.links])
     inertia = np.array([link.inertia_matrix for link in facts.links])
-    tip = flange @ pin.rpy.rpyToMatrix(0.0, 0.0, end_effector.mount_yaw)
-    place = np.array(facts.flange.xyz) + end_effector.length * flange[:, 2]
+    tip = flange @ end_effector.mount.rotation
+    place = np.array(facts.flange.xyz) + flange @ end_effector.mount.translation
     own = place + tip @ end_effector.com
     total = mass[-1] + end_effector.mass
     middle = (mass[-1] * com[-1] + end_effector.mass * own) / total

@@ -14,6 +14,9 @@ namespace {
 // it for 16 points, 9 times for 64.
 constexpr int MANY = 3;
 constexpr double ORTHONORMAL = 1e-6;  // of a rotation, as check_problem() of problem.py
+constexpr double STILL[36] = {1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0,   // Jacobian of a free body
+                              0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0,
+                              0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0};
 
 Matrix matrix(const double* values) {
   Matrix m;
@@ -70,47 +73,98 @@ void point_rows(const double* jacobian, int columns, const Vector& lever, double
 
 }  // namespace
 
-bool Impact::sound(const std::vector<ArmState>& arms, const ObjectState& object) const {
+bool Impact::sound(const Arms& arms, const Objects& objects) const {
   for (const ArmState& arm : arms) {
     if (!within(arm.position, arm.low, arm.high, arm.joints)) return false;
     for (int j = 0; j < arm.joints; ++j)
       if (!(std::abs(arm.velocity[j]) <= arm.fastest[j] && arm.motor[j] >= 0.0 && std::isfinite(arm.motor[j])))
         return false;
   }
-  return finite(object.position, 3) && finite(object.twist, 6) && finite(object.axes, 9) &&
-         is_rotation(matrix(object.axes)) &&
-         !(object.fixed() && std::any_of(object.twist, object.twist + 6, [](double value) { return value != 0.0; }));
+  return std::all_of(objects.begin(), objects.end(), [](const ObjectState& object) {
+    return finite(object.position, 3) && finite(object.twist, 6) && finite(object.axes, 9) &&
+           is_rotation(matrix(object.axes)) &&
+           !(object.fixed() && std::any_of(object.twist, object.twist + 6, [](double value) { return value != 0.0; }));
+  });
 }
 
-bool Impact::find_points(const std::vector<ArmState>& arms, const ObjectState& object, const ContactState& contact) {
-  points.clear();
-  const Body box{vector(object.position), matrix(object.axes), vector(object.half), object.form};
+Impact::Side Impact::object_side(const Objects& objects, int number) const {
+  const ObjectState& object = objects[number];
+  const int block = static_cast<int>(blocks_.size() - objects.size()) + number;
+  return {STILL, object.fixed() ? 0 : 6, vector(object.position), block};
+}
+
+Impact::Side Impact::partner_side(const Arms& arms, const Objects& objects, int partner) const {
   const int count = static_cast<int>(arms.size());
-  for (int partner = 0; partner < count + (contact.support != nullptr); ++partner) {
-    Body other;
-    if (partner < count) {
+  if (partner < count) return {arms[partner].jacobian, arms[partner].joints, places_[partner], partner};
+  return partner == count ? Side{STILL, 0, {}, -1} : object_side(objects, partner - count - 1);
+}
+
+bool Impact::find_points(const Arms& arms, const Objects& objects, const ContactState& contact) {
+  points.clear();
+  const int count = static_cast<int>(arms.size());
+  const auto body_of = [](const ObjectState& object) {
+    return Body{vector(object.position), matrix(object.axes), vector(object.half), object.form};
+  };
+  const auto add = [this, &contact](int partner, const Body& other, int number, const Body& body, double friction) {
+    const Meeting meeting = meet(other, body, rules_.aligned);
+    if (!(-meeting.separation <= rules_.penetration)) return false;
+    if (!(meeting.separation <= rules_.gap)) return true;
+    touches_.clear();
+    touching(other, body, meeting, rules_.gap, touches_);
+    const ContactLaw law{friction, *contact.restitution};
+    for (const Touch& touch : touches_)
+      points.push_back({partner, touch.position, meeting.normal, {}, touch.gap, State::open, law, number});
+    return true;
+  };
+  for (int number = 0; number < static_cast<int>(objects.size()); ++number) {
+    const Body body = body_of(objects[number]);
+    for (int partner = 0; partner < count; ++partner) {
       const ArmState& arm = arms[partner];
       const Matrix axes = matrix(arm.axes);
-      other = {places_[partner] + axes * vector(arm.pad_place), axes * matrix(arm.pad_axes), vector(arm.pad_half),
-               arm.pad_form};
-    } else {
-      other = {vector(contact.support), {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}, vector(contact.support + 3)};
+      const Body pad{places_[partner] + axes * vector(arm.pad_place), axes * matrix(arm.pad_axes), vector(arm.pad_half),
+                     arm.pad_form};
+      if (!add(partner, pad, number, body, *contact.pad_friction)) return false;
     }
-    const Meeting meeting = meet(other, box, rules_.aligned);
-    if (!(-meeting.separation <= rules_.penetration)) return false;
-    if (!(meeting.separation <= rules_.gap)) continue;
-    touches_.clear();
-    touching(other, box, meeting, rules_.gap, touches_);
-    const ContactLaw law{partner < count ? *contact.pad_friction : *contact.support_friction, *contact.restitution};
-    for (const Touch& touch : touches_)
-      points.push_back({partner, touch.position, meeting.normal, {}, touch.gap, State::open, law});
+    if (contact.support != nullptr) {
+      const Body below{vector(contact.support), {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0},
+                       vector(contact.support + 3)};
+      if (!add(count, below, number, body, *contact.support_friction)) return false;
+    }
+    for (int before = 0; before < number; ++before)
+      if (!add(count + 1 + before, body_of(objects[before]), number, body, *contact.object_friction)) return false;
   }
   return true;
 }
 
-bool Impact::assemble(const std::vector<ArmState>& arms, const ObjectState& object) {
+// Inertia of an object at its middle. A fixed one keeps its velocity: no column of J_c is its own, and any inertia does.
+void Impact::add_object(const ObjectState& object, Block& body) {
+  body.start = static_cast<int>(before_.size());
+  body.size = 6;
+  body.inertia.assign(36, 0.0);
+  before_.insert(before_.end(), object.twist, object.twist + 6);
+  if (object.fixed()) {
+    for (int i = 0; i < 6; ++i) body.inertia[7 * i] = 1.0;
+    return;
+  }
+  const Matrix axes = matrix(object.axes);
+  const Vector c = axes * vector(object.offset);
+  const double mass = *object.mass;
+  const Matrix lever{0.0, -c[2], c[1], c[2], 0.0, -c[0], -c[1], c[0], 0.0};
+  for (int i = 0; i < 3; ++i) {
+    body.inertia[6 * i + i] = mass;
+    for (int j = 0; j < 3; ++j) {
+      body.inertia[6 * i + 3 + j] = -mass * lever[3 * i + j];
+      body.inertia[6 * (3 + i) + j] = mass * lever[3 * i + j];
+      double moment = mass * ((i == j ? dot(c, c) : 0.0) - c[i] * c[j]);
+      for (int k = 0; k < 3; ++k) moment += axes[3 * i + k] * object.moments[k] * axes[3 * j + k];
+      body.inertia[6 * (3 + i) + 3 + j] = moment;
+    }
+  }
+}
+
+bool Impact::assemble(const Arms& arms, const Objects& objects) {
   const int count = static_cast<int>(arms.size());
-  blocks_.resize(count + 1);
+  blocks_.resize(count + objects.size());
   before_.clear();
   before_twists_.resize(6 * count);
   for (int a = 0; a < count; ++a) {
@@ -126,29 +180,7 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ObjectState& obje
     before_.insert(before_.end(), arm.velocity, arm.velocity + n);
     twist_of(arm.jacobian, arm.velocity, n, before_twists_.data() + 6 * a);
   }
-  Block& body = blocks_[count];
-  body.start = static_cast<int>(before_.size());
-  body.size = 6;
-  body.inertia.assign(36, 0.0);
-  before_.insert(before_.end(), object.twist, object.twist + 6);
-  // A fixed object keeps its velocity: no column of J_c is its own, and any inertia does.
-  const bool fixed = object.fixed();
-  if (fixed)
-    for (int i = 0; i < 6; ++i) body.inertia[7 * i] = 1.0;
-  const Matrix axes = matrix(object.axes);
-  const Vector c = axes * vector(object.offset);
-  const double mass = *object.mass;
-  const Matrix lever{0.0, -c[2], c[1], c[2], 0.0, -c[0], -c[1], c[0], 0.0};
-  for (int i = 0; i < 3 && !fixed; ++i) {
-    body.inertia[6 * i + i] = mass;
-    for (int j = 0; j < 3; ++j) {
-      body.inertia[6 * i + 3 + j] = -mass * lever[3 * i + j];
-      body.inertia[6 * (3 + i) + j] = mass * lever[3 * i + j];
-      double moment = mass * ((i == j ? dot(c, c) : 0.0) - c[i] * c[j]);
-      for (int k = 0; k < 3; ++k) moment += axes[3 * i + k] * object.moments[k] * axes[3 * j + k];
-      body.inertia[6 * (3 + i) + 3 + j] = moment;
-    }
-  }
+  for (std::size_t k = 0; k < objects.size(); ++k) add_object(objects[k], blocks_[count + k]);
   for (Block& block : blocks_) {
     block.factor = block.inertia;
     if (!factorise(block.factor.data(), block.size)) return false;
@@ -157,46 +189,47 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ObjectState& obje
   turning_.clear();
   for (std::size_t i = 0; i < points.size(); ++i)
     if (points[i].law.drilling_arm > 0.0 || points[i].law.rolling_arm > 0.0) turning_.push_back(static_cast<int>(i));
+  const ObjectState& object = objects.front();
+  const bool fixed = object.fixed();
   length_ = fixed ? norm(vector(object.half))
-                  : std::sqrt((object.moments[0] + object.moments[1] + object.moments[2]) / (3.0 * mass));
+                  : std::sqrt((object.moments[0] + object.moments[1] + object.moments[2]) / (3.0 * *object.mass));
   const int m = static_cast<int>(points.size() + turning_.size()), size = 3 * m;
   terms_.resize(m);
-  // Y = L^-1 J_c^T of the object and of the arm at every contact, three columns each; G = Y^T Y.
+  // Y = L^-1 J_c^T of the object and of its partner at every contact, three columns each; G = Y^T Y.
   int widest = 6;
   for (const Block& block : blocks_) widest = std::max(widest, block.size);
   object_columns_.resize(18 * m);
   arm_columns_.assign(3 * widest * m, 0.0);
   work_.resize(3 * widest);
-  double still[36] = {};
-  for (int k = 0; k < 6; ++k) still[7 * k] = 1.0;
   for (int i = 0; i < m; ++i) {
     const Point& point = point_of(i);
-    const auto columns = [&](const double* jacobian, int n, const Vector& at, double sign, const Block& block,
-                             double* found) {
-      if (turns(i)) turning_rows(jacobian, n, sign * length_, work_.data());
-      else point_rows(jacobian, n, at, sign, work_.data());
+    const auto columns = [&](const Side& side, const Vector& at, double sign, double* found) {
+      if (turns(i)) turning_rows(side.jacobian, side.size, sign * length_, work_.data());
+      else point_rows(side.jacobian, side.size, at, sign, work_.data());
       for (int k = 0; k < 3; ++k)
-        for (int j = 0; j < n; ++j) found[3 * j + k] = work_[k * n + j];
-      forward(block.factor.data(), n, found, 3);
+        for (int j = 0; j < side.size; ++j) found[3 * j + k] = work_[k * side.size + j];
+      forward(blocks_[side.block].factor.data(), side.size, found, 3);
     };
-    if (fixed) std::fill_n(object_columns_.begin() + 18 * i, 18, 0.0);
-    else columns(still, 6, point.position - vector(object.position), 1.0, body, object_columns_.data() + 18 * i);
-    if (point.partner < count) {
-      const ArmState& arm = arms[point.partner];
-      const Vector at = point.position - point.gap * point.normal - places_[point.partner];
-      columns(arm.jacobian, arm.joints, at, -1.0, blocks_[point.partner], arm_columns_.data() + 3 * widest * i);
-    }
+    const Side own = object_side(objects, point.body), other = partner_side(arms, objects, point.partner);
+    double* of_object = object_columns_.data() + 18 * i;
+    double* of_partner = arm_columns_.data() + 3 * widest * i;
+    std::fill_n(of_object, 18, 0.0);
+    if (own.size > 0) columns(own, point.position - own.place, 1.0, of_object);
+    if (other.size > 0) columns(other, point.position - point.gap * point.normal - other.place, -1.0, of_partner);
     for (int j = 0; j <= i; ++j) {
-      const bool together = point.partner < count && point.partner == point_of(j).partner;
-      const int n = together ? arms[point.partner].joints : 0;
+      const Point& before = point_of(j);
       double sums[9] = {};
       const auto add = [&sums](const double* left, const double* right, int rows) {
         for (int r = 0; r < rows; ++r)
           for (int k = 0; k < 3; ++k)
             for (int c2 = 0; c2 < 3; ++c2) sums[3 * k + c2] += left[3 * r + k] * right[3 * r + c2];
       };
-      add(object_columns_.data() + 18 * i, object_columns_.data() + 18 * j, 6);
-      add(arm_columns_.data() + 3 * widest * i, arm_columns_.data() + 3 * widest * j, n);
+      const double* object_before = object_columns_.data() + 18 * j;
+      const double* partner_before = arm_columns_.data() + 3 * widest * j;
+      if (point.body == before.body) add(of_object, object_before, 6);
+      if (point.partner == before.partner) add(of_partner, partner_before, other.size);
+      if (point.partner == count + 1 + before.body) add(of_partner, object_before, other.size);
+      if (before.partner == count + 1 + point.body) add(of_object, partner_before, own.size);
       for (int k = 0; k < 3; ++k)
         for (int c2 = 0; c2 < 3; ++c2)
           terms_.delassus[(3 * i + k) * size + 3 * j + c2] = terms_.delassus[(3 * j + c2) * size + 3 * i + k] =
@@ -205,8 +238,9 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ObjectState& obje
   }
   take_root(count);
   terms_.take_inverse_mass();
-  terms_.mobility = fixed ? mean(terms_.inverse_mass) : 1.0 / mass;
-  relative_velocities(arms, object, before_twists_.data(), object.twist, terms_.approach.data());
+  terms_.mobility = fixed ? mean(terms_.inverse_mass) : 1.0 / *object.mass;
+  relative_velocities(arms, objects, before_twists_.data(), before_.data() + blocks_[count].start,
+                      terms_.approach.data());
   for (int i = 0; i < m; ++i) {
     const Point& point = point_of(i);
     const ContactLaw& law = point.law;
@@ -226,7 +260,7 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ObjectState& obje
   return true;
 }
 
-// Y, from the columns of the object and of the arm at every point.
+// Y, from the columns of the object and of its partner at every point.
 void Impact::take_root(int arms) {
   const int m = terms_.count, size = 3 * m, stride = m == 0 ? 0 : static_cast<int>(arm_columns_.size()) / m;
   const int velocities = static_cast<int>(before_.size());
@@ -238,63 +272,66 @@ void Impact::take_root(int arms) {
       for (int k = 0; k < 3; ++k) terms_.root[(block.start + r) * size + 3 * point + k] = columns[3 * r + k];
   };
   for (int i = 0; i < m; ++i) {
-    put(object_columns_.data() + 18 * i, blocks_[arms], i);
-    if (points[i].partner < arms) put(arm_columns_.data() + stride * i, blocks_[points[i].partner], i);
+    put(object_columns_.data() + 18 * i, blocks_[arms + points[i].body], i);
+    const int partner = points[i].partner;
+    if (partner != arms) put(arm_columns_.data() + stride * i, blocks_[partner < arms ? partner : partner - 1], i);
   }
 }
 
-void Impact::relative_velocities(const std::vector<ArmState>& arms, const ObjectState& object, const double* of_bodies,
-                                 const double* of_object, double* found) const {
+void Impact::relative_velocities(const Arms& arms, const Objects& objects, const double* of_arms,
+                                 const double* of_objects, double* found) const {
+  const int count = static_cast<int>(arms.size());
+  const auto twist_of_partner = [=](int partner) {
+    if (partner == count) return static_cast<const double*>(nullptr);
+    return partner < count ? of_arms + 6 * partner : of_objects + 6 * (partner - count - 1);
+  };
   for (const Point& point : points) {
-    Vector moving = vector(of_object) + cross(vector(of_object + 3), point.position - vector(object.position));
-    if (point.partner < static_cast<int>(arms.size())) {
-      const double* twist = of_bodies + 6 * point.partner;
-      const Vector at = point.position - point.gap * point.normal - places_[point.partner];
-      moving = moving - vector(twist) - cross(vector(twist + 3), at);
+    const double* own = of_objects + 6 * point.body;
+    Vector moving = vector(own) + cross(vector(own + 3), point.position - vector(objects[point.body].position));
+    if (const double* twist = twist_of_partner(point.partner)) {
+      const Vector place = partner_side(arms, objects, point.partner).place;
+      moving = moving - vector(twist) - cross(vector(twist + 3), point.position - point.gap * point.normal - place);
     }
     std::copy(moving.begin(), moving.end(), found);
     found += 3;
   }
   for (const int number : turning_) {
-    Vector moving = vector(of_object + 3);
-    if (const int partner = points[number].partner; partner < static_cast<int>(arms.size()))
-      moving = moving - vector(of_bodies + 6 * partner + 3);
+    Vector moving = vector(of_objects + 6 * points[number].body + 3);
+    if (const double* twist = twist_of_partner(points[number].partner)) moving = moving - vector(twist + 3);
     moving = length_ * moving;
     std::copy(moving.begin(), moving.end(), found);
     found += 3;
   }
 }
 
-void Impact::impulses_to_momenta(const std::vector<ArmState>& arms, const ObjectState& object,
-                                 std::vector<double>& momenta) {
-  const int count = static_cast<int>(arms.size());
+void Impact::impulses_to_momenta(const Arms& arms, const Objects& objects, std::vector<double>& momenta) {
   momenta.assign(before_.size(), 0.0);
   for (int i = 0; i < terms_.count; ++i) {
     const Point& point = point_of(i);
     const Vector given = vector(impulses_.data() + 3 * i);
     const Vector impulse = turns(i) ? Vector{} : given, couple = turns(i) ? length_ * given : Vector{};
-    double* body = momenta.data() + blocks_[count].start;
-    const Vector moment = cross(point.position - vector(object.position), impulse) + couple;
-    for (int k = 0; k < 3 && !object.fixed(); ++k) {
+    const Side own = object_side(objects, point.body), other = partner_side(arms, objects, point.partner);
+    double* body = momenta.data() + blocks_[own.block].start;
+    const Vector moment = cross(point.position - own.place, impulse) + couple;
+    for (int k = 0; k < 3 && own.size > 0; ++k) {
       body[k] += impulse[k];
       body[3 + k] += moment[k];
     }
-    if (point.partner >= count) continue;
-    const ArmState& arm = arms[point.partner];
-    const Vector at = point.position - point.gap * point.normal - places_[point.partner];
+    if (other.size == 0) continue;
+    const Vector at = point.position - point.gap * point.normal - other.place;
     const Vector turning = cross(at, impulse) + couple;
-    double* joints = momenta.data() + blocks_[point.partner].start;
-    const int n = arm.joints;
+    double* joints = momenta.data() + blocks_[other.block].start;
+    const int n = other.size;
     for (int k = 0; k < 3; ++k)
       for (int j = 0; j < n; ++j)
-        joints[j] -= arm.jacobian[k * n + j] * impulse[k] + arm.jacobian[(3 + k) * n + j] * turning[k];
+        joints[j] -= other.jacobian[k * n + j] * impulse[k] + other.jacobian[(3 + k) * n + j] * turning[k];
   }
 }
 
 // From the impulses: velocities, residuals and energy.
-void Impact::finish(const std::vector<ArmState>& arms, const ObjectState& object) {
+void Impact::finish(const Arms& arms, const Objects& objects) {
   const int count = static_cast<int>(arms.size());
-  impulses_to_momenta(arms, object, momenta_);
+  impulses_to_momenta(arms, objects, momenta_);
   velocity = before_;
   momentum = energy = gain = 0.0;
   for (const Block& block : blocks_) {
@@ -326,21 +363,20 @@ void Impact::finish(const std::vector<ArmState>& arms, const ObjectState& object
   for (int a = 0; a < count; ++a)
     twist_of(arms[a].jacobian, velocity.data() + blocks_[a].start, arms[a].joints, twists.data() + 6 * a);
   after_.resize(3 * terms_.count);
-  relative_velocities(arms, object, twists.data(), velocity.data() + blocks_[count].start, after_.data());
+  relative_velocities(arms, objects, twists.data(), velocity.data() + blocks_[count].start, after_.data());
   laws = judge(terms_, impulses_.data(), after_.data());
 }
 
-Status Impact::solve(const std::vector<ArmState>& arms, const ObjectState& object, const ContactState& contact,
-                     const Point* begin, const Point* end, bool resumed) {
-  if (!sound(arms, object)) return Status::unsound;
+Status Impact::solve(const Arms& arms, const Objects& objects, const ContactState& contact, const Point* begin, const Point* end, bool resumed) {
+  if (!sound(arms, objects)) return Status::unsound;
   places_.clear();
   for (const ArmState& arm : arms) places_.push_back(vector(arm.place));
   if (begin != nullptr) {
     points.assign(begin, end);
-  } else if (!find_points(arms, object, contact)) {
+  } else if (!find_points(arms, objects, contact)) {
     return Status::unsound;
   }
-  if (!assemble(arms, object)) return Status::unsound;
+  if (!assemble(arms, objects)) return Status::unsound;
   solver_.steps = 0;
   bool solved = false;
   if (resumed) {
@@ -355,7 +391,7 @@ Status Impact::solve(const std::vector<ArmState>& arms, const ObjectState& objec
     points[i].impulse = vector(impulses_.data() + 3 * i);
     points[i].state = solver_.state(static_cast<int>(i));
   }
-  finish(arms, object);
+  finish(arms, objects);
   return solved ? Status::solved : Status::unsolved;
 }
 

@@ -55,6 +55,7 @@ struct ContactState {
   const double* support_friction;  // (1)
   const double* restitution;       // (1)
   const double* support;           // centre, then half extents of the support's box in A, (6); null: there is none
+  const double* object_friction;   // between objects, (1)
 };
 
 enum class Status : char { solved, unsound, unsolved };  // unsound: invalid data, reported by Python
@@ -70,11 +71,12 @@ struct ContactLaw {
 };
 
 struct Point {
-  int partner;  // index of the arm; number of arms: the support
+  int partner;  // index of the arm; number of arms: the support; beyond it: the objects
   Vector position, normal, impulse;
   double gap;
   State state;
   ContactLaw law;
+  int body = 0;  // index of the object that the impulse acts on
 };
 
 class Impact {
@@ -83,10 +85,10 @@ class Impact {
 
   // Solve one problem; the result is in the members below. Contact points are found by geometry, or given with their
   // laws: those from `begin` to `end`, with impulses near the answer where `resumed`.
-  Status solve(const std::vector<ArmState>& arms, const ObjectState& object, const ContactState& contact,
+  Status solve(const std::vector<ArmState>& arms, const std::vector<ObjectState>& objects, const ContactState& contact,
                const Point* begin = nullptr, const Point* end = nullptr, bool resumed = false);
 
-  std::vector<double> velocity;  // u^+, joints of all arms and the twist of the object
+  std::vector<double> velocity;  // u^+, joints of all arms and the twists of the objects
   std::vector<double> twists;    // of frame E of every arm after the impact, (6) each
   std::vector<Point> points;
   Judged laws;
@@ -95,21 +97,35 @@ class Impact {
   int steps = 0;
 
  private:
-  struct Block {  // of H: an arm, or the object
+  struct Block {  // of H: an arm, or an object
     int start, size;
     std::vector<double> inertia, factor;
   };
 
-  bool sound(const std::vector<ArmState>& arms, const ObjectState& object) const;
-  bool find_points(const std::vector<ArmState>& arms, const ObjectState& object, const ContactState& contact);
-  bool assemble(const std::vector<ArmState>& arms, const ObjectState& object);
+  using Arms = std::vector<ArmState>;
+  using Objects = std::vector<ObjectState>;
+
+  // One of two bodies that touch: its twist at a place is a Jacobian times its velocities.
+  struct Side {
+    const double* jacobian;
+    int size;  // of its velocities; 0: it does not move
+    Vector place;
+    int block;
+  };
+
+  bool sound(const Arms& arms, const Objects& objects) const;
+  bool find_points(const Arms& arms, const Objects& objects, const ContactState& contact);
+  bool assemble(const Arms& arms, const Objects& objects);
+  void add_object(const ObjectState& object, Block& block);
+  Side object_side(const Objects& objects, int number) const;
+  Side partner_side(const Arms& arms, const Objects& objects, int partner) const;
   const Point& point_of(int contact) const { return points[turns(contact) ? turning_[contact - points.size()] : contact]; }
   bool turns(int contact) const { return contact >= static_cast<int>(points.size()); }
   void take_root(int arms);
-  void finish(const std::vector<ArmState>& arms, const ObjectState& object);
-  void impulses_to_momenta(const std::vector<ArmState>& arms, const ObjectState& object, std::vector<double>& momenta);
-  void relative_velocities(const std::vector<ArmState>& arms, const ObjectState& object, const double* of_bodies,
-                           const double* of_object, double* found) const;
+  void finish(const Arms& arms, const Objects& objects);
+  void impulses_to_momenta(const Arms& arms, const Objects& objects, std::vector<double>& momenta);
+  void relative_velocities(const Arms& arms, const Objects& objects, const double* of_arms, const double* of_objects,
+                           double* found) const;
 
   Rules rules_;
   Solver solver_;

@@ -228,29 +228,47 @@ std::vector<Point> points_of(const PointsOfPython& given, int arms) {
   return points;
 }
 
+struct ObjectFields {
+  std::vector<Field> fields;
+  OptionalForm shape;
+
+  ObjectFields(const py::sequence& given, py::ssize_t count) {
+    if (given.size() != 7 && given.size() != 8) throw py::value_error("expected 7 fields of an object, 8 with a shape");
+    if (given.size() == 8) shape = given[7].cast<OptionalForm>();
+    const py::ssize_t sizes[] = {3, 9, 6, 1, 3, 3, 3};
+    const char* const names[] = {"object.position", "object.rotation", "object.twist",     "object.mass",
+                                 "object.half",     "object.inertia",  "object.com_offset"};
+    for (int k = 0; k < 7; ++k) fields.emplace_back(given[k], sizes[k], count, names[k]);
+  }
+
+  ObjectState at(py::ssize_t q) const {
+    const auto& o = fields;
+    return {o[0](q), o[1](q), o[2](q), o[3](q), o[4](q), o[5](q), o[6](q), shape.value_or(Form{})};
+  }
+};
+
 py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::sequence& object,
                         const py::sequence& contact, const py::object& support,
                         const std::tuple<double, double, double, double>& rules,
-                        const std::optional<PointsOfPython>& given, const std::optional<Numbers>& near) {
+                        const std::optional<PointsOfPython>& given, const std::optional<Numbers>& near,
+                        const py::sequence& neighbours) {
   std::vector<ArmFields> arm_fields;
   py::ssize_t joints = 0;
   for (const py::handle arm : arms) {
     arm_fields.emplace_back(py::reinterpret_borrow<py::sequence>(arm), count);
     joints += arm_fields.back().joints;
   }
-  if ((object.size() != 7 && object.size() != 8) || contact.size() != 3)
-    throw py::value_error("expected 7 fields of the object, 8 with a shape, and 3 of contact");
-  const OptionalForm shape = object.size() == 8 ? object[7].cast<OptionalForm>() : std::nullopt;
-  const py::ssize_t sizes[] = {3, 9, 6, 1, 3, 3, 3};
-  const char* const names[] = {"object.position", "object.rotation", "object.twist",     "object.mass",
-                               "object.half",     "object.inertia",  "object.com_offset"};
-  std::vector<Field> of_object, of_contact, of_support;
-  for (int k = 0; k < 7; ++k) of_object.emplace_back(object[k], sizes[k], count, names[k]);
-  const char* const coefficients[] = {"pad_friction", "support_friction", "restitution"};
-  for (int k = 0; k < 3; ++k) of_contact.emplace_back(contact[k], 1, count, coefficients[k]);
+  std::vector<ObjectFields> object_fields;
+  object_fields.emplace_back(object, count);
+  for (const py::handle one : neighbours) object_fields.emplace_back(py::reinterpret_borrow<py::sequence>(one), count);
+  const bool alone = object_fields.size() == 1;
+  if (contact.size() != (alone ? 3 : 4)) throw py::value_error("expected 3 fields of contact, 4 with neighbours");
+  std::vector<Field> of_contact, of_support;
+  const char* const coefficients[] = {"pad_friction", "support_friction", "restitution", "object_friction"};
+  for (py::size_t k = 0; k < contact.size(); ++k) of_contact.emplace_back(contact[k], 1, count, coefficients[k]);
   if (!support.is_none()) of_support.emplace_back(support, 6, count, "support");
 
-  const py::ssize_t k = arm_fields.size(), size = joints + 6;
+  const py::ssize_t k = arm_fields.size(), size = joints + 6 * static_cast<py::ssize_t>(object_fields.size());
   std::vector<Point> known;
   std::vector<int> where;
   if (given) {
@@ -269,7 +287,7 @@ py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::s
       energy({count, py::ssize_t{2}});
   py::array_t<int> status(count), steps(count), first(count + 1), partner, state;
   std::vector<double> positions, normals, gaps, impulses;
-  std::vector<int> partners, states;
+  std::vector<int> partners, states, bodies;
   {
     double *u = velocity.mutable_data(), *t = twists.mutable_data(), *r = residual.mutable_data(),
            *e = energy.mutable_data();
@@ -277,14 +295,15 @@ py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::s
     const py::gil_scoped_release others_may_run;
     Impact impact({std::get<0>(rules), std::get<1>(rules), std::get<2>(rules), std::get<3>(rules)});
     std::vector<ArmState> states_of_arms(k);
+    std::vector<ObjectState> states_of_objects(object_fields.size());
     f[0] = 0;
     for (py::ssize_t q = 0; q < count; ++q) {
       for (py::ssize_t a = 0; a < k; ++a) states_of_arms[a] = arm_fields[a].at(q);
-      const auto& o = of_object;
+      for (std::size_t b = 0; b < object_fields.size(); ++b) states_of_objects[b] = object_fields[b].at(q);
       const auto& c = of_contact;
       const Status found = impact.solve(
-          states_of_arms, {o[0](q), o[1](q), o[2](q), o[3](q), o[4](q), o[5](q), o[6](q), shape.value_or(Form{})},
-          {c[0](q), c[1](q), c[2](q), of_support.empty() ? nullptr : of_support[0](q)},
+          states_of_arms, states_of_objects,
+          {c[0](q), c[1](q), c[2](q), of_support.empty() ? nullptr : of_support[0](q), alone ? nullptr : c[3](q)},
           given ? known.data() + where[q] : nullptr, given ? known.data() + where[q + 1] : nullptr, near.has_value());
       s[q] = static_cast<int>(found);
       n[q] = impact.steps;
@@ -307,6 +326,7 @@ py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::s
       f[q + 1] = f[q] + static_cast<int>(impact.points.size());
       for (const Point& point : impact.points) {
         partners.push_back(point.partner);
+        bodies.push_back(point.body);
         states.push_back(static_cast<int>(point.state));
         gaps.push_back(point.gap);
         positions.insert(positions.end(), point.position.begin(), point.position.end());
@@ -319,7 +339,7 @@ py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::s
   return py::make_tuple(status, velocity, twists, residual, energy, steps, first,
                         py::array_t<int>(points, partners.data()), py::array_t<int>(points, states.data()),
                         array(positions, {points, 3}), array(normals, {points, 3}), array(gaps, {points}),
-                        array(impulses, {points, 3}));
+                        array(impulses, {points, 3}), py::array_t<int>(points, bodies.data()));
 }
 
 }  // namespace
@@ -345,7 +365,8 @@ PYBIND11_MODULE(_kernel, module) {
       .def("solve", &TermsOfPython::solve, py::arg("compliance"))
       .def("judge", &TermsOfPython::judge, py::arg("impulses"), py::arg("after"), py::arg("least"));
   module.def("solve_impacts", &solve_impacts, py::arg("count"), py::arg("arms"), py::arg("object"), py::arg("contact"),
-             py::arg("support"), py::arg("rules"), py::arg("points") = py::none(), py::arg("near") = py::none());
+             py::arg("support"), py::arg("rules"), py::arg("points") = py::none(), py::arg("near") = py::none(),
+             py::arg("neighbours") = py::tuple());
   add_chain(module);
   add_control(module);
   add_drive(module);

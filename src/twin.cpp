@@ -69,90 +69,101 @@ Vector tangential(const Vector& a, const Vector& normal) { return a + -dot(a, no
 
 }  // namespace
 
+Twin::Solid::Solid(const BoxModel& box)
+    : model(box),
+      fixed(std::isinf(box.mass)),
+      awake(false),
+      mass(fixed ? FIXED_MASS : box.mass),
+      rotation(IDENTITY) {}
+
 Twin::Twin(const TwinModel& model, const TwinStart& start)
     : model_(model),
-      has_box_(start.box.has_value()),
-      fixed_(std::isinf(model.box.mass)),
-      mass_(fixed_ ? FIXED_MASS : model.box.mass),
-      awake_(false),
       last_(model.period),
-      centre_{},
-      velocity_{},
-      angular_{},
-      momentum_{},
-      rotation_(IDENTITY),
-      motions_(model.arms.size()),
       pad_forces_(model.arms.size()),
-      guesses_(model.arms.size() + 1),
-      pushes_(has_box_ && !model.formulas.empty()),
+      pushes_(!start.boxes.empty() && !model.formulas.empty()),
       memory_(fresh_memory(model.formulas)),
-      touching_(model.arms.size() + 1),
       symbols_(of_joints, 0.0),
       softened_(model.arms.size()) {
   arms_.reserve(model.arms.size());
   for (std::size_t i = 0; i < model.arms.size(); ++i) arms_.emplace_back(model.arms[i], start.arms[i], model.period);
-  if (has_box_) place(*start.box);
+  const int arms = static_cast<int>(arms_.size()), boxes = static_cast<int>(start.boxes.size());
+  for (int box = 0; box < std::max(boxes, 1); ++box) {
+    for (int arm = 0; arm < arms; ++arm) pairs_.push_back({box, arm, -1});
+    pairs_.push_back({box, -1, -1});
+  }
+  for (int box = 1; box < boxes; ++box)
+    for (int other = 0; other < box; ++other) pairs_.push_back({box, -1, other});
+  motions_.resize(pairs_.size());
+  guesses_.resize(pairs_.size());
+  touching_.resize(pairs_.size());
+  for (int box = 0; box < boxes; ++box) {
+    solids_.emplace_back(model.boxes[box]);
+    place(solids_.back(), start.boxes[box]);
+  }
   look_around(0.0);
   for (std::size_t i = 0; i < arms_.size(); ++i) arms_[i].look_back(start.arms[i].before);
 }
 
-void Twin::place(const BoxStart& box) {
+void Twin::place(Solid& solid, const BoxStart& start) {
   for (const ArmModel& arm : model_.arms)
     for (const FormulaLoad& load : arm.formulas)
       pushes_ = pushes_ || load.acts == Acts::on_pad || load.acts == Acts::along_pad;
-  rotation_ = box.rotation;
-  const Vector lever = rotation_ * model_.box.offset;
-  centre_ = box.centre + lever;
-  if (fixed_) return;  // without velocity, and untouched so far
-  angular_ = box.angular;
-  velocity_ = box.velocity + cross(angular_, lever);
-  momentum_ = inertia() * angular_;
-  awake_ = !(model_.support && is_zero(box.velocity) && is_zero(box.angular) && rests());
+  solid.rotation = start.rotation;
+  const Vector lever = solid.rotation * solid.model.offset;
+  solid.centre = start.centre + lever;
+  if (solid.fixed) return;  // without velocity, and untouched so far
+  solid.angular = start.angular;
+  solid.velocity = start.velocity + cross(solid.angular, lever);
+  solid.momentum = solid.inertia() * solid.angular;
+  solid.awake = !(model_.support && is_zero(start.velocity) && is_zero(start.angular) && rests(solid));
 }
 
 // Whether a box without velocity stays where it is until it is touched: gravity pulls it neither along its support,
 // against friction, nor over the edge of what it stands on. Normal forces only push, so that the line of gravity through
 // the centre of mass has to meet the support within the polygon of its points.
-bool Twin::rests() {
+bool Twin::rests(const Solid& solid) {
   const Vector& g = model_.gravity;
   if (!(std::hypot(g[0], g[1]) < -g[2] * model_.support->friction)) return false;
-  const Body below = table();
+  const Body below = table(solid);
   touches_.clear();
-  touch(below, box(), ALIGNED, MARGIN, MARGIN, touches_);
-  const double fall = (centre_[2] - below.centre[2] - below.half[2]) / -g[2];
+  touch(below, solid.body(), ALIGNED, MARGIN, MARGIN, touches_);
+  const Vector& centre = solid.centre;
+  const double fall = (centre[2] - below.centre[2] - below.half[2]) / -g[2];
   std::vector<double> directions;  // of the points, seen from there; around a point inside is no gap of pi
   for (const Touch& touch : touches_)
-    directions.push_back(std::atan2(touch.position[1] - centre_[1] - fall * g[1], touch.position[0] - centre_[0] - fall * g[0]));
+    directions.push_back(std::atan2(touch.position[1] - centre[1] - fall * g[1], touch.position[0] - centre[0] - fall * g[0]));
   std::sort(directions.begin(), directions.end());
   for (std::size_t i = 0; i + 1 < directions.size(); ++i)
     if (directions[i + 1] - directions[i] >= PI) return false;
   return !directions.empty() && directions.back() - directions.front() > PI;
 }
 
-Matrix Twin::inertia() const {
+Matrix Twin::Solid::inertia() const {
   Matrix found;
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j) {
       double sum = 0.0;
-      for (int k = 0; k < 3; ++k) sum += rotation_[3 * i + k] * model_.box.inertia[k] * rotation_[3 * j + k];
+      for (int k = 0; k < 3; ++k) sum += rotation[3 * i + k] * model.inertia[k] * rotation[3 * j + k];
       found[3 * i + j] = sum;
     }
   return found;
 }
 
-// Unloaded, a compliant support is higher by what the object's weight presses it down.
-Body Twin::table() const {
+// Unloaded, a compliant support is higher by what an object's weight presses it down.
+Body Twin::table(const Solid& solid) const {
   const SupportModel& support = *model_.support;
-  const double surface = support.height - model_.gravity[2] * model_.box.mass * support.compliance;
+  const double surface = support.height - model_.gravity[2] * solid.model.mass * support.compliance;
   return {{0.0, 0.0, surface - 0.5 * SUPPORT_THICKNESS},
           IDENTITY,
           {support.half_x, support.half_y, 0.5 * SUPPORT_THICKNESS}};
 }
 
-Body Twin::box() const { return {centre_ - rotation_ * model_.box.offset, rotation_, model_.box.half, model_.box.form}; }
+bool Twin::any_awake() const {
+  return std::any_of(solids_.begin(), solids_.end(), [](const Solid& one) { return one.awake; });
+}
 
 std::size_t Twin::row() const {
-  std::size_t size = has_box_ ? BOX_ROW : 0;
+  std::size_t size = BOX_ROW * solids_.size();
   for (const TwinArm& arm : arms_) size += 5 * arm.joints();
   return size;
 }
@@ -162,18 +173,21 @@ void Twin::state(double* out, const double* before) const {
   for (const TwinArm& arm : arms_)
     for (const auto* values : {&arm.q, &arm.dq, &arm.elastic(), &arm.motor_position(), &arm.motor_velocity()})
       out = std::copy(values->begin(), values->end(), out);
-  if (!has_box_) return;
-  const Vector lever = rotation_ * model_.box.offset, middle = centre_ - lever;
-  const Vector velocity = velocity_ - cross(angular_, lever);
-  out = std::copy(middle.begin(), middle.end(), out);
-  quaternion(rotation_, out, before != nullptr ? before + (out - begin) : nullptr);
-  out += 4;
-  out = std::copy(velocity.begin(), velocity.end(), out);
-  std::copy(angular_.begin(), angular_.end(), out);
+  for (const Solid& solid : solids_) {
+    const Vector lever = solid.rotation * solid.model.offset, middle = solid.centre - lever;
+    const Vector velocity = solid.velocity - cross(solid.angular, lever);
+    out = std::copy(middle.begin(), middle.end(), out);
+    quaternion(solid.rotation, out, before != nullptr ? before + (out - begin) : nullptr);
+    out += 4;
+    out = std::copy(velocity.begin(), velocity.end(), out);
+    out = std::copy(solid.angular.begin(), solid.angular.end(), out);
+  }
 }
 
 bool Twin::is_finite() const {
-  double sum = dot(centre_, centre_) + dot(velocity_, velocity_) + dot(angular_, angular_);
+  double sum = 0.0;
+  for (const Solid& one : solids_)
+    sum += dot(one.centre, one.centre) + dot(one.velocity, one.velocity) + dot(one.angular, one.angular);
   for (const TwinArm& arm : arms_)
     for (int i = 0; i < arm.joints(); ++i) sum += arm.q[i] + arm.dq[i];
   return std::isfinite(sum);
@@ -187,13 +201,15 @@ void Twin::load(double time) {
 // Symbols of time, object and contact, of the object's formulas and of those of every arm.
 void Twin::look_around(double time) {
   symbols_[of_time] = time;
-  if (has_box_) {
-    const Vector middle = box().centre, velocity = velocity_ + cross(angular_, middle - centre_);
+  if (!solids_.empty()) {
+    const Solid& object = solids_.front();
+    const Vector middle = object.body().centre;
+    const Vector velocity = object.velocity + cross(object.angular, middle - object.centre);
     std::copy(middle.begin(), middle.end(), &symbols_[of_object_place]);
     std::copy(velocity.begin(), velocity.end(), &symbols_[of_object_velocity]);
-    std::copy(angular_.begin(), angular_.end(), &symbols_[of_object_turning]);
+    std::copy(object.angular.begin(), object.angular.end(), &symbols_[of_object_turning]);
     symbols_[of_object_speed] = norm(velocity);
-    const Touching& support = touching_.back();
+    const Touching& support = touching_[arms_.size()];
     symbols_[of_support_force] = support.force;
     symbols_[of_support_slip] = support.slip;
   }
@@ -218,10 +234,11 @@ void Twin::look_around(double time) {
 void Twin::push(double time) {
   force_ = moment_ = {};
   look_around(time);
+  const Vector& centre = solids_.front().centre;
   const auto at_surface = [&](const Touching& touching, double normal, double along) {
     const Vector force = normal * touching.normal + -along * touching.along;
     force_ = force_ + force;
-    moment_ = moment_ + cross(touching.place - centre_, force);
+    moment_ = moment_ + cross(touching.place - centre, force);
     return force;
   };
   const Touching& support = touching_.back();
@@ -241,7 +258,7 @@ void Twin::push(double time) {
     }
   }
   force_ = force_ + at_middle;
-  moment_ = moment_ + cross(vector(&symbols_[of_object_place]) - centre_, at_middle);
+  moment_ = moment_ + cross(vector(&symbols_[of_object_place]) - centre, at_middle);
   for (std::size_t i = 0; i < arms_.size(); ++i) {
     const Touching& pad = touching_[i];
     const std::vector<FormulaLoad>& loads = arms_[i].formulas();
@@ -307,24 +324,40 @@ bool Twin::look() {
   partners_.clear();
   solver_.partners.clear();
   solver_.points.clear();
-  if (!has_box_) return false;
-  for (std::size_t i = 0; i < arms_.size(); ++i) look_at_pad(static_cast<int>(i));
+  if (solids_.empty()) return false;
+  const int count = static_cast<int>(pairs_.size());
+  for (int number = 0; number < count; ++number)
+    if (pairs_[number].arm >= 0) look_at_pad(number);
   bool fast = false;
   for (const ContactPoint& point : solver_.points)
     fast = fast || (std::abs(point.speed) > RESOLVED && point.gap + 2.0 * model_.period * std::min(point.speed, 0.0) < 0.0);
-  if (!solver_.points.empty()) awake_ = true;
-  if (awake_ && model_.support) look_at_support();
+  for (const int number : partners_) solids_[pairs_[number].box].awake = true;
+  // A box that is touched wakes, and may wake others.
+  std::vector<bool> looked(count, false);
+  for (bool again = solids_.size() > 1; again;) {
+    again = false;
+    for (int number = 0; number < count; ++number) {
+      const Pair& pair = pairs_[number];
+      if (pair.other < 0 || looked[number] || !(solids_[pair.box].awake || solids_[pair.other].awake)) continue;
+      looked[number] = true;
+      if (look_at_boxes(number)) again = solids_[pair.box].awake = solids_[pair.other].awake = true;
+    }
+  }
+  for (int number = 0; number < count && model_.support; ++number)
+    if (pairs_[number].arm < 0 && pairs_[number].other < 0 && solids_[pairs_[number].box].awake) look_at_support(number);
   return fast;
 }
 
 void Twin::look_at_pad(int number) {
-  TwinArm& arm = arms_[number];
-  const Body object = box(), pad = arm.pad_box();
+  TwinArm& arm = arms_[pairs_[number].arm];
+  const Solid& solid = solids_[pairs_[number].box];
+  const bool shears = pairs_[number].box == 0;  // a pad remembers its shear on the object
+  const Body object = solid.body(), pad = arm.pad_box();
   const double reach = norm(pad.half) + norm(object.half) + MARGIN;
   const Vector apart = object.centre - pad.centre;
-  softened_[number].yields = false;
+  if (shears) softened_[pairs_[number].arm].yields = false;
   if (!(dot(apart, apart) < reach * reach)) {
-    arm.shear = {};
+    if (shears) arm.shear = {};
     return;
   }
   touches_.clear();
@@ -336,7 +369,7 @@ void Twin::look_at_pad(int number) {
   for (const Touch& touch : touches_) {
     if (touch.gap > MARGIN) continue;
     ContactPoint point{};
-    point.place = touch.position - centre_;
+    point.place = touch.position - solid.centre;
     point.normal = normal;
     point.gap = touch.gap;
     point.share = share;
@@ -344,13 +377,13 @@ void Twin::look_at_pad(int number) {
   }
   const std::size_t count = solver_.points.size() - first;
   if (count == 0) {
-    arm.shear = {};
+    if (shears) arm.shear = {};
     return;
   }
-  Vector linear = velocity_, angular = angular_;
+  Vector linear = solid.velocity, angular = solid.angular;
   for (int i = 0; i < arm.joints(); ++i) {
     const Spatial& axis = arm.axis(i);
-    const Vector slides = axis.linear + cross(axis.angular, centre_);
+    const Vector slides = axis.linear + cross(axis.angular, solid.centre);
     motions.insert(motions.end(), axis.angular.begin(), axis.angular.end());
     motions.insert(motions.end(), slides.begin(), slides.end());
     linear = linear - arm.dq[i] * slides;
@@ -364,15 +397,56 @@ void Twin::look_at_pad(int number) {
   }
   if (!in_reach) {
     solver_.points.resize(first);
-    arm.shear = {};
+    if (shears) arm.shear = {};
     return;
   }
   partners_.push_back(number);
-  solver_.partners.push_back({arm.joints(), 0, motions.data(), first, count});
+  solver_.partners.push_back({arm.joints(), 0, motions.data(), first, count, 0});
 }
 
-void Twin::look_at_support() {
-  const Body object = box(), below = table();
+// Whether a box touches one before it.
+bool Twin::look_at_boxes(int number) {
+  const Solid &solid = solids_[pairs_[number].box], &other = solids_[pairs_[number].other];
+  const Body object = solid.body(), before = other.body();
+  const double reach = norm(before.half) + norm(object.half) + MARGIN;
+  const Vector apart = object.centre - before.centre, lever = solid.centre - other.centre;
+  if (!(dot(apart, apart) < reach * reach)) return false;
+  touches_.clear();
+  const Vector normal = touch(before, object, ALIGNED, MARGIN, MARGIN, touches_);
+  const std::size_t first = solver_.points.size();
+  const Vector angular = solid.angular - other.angular;
+  const Vector linear = solid.velocity - other.velocity - cross(other.angular, lever);
+  bool in_reach = false;
+  for (const Touch& touch : touches_) {
+    ContactPoint point{};
+    point.place = touch.position - solid.centre;
+    point.normal = normal;
+    point.gap = touch.gap;
+    point.speed = dot(normal, linear + cross(angular, point.place));
+    in_reach = in_reach || point.gap - 2.0 * model_.period * std::abs(point.speed) < IN_REACH;
+    solver_.points.push_back(point);
+  }
+  if (!in_reach) {
+    solver_.points.resize(first);
+    return false;
+  }
+  std::vector<double>& motions = motions_[number];
+  motions.assign(36, 0.0);
+  for (int i = 0; i < 3; ++i) {
+    Vector axis{};
+    axis[i] = 1.0;
+    const Vector slides = cross(axis, lever);
+    motions[7 * i] = motions[21 + 7 * i] = 1.0;
+    std::copy(slides.begin(), slides.end(), motions.begin() + 6 * i + 3);
+  }
+  partners_.push_back(number);
+  solver_.partners.push_back({6, 0, motions.data(), first, touches_.size(), 0});
+  return true;
+}
+
+void Twin::look_at_support(int number) {
+  const Solid& solid = solids_[pairs_[number].box];
+  const Body object = solid.body(), below = table(solid);
   if (object.centre[2] - norm(object.half) > below.centre[2] + below.half[2] + MARGIN) return;
   touches_.clear();
   const Vector normal = touch(below, object, ALIGNED, MARGIN, MARGIN, touches_);
@@ -381,41 +455,46 @@ void Twin::look_at_support() {
   const double share = std::min(1.0, FACE_POINTS / static_cast<double>(touches_.size())) / FACE_POINTS;
   for (const Touch& touch : touches_) {
     ContactPoint point{};
-    point.place = touch.position - centre_;
+    point.place = touch.position - solid.centre;
     point.normal = normal;
     point.gap = touch.gap;
     point.share = share;
-    point.speed = dot(point.normal, velocity_ + cross(angular_, point.place));
+    point.speed = dot(point.normal, solid.velocity + cross(solid.angular, point.place));
     solver_.points.push_back(point);
   }
-  partners_.push_back(static_cast<int>(arms_.size()));
-  solver_.partners.push_back({0, 0, nullptr, first, touches_.size()});
+  partners_.push_back(number);
+  solver_.partners.push_back({0, 0, nullptr, first, touches_.size(), 0});
 }
 
 // Laws of the points of one partner over the coming step.
 void Twin::prepare(std::size_t number, double kick) {
   const Partner& partner = solver_.partners[number];
-  const bool is_pad = partner.joints > 0;
-  const double hold = RIGID * mass_ / (FACE_POINTS * kick);
-  const Vector half = model_.box.half;
+  const Pair& pair = pairs_[partners_[number]];
+  const bool is_pad = pair.arm >= 0;
+  const Solid& solid = solids_[pair.box];
+  const double mass = pair.other < 0 ? solid.mass : std::min(solid.mass, solids_[pair.other].mass);
+  const double hold = RIGID * mass / (FACE_POINTS * kick);
+  const Vector half = solid.model.half;
   double stiffness = 0.0, damping = 0.0, friction = model_.pad_friction;
-  bool rigid;
+  bool rigid = true;
   if (is_pad) {
-    const Pad& pad = arms_[partners_[number]].pad();
+    const Pad& pad = arms_[pair.arm].pad();
     rigid = pad.rigid;
     stiffness = pad.stiffness;
     damping = pad.damping;
+  } else if (pair.other >= 0) {
+    friction = model_.box_friction;
   } else {
     const SupportModel& support = *model_.support;
     rigid = support.compliance == 0.0;
     friction = support.friction;
     if (!rigid) {
       stiffness = 1.0 / support.compliance;
-      damping = 2.0 * SUPPORT_DAMPING_RATIO * std::sqrt(stiffness * mass_);
+      damping = 2.0 * SUPPORT_DAMPING_RATIO * std::sqrt(stiffness * mass);
     }
   }
   // Half of the damper acts after the step, for second order; more where it would reverse the velocity within a step.
-  const double decay = 2.0 * kick * damping / mass_;
+  const double decay = 2.0 * kick * damping / mass;
   const double implicit = decay > 2.0 ? 1.0 - 1.0 / decay : 0.5;
   for (std::size_t i = partner.first; i < partner.first + partner.count; ++i) {
     ContactPoint& point = solver_.points[i];
@@ -431,13 +510,13 @@ void Twin::prepare(std::size_t number, double kick) {
     point.lever = model_.rolling_arm;
     point.turn_stick = hold * dot(half, half);
   }
-  if (is_pad) soften(number);
+  if (is_pad && pair.box == 0) soften(number);
 }
 
 // Friction of a pad that yields along its face: impact_rs_sim/plant/pad_shear.py, with spring and damper after the step.
 void Twin::soften(std::size_t number) {
   const Partner& partner = solver_.partners[number];
-  TwinArm& arm = arms_[partners_[number]];
+  TwinArm& arm = arms_[partners_[number]];  // pairs of the object with arms have their numbers
   Softened& own = softened_[partners_[number]];
   const double compliance = arm.pad().shear_compliance, creep = arm.pad().creep;
   own.yields = compliance > 0.0 || creep > 0.0;
@@ -458,7 +537,7 @@ void Twin::soften(std::size_t number) {
   own.lag = std::sqrt(compliance);  // damping ratio 0.5 of a kilogram on the spring
   const double theta = own.lag + solver_.span.now, stiff = 1.0 / (compliance + theta * creep);
   const Vector& normal = solver_.points[partner.first].normal;
-  const Vector lever = cross(normal, own.centre + centre_ - arm.end());
+  const Vector lever = cross(normal, own.centre + solids_.front().centre - arm.end());
   const Vector shift = tangential(arm.axes_of_last() * arm.shear.shift + arm.shear.twist * lever, normal);
   for (std::size_t i = 0; i < partner.count; ++i) {
     ContactPoint& point = solver_.points[partner.first + i];
@@ -483,7 +562,7 @@ void Twin::remember(std::size_t number) {
   }
   const double theta = own.lag + solver_.span.now, kept = own.lag / theta;
   const double yields = solver_.span.now * arm.pad().shear_compliance / theta;
-  const Vector lever = cross(normal, own.centre + centre_ - arm.end());
+  const Vector lever = cross(normal, own.centre + solids_.front().centre - arm.end());
   const Vector shift = tangential(arm.axes_of_last() * arm.shear.shift + arm.shear.twist * lever, normal);
   const double twist = kept * arm.shear.twist - (radius > 1e-12 ? yields * torque / radius : 0.0);
   arm.shear.twist = twist;
@@ -497,72 +576,103 @@ void Twin::step(double length, double time) {
   solver_.span = {last_, length};
   for (TwinArm& arm : arms_) arm.equations();
   if (pushes_) push(time);
-  if (awake_ && has_box_) {
+  if (any_awake()) {
     touch_step(kick, time);
   } else {
     for (TwinArm& arm : arms_)
       if (!arm.coast(kick)) std::fill(arm.dq.begin(), arm.dq.end(), std::numeric_limits<double>::quiet_NaN());
   }
   for (TwinArm& arm : arms_) arm.move(kick, length);
-  if (awake_ && has_box_ && !fixed_) move_box(length);
-  if (pushes_ && !(is_zero(force_) && is_zero(moment_))) awake_ = true;  // with its support, from the next step on
+  for (Solid& solid : solids_) {
+    if (!solid.awake || solid.fixed) continue;
+    solid.centre = solid.centre + length * solid.velocity;
+    solid.rotation = turned(length * solid.angular, solid.rotation);
+  }
+  if (pushes_ && !(is_zero(force_) && is_zero(moment_))) solids_.front().awake = true;  // with its support, from the next step on
   last_ = length;
+}
+
+// An arm in contact among the unknowns of the step.
+void Twin::put_arm(const Partner& partner, const TwinArm& arm) {
+  StepSolver& solver = solver_;
+  const int joints = partner.joints, at = partner.offset, n = solver.size;
+  for (int i = 0; i < joints; ++i)
+    for (int j = 0; j <= i; ++j)
+      solver.mass[(at + i) * n + at + j] = solver.mass[(at + j) * n + at + i] = arm.mass[i * joints + j];
+  for (int i = 0; i < joints; ++i) {
+    double sum = solver.kick * arm.driving[i];
+    for (int j = 0; j < joints; ++j) sum += solver.mass[(at + i) * n + at + j] * arm.dq[j];
+    solver.impulse[at + i] = sum;
+    solver.velocity[at + i] = arm.dq[i];
+  }
+}
+
+// A box likewise, under a force and a moment about its centre of mass.
+void Twin::put_box(Solid& solid, const Vector& force, const Vector& moment) {
+  StepSolver& solver = solver_;
+  const int o = solid.offset, n = solver.size;
+  const Matrix turns = solid.fixed ? IDENTITY : solid.inertia();
+  if (!solid.fixed) solid.momentum = solid.momentum + solver.kick * moment;
+  const Vector free =
+      solid.fixed ? Vector{} : solid.velocity + solver.kick * (model_.gravity + (1.0 / solid.mass) * force);
+  const Vector spin = divided(turns, solid.momentum);
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) solver.mass[(o + i) * n + o + j] = turns[3 * i + j];
+    solver.mass[(o + 3 + i) * n + o + 3 + i] = solid.mass;
+    solver.impulse[o + i] = solid.momentum[i];
+    solver.impulse[o + 3 + i] = solid.mass * free[i];
+    solver.velocity[o + i] = partners_.empty() ? spin[i] : solid.angular[i];
+    solver.velocity[o + 3 + i] = partners_.empty() ? free[i] : solid.velocity[i];
+  }
 }
 
 void Twin::touch_step(double kick, double time) {
   StepSolver& solver = solver_;
-  std::vector<bool> touches(arms_.size(), false);
+  std::vector<int> offsets(arms_.size(), -1);
   int size = 0;
-  for (std::size_t k = 0; k < partners_.size(); ++k) {
-    if (solver.partners[k].joints == 0) continue;
-    touches[partners_[k]] = true;
-    solver.partners[k].offset = size;
-    size += solver.partners[k].joints;
+  for (const int number : partners_) {
+    const int arm = pairs_[number].arm;
+    if (arm < 0 || offsets[arm] >= 0) continue;
+    offsets[arm] = size;
+    size += arms_[arm].joints();
   }
   for (std::size_t i = 0; i < arms_.size(); ++i)
-    if (!touches[i] && !arms_[i].coast(kick))
+    if (offsets[i] < 0 && !arms_[i].coast(kick))
       std::fill(arms_[i].dq.begin(), arms_[i].dq.end(), std::numeric_limits<double>::quiet_NaN());
-  const int o = size, n = size + 6;
+  solver.objects.clear();
+  for (Solid& solid : solids_) {
+    if (!solid.awake) continue;
+    solid.offset = size;
+    solver.objects.push_back(size);
+    size += 6;
+  }
+  const int n = size;
   solver.size = n;
   solver.kick = kick;
-  solver.object_mass = mass_;
-  solver.fixed = fixed_;
+  solver.object_mass = solids_.front().mass;
+  solver.fixed = solids_.front().fixed;
   solver.mass.assign(n * n, 0.0);
   solver.impulse.resize(n);
   solver.velocity.resize(n);
   for (std::size_t k = 0; k < partners_.size(); ++k) {
-    const Partner& partner = solver.partners[k];
+    Partner& partner = solver.partners[k];
+    const Pair& pair = pairs_[partners_[k]];
+    partner.object = solids_[pair.box].offset;
+    if (pair.arm >= 0) partner.offset = offsets[pair.arm];
+    if (pair.other >= 0) partner.offset = solids_[pair.other].offset;
     prepare(k, kick);
-    if (partner.joints == 0) continue;
-    const TwinArm& arm = arms_[partners_[k]];
-    const int joints = partner.joints, at = partner.offset;
-    for (int i = 0; i < joints; ++i)
-      for (int j = 0; j <= i; ++j)
-        solver.mass[(at + i) * n + at + j] = solver.mass[(at + j) * n + at + i] = arm.mass[i * joints + j];
-    for (int i = 0; i < joints; ++i) {
-      double sum = kick * arm.driving[i];
-      for (int j = 0; j < joints; ++j) sum += solver.mass[(at + i) * n + at + j] * arm.dq[j];
-      solver.impulse[at + i] = sum;
-      solver.velocity[at + i] = arm.dq[i];
-    }
+    if (pair.arm >= 0) put_arm(partner, arms_[pair.arm]);
   }
-  const Matrix turns = fixed_ ? IDENTITY : inertia();
-  if (!fixed_) momentum_ = momentum_ + kick * moment_;
-  const Vector free = fixed_ ? Vector{} : velocity_ + kick * (model_.gravity + (1.0 / mass_) * force_);
-  const Vector spin = divided(turns, momentum_);
-  for (int i = 0; i < 3; ++i) {
-    for (int j = 0; j < 3; ++j) solver.mass[(o + i) * n + o + j] = turns[3 * i + j];
-    solver.mass[(o + 3 + i) * n + o + 3 + i] = mass_;
-    solver.impulse[o + i] = momentum_[i];
-    solver.impulse[o + 3 + i] = mass_ * free[i];
-    solver.velocity[o + i] = partners_.empty() ? spin[i] : angular_[i];
-    solver.velocity[o + 3 + i] = partners_.empty() ? free[i] : velocity_[i];
+  for (Solid& solid : solids_) {
+    if (!solid.awake) continue;
+    const bool is_object = &solid == &solids_.front();
+    put_box(solid, is_object ? force_ : Vector{}, is_object ? moment_ : Vector{});
   }
   if (!partners_.empty()) {
     ++report_.contact_steps;
     recall();
     const std::vector<double> before = solver.velocity;
-    if (partners_ == partners_before_)
+    if (partners_ == partners_before_ && change_.size() == before.size())
       for (int i = 0; i < n; ++i) solver.velocity[i] += kick / kick_before_ * change_[i];
     const Solution solution = solver.solve();
     change_.resize(n);
@@ -579,22 +689,30 @@ void Twin::touch_step(double kick, double time) {
   for (auto& guesses : guesses_) guesses.clear();
   for (std::size_t k = 0; k < partners_.size(); ++k) {
     const Partner& partner = solver.partners[k];
+    const Pair& pair = pairs_[partners_[k]];
     std::vector<Guess>& guesses = guesses_[partners_[k]];
     for (std::size_t i = partner.first; i < partner.first + partner.count; ++i) {
       guesses.push_back(solver.guesses[i]);
       guesses.back().load = solver.loads()[i];
     }
     const double* wrench = solver.wrench(k);
-    for (int i = 0; i < 3 && !fixed_; ++i) momentum_[i] += kick * wrench[i];
-    if (partner.joints == 0) continue;
-    TwinArm& arm = arms_[partners_[k]];
-    pad_forces_[partners_[k]] = -1.0 * vector(wrench + 3);
+    Solid& solid = solids_[pair.box];
+    for (int i = 0; i < 3 && !solid.fixed; ++i) solid.momentum[i] += kick * wrench[i];
+    if (pair.other >= 0) {
+      Vector& momentum = solids_[pair.other].momentum;
+      for (int j = 0; j < 3; ++j)
+        for (int i = 0; i < 6; ++i) momentum[j] -= kick * partner.motions[6 * j + i] * wrench[i];
+    }
+    if (pair.arm < 0) continue;
+    TwinArm& arm = arms_[pair.arm];
+    pad_forces_[pair.arm] = pad_forces_[pair.arm] + -1.0 * vector(wrench + 3);
     std::copy_n(solver.velocity.begin() + partner.offset, partner.joints, arm.dq.begin());
-    if (softened_[partners_[k]].yields) remember(k);
+    if (pair.box == 0 && softened_[pair.arm].yields) remember(k);
   }
-  if (!fixed_) {
-    angular_ = vector(&solver.velocity[o]);
-    velocity_ = vector(&solver.velocity[o + 3]);
+  for (Solid& solid : solids_) {
+    if (!solid.awake || solid.fixed) continue;
+    solid.angular = vector(&solver.velocity[solid.offset]);
+    solid.velocity = vector(&solver.velocity[solid.offset + 3]);
   }
   for (std::size_t k = 0; k < partners_.size(); ++k) note(k, time);
 }
@@ -613,7 +731,8 @@ void Twin::note(std::size_t number, double time) {
   }
   if (!(total > 0.0)) return;
   place = (1.0 / total) * place;
-  Vector angular = angular_, linear = velocity_;
+  const Solid& solid = solids_[pairs_[partners_[number]].box];
+  Vector angular = solid.angular, linear = solid.velocity;
   for (int j = 0; j < partner.joints; ++j) {
     const double rate = solver_.velocity[partner.offset + j];
     angular = angular - rate * vector(partner.motions + 6 * j);
@@ -626,7 +745,7 @@ void Twin::note(std::size_t number, double time) {
   own.closing = -dot(velocity, own.normal);
   own.slip = norm(sliding);
   own.along = (1.0 / std::hypot(own.slip, SLOW)) * sliding;
-  own.place = place + centre_;
+  own.place = place + solid.centre;
   if (own.begin < 0.0) own.begin = time;
 }
 
@@ -638,11 +757,6 @@ void Twin::recall() {
     const std::vector<Guess>& before = guesses_[partners_[k]];
     if (before.size() == partner.count) std::copy(before.begin(), before.end(), solver_.guesses.begin() + partner.first);
   }
-}
-
-void Twin::move_box(double drift) {
-  centre_ = centre_ + drift * velocity_;
-  rotation_ = turned(drift * angular_, rotation_);
 }
 
 }  // namespace impact_rs

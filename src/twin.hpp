@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// The twin: arms with drives, a box and its support, from a measured state under recorded torque. Equations and step
+// The twin: arms with drives, objects and their support, from a measured state under recorded torque. Equations and step
 // method in docs/physics.md, "The twin".
 
 #pragma once
+
+#include <algorithm>
 
 #include "twin_arm.hpp"
 #include "twin_step.hpp"
@@ -27,9 +29,10 @@ struct SupportModel {
 // What does not change over a simulation.
 struct TwinModel {
   std::vector<ArmModel> arms;
-  BoxModel box;
+  std::vector<BoxModel> boxes;  // the object, then its neighbours; only the object may be fixed
   std::optional<SupportModel> support;
   double pad_friction;  // [-]
+  double box_friction;  // between objects [-]
   double rolling_arm;   // [m]
   Vector gravity;       // [m/s^2]
   double period;        // of the torque loop [s]
@@ -46,7 +49,7 @@ struct BoxStart {
 
 struct TwinStart {
   std::vector<ArmStart> arms;
-  std::optional<BoxStart> box;  // none: the arms are alone
+  std::vector<BoxStart> boxes;  // empty: the arms are alone
 };
 
 // Driving torques of an arm in the order in which they act, (m, n), and the row that acts in every period. The caller's.
@@ -79,14 +82,14 @@ struct Touching {
   Vector along{};            // direction of sliding, shorter where it is slow
 };
 
-constexpr std::size_t BOX_ROW = 13;  // numbers of the box in a row
+constexpr std::size_t BOX_ROW = 13;  // numbers of a box in a row
 
 class Twin {
  public:
   Twin(const TwinModel& model, const TwinStart& start);
 
   // Numbers of a state: q, dq, tau_J, theta, dtheta (n each) of every arm; then middle, quaternion x y z w, velocity of
-  // the middle and angular velocity of the box, where there is one. The quaternion has the sign nearer to that of
+  // the middle and angular velocity of every box. The quaternion has the sign nearer to that of
   // `before` (a state as well), unless that is null.
   std::size_t row() const;
   void state(double* out, const double* before) const;
@@ -97,42 +100,64 @@ class Twin {
   // One tick from `time` [s]: `substeps` periods with a desired torque by arm. False: a state is not finite.
   bool tick(double time, int substeps, const std::vector<const double*>& torques);
 
-  // Whether the box rests on its support until it is touched.
-  bool asleep() const { return has_box_ && !awake_; }
+  // Whether all boxes rest on their support until they are touched.
+  bool asleep() const {
+    return !solids_.empty() && std::none_of(solids_.begin(), solids_.end(), [](const Solid& one) { return one.awake; });
+  }
 
-  // Force of the box on the pad of an arm in the last step [N].
+  // Force of the boxes on the pad of an arm in the last step [N].
   const Vector& pad_force(int arm) const { return pad_forces_[arm]; }
 
   const TwinReport& report() const { return report_; }
 
  private:
-  void place(const BoxStart& box);
-  bool rests();
+  // State of a box: centre of mass, axes, velocities; angular momentum about the centre of mass.
+  struct Solid {
+    const BoxModel& model;
+    bool fixed, awake;
+    double mass;  // or what stands in its place [kg]
+    Vector centre{}, velocity{}, angular{}, momentum{};
+    Matrix rotation;
+    int offset = 0;  // of its velocities among the unknowns of a step
+
+    explicit Solid(const BoxModel& box);
+    Body body() const { return {centre - rotation * model.offset, rotation, model.half, model.form}; }
+    Matrix inertia() const;
+  };
+
+  // What may touch: a box and an arm, the support, or a box before it.
+  struct Pair {
+    int box, arm, other;  // -1: it is another one
+  };
+
+  void place(Solid& solid, const BoxStart& start);
+  bool rests(const Solid& solid);
   void load(double time);
   void period(double time);
-  bool look();  // contact points now; whether a pad meets the object faster than a step of a period resolves
-  void look_at_pad(int arm);
-  void look_at_support();
+  bool look();  // contact points now; whether a pad meets an object faster than a step of a period resolves
+  void look_at_pad(int number);
+  bool look_at_boxes(int number);
+  void look_at_support(int number);
   void step(double length, double time);
   void look_around(double time);
   void push(double time);
   void touch_step(double kick, double time);
+  void put_arm(const Partner& partner, const TwinArm& arm);
+  void put_box(Solid& solid, const Vector& force, const Vector& moment);
   void note(std::size_t partner, double time);
   void prepare(std::size_t partner, double kick);
   void soften(std::size_t partner);
   void remember(std::size_t partner);
   void recall();
-  void move_box(double drift);
-  Body box() const;
-  Body table() const;
-  Matrix inertia() const;
+  bool any_awake() const;
+  Body table(const Solid& solid) const;
   bool is_finite() const;
 
   const TwinModel& model_;
   TwinReport report_;
   std::vector<TwinArm> arms_;
-  bool has_box_, fixed_, awake_;
-  double mass_;  // of the object, or in its place [kg]
+  std::vector<Solid> solids_;  // empty: the arms are alone
+  std::vector<Pair> pairs_;    // by number: of every box the arms, then the support; then boxes with boxes before them
   double last_;  // length of the step before [s]
   long periods_ = 0;  // of the torque loop so far
 
@@ -141,22 +166,18 @@ class Twin {
   std::vector<int> partners_before_;
   double kick_before_ = 1.0;
 
-  // The box: centre of mass, axes, velocities; angular momentum about the centre of mass.
-  Vector centre_, velocity_, angular_, momentum_;
-  Matrix rotation_;
-
-  // Contacts of this step. Partners are arms by number, then the support.
+  // Contacts of this step. Partners are numbers of pairs.
   std::vector<Touch> touches_;
   std::vector<int> partners_;
-  std::vector<std::vector<double>> motions_;  // by arm
+  std::vector<std::vector<double>> motions_;  // by pair
   std::vector<Vector> pad_forces_;            // by arm
-  std::vector<std::vector<Guess>> guesses_;  // by partner and point, of the step before
+  std::vector<std::vector<Guess>> guesses_;   // by pair and point, of the step before
   StepSolver solver_;
 
   // Formulas: how every partner is touched, and force and moment about its centre of mass that act on the object.
   bool pushes_;
   Memory memory_;                   // of those of the object
-  std::vector<Touching> touching_;  // by arm, then the support
+  std::vector<Touching> touching_;  // by pair
   std::vector<double> symbols_;     // of the object
   Vector force_{}, moment_{};
 

@@ -21,7 +21,7 @@ using SupportOfPython = std::tuple<double, double, double, double, double>;
 using ArmStartOfPython = std::tuple<Numbers, Numbers, Numbers, Numbers, Numbers, Numbers, Numbers>;
 using BoxStartOfPython = std::tuple<Numbers, Numbers, Numbers>;
 using DrivingOfPython = std::tuple<Numbers, Rows>;
-using JobOfPython = std::tuple<const TwinModel*, std::vector<ArmStartOfPython>, std::optional<BoxStartOfPython>, Numbers,
+using JobOfPython = std::tuple<const TwinModel*, std::vector<ArmStartOfPython>, std::vector<BoxStartOfPython>, Numbers,
                                int, std::vector<DrivingOfPython>>;
 
 Vector vector_of(const Numbers& values, const char* name) { return vector(checked(values, 3, name)); }
@@ -78,13 +78,16 @@ ArmModel arm_of(const Chain& links, const py::object& motors, const Numbers& sha
   return arm;
 }
 
-TwinModel model_of(const std::vector<const ArmModel*>& arms, const BoxOfPython& box,
-                   const std::optional<SupportOfPython>& support, double pad_friction, double rolling_arm,
+TwinModel model_of(const std::vector<const ArmModel*>& arms, const std::vector<BoxOfPython>& boxes,
+                   const std::optional<SupportOfPython>& support, double pad_friction, double box_friction,
+                   double rolling_arm,
                    const Numbers& gravity, double period, int refinement,
                    const std::vector<FormulaOfPython>& formulas) {
-  const auto& [mass, half, inertia, offset, shape] = box;
-  TwinModel model{{}, {mass, vector_of(half, "box"), vector_of(inertia, "box"), vector_of(offset, "box"), shape.value_or(Form{})}, std::nullopt,
-                  pad_friction, rolling_arm, vector_of(gravity, "gravity"), period, refinement, {}};
+  TwinModel model{{}, {}, std::nullopt, pad_friction, box_friction, rolling_arm, vector_of(gravity, "gravity"), period,
+                  refinement, {}};
+  for (const auto& [mass, half, inertia, offset, shape] : boxes)
+    model.boxes.push_back({mass, vector_of(half, "boxes"), vector_of(inertia, "boxes"), vector_of(offset, "boxes"),
+                           shape.value_or(Form{})});
   for (const auto& [effect, acts, index, code, constants] : formulas) {
     if (acts < static_cast<int>(Acts::on_object) || acts > static_cast<int>(Acts::along_support))
       throw py::value_error("formula: does not act on the object");
@@ -112,15 +115,15 @@ ArmStart arm_start_of(const ArmStartOfPython& given, py::ssize_t n) {
 }
 
 TwinStart start_of(const TwinModel& model, const std::vector<ArmStartOfPython>& arms,
-                   const std::optional<BoxStartOfPython>& box) {
+                   const std::vector<BoxStartOfPython>& boxes) {
   TwinStart start;
   if (arms.size() != model.arms.size()) throw py::value_error("arms: not those of the model");
   for (std::size_t i = 0; i < arms.size(); ++i)
     start.arms.push_back(arm_start_of(arms[i], static_cast<py::ssize_t>(model.arms[i].links.joints())));
-  if (box) {
-    const double* twist = checked(std::get<2>(*box), 6, "box");
-    start.box = BoxStart{vector_of(std::get<0>(*box), "box"), matrix_of(std::get<1>(*box), "box"), vector(twist),
-                         vector(twist + 3)};
+  if (!boxes.empty() && boxes.size() != model.boxes.size()) throw py::value_error("boxes: not those of the model");
+  for (const auto& [centre, rotation, given] : boxes) {
+    const double* twist = checked(given, 6, "boxes");
+    start.boxes.push_back({vector_of(centre, "boxes"), matrix_of(rotation, "boxes"), vector(twist), vector(twist + 3)});
   }
   return start;
 }
@@ -144,8 +147,8 @@ Course course_of(const TwinModel& model, const Numbers& time, int substeps, cons
 // A simulation that goes on tick by tick, under torques that depend on where it is.
 class TwinRun {
  public:
-  TwinRun(const TwinModel& model, const std::vector<ArmStartOfPython>& arms, const std::optional<BoxStartOfPython>& box)
-      : model_(model), twin_(model_, start_of(model_, arms, box)), state_(twin_.row()) {
+  TwinRun(const TwinModel& model, const std::vector<ArmStartOfPython>& arms, const std::vector<BoxStartOfPython>& boxes)
+      : model_(model), twin_(model_, start_of(model_, arms, boxes)), state_(twin_.row()) {
     twin_.state(state_.data(), nullptr);
   }
   TwinRun(const TwinRun&) = delete;
@@ -209,10 +212,10 @@ py::list run_twins(const std::vector<JobOfPython>& jobs, int threads) {
   std::vector<TwinStart> starts;
   std::vector<Course> courses;
   std::vector<Outcome> outcomes;
-  for (const auto& [model, arms, box, time, substeps, driving] : jobs) {
-    starts.push_back(start_of(*model, arms, box));
+  for (const auto& [model, arms, boxes, time, substeps, driving] : jobs) {
+    starts.push_back(start_of(*model, arms, boxes));
     courses.push_back(course_of(*model, time, substeps, driving));
-    std::size_t row = box ? BOX_ROW : 0;
+    std::size_t row = BOX_ROW * boxes.size();
     for (const ArmStart& arm : starts.back().arms) row += 5 * arm.position.size();
     Numbers rows({time.size(), static_cast<py::ssize_t>(row)});
     double* data = rows.mutable_data();
@@ -250,11 +253,11 @@ void add_twin(py::module_& module) {
            py::arg("stiffness"), py::arg("damping"), py::arg("delay"), py::arg("joint_torque"), py::arg("pad"),
            py::arg("pull"), py::arg("formulas"), py::arg("load"));
   py::class_<TwinModel>(module, "Twin")
-      .def(py::init(&model_of), py::arg("arms"), py::arg("box"), py::arg("support"), py::arg("pad_friction"),
-           py::arg("rolling_arm"), py::arg("gravity"), py::arg("period"), py::arg("refinement"), py::arg("formulas"));
+      .def(py::init(&model_of), py::arg("arms"), py::arg("boxes"), py::arg("support"), py::arg("pad_friction"),
+           py::arg("box_friction"), py::arg("rolling_arm"), py::arg("gravity"), py::arg("period"), py::arg("refinement"), py::arg("formulas"));
   py::class_<TwinRun>(module, "TwinRun")
-      .def(py::init<const TwinModel&, const std::vector<ArmStartOfPython>&, const std::optional<BoxStartOfPython>&>(),
-           py::arg("model"), py::arg("arms"), py::arg("box"))
+      .def(py::init<const TwinModel&, const std::vector<ArmStartOfPython>&, const std::vector<BoxStartOfPython>&>(),
+           py::arg("model"), py::arg("arms"), py::arg("boxes"))
       .def("step", &TwinRun::step, py::arg("time"), py::arg("substeps"), py::arg("torques"))
       .def("pad_force", &TwinRun::pad_force, py::arg("arm"))
       .def_property_readonly("state", &TwinRun::state)

@@ -15,13 +15,13 @@ constexpr double HELD_TOLERANCE = 1e-6;  // m/s, of such a guess
 
 // Twist of the object against a partner, about its centre of mass.
 void StepSolver::twist_against(const Partner& partner, const std::vector<double>& x, double* twist) const {
-  for (int i = 0; i < 6; ++i) twist[i] = x[size - 6 + i];
+  for (int i = 0; i < 6; ++i) twist[i] = x[partner.object + i];
   for (int j = 0; j < partner.joints; ++j)
     for (int i = 0; i < 6; ++i) twist[i] -= partner.motions[6 * j + i] * x[partner.offset + j];
 }
 
 void StepSolver::evaluate(const std::vector<double>& x, bool with_derivative) {
-  const int n = size, o = size - 6;
+  const int n = size;
   const auto multiply = [&](int first, int count) {  // a block of A
     for (int i = first; i < first + count; ++i) {
       double sum = -impulse[i];
@@ -31,11 +31,12 @@ void StepSolver::evaluate(const std::vector<double>& x, bool with_derivative) {
   };
   for (const Partner& partner : partners)
     if (partner.joints > 0) multiply(partner.offset, partner.joints);
-  multiply(o, 6);
+  for (const int object : objects) multiply(object, 6);
   if (with_derivative) std::copy(mass.begin(), mass.end(), matrix_.begin());
   wrenches_.assign(6 * partners.size(), 0.0);
   for (std::size_t k = 0; k < partners.size(); ++k) {
     const Partner& partner = partners[k];
+    const int o = partner.object;
     double twist[6];
     twist_against(partner, x, twist);
     double* wrench = &wrenches_[6 * k];

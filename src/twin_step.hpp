@@ -3,8 +3,8 @@
 //
 //     R(x) = A x - p - h sum S_k^T w_k(S_k x),      A = blockdiag(M_1.., I, m),
 //
-// x the joint velocities of the arms in contact, then angular velocity and velocity of the object's centre of mass; w_k
-// the wrench of partner k on the object at its twist against it. Newton's method; where it goes round in circles, the
+// x the joint velocities of the arms in contact, then angular velocity and velocity of the centre of mass of every object;
+// w_k the wrench of partner k on its object at its twist against it. Newton's method; where it goes round in circles, the
 // limits of friction are held for a while, for which the root is the minimum of a convex function.
 
 #pragma once
@@ -17,12 +17,13 @@ namespace impact_rs {
 
 constexpr double STEP_TOLERANCE = 1e-9;  // m/s, of a step that is solved
 
-// A partner of the object: an arm, or the support.
+// A partner of an object: an arm, another object, whose six velocities stand for those of joints, or the support.
 struct Partner {
   int joints;           // 0: it is at rest
   int offset;           // of its joint velocities among the unknowns
   const double* motions;  // of its joints: twist (angular, linear) at the object's centre of mass, (joints, 6)
   std::size_t first, count;  // its points
+  int object;           // offset of the velocities of the object
 };
 
 struct Solution {
@@ -43,6 +44,7 @@ class StepSolver {
   std::vector<double> mass;     // A, (size, size)
   std::vector<double> impulse;  // p
   std::vector<double> velocity; // x: first guess, then the root
+  std::vector<int> objects;     // offsets of their velocities
   std::vector<Partner> partners;
   std::vector<ContactPoint> points;
   std::vector<Guess> guesses;   // of the points; grips are those of the last step of Newton's method afterwards

@@ -101,6 +101,7 @@ def _document(
             "end_effector_twist": {name: twist.tolist() for name, twist in answers.result.end_effector_twist.items()},
             "joint_velocity": {name: velocity.tolist() for name, velocity in answers.result.joint_velocity.items()},
             "object_twist": answers.result.object_twist.tolist(),
+            **{f"{name}_twist": twist.tolist() for name, twist in answers.result.neighbour_twists.items()},
         },
         "contacts": [
             {
@@ -131,8 +132,9 @@ def _show(
     terminal.say(f"{scenario.name}: {labels}{of_model}, motor inertia '{args.motor_inertia}', contact '{args.contact}'")
     for name, twist in answers.result.end_effector_twist.items():
         terminal.say(f"  {name:<8} v before {_vector(before[name][:3])} m/s, after {_vector(twist[:3])} m/s")
-    terminal.say(f"  {'object':<8} v after  {_vector(answers.result.object_twist[:3])} m/s")
-    total = sum((c.impulse for c in answers.result.contacts if c.body_b != "support"), np.zeros(3))
+    for name, twist in answers.result.twists.items():
+        terminal.say(f"  {name:<8} v after  {_vector(twist[:3])} m/s")
+    total = sum((c.impulse for c in answers.result.contacts if c.body_b in scene.arms), np.zeros(3))
     terminal.say(
         f"  impulse of the pads on the object {_vector(total)} N s; {answers.result.engine}, "
         f"residual {answers.result.residual.largest:.1e}, {1e3 * answers.result.elapsed:.1f} ms"

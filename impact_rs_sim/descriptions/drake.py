@@ -119,8 +119,8 @@ def _arm(world: Xml.Element, scene: ExportedScene, name: str, arm: ArmPhysics) -
         Xml.SubElement(joint, "drake:rotor_inertia").text = repr(float(scene.motor_inertia[name][index]))
         Xml.SubElement(joint, "drake:gear_ratio").text = "1"
         previous = own_name
-    place = np.array(facts.flange.xyz) + facts.flange.rotation @ [0.0, 0.0, hand.length]
-    turn = facts.flange.rotation @ pin.rpy.rpyToMatrix(0.0, 0.0, hand.mount_yaw)
+    place = np.array(facts.flange.xyz) + facts.flange.rotation @ hand.mount.translation
+    turn = facts.flange.rotation @ hand.mount.rotation
     link = _link(model, "end_effector", previous, place, turn)
     _inertial(link, hand.mass, hand.com, hand.inertia)
     fixed = Xml.SubElement(model, "joint", name="end_effector_mount", type="fixed")

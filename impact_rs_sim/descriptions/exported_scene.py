@@ -86,6 +86,10 @@ class ExportedScene:
         """
         physics = model.apply(scene.physics)
         check_physics(physics)
+        if physics.neighbours:
+            raise InputError(
+                "exported worlds have one object: leave neighbours out", file=scene.scenario.name, key="neighbours"
+            )
         problem = ImpactProblem.at_nominal_impact(replace(scene, physics=physics), motor_inertia)
         for name, arm in physics.arms.items():
             if pads == "compliant" and arm.pad_stiffness is None:

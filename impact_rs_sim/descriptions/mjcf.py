@@ -126,8 +126,8 @@ def _arm(world: Xml.Element, actuators: Xml.Element, scene: ExportedScene, name:
             forcelimited="true",
             forcerange=_text(-torque, torque),
         )
-    place = np.array(facts.flange.xyz) + facts.flange.rotation @ [0.0, 0.0, hand.length]
-    turn = facts.flange.rotation @ pin.rpy.rpyToMatrix(0.0, 0.0, hand.mount_yaw)
+    place = np.array(facts.flange.xyz) + facts.flange.rotation @ hand.mount.translation
+    turn = facts.flange.rotation @ hand.mount.rotation
     body = _body(body, f"{name}_end_effector", place, turn)
     _inertial(body, hand.mass, hand.com, hand.inertia)
     Xml.SubElement(body, "site", name=f"{name}_E")

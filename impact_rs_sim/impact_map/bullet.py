@@ -108,6 +108,8 @@ class BulletEngine(Engine):
         return self._worlds[key]
 
     def _solve(self, problem: ImpactProblem, system: System, pairs: Sequence[ContactPair]) -> Solution:
+        if self.physics.neighbours:
+            raise InputError("engine 'bullet' has one object, 'exact' several", key="engine", value=self.name)
         shapes = [self.physics.object.shape, *(arm.end_effector.shape for arm in self.physics.arms.values())]
         for kind in {shape.kind for shape in shapes} - {"box", "sphere"}:
             raise InputError(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Contact points between pads and object, and between object and support.
+"""Contact points between pads, objects and support.
 
 Bodies are convex; :mod:`impact_rs_sim.shapes` has the rules of all shapes, and two boxes their own routine. Of
 the six face directions of two boxes, and the common normals of edges that cross, the one that separates the two boxes
@@ -31,7 +31,8 @@ from impact_rs_sim.scene import BodyState
 from impact_rs_sim.shapes import BOX, ConvexShape
 
 SUPPORT = "support"  # name of the support among the object's partners
-ALIGNED = 1e-9  # m; separations that differ by less belong to parallel faces
+OBJECT = "object"  # name of the object that is hit first, among the bodies
+ALIGNED = 1e-9  # m; separations that differ by less are those of parallel faces
 GAP_TOLERANCE = 1e-3  # m; points closer than this take part in the impact
 SUPPORT_THICKNESS = 0.1  # m, of the box that stands for the support; only its upper face is ever touched
 
@@ -63,11 +64,12 @@ class ContactPoint:
     """A point where the object touches a partner.
 
     Attributes:
-        partner: Name of the arm, or ``support``.
+        partner: Name of the arm, ``support``, or an object before ``body``.
         position: Point on the object in A, ``(3,)`` [m].
         normal: Unit normal from the partner into the object, in A, ``(3,)``.
         gap: Distance from the partner's surface along the normal, negative in penetration [m].
         friction: Coulomb coefficient of the pair [-].
+        body: The object: ``object``, or name of a neighbour.
     """
 
     partner: str
@@ -75,6 +77,7 @@ class ContactPoint:
     normal: Array
     gap: float
     friction: float
+    body: str = OBJECT
 
     @property
     def partner_position(self) -> Array:
@@ -84,16 +87,17 @@ class ContactPoint:
 
 @dataclass(frozen=True)
 class ContactPair:
-    """The object and a partner that it may touch.
+    """An object and a partner that it may touch.
 
     Attributes:
-        partner: Name of the arm, or ``support``.
+        partner: Name of the arm, ``support``, or an object before ``body``.
         box: The partner.
         object: The object.
         separation: Distance along the direction that separates them best, negative: overlap [m].
         normal: Unit normal of the contact from the partner into the object, in A, ``(3,)``.
         on_object: Whether the face that the normal belongs to is the object's.
         edges: Axes of partner and object along which the edges run that cross and own the normal; None: a face does.
+        body: The object: ``object``, or name of a neighbour.
     """
 
     partner: str
@@ -103,11 +107,23 @@ class ContactPair:
     normal: Array
     on_object: bool
     edges: tuple[int, int] | None = None
+    body: str = OBJECT
 
 
-def contact_pairs(physics: Physics, state: BodyState, placements: Mapping[str, pin.SE3]) -> list[ContactPair]:
-    """Contact pairs of the object; ``placements`` of frame E in A by arm."""
-    object_ = ConvexBody(state.position, state.rotation, physics.object.size / 2.0, physics.object.shape)
+def contact_pairs(
+    physics: Physics,
+    state: BodyState,
+    placements: Mapping[str, pin.SE3],
+    neighbours: Sequence[BodyState] = (),
+) -> list[ContactPair]:
+    """Contact pairs of the object, and of its neighbours where their states are given.
+
+    Args:
+        physics: Shapes of all bodies.
+        state: State of the object.
+        placements: Of frame E in A by arm.
+        neighbours: States of its neighbours.
+    """
     partners = {}
     for name, placement in placements.items():
         end_effector = physics.arms[name].end_effector
@@ -117,10 +133,17 @@ def contact_pairs(physics: Physics, state: BodyState, placements: Mapping[str, p
     support = support_box(physics)
     if support is not None:
         partners[SUPPORT] = support
-    return [
-        ContactPair(partner, box, object_, *_kernel.meet(box.parts, object_.parts, ALIGNED))
-        for partner, box in partners.items()
-    ]
+    bodies = {OBJECT: (physics.object, state)}
+    bodies |= {one.name: (one.body, own) for one, own in zip(physics.neighbours, neighbours, strict=False)}
+    found = []
+    for name, (physical, own) in bodies.items():
+        body = ConvexBody(own.position, own.rotation, physical.size / 2.0, physical.shape)
+        found += [
+            ContactPair(partner, other, body, *_kernel.meet(other.parts, body.parts, ALIGNED), name)
+            for partner, other in partners.items()
+        ]
+        partners[name] = body
+    return found
 
 
 def support_box(physics: Physics) -> ConvexBody | None:
@@ -134,23 +157,23 @@ def support_box(physics: Physics) -> ConvexBody | None:
 def find_contacts(
     physics: Physics, pairs: Sequence[ContactPair], tolerance: float = GAP_TOLERANCE
 ) -> list[ContactPoint]:
-    """Contact points of the object with pads and support.
+    """Contact points of the objects.
 
     Args:
         physics: Friction coefficients.
-        pairs: Contact pairs of the object.
+        pairs: Contact pairs of the objects.
         tolerance: Largest gap that still counts as touching [m].
     """
     contacts: list[ContactPoint] = []
     for pair in pairs:
         if pair.separation > tolerance:
             continue
-        friction = physics.support_friction if pair.partner == SUPPORT else physics.pad_friction
+        friction = physics.friction_of(pair.partner)
         positions, gaps = _kernel.touching(
             pair.box.parts, pair.object.parts, pair.normal, pair.on_object, pair.edges, tolerance
         )
         contacts += [
-            ContactPoint(pair.partner, position, pair.normal, gap, friction)
+            ContactPoint(pair.partner, position, pair.normal, gap, friction, pair.body)
             for position, gap in zip(positions, gaps.tolist(), strict=True)
         ]
     return contacts

@@ -48,7 +48,14 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, ContactPair, ContactPoint, contact_pairs, find_contacts
+from impact_rs_sim.impact_map.contacts import (
+    GAP_TOLERANCE,
+    OBJECT,
+    ContactPair,
+    ContactPoint,
+    contact_pairs,
+    find_contacts,
+)
 from impact_rs_sim.impact_map.laws import (
     COMPLIANCE,
     ContactTerms,
@@ -150,7 +157,7 @@ class Changed:
         """
         if found is None:
             placements = {name: models[name].placement(arm.position) for name, arm in self.problem.arms.items()}
-            found = contact_pairs(self.problem.physics, self.problem.object, placements)
+            found = contact_pairs(self.problem.physics, self.problem.object, placements, self.problem.beside)
         shifts = {
             name: models[name].placement(self.problem.arms[name].position).rotation[:, :2] @ along
             for name, along in self.contact_point.items()
@@ -172,8 +179,8 @@ class Changed:
         placements = {name: models[name].placement(arm.position) for name, arm in self.problem.arms.items()}
         system, found = self.system(models), []
         positions = dict(system.end_effector_position)
-        for pair in contact_pairs(self.problem.physics, self.problem.object, placements):
-            if pair.partner in pads:
+        for pair in contact_pairs(self.problem.physics, self.problem.object, placements, self.problem.beside):
+            if pair.partner in pads and pair.body == OBJECT:
                 step = pair.separation * pair.normal
                 positions[pair.partner] = positions[pair.partner] + step
                 box = replace(pair.box, centre=pair.box.centre + step)
@@ -429,7 +436,7 @@ def _found_again(contacts: Sequence[ContactPoint], found: Sequence[ContactPoint]
     """The contact points after a step, in the order of ``contacts``, and whether all of them are still there."""
     moved, smooth = [], True
     for contact in contacts:
-        others = [other for other in found if other.partner == contact.partner]
+        others = [other for other in found if (other.body, other.partner) == (contact.body, contact.partner)]
         shifts = [float(np.linalg.norm(other.position - contact.position)) for other in others]
         least = min(shifts, default=np.inf)
         smooth = smooth and least <= LARGEST_SHIFT

@@ -2,7 +2,7 @@
 """The laws of an impact: terms of a problem, residuals of a solution, and Newton's method.
 
 **Terms.** All bodies form one mechanical system. The generalised velocity stacks the joint velocities of every arm and
-the twist of the object at its geometric centre, ``u = (dq_1, ..., dq_k, v_O, omega)``, so that
+the twist of the object at its geometric centre (then of its neighbours), ``u = (dq_1, ..., dq_k, v_O, omega)``, so that
 
     H = blockdiag(M_1 + B_1, ..., M_k + B_k, M_object),      H (u^+ - u^-) = J_c^T L
 
@@ -40,14 +40,14 @@ The laws, their derivatives and the iterations are compiled (``src/laws.cpp``).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim import _kernel
-from impact_rs_sim.impact_map.contacts import ContactPoint
+from impact_rs_sim.impact_map.contacts import OBJECT, ContactPoint
 from impact_rs_sim.impact_map.problem import ImpactProblem, Residual
 from impact_rs_sim.physics import ObjectPhysics
 from impact_rs_sim.robots.robot import Array
@@ -64,7 +64,7 @@ class System:
     """Inertia and kinematics at the moment of impact.
 
     Attributes:
-        columns: Where each arm's joints, and under ``object`` the object's twist, stand in u.
+        columns: Where each arm's joints, and under its name (``object``) the twist of each object, stand in u.
         inertia: H, ``(nv, nv)`` [kg m^2, kg m, kg]; a fixed object has unit inertia there, which no impulse moves.
         link_inertia: H with B = 0, ``(nv, nv)``.
         velocity: u^-, ``(nv,)`` [rad/s, m/s].
@@ -72,6 +72,7 @@ class System:
         end_effector_jacobian: Jacobian of frame E in E[A] by arm, ``(6, n)``.
         object_position: Geometric centre of the object in A, ``(3,)`` [m].
         fixed: Whether the object is fixed: no contact point then has columns of it in J_c.
+        neighbour_position: Geometric centres of its neighbours likewise, by name.
     """
 
     columns: Mapping[str, slice]
@@ -82,6 +83,7 @@ class System:
     end_effector_jacobian: Mapping[str, Array]
     object_position: Array
     fixed: bool = False
+    neighbour_position: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def kinetic_energy(self) -> float:
@@ -93,8 +95,13 @@ class System:
         size = self.velocity.size
         jacobian = np.zeros((len(contacts), 3, size))
         positions = np.array([contact.position for contact in contacts]).reshape(-1, 3)
-        if not self.fixed:
-            jacobian[:, :, self.columns["object"]] = point_maps(positions - self.object_position)
+        middles = {OBJECT: self.object_position, **self.neighbour_position}
+        for name, middle in () if self.fixed else middles.items():
+            own = [row for row, contact in enumerate(contacts) if contact.body == name]
+            jacobian[own, :, self.columns[name]] = point_maps(positions[own] - middle)
+            other = [row for row, contact in enumerate(contacts) if contact.partner == name]
+            there = np.array([contacts[row].partner_position for row in other]).reshape(-1, 3)
+            jacobian[other, :, self.columns[name]] = -point_maps(there - middle)
         for name, of_arm in self.end_effector_jacobian.items():
             rows = [row for row, contact in enumerate(contacts) if contact.partner == name]
             levers = np.array([contacts[row].partner_position for row in rows]).reshape(-1, 3)
@@ -106,7 +113,11 @@ class System:
         """Joint velocity by arm, twist of frame E by arm, and twist of the object, out of u ``(nv,)``."""
         joints = {name: velocity[self.columns[name]] for name in self.end_effector_jacobian}
         twists = {name: self.end_effector_jacobian[name] @ dq for name, dq in joints.items()}
-        return joints, twists, velocity[self.columns["object"]]
+        return joints, twists, velocity[self.columns[OBJECT]]
+
+    def neighbour_twists(self, velocity: Array) -> dict[str, Array]:
+        """Twists of the neighbours of the object by name, out of u ``(nv,)``."""
+        return {name: velocity[self.columns[name]] for name in self.neighbour_position}
 
 
 def point_maps(levers: Array) -> Array:
@@ -125,10 +136,13 @@ def build_system(problem: ImpactProblem, models: Mapping[str, RobotModel]) -> Sy
     for name, state in problem.arms.items():
         columns[name] = slice(start, start + state.position.size)
         start += state.position.size
-    columns["object"] = slice(start, start + 6)
-    link_inertia = np.zeros((start + 6, start + 6))
-    velocity = np.zeros(start + 6)
-    motor = np.zeros(start + 6)
+    bodies = problem.bodies
+    for name in bodies:
+        columns[name] = slice(start, start + 6)
+        start += 6
+    link_inertia = np.zeros((start, start))
+    velocity = np.zeros(start)
+    motor = np.zeros(start)
     positions, jacobians = {}, {}
     for name, state in problem.arms.items():
         where = columns[name]
@@ -137,9 +151,9 @@ def build_system(problem: ImpactProblem, models: Mapping[str, RobotModel]) -> Sy
         velocity[where] = state.velocity
         jacobians[name] = models[name].jacobian(state.position)
         positions[name] = models[name].placement(state.position).translation.copy()
-    object_, body = problem.physics.object, problem.object
-    link_inertia[columns["object"], columns["object"]] = _object_inertia(object_, body)
-    velocity[columns["object"]] = body.twist
+    for name, (object_, body) in bodies.items():
+        link_inertia[columns[name], columns[name]] = _object_inertia(object_, body)
+        velocity[columns[name]] = body.twist
     return System(
         columns=columns,
         inertia=link_inertia + np.diag(motor),
@@ -147,8 +161,9 @@ def build_system(problem: ImpactProblem, models: Mapping[str, RobotModel]) -> Sy
         velocity=velocity,
         end_effector_position=positions,
         end_effector_jacobian=jacobians,
-        object_position=body.position,
-        fixed=object_.fixed,
+        object_position=problem.object.position,
+        fixed=problem.physics.object.fixed,
+        neighbour_position={name: body.position for name, (_, body) in bodies.items() if name != OBJECT},
     )
 
 

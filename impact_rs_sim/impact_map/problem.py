@@ -17,17 +17,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from impact_rs_sim.errors import Infeasible, InputError
-from impact_rs_sim.impact_map.contacts import SUPPORT, ContactPair, contact_pairs
-from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, RESTITUTION_LAWS, Physics
+from impact_rs_sim.impact_map.contacts import OBJECT, SUPPORT, ContactPair, contact_pairs
+from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, RESTITUTION_LAWS, ObjectPhysics, Physics
 from impact_rs_sim.robots.robot import Array, joined_units
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.scene import ArmState, BodyState, Scene
+from impact_rs_sim.scene import ArmState, BodyState, Scene, standing
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,7 @@ class ImpactProblem:
         restitution: Restitution e of every closing contact [-].
         measured: Whether the state was measured: then a robot has been there, whatever its data sheet allows.
         restitution_law: ``newton`` or ``poisson``.
+        neighbours: States of the neighbours of the object; None: at rest beside it.
     """
 
     physics: Physics
@@ -51,6 +52,20 @@ class ImpactProblem:
     restitution: float = 0.0
     measured: bool = False
     restitution_law: str = "newton"
+    neighbours: tuple[BodyState, ...] | None = None
+
+    @property
+    def beside(self) -> tuple[BodyState, ...]:
+        """States of the neighbours of the object."""
+        return standing(self.physics, self.object) if self.neighbours is None else self.neighbours
+
+    @property
+    def bodies(self) -> dict[str, tuple[ObjectPhysics, BodyState]]:
+        """All objects with their states, by name: the one that is hit first as ``object``, then its neighbours."""
+        found = {OBJECT: (self.physics.object, self.object)}
+        return found | {
+            one.name: (one.body, state) for one, state in zip(self.physics.neighbours, self.beside, strict=True)
+        }
 
     @staticmethod
     def at_nominal_impact(scene: Scene, motor_inertia: str = "reduced") -> ImpactProblem:
@@ -94,8 +109,8 @@ class ContactImpulse(NamedTuple):
     """One contact point of a result.
 
     Attributes:
-        body_a: ``object``, always.
-        body_b: Name of the arm, or ``support``.
+        body_a: ``object``, or name of a neighbour.
+        body_b: Name of the arm, ``support``, or an object before ``body_a``.
         position: Contact point on the object in A, ``(3,)`` [m].
         normal: Unit normal on the object, pointing from ``body_b`` into the object, in A, ``(3,)``.
         impulse: Impulse on the object, in A, ``(3,)`` [N s].
@@ -160,6 +175,7 @@ class ImpactResult:
         engine: Name of the engine.
         iterations: Iterations of the engine's outer loop.
         elapsed: Wall-clock time [s].
+        neighbour_twists: As ``object_twist``, of its neighbours by name.
     """
 
     joint_velocity: dict[str, Array]
@@ -170,6 +186,12 @@ class ImpactResult:
     engine: str
     iterations: int
     elapsed: float
+    neighbour_twists: dict[str, Array] = field(default_factory=dict)
+
+    @property
+    def twists(self) -> dict[str, Array]:
+        """Post-impact twists of all objects by name, ``object`` first."""
+        return {OBJECT: self.object_twist, **self.neighbour_twists}
 
 
 class ImpactMapError(RuntimeError):
@@ -192,7 +214,7 @@ def check_problem(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
         models: Rigid-body models by arm, where the caller has them already.
 
     Returns:
-        Contact pairs of the object with pads and support.
+        Contact pairs of the objects with pads, support and each other.
 
     Raises:
         InputError: Non-finite or wrong-length state, negative mass or motor inertia, restitution outside [0, 1], or a
@@ -209,29 +231,35 @@ def check_problem(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
         _check_arm(problem, name, state)
     _check_restitution(problem)
     check_physics(physics)
-    body = problem.object
-    _vector(body.position, 3, "object.position", "m")
-    _vector(body.twist, 6, "object.twist", "m/s and rad/s")
-    if physics.object.fixed and np.any(body.twist):
-        raise InputError("a fixed object does not move: expected zeros [m/s, rad/s]", key="object.twist")
-    rotation = np.asarray(body.rotation)
-    if rotation.shape != (3, 3) or not np.all(np.isfinite(rotation)):
-        raise InputError("expected a finite 3 x 3 rotation matrix [-]", key="object.rotation")
-    if np.max(np.abs(rotation @ rotation.T - np.eye(3))) > 1e-6 or np.linalg.det(rotation) < 0.0:
-        raise InputError("expected a rotation matrix: orthonormal, determinant +1 [-]", key="object.rotation")
+    for name, (physical, body) in problem.bodies.items():
+        _check_body(name, physical, body)
     if models is None:
         models = physics.robot_models()
     placements = {name: models[name].placement(state.position) for name, state in problem.arms.items()}
-    found = contact_pairs(physics, body, placements)
+    found = contact_pairs(physics, problem.object, placements, problem.beside)
     for pair in found:
         depth = -pair.separation
         if depth > PENETRATION_TOLERANCE:
+            which = "the object" if pair.body == OBJECT else repr(pair.body)
             raise Infeasible(
-                f"the object penetrates {pair.partner!r} by {1e3 * depth:.3g} mm, accepted are "
+                f"{which} penetrates {pair.partner!r} by {1e3 * depth:.3g} mm, accepted are "
                 f"{1e3 * PENETRATION_TOLERANCE:.3g} mm",
-                key="object.position",
+                key=f"{pair.body}.position",
             )
     return found
+
+
+def _check_body(name: str, physical: ObjectPhysics, body: BodyState) -> None:
+    """Refuse a state that is none."""
+    _vector(body.position, 3, f"{name}.position", "m")
+    _vector(body.twist, 6, f"{name}.twist", "m/s and rad/s")
+    if physical.fixed and np.any(body.twist):
+        raise InputError("a fixed object does not move: expected zeros [m/s, rad/s]", key=f"{name}.twist")
+    rotation = np.asarray(body.rotation)
+    if rotation.shape != (3, 3) or not np.all(np.isfinite(rotation)):
+        raise InputError("expected a finite 3 x 3 rotation matrix [-]", key=f"{name}.rotation")
+    if np.max(np.abs(rotation @ rotation.T - np.eye(3))) > 1e-6 or np.linalg.det(rotation) < 0.0:
+        raise InputError("expected a rotation matrix: orthonormal, determinant +1 [-]", key=f"{name}.rotation")
 
 
 def _vector(values: Array, length: int, key: str, unit: str) -> None:
@@ -293,18 +321,20 @@ def check_physics(physics: Physics) -> None:
         InputError: Mass, size or moment of inertia that is not positive, a fixed object on a support, or friction that
             is negative.
     """
-    object_ = physics.object
-    if not object_.mass > 0.0:
-        raise InputError("expected a mass > 0 kg, infinite for a fixed object", key="object.mass", value=object_.mass)
-    if object_.fixed and physics.support_height is not None:
+    if physics.object.fixed and physics.support_height is not None:
         raise InputError("a fixed object rests on no support: expected None", key="support_height")
-    for key, unit, values in (("size", "m", object_.size), ("inertia", "kg m^2", object_.inertia)):
-        if not (object_.fixed and key == "inertia"):
-            _vector(values, 3, f"object.{key}", unit)
-        if np.min(values) <= 0.0:
-            raise InputError(f"expected three values > 0 {unit}", key=f"object.{key}", value=values.tolist())
-    _vector(object_.com_offset, 3, "object.com_offset", "m")
-    for key in ("pad_friction", "support_friction"):
+    for name, object_ in ((OBJECT, physics.object), *((one.name, one.body) for one in physics.neighbours)):
+        if not object_.mass > 0.0:
+            raise InputError(
+                "expected a mass > 0 kg, infinite for a fixed object", key=f"{name}.mass", value=object_.mass
+            )
+        for key, unit, values in (("size", "m", object_.size), ("inertia", "kg m^2", object_.inertia)):
+            if not (object_.fixed and key == "inertia"):
+                _vector(values, 3, f"{name}.{key}", unit)
+            if np.min(values) <= 0.0:
+                raise InputError(f"expected three values > 0 {unit}", key=f"{name}.{key}", value=values.tolist())
+        _vector(object_.com_offset, 3, f"{name}.com_offset", "m")
+    for key in ("pad_friction", "support_friction", "object_friction"):
         value = getattr(physics, key)
         if not (np.isfinite(value) and value >= 0.0):
             raise InputError("expected a finite friction coefficient >= 0 [-]", key=key, value=value)
@@ -312,16 +342,17 @@ def check_physics(physics: Physics) -> None:
 
 def kinetic_energy(problem: ImpactProblem, result: ImpactResult | None = None) -> float:
     """Kinetic energy with (M + B), before the impact or, with ``result``, after it [J]."""
-    object_state = problem.object
-    twist = object_state.twist if result is None else result.object_twist
-    object_ = problem.physics.object
-    offset = object_state.rotation @ object_.com_offset
-    linear = twist[:3] + np.cross(twist[3:], offset)
-    angular = object_state.rotation.T @ twist[3:]
-    energy = 0.0 if object_.fixed else 0.5 * (object_.mass * linear @ linear + object_.inertia @ np.square(angular))
+    twists = {} if result is None else result.twists
+    energy = 0.0
+    for name, (physical, state) in problem.bodies.items():
+        twist = twists.get(name, state.twist)
+        linear = twist[:3] + np.cross(twist[3:], state.rotation @ physical.com_offset)
+        angular = state.rotation.T @ twist[3:]
+        if not physical.fixed:
+            energy += 0.5 * float(physical.mass * linear @ linear + physical.inertia @ np.square(angular))
     for name, arm in problem.arms.items():
         dq = arm.velocity if result is None else result.joint_velocity[name]
         inertia = problem.physics.robot_model(name).mass_matrix(arm.position)
         inertia = inertia + np.diag(problem.motor_inertia[name])
-        energy += 0.5 * dq @ inertia @ dq
-    return float(energy)
+        energy += 0.5 * float(dq @ inertia @ dq)
+    return energy

@@ -44,7 +44,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, SUPPORT, ContactPoint, find_contacts
+from impact_rs_sim.impact_map.contacts import (
+    GAP_TOLERANCE,
+    OBJECT,
+    SUPPORT,
+    ContactPair,
+    ContactPoint,
+    find_contacts,
+)
 from impact_rs_sim.impact_map.laws import ContactTerms, System, build_system, solve_contacts
 from impact_rs_sim.impact_map.problem import (
     ImpactMapError,
@@ -80,8 +87,9 @@ def settle(problem: ImpactProblem) -> ImpactResult:
     models = problem.physics.robot_models()
     touching = [pair for pair in check_problem(problem, models) if pair.separation <= GAP_TOLERANCE]
     system = build_system(problem, models)
-    found = {pair.partner: find_contacts(problem.physics, [pair], REACH) for pair in touching}
-    faces = {name: points for name, points in found.items() if name != SUPPORT and points}
+    facing = [pair for pair in touching if pair.partner != SUPPORT]
+    found = {_name(pair): find_contacts(problem.physics, [pair], REACH) for pair in facing}
+    faces = {name: points for name, points in found.items() if points}
     support = find_contacts(problem.physics, [pair for pair in touching if pair.partner == SUPPORT])
     settled = close_contacts(system, faces, support)
     if not settled.residual.largest <= ExactEngine.tolerance:
@@ -100,6 +108,11 @@ def settle(problem: ImpactProblem) -> ImpactResult:
         settled.iterations,
         start,
     )
+
+
+def _name(pair: ContactPair) -> str:
+    """Name of a face: that of the arm on the object, else of both bodies."""
+    return pair.partner if pair.body == OBJECT else f"{pair.body} on {pair.partner}"
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.contacts import (
     ALIGNED,
     GAP_TOLERANCE,
+    OBJECT,
     SUPPORT,
     ContactPair,
     ContactPoint,
@@ -169,13 +170,14 @@ def result_of(
         end_effector_twist=twists,
         object_twist=twist,
         contacts=tuple(
-            ContactImpulse("object", point.partner, point.position, point.normal, impulse, point.gap)
+            ContactImpulse(point.body, point.partner, point.position, point.normal, impulse, point.gap)
             for point, impulse in zip(points, impulses, strict=True)
         ),
         residual=residual,
         engine=engine,
         iterations=iterations,
         elapsed=time.perf_counter() - start,
+        neighbour_twists=system.neighbour_twists(velocity),
     )
 
 
@@ -239,12 +241,14 @@ class Compiled(NamedTuple):
         energy: Kinetic energy before the impact, and what the impact adds, ``(N, 2)`` [J].
         steps: Steps of the solver, ``(N,)``.
         first: Index of the first contact point, ``(N + 1,)``.
-        partner: Index of the arm at every point; the number of arms stands for the support, ``(M,)``.
+        partner: Index of the arm at every point; the number of arms stands for the support, the numbers beyond it for
+            the objects, ``(M,)``.
         state: Index into ``STATES``, ``(M,)``.
         position: Positions on the object in A, ``(M, 3)`` [m].
         normal: Normals into the object, in A, ``(M, 3)``.
         gap: Gaps, ``(M,)`` [m].
         impulse: Impulses on the object, in A, ``(M, 3)`` [N s].
+        body: Index of the object: 0, then the neighbours, ``(M,)``.
     """
 
     status: Array
@@ -260,6 +264,7 @@ class Compiled(NamedTuple):
     normal: Array
     gap: Array
     impulse: Array
+    body: Array
 
 
 class CompiledMap:
@@ -285,8 +290,6 @@ class CompiledMap:
             self._limits[name] = {False: (low, high, model.velocity_max + LIMIT_SLACK), True: (-free, free, free)}
             half = np.array(arm.end_effector.pad_size) / 2.0
             self._pads[name] = (np.array(pad.translation), np.array(pad.rotation), half, arm.end_effector.shape.kernel)
-        object_ = physics.object
-        self._object = (object_.mass, object_.size / 2.0, object_.inertia, object_.com_offset, object_.shape.kernel)
         support = support_box(physics)
         self._support = None if support is None else np.concatenate((support.centre, support.half))
 
@@ -309,13 +312,20 @@ class CompiledMap:
             inertia, jacobian, place = model.at_impact(state.position)
             moving = (state.position, state.velocity, motor, *self._limits[name][problem.measured])
             arms.append((*moving, inertia, jacobian, place.translation, place.rotation, *self._pads[name]))
-        body = problem.object
-        if body.position.shape != (3,) or body.rotation.shape != (3, 3) or body.twist.shape != (6,):
-            return None
-        object_ = (body.position, body.rotation, body.twist, *self._object)
-        contact = (self.physics.pad_friction, self.physics.support_friction, problem.restitution)
+        objects = []
+        for physical, body in problem.bodies.values():
+            if body.position.shape != (3,) or body.rotation.shape != (3, 3) or body.twist.shape != (6,):
+                return None
+            own = (physical.mass, physical.size / 2.0, physical.inertia, physical.com_offset, physical.shape.kernel)
+            objects.append((body.position, body.rotation, body.twist, *own))
+        contact: tuple[float, ...] = (self.physics.pad_friction, self.physics.support_friction, problem.restitution)
+        if len(objects) > 1:
+            contact = (*contact, self.physics.object_friction)
         given = None if points is None else self._given(points, tuple(problem.arms), problem.restitution)
-        return Compiled(*_kernel.solve_impacts(1, arms, object_, contact, self._support, RULES, points=given))
+        first, *others = objects
+        return Compiled(
+            *_kernel.solve_impacts(1, arms, first, contact, self._support, RULES, points=given, neighbours=others)
+        )
 
     def _given(self, points: Sequence[ContactPoint], names: tuple[str, ...], restitution: float) -> Points:
         """Contact points as the kernel takes them."""
@@ -373,20 +383,24 @@ def _result(problem: ImpactProblem, found: Compiled, residual: Residual, start: 
         joints[name] = velocity[column : column + state.position.size]
         of_frames[name] = twists[6 * number : 6 * number + 6]
         column += state.position.size
-    partners = (*joints, SUPPORT)
-    points = zip(found.partner.tolist(), found.position, found.normal, found.impulse, found.gap.tolist(), strict=True)
+    bodies = list(problem.bodies)
+    partners = (*joints, SUPPORT, *bodies)
+    numbers = found.body.tolist(), found.partner.tolist()
+    points = zip(*numbers, found.position, found.normal, found.impulse, found.gap.tolist(), strict=True)
+    after = dict(zip(bodies, velocity[column:].reshape(-1, 6), strict=True))
     return ImpactResult(
         joint_velocity=joints,
         end_effector_twist=of_frames,
-        object_twist=velocity[column:],
+        object_twist=after.pop(OBJECT),
         contacts=tuple(
-            ContactImpulse("object", partners[number], position, normal, impulse, gap)
-            for number, position, normal, impulse, gap in points
+            ContactImpulse(bodies[body], partners[number], position, normal, impulse, gap)
+            for body, number, position, normal, impulse, gap in points
         ),
         residual=residual,
         engine=ExactEngine.name,
         iterations=int(found.steps[0]),
         elapsed=time.perf_counter() - start,
+        neighbour_twists=after,
     )
 
 

@@ -83,7 +83,9 @@ def lawful_answers(terms: ContactTerms) -> list[Array]:
     """u^+ of every solution found, the solution of the impact map first, ``(nv,)`` each."""
     chosen, _ = solve_contacts(terms)
     answers = [terms.before + terms.response @ chosen.ravel()]
-    for points in itertools.islice(_choices([contact.partner for contact in terms.contacts]), MAX_CHOICES):
+    for points in itertools.islice(
+        _choices([(contact.body, contact.partner) for contact in terms.contacts]), MAX_CHOICES
+    ):
         impulses = np.zeros_like(chosen)
         impulses[points], converged = newton(_of_points(terms, points), chosen[points])
         velocity = terms.before + terms.response @ impulses.ravel()
@@ -101,12 +103,13 @@ def spread_of(system: System, answers: Sequence[Array]) -> Uniqueness:
 
 
 def _linear(system: System, velocity: Array) -> Array:
-    """Linear velocities of all end effectors and the object, in a row [m/s]."""
+    """Linear velocities of all end effectors and objects, in a row [m/s]."""
     _, twists, object_ = system.split(velocity)
-    return np.concatenate([*(twist[:3] for twist in twists.values()), object_[:3]])
+    others = system.neighbour_twists(velocity)
+    return np.concatenate([twist[:3] for twist in (*twists.values(), object_, *others.values())])
 
 
-def _choices(partners: Sequence[str]) -> itertools.chain[list[int]]:
+def _choices(partners: Sequence[tuple[str, str]]) -> itertools.chain[list[int]]:
     """Choices of points in which every face with more than three keeps three of them, or all."""
     faces = []
     for name in dict.fromkeys(partners):

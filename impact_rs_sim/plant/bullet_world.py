@@ -2,9 +2,10 @@
 """One Bullet world: arms, object and support, with explicit values for every setting that affects the result.
 
 Shared by the plant (many small steps with compliant pads) and the ``bullet`` impact map (single rigid steps). Bullet
-multiplies the friction coefficients of two bodies, so the object has 1 and its partner the coefficient of the pair. It
-adds rolling frictions, each times the other body's friction coefficient, so only the partner has the lever of the pair.
-It adds compliances.
+multiplies the friction coefficients of two bodies, so the object has 1 and its partner the coefficient of the pair; of
+several objects each has the root of the coefficient between them, and a partner its own over that root. It adds rolling
+frictions, each times the other body's friction coefficient, so only the partner has the lever of the pair. It adds
+compliances.
 
 Its friction cone weights two fixed axes with the inverse mass along them, so that the friction of a sliding box has the
 magnitude of Coulomb's law but not the direction: it opposes ``D^-1 v_t`` instead of the sliding velocity ``v_t``, at
@@ -33,7 +34,7 @@ from impact_rs_sim.plant.pad_shear import ContactBody, PadContacts, PadShear
 from impact_rs_sim.robots.robot import Array, EndEffector, RobotFacts
 from impact_rs_sim.robots.urdf import joint_names, write_urdf
 from impact_rs_sim.rotations import continuous, quaternion_of
-from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_sim.scene import ArmState, BodyState, standing
 from impact_rs_sim.shapes import ConvexShape
 
 
@@ -74,6 +75,7 @@ class BulletWorld:
         client: Connection to the world.
         arms: Body of every arm in Bullet, by name.
         object_: Body of the object.
+        neighbours: Bodies of its neighbours.
         support: Body of the support; None: there is none.
         shears: Shear of the pads that have any, by arm.
         small_steps: Whether the friction of the support is turned, one step late.
@@ -86,6 +88,7 @@ class BulletWorld:
         client: BulletClient,
         arms: dict[str, int],
         object_: int,
+        neighbours: tuple[int, ...],
         support: int | None,
         shears: dict[str, PadShear],
         small_steps: bool,
@@ -99,7 +102,9 @@ class BulletWorld:
         self.joints = {name: list(range(count)) for name, count in counts.items()}
         self.end_effector_link = counts
         self.object = object_
+        self.objects = (object_, *neighbours)
         self.support = support
+        self._own_friction = _object_friction(physics)
         self._shears = shears
         self._substeps = substeps
         self._torques: dict[str, list[float]] = {}
@@ -171,12 +176,14 @@ class BulletWorld:
         )
         client.setGravity(*(physics.gravity if gravity else np.zeros(3)))
         arms = {name: _load_arm(client, physics, name, compliant_pads, step) for name in physics.arms}
-        object_ = _make_object(client, physics.object)
+        own = _object_friction(physics)
+        object_ = _make_object(client, physics.object, own)
+        neighbours = tuple(_make_object(client, one.body, own) for one in physics.neighbours)
         support = _make_support(client, physics, arms, compliant_pads, step)
         shears = _shears(physics, step) if compliant_pads else {}
         for name in shears:
             client.changeDynamics(arms[name], physics.arms[name].facts.joint_count, lateralFriction=0.0)
-        return cls(physics, client, arms, object_, support, shears, small_steps, substeps)
+        return cls(physics, client, arms, object_, neighbours, support, shears, small_steps, substeps)
 
     def close(self) -> None:
         """Release the connection."""
@@ -191,24 +198,26 @@ class BulletWorld:
             self.client.resetJointState(body, joint, float(q), float(dq))
 
     def set_object(self, state: BodyState) -> None:
-        """Set the state of the object, given at its geometric centre."""
-        offset = state.rotation @ self.physics.object.com_offset
-        velocity = state.twist[:3] + np.cross(state.twist[3:], offset)
-        client = self.client
-        client.resetBasePositionAndOrientation(
-            self.object, (state.position + offset).tolist(), _quaternion(state.rotation)
-        )
-        client.resetBaseVelocity(self.object, velocity.tolist(), state.twist[3:].tolist())
+        """Set the state of the object, given at its geometric centre; its neighbours stand beside it."""
+        bodies = (self.physics.object, *(one.body for one in self.physics.neighbours))
+        for number, body, own in zip(self.objects, bodies, (state, *standing(self.physics, state)), strict=True):
+            offset = own.rotation @ body.com_offset
+            velocity = own.twist[:3] + np.cross(own.twist[3:], offset)
+            self.client.resetBasePositionAndOrientation(
+                number, (own.position + offset).tolist(), _quaternion(own.rotation)
+            )
+            self.client.resetBaseVelocity(number, velocity.tolist(), own.twist[3:].tolist())
         for shear in self._shears.values():
             shear.release()
 
     def rest_object(self) -> None:
-        """Put the object to sleep until a body comes near; simulating it at rest costs as much as an arm.
+        """Put the objects to sleep until a body comes near; simulating it at rest costs as much as an arm.
 
         Bullet wakes it when its bounding box overlaps that of a moving body, which is before any contact.
         """
         for state in (pybullet.ACTIVATION_STATE_ENABLE_SLEEPING, pybullet.ACTIVATION_STATE_SLEEP):
-            self.client.changeDynamics(self.object, -1, activationState=state)
+            for body in self.objects:
+                self.client.changeDynamics(body, -1, activationState=state)
 
     def joint_motion(self, name: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Joint positions [rad] and velocities [rad/s] of an arm, as returned by Bullet."""
@@ -278,7 +287,7 @@ class BulletWorld:
     def set_support_friction(self, coefficient: float) -> None:
         """Set the friction coefficient of the support, from the next step on; for extensions of a plant."""
         self._support_friction = coefficient
-        self.client.changeDynamics(self.support, -1, lateralFriction=coefficient)
+        self.client.changeDynamics(self.support, -1, lateralFriction=coefficient / self._own_friction)
 
     def step(self) -> None:
         """Advance by one step."""
@@ -292,22 +301,22 @@ class BulletWorld:
                 self._push(body, link, force.tolist(), place.tolist(), pybullet.WORLD_FRAME)
                 if np.any(moment):
                     self.client.applyExternalTorque(body, link, moment.tolist(), pybullet.WORLD_FRAME)
-            if self._turns:
-                self._correct_friction_direction()
+            for body in self.objects if self._turns else ():
+                self._correct_friction_direction(body)
             self._step()
         self._torques.clear()
         self._pushes.clear()
 
-    def _correct_friction_direction(self) -> None:
-        """Correct the direction of the support's friction on the sliding object, over the next step.
+    def _correct_friction_direction(self, body: int) -> None:
+        """Correct the direction of the support's friction on a sliding object, over the next step.
 
         In plain numbers, along z of A, the normal of every support: with arrays it would cost more than Bullet's step.
         """
-        (vx, vy, _), (wx, wy, wz) = self._get_velocity(self.object)
+        (vx, vy, _), (wx, wy, wz) = self._get_velocity(body)
         if max(abs(vx), abs(vy), abs(wz)) < MIN_SLIDING_SPEED_M_S:
             return
-        cx, cy, cz = self._get_pose(self.object)[0]
-        for point in self._get_contacts(self.object, self.support):
+        cx, cy, cz = self._get_pose(body)[0]
+        for point in self._get_contacts(body, self.support):
             place, first, second = point[5], point[11], point[13]
             x, y, z = place[0] - cx, place[1] - cy, place[2] - cz
             ux, uy = vx + wy * z - wz * y, vy + wz * x - wx * z
@@ -316,7 +325,7 @@ class BulletWorld:
             given_y = point[10] * first[1] + point[12] * second[1]
             if speed > MIN_SLIDING_SPEED_M_S and math.hypot(given_x, given_y) > 0.99 * radius:
                 force = (-radius * ux / speed - given_x, -radius * uy / speed - given_y, 0.0)
-                self._push(self.object, -1, force, place, pybullet.WORLD_FRAME)
+                self._push(body, -1, force, place, pybullet.WORLD_FRAME)
 
     def _shear(self, name: str, shear: PadShear) -> None:
         """Friction of a pad that is compliant along its face, over the next step."""
@@ -351,8 +360,8 @@ class BulletWorld:
         return ContactBody(np.array(position), np.array(linear + angular), mobility)
 
     def pad_force(self, name: str) -> Array:
-        """Force of the object on an arm's pad in the last step, in A, ``(3,)`` [N]."""
-        points = self._get_contacts(self.arms[name], self.object)
+        """Force of the objects on an arm's pad in the last step, in A, ``(3,)`` [N]."""
+        points = [point for body in self.objects for point in self._get_contacts(self.arms[name], body)]
         if not points:
             return np.zeros(3)
         sizes = np.array([(point[9], point[10], point[12]) for point in points])  # normal and both tangents
@@ -452,11 +461,11 @@ def _load_arm(client: BulletClient, scene: Physics, name: str, compliant: bool, 
             activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
         )
         # A separate call: together with maxJointVelocity or activationState Bullet ignores it silently.
-        client.changeDynamics(body, link, lateralFriction=scene.pad_friction)
+        client.changeDynamics(body, link, lateralFriction=scene.pad_friction / _object_friction(scene))
     if physics.end_effector.shape.kind == "cylinder":
         client.changeDynamics(body, len(joints), collisionMargin=MARGIN_M)
     if compliant and scene.rolling_arm:
-        client.changeDynamics(body, len(joints), rollingFriction=scene.rolling_arm)
+        client.changeDynamics(body, len(joints), rollingFriction=scene.rolling_arm / _object_friction(scene))
     if compliant and physics.pad_stiffness is not None:
         client.changeDynamics(body, len(joints), **_compliance(physics.pad_stiffness, physics.pad_damping, step))
     return body
@@ -476,7 +485,12 @@ def _geometry(shape: ConvexShape, size: Array) -> dict[str, Any]:
     return {"shapeType": pybullet.GEOM_BOX, "halfExtents": (size / 2.0).tolist()}
 
 
-def _make_object(client: BulletClient, object_: ObjectPhysics) -> int:
+def _object_friction(physics: Physics) -> float:
+    """Lateral friction of every object in Bullet."""
+    return math.sqrt(physics.object_friction) if physics.neighbours else 1.0
+
+
+def _make_object(client: BulletClient, object_: ObjectPhysics, friction: float) -> int:
     shape = client.createCollisionShape(
         **_geometry(object_.shape, object_.size), collisionFramePosition=(-object_.com_offset).tolist()
     )
@@ -490,7 +504,7 @@ def _make_object(client: BulletClient, object_: ObjectPhysics) -> int:
         localInertiaDiagonal=moments,
         linearDamping=0.0,
         angularDamping=0.0,
-        lateralFriction=1.0,
+        lateralFriction=friction,
         spinningFriction=0.0,
         rollingFriction=0.0,
         restitution=0.0,
@@ -527,9 +541,9 @@ def _make_support(
     client.changeDynamics(
         body,
         -1,
-        lateralFriction=physics.support_friction,
+        lateralFriction=physics.support_friction / _object_friction(physics),
         spinningFriction=0.0,
-        rollingFriction=physics.rolling_arm if compliant else 0.0,
+        rollingFriction=physics.rolling_arm / _object_friction(physics) if compliant else 0.0,
         restitution=0.0,
     )
     if yields:

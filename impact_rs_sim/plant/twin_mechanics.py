@@ -16,7 +16,7 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant.mechanics import Mechanics
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState
-from impact_rs_sim.twin import CONTACT_REFINEMENT, arm_start, box_start, kernel_twin, motions
+from impact_rs_sim.twin import CONTACT_REFINEMENT, arm_start, box_starts, kernel_twin, motions
 
 
 class TwinMechanics(Mechanics):
@@ -39,7 +39,7 @@ class TwinMechanics(Mechanics):
     def start(self, arms: Mapping[str, ArmState], drives: Mapping[str, DriveStart], object_: BodyState) -> None:
         """See :meth:`Mechanics.start`."""
         starts = [arm_start(arms[name], drives[name]) for name in self._numbers]
-        self._run = _kernel.TwinRun(self._twin, starts, box_start(object_))
+        self._run = _kernel.TwinRun(self._twin, starts, box_starts(self.physics, object_))
         self._update(self._run.state)
 
     def step(self, desired: Mapping[str, Array], periods: int, time: float) -> None:
@@ -68,7 +68,7 @@ class TwinMechanics(Mechanics):
 
     def object_state(self) -> BodyState:
         """See :meth:`Mechanics.object_state`."""
-        pose, twist = self._body[:7], self._body[7:]
+        pose, twist = self._body[:7], self._body[7:13]
         return BodyState(pose[:3], pin.Quaternion(pose[3:]).matrix(), twist)
 
     def pad_force(self, name: str) -> Array:

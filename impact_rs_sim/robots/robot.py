@@ -241,21 +241,23 @@ def load_facts(name: str) -> RobotFacts:
 
 @dataclass(frozen=True, eq=False)
 class EndEffector:
-    """Rigid end effector with a flat pad, in the end-effector frame E.
+    """Rigid end effector with a pad, in the end-effector frame E.
 
-    E has its origin at the centre of the pad's outer face; +z points out of the pad, along the flange axis.
+    E has its origin at the centre of the pad's outer face; +z points out of the pad.
 
     Attributes:
         mass: Mass [kg].
         com: Centre of mass in E, ``(3,)`` [m].
         inertia: Inertia about the centre of mass in axes of E, ``(3, 3)`` [kg m^2].
-        length: Distance from the flange to the pad's outer face [m].
+        length: Distance from the flange to the pad's outer face, along the flange axis [m].
         mount_yaw: Rotation of E about the flange axis [rad].
         pad_size: Width (x), height (y) and thickness (z) of the pad [m].
         pad_tilt: Roll and pitch of the pad in E, about the centre of its outer face: about x, then about the y of E
             [rad]. E stays where it is: the tilt is unknown to the controller.
         pad_offset: Middle of the pad's outer face in E [m]; likewise unknown to the controller.
         shape: Shape of the pad within the extents ``pad_size``.
+        mount_offset: Origin of E across the flange axis, along x and y of the flange [m].
+        mount_tilt: Roll and pitch of E in the flange, before its yaw as rpy in a URDF [rad].
     """
 
     mass: float
@@ -267,6 +269,8 @@ class EndEffector:
     pad_tilt: tuple[float, float] = (0.0, 0.0)
     pad_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     shape: ConvexShape = BOX
+    mount_offset: tuple[float, float] = (0.0, 0.0)
+    mount_tilt: tuple[float, float] = (0.0, 0.0)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, EndEffector) and self._numbers == other._numbers
@@ -286,7 +290,19 @@ class EndEffector:
             tuple(self.pad_tilt),
             self.pad_offset,
             self.shape,
+            *self.mount_numbers,
         )
+
+    @property
+    def mount_numbers(self) -> tuple[float, ...]:
+        """Position of E on the flange [m] and roll, pitch, yaw there [rad]."""
+        return (*self.mount_offset, self.length, *self.mount_tilt, self.mount_yaw)
+
+    @property
+    def mount(self) -> pin.SE3:
+        """Placement of E on the flange."""
+        numbers = self.mount_numbers
+        return pin.SE3(pin.rpy.rpyToMatrix(*numbers[3:]), np.array(numbers[:3]))
 
     @property
     def pad_placement(self) -> pin.SE3:

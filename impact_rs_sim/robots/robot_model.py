@@ -300,7 +300,7 @@ def _skeleton(facts: RobotFacts, end_effector: EndEffector) -> pin.Model:
     identity of the objects: hashing all numbers would take longer than building the model.
     """
     parts = facts.joints, facts.flange, facts.limits
-    place = end_effector.length, end_effector.mount_yaw
+    place = end_effector.mount_numbers
     kept, skeleton = _SKELETONS.of(
         (*map(id, parts), *place), lambda: (parts, pin.buildModelFromXML(write_urdf(facts, end_effector)))
     )

@@ -84,9 +84,8 @@ def _meshes(link: Xml.Element, meshes: tuple[Mesh, ...]) -> bool:
 def _mount_rpy(facts: RobotFacts, end_effector: EndEffector) -> Array:
     """Roll, pitch, yaw of E in the last link, ``(3,)`` [rad]."""
     if not any(facts.flange.rpy):
-        return np.array([0.0, 0.0, end_effector.mount_yaw])  # exact to the last bit, unlike through a matrix
-    yaw = pin.rpy.rpyToMatrix(0.0, 0.0, end_effector.mount_yaw)
-    return np.asarray(pin.rpy.matrixToRpy(facts.flange.rotation @ yaw))
+        return np.array(end_effector.mount_numbers[3:])  # exact to the last bit, unlike through a matrix
+    return np.asarray(pin.rpy.matrixToRpy(facts.flange.rotation @ end_effector.mount.rotation))
 
 
 @functools.lru_cache(maxsize=64)
@@ -140,14 +139,14 @@ def write_urdf(
     mount = Xml.SubElement(robot, "joint", name=f"{prefix}end_effector_mount", type="fixed")
     Xml.SubElement(mount, "parent", link=f"{prefix}{previous}")
     Xml.SubElement(mount, "child", link=f"{prefix}end_effector")
-    origin_e = np.array(facts.flange.xyz) + facts.flange.rotation @ np.array([0.0, 0.0, end_effector.length])
+    origin_e = np.array(facts.flange.xyz) + facts.flange.rotation @ end_effector.mount.translation
     Xml.SubElement(mount, "origin", xyz=_text(origin_e), rpy=_text(_mount_rpy(facts, end_effector)))
     link = Xml.SubElement(robot, "link", name=f"{prefix}end_effector")
     _inertial(link, end_effector.mass, end_effector.com, end_effector.inertia)
     thickness = end_effector.pad_size[2]
     _visual(
         link,
-        np.array([0.0, 0.0, -end_effector.length]),
+        end_effector.mount.inverse().translation,
         np.array([0.0, 0.0, -thickness]),
         TOOL_RADIUS_M,
         "0.25 0.27 0.30 1",

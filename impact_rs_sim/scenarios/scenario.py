@@ -47,6 +47,7 @@ NonNegative = Annotated[float, Field(ge=0.0)]
 
 AXES = {"x": 0, "y": 1, "z": 2}
 CORNER_TOLERANCE_M = 1e-6  # of the corners of a hull and its size
+UNIT_TOLERANCE = 1e-6  # of the length of a unit vector [-]
 # Half width of the 95 % interval of a motor inertia that is assumed, relative: from none to three times the number.
 # Three times an assumed B_theta is B_rho, which the links carry where a torque loop does nothing. A known B_rho,
 # over that scaled from a Franka arm by the torque limit: 0.8 to 2.5 in a Franka arm itself, 1.1 to 3.1 in a UR10e,
@@ -93,8 +94,14 @@ class EndEffectorSpec(Schema):
     mass: Positive = Field(description="mass of the end effector [kg]")
     com: Vector3 = Field(description="centre of mass in frame E [m]")
     inertia: PositiveVector3 = Field(description="principal moments about the centre of mass, axes of frame E [kg m^2]")
-    length: Positive = Field(description="distance from the flange to the pad's outer face [m]")
+    length: Positive = Field(description="distance from the flange to the pad's outer face, along the flange axis [m]")
     mount_yaw: float = Field(0.0, description="rotation of the pad about the flange axis [rad]")
+    mount_offset: tuple[float, float] = omitted(
+        (0.0, 0.0), description="middle of the pad's face beside the flange axis, along x and y of the flange [m]"
+    )
+    mount_tilt: tuple[float, float] = omitted(
+        (0.0, 0.0), description="roll and pitch of the pad on the flange, before mount_yaw, as rpy in a URDF [rad]"
+    )
     pad: Pad = Field(description="the pad")
 
     @field_validator("inertia")
@@ -112,6 +119,8 @@ class EndEffectorSpec(Schema):
             inertia=np.diag(self.inertia),
             length=self.length,
             mount_yaw=self.mount_yaw,
+            mount_offset=self.mount_offset,
+            mount_tilt=self.mount_tilt,
             pad_size=self.pad.size,
             shape=ConvexShape(self.pad.shape),
         )
@@ -400,6 +409,24 @@ class ObjectSpec(Schema):
         return float(self.form.support(np.array(self.size), self.rotation.T @ direction))
 
 
+class NeighbourSpec(ObjectSpec):
+    """A free object that stands on the support beside another one, which hits it."""
+
+    direction: tuple[float, float] = Field(
+        description="where it stands, seen from the neighbour before it in this list, of the first from the object: "
+        "unit vector along x and y"
+    )
+    gap: NonNegative = omitted(0.0, description="distance between both at rest, along direction [m]")
+
+    @model_validator(mode="after")
+    def _free_in_a_direction(self) -> Self:
+        if self.fixed:
+            raise ValueError("fixed neighbours are not supported: a fixed object is the one that is hit")
+        if abs(np.hypot(*self.direction) - 1.0) > UNIT_TOLERANCE:
+            raise ValueError("direction must be a unit vector")
+        return self
+
+
 class Support(Schema):
     """The horizontal surface the object lies on."""
 
@@ -419,6 +446,7 @@ class Contact(Schema):
         "newton",
         description="newton: of velocities, may gain energy with friction; poisson: of impulses",
     )
+    object_friction: Positive = omitted(0.4, description="friction between object and neighbour [-]")
 
 
 class CaseRobot(Schema):
@@ -636,6 +664,11 @@ class Scenario(Schema):
     )
     robots: dict[Name, Robot] = Field(min_length=1, description="arms by name")
     objects: dict[Name, ObjectSpec] = Field(min_length=1, description="objects by name")
+    neighbours: dict[Name, NeighbourSpec] = omitted(
+        {},
+        description="further objects, which the object hits, by name: in a row, each beside the one before; only the "
+        "object is tracked",
+    )
     support: Support = Field(description="what the object lies on")
     contact: Contact = Field(description="contact between pad and object")
     cases: dict[Name, Case] = Field(min_length=1, description="cases by name")
@@ -678,6 +711,16 @@ class Scenario(Schema):
                 if beyond := [joint + 1 for joint in robot.held if joint >= count]:
                     place = f"cases.{case_name}.robots.{name}.posture"
                     raise ValueError(f"{place} names joint_{beyond[0]}, but the arm has {count} joints")
+        return self
+
+    @model_validator(mode="after")
+    def _neighbours_of_a_free_object(self) -> Self:
+        if not self.neighbours:
+            return self
+        if taken := {"object", "support", *self.robots} & set(self.neighbours):
+            raise ValueError(f"neighbours.{min(taken)}: another body has this name")
+        if fixed := [name for name, one in self.objects.items() if one.fixed]:
+            raise ValueError(f"objects.{fixed[0]} is fixed and hits no neighbour: leave neighbours out")
         return self
 
     @model_validator(mode="after")
@@ -727,6 +770,17 @@ class Scenario(Schema):
             depth = self.object(object_name).reach(-normal) + self.object_gap
             placement.translation += normal * ((centre - placement.translation) @ normal - depth)
         return placement
+
+    def neighbour_shifts(self, object_name: str) -> list[Array]:
+        """Middles of the neighbours at rest from the middle of an object, in A, ``(3,)`` each [m]."""
+        down, before = np.array([0.0, 0.0, -1.0]), self.object(object_name)
+        place, ground, found = np.zeros(3), before.reach(down), []
+        for one in self.neighbours.values():
+            along = np.append(one.direction, 0.0)
+            place = place + along * (before.reach(along) + one.gap + one.reach(-along))
+            found.append(place + [0.0, 0.0, one.reach(down) - ground])
+            before = one
+        return found
 
     def excursion_leg(self, robot: CaseRobot) -> float:
         """Duration of one leg of the excursion [s]; a quintic from rest to rest peaks at 15/8 of its mean speed."""
@@ -825,12 +879,17 @@ def _read_robot_files(data: dict[str, Any], directory: Path) -> None:
 
 def _read_meshes(data: dict[str, Any], directory: Path) -> None:
     """Replace paths to meshes of objects by what they say, so that bags contain it."""
-    objects = data.get("objects")
-    for name, spec in objects.items() if isinstance(objects, dict) else ():
-        if not isinstance(spec, dict) or not isinstance(spec.get("mesh"), str):
-            continue
+    sections = {key: data.get(key) for key in ("objects", "neighbours")}
+    bodies = {
+        f"{key}.{name}": spec
+        for key, section in sections.items()
+        if isinstance(section, dict)
+        for name, spec in section.items()
+        if isinstance(spec, dict) and isinstance(spec.get("mesh"), str)
+    }
+    for key, spec in bodies.items():
         if given := {"shape", "corners", "size"} & set(spec):
-            raise InputError("mesh has shape, corners and size: leave these out", key=f"objects.{name}.{min(given)}")
+            raise InputError("mesh has shape, corners and size: leave these out", key=f"{key}.{min(given)}")
         found = read_object_mesh(directory / spec.pop("mesh"))
         spec |= {"shape": "hull", "corners": found.corners.tolist(), "size": found.size.tolist()}
         if isinstance(spec.get("mass"), (int, float)):

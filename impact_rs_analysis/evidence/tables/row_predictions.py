@@ -153,7 +153,7 @@ def _inputs_of_the_map(physics: Physics) -> bytes:
         parts += [np.array([float(f"{moment:.12g}") for moment in body.inertia / body.mass])]
     for arm in physics.arms.values():
         tool = arm.end_effector
-        parts += [np.array([tool.mass, tool.length, tool.mount_yaw]), tool.com, tool.inertia.ravel()]
+        parts += [np.array([tool.mass, *tool.mount_numbers]), tool.com, tool.inertia.ravel()]
         parts += [arm.motor_inertia_reduced, arm.base.homogeneous.ravel()]
     numbers = b"".join(np.ascontiguousarray(part, dtype=float).tobytes() for part in parts)
     return numbers + repr(physics.contact_laws).encode()

@@ -75,7 +75,7 @@ HEADERS = {
     "": "empty|bag, object, kind",
 }
 EXPERIMENTS = {
-    "scenario: psh": "scenario = 'psh'|excite, grab, grab_fr3, hit_ball, hit_wall",
+    "scenario: psh": "scenario = 'psh'|excite, grab, grab_cylinder, grab_fr3, hit_ball",
     "scenario: push.yaml": "no scenario",
     "{scenario: push, mapping: joint_sate}": "mapping = 'joint_sate'|did you mean",
     "{scenario: push, maping: joint_state}": "maping|did you mean 'mapping'",
