@@ -89,11 +89,11 @@ ELASTIC_DEFLECTION = Relation(
     (MOTOR_ENCODER, ENCODER),
     "stiffness of the joint",
 )
-POSITION_SLOPE = Relation("velocity of positions", (), (VELOCITY, ENCODER), (VELOCITY,), "")
+POSITION_SLOPE = Relation("velocity of positions", ("velocity of positions",), (VELOCITY, ENCODER), (VELOCITY,), "")
 OBJECT_TRACKING = Relation(
     "object and end effector", PUSH_SIGNALS, (TRACKER, ENCODER), (TRACKER,), "how the object slips and turns on the pad"
 )
-FEATURE_RELATIONS = (MOTOR_BALANCE, LINK_BALANCE, ELASTIC_DEFLECTION)
+FEATURE_RELATIONS = (MOTOR_BALANCE, LINK_BALANCE, ELASTIC_DEFLECTION, POSITION_SLOPE)
 FREE_MOTION_PHASES = ("free", "moving up", "moving down", "slow")  # phases without contact
 
 

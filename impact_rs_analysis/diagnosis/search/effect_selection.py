@@ -19,6 +19,7 @@ from types import MappingProxyType
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from impact_rs_analysis.diagnosis.search.candidate import Candidate, can_change, linearise, required_predictions
 from impact_rs_analysis.diagnosis.search.fit import (
@@ -700,12 +701,28 @@ def secant_update(jacobians: Sequence[Array], made: Sequence[Array], away: Array
 
 
 def tied(chosen: Fit, rival: Fit) -> bool:
-    """Whether a rival is tied: its leave-one-out errors are as low.
+    """Whether a rival is tied: its leave-one-out errors are as low, in the features that one of both changes.
 
     The mean log ratio of squared errors is below 5 %, or below two standard errors of it but 25 % at most. Clusters in
-    which both predict the same are ignored.
+    which both predict the same are ignored. The error of a signal that neither changes, such as that of a velocity
+    against the derivative of positions, would make different errors alike.
     """
-    return tied_errors(chosen.held_out, rival.held_out, chosen.evidence.expected / 2.0 + 1e-12)
+    changed = changed_features(chosen.candidate, rival.candidate)
+    squares = [[np.square(rest) for rest in fit.problem.leave_one_out_residuals] for fit in (chosen, rival)]
+    squares.append([item.expected_squares / 2.0 for item in chosen.evidence.clusters])
+    own, other, noise = (
+        np.array([np.mean(one[mask]) if np.any(mask) else 0.0 for one, mask in zip(each, changed, strict=True)])
+        for each in squares
+    )
+    return tied_errors(own, other, noise + 1e-12)
+
+
+def changed_features(*candidates: Candidate) -> list[NDArray[np.bool_]]:
+    """Masks of the features that some candidate changes, by cluster, ``(F,)`` each."""
+    return [
+        np.any([np.any(jacobian != 0.0, axis=1) for jacobian in jacobians], axis=0)
+        for jacobians in zip(*(candidate.jacobians for candidate in candidates), strict=True)
+    ]
 
 
 def j_test_p_value(chosen: Fit, name: str, rival: Fit) -> float:

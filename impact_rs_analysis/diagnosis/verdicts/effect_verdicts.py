@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rs_analysis.diagnosis.document import EffectDocument, EstimateDocument
-from impact_rs_analysis.diagnosis.search.effect_selection import tied_errors
+from impact_rs_analysis.diagnosis.search.effect_selection import changed_features, tied_errors
 from impact_rs_analysis.diagnosis.search.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.search.relevance import is_relevant, sizes_of
 from impact_rs_analysis.diagnosis.thresholds import MAX_HALF_WIDTH, SIGNIFICANCE_LEVEL
@@ -259,17 +259,18 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[DiagnosisVerdict, 
     else:
         p = fitted.problem.p_value(evidence.shifted(shifts).null, [index])
     rest, rest_without = fitted.problem.leave_one_out_residuals, without.leave_one_out_residuals
-    own, own_without = (_of_joint(evidence, values, scalar.arm, joint) for values in (rest, rest_without))
+    changed = changed_features(candidate)
+    own, own_without = (_of_joint(evidence, values, scalar.arm, joint, changed) for values in (rest, rest_without))
     if not own.size:  # nothing of the joint was measured
         return UNIDENTIFIABLE, 1.0, None, None
     error, error_without = float(own.mean()), float(own_without.mean())
-    rivals = [
-        name
-        for name, other in found.search.joint_alternatives(candidate, index)
-        if tied_errors(
-            own, _of_joint(evidence, evidence.problem(other).leave_one_out_residuals, scalar.arm, joint), 1e-12
-        )
-    ]
+    rivals = []
+    for name, other in found.search.joint_alternatives(candidate, index):
+        either = changed_features(candidate, other)
+        theirs = evidence.problem(other).leave_one_out_residuals
+        errors, of_rival = (_of_joint(evidence, values, scalar.arm, joint, either) for values in (rest, theirs))
+        if tied_errors(errors, of_rival, 1e-12):
+            rivals.append(name)
     if undetermined(fitted)[index]:
         verdict = UNIDENTIFIABLE
     elif fitted.held_at_bound[index]:
@@ -285,11 +286,14 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[DiagnosisVerdict, 
     return verdict, reported_p(p), sigma * math.sqrt(error_without), sigma * math.sqrt(error)
 
 
-def _of_joint(evidence: Evidence, rest: Sequence[Array], arm: str, joint: str) -> Array:
+def _of_joint(
+    evidence: Evidence, rest: Sequence[Array], arm: str, joint: str, among: Sequence[NDArray[np.bool_]]
+) -> Array:
     """Mean square residual of one joint by cluster that measures it, ``(c,)`` [-]; ``arm`` empty: all arms."""
     picked = []
-    for item, values in zip(evidence.clusters, rest, strict=True):
+    for item, values, mask in zip(evidence.clusters, rest, among, strict=True):
         own = np.array([f.index.rsplit(".", 1)[-1] == joint and (not arm or f.arm in ("", arm)) for f in item.features])
+        own &= mask
         if np.any(own):
             picked.append(float(np.mean(np.square(values[own]))))
     return np.array(picked)

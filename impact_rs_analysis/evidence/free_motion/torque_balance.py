@@ -6,8 +6,10 @@
 with q and dq at t (cf. paper eq. eom); tau is the recorded torque, B is included only if it was measured at the motor.
 Positions, velocities and torques pass the same zero-phase low-pass (Butterworth, order 4, forwards and backwards),
 accelerations are central differences of the filtered velocity at the rate of the samples. Prediction and recorded
-torque pass the low-pass once more; both ends are left out. Dry friction, which jumps with the sign of any filtered
-velocity, passes it twice, as the recorded torque does.
+torque pass the low-pass once more; both ends are left out. Dry friction jumps where a joint reverses, which is not
+where its filtered velocity does: it is that of the unfiltered velocity at the rate of the samples, and passes the
+low-pass twice, as the recorded torque does. (The sign of the velocity below 3 Hz made the inertia of a motor 3 to 4 %
+too large in swings of up to 1.5 Hz.)
 
 Where the motors have encoders of their own (theta), B and friction act on the motion of the motors, and the deflection
 of the transmission is a second signal without its mean, which is an offset of the encoders:
@@ -43,7 +45,7 @@ import scipy
 from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.physics import ArmPhysics, LoadState, Physics
+from impact_rs_sim.physics import ArmPhysics, JointFriction, LoadState, Physics
 from impact_rs_sim.readings import ArmReadings, delayed
 from impact_rs_sim.recent import Recent
 from impact_rs_sim.robots.robot import Array
@@ -125,6 +127,8 @@ class Motion:
         measured: Whether the torque of a joint was measured, ``(n,)``; one that never changes was not.
         cut_off: Cut-off frequency of the low-pass [Hz].
         rate: Sampling rate of the grid [Hz].
+        unfiltered: dq minus its low-passed values at the rate of the samples, ``stride`` rows per row of the others but
+            the last, ``(stride (k - 1) + 1, n)`` [rad/s].
         servo: Servos from whose law the torque was computed; None: it was recorded.
     """
 
@@ -143,6 +147,7 @@ class Motion:
     deflection_noise: Array
     cut_off: float
     rate: float
+    unfiltered: Array
     servo: ServoMotion | None = None
 
     @property
@@ -186,6 +191,24 @@ class Motion:
     def low_pass(self, values: Array) -> Array:
         """The low-pass on the grid."""
         return _low_pass(values, self.cut_off, self.rate)
+
+    def at_samples(self, values: Array) -> Array:
+        """Values on the grid interpolated at the rate of the samples, as :attr:`unfiltered`."""
+        fine = np.linspace(self.time[0], self.time[-1], len(self.unfiltered))
+        return np.asarray(scipy.interpolate.CubicSpline(self.time, values)(fine))
+
+    def dry_friction(self, friction: JointFriction, velocity: Array, carried: Array) -> Array:
+        """Friction without its viscous part, low-passed once, ``(k, n)`` [N m].
+
+        Args:
+            friction: Of the joints.
+            velocity: Low-passed velocity of the motors on the grid [rad/s].
+            carried: Torque of the transmissions on the grid [N m].
+        """
+        velocity = self.at_samples(velocity) + self.unfiltered
+        torque = friction.torque(velocity, self.at_samples(carried)) - friction.viscous_torque(velocity)
+        stride = (len(torque) - 1) // (len(self.time) - 1)
+        return _low_pass(torque, self.cut_off, self.rate * stride)[::stride]
 
 
 def _low_pass(values: Array, cut_off: float, rate: float) -> Array:
@@ -252,6 +275,7 @@ def prepare(run: Run, cut_off: float, law: ServoLaw | None = None) -> Motion:
         wanted = resampled(arm.q_desired), resampled(arm.dq_desired)
         servo = ServoMotion(law, even, places, speeds, *wanted, cut_off, stride)
     q, dq = (_low_pass(values, cut_off, sampled) for values in (places, speeds))
+    fine = (q[::stride].shape[0] - 1) * stride + 1
     theta = _low_pass(motors, cut_off, sampled)
     dtheta = derivative(theta)
     edge = int(np.ceil(EDGE_PERIODS * rate / cut_off))
@@ -281,6 +305,7 @@ def prepare(run: Run, cut_off: float, law: ServoLaw | None = None) -> Motion:
         deflection_noise=_noise(motors - places, moved, turning, cut_off, sampled),
         cut_off=cut_off,
         rate=rate,
+        unfiltered=(speeds - dq)[:fine],
         servo=servo,
     )
 
@@ -443,8 +468,7 @@ class TorqueBalance:
             if not arm.friction.is_zero:
                 viscous = arm.friction.viscous_torque(velocity)
                 carried = self._transmitted_torques(physics, number, rigid)
-                dry = arm.friction.torque(velocity, carried) - viscous  # jumps, whatever the low-pass of the velocity
-                torque = torque - viscous - motion.low_pass(dry)
+                torque = torque - viscous - motion.dry_friction(arm.friction, velocity, carried)
             if arm.loads:
                 torque = torque - self._load_torques(physics, number, rigid)
             torque = motion.low_pass((torque - arm.torque_offset) / arm.torque_gain)

@@ -21,6 +21,7 @@ from impact_rs_analysis.evidence.calibration import with_intervals
 from impact_rs_analysis.evidence.cluster import Added, Cluster, Feature
 from impact_rs_analysis.evidence.free_motion.motion_difference import minus_references, order_warning
 from impact_rs_analysis.evidence.free_motion.torque_balance import Motion, TorqueBalance, motor_ratios, prepare
+from impact_rs_analysis.evidence.free_motion.velocity_relation import VelocityRelation
 from impact_rs_analysis.evidence.levels import (
     Cell,
     Comparison,
@@ -69,7 +70,7 @@ TARGET_STRETCHES = 24  # more in a recording that is longer than 24 times MAX_ST
 MAX_STRETCH_S, MIN_STRETCH_S = 2.0, 0.5  # the noise remembers less than the shorter
 CLIPPING_ITERATIONS = 10  # of densities of information, until they settle
 MIN_MOVING_SPEED = 0.05  # rad/s, m/s
-TORQUE, DEFLECTION = "torque", "deflection"
+TORQUE, DEFLECTION, POSITION_SLOPE = "torque", "deflection", "velocity of positions"
 PHASES = ("moving up", "moving down", "slow")
 LEVEL_TEXT = "torque balance of the arm in free motion, both sides low-passed"
 CACHED_TORQUES_BYTES = 2**28
@@ -83,6 +84,7 @@ UNIDENTIFIABLE_FAULTS = (COMMAND_CLOCK_OFFSET, MOTOR_ENCODER_OFFSET, TORQUE_SENS
 SERVO_WITHOUT_SENSOR = (TORQUE_DELAY, TORQUE_SENSOR_LAG)  # a torque that was computed passed no sensor
 TORQUE_SENSOR_FAULTS = (TORQUE_SENSOR_CROSSTALK,)  # strain gauges feel their neighbours' loads, currents do not
 VELOCITY_SENSOR_FAULTS = (VELOCITY_LAG, VELOCITY_DELAY, VELOCITY_GAIN)  # derivatives of positions have none
+MIN_NOISE_SHARE = 0.01  # of the residual of a model, below which another error than noise remains
 TORQUE_UNIT = "N m"  # of a revolute joint
 TORQUE_QUANTILE = 0.99  # that stands for the largest torque: a few samples may be outliers
 MIN_SAMPLES_OF_PHASE = 5  # of one joint; fewer are not reported
@@ -221,7 +223,9 @@ class RecordingSource(Source):
         self._weights = self._column_weights()
         self.size_unit = self.residual_unit = joined_units(column.unit for column in self._columns[: self._torques])
         self._stretches = tuple(stretches)
-        self._predicted = Recent[Array | None](
+        related = "velocity" in mapping.signals and not minus
+        self._relation = VelocityRelation(motions, [one.rows for one in stretches]) if related else None
+        self._predicted = Recent[tuple[Array, Array | None] | None](
             max(MIN_CACHED_TORQUES, int(CACHED_TORQUES_BYTES / self.balance.recorded.nbytes))
         )
         self.clusters = with_intervals(self, [self._cluster(number) for number in range(len(self._stretches))])
@@ -289,7 +293,14 @@ class RecordingSource(Source):
 
     def residual_weight(self, item: Cluster) -> Array:
         """See :meth:`Source.residual_weight`."""
-        return np.resize(self._weights, item.sigma.size)
+        torques = item.sigma.size - self._slopes
+        scale = np.sqrt(item.sigma.size / torques)  # the mean square over all features is that of the torques
+        return np.concatenate((np.resize(self._weights, torques) * scale, np.zeros(self._slopes)))
+
+    @property
+    def _slopes(self) -> int:
+        """Number of features of a stretch that relate its velocities to its positions; they come last."""
+        return 0 if self._relation is None else self._relation.noise.size
 
     @property
     def _weighted_residuals(self) -> Array:
@@ -339,12 +350,17 @@ class RecordingSource(Source):
         del what
         found: list[Array | None] = []
         last: Added | None = None
-        torque: Array | None = None
+        predicted: tuple[Array, Array | None] | None = None
         for number, added in wanted:
             if added is not last:  # equal effects follow each other, and hashing many numbers is expensive
-                last, torque = added, self._torque(added)
-            found.append(None if torque is None else torque[self._stretches[number].rows].ravel())
+                last, predicted = added, self._prediction(added)
+            found.append(None if predicted is None else self._features_of(number, *predicted))
         return found
+
+    def _features_of(self, number: int, torque: Array, slopes: Array | None) -> Array:
+        """Features of a stretch: torques and deflections by sample, then velocities against positions, ``(F,)``."""
+        own = torque[self._stretches[number].rows].ravel()
+        return own if slopes is None else np.concatenate((own, slopes[number]))
 
     def offers(self, effect: Effect) -> bool:
         """See :meth:`Source.offers`; recordings calibrate the bare arm, differences show what changes or has a load."""
@@ -361,15 +377,19 @@ class RecordingSource(Source):
 
     def residuals_with(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """See :meth:`Source.residuals_with`."""
-        torque = self._torque(added)
-        if torque is None:
-            return None
-        rest = self.balance.recorded - torque
         numbers = {item.name: number for number, item in enumerate(self.clusters)}
+        own = [numbers[item.name] for item in like]
+        predicted = self.predict([(number, added) for number in own], "residuals")
         return [
-            replace(item, residuals=(rest[self._stretches[numbers[item.name]].rows].ravel() / item.sigma)[None, :])
-            for item in like
-        ]
+            replace(item, residuals=((self._recorded(number) - features) / item.sigma)[None, :])
+            for item, number, features in zip(like, own, predicted, strict=True)
+            if features is not None
+        ] or None
+
+    def _recorded(self, number: int) -> Array:
+        """Recorded features of a stretch, ``(F,)``."""
+        slopes = None if self._relation is None else self._relation.recorded
+        return self._features_of(number, self.balance.recorded, slopes)
 
     def size(self) -> float:
         """See :meth:`Source.size`; root mean square of the torque residual [N m]."""
@@ -383,7 +403,8 @@ class RecordingSource(Source):
         """See :meth:`Source.compare_levels`: the torque of every joint."""
         noise = np.maximum(self.balance.noise, 1e-12)
         phases = [[feature.phase for feature in item.features] for item in self.clusters]
-        phase = np.concatenate([np.array(row, dtype=object).reshape(-1, self.rest.shape[1]) for row in phases])
+        torques = [row[: len(row) - self._slopes] for row in phases]
+        phase = np.concatenate([np.array(row, dtype=object).reshape(-1, self.rest.shape[1]) for row in torques])
         signals, cells = [], []
         for number, column in enumerate(self._columns):
             own = self.rest[:, number]
@@ -436,7 +457,8 @@ class RecordingSource(Source):
 
     def joint_sizes(self, rest: Sequence[Array]) -> list[tuple[str, float, float, str]]:
         """See :meth:`Source.joint_sizes`."""
-        sizes = np.sqrt(np.mean(np.square(np.concatenate(rest).reshape(-1, self.sigma.size)), axis=0)) * self.sigma
+        torques = np.concatenate([own[: own.size - self._slopes] for own in rest])
+        sizes = np.sqrt(np.mean(np.square(torques.reshape(-1, self.sigma.size)), axis=0)) * self.sigma
         return [
             (column.index, float(size), float(noise), column.unit)
             for column, size, noise in zip(self._columns[: self._torques], sizes, self.balance.noise, strict=False)
@@ -520,15 +542,24 @@ class RecordingSource(Source):
 
     def _torque(self, added: Added) -> Array | None:
         """Predicted torque of all recordings, ``(k, n)`` [N m]; None without positive inertia."""
-        return self._predicted.of(added, lambda: self._torque_anew(added))
+        found = self._prediction(added)
+        return None if found is None else found[0]
 
-    def _torque_anew(self, added: Added) -> Array | None:
+    def _prediction(self, added: Added) -> tuple[Array, Array | None] | None:
+        """Torque of all recordings [N m], and velocities against positions [rad/s]; None without positive inertia."""
+        return self._predicted.of(added, lambda: self._predict_anew(added))
+
+    def _predict_anew(self, added: Added) -> tuple[Array, Array | None] | None:
         try:
-            torque = self.balance.predict(self._with(added))
+            physics = self._with(added)
+            torque = self.balance.predict(physics)
             shared = tuple(one for one in added if self._shared(one[0])) if self._minus else ()
-            return torque - self.balance.predict(self._with(shared)) + self._of_the_model if shared else torque
+            if shared:
+                torque = torque - self.balance.predict(self._with(shared)) + self._of_the_model
         except NotABody:
             return None
+        readings = physics.arms[ARM].readings
+        return torque, None if self._relation is None else self._relation.predicted(readings)
 
     def _with(self, added: Added) -> Physics:
         """The physics of the model with effects."""
@@ -547,19 +578,38 @@ class RecordingSource(Source):
         phase = np.where(velocity > MIN_MOVING_SPEED, 0, np.where(velocity < -MIN_MOVING_SPEED, 1, 2))
         labels = [[_feature(name, column) for name in PHASES] for column in self._columns]
         sigma = np.broadcast_to(self.sigma, rest.shape).ravel()
+        noise = np.broadcast_to(self.balance.noise, rest.shape).ravel()
+        features = [labels[place][phase[k, place]] for k in range(len(rest)) for place in range(rest.shape[1])]
+        rows = rest.ravel()
+        if self._relation is not None:
+            share = max(root_mean_square(self.balance.noise / self.sigma), MIN_NOISE_SHARE)
+            noise = np.append(noise, self._relation.noise)
+            sigma = np.append(sigma, self._relation.noise / share)  # equal noise has equal weight
+            predicted = self._relation.predicted(self.physics.arms[ARM].readings)
+            rows = np.append(rows, (self._relation.recorded - predicted)[number])
+            features += self._slope_features()
         return Cluster(
             name=stretch.name,
             condition_key=(stretch.unit, stretch.name, ""),
             layout=stretch.name,
             unit=stretch.unit,
             contact=False,
-            features=tuple(labels[place][phase[k, place]] for k in range(len(rest)) for place in range(rest.shape[1])),
-            residuals=(rest.ravel() / sigma)[None, :],
+            features=tuple(features),
+            residuals=(rows / sigma)[None, :],
             sigma=sigma,
-            pure_error=np.broadcast_to(self.balance.noise / self.sigma, rest.shape).ravel(),
-            discrepancy=np.zeros(rest.size),
-            calibrations=self._of_scales(stretch.rows),
+            pure_error=noise / sigma,
+            discrepancy=np.zeros(rows.size),
+            calibrations=np.pad(self._of_scales(stretch.rows), ((0, 0), (0, self._slopes))),
         )
+
+    def _slope_features(self) -> list[Feature]:
+        """Features of velocities against positions: gains of all joints, then delays."""
+        units = self.physics.arms[ARM].facts.units
+        return [
+            Feature("free", POSITION_SLOPE, f"joint{joint + 1}", order, unit.velocity, 0.0)
+            for order in range(2)
+            for joint, unit in enumerate(units)
+        ]
 
     @cached_property
     def _scale_deviations(self) -> Array:

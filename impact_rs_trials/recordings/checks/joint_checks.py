@@ -283,6 +283,14 @@ def _remarks(name: SignalName, doubts: dict[int, str], factors: Array, mapping: 
     remedy = numbers[0] if np.all(every == every[0]) else Remark("[", joined(", ", numbers), "]")
     what = joined("; ", [Remark(f"of joint {joint + 1} ", text) for joint, text in doubts.items()])
     why = "wrong sign, unit or joint" + (", or a load that the mapping lacks" if name == "torque" else "")
+    if gains and np.any(every <= 0.0):
+        return [
+            Remark(
+                f"{name} ",
+                what,
+                f": {why}? No positive {key} corrects it: late commands, or torques that the controller adds?",
+            )
+        ]
     return [Remark(f"{name} ", what, f": {why}? Remedy in the mapping: {key}: ", remedy)]
 
 

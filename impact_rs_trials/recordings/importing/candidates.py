@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from impact_rs_sim.decimals import decimal
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.robots.robot import RobotFacts
 from impact_rs_trials.recordings.mapping import REQUIRED, TableLayout
 from impact_rs_trials.recordings.readers.array_file import ArrayFile
 from impact_rs_trials.recordings.readers.bag_file import (
@@ -28,6 +29,7 @@ from impact_rs_trials.recordings.readers.bag_file import (
     typestore_for,
     unreadable,
 )
+from impact_rs_trials.recordings.readers.lerobot import DESIRED, MEASURED, data_set_of
 from impact_rs_trials.recordings.readers.run_finder import ARRAY_SUFFIXES, BAG_SUFFIXES, TABLE_SUFFIXES, is_bag_folder
 from impact_rs_trials.recordings.readers.table_columns import read_columns
 from impact_rs_trials.recordings.readers.table_file import BETWEEN, BRACKETS
@@ -38,12 +40,14 @@ MAX_NESTED_FIELDS = 3  # of a message
 POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 STATIC = "/tf_static"  # frames that do not move are no pose of an object
 OBJECT_POSE: Final = "object_pose"
+Q_DESIRED: Final = "q_desired"
 # Parts of an arm from base to tip, for joints that are named after them and not numbered.
 PARTS = ("rail", "base", "shoulder_pan", "shoulder_lift", "shoulder", "upper_arm", "elbow", "forearm", "wrist")
 PART_OF_ARM = re.compile(rf"({'|'.join(PARTS)})(_?\d)?(_joint)?(?=[^a-z]|$)", re.IGNORECASE)
 MAX_GRIPPER_NUMBERS = 2  # in addition to the numbers of the joints
 MAX_ROWS_READ = 50  # of a table whose columns are listed
 FINGERS = re.compile("finger|gripper|hand", re.IGNORECASE)
+SIDES = re.compile("left|right", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -179,6 +183,15 @@ def parts_of(candidate: SignalCandidate, count: int) -> list[SignalCandidate]:
     return found
 
 
+def of_side(candidates: Sequence[SignalCandidate], facts: RobotFacts) -> list[SignalCandidate]:
+    """Without those whose joints are called left where the links of the robot are called right, or the reverse."""
+    own = {side[0].lower() for link in facts.links if (side := SIDES.search(link.name))}
+    if len(own) != 1:
+        return list(candidates)
+    sides = [{side[0].lower() for name in one.joints if (side := SIDES.search(name))} for one in candidates]
+    return [one for one, named in zip(candidates, sides, strict=True) if not named or named & own]
+
+
 def in_order(candidate: SignalCandidate, order: Sequence[int]) -> SignalCandidate:
     """A candidate with reordered joints.
 
@@ -312,9 +325,11 @@ def _in_table(path: Path, layout: TableLayout) -> list[SignalCandidate]:
             label = f"{names[0]} … {names[-1]}"
             found.append(SignalCandidate(label, {"columns": names}, False, guess_of(pattern), len(names)))
     found += [one for one in _alike_but_a_word(columns) if one.label not in {other.label for other in found}]
+    named = list(_named_vectors(path, {column: vector_width(cells[column]) for column in columns}))
+    found += named
     for column in columns:
         width = vector_width(cells[column])
-        if width > 1:
+        if width > 1 and not any(one.source["column"] == column for one in named):
             pose = width == len(POSE_COLUMNS) and _is_of_an_object(column)
             guess = OBJECT_POSE if pose else guess_of(column)
             found.append(SignalCandidate(f"{column} ({width})", {"column": column}, pose, guess, width))
@@ -324,6 +339,26 @@ def _in_table(path: Path, layout: TableLayout) -> list[SignalCandidate]:
         if before != column and set(names) <= set(columns):
             found.append(SignalCandidate(f"{names[0]} … {names[-1]}", {"columns": names}, True, OBJECT_POSE))
     return found
+
+
+def _named_vectors(path: Path, widths: dict[str, int]) -> Iterator[SignalCandidate]:
+    """Vectors of a LeRobot data set: the arm of each side without its gripper, by the names of their numbers."""
+    data = data_set_of(path)
+    for column, names in ({} if data is None else data.names).items():
+        if len(names) != widths.get(column, 0):
+            continue
+        sides: dict[str, list[int]] = {}
+        for entry, name in enumerate(names):
+            side = SIDES.search(name)
+            if not FINGERS.search(name):
+                sides.setdefault(side[0].lower() if side else "", []).append(entry)
+        for own in sides.values():
+            joints = tuple(names[entry] for entry in own)
+            if len(own) > 1:
+                label, source = f"{column}: {joints[0]} … {joints[-1]}", {"column": column}
+                entries = [entry + 1 for entry in own]
+                guess = {MEASURED: "position", DESIRED: Q_DESIRED}.get(column) or guess_of(column)
+                yield SignalCandidate(label, {**source, "entries": entries}, False, guess, len(own), joints)
 
 
 def _alike_but_a_word(columns: Sequence[str]) -> Iterator[SignalCandidate]:
@@ -380,7 +415,7 @@ def guess_of(name: str) -> str:
     low = name.lower()
     for part, signal in (("command|cmd|desired", "command"), ("ddq|qdd(?!es)|ddot", "acceleration"),
                          ("vel|dq", "velocity"), ("pos", "position"), ("eff|tau|tor", "torque"), ("q", "position"),
-                         ("curr", "torque")):  # fmt: skip
+                         ("curr|(^|[^a-z])i([^a-z]|$)", "torque")):  # fmt: skip
         if re.search(part, low):
             return signal
     return ""

@@ -52,13 +52,13 @@ def mapping_warning(path: Path, mapping: Mapping, names: Names, model: RobotMode
     Raises:
         InputError: The run cannot be read.
     """
-    needed: tuple[SignalName, ...] = ("position", "torque")
+    needed: tuple[SignalName, ...] = ("position",) if mapping.servo is not None else ("position", "torque")
     read = read_series(path, mapping, (*needed, "velocity"), needed, names)
     rows = usable_rows(read["position"])
     time, q = read["position"].time[rows], read["position"].values[rows]
     if rows.size <= MIN_CHECKED_SAMPLES:
         return f"{rows.size} samples of the positions can be used"
-    dq, tau = read["velocity"].at(time), read["torque"].at(time)
+    dq, tau = read["velocity"].at(time), read["torque"].at(time) if "torque" in read else np.zeros_like(q)
     if not np.isfinite(np.hstack((dq, tau))).all():
         return None
     place = choose(positions(q, model.facts), -np.inf)

@@ -49,8 +49,15 @@ from impact_rs_trials.recordings.importing.recorded_files import (
 )
 from impact_rs_trials.recordings.mapping import NO_ROBOT, Mapping, TableLayout
 from impact_rs_trials.recordings.readers.guesses import STAMP, steps_back
+from impact_rs_trials.recordings.readers.lerobot import INFO, data_set_of
 from impact_rs_trials.recordings.readers.read_once import files_read_once
 from impact_rs_trials.recordings.readers.run_finder import find_recordings
+
+NOMINAL = (
+    "{info}: a LeRobot data set. Timestamps are frame numbers over {fps:g} Hz, not times of measurement: velocities "
+    "err by as much as the frames were irregular. It does not say the unit of its positions: some recorders write "
+    "percent of the calibrated range of each joint in place of degrees"
+)
 
 
 @dataclass(frozen=True)
@@ -213,6 +220,8 @@ class _Importer:
         elif part.clock is not None:
             self._notes.say("time", flow(keys), part.clock.evidence, part.clock.sure)
             self._notes.remarks += part.clock.remarks
+            if (data := data_set_of(part.path)) is not None and data.fps is not None:
+                self._notes.remarks.append(NOMINAL.format(info=INFO, fps=data.fps))
             if not any(STAMP.search(name) for name in part.clock_columns) and (back := steps_back(part.columns)):
                 self._notes.remarks.append(f"{back}; {flow(part.clock.value)} is taken for the clock instead")
             if part.clock.remarks and not self._options.dedupe:

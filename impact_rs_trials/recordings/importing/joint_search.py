@@ -308,9 +308,12 @@ class JointSearch:
             computed = self._is_computed(MotionTorque.of(time, q, dq, raw, self.model), torque.best)
             fitting.append(Reading(stream, _named(stream, torque, motion, y), computed))
         fitting = _exclusive(fitting or weightless)
-        if not fitting and not cut:
+        if all(one.computed for one in fitting) and not cut:  # a controller's target is no measurement, a current is
             named = [one for one in free if _is_named(one) and one.label not in repeated]
-            fitting = [self._by_name(one, found, motion) for one in named]
+            named = [
+                one for one in named if not fitting or one.log_prior("current") > max(one.log_prior("torque"), 0.0)
+            ]
+            fitting += [self._by_name(one, found, motion) for one in named]
             fitting.sort(key=lambda one: one.rank, reverse=True)
         return replace(found, torques=tuple(fitting), copies=repeated)
 

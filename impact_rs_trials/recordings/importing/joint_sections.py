@@ -28,6 +28,7 @@ from impact_rs_trials.recordings.importing.candidates import (
     PART_OF_ARM,
     SignalCandidate,
     joints_of,
+    of_side,
     vector_width,
 )
 from impact_rs_trials.recordings.importing.flange_path import FlangePath
@@ -69,6 +70,11 @@ ADDED_BY_THE_MODEL = {
 MAX_SHOWN_SIGNALS = 3  # of a kind in a message
 MAX_COMMAND_RMS_RATIO = 0.5  # difference of commanded and measured torque, rms over the measured one
 MIN_GRAVITY_RMS_RATIO = 2.0  # of these differences with and without gravity torque, beyond which the choice is sure
+DECLARED = (
+    "{label} is taken for the desired positions because its format says so: their distance to the positions does not "
+    "show the torque of this motion (log odds {odds:.2g}), as where commands act late, a controller adds torques, or "
+    "friction is as large. The gains are a guess; write those of your servos into servo.kp"
+)
 NO_HEADER = "its messages have no header: times at which the bag received them"
 
 
@@ -94,6 +100,7 @@ class JointSections:
         """File of the positions, keys of the mapping except its signals, and the signals."""
         model = RobotModel(facts, MountedEndEffector().build(), pin.SE3.Identity())
         for part in self._parts:
+            part.candidates = of_side(part.candidates, facts)
             self._refused |= read_streams(part, robot, facts.joint_count, self._rate)
             if self._rate is None:
                 settle_clock(part, model)
@@ -188,6 +195,8 @@ class JointSections:
         choice = RoleChoice(RoleHypothesis("position", servo.unit, servo.evidence, 0.0), None, servo.margin)
         signals["q_desired"] = self._joint_signal(Reading(servo.stream, choice), "q_desired", part)
         self._notes.say("torque_measured_at", "motor", "no torque was recorded: servos give that of their motors")
+        if servo.margin < 0.0:
+            self._notes.remarks.append(DECLARED.format(label=servo.stream.label, odds=servo.margin))
         own: dict[str, Any] = {"kp": [float(f"{one:.4g}") for one in servo.kp]}
         if servo.kd is not None:
             own["kd"] = [float(f"{one:.4g}") for one in servo.kd]

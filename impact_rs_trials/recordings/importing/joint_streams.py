@@ -17,7 +17,7 @@ COMMANDED = re.compile(
 MEASURED = re.compile(r"meas|actual|(^|_)act(_|\d|$)", re.IGNORECASE)
 OF_MOTOR = re.compile(r"motor|rotor|(^|_)theta", re.IGNORECASE)
 EXTERNAL = re.compile(r"(^|[^a-z])ext([^a-z]|$)|external|(^|[^a-z])hat([^a-z]|$)|disturb", re.IGNORECASE)
-CURRENT = re.compile(r"curr|amp", re.IGNORECASE)
+CURRENT = re.compile(r"curr|amp|(^|[^a-z])i([^a-z]|$)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)

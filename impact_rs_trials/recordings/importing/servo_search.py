@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.recordings.file_units import TURNS
+from impact_rs_trials.recordings.importing.candidates import Q_DESIRED
 from impact_rs_trials.recordings.importing.hypotheses import (
     MAIN_TRAVEL_SHARE,
     MAX_OUTSIDE_SHARE,
@@ -89,6 +90,13 @@ class FoundServo:
         """Unit, and whether gravity is carried."""
         return str(self.unit), self.meaning
 
+    @property
+    def declared(self) -> bool:
+        """Whether the format of the file says which are positions and desired positions, and both have one unit."""
+        position = self.motion.position
+        named = self.stream.candidate.guess == Q_DESIRED and position.stream.candidate.guess == "position"
+        return named and self.unit == position.best.unit
+
     def same_columns(self, other: FoundServo) -> bool:
         """Whether positions and desired positions are the same numbers."""
         pairs = (self.stream, other.stream), (self.motion.position.stream, other.motion.position.stream)
@@ -138,6 +146,8 @@ def named_servo_torques(search: JointSearch, found: Assignment) -> Iterator[Arra
 def find_servo(search: JointSearch, motions: Sequence[Assignment]) -> FoundServo | None:
     """The likeliest stream of desired positions over all motions; None: none is decisively a servo's.
 
+    One that its format declares to be that is taken without evidence, with a margin below 0.
+
     Args:
         search: Streams and arm.
         motions: Positions, with velocities where these were recorded.
@@ -146,9 +156,15 @@ def find_servo(search: JointSearch, motions: Sequence[Assignment]) -> FoundServo
     kp = None if kp is None or np.any(kp <= 0.0) else kp
     found = [one for motion in motions for one in _servos_of(search, motion, kp, kd)]
     found.sort(key=lambda one: one.log_posterior, reverse=True)
-    if not found or found[0].log_posterior - found[0].motion.motion_log_posterior < DECISIVE_LOG_ODDS:
+    if not found:
         return None
     best = found[0]
+    if best.log_posterior - best.motion.motion_log_posterior < DECISIVE_LOG_ODDS:
+        declared = [one for one in found if one.declared]
+        if not declared:
+            return None
+        best = declared[0]
+        return replace(best, margin=best.log_posterior - best.motion.motion_log_posterior)
     # Columns that were grouped in several ways are one stream.
     others = [one for one in found[1:] if not (one.same_columns(best) and one.reading == best.reading)]
     following = max((one.log_posterior for one in others), default=-np.inf)

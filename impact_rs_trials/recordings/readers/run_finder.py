@@ -23,6 +23,7 @@ from impact_rs_trials.file_names import BAG_METADATA, RUN_TABLE
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.readers.array_file import ArrayFile
 from impact_rs_trials.recordings.readers.inner_runs import RUN
+from impact_rs_trials.recordings.readers.lerobot import INFO
 from impact_rs_trials.recordings.readers.table_columns import run_names
 
 ROS1_SUFFIX = ".bag"
@@ -52,7 +53,9 @@ def name_of(path: Path) -> str:
 
 
 def find_recordings(path: Path, notes: bool = False) -> list[Path]:
-    """The recording at ``path``, or all recordings below a folder but for tables of runs, sorted by path.
+    """The recording at ``path``, or all recordings below a folder, sorted by path.
+
+    Tables of runs and the descriptions of LeRobot data sets are left out.
 
     Args:
         path: File or folder.
@@ -70,10 +73,12 @@ def find_recordings(path: Path, notes: bool = False) -> list[Path]:
     if is_bag_folder(path):
         return [path]
     bags = {file.parent for file in path.rglob(BAG_METADATA)}
+    described = {file.parent for file in path.rglob(str(INFO))}
     files = {
         file
         for file in path.rglob("*")
         if file.suffix in FILE_SUFFIXES and file.name != RUN_TABLE and file.parent not in bags and file.is_file()
+        if described.isdisjoint(file.parents)
     }
     searched = {file for file in files if file.suffix in SEARCHED_SUFFIXES}
     found = bags | (searched if searched or bags or not notes else files)

@@ -127,3 +127,14 @@ def test_what_the_torque_is_stands_in_comparison_and_remarks(tmp_path: Path) -> 
         "servo (desired position and gains)", "encoder", "velocity"
     )  # fmt: skip
     assert said.rollouts is not None and said.rollouts.loop == "closed loop"
+
+
+@pytest.mark.slow
+def test_friction_does_not_enlarge_the_inertia_of_motors(tmp_path: Path) -> None:
+    """By 4 % where friction had the sign of the low-passed velocity, with gains that are known or not."""
+    planted = Servos(coulomb=FRICTION, armature=(0.12, 0.06))
+    source = source_of(tmp_path, planted, servo_mapping(tmp_path))
+    found = diagnose(source, source.model, FEW).effect("added_motor_inertia")
+    assert found is not None
+    for joint, true in enumerate(planted.armature):
+        assert found.parameters[f"inertia_joint{joint + 1}"].estimate == pytest.approx(true, rel=0.03)

@@ -147,3 +147,15 @@ def test_a_deflection_shows_the_scale_of_the_encoder_of_the_link(tmp_path: Path)
     predicted = balance.predict(with_effects(mapping, SCALE.planted))
     assert np.abs(predicted - balance.recorded)[:, 3:].max() < 1e-4  # rad
     assert np.ptp(balance.recorded[:, 4]) > 0.01
+
+
+def test_dry_friction_turns_where_the_joint_does_and_not_where_its_low_passed_velocity_does(tmp_path: Path) -> None:
+    """A shake at 4 Hz reverses the joint between reversals below the low-pass of 3 Hz; kills the filtered sign."""
+    mapping = mapping_of(tmp_path, slender_arm(("revolute",)))
+    model, coulomb = with_effects(mapping, {}).robot_model(ARM), 3.0
+    columns = swinging(model, np.arange(0.0, 24.0, 0.004), 0.0, (np.array([0.2]), np.array([4.0])), (0.5, 0.03))
+    columns["effort"] += coulomb * np.tanh(columns["velocity"] / 0.005)
+    balance = balance_of_links(tmp_path, mapping, columns)
+    dry = {"joint_coulomb_friction": {"coulomb_joint1": coulomb}}
+    rest = balance.recorded - balance.predict(with_effects(mapping, dry))
+    assert np.std(rest) < 0.02 * coulomb

@@ -181,6 +181,22 @@ def test_motor_currents_are_taken_for_what_they_are(tmp_path: Path, motion: Colu
     assert any(line.key == "torque_constant" and not line.sure for line in draft.lines)
 
 
+def test_measured_currents_are_taken_before_the_torque_that_a_controller_computed(
+    tmp_path: Path, motion: Columns
+) -> None:
+    """Files of unnamed columns, as a UR's i_actual beside m_target; kills the target that fits the model exactly."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    noise, gears = np.random.default_rng(4), 12.0 * np.tanh(motion["velocity"] / 0.02)
+    current = (motion["effort"] + gears) / 11.0 + noise.normal(0.0, 0.05, gears.shape)
+    streams = {"q_actual": motion["position"], "qd_actual": motion["velocity"], "i_actual": current}
+    for name, values in (streams | {"m_target": motion["effort"]}).items():
+        write(folder / f"log_{name}.csv", None, [TIME, values])
+    draft = iiwa(folder, tmp_path)
+    assert said_of(draft, "signals.torque.unit").startswith("A ")
+    assert mapping_in(draft, tmp_path / "lab").signals["torque"].file == "log_i_actual.csv"
+
+
 @pytest.mark.parametrize(("late", "unit", "said"), [(0, 1.0, "repeats the positions"), (8, 57.3, "positions, in deg")])
 def test_commanded_positions_are_no_currents(
     tmp_path: Path, motion: Columns, late: int, unit: float, said: str
