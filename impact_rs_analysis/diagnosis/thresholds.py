@@ -6,6 +6,7 @@ Numbers of pure numerics (tolerances, caches, steps of a fit) stand in the modul
 """
 
 from impact_rs_analysis.evidence.cluster import INDEPENDENT_DISCREPANCY_SHARE as INDEPENDENT_DISCREPANCY_SHARE
+from impact_rs_analysis.evidence.cluster import SHARED_DISCREPANCY_SHARE as SHARED_DISCREPANCY_SHARE
 from impact_rs_analysis.evidence.minimum_data import MIN_BLOCKS as MIN_BLOCKS
 from impact_rs_analysis.evidence.minimum_data import MIN_CLUSTERS as MIN_CLUSTERS
 from impact_rs_analysis.evidence.minimum_data import MIN_DEGREES_OF_FREEDOM as MIN_DEGREES_OF_FREEDOM

@@ -30,12 +30,12 @@ the noise is not rare.
 With a single feature and condition the test is Student's t with n - 1 degrees of freedom. Heavy tails make it
 conservative rather than wrong: an outlier of one repeat is in the mean row and in the contrasts of its condition.
 
-Where the model discrepancy is known, residuals have a second source: sum_k a_k P_k, with patterns P_k in which
-simulators differ and a_k standard normal, the same in all clusters of one kind. Patterns are used instead of single
-features because simulators differ in friction or stiffness of a contact, which changes many features at once. Of all
-rows, only the mean over the clusters that share the amplitudes has this part. Along every principal direction of the
-discrepancy this mean and its sensitivities are scaled to the size of the noise (generalised least squares), so that all
-rows may be rotated. The rotations of the same rows give the null distribution of the lack of fit,
+Where the model discrepancy is known, residuals have a second source: sum_k a_k P_k + u, with patterns P_k in which
+simulators differ and a_k standard normal, partly the same in all clusters of one kind. Patterns are used instead of
+single features because simulators differ in friction or stiffness of a contact, which changes many features at once. Of
+all rows, only the means have it: a share is common to the clusters of one kind, the rest differs between clusters.
+Along its principal directions the means and their sensitivities are scaled to the size of the noise (generalised least
+squares), so that all rows may be rotated. The rotations of the same rows give the null distribution of the lack of fit,
 sum_c n_c rbar_c^T W rbar_c.
 
 **Blocks** (:class:`SignFlipNull`). A recording has no repeats. Stretches longer than the correlation time of its
@@ -124,17 +124,14 @@ class NullDistribution(ABC):
 
     def discrepancy(self, jacobians: Sequence[Array], inverse: Array) -> Array:
         """Covariance of an estimate due to model discrepancy, ``(p, p)``."""
-        factor = self._discrepancy_scores(jacobians) @ inverse
-        return np.asarray(factor.T @ factor)
-
-    def _discrepancy_scores(self, jacobians: Sequence[Array]) -> Array:
-        """Score of every discrepancy pattern at amplitude 1, over the clusters that share the amplitude, ``(k, p)``."""
-        total: dict[str, Array] = {}
+        shared: dict[str, Array] = {}
+        scores = []
         for item, jacobian in zip(self.clusters, jacobians, strict=True):
-            part = item.count * item.discrepancy_factor @ jacobian
-            name = item.discrepancy_group
-            total[name] = total[name] + part if name in total else part
-        return np.concatenate([part[np.any(part != 0.0, axis=1)] for part in total.values()])
+            part, group = item.count * item.shared_discrepancy @ jacobian, item.discrepancy_group
+            shared[group] = shared[group] + part if group in shared else part
+            scores.append(item.count * item.own_discrepancy @ jacobian)
+        factor = np.concatenate([*shared.values(), *scores]) @ inverse
+        return np.asarray(factor.T @ factor)
 
     def quantile(self, confidence: float = 0.95) -> float:
         """Quantile of Student's t: half width of an interval in standard errors of :meth:`covariance`."""
@@ -276,39 +273,57 @@ class _Rows:
     def scaled(self, means: Array) -> Array:
         """Mean rows of residuals ``(means, F)`` or sensitivities ``(means, F, p)``, the discrepancy scaled to noise.
 
-        The mean over the n runs of a discrepancy group has the variance v + n lambda^2 along a principal direction of
-        the discrepancy, in units of the noise; all other rows have v. It is scaled by sqrt(v / (v + n lambda^2)).
+        In units of the noise, the mean of n runs has the variance v + n lambda^2 along a principal direction of its own
+        discrepancy, and so has the mean over all runs that share amplitudes; all other rows have v. Both are scaled by
+        sqrt(v / (v + n lambda^2)), first the rows one by one, then what they share.
         """
-        found = means.copy()
-        for members, share, operator in self._scalings:
-            mean = np.tensordot(share, means[members], 1)
+        unit = self._scale if means.ndim == 2 else self._scale[:, None]
+        own, shared = self._scalings
+        found = np.array([operator @ mean for operator, mean in zip(own, means / unit, strict=True)])
+        for members, share, operator in shared:
+            mean = np.tensordot(share, found[members], 1)
             found[members] += np.multiply.outer(share, operator @ mean - mean)
-        return found
+        return np.asarray(found * unit)
 
     @cached_property
-    def _scalings(self) -> list[tuple[list[int], Array, Array]]:
-        """By discrepancy group: places of its means, their shares in the mean row, and what scales it, ``(F, F)``."""
-        contrasts = self.rows[self.means :]
+    def _scale(self) -> Array:
+        """Standard deviation of the noise, moderated, ``(F,)``."""
         squares = [np.sum(np.square(own.rows[own.means :]), axis=0)[None] for own in self.donors]
-        shared = _shared(self, self.donors, squares)[0]
-        scale = np.sqrt(_moderated(shared, np.sum(np.square(contrasts), axis=0), self.freedom) + RIDGE)
-        groups: dict[str, list[int]] = {}
+        contrasts, shared = self.rows[self.means :], _shared(self, self.donors, squares)[0]
+        return np.sqrt(_moderated(shared, np.sum(np.square(contrasts), axis=0), self.freedom) + RIDGE)
+
+    @cached_property
+    def _scalings(self) -> tuple[list[Array], list[tuple[list[int], Array, Array]]]:
+        """Operator ``(F, F)`` of every mean row; places, their shares in the mean, and operator of every group."""
+        own, groups = list[Array](), dict[str, list[int]]()
+        known = dict[tuple[int, str], Array]()
         for place, item in enumerate(self.items):
-            if np.any(item.discrepancy):
-                groups.setdefault(item.discrepancy_group, []).append(place)
-        found = []
+            groups.setdefault(item.discrepancy_group, []).append(place)
+            key = item.count, item.discrepancy_group
+            if key not in known:
+                known[key] = self._operator(np.sqrt(item.count) * self._in_noise(item, item.own_discrepancy))
+            own.append(known[key])
+        shared = []
         for members in groups.values():
-            item, roots = self.items[members[0]], np.sqrt([self.items[place].count for place in members])
-            size = np.linalg.norm(roots) * item.sigma / self.unit / scale
-            patterns = item.discrepancy_factor * size
-            sizes, directions = np.linalg.eigh(
-                patterns.T @ patterns + np.diag(np.square(size * item.discrepancy_outside_patterns))
-            )
-            noise = _moderated(1.0, np.sum(np.square((contrasts / scale) @ directions), axis=0), self.freedom)
-            factors = np.sqrt(noise / (noise + np.maximum(sizes, 0.0)))
-            operator = scale[:, None] * (directions * factors) @ directions.T / scale
-            found.append((members, roots / np.linalg.norm(roots), operator))
-        return found
+            roots = np.sqrt([self.items[place].count for place in members])
+            share = roots / np.linalg.norm(roots)
+            scaled = [
+                self._in_noise(self.items[place], self.items[place].shared_discrepancy) @ own[place]
+                for place in members
+            ]
+            shared.append((members, share, self._operator(np.tensordot(share * roots, scaled, 1))))
+        return own, shared
+
+    def _in_noise(self, item: Cluster, factor: Array) -> Array:
+        """A factor of the discrepancy of a cluster in units of the noise, ``(k, F)``."""
+        return np.asarray(factor * (item.sigma / self.unit / self._scale))
+
+    def _operator(self, factor: Array) -> Array:
+        """Operator that scales a row with the discrepancy covariance L^T L to noise, in units of it, ``(F, F)``."""
+        sizes, directions = np.linalg.eigh(factor.T @ factor)
+        contrasts = self.rows[self.means :] / self._scale
+        noise = _moderated(1.0, np.sum(np.square(contrasts @ directions), axis=0), self.freedom)
+        return np.asarray((directions * np.sqrt(noise / (noise + np.maximum(sizes, 0.0)))) @ directions.T)
 
     def sensitivities(self, jacobians: Iterable[Array]) -> Array:
         """Scaled sensitivities of the mean rows, ``(means, F, p)``, from the sensitivities by cluster, ``(F, p)``."""
