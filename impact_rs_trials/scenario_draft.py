@@ -122,7 +122,8 @@ def draft(
         proposed: Object in place of the boxes; None: those of the shipped scenario.
 
     Raises:
-        InputError: An object for ``excite``, which hits nothing; an arm with fewer than six joints, which cannot keep a pad upright on its path, or no arm.
+        InputError: An arm with fewer than six joints, which cannot keep a pad upright on its path, or no arm; an object
+            for ``excite``, which hits nothing.
         Infeasible: No pose works.
     """
     if proposed is not None and kind == "excite":

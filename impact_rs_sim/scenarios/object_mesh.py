@@ -104,7 +104,7 @@ def object_mesh(points: Array, triangles: Array, path: Path, convex: bool = True
     a, b, c = (points[triangles[:, side]] for side in range(3))
     volumes = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
     volume = float(volumes.sum())
-    _check_closed(a, b, c, volume, hull.volume, path)
+    _check_closed((a, b, c), volume, hull.volume, path)
     excess = float(hull.volume / volume - 1.0)
     if convex and excess > MAX_HULL_EXCESS:
         raise InputError(
@@ -145,8 +145,9 @@ def principal_moments(inertia: Array, path: Path) -> Array:
     return np.diag(inertia).copy()
 
 
-def _check_closed(a: Array, b: Array, c: Array, volume: float, hull_volume: float, path: Path) -> None:
+def _check_closed(sides: tuple[Array, Array, Array], volume: float, hull_volume: float, path: Path) -> None:
     """Refuse triangles that are seen from inside, or leave an opening."""
+    a, b, c = sides
     area = np.cross(b - a, c - a) / 2.0
     missed = np.einsum("ij,ik->jk", (a + b + c) / 3.0, area) - volume * np.eye(3)
     open_share = float(np.abs(missed).max()) / hull_volume

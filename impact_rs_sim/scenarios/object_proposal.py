@@ -2,7 +2,7 @@
 """An object of a scenario from its mesh or its URDF, with every assumption in words.
 
 A mesh gives the hull, centre of mass and inertia of an even density; mass or density come from outside. A URDF gives
-the shape of its collision geometry (box, sphere, capsule, cylinder, or hull of a mesh) and the inertial of all links
+the shape of its collision geometry (box, sphere, cylinder, or hull of a mesh) and the inertial of all links
 that fixed joints join (Pinocchio, Carpentier et al. 2019). Its inertia I and centre c in axes of the link become
 R^T I R and R^T (c - p) in those of the shape at (R, p).
 """
@@ -33,7 +33,7 @@ from impact_rs_sim.scenarios.object_mesh import (
     read_object_mesh,
     triangles_of,
 )
-from impact_rs_sim.shapes import ConvexShape
+from impact_rs_sim.shapes import ConvexShape, Kind
 
 ASSUMED_DENSITY_KG_M3 = 1000.0  # of water; foods, filled bottles and most plastics lie within 30 % of it
 EXTENTS_M = (0.005, 2.0)  # largest extent of an object that an arm hits with a pad; beyond, a unit is wrong
@@ -59,7 +59,7 @@ class ProposedObject:
 class _Shape:
     """A shape, with volume [m^3], centre of mass [m] and moments over the mass [m^2] of an even density."""
 
-    kind: str
+    kind: Kind
     size: Array
     volume: float
     com: Array
@@ -191,6 +191,7 @@ def _of_geometry(geometry: coal.CollisionGeometry, of: str, path: Path) -> _Shap
     """The shape of a collision geometry of a URDF."""
     if isinstance(geometry, coal.BVHModelBase):
         return _of_mesh(object_mesh(*triangles_of(geometry), path, convex=False))
+    kind: Kind
     if isinstance(geometry, coal.Box):
         kind, size = "box", 2.0 * np.array(geometry.halfSide)
     elif isinstance(geometry, coal.Sphere):
