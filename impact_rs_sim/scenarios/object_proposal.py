@@ -33,6 +33,8 @@ from impact_rs_sim.scenarios.object_mesh import (
     read_object_mesh,
     triangles_of,
 )
+from impact_rs_sim.scenarios.scenario import ObjectSpec
+from impact_rs_sim.schema import validate
 from impact_rs_sim.shapes import ConvexShape, Kind
 
 ASSUMED_DENSITY_KG_M3 = 1000.0  # of water; foods, filled bottles and most plastics lie within 30 % of it
@@ -85,6 +87,9 @@ def propose_object(
     """
     if not is_file(path):
         raise InputError("no such file", file=path)
+    for option, number in (("--mass", mass), ("--density", density), ("--scale", scale)):
+        if number is not None and not number > 0.0:
+            raise InputError(f"found {number:g}; expected a number > 0", key=option)
     if mass is not None and density is not None:
         raise InputError("a mass and a density: expected one of them", file=path, key="--density")
     inertia, placement = pin.Inertia.Zero(), pin.SE3.Identity()
@@ -103,8 +108,9 @@ def propose_object(
         origins.append("it stands as its link does, z up")
     if shape.corners is not None:
         spec["corners"] = shape.corners.round(CORNER_DIGITS).tolist()
-    name = re.sub(r"[^A-Za-z0-9_]", "_", path.stem)
-    return ProposedObject(name, {"label": path.stem} | spec, (shape.origin, *origins))
+    spec = {"label": path.stem} | spec
+    validate(ObjectSpec, spec, path)
+    return ProposedObject(re.sub(r"[^A-Za-z0-9_]", "_", path.stem), spec, (shape.origin, *origins))
 
 
 def _mass_properties(

@@ -163,6 +163,11 @@ def test_files_that_are_no_object_are_refused_with_a_remedy(tmp_path: Path) -> N
     for said, own in wrong.items():
         with pytest.raises(InputError, match=said):
             propose_object(urdf(tmp_path / "wrong.urdf", box, own))
+    for numbers in ({"mass": 0.0}, {"density": -1.0}, {"scale": float("nan")}):
+        with pytest.raises(InputError, match="expected a number > 0"):
+            propose_object(in_millimetres, **numbers)
+    with pytest.raises(InputError, match="inertia"):
+        propose_object(urdf(tmp_path / "point.urdf", box, inertial(1.0, (0.0, 0.0, 0.0))))
     with pytest.raises(InputError, match="expected one of them"):
         propose_object(in_millimetres, mass=1.0, density=1.0)
     with pytest.raises(InputError, match="URDF is in metres"):
