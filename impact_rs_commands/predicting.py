@@ -295,13 +295,17 @@ SCENARIO_DRAFT = Command(
     name="scenario",
     summary="write a scenario to start from, for any robot",
     about="""\
-Write a scenario for a robot: boxes, an impact pose, and everything else that trials need.
+Write a scenario for a robot: boxes or your object, an impact pose, and everything else that trials need.
 
 The command searches for a pose whose whole motion is far from joint limits and singularities, and runs the trials of
 the file before it writes it. Motor inertia, stiffness and damping that the robot facts lack are assumptions, scaled
-from a Franka arm: replace them with yours. Files are never overwritten.""",
+from a Franka arm: replace them with yours. Files are never overwritten.
+
+An object comes from a mesh in metres (STL, OBJ, DAE, PLY; convex hull, centre of mass and inertia of an even density)
+or from a URDF (collision shape, inertial). The head of the file states where mass and inertia come from.""",
     examples="""\
 impact-rs scenario new --robot franka_fr3 -o my_push.yaml
+impact-rs scenario new --robot ur5e --object bottle.stl --scale 0.001 --mass 0.52 -o push_bottle.yaml
 impact-rs scenario new --robot my_robot.yaml --kind excite -o my_excite.yaml
 impact-rs campaign my_push.yaml -o campaigns/my_push""",
     output="a YAML file.",
@@ -316,6 +320,22 @@ impact-rs campaign my_push.yaml -o campaigns/my_push""",
                 option(
                     "--kind", choices=("push", "grab", "excite"), default="push",
                     help="push: one arm hits a box; grab: two arms clamp and lift it; excite: free motion",
+                ),
+                option(
+                    "--object", kind="file", metavar="FILE",
+                    help="mesh (.stl, .obj, .dae, .ply) or .urdf of the object, z up as it stands; default: boxes",
+                ),
+                option(
+                    "--mass", kind="number", metavar="KG", unit="kg",
+                    help="mass of the object [kg]; default: by its density",
+                ),
+                option(
+                    "--density", kind="number", metavar="RHO", unit="kg/m^3",
+                    help="even density of the object [kg/m^3]; default: inertial of its URDF, else 1000",
+                ),
+                option(
+                    "--scale", kind="number", metavar="S", unit="m",
+                    help="metres per unit of the mesh, 0.001 for a file in millimetres; default: 1",
                 ),
                 output("new_file", "file to write", "FILE.yaml", required=True),
                 JSON,

@@ -21,7 +21,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
-from ruamel.yaml.comments import CommentedMap
+from ruamel.yaml.comments import CommentedMap, CommentedSeq
 
 from impact_rs_control.plan import plan_trial
 from impact_rs_sim.assumed_drive import REDUCED, ROTOR_INERTIA, assumed_drive, assumed_numbers
@@ -30,7 +30,8 @@ from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot_check import failures_of, failures_of_facts, random_positions
 from impact_rs_sim.robots.robot import Array, RobotFacts, joined_units
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.scenarios.scenario import ASSUMED_MOTOR_INERTIA, ImpactPose, Scenario, load_scenario
+from impact_rs_sim.scenarios.object_proposal import ProposedObject
+from impact_rs_sim.scenarios.scenario import ASSUMED_MOTOR_INERTIA, ImpactPose, ObjectSpec, Scenario, load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import parse_yaml, validate
 from impact_rs_trials.bags.record import record_trial
@@ -104,19 +105,29 @@ class _TooEarly(Infeasible):
     """An impact was detected too early; a higher threshold of the detection may help."""
 
 
-def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambda *_: None) -> Draft:
-    """A working scenario with a box or two for an arm.
+def draft(
+    facts_name: str,
+    facts: RobotFacts,
+    kind: Kind,
+    report: Report = lambda *_: None,
+    proposed: ProposedObject | None = None,
+) -> Draft:
+    """A working scenario with a box or two for an arm, or with an object of its own.
 
     Args:
         facts_name: Robot of the scenario: a name in ``config/robots`` or a path.
         facts: The robot.
         kind: Which shipped scenario it is made like.
         report: Called with (what, done, total).
+        proposed: Object in place of the boxes; None: those of the shipped scenario.
 
     Raises:
-        InputError: An arm with fewer than six joints, which cannot keep a pad upright on its path, or no arm.
+        InputError: An arm with fewer than six joints, which cannot keep a pad upright on its path, or no arm; an object
+            for ``excite``, which hits nothing.
         Infeasible: No pose works.
     """
+    if proposed is not None and kind == "excite":
+        raise InputError("excite moves freely and hits nothing: leave the object out, or take push or grab")
     if facts.joint_count < 6:
         raise InputError(
             f"{facts_name} has {facts.joint_count} joints: a pad that keeps its orientation on its way needs six; "
@@ -138,13 +149,15 @@ def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambd
     for round_, speed in enumerate(SPEED_FACTORS):
         rated = sorted((_rated(model, start, shipped, speed, motors) for start in starts), key=lambda one: -one.score)
         texts = (
-            (pose, scenario_text(facts_name, facts, kind, model, pose, speed)) for pose in rated if pose.score > 0.0
+            (pose, scenario_text(facts_name, facts, kind, model, pose, speed, proposed=proposed))
+            for pose in rated
+            if pose.score > 0.0
         )
         clear = (pose for pose, text in texts if _can_be_planned(_read(text, facts)))
         for number, pose in enumerate(itertools.islice(clear, SIMULATED_POSES)):
             report("trials of poses", round_ * SIMULATED_POSES + number, len(SPEED_FACTORS) * SIMULATED_POSES)
             for threshold in THRESHOLD_FACTORS:
-                text = scenario_text(facts_name, facts, kind, model, pose, speed, threshold)
+                text = scenario_text(facts_name, facts, kind, model, pose, speed, threshold, proposed)
                 try:
                     scenario = _read(text, facts)
                     lower = scenario.control.detection.threshold / QUIET_THRESHOLD_FACTOR
@@ -161,6 +174,8 @@ def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambd
                         f"score {pose.score:.2f} of 1, and {failures_text(failures)}"
                     )
                     choices = choices_of(facts, kind, model, pose, speed, threshold, search)
+                    if proposed is not None:
+                        choices = {f"objects.{proposed.name}": "; ".join(proposed.origins)} | choices
                     return Draft(_explained(text, choices), scenario, speed, len(failures), choices)
     why = f"; the last that was simulated: {failures[-1]}" if failures else ""
     raise Infeasible(f"no pose of {facts_name} among {SEARCHED_POSES} works for a {kind}{why}")
@@ -253,7 +268,14 @@ def _along(model: RobotModel, start: Array, way: Array, speed: float) -> float:
 
 
 def scenario_text(
-    facts_name: str, facts: RobotFacts, kind: Kind, model: RobotModel, pose: Pose, speed: float, threshold: float = 1.0
+    facts_name: str,
+    facts: RobotFacts,
+    kind: Kind,
+    model: RobotModel,
+    pose: Pose,
+    speed: float,
+    threshold: float = 1.0,
+    proposed: ProposedObject | None = None,
 ) -> str:
     """The scenario file.
 
@@ -265,17 +287,22 @@ def scenario_text(
         pose: Pose at the impact.
         speed: Share of the shipped scenario's speeds.
         threshold: Threshold of the detection over the shipped one.
+        proposed: Object in place of the shipped ones.
     """
     content = read_edited(config_directory() / "scenarios" / f"{kind}.yaml")
     content["name"] = f"{kind}_{re.sub(r'[^A-Za-z0-9_-]', '_', Path(facts_name).stem)}"
-    tallest = max(item["size"][2] for item in content["objects"].values())
+    if proposed is not None:
+        content["objects"] = section({proposed.name: _object(proposed.spec)})
+        content["name"] += f"_{proposed.name}"
+    bodies = [ObjectSpec.model_validate(dict(item)) for item in content["objects"].values()]
+    tallest = max(2.0 * body.reach(UP) for body in bodies)
     content["support"]["height"] = round(float(pose.position[2]) - 0.5 * tallest, 3)
     detection = content["control"]["detection"]
     detection["threshold"] = rounded(threshold * detection["threshold"])
     detection.yaml_add_eol_comment("N", "threshold", column=COMMENT_COLUMN)
     mirrored = None
     if kind == "grab":
-        mirrored = pose.position + NORMAL * 0.5 * float(content["objects"]["parcel"]["size"][1])
+        mirrored = pose.position + NORMAL * bodies[0].reach(-NORMAL)
         content["object_position"] = row(mirrored[:2].round(4))
     if kind == "excite":  # a shorter way at a lower speed takes as long
         way = content["excursion"]
@@ -434,6 +461,28 @@ def _robot(
             ),
         }
     )
+
+
+def _object(spec: Mapping[str, Any]) -> CommentedMap:
+    """An object of a scenario file; corners keep all of their digits, so that triangles of one plane are one face."""
+    units = {
+        "mass": "kg",
+        "size": "m",
+        "com_offset": "m, from the middle of size",
+        "inertia": "kg m^2, about the centre of mass",
+        "rpy": "rad",
+    }
+    made: dict[str, Any] = {}
+    for key, value in spec.items():
+        if key == "corners":
+            made[key] = CommentedSeq(CommentedSeq(corner) for corner in value)
+            for one in (*made[key], made[key]):
+                one.fa.set_flow_style()
+        elif key in units:
+            made[key] = Noted(row(value) if isinstance(value, list) else rounded(value), units[key])
+        else:
+            made[key] = scalar(value)
+    return section(made)
 
 
 def _cases(cases: Mapping[str, Any], facts: RobotFacts, pose: Pose, speed: float) -> CommentedMap:

@@ -19,7 +19,7 @@ constexpr double RIM[8][2] = {{1.0, 0.0},  {DIAGONAL, DIAGONAL},   {0.0, 1.0},  
 constexpr int MOST_CORNERS = 12;     // of a face of a hull; of more, every second or third one and the furthest stand for all
 constexpr double FACING = 1e-5;      // of the extents of two bodies, between points that face each other
 constexpr double WIDEST_TURN = 0.8;  // rad, over which the normal of a rim on an edge is sought
-constexpr double CROSSED = 0.995;    // cosine, as in boxes.cpp; edges whose normal is nearer to that of a face are of it
+constexpr double CROSSED = 0.995;    // cosine, as in boxes.cpp; edges and walls whose normal is nearer to that of a face are of it
 constexpr int SWEEPS = 8;            // of the search for the normal of two rims
 constexpr int TURNS = 8;             // in which the interval is divided to either side
 constexpr int NARROWINGS = 40;       // of the interval by the golden ratio
@@ -455,6 +455,16 @@ bool face_each_other(const Body& partner, const Body& object, const Vector& norm
   return norm(places.places[0] - back.places[0] - separation * normal) <= rounding;
 }
 
+// Whether the wall of a cylinder or capsule runs over a face of the other body that looks along a normal.
+bool wall_lies_on(const Body& partner, const Body& object, const Vector& normal) {
+  const bool long_one = partner.form.kind != Kind::sphere && object.form.kind != Kind::sphere;
+  double size;
+  if (!long_one || !(is_face_of(partner, normal, size) || is_face_of(object, -1.0 * normal, size))) return false;
+  std::vector<Touch> found;
+  touching_convex(partner, object, normal, INFINITY, found);
+  return found.size() > 1;
+}
+
 }  // namespace
 
 Hull::Hull(std::vector<Vector> points, const std::vector<std::vector<int>>& loops) : corners(std::move(points)) {
@@ -531,7 +541,8 @@ Meeting meet_convex(const Body& partner, const Body& object, double aligned) {
   for (int i = 0; i < own.count; ++i)
     for (int j = 0; j < others.count; ++j) search.offer_crossing(own.places[i], others.places[j]);
   const auto has_corners = [](const Body& body) { return body.form.kind == Kind::box || body.form.kind == Kind::hull; };
-  if (has_corners(partner) && has_corners(object) && dot(search.normal, facing) > CROSSED) search.normal = facing;
+  const bool both = has_corners(partner) && has_corners(object);
+  if (dot(search.normal, facing) > CROSSED && (both || wall_lies_on(partner, object, facing))) search.normal = facing;
   search.offer_points(object, partner, 1.0);
   search.offer_points(partner, object, -1.0);
   if (search.separation == -INFINITY) search.offer({0.0, 0.0, 1.0});  // balls with one centre

@@ -11,6 +11,7 @@ from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.robots.robot import load_facts
+from impact_rs_sim.scenarios.object_proposal import propose_object
 from impact_rs_trials.scenario_draft import draft
 
 
@@ -20,12 +21,15 @@ def new(args: argparse.Namespace, terminal: Terminal) -> int:
         raise InputError("this file exists already; scenarios are never overwritten", file=args.output)
     if args.output.suffix not in (".yaml", ".yml"):
         raise InputError("a scenario is a .yaml file", file=args.output)
+    if args.object is None and (args.mass, args.density, args.scale) != (None, None, None):
+        raise InputError("mass, density and scale belong to a file of an object", key="--object")
+    proposed = None if args.object is None else propose_object(args.object, args.mass, args.density, args.scale)
     facts = load_facts(args.robot)
     name = args.robot
     if name.endswith((".yaml", ".yml")):
         name = os.path.relpath(name, args.output.parent)
     with terminal.stages() as report:
-        found = draft(name, facts, args.kind, report)
+        found = draft(name, facts, args.kind, report, proposed)
     with output_folder(args.output.parent):
         write_whole(args.output, found.text)
     terminal.result(

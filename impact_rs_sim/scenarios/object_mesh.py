@@ -4,7 +4,11 @@
 Mass, first and second moments of the polyhedron are sums over the tetrahedra between the origin and its triangles
 (a, b, c), of volume V = det(a, b, c) / 6, with middle (a + b + c) / 4 and second moments
 V / 20 (a a^T + b b^T + c c^T + s s^T), s = a + b + c (Tonon 2004). They are those of the mesh itself, with all of its
-corners. Contact takes the hull (Barber et al. 1996, Qhull); a mesh whose hull is larger than the mesh is refused.
+corners. Contact takes the hull (Barber et al. 1996, Qhull); a mesh whose hull is larger than the mesh is refused unless
+the caller accepts the hull.
+
+Over a closed surface the integral of x n^T is V times the unit matrix (Gauss's theorem for the functions x, y, z); an
+opening of area A at a distance d from the middle misses that by A d.
 """
 
 from __future__ import annotations
@@ -23,6 +27,7 @@ from impact_rs_sim.robots.robot import Array
 
 MAX_CORNERS = 200  # of a hull; finer ones keep the corners that are furthest in as many directions
 MAX_HULL_EXCESS = 0.02  # volume of the hull over that of the mesh, less 1 [-]; what is more is a hollow
+MAX_OPEN_SHARE = 1e-3  # of the volume, by which a surface may miss Gauss's theorem; float32 corners miss it by 1e-6
 MAX_PRODUCT_SHARE = 0.01  # of a product of inertia over the trace [-]; more: the principal axes are others
 
 
@@ -35,16 +40,27 @@ class ObjectMesh:
         size: Extents, ``(3,)`` [m].
         com: Centre of mass from that middle, ``(3,)`` [m].
         moments: Moments of inertia about the centre of mass over the mass, ``(3,)`` [m^2].
+        volume: Of the mesh itself [m^3].
+        hull_excess: Volume of the hull over that of the mesh, less 1 [-].
+        middle: Of the bounding box in the axes of the file, ``(3,)`` [m].
     """
 
     corners: Array
     size: Array
     com: Array
     moments: Array
+    volume: float
+    hull_excess: float
+    middle: Array
 
 
-def read_object_mesh(path: Path) -> ObjectMesh:
-    """The object of a mesh file (STL, OBJ, DAE or PLY), in metres; its z points up where the object stands.
+def read_object_mesh(path: Path, scale: float = 1.0, convex: bool = True) -> ObjectMesh:
+    """The object of a mesh file (STL, OBJ, DAE or PLY); its z points up where the object stands.
+
+    Args:
+        path: The file.
+        scale: Metres per unit of length of the file.
+        convex: Whether a body that is not convex is refused.
 
     Raises:
         InputError: No such file, no closed surface, or a body that is not convex or whose principal axes of inertia are
@@ -53,21 +69,27 @@ def read_object_mesh(path: Path) -> ObjectMesh:
     if not is_file(path):
         raise InputError("no such file", file=path)
     try:
-        mesh = coal.MeshLoader().load(str(path), np.ones(3))
+        mesh = coal.MeshLoader().load(str(path), np.full(3, scale))
     except (ValueError, RuntimeError, IndexError) as error:
         raise InputError(f"expected a mesh as STL, OBJ, DAE or PLY: {error}", file=path) from None
-    points = np.array(mesh.vertices(), dtype=float).reshape(-1, 3)
+    return object_mesh(*triangles_of(mesh), path, convex)
+
+
+def triangles_of(mesh: coal.BVHModelBase) -> tuple[Array, Array]:
+    """Corners of a loaded mesh, ``(k, 3)`` [m], and numbers of the corners of its triangles, ``(m, 3)``."""
     numbers = [mesh.tri_indices(index) for index in range(mesh.num_tris)]
-    return object_mesh(points, np.array([[one[0], one[1], one[2]] for one in numbers], dtype=int), path)
+    points = np.array(mesh.vertices(), dtype=float).reshape(-1, 3)
+    return points, np.array([[one[0], one[1], one[2]] for one in numbers], dtype=int)
 
 
-def object_mesh(points: Array, triangles: Array, path: Path) -> ObjectMesh:
+def object_mesh(points: Array, triangles: Array, path: Path, convex: bool = True) -> ObjectMesh:
     """The object of a closed surface.
 
     Args:
         points: Corners, ``(k, 3)`` [m].
         triangles: Numbers of their corners, seen from outside anticlockwise, ``(m, 3)``.
         path: File, for errors.
+        convex: Whether a body that is not convex is refused.
 
     Raises:
         InputError: As :func:`read_object_mesh`.
@@ -75,41 +97,72 @@ def object_mesh(points: Array, triangles: Array, path: Path) -> ObjectMesh:
     try:
         hull = scipy.spatial.ConvexHull(points)
     except (scipy.spatial.QhullError, ValueError):  # too few corners, or all of them in one plane
-        raise InputError("expected a body with a volume", file=path) from None
+        said = "it is flat or empty; expected a body with a volume: export the solid, not a face or a drawing of it"
+        raise InputError(said, file=path) from None
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     points = points - middle
     a, b, c = (points[triangles[:, side]] for side in range(3))
     volumes = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
     volume = float(volumes.sum())
-    if not 0.0 < volume <= hull.volume * (1.0 + 1e-6):
+    _check_closed((a, b, c), volume, hull.volume, path)
+    excess = float(hull.volume / volume - 1.0)
+    if convex and excess > MAX_HULL_EXCESS:
         raise InputError(
-            f"its surface does not close around a volume (found {volume:.3g} m^3, its hull has {hull.volume:.3g} m^3)",
-            file=path,
-        )
-    if hull.volume / volume - 1.0 > MAX_HULL_EXCESS:
-        raise InputError(
-            f"it is not convex: its hull has {hull.volume / volume - 1.0:.0%} more volume; one convex body can be hit, "
+            f"it is not convex: its hull has {excess:.0%} more volume; one convex body can be hit, "
             "no hollow and no handle",
             file=path,
         )
     s = a + b + c
     com = np.einsum("i,ij->j", volumes, s) / (4.0 * volume)
     second = sum(np.einsum("i,ij,ik->jk", volumes, one, one) for one in (a, b, c, s)) / (20.0 * volume)
-    inertia = inertia_of(np.asarray(second) - np.outer(com, com))
+    moments = principal_moments(inertia_of(np.asarray(second) - np.outer(com, com)), path)
+    corners = points[hull.vertices]
+    if len(corners) > MAX_CORNERS:
+        corners = _furthest(corners)
+    half = np.maximum(corners.max(axis=0), -corners.min(axis=0))
+    return ObjectMesh(corners, 2.0 * half, com, moments, volume, excess, middle)
+
+
+def principal_moments(inertia: Array, path: Path) -> Array:
+    """Diagonal of an inertia whose principal axes are those of the body, ``(3,)``.
+
+    Args:
+        inertia: About the centre of mass in axes of the body, over the mass or not, ``(3, 3)``.
+        path: File, for errors.
+
+    Raises:
+        InputError: Its principal axes are others.
+    """
     products = np.abs(inertia - np.diag(np.diag(inertia))).max()
     if products > MAX_PRODUCT_SHARE * np.trace(inertia):
         nearest = np.abs(np.linalg.eigh(inertia)[1]).max(axis=0).min()  # cosine of a principal axis and an own one
         turned = np.degrees(np.arccos(min(nearest, 1.0)))
         raise InputError(
-            f"its principal axes of inertia are turned by about {turned:.0f} degrees against its axes; expected a mesh "
-            "whose axes they are",
+            f"its principal axes of inertia are turned by about {turned:.0f} degrees against its axes; turn it "
+            "in its file so that they are its own",
             file=path,
         )
-    corners = points[hull.vertices]
-    if len(corners) > MAX_CORNERS:
-        corners = _furthest(corners)
-    half = np.maximum(corners.max(axis=0), -corners.min(axis=0))
-    return ObjectMesh(corners, 2.0 * half, com, np.diag(inertia).copy())
+    return np.diag(inertia).copy()
+
+
+def _check_closed(sides: tuple[Array, Array, Array], volume: float, hull_volume: float, path: Path) -> None:
+    """Refuse triangles that are seen from inside, or leave an opening."""
+    a, b, c = sides
+    area = np.cross(b - a, c - a) / 2.0
+    missed = np.einsum("ij,ik->jk", (a + b + c) / 3.0, area) - volume * np.eye(3)
+    open_share = float(np.abs(missed).max()) / hull_volume
+    if open_share > MAX_OPEN_SHARE:
+        raise InputError(
+            f"its surface does not close around a volume: openings miss {open_share:.1%} of the hull's volume; close "
+            "its holes in the program that made it, or export the solid again",
+            file=path,
+        )
+    if not 0.0 < volume <= hull_volume * (1.0 + 1e-6):
+        raise InputError(
+            f"its surface does not close around a volume (found {volume:.3g} m^3, its hull has {hull_volume:.3g} m^3); "
+            "let the normals of its triangles point outwards",
+            file=path,
+        )
 
 
 def _furthest(corners: Array) -> Array:

@@ -192,6 +192,23 @@ def test_a_standing_cylinder_touches_its_table_with_eight_points_of_its_rim_and_
         np.testing.assert_allclose(positions[0], [*(lever * axis[:2]), 0.0], atol=1e-12)
 
 
+@pytest.mark.parametrize("shape", [CYLINDER, CAPSULE])
+@pytest.mark.parametrize("tilt", [-0.05, -0.002, 1e-5, 0.002, 0.05])
+def test_a_wall_that_runs_over_a_face_is_tilted_against_it_and_touches_along_a_line(
+    shape: ConvexShape, tilt: float
+) -> None:
+    """Ends of the face at gaps +- half its height times the tilt; kills the normal of the wall, which has one point."""
+    face = ConvexBody(np.zeros(3), np.eye(3), np.array([0.05, 0.02, 0.05]))
+    way = np.array([0.0, 0.06 / (1.0 if shape is CAPSULE else np.cos(tilt)) + 0.02, 0.0])
+    wall = ConvexBody(way, pin.utils.rotate("x", tilt), np.array([0.06, 0.06, 0.3]), shape)
+    found, gaps = points(face, wall, 0.01)
+    np.testing.assert_allclose(sorted(found[:, 2]), [-0.05, 0.05], atol=1e-9)
+    np.testing.assert_allclose(gaps, -found[:, 2] * np.tan(tilt), atol=1e-9)
+    beside = ConvexBody(way + [0.0, -0.0001, 0.07], pin.utils.rotate("z", np.pi / 2) @ pin.utils.rotate("x", np.pi / 2),
+                        np.array([0.06, 0.06, 0.3]), shape)  # fmt: skip
+    assert meet(face, beside)[1][2] > 0.05  # along the edge and beyond it: the normal of the wall
+
+
 def test_a_lying_cylinder_touches_along_a_line_that_ends_with_its_table() -> None:
     table = ConvexBody(np.array([0.0, 0.0, -0.05]), np.eye(3), np.array([0.5, 0.5, 0.05]))
     lying = pin.exp3(np.array([0.0, np.pi / 2.0, 0.0]))  # its axis along x

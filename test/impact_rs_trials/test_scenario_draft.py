@@ -11,6 +11,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot_check import check_drives, empty_flange
 from impact_rs_sim.robots.robot import load_facts
 from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.scenarios.object_proposal import ProposedObject, propose_object
 from impact_rs_sim.scenarios.scenario import ASSUMED_MOTOR_INERTIA, load_scenario
 from impact_rs_trials import scenario_draft
 from impact_rs_trials.scenario_draft import Draft, Pose, draft, scenario_text
@@ -36,6 +37,29 @@ def test_a_draft_for_six_joints_is_a_valid_file_whose_trials_ran(six_joints: Dra
     stable, assumed = check_drives(UR5E, scenario)
     assert stable.outcome == "ok" and "assumed: motor_inertia_rotor, stiffness, damping" in assumed.found
     assert scenario.uncertainty.motor_inertia == ASSUMED_MOTOR_INERTIA
+
+
+@pytest.mark.parametrize("geometry", ['<cylinder radius="0.05" length="0.18"/>', '<box size="0.2 0.15 0.18"/>'])
+def test_a_draft_with_an_object_of_a_urdf_is_a_scenario_whose_trial_runs(geometry: str, tmp_path) -> None:
+    """The file holds the object; one of its trials, from the file, ends well."""
+    urdf = tmp_path / "thing.urdf"
+    inertia = '<inertia ixx="0.004" ixy="0" ixz="0" iyy="0.004" iyz="0" izz="0.002"/>'
+    own = f'<inertial><mass value="0.9"/>{inertia}</inertial><collision><geometry>{geometry}</geometry></collision>'
+    urdf.write_text(f'<robot name="thing"><link name="thing">{own}</link></robot>')
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scenario_draft, "SEARCHED_POSES", 12)
+        found = draft("ur5e", UR5E, "push", proposed=propose_object(urdf))
+    assert "mass 0.9 kg of the URDF's inertial" in found.choices["objects.thing"]
+    (tmp_path / "mine.yaml").write_text(found.text)
+    scenario = load_scenario(str(tmp_path / "mine.yaml"))
+    assert list(scenario.objects) == ["thing"] and scenario.name == "push_ur5e_thing"
+    np.testing.assert_allclose(scenario.object("thing").moments, [0.004, 0.004, 0.002])
+    scenario_draft._try(scenario)
+
+
+def test_free_motion_has_no_object(tmp_path) -> None:
+    with pytest.raises(InputError, match="excite moves freely and hits nothing"):
+        draft("ur5e", UR5E, "excite", proposed=ProposedObject("ball", {}, ()))
 
 
 def test_a_draft_marks_what_its_robot_does_not_say() -> None:

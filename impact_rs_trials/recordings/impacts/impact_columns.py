@@ -184,13 +184,14 @@ MASS = ColumnGroup(("mass",), "kg", "mass; absent for an object: the scenario's"
 MOMENTS = ColumnGroup(
     ("ixx", "iyy", "izz"),
     "kg m^2",
-    "principal moments about the centre, along the body's own axes; absent: homogeneous box, or ball",
+    "principal moments about the centre, along the body's own axes; absent: homogeneous",
     range=POSITIVE,
 )
 SIZE = ColumnGroup(
     _vector("size_"),
     "m",
-    "extent of the box along its own axes; a free body needs it, or contact points and moments",
+    "extent of the body along its own axes, of a box where it is free; a free body needs it, or contact points and "
+    "moments",
     range=POSITIVE,
 )
 RADIUS = ColumnGroup(("radius",), "m", "radius of a free ball, which touches below its centre", range=POSITIVE)

@@ -219,7 +219,7 @@ def _check_ball(cells: ImpactCells, contents: TableContents) -> None:
         return
     radius = cells.header(RADIUS)
     if contents.scenario is not None:
-        said = f"is of a free ball; objects of scenario {contents.scenario.name!r} are boxes"
+        said = f"is of a free ball; scenario {contents.scenario.name!r} has the shape of its objects"
         raise InputError(f"column {radius!r} {said}", file=cells.path)
     for other in (SIZE, POINTS[0]):
         if other in cells:

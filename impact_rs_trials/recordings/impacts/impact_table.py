@@ -37,7 +37,7 @@ from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.scene import ArmState, BodyState
-from impact_rs_sim.shapes import BOX, SPHERE
+from impact_rs_sim.shapes import BOX, SPHERE, check_extents
 from impact_rs_trials.recordings.impacts.distances import Distance
 from impact_rs_trials.recordings.impacts.impact_cells import ImpactCells, name_of_row
 from impact_rs_trials.recordings.impacts.impact_columns import (
@@ -541,7 +541,7 @@ class _Reader:
         """A free body: an object without arms, on a support without an edge."""
         mass, radius = own[MASS.first], own.get(RADIUS.first, 0.0)
         size = np.array([own.get(name, 2.0 * radius) for name in SIZE.names])
-        inertia = _moments_of_box(mass, size)
+        inertia = BOX.moments(mass, size)
         if radius:
             inertia = np.full(3, (2.0 / 3.0 if own.get(SHELL.first) else 2.0 / 5.0) * mass * radius**2)
         return Physics(
@@ -558,14 +558,14 @@ class _Reader:
         """A scenario with the values of the table."""
         assert self.contents.scenario is not None
         physics = Physics.nominal(self.contents.scenario, object_name)
-        box = physics.object
-        if box.fixed and own.keys() & {*MASS.names, *MOMENTS.names}:
+        body = physics.object
+        if body.fixed and own.keys() & {*MASS.names, *MOMENTS.names}:
             raise InputError(f"object {object_name!r} is fixed and has neither mass nor moments: leave these out")
-        mass = own.get(MASS.first, box.mass)
-        size = np.array([own.get(name, value) for name, value in zip(SIZE.names, box.size, strict=True)])
-        inertia = box.inertia
-        if not box.fixed:
-            inertia = _moments_of_box(mass, size) if SIZE.first in own else box.inertia * mass / box.mass
+        mass = own.get(MASS.first, body.mass)
+        size = np.array([own.get(name, value) for name, value in zip(SIZE.names, body.size, strict=True)])
+        inertia = body.inertia if body.fixed else body.inertia * mass / body.mass
+        if SIZE.first in own:
+            inertia = self._moments_of_size(object_name, body, mass, size)
         arms = {
             name: replace(arm, motor_inertia_reduced=np.array(motors[name])) if name in motors else arm
             for name, arm in physics.arms.items()
@@ -573,10 +573,21 @@ class _Reader:
         return replace(
             physics,
             arms=arms,
-            object=ObjectPhysics(mass, size, _moments(own, inertia), box.com_offset),
+            object=replace(body, mass=mass, size=size, inertia=_moments(own, inertia)),
             pad_friction=own.get(FRICTION.first, physics.pad_friction),
             restitution=own.get(RESTITUTION.first, physics.restitution),
         )
+
+    @staticmethod
+    def _moments_of_size(object_name: str, body: ObjectPhysics, mass: float, size: Array) -> Array:
+        """Principal moments of an object of even density with the size of the table, ``(3,)`` [kg m^2]."""
+        if body.shape.kind == "hull":
+            raise InputError(f"object {object_name!r} is the hull of a mesh, which has its size: leave size_x ... out")
+        try:
+            check_extents(body.shape.kind, size.tolist())
+        except ValueError as error:
+            raise InputError(f"object {object_name!r}: {error}", key=SIZE.header) from None
+        return body.inertia if body.fixed else body.shape.moments(mass, size)
 
     @property
     def _noise_columns(self) -> dict[ColumnGroup, str]:
@@ -633,11 +644,6 @@ class _Reader:
             for column, value in taken.items()
             if column not in self.cells
         )
-
-
-def _moments_of_box(mass: float, size: Array) -> Array:
-    """Principal moments of a homogeneous box about its centre, ``(3,)`` [kg m^2]."""
-    return np.asarray(mass / 12.0 * (np.sum(np.square(size)) - np.square(size)))
 
 
 def _moments(own: Mapping[str, float], shape: Array) -> Array:

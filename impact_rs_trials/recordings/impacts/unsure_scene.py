@@ -12,7 +12,7 @@ name                   unit  what it is
 ``jointN_x`` ...       m     offset of the origin of joint N along the axes of the link before; the facts have 0
 ``flange_x`` ...       m     offset of the flange along the axes of the last link; the facts have 0
 ``support_friction``   -     Coulomb coefficient of object and support
-``size_x`` ...         m     extent of the object along its own axes, where the scenario has one object
+``size_x`` ...         m     extent of the object along its own axes, where the scenario has one object, a box
 =====================  ====  =======================================================================
 """
 
@@ -34,8 +34,9 @@ def nominal_values(scenario: Scenario) -> dict[str, tuple[float, str]]:
     """Nominal values of all uncertain numbers of a scenario, with units, by name."""
     found: dict[str, tuple[float, str]] = {SUPPORT_FRICTION: (scenario.support.friction, "-")}
     if len(scenario.objects) == 1:
-        (box,) = scenario.objects.values()
-        found |= {f"size_{axis}": (float(extent), "m") for axis, extent in zip(AXES, box.size, strict=True)}
+        (body,) = scenario.objects.values()
+        if body.form.is_box:
+            found |= {f"size_{axis}": (float(extent), "m") for axis, extent in zip(AXES, body.size, strict=True)}
     for label, robot in _arms(scenario):
         tool = robot.end_effector
         values = {"tool_mass": tool.mass, "tool_length": tool.length, "pad_x": tool.pad.size[0]}

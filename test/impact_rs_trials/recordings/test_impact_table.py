@@ -328,7 +328,9 @@ def test_a_ball_that_cannot_be_is_refused(tmp_path: Path, change: dict[str, floa
 
 def test_a_shell_needs_a_radius_and_a_scenario_has_no_balls(tmp_path: Path, cubes: Rows, pushes: Rows) -> None:
     assert "it is of balls" in refusal(read_cubes, tmp_path, cubes, **{"shell [-]": 1})
-    assert "objects of scenario 'push' are boxes" in refusal(read_pushes, tmp_path, pushes, **{"radius [m]": 0.1})
+    assert "scenario 'push' has the shape of its objects" in refusal(
+        read_pushes, tmp_path, pushes, **{"radius [m]": 0.1}
+    )
 
 
 def test_a_covariate_of_numbers_is_a_number_and_any_other_holds_levels(tmp_path: Path, cubes: Rows) -> None:
