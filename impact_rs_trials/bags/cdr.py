@@ -55,12 +55,12 @@ class _RowLayout:
 
     Attributes:
         numbers: Field path, NumPy format, shape and byte offset of all numbers that may change.
-        texts: Field paths of strings and lists of strings, which are constant.
+        constant: Field paths of strings, lists of strings and empty lists of messages.
         fixed: Byte ranges that are the same in all messages: byte order, lengths and strings.
     """
 
     numbers: tuple[tuple[str, str, tuple[int, ...], int], ...]
-    texts: tuple[str, ...]
+    constant: tuple[str, ...]
     fixed: tuple[tuple[int, int], ...]
 
     def dtype(self, size: int) -> np.dtype[Any]:
@@ -88,7 +88,7 @@ class _Walker:
         self._data = data
         self._at = ENCAPSULATION_BYTES
         self._numbers: list[tuple[str, str, tuple[int, ...], int]] = []
-        self._texts: list[str] = []
+        self._constant: list[str] = []
         self._fixed: list[tuple[int, int]] = [(0, len(LITTLE_ENDIAN))]
 
     def layout(self, kind: str) -> _RowLayout:
@@ -96,7 +96,7 @@ class _Walker:
         self._message(kind, "")
         if self._at > len(self._data):
             raise _NoColumnsError
-        return _RowLayout(tuple(self._numbers), tuple(self._texts), tuple(self._fixed))
+        return _RowLayout(tuple(self._numbers), tuple(self._constant), tuple(self._fixed))
 
     def _message(self, kind: str, prefix: str) -> None:
         for name, (node, payload) in _fields(self._store, kind):
@@ -107,10 +107,13 @@ class _Walker:
                 self._base(str(payload[0]), path, ())
             else:
                 (inner, base), length = payload
-                if inner != Nodetype.BASE:
-                    raise _NoColumnsError
                 count = self._length() if node == Nodetype.SEQUENCE else length
-                self._base(str(base[0]), path, (count,))
+                if inner == Nodetype.BASE:
+                    self._base(str(base[0]), path, (count,))
+                elif count:
+                    raise _NoColumnsError
+                else:
+                    self._constant.append(path)
 
     def _base(self, base: str, path: str, shape: tuple[int, ...]) -> None:
         if base in ("string", "wstring"):
@@ -118,7 +121,7 @@ class _Walker:
                 length = self._length()
                 self._fixed.append((self._at, self._at + length))
                 self._at += length
-            self._texts.append(path)
+            self._constant.append(path)
             return
         kind = "<" + _FORMATS[base]
         size = np.dtype(kind).itemsize
@@ -200,7 +203,7 @@ def encode(store: Typestore, kind: str, messages: Sequence[Any]) -> list[bytes |
 
 def _encode_table(store: Typestore, kind: str, messages: Sequence[Any], first: bytes) -> Array | None:
     layout = _Walker(store, first).layout(kind)
-    for path in layout.texts:
+    for path in layout.constant:
         get = attrgetter(path)
         text = get(messages[0])
         if any(get(message) != text for message in messages):
