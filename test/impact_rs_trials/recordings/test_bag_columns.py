@@ -46,7 +46,7 @@ def assert_alike(monkeypatch: pytest.MonkeyPatch, path: Path, mapping: Mapping, 
 @pytest.mark.parametrize("pose", ["PoseStamped", "TransformStamped", "Odometry", "TFMessage"])
 @pytest.mark.parametrize("command", ["Float64MultiArray", "JointState", "JointTrajectory"])
 def test_every_kind_of_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pose: str, command: str) -> None:
-    """Kills: a pose whose rows are columns, a header of the first message for all, float32 products."""
+    """Kills: a pose whose rows are columns, another order in memory, a header of the first message for all."""
     path = BagFormat(pose=pose, command=command).write(tmp_path / "bag", Signals.known(0.05))
     fields = {"JointState": "effort", "JointTrajectory": "points.0.effort"}
     names = {"JointState": "name", "JointTrajectory": "joint_names"}
