@@ -277,14 +277,9 @@ def _between(time: Array, values: Array, moments: Array) -> Array:
 def _slope(time: Array, values: Array) -> Array:
     """Time derivative of signals ``(B, k, n)`` by parabolas over ``SLOPE_WINDOW_S`` (Savitzky and Golay 1964)."""
     period = float(time[1] - time[0])
-    filtered = scipy.signal.savgol_filter(values, _samples_of_slope(time), 2, deriv=1, delta=period, axis=1)
-    return np.asarray(filtered)
-
-
-def _samples_of_slope(time: Array) -> int:
-    """Number of samples in ``SLOPE_WINDOW_S``, odd and at least 5, if there are as many."""
-    length = max(5, 2 * round(SLOPE_WINDOW_S / float(time[1] - time[0]) / 2.0) + 1)
-    return min(length, time.size - 1 + time.size % 2)
+    length = max(5, 2 * round(SLOPE_WINDOW_S / period / 2.0) + 1)
+    length = min(length, time.size - 1 + time.size % 2)
+    return np.asarray(scipy.signal.savgol_filter(values, length, 2, deriv=1, delta=period, axis=1))
 
 
 def _spring_rate(time: Array, arm: ArmSignals, physics: ArmPhysics, motor: bool) -> Array:
@@ -332,27 +327,9 @@ def _weights(ticks: bytes) -> tuple[Array, Array]:
 def _weights_of_slope(ticks: bytes) -> tuple[Array, Array]:
     """:func:`_weights` of the slope of a signal (:func:`_slope`), ``(k,)`` each."""
     time = np.frombuffer(ticks)
-    weights = np.stack(_weights(ticks))
-    change, mean = _before_slope(time, weights)
-    return change, mean
-
-
-def _before_slope(time: Array, weights: Array) -> Array:
-    """Weights ``(w, k)`` of slopes (:func:`_slope`), as weights of the samples.
-
-    Only slopes within half a parabola of an end differ from a convolution, and depend on a whole parabola of samples.
-    """
-    length = _samples_of_slope(time)
-    short = min(time.size, 3 * length)  # in which the middle parabola is far from both ends
-    slopes = _slope(time[:short], np.eye(short)[None])[0]
-    if short == time.size:
-        return weights @ slopes
-    half, centre = length // 2, short // 2
-    inner = slopes[centre, centre - half : centre + half + 1]
-    found = np.array([np.convolve(row[half:-half], inner) for row in weights])
-    found[:, :length] += weights[:, :half] @ slopes[:half, :length]
-    found[:, -length:] += weights[:, -half:] @ slopes[-half:, -length:]
-    return found
+    slope = _slope(time, np.eye(time.size)[None])[0]
+    change, mean = _weights(ticks)
+    return change @ slope, mean @ slope
 
 
 @functools.lru_cache(maxsize=1024)
