@@ -7,13 +7,14 @@ a time. The layout is found by walking one serialized message along its type def
 value is aligned to its own size, counted from behind the four bytes of the encapsulation header).
 
 Where messages differ in layout, both directions fall back on ``rosbags``, message by message, and so does every topic
-whose first or last message ``rosbags`` would write or read differently.
+whose first, middle or last message ``rosbags`` would read, or first or last message write, differently.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from operator import attrgetter
 from typing import Any
 
@@ -54,12 +55,12 @@ class _RowLayout:
 
     Attributes:
         numbers: Field path, NumPy format, shape and byte offset of all numbers that may change.
-        texts: Field paths of strings and lists of strings, which are constant.
-        fixed: Byte ranges that are the same in all messages: lengths and strings.
+        constant: Field paths of strings, lists of strings and empty lists of messages.
+        fixed: Byte ranges that are the same in all messages: byte order, lengths and strings.
     """
 
     numbers: tuple[tuple[str, str, tuple[int, ...], int], ...]
-    texts: tuple[str, ...]
+    constant: tuple[str, ...]
     fixed: tuple[tuple[int, int], ...]
 
     def dtype(self, size: int) -> np.dtype[Any]:
@@ -87,15 +88,15 @@ class _Walker:
         self._data = data
         self._at = ENCAPSULATION_BYTES
         self._numbers: list[tuple[str, str, tuple[int, ...], int]] = []
-        self._texts: list[str] = []
-        self._fixed: list[tuple[int, int]] = []
+        self._constant: list[str] = []
+        self._fixed: list[tuple[int, int]] = [(0, len(LITTLE_ENDIAN))]
 
     def layout(self, kind: str) -> _RowLayout:
         """Layout of a message of type ``kind``."""
         self._message(kind, "")
         if self._at > len(self._data):
             raise _NoColumnsError
-        return _RowLayout(tuple(self._numbers), tuple(self._texts), tuple(self._fixed))
+        return _RowLayout(tuple(self._numbers), tuple(self._constant), tuple(self._fixed))
 
     def _message(self, kind: str, prefix: str) -> None:
         for name, (node, payload) in _fields(self._store, kind):
@@ -106,10 +107,13 @@ class _Walker:
                 self._base(str(payload[0]), path, ())
             else:
                 (inner, base), length = payload
-                if inner != Nodetype.BASE:
-                    raise _NoColumnsError
                 count = self._length() if node == Nodetype.SEQUENCE else length
-                self._base(str(base[0]), path, (count,))
+                if inner == Nodetype.BASE:
+                    self._base(str(base[0]), path, (count,))
+                elif count:
+                    raise _NoColumnsError
+                else:
+                    self._constant.append(path)
 
     def _base(self, base: str, path: str, shape: tuple[int, ...]) -> None:
         if base in ("string", "wstring"):
@@ -117,7 +121,7 @@ class _Walker:
                 length = self._length()
                 self._fixed.append((self._at, self._at + length))
                 self._at += length
-            self._texts.append(path)
+            self._constant.append(path)
             return
         kind = "<" + _FORMATS[base]
         size = np.dtype(kind).itemsize
@@ -199,7 +203,7 @@ def encode(store: Typestore, kind: str, messages: Sequence[Any]) -> list[bytes |
 
 def _encode_table(store: Typestore, kind: str, messages: Sequence[Any], first: bytes) -> Array | None:
     layout = _Walker(store, first).layout(kind)
-    for path in layout.texts:
+    for path in layout.constant:
         get = attrgetter(path)
         text = get(messages[0])
         if any(get(message) != text for message in messages):
@@ -237,6 +241,27 @@ def decode(store: Typestore, kind: str, rows: Sequence[bytes | memoryview]) -> d
     return columns
 
 
+def stacked(store: Typestore, kind: str, rows: Sequence[bytes | memoryview]) -> Any | None:
+    """Messages of one layout as one: the first, with columns ``(k,)`` or ``(k, n)`` in place of its numbers.
+
+    Args:
+        store: Type definitions.
+        kind: ``package/msg/Name`` of all of them.
+        rows: Serialized messages.
+
+    Returns:
+        An object of the typestore; None if layouts or strings differ.
+    """
+    columns = _decode_table(store, kind, rows) if rows else None
+    if columns is None:
+        return None
+    message = store.deserialize_cdr(rows[0], kind)
+    for path, column in columns.items():
+        *holders, name = path.split(".")
+        setattr(reduce(getattr, holders, message), name, column)
+    return message
+
+
 def _decode_table(store: Typestore, kind: str, rows: Sequence[bytes | memoryview]) -> dict[str, Array] | None:
     size = len(rows[0])
     if bytes(rows[0][:2]) != LITTLE_ENDIAN or any(len(row) != size for row in rows):
@@ -249,7 +274,7 @@ def _decode_table(store: Typestore, kind: str, rows: Sequence[bytes | memoryview
     if any(np.any(data[:, start:end] != data[0, start:end]) for start, end in layout.fixed):
         return None
     table = data.reshape(-1).view(layout.dtype(size))
-    for index in (0, -1):
+    for index in (0, len(rows) // 2, -1):
         message = store.deserialize_cdr(rows[index], kind)
         for path, _, _, _ in layout.numbers:
             if not np.array_equal(attrgetter(path)(message), table[path][index], equal_nan=True):
@@ -299,7 +324,7 @@ class Readable:
         except _NoColumnsError:
             return
         self._size = len(data)
-        self._fixed_at = np.concatenate([np.arange(2), *(np.arange(*part) for part in layout.fixed)]).astype(np.intp)
+        self._fixed_at = np.concatenate([np.arange(*part) for part in layout.fixed]).astype(np.intp)
         self._fixed = self._fixed_of(data)
 
 

@@ -4,14 +4,16 @@
 from __future__ import annotations
 
 import struct
+from operator import attrgetter
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rosbags.interfaces import Nodetype
 
 from impact_rs_trials.bags import topics
-from impact_rs_trials.bags.cdr import Readable, Template, decode, encode, number_paths
+from impact_rs_trials.bags.cdr import Readable, Template, decode, encode, number_paths, stacked
 from impact_rs_trials.bags.types import typestore
 
 STORE = typestore()
@@ -182,3 +184,90 @@ def test_bytes_are_readable_exactly_where_the_decoder_of_bags_reads_them(data: s
         expected = False
     assert readable(sent) == expected
     assert readable(sent) == expected
+
+
+KINDS = (topics.JOINT_STATE, "std_msgs/msg/Float64MultiArray", "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/Imu")
+
+
+def drawn(data: st.DataObject, kind: str, lengths: dict[str, int], texts: dict[str, object], path: str = ""):
+    """A message of any numbers, with lengths and strings given by field path."""
+    content = {}
+    for name, (node, payload) in STORE.fielddefs[kind][1]:
+        place = f"{path}{name}"
+        if node == Nodetype.NAME:
+            content[name] = drawn(data, payload, lengths, texts, f"{place}.")
+        elif node == Nodetype.BASE:
+            base = payload[0]
+            if base == "string":
+                content[name] = texts.get(place, "")
+                continue
+            limits = None if base == "float64" else np.iinfo(base)
+            content[name] = data.draw(doubles if limits is None else st.integers(limits.min, limits.max))
+        elif payload[0][0] == Nodetype.NAME:
+            content[name] = []
+        elif payload[0][1][0] == "string":
+            content[name] = texts.get(place, [])
+        else:
+            count = payload[1] if node == Nodetype.ARRAY else lengths.get(place, 0)
+            content[name] = np.array(data.draw(st.lists(doubles, min_size=count, max_size=count)), dtype=float)
+    return TYPES[kind](**content)
+
+
+def same_bits(one: object, column: np.ndarray, row: int) -> bool:
+    return np.asarray(one, column.dtype).tobytes() == np.ascontiguousarray(column[row]).tobytes()
+
+
+@given(st.data(), st.sampled_from(KINDS), st.integers(1, 5))
+def test_stacked_messages_hold_what_the_library_reads_bit_by_bit(data: st.DataObject, kind: str, count: int) -> None:
+    """Kills: an offset without padding behind a name, a column that skips an array, values through another type."""
+    lengths = {path: data.draw(st.integers(0, 4)) for path in ("position", "velocity", "effort", "data")}
+    texts = {"header.frame_id": data.draw(st.text(max_size=6)), "name": data.draw(st.lists(st.text(max_size=5)))}
+    texts = {path: text for path, text in texts.items() if "\0" not in "".join(text)}
+    messages = [drawn(data, kind, lengths, texts) for _ in range(count)]
+    rows = [bytes(STORE.serialize_cdr(one, kind)) for one in messages]
+    whole = stacked(STORE, kind, rows)
+    assert whole is not None
+    for row, raw in enumerate(rows):
+        read = STORE.deserialize_cdr(raw, kind)
+        for path in number_paths(STORE, kind):
+            assert same_bits(attrgetter(path)(read), attrgetter(path)(whole), row), path
+        if kind == topics.JOINT_STATE:
+            assert whole.name == read.name and whole.header.frame_id == read.header.frame_id
+
+
+@given(st.integers(1, 6), st.sampled_from(["names", "frame", "length", "byte order"]))
+def test_a_topic_that_changes_has_no_stack(at: int, what: str) -> None:
+    """Kills: a layout taken from the first message alone."""
+    rows = []
+    for number in range(7):
+        changed = number >= at
+        names = ["b", "a"] if changed and what == "names" else ["a", "b"]
+        frame = "v" if changed and what == "frame" else "w"
+        count = 3 if changed and what == "length" else 2
+        one = joint_state(frame, names, np.arange(count) + 0.5, number)
+        little = not (changed and what == "byte order")
+        rows.append(bytes(STORE.serialize_cdr(one, topics.JOINT_STATE, little_endian=little)))
+    assert stacked(STORE, topics.JOINT_STATE, rows) is None
+    assert stacked(STORE, topics.JOINT_STATE, rows[:at]) is not None
+    assert stacked(STORE, topics.JOINT_STATE, []) is None
+
+
+def test_messages_of_numbers_alone_in_both_byte_orders_have_no_stack() -> None:
+    """No length or string differs. Kills: a byte order taken from the first, middle and last message."""
+    kind = "geometry_msgs/msg/Vector3"
+    messages = [TYPES[kind](x=1.5 * row, y=2.0, z=3.0) for row in range(6)]
+    rows = [bytes(STORE.serialize_cdr(one, kind, little_endian=row != 1)) for row, one in enumerate(messages)]
+    assert stacked(STORE, kind, rows) is None
+    np.testing.assert_array_equal(decode(STORE, kind, rows)["x"], 1.5 * np.arange(6))
+
+
+def test_arrays_with_described_dimensions_have_no_stack() -> None:
+    """Kills: a list of messages taken for empty, in reading or writing."""
+    layout, dimension = (TYPES[f"std_msgs/msg/MultiArray{part}"] for part in ("Layout", "Dimension"))
+    kind = "std_msgs/msg/Float64MultiArray"
+    dimensions = [[], [dimension(label="joint", size=2, stride=2)], []]
+    messages = [TYPES[kind](layout=layout(dim=dim, data_offset=0), data=np.array([1.0, 2.0])) for dim in dimensions]
+    rows = [bytes(STORE.serialize_cdr(one, kind)) for one in messages]
+    assert stacked(STORE, kind, rows) is None and stacked(STORE, kind, rows[1:2]) is None
+    assert stacked(STORE, kind, rows[::2]) is not None
+    assert [bytes(row) for row in encode(STORE, kind, messages)] == rows

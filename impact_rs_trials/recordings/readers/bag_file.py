@@ -11,11 +11,13 @@ The common transport delay cancels; the excess over the delay of the joint state
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader
@@ -25,6 +27,7 @@ from rosbags.typesys.store import Typestore
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robots.robot import Array
+from impact_rs_trials.bags.cdr import stacked
 from impact_rs_trials.recordings.mapping import WIDTH, Mapping, SignalName, SignalSource
 from impact_rs_trials.recordings.readers.read_once import once
 from impact_rs_trials.recordings.readers.run_finder import ROS1_SUFFIX
@@ -106,18 +109,37 @@ def register(store: Typestore, connection: Connection) -> None:
     store.register(own)
 
 
+@dataclass(frozen=True)
+class Recorded:
+    """Messages of a topic.
+
+    Attributes:
+        logs: Log times, ``(k,)`` [ns].
+        messages: ``k`` of them, or one that holds the numbers of all (:func:`~impact_rs_trials.bags.cdr.stacked`).
+        stacked: Whether it is one.
+    """
+
+    logs: NDArray[np.int64]
+    messages: list[Any]
+    stacked: bool
+
+    def size(self, value: Any) -> int:
+        """Count of numbers that a field, with this value in ``messages``, has in each recorded message."""
+        return np.size(value[0]) if self.stacked and isinstance(value, np.ndarray) else np.size(value)
+
+
 class OpenedBag:
     """Messages of a bag by topic, read on demand.
 
     Attributes:
-        messages: Log time [ns] and message, by topic.
+        messages: By topic.
         unread: Warnings about unread files in its folder.
     """
 
     def __init__(self, path: Path, store: Typestore) -> None:
         self._path, self._store = path, store
         self._connections: list[Connection] | None = None
-        self.messages: dict[str, list[tuple[int, Any]]] = {}
+        self.messages: dict[str, Recorded] = {}
         self.unread: tuple[str, ...] = ()
 
     def read(self, choose: Callable[[list[Connection]], list[Connection]]) -> list[Connection]:
@@ -136,18 +158,27 @@ class OpenedBag:
                 self.unread, self._connections = _files_beside(self._path, reader), list(reader.connections)
                 chosen = choose(self._connections)
                 missing = [connection for connection in chosen if connection.topic not in self.messages]
-                read: dict[str, list[tuple[int, Any]]] = {connection.topic: [] for connection in missing}
+                rows: dict[str, list[tuple[int, str, bytes]]] = {connection.topic: [] for connection in missing}
                 for connection in missing:
                     register(self._store, connection)
                 for connection, log, data in reader.messages(connections=missing) if missing else ():  # [] is all
-                    message = deserialized(self._store, self._path, data, connection.msgtype)
-                    read[connection.topic].append((log, message))
+                    rows[connection.topic].append((log, connection.msgtype, data))
+            read = {topic: self._recorded(found) for topic, found in rows.items()}
         except InputError:
             raise
         except Exception as error:  # a damaged file can fail anywhere inside the library
             raise unreadable(self._path, error) from None
         self.messages |= read
         return chosen
+
+    def _recorded(self, rows: list[tuple[int, str, bytes]]) -> Recorded:
+        """Messages of a topic from log times [ns], types and bytes."""
+        logs = np.array([log for log, _, _ in rows], dtype=np.int64)
+        if self._path.suffix != ROS1_SUFFIX and len({kind for _, kind, _ in rows}) == 1:
+            one = stacked(self._store, rows[0][1], [data for _, _, data in rows])
+            if one is not None:
+                return Recorded(logs, [one], True)
+        return Recorded(logs, [deserialized(self._store, self._path, data, kind) for _, kind, data in rows], False)
 
 
 @once
@@ -186,7 +217,7 @@ class BagFile:
         chosen = opened.read(lambda connections: self._chosen(wanted, connections))
         self._messages = opened.messages
         for connection in chosen:
-            found = len(self._messages[connection.topic])
+            found = self._messages[connection.topic].logs.size
             if found != connection.msgcount:
                 said = f"{connection.topic}: {found} messages, {connection.msgcount} are counted in the bag's metadata"
                 if not found:
@@ -203,17 +234,16 @@ class BagFile:
             InputError: It cannot be used.
         """
         connection = self._connection(name, source)
-        messages = self._messages[connection.topic]
+        recorded = self._messages[connection.topic]
         place = f"{connection.topic}: {source.field or connection.msgtype} ({name})"
         if name in FIELDLESS:
-            found = self._samples(place, name, source, messages)
-            logs, headers = [log for log, _, _ in found], [header for _, header, _ in found]
-            values = np.array([numbers for _, _, numbers in found], dtype=float)
+            found = self._samples(place, name, source, recorded)
+            kept, headers = [index for index, _, _ in found], [header for _, header, _ in found]
+            values = _in_rows(np.array([numbers for _, _, numbers in found], dtype=float))
         else:
-            kept, values = self._numbers(place, connection, name, source, [message for _, message in messages])
-            logs = [messages[index][0] for index in kept]
-            headers = [getattr(messages[index][1], "header", None) for index in kept]
-        log = 1e-9 * np.array(logs, dtype=float)
+            kept, values = self._numbers(place, name, source, recorded)
+            headers = [getattr(recorded.messages[index], "header", None) for index in kept]
+        log = 1e-9 * (recorded.logs if recorded.stacked else recorded.logs[kept]).astype(float)
         time, remarks = self._clock(name, source, connection.topic, headers, log)
         remarks += (*self._unread, *self._lost.get(connection.topic, ()))
         return Series(place, time + source.delay, values, log, remarks)
@@ -307,9 +337,9 @@ class BagFile:
             return 0.0, ""
         if self._shift is None:
             connection = self._connection("position", self._mapping.signals["position"])
-            messages = self._messages[connection.topic]
-            log = 1e-9 * np.array([log for log, _ in messages], dtype=float)
-            later = log - _stamps([message.header for _, message in messages])
+            recorded = self._messages[connection.topic]
+            log = 1e-9 * recorded.logs.astype(float)
+            later = log - _stamps([message.header for message in recorded.messages])
             tenth = max(1, later.size // 10)
             drift = float(np.median(later[-tenth:]) - np.median(later[:tenth]))
             drifts = Remark(" (which drifts by ", Amount(1e3 * drift, ".1f"), " ms during the run)")
@@ -320,7 +350,7 @@ class BagFile:
     # ---- numbers ----------------------------------------------------------------------------------------------------
 
     def _numbers(
-        self, place: str, connection: Connection, name: SignalName, source: SignalSource, messages: list[Any]
+        self, place: str, name: SignalName, source: SignalSource, recorded: Recorded
     ) -> tuple[list[int], Array]:
         """Indices of the messages with a signal, and its numbers ``(k, n)``, joints in the mapping's order."""
         assert source.field is not None
@@ -328,45 +358,50 @@ class BagFile:
         kept: list[int] = []
         rows: list[Array] = []
         width, entries = self._mapping.width(name), source.entries
-        whole = None if entries is None else np.size(self._field(place, messages[0], source.field))
+        first = self._field(place, recorded.messages[0], source.field, recorded)
+        whole = None if entries is None else recorded.size(first)
         if entries is not None and whole is not None and 0 < whole < max(entries):
             said = f"{place} has {whole} numbers, expected at least the {max(entries)} of entries"
             raise InputError(said, file=self._path, key=f"signals.{name}.entries of the mapping")
-        for index, message in enumerate(messages):
-            row = self._field(place, message, source.field)
-            joints = () if source.names is None else tuple(self._field(place, message, source.names))
+        for index, message in enumerate(recorded.messages):
+            row = self._field(place, message, source.field, recorded)
+            size = recorded.size(row)
+            joints = () if source.names is None else tuple(self._field(place, message, source.names, recorded))
             if joints not in orders:
                 nameless = list(range(width)) if entries is None else [entry - 1 for entry in entries]
                 orders[joints] = self._order(place, joints) if joints else nameless
             order = orders[joints]
             if order is None:  # another device on the same topic, a gripper for example
                 continue
-            if np.size(row) == 0 and not rows:
+            if size == 0 and not rows:
                 if name in ("position", "velocity", "torque"):
                     raise InputError(f"{place} is empty; expected {width} numbers", file=self._path)
                 raise MissingSignal(f"{place} is empty; expected {width} numbers", file=self._path)
-            if np.size(row) != (len(joints) or whole or width):
+            if size != (len(joints) or whole or width):
                 expected = (
                     f"{len(joints)} joint names, expected one each" if joints else f"{width} joints, expected one each"
                 )
                 if not joints and whole is not None:
                     expected = f"the {whole} of the first message, expected as many in all"
-                elif not joints and np.size(row) > width:
-                    expected += f"; entries in the mapping says which of the {np.size(row)}"
-                raise InputError(f"{place}: message {index} has {np.size(row)} numbers for {expected}", file=self._path)
+                elif not joints and size > width:
+                    expected += f"; entries in the mapping says which of the {size}"
+                raise InputError(f"{place}: message {index} has {size} numbers for {expected}", file=self._path)
             kept.append(index)
-            rows.append(np.asarray(row, dtype=float)[order])
+            rows.append(np.asarray(row, dtype=float).reshape(-1, size).take(order, axis=1))
         if not rows:
             seen = ", ".join(sorted({joint for joints in orders for joint in joints}))
             raise InputError(f"{place}: joint {self._joints[0]} is missing; the messages name {seen}", file=self._path)
-        return kept, np.array(rows) * self._mapping.factor(name) + self._mapping.offset(name)
+        return kept, np.concatenate(rows) * self._mapping.factor(name) + self._mapping.offset(name)
 
-    def _field(self, place: str, message: Any, path: str) -> Any:
-        """Value at a path of fields and indices, ``points.0.effort``."""
+    def _field(self, place: str, message: Any, path: str, recorded: Recorded) -> Any:
+        """Value at a path of fields and indices, ``points.0.effort``, of one of the recorded messages."""
         found = message
         try:
             for part in path.split("."):
-                found = found[int(part)] if part.isdigit() else getattr(found, part)
+                if not part.isdigit():
+                    found = getattr(found, part)
+                else:
+                    found = found[:, int(part)] if recorded.stacked else found[int(part)]
         except (AttributeError, IndexError, TypeError):
             fields = [field for field in vars(message) if not field.startswith("__")]
             raise InputError(
@@ -402,23 +437,24 @@ class BagFile:
         return [each[0] for each in found]
 
     def _samples(
-        self, place: str, name: SignalName, source: SignalSource, messages: list[tuple[int, Any]]
-    ) -> list[tuple[int, Any, list[float]]]:
-        """Log time [ns], header and numbers of every pose, wrench or acceleration."""
-        if name == "object_pose" and source.field is None and hasattr(messages[0][1], "transforms"):
-            child = self._child(place, source, [message for _, message in messages])
+        self, place: str, name: SignalName, source: SignalSource, recorded: Recorded
+    ) -> list[tuple[int, Any, list[Any]]]:
+        """Index of the message, header and numbers of every pose, wrench or acceleration."""
+        messages = recorded.messages
+        if name == "object_pose" and source.field is None and hasattr(messages[0], "transforms"):
+            child = self._child(place, source, messages)
             return [
-                (log, transform.header, self._pose(place, transform))
-                for log, message in messages
+                (index, transform.header, self._pose(place, transform))
+                for index, message in enumerate(messages)
                 for transform in message.transforms
                 if transform.child_frame_id == child
             ]
         read = {"object_pose": self._pose, "wrench": self._wrench, "acceleration": self._acceleration}[name]
         found = []
-        for log, message in messages:
-            holder = message if source.field is None else self._field(place, message, source.field)
+        for index, message in enumerate(messages):
+            holder = message if source.field is None else self._field(place, message, source.field, recorded)
             numbers = read(place, holder)
-            found.append((log, getattr(message, "header", None), numbers))
+            found.append((index, getattr(message, "header", None), numbers))
         return found
 
     def _child(self, place: str, source: SignalSource, messages: list[Any]) -> str:
@@ -438,7 +474,7 @@ class BagFile:
             )
         return chosen[0]
 
-    def _wrench(self, place: str, holder: Any) -> list[float]:
+    def _wrench(self, place: str, holder: Any) -> list[Any]:
         """Force and torque of a Wrench or WrenchStamped."""
         holder = getattr(holder, "wrench", holder)
         if not (hasattr(holder, "force") and hasattr(holder, "torque")):
@@ -446,7 +482,7 @@ class BagFile:
         factor = float(self._mapping.factor("wrench"))
         return [factor * number for number in (*_xyz(holder.force), *_xyz(holder.torque))]
 
-    def _acceleration(self, place: str, holder: Any) -> list[float]:
+    def _acceleration(self, place: str, holder: Any) -> list[Any]:
         """Linear acceleration of an Imu or AccelStamped, or of a field that holds it."""
         holder = getattr(holder, "accel", holder)
         holder = getattr(holder, "linear_acceleration", getattr(holder, "linear", holder))
@@ -455,7 +491,7 @@ class BagFile:
         factor = float(self._mapping.factor("acceleration"))
         return [factor * number for number in _xyz(holder)]
 
-    def _pose(self, place: str, holder: Any) -> list[float]:
+    def _pose(self, place: str, holder: Any) -> list[Any]:
         """Position and quaternion, x y z w, of a pose or transform, however deep it lies."""
         scale = float(self._mapping.factor("object_pose"))
         for _ in range(3):  # PoseWithCovarianceStamped and Odometry hold a pose in a pose
@@ -463,7 +499,7 @@ class BagFile:
                 if hasattr(holder, position) and hasattr(holder, orientation):
                     quaternion = getattr(holder, orientation)
                     numbers = [scale * number for number in _xyz(getattr(holder, position))]
-                    return [*numbers, *_xyz(quaternion), float(quaternion.w)]
+                    return [*numbers, *_xyz(quaternion), _double(quaternion.w)]
             holder = getattr(holder, "pose", getattr(holder, "transform", holder))
         raise InputError(
             f"{place}: expected a PoseStamped, TransformStamped, TFMessage or Odometry, or a field that holds a pose",
@@ -500,11 +536,21 @@ def _files_beside(path: Path, reader: Reader | Ros1Reader) -> tuple[str, ...]:
 
 
 def _stamps(headers: list[Any]) -> Array:
-    return np.array([header.stamp.sec + 1e-9 * header.stamp.nanosec for header in headers], dtype=float)
+    return np.array([header.stamp.sec + 1e-9 * header.stamp.nanosec for header in headers], dtype=float).reshape(-1)
 
 
-def _xyz(vector: Any) -> list[float]:
-    return [float(vector.x), float(vector.y), float(vector.z)]
+def _xyz(vector: Any) -> list[Any]:
+    return [_double(vector.x), _double(vector.y), _double(vector.z)]
+
+
+def _double(number: Any) -> Any:
+    """A number in double precision, or a column of numbers."""
+    return number.astype(float) if isinstance(number, np.ndarray) else float(number)
+
+
+def _in_rows(numbers: Array) -> Array:
+    """A row per message of numbers ``(k, n)``, or of columns in one message, ``(1, n, k)``."""
+    return np.ascontiguousarray(numbers[0].T) if numbers.ndim == 3 else numbers
 
 
 def _stands_for(pattern: str, name: str) -> str:
