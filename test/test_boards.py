@@ -122,8 +122,9 @@ def test_a_number_of_the_verdict_is_changed_for_as_long_as_it_is_asked_for(name:
     from impact_rs_analysis.diagnosis.search import candidate, null_distribution
     from impact_rs_analysis.diagnosis.search import effect_selection as search
     from impact_rs_analysis.diagnosis.verdicts import model_verdict as verdicts
+    from impact_rs_analysis.evidence import cluster
 
-    seen = [module for module in (candidate, null_distribution, search, verdicts) if hasattr(module, name)]
+    seen = [module for module in (candidate, cluster, null_distribution, search, verdicts) if hasattr(module, name)]
     before = [getattr(module, name) for module in seen]
     assert seen
     with numbers.multiplied(name, 2.0):
