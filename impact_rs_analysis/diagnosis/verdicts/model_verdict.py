@@ -112,9 +112,9 @@ def excludes_nominal(fitted: Fit, name: str) -> bool:
 
 
 def without_uncertain_effects(search: Search, chosen: Fit) -> Fit | None:
-    """The chosen effects without those whose interval contains the nominal value; None: without any."""
+    """The chosen effects without those that are neither relevant nor off nominal by their interval; or None."""
     for name in chosen.candidate.names:
-        if excludes_nominal(chosen, name):
+        if is_relevant(chosen, name) or excludes_nominal(chosen, name):
             continue
         if len(chosen.candidate.names) == 1:
             return None
