@@ -201,7 +201,7 @@ def of_signals(rows, names, patterns=None):
 
 
 def test_a_simulator_that_is_off_as_much_as_is_known_is_seldom_significant() -> None:
-    """Twice the noise, in part alike in five conditions of four runs. Kills: the variance of a single run; not shared."""
+    """Twice the noise, in part alike in five conditions of four runs. Kills: the variance of one run; not shared."""
     p_values, lacks = [], []
     for seed in range(NULLS):
         rng, clusters = (
