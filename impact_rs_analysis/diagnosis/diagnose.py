@@ -131,7 +131,8 @@ def diagnose(
     document = _over_ranges(document)
     unseen = all_rows.unseen(source, added_of(document, source))
     limit = None if math.isinf(budget.limit) else budget.limit
-    spent = BudgetDocument(limit=limit, left_out=tuple(budget.left_out), stopped=budget.stop())
+    left_out = tuple(budget.left_out)
+    spent = BudgetDocument(limit=limit, left_out=left_out, stopped=bool(left_out) and budget.stop())
     remarks = (*filter(None, [not_tried(spent)]), *document.remarks, *unseen)
     rollouts = held_out_rollouts(source, found.hold_out)
     update = {"runs": _runs(all_rows), "budget": spent, "remarks": remarks, "rollouts": rollouts}
@@ -387,7 +388,7 @@ def _hold_out(found: HoldOut | None, source: Source) -> HoldOutDocument:
         what = f"{len(source.clusters)} {source.pieces} in {count} folds {turn if source.interleaved else neighbours}"
     how = "the whole search is repeated without the held-out data"
     if fitted := count - sum(found.searched):
-        how += f", in {fitted} folds the fit alone, for too few conditions or repeats are left to choose from"
+        how += f", in {fitted} folds the fit alone, with too few conditions or repeats, or too little time, for a search"
     return HoldOutDocument(what=f"{what}; {how}", folds=count, searched=sum(found.searched))
 
 

@@ -323,7 +323,7 @@ class BudgetDocument(Schema):
 
     limit: float | None = Field(None, description="processor time [s]; null: no limit")
     left_out: tuple[str, ...] = Field((), description="what was not tried because the time was spent")
-    stopped: bool = Field(False, description="whether a user has stopped the search (Ctrl-C)")
+    stopped: bool = Field(False, description="whether a user has stopped the search before its end (Ctrl-C)")
 
 
 class DriftDocument(Schema):

@@ -386,8 +386,8 @@ class Search:
         while chosen is None or len({e.family or e.name for e in chosen.candidate.effects}) < MAX_EFFECTS:
             if chosen is not None and (left := chosen.lack_of_fit()) is not None and left > SIGNIFICANCE_LEVEL:
                 break
-            if self._budget.leaves_out("further effects beside " + _named(chosen)):
-                break
+            if chosen is not None and self._budget.leaves_out("further effects beside " + _named(chosen)):
+                break  # the first effect is looked for in any case: without it nothing would seem to be missing
             best = self._next(chosen, self._groups(() if chosen is None else chosen.candidate.names, names))
             if best is None and not self.source.of_motion:
                 best = self._pair_at_once(chosen)
@@ -664,9 +664,9 @@ def simplest(fits: Sequence[Fit]) -> Fit:
     return min((fitted for fitted in fits if fitted.score <= limit), key=lambda fitted: (fitted.cost, fitted.score))
 
 
-def _named(fitted: Fit | None) -> str:
+def _named(fitted: Fit) -> str:
     """Names of the effects of a fit, for messages."""
-    return "the model" if fitted is None else " and ".join(fitted.candidate.names)
+    return " and ".join(fitted.candidate.names)
 
 
 def _changed(columns: Sequence[Array]) -> int:

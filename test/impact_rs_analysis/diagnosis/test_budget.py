@@ -95,3 +95,12 @@ def test_a_search_that_is_stopped_names_what_it_has_found_until_then() -> None:
     assert found.remarks[0].startswith("not tried, because the search was stopped: ")
     assert "straight" in found.named and found.hold_out.searched == 0
     assert len(source.made) < diagnosed(None)[1] / 3
+
+
+def test_a_search_that_is_stopped_at_once_still_names_the_largest_effect() -> None:
+    """Kills: nothing is missing where nothing was tried."""
+    source, stop = Counted(), StopRequest()
+    knowing(source, *(EFFECTS[name] for name in CONSIDERED))
+    stop.made = True
+    found = diagnose(source, source.model, budget=Budget(stop=stop))
+    assert found.budget.stopped and "straight" in found.named
