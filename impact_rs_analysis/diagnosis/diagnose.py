@@ -388,7 +388,7 @@ def _hold_out(found: HoldOut | None, source: Source) -> HoldOutDocument:
         what = f"{len(source.clusters)} {source.pieces} in {count} folds {turn if source.interleaved else neighbours}"
     how = "the whole search is repeated without the held-out data"
     if fitted := count - sum(found.searched):
-        how += f", in {fitted} folds the fit alone, with too few conditions or repeats, or too little time, for a search"
+        how += f", in {fitted} folds the fit alone, for a search lacks conditions, repeats or time"
     return HoldOutDocument(what=f"{what}; {how}", folds=count, searched=sum(found.searched))
 
 
