@@ -41,9 +41,9 @@ HALF_WIDTHS = {  # of what is planted, most of it for the scale of the torque
     SCALE.effect: 0.0125,
     CROSSTALK.effect: 0.0058,
     TORQUE_LAG.effect: 0.0011,
-    VELOCITY_LAG.effect: 0.0023,
-    VELOCITY_DELAY.effect: 0.0018,
-    VELOCITY_GAIN.effect: 0.0197,
+    VELOCITY_LAG.effect: 0.00043,
+    VELOCITY_DELAY.effect: 0.00032,
+    VELOCITY_GAIN.effect: 0.0028,
 }
 
 
