@@ -4,7 +4,7 @@
 A mesh gives the hull, centre of mass and inertia of an even density; mass or density come from outside. A URDF gives
 the shape of its collision geometry (box, sphere, cylinder, or hull of a mesh) and the inertial of all links
 that fixed joints join (Pinocchio, Carpentier et al. 2019). Its inertia I and centre c in axes of the link become
-R^T I R and R^T (c - p) in those of the shape at (R, p).
+R^T I R and R^T (c - p) in axes of the shape at (R, p).
 """
 
 from __future__ import annotations

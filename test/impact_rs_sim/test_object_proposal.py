@@ -83,7 +83,7 @@ def test_a_cone_has_its_centre_of_mass_and_inertia(tmp_path: Path) -> None:
 
 
 def test_a_hollow_mesh_keeps_its_own_mass_below_its_hull(tmp_path: Path) -> None:
-    """An L of two cubes and a corner: hull 7/6 of it in volume; mass and centre are those of the L."""
+    """An L of two cubes and a corner: hull 7/6 of it in volume; the L gives mass and centre."""
     square = np.array([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]]) * 0.05
     points = np.vstack([np.column_stack((square, np.full(6, z))) for z in (0.0, 0.1)])
     cap = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]])
