@@ -5,10 +5,11 @@ Numbers of pure numerics (tolerances, caches, steps of a fit) stand in the modul
 ``docs/evidence.md`` shows the verdicts with each of these halved and doubled.
 """
 
+from impact_rs_analysis.evidence.cluster import INDEPENDENT_DISCREPANCY_SHARE as INDEPENDENT_DISCREPANCY_SHARE
+from impact_rs_analysis.evidence.cluster import SHARED_DISCREPANCY_SHARE as SHARED_DISCREPANCY_SHARE
 from impact_rs_analysis.evidence.minimum_data import MIN_BLOCKS as MIN_BLOCKS
 from impact_rs_analysis.evidence.minimum_data import MIN_CLUSTERS as MIN_CLUSTERS
 from impact_rs_analysis.evidence.minimum_data import MIN_DEGREES_OF_FREEDOM as MIN_DEGREES_OF_FREEDOM
-from impact_rs_analysis.inference.noise import INDEPENDENT_DISCREPANCY_SHARE as INDEPENDENT_DISCREPANCY_SHARE
 
 # How small does a p-value have to be?
 SIGNIFICANCE_LEVEL = 0.01  # false discovery rate (Benjamini-Hochberg): one verdict in a hundred may be chance

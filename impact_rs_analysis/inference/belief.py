@@ -29,8 +29,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from impact_rs_analysis.evidence.cluster import Cluster
-from impact_rs_analysis.inference.noise import INDEPENDENT_DISCREPANCY_SHARE, noise_of
+from impact_rs_analysis.evidence.cluster import INDEPENDENT_DISCREPANCY_SHARE, Cluster
+from impact_rs_analysis.inference.noise import noise_of
 from impact_rs_sim.robots.robot import Array
 
 Columns = NDArray[np.int_]

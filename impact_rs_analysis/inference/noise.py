@@ -21,11 +21,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from impact_rs_analysis.evidence.cluster import Cluster
+from impact_rs_analysis.evidence.cluster import INDEPENDENT_DISCREPANCY_SHARE, Cluster
 from impact_rs_sim.robots.robot import Array
 
-# Share of the differences of a left-out simulator that the others do not span: 14 to 67 %, 34 % on average.
-INDEPENDENT_DISCREPANCY_SHARE = 1.0 / 3.0
 MIN_VARIANCE_SHARE = 1e-9  # of the largest variance; a feature that never moves is no certainty
 
 

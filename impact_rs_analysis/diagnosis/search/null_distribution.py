@@ -30,11 +30,13 @@ the noise is not rare.
 With a single feature and condition the test is Student's t with n - 1 degrees of freedom. Heavy tails make it
 conservative rather than wrong: an outlier of one repeat is in the mean row and in the contrasts of its condition.
 
-Where the model discrepancy is known, residuals have a second source: sum_k a_k P_k, with patterns P_k in which
-simulators differ and a_k standard normal, the same in all clusters of one kind. Patterns are used instead of single
-features because simulators differ in friction or stiffness of a contact, which changes many features at once. T is then
-also compared with draws of noise (normal, with the contrasts' covariance and its Student factor) plus discrepancy, and
-the larger p-value counts.
+Where the model discrepancy is known, residuals have a second source: sum_k a_k P_k + u, with patterns P_k in which
+simulators differ and a_k standard normal, partly the same in all clusters of one kind. Patterns are used instead of
+single features because simulators differ in friction or stiffness of a contact, which changes many features at once. Of
+all rows, only the means have it: a share is common to the clusters of one kind, the rest differs between clusters.
+Along its principal directions the means and their sensitivities are scaled to the size of the noise (generalised least
+squares), so that all rows may be rotated. The rotations of the same rows give the null distribution of the lack of fit,
+sum_c n_c rbar_c^T W rbar_c.
 
 **Blocks** (:class:`SignFlipNull`). A recording has no repeats. Stretches longer than the correlation time of its
 noise are independent, and their scores are about symmetric: signs are flipped at random (wild cluster bootstrap of the
@@ -44,9 +46,8 @@ of a signal, which no flip changes.
 
 from __future__ import annotations
 
-import copy
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property, lru_cache, reduce
 
 import numpy as np
@@ -54,7 +55,6 @@ import scipy
 from numpy.typing import NDArray
 
 from impact_rs_analysis.diagnosis.thresholds import (
-    INDEPENDENT_DISCREPANCY_SHARE,
     MIN_BLOCKS,
     MIN_DEGREES_OF_FREEDOM,
     NULL_DRAWS,
@@ -63,14 +63,11 @@ from impact_rs_analysis.diagnosis.thresholds import (
 from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_sim.robots.robot import Array
 
-FIRST_DRAWS = 999  # of the test of lack of fit
-MIN_P_OF_FIRST_DRAWS = 0.05  # above, the first draws are enough
 RIDGE = 1e-12  # of the trace; keeps a covariance of rank zero invertible
 MANY_SIGN_DRAWS = 49999  # where fewer draws have less than MIN_EXCEEDANCES beyond the observation
 MIN_EXCEEDANCES = 10  # draws beyond an observation; with fewer, the Pareto tail gives its p-value
 TAIL_DRAWS = 250  # largest draws that the Pareto tail is fitted to (Knijnenburg et al. 2009)
 MIN_TAIL_SHAPE = 1e-3  # of the generalised Pareto distribution: exponential, without an end
-MIN_SPANNED_SHARE = 0.999  # of the total square of the discrepancy patterns; the rest is rounding
 
 
 class NullDistribution(ABC):
@@ -127,22 +124,14 @@ class NullDistribution(ABC):
 
     def discrepancy(self, jacobians: Sequence[Array], inverse: Array) -> Array:
         """Covariance of an estimate due to model discrepancy, ``(p, p)``."""
-        factor = self._discrepancy_scores(jacobians) @ inverse
-        return np.asarray(factor.T @ factor)
-
-    def _discrepancy_scores(self, jacobians: Sequence[Array]) -> Array:
-        """Score of every discrepancy pattern at amplitude 1, over the clusters that share the amplitude, ``(k, p)``."""
-        total: dict[str, Array] = {}
+        shared: dict[str, Array] = {}
+        scores = []
         for item, jacobian in zip(self.clusters, jacobians, strict=True):
-            part = item.count * item.discrepancy_factor @ jacobian
-            name = item.discrepancy_group
-            total[name] = total[name] + part if name in total else part
-        return np.concatenate([part[np.any(part != 0.0, axis=1)] for part in total.values()])
-
-    @cached_property
-    def discrepant(self) -> bool:
-        """Whether a model discrepancy is known."""
-        return any(np.any(item.discrepancy > 0.0) for item in self.clusters)
+            part, group = item.count * item.shared_discrepancy @ jacobian, item.discrepancy_group
+            shared[group] = shared[group] + part if group in shared else part
+            scores.append(item.count * item.own_discrepancy @ jacobian)
+        factor = np.concatenate([*shared.values(), *scores]) @ inverse
+        return np.asarray(factor.T @ factor)
 
     def quantile(self, confidence: float = 0.95) -> float:
         """Quantile of Student's t: half width of an interval in standard errors of :meth:`covariance`."""
@@ -251,8 +240,7 @@ class _Rows:
         means: Number of means.
         freedom: Number of contrasts.
         donors: Layouts whose contrasts give the mean variance of a signal: its own, or all if it has few.
-        apart: Known variance (relevance limit and discrepancy), ``(F,)`` in squares of ``unit``.
-        spanned: Left and right factor of the projector on the removed patterns, ``(k, F)`` each; None: none removed.
+        apart: Square of half the relevance limit, ``(F,)`` in squares of ``unit``.
     """
 
     def __init__(self, numbers: list[int], clusters: Sequence[Cluster], means: Sequence[Array]) -> None:
@@ -267,88 +255,88 @@ class _Rows:
         self.rows = np.array(firsts + contrasts)
         self.means, self.freedom = len(firsts), len(contrasts)
         self.donors: Sequence[_Rows] = (self,)
-        apart = [np.square(item.sigma / self.unit) * (1.0 - np.square(item.pure_error)) for item in self.items]
+        apart = [
+            np.square(item.sigma / self.unit) * (1.0 - np.square(item.pure_error) - np.square(item.discrepancy))
+            for item in self.items
+        ]
         self.apart = np.maximum(np.mean(apart, axis=0), 0.0)
-        self.spanned: tuple[Array, Array] | None = None
 
-    def rotated(self, seed: int, draws: slice = slice(None)) -> Iterator[Array]:
+    def rotated(self, seed: int) -> Iterator[Array]:
         """Every mean row, as measured and in rotations, ``(1 + B, F)`` each."""
-        frames = _rotations(len(self.rows), self.means, seed)[draws]
+        frames = _rotations(len(self.rows), self.means, seed)
         return (frames[:, number] @ self.rows for number in range(self.means))
 
-    def squares(self, seed: int, draws: slice = slice(None), added: Sequence[Array] | None = None) -> Array:
-        """Sum of squares of the :meth:`rotated` mean rows, ``(1 + B, F)``, after adding ``added`` to each of them."""
-        rows = self.rotated(seed, draws)
-        return reduce(np.add, map(np.square, rows if added is None else map(np.add, rows, added)))
+    def scale_to_noise(self) -> None:
+        """Scale the discrepancy in the mean rows to the size of noise, which makes all rows exchangeable."""
+        self.rows[: self.means] = self.scaled(self.rows[: self.means])
 
-    def orthogonal_to_patterns(self) -> _Rows:
-        """The rows projected on the orthogonal complement of the discrepancy patterns; rotations stay exchangeable.
+    def scaled(self, means: Array) -> Array:
+        """Mean rows of residuals ``(means, F)`` or sensitivities ``(means, F, p)``, the discrepancy scaled to noise.
 
-        The metric is that of relevance limits and discrepancies, which do not depend on the repeats. Patterns of a
-        single feature are kept: no joint direction of the simulators is known (:meth:`independent_discrepancy`).
+        In units of the noise, the mean of n runs has the variance v + n lambda^2 along a principal direction of its own
+        discrepancy, and so has the mean over all runs that share amplitudes; all other rows have v. Both are scaled by
+        sqrt(v / (v + n lambda^2)), first the rows one by one, then what they share.
         """
-        patterns = np.vstack([item.discrepancy_factor * (item.sigma / self.unit) for item in self.items])
-        patterns = patterns[np.count_nonzero(patterns, axis=1) > 1]
-        if not len(patterns):
-            return self
-        scale = np.sqrt(np.where(self.apart > 0.0, self.apart, 1.0))
-        _, sizes, directions = np.linalg.svd(patterns / scale, full_matrices=False)
-        known = directions[
-            : 1 + int(np.searchsorted(np.cumsum(np.square(sizes)), MIN_SPANNED_SHARE * np.sum(np.square(sizes))))
-        ]
-        found = copy.copy(self)
-        found.spanned = known / scale, known * scale
-        found.rows = found.orthogonal(self.rows)
-        share = np.mean([np.square(item.discrepancy * item.sigma / self.unit) for item in self.items], axis=0)
-        found.apart = np.maximum(
-            self.apart - (1.0 - INDEPENDENT_DISCREPANCY_SHARE) * share * np.any(patterns, axis=0), 0.0
-        )
-        return found
-
-    def orthogonal(self, rows: Array) -> Array:
-        """Rows ``(n, F)`` without their component along the discrepancy patterns."""
-        return rows if self.spanned is None else np.asarray(rows - (rows @ self.spanned[0].T) @ self.spanned[1])
-
-    def independent_discrepancy(self, seed: int, draws: int) -> Sequence[Array] | None:
-        """Draws of the discrepancy outside the measured patterns, by mean row; 0 for the measurement, ``(1 + B, F)``.
-
-        None where no discrepancy is known. Clusters of one discrepancy group share the draw.
-        """
-        if not any(np.any(item.discrepancy) for item in self.items):
-            return None
-        rng, drawn, found = np.random.default_rng([4, seed]), {}, []
-        for item in self.items:
-            own = item.discrepancy_factor
-            single = np.count_nonzero(own, axis=1) <= 1
-            shares = INDEPENDENT_DISCREPANCY_SHARE * np.square(own[~single]).sum(axis=0) + np.square(own[single]).sum(
-                axis=0
-            )
-            size = np.sqrt(shares) * item.sigma / self.unit
-            if item.discrepancy_group not in drawn:
-                amplitudes = self.orthogonal(rng.standard_normal((draws, size.size)) * size)
-                drawn[item.discrepancy_group] = np.vstack((np.zeros(size.size), amplitudes))
-            found.append(np.sqrt(item.count) * drawn[item.discrepancy_group])
-        return found
+        unit = self._scale if means.ndim == 2 else self._scale[:, None]
+        own, shared = self._scalings
+        found = np.array([operator @ mean for operator, mean in zip(own, means / unit, strict=True)])
+        for members, share, operator in shared:
+            mean = np.tensordot(share, found[members], 1)
+            found[members] += np.multiply.outer(share, operator @ mean - mean)
+        return np.asarray(found * unit)
 
     @cached_property
-    def noise(self) -> Array:
-        """Contrasts; for a layout with few of them also normal draws with the borrowed variance, ``(m, F)``."""
-        own = self.rows[self.means :]
-        if not self.borrows:
-            return own
-        drawn = np.random.default_rng(3).standard_normal((PRIOR_DEGREES_OF_FREEDOM, self.unit.size))
-        squares = [np.sum(np.square(each.rows[each.means :]), axis=0)[None] for each in self.donors]
-        shared = _shared(self, self.donors, squares)
-        return np.vstack((own, np.sqrt(shared[0]) * drawn))
+    def _scale(self) -> Array:
+        """Standard deviation of the noise, moderated, ``(F,)``."""
+        squares = [np.sum(np.square(own.rows[own.means :]), axis=0)[None] for own in self.donors]
+        contrasts, shared = self.rows[self.means :], _shared(self, self.donors, squares)[0]
+        return np.sqrt(_moderated(shared, np.sum(np.square(contrasts), axis=0), self.freedom) + RIDGE)
 
-    @property
-    def borrows(self) -> bool:
-        """Whether its contrasts are too few for the size of the noise."""
-        return self.freedom < MIN_DEGREES_OF_FREEDOM and len(self.donors) > 1
+    @cached_property
+    def _scalings(self) -> tuple[list[Array], list[tuple[list[int], Array, Array]]]:
+        """Operator ``(F, F)`` of every mean row; places, their shares in the mean, and operator of every group."""
+        own, groups = list[Array](), dict[str, list[int]]()
+        known = dict[tuple[int, str], Array]()
+        for place, item in enumerate(self.items):
+            groups.setdefault(item.discrepancy_group, []).append(place)
+            key = item.count, item.discrepancy_group
+            if key not in known:
+                known[key] = self._operator(np.sqrt(item.count) * self._in_noise(item, item.own_discrepancy))
+            own.append(known[key])
+        shared = []
+        for members in groups.values():
+            roots = np.sqrt([self.items[place].count for place in members])
+            share = roots / np.linalg.norm(roots)
+            scaled = [
+                self._in_noise(self.items[place], self.items[place].shared_discrepancy) @ own[place]
+                for place in members
+            ]
+            shared.append((members, share, self._operator(np.tensordot(share * roots, scaled, 1))))
+        return own, shared
 
-    def left(self, squares: Array) -> Array:
-        """Sum of squares of the contrasts in every rotation, from that of the mean rows, ``(1 + B, F)``."""
-        return np.maximum(np.sum(np.square(self.rows), axis=0) - squares, 0.0)
+    def _in_noise(self, item: Cluster, factor: Array) -> Array:
+        """A factor of the discrepancy of a cluster in units of the noise, ``(k, F)``."""
+        return np.asarray(factor * (item.sigma / self.unit / self._scale))
+
+    def _operator(self, factor: Array) -> Array:
+        """Operator that scales a row with the discrepancy covariance L^T L to noise, in units of it, ``(F, F)``."""
+        sizes, directions = np.linalg.eigh(factor.T @ factor)
+        contrasts = self.rows[self.means :] / self._scale
+        noise = _moderated(1.0, np.sum(np.square(contrasts @ directions), axis=0), self.freedom)
+        return np.asarray((directions * np.sqrt(noise / (noise + np.maximum(sizes, 0.0)))) @ directions.T)
+
+    def sensitivities(self, jacobians: Iterable[Array]) -> Array:
+        """Scaled sensitivities of the mean rows, ``(means, F, p)``, from the sensitivities by cluster, ``(F, p)``."""
+        rows = [
+            np.sqrt(item.count) * jacobian * (item.sigma / self.unit)[:, None]
+            for item, jacobian in zip(self.items, jacobians, strict=True)
+        ]
+        return self.scaled(np.array(rows))
+
+    def left(self, seed: int) -> Array:
+        """Sum of squares of the contrasts in every rotation, ``(1 + B, F)``."""
+        means = reduce(np.add, map(np.square, self.rotated(seed)))
+        return np.maximum(np.sum(np.square(self.rows), axis=0) - means, 0.0)
 
     def signals_of(self, keys: Sequence[tuple[str, str, str]]) -> Array:
         """Indicator matrix of features in signals, ``(F, S)``."""
@@ -358,15 +346,6 @@ class _Rows:
             if feature.group in place:
                 member[number, place[feature.group]] = 1.0
         return member
-
-    def products(self, jacobians: Sequence[Array]) -> Array:
-        """Score of every noise row with the sensitivity of every mean, ``(means, m, p)``."""
-        return np.array(
-            [
-                np.sqrt(item.count) * (self.noise @ (jacobians[n] * (self.unit / item.sigma)[:, None]))
-                for n, item in zip(self.numbers, self.items, strict=True)
-            ]
-        )
 
 
 def _with_donors(layouts: list[_Rows]) -> list[_Rows]:
@@ -389,13 +368,17 @@ def _shared(layout: _Rows, donors: Sequence[_Rows], left: Sequence[Array]) -> Ar
     return np.asarray((total / np.maximum(number, 1.0))[:, place] / np.square(layout.unit))
 
 
-def _weights_of(layouts: Sequence[_Rows], squares: Sequence[Array]) -> Iterator[Array]:
-    """Moderated weights W by layout in every rotation, from the squares of the mean rows, ``(1 + B, F)`` each."""
-    left = {id(own): own.left(each) for own, each in zip(layouts, squares, strict=True)}
+def _weights_of(layouts: Sequence[_Rows]) -> Iterator[Array]:
+    """Moderated weights W by layout in every rotation, ``(1 + B, F)`` each."""
+    left = {id(own): own.left(seed) for seed, own in enumerate(layouts)}
     for own in layouts:
         shared = _shared(own, own.donors, [left[id(donor)] for donor in own.donors])
-        variance = (PRIOR_DEGREES_OF_FREEDOM * shared + left[id(own)]) / (PRIOR_DEGREES_OF_FREEDOM + own.freedom)
-        yield np.asarray(1.0 / (variance + own.apart + RIDGE))
+        yield np.asarray(1.0 / (_moderated(shared, left[id(own)], own.freedom) + own.apart + RIDGE))
+
+
+def _moderated(prior: Array | float, squares: Array, freedom: int) -> Array:
+    """Moderated variance (d_0 v_0 + squares) / (d_0 + d), from the sum of squares of d contrasts (Smyth 2004)."""
+    return np.asarray((PRIOR_DEGREES_OF_FREEDOM * prior + squares) / (PRIOR_DEGREES_OF_FREEDOM + freedom))
 
 
 class RotationNull(NullDistribution):
@@ -410,12 +393,15 @@ class RotationNull(NullDistribution):
         numbers: dict[str, list[int]] = {}
         for number, item in enumerate(self.clusters):
             numbers.setdefault(item.layout, []).append(number)
-        return _with_donors([_Rows(chosen, self.clusters, means) for chosen in numbers.values()])
+        layouts = _with_donors([_Rows(chosen, self.clusters, means) for chosen in numbers.values()])
+        for own in layouts:
+            own.scale_to_noise()
+        return layouts
 
     @cached_property
     def _scales(self) -> list[Array]:
         """W of every layout in all rotations, ``(1 + B, F)``."""
-        return list(_weights_of(self._layouts, [own.squares(seed) for seed, own in enumerate(self._layouts)]))
+        return list(_weights_of(self._layouts))
 
     @property
     def freedom(self) -> int:
@@ -441,69 +427,35 @@ class RotationNull(NullDistribution):
         ]
         edges = np.cumsum([0, *(own[0].shape[1] for own in every)])
         scores = np.zeros((1 + NULL_DRAWS, edges[-1]))
+        scaled: list[Array] = []
         for seed, (layout, weights) in enumerate(zip(self._layouts, self._scales, strict=True)):
-            for number, item, rows in zip(layout.numbers, layout.items, layout.rotated(seed), strict=True):
-                columns = np.hstack([own[number] for own in every])
-                scores += (rows * weights) @ (np.sqrt(item.count) * columns * (item.sigma / layout.unit)[:, None])
+            columns = layout.sensitivities(np.hstack([own[number] for own in every]) for number in layout.numbers)
+            for rows, own in zip(layout.rotated(seed), columns, strict=True):
+                scores += (rows * weights) @ own
+            scaled.append(columns)
         return [
-            self._p_value(jacobians, fitted, own, scores[:, first:last])
-            for jacobians, own, first, last in zip(effects, every, edges[:-1], edges[1:], strict=True)
+            self._p_value(jacobians, fitted, [own[:, :, first:last] for own in scaled], scores[:, first:last])
+            for jacobians, first, last in zip(effects, edges[:-1], edges[1:], strict=True)
         ]
 
     def _p_value(
-        self, jacobians: Sequence[Array], fitted: Sequence[Array], every: Sequence[Array], scores: Array
+        self, jacobians: Sequence[Array], fitted: Sequence[Array], scaled: Sequence[Array], scores: Array
     ) -> float:
-        """:meth:`p_value` from the scores of all its parameters in every rotation, ``(1 + B, p0 + p)``."""
-        turned = _whitened(self.clusters, jacobians, fitted)
-        if turned is None:
+        """:meth:`p_value` from the scaled sensitivities to all its parameters by layout, and their scores."""
+        if _whitened(self.clusters, jacobians, fitted) is None:
             return 1.0
         count = scores.shape[1]
         information = np.zeros((1 + NULL_DRAWS, count * count))
-        for layout, weights in zip(self._layouts, self._scales, strict=True):
-            pairs = np.zeros((len(layout.unit), count, count))
-            for number, item in zip(layout.numbers, layout.items, strict=True):
-                jacobian = np.sqrt(item.count) * every[number] * (item.sigma / layout.unit)[:, None]
-                pairs += jacobian[:, :, None] * jacobian[:, None, :]
-            information += weights @ pairs.reshape(len(pairs), -1)
+        for own, weights in zip(scaled, self._scales, strict=True):
+            information += weights @ np.einsum("cfp,cfq->fpq", own, own).reshape(own.shape[1], -1)
         information = information.reshape(-1, count, count)
         explained = _score_statistic(scores, information)
         if fitted and (before := fitted[0].shape[1]):
             explained -= _score_statistic(scores[:, :before], information[:, :before, :before])
-        p = p_value_with_pareto_tail(float(explained[0]), explained[1:])
-        if self.discrepant:
-            own = np.sum([j.T @ item.mean * item.count for j, item in zip(turned, self.clusters, strict=True)], axis=0)
-            p = max(p, p_value_with_pareto_tail(float(own @ own), self._with_discrepancy(turned)))
-        return p
-
-    def _with_discrepancy(self, jacobians: Sequence[Array]) -> Array:
-        """Parametric draws of T under noise and discrepancy, ``(B,)``, for :func:`_whitened` sensitivities."""
-        weights, rng = self._weights[0], copy.deepcopy(self._weights[1])
-        total = np.zeros((NULL_DRAWS, jacobians[0].shape[1]))
-        for layout, own in zip(self._layouts, weights, strict=True):
-            if own is not None:
-                total += own @ layout.products(jacobians).reshape(-1, total.shape[1])
-        shared = np.asarray(np.linalg.qr(self._discrepancy_scores(jacobians), mode="r"))
-        total += rng.standard_normal((NULL_DRAWS, shared.shape[0])) @ shared
-        return np.asarray(np.einsum("bp,bp->b", total, total))
-
-    @cached_property
-    def _weights(self) -> tuple[list[Array | None], np.random.Generator]:
-        """:meth:`_noise` of every layout, ``(B, means * m)``, None without noise; and the generator."""
-        rng = np.random.default_rng(1)
-        return [
-            self._noise(rng, own, NULL_DRAWS).reshape(NULL_DRAWS, -1) if len(own.noise) else None
-            for own in self._layouts
-        ], rng
-
-    @staticmethod
-    def _noise(rng: np.random.Generator, layout: _Rows, draws: int) -> Array:
-        """Weights of the noise rows in draws of mean rows: multivariate t, ``(B, means, m)``."""
-        count = len(layout.noise)
-        weights = rng.standard_normal((draws, layout.means, count))
-        return np.asarray(weights / np.sqrt(rng.chisquare(count, draws))[:, None, None])
+        return p_value_with_pareto_tail(float(explained[0]), explained[1:])
 
     def lack_of_fit(self, rest: Sequence[Array]) -> float | None:
-        """See :meth:`NullDistribution.lack_of_fit`; by the sum of squares orthogonal to the discrepancy patterns.
+        """See :meth:`NullDistribution.lack_of_fit`; by the sum of squares.
 
         A test of all features at once has little power against a misfit of one signal. So every signal is tested by
         itself as well as all together, and the smallest p-value is compared with the smallest in every rotation
@@ -512,18 +464,11 @@ class RotationNull(NullDistribution):
         """
         if self.shortage is not None:
             return None
-        p = self._lack_of_fit(rest, FIRST_DRAWS)
-        return p if p > MIN_P_OF_FIRST_DRAWS else self._lack_of_fit(rest, NULL_DRAWS)
-
-    def _lack_of_fit(self, rest: Sequence[Array], draws: int) -> float:
-        """:meth:`lack_of_fit` from a number of rotations."""
-        layouts = _with_donors([own.orthogonal_to_patterns() for own in self._rows(rest)])
-        chosen = slice(1 + draws)
-        every = [own.squares(seed, chosen) for seed, own in enumerate(layouts)]
-        total = np.zeros((1 + draws, len(self._groups) + 1))
-        for seed, (own, weights) in enumerate(zip(layouts, _weights_of(layouts, every), strict=True)):
-            seen = own.squares(seed, chosen, own.independent_discrepancy(seed, draws))
-            total += (seen * weights) @ _members(own.items[0], self._groups).T
+        layouts = self._rows(rest)
+        total = np.zeros((1 + NULL_DRAWS, len(self._groups) + 1))
+        for seed, (own, weights) in enumerate(zip(layouts, _weights_of(layouts), strict=True)):
+            squares = reduce(np.add, map(np.square, own.rotated(seed)))
+            total += (squares * weights) @ _members(own.items[0], self._groups).T
         return westfall_young_p_value(total[0], total[1:])
 
     @cached_property

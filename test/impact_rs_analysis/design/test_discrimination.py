@@ -7,8 +7,8 @@ import scipy
 
 from impact_rs_analysis.design.discrimination import RIVAL_RANGE_SCALES, Discrimination
 from impact_rs_analysis.design.explanations import AS_IS, Decision, Explanation
+from impact_rs_analysis.evidence.cluster import INDEPENDENT_DISCREPANCY_SHARE
 from impact_rs_analysis.inference.ahead import probability
-from impact_rs_analysis.inference.noise import INDEPENDENT_DISCREPANCY_SHARE
 from impact_rs_analysis.inference.student import DECISIVE_LIKELIHOOD_RATIO, log_density
 
 from .made_up_trials import DISCREPANCY, SCATTER, estimated_pair, trial

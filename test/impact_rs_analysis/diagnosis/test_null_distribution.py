@@ -20,7 +20,11 @@ from impact_rs_analysis.diagnosis.search.null_distribution import (
     westfall_young_p_value,
 )
 from impact_rs_analysis.diagnosis.thresholds import MIN_DEGREES_OF_FREEDOM
-from impact_rs_analysis.evidence.cluster import pooled_error
+from impact_rs_analysis.evidence.cluster import (
+    DISCREPANCY_QUANTILE_RATIO,
+    SHARED_DISCREPANCY_SHARE,
+    pooled_error,
+)
 
 DRAWS = 999
 NULLS = 100  # of noise alone: if half of them lay below 5 %, or none below 30 %, it would show
@@ -194,6 +198,27 @@ def of_signals(rows, names, patterns=None):
         discrepancy=np.sqrt(1.0 - 1.0 / sigma**2),
         patterns=patterns / sigma,
     )
+
+
+def test_a_simulator_that_is_off_as_much_as_is_known_is_seldom_significant() -> None:
+    """Twice the noise, in part alike in five conditions of four runs. Kills: the variance of one run; not shared."""
+    p_values, lacks = [], []
+    for seed in range(NULLS):
+        rng, clusters = (
+            np.random.default_rng([9, seed]),
+            AnalyticSource(seed, design=(4,) * 5, discrepancy=2.0).clusters,
+        )
+        alike = np.sqrt(SHARED_DISCREPANCY_SHARE) * rng.standard_normal(FEATURES)
+        own = np.sqrt(1.0 - SHARED_DISCREPANCY_SHARE) * rng.standard_normal((5, FEATURES))
+        off = DISCREPANCY_QUANTILE_RATIO * (alike + own)
+        reference = RotationNull(
+            [replace(c, residuals=c.residuals + c.discrepancy * row) for c, row in zip(clusters, off, strict=True)]
+        )
+        p_values.append(p_of(reference, sensitivity(seed, 5, 2, alike=True)))
+        lacks.append(lack_of_fit(reference))
+    for found in np.array((p_values, lacks)):
+        assert np.count_nonzero(found < 0.05) <= binom.ppf(1 - 1e-3, NULLS, 0.05)
+        assert np.count_nonzero(found < 0.5) >= 0.1 * NULLS  # scaled by the variance of few runs, it is conservative
 
 
 def test_what_shows_in_one_signal_of_many_is_seen() -> None:

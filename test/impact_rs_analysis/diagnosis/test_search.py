@@ -49,6 +49,7 @@ from impact_rs_analysis.diagnosis.search.fit import (
     restart_from_afar,
 )
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANCE_LEVEL
+from impact_rs_analysis.evidence.cluster import DISCREPANCY_QUANTILE_RATIO, SHARED_DISCREPANCY_SHARE
 from impact_rs_sim.robots.robot import Array
 
 FREE = (0, 1)  # clusters in which nothing is hit, where there are any
@@ -204,7 +205,7 @@ def test_intervals_are_as_wide_where_noise_is_correlated() -> None:
 
 
 def test_intervals_allow_for_simulator_error_and_hold_the_truth_then() -> None:
-    """All clusters share an error of 1 in every feature: 1.96 |sum D_c| / sum D_c^2.
+    """An error of 1 in every feature, shared in part: 1.96 sqrt(s |sum D_c|^2 + (1 - s) sum D_c^2) / sum D_c^2.
 
     The clusters scatter by it, too: by 1 + 1/3 in place of the 1/3 of the noise. So it is counted twice.
     """
@@ -215,9 +216,11 @@ def test_intervals_allow_for_simulator_error_and_hold_the_truth_then() -> None:
     ]
     assert binom.ppf(0.005, 100, 0.95) <= sum(abs(one.estimate[0] - 2.0) <= one.half_widths[0] for one in fits)
     squares = np.sum(np.square(directions))
-    shared = 1.96 * np.linalg.norm(directions.sum(axis=0)) / squares
+    alike = np.sum(np.square(directions.sum(axis=0)))
+    scores = SHARED_DISCREPANCY_SHARE * alike + (1.0 - SHARED_DISCREPANCY_SHARE) * squares
+    systematic = 1.96 * DISCREPANCY_QUANTILE_RATIO * np.sqrt(scores) / squares
     scatter = of_scatters(5)[1] * np.sqrt(4.0 / 3.0 / squares)
-    assert np.mean([one.half_widths[0] for one in fits]) == pytest.approx(np.hypot(shared, scatter), rel=0.1)
+    assert np.mean([one.half_widths[0] for one in fits]) == pytest.approx(np.hypot(systematic, scatter), rel=0.1)
 
 
 def test_the_interval_of_a_delay_is_no_narrower_than_the_clocks_may_be_off() -> None:
@@ -653,8 +656,9 @@ def test_of_two_effects_that_explain_a_part_each_none_encompasses_the_other() ->
 
 
 def test_a_difference_within_simulator_error_decides_nothing() -> None:
+    """In all of them without it."""
     fits = [both_of(seed, "bent", "nearly_bent", discrepancy=4.0) for seed in range(20)]
-    assert not any(encompasses(right, "bent", other, "nearly_bent") for right, other in fits)
+    assert np.mean([encompasses(right, "bent", other, "nearly_bent") for right, other in fits]) <= 0.1
 
 
 @pytest.mark.parametrize("first", [3.0, 45.0])
