@@ -35,8 +35,9 @@ simulators differ and a_k standard normal, partly the same in all clusters of on
 single features because simulators differ in friction or stiffness of a contact, which changes many features at once. Of
 all rows, only the means have it: a share is common to the clusters of one kind, the rest differs between clusters.
 Along its principal directions the means and their sensitivities are scaled to the size of the noise (generalised least
-squares), so that all rows may be rotated. The rotations of the same rows give the null distribution of the lack of fit,
-sum_c n_c rbar_c^T W rbar_c.
+squares), so that all rows may be rotated. The uncertainty of a calibration (clock of the commands) is a third source,
+with one amplitude in all clusters, and is scaled likewise. The rotations of the same rows give the null distribution of
+the lack of fit, sum_c n_c rbar_c^T W rbar_c.
 
 **Blocks** (:class:`SignFlipNull`). A recording has no repeats. Stretches longer than the correlation time of its
 noise are independent, and their scores are about symmetric: signs are flipped at random (wild cluster bootstrap of the
@@ -266,27 +267,31 @@ class _Rows:
         frames = _rotations(len(self.rows), self.means, seed)
         return (frames[:, number] @ self.rows for number in range(self.means))
 
-    def scale_to_noise(self) -> None:
-        """Scale the discrepancy in the mean rows to the size of noise, which makes all rows exchangeable."""
-        self.rows[: self.means] = self.scaled(self.rows[: self.means])
+    def mean_rows(self, columns: Iterable[Array]) -> Array:
+        """Columns by cluster, ``(F, p)`` each, as mean rows like those of the residuals, ``(means, F, p)``."""
+        return np.array(
+            [
+                np.sqrt(item.count) * column * (item.sigma / self.unit)[:, None]
+                for item, column in zip(self.items, columns, strict=True)
+            ]
+        )
 
     def scaled(self, means: Array) -> Array:
-        """Mean rows of residuals ``(means, F)`` or sensitivities ``(means, F, p)``, the discrepancy scaled to noise.
+        """Mean rows ``(means, F, p)`` in units of the noise, their discrepancy scaled to it.
 
         In units of the noise, the mean of n runs has the variance v + n lambda^2 along a principal direction of its own
         discrepancy, and so has the mean over all runs that share amplitudes; all other rows have v. Both are scaled by
         sqrt(v / (v + n lambda^2)), first the rows one by one, then what they share.
         """
-        unit = self._scale if means.ndim == 2 else self._scale[:, None]
         own, shared = self._scalings
-        found = np.array([operator @ mean for operator, mean in zip(own, means / unit, strict=True)])
+        found = np.array([operator @ mean for operator, mean in zip(own, means / self.noise[:, None], strict=True)])
         for members, share, operator in shared:
             mean = np.tensordot(share, found[members], 1)
             found[members] += np.multiply.outer(share, operator @ mean - mean)
-        return np.asarray(found * unit)
+        return found
 
     @cached_property
-    def _scale(self) -> Array:
+    def noise(self) -> Array:
         """Standard deviation of the noise, moderated, ``(F,)``."""
         squares = [np.sum(np.square(own.rows[own.means :]), axis=0)[None] for own in self.donors]
         contrasts, shared = self.rows[self.means :], _shared(self, self.donors, squares)[0]
@@ -316,22 +321,14 @@ class _Rows:
 
     def _in_noise(self, item: Cluster, factor: Array) -> Array:
         """A factor of the discrepancy of a cluster in units of the noise, ``(k, F)``."""
-        return np.asarray(factor * (item.sigma / self.unit / self._scale))
+        return np.asarray(factor * (item.sigma / self.unit / self.noise))
 
     def _operator(self, factor: Array) -> Array:
         """Operator that scales a row with the discrepancy covariance L^T L to noise, in units of it, ``(F, F)``."""
         sizes, directions = np.linalg.eigh(factor.T @ factor)
-        contrasts = self.rows[self.means :] / self._scale
+        contrasts = self.rows[self.means :] / self.noise
         noise = _moderated(1.0, np.sum(np.square(contrasts @ directions), axis=0), self.freedom)
         return np.asarray((directions * np.sqrt(noise / (noise + np.maximum(sizes, 0.0)))) @ directions.T)
-
-    def sensitivities(self, jacobians: Iterable[Array]) -> Array:
-        """Scaled sensitivities of the mean rows, ``(means, F, p)``, from the sensitivities by cluster, ``(F, p)``."""
-        rows = [
-            np.sqrt(item.count) * jacobian * (item.sigma / self.unit)[:, None]
-            for item, jacobian in zip(self.items, jacobians, strict=True)
-        ]
-        return self.scaled(np.array(rows))
 
     def left(self, seed: int) -> Array:
         """Sum of squares of the contrasts in every rotation, ``(1 + B, F)``."""
@@ -346,6 +343,37 @@ class _Rows:
             if feature.group in place:
                 member[number, place[feature.group]] = 1.0
         return member
+
+
+def _scaled_to_noise(layouts: Sequence[_Rows], means: Sequence[Array]) -> list[Array]:
+    """Mean rows of every layout, ``(means, F, p)``, with discrepancy and calibrations scaled to the size of noise.
+
+    All rows are exchangeable then. A calibration is one amplitude for the clusters of all layouts.
+    """
+    found = [own.scaled(rows) for own, rows in zip(layouts, means, strict=True)]
+    if number := max((len(item.calibrations) for item in _items(layouts) if item.calibrations is not None), default=0):
+        basis, sizes = _calibrations(layouts, number)
+        stacked = np.concatenate([rows.reshape(-1, rows.shape[-1]) for rows in found])
+        stacked -= (basis * (1.0 - 1.0 / np.sqrt(1.0 + np.square(sizes)))) @ (basis.T @ stacked)
+        ends = np.cumsum([rows.shape[0] * rows.shape[1] for rows in found])[:-1]
+        found = [part.reshape(rows.shape) for part, rows in zip(np.split(stacked, ends), found, strict=True)]
+    return [rows * own.noise[:, None] for own, rows in zip(layouts, found, strict=True)]
+
+
+def _items(layouts: Sequence[_Rows]) -> Iterator[Cluster]:
+    """Clusters of all layouts."""
+    return (item for own in layouts for item in own.items)
+
+
+def _calibrations(layouts: Sequence[_Rows], number: int) -> tuple[Array, Array]:
+    """Principal directions of the calibrations over all scaled mean rows, ``(N, k)``, and sizes in noise, ``(k,)``."""
+    rows = []
+    for own in layouts:
+        none = np.zeros((number, own.unit.size))
+        columns = [none.T if item.calibrations is None else item.calibrations.T for item in own.items]
+        rows.append(own.scaled(own.mean_rows(columns)).reshape(-1, number))
+    basis, sizes, _ = np.linalg.svd(np.concatenate(rows), full_matrices=False)
+    return np.asarray(basis), np.asarray(sizes)
 
 
 def _with_donors(layouts: list[_Rows]) -> list[_Rows]:
@@ -394,8 +422,9 @@ class RotationNull(NullDistribution):
         for number, item in enumerate(self.clusters):
             numbers.setdefault(item.layout, []).append(number)
         layouts = _with_donors([_Rows(chosen, self.clusters, means) for chosen in numbers.values()])
-        for own in layouts:
-            own.scale_to_noise()
+        scaled = _scaled_to_noise(layouts, [own.rows[: own.means, :, None] for own in layouts])
+        for own, rows in zip(layouts, scaled, strict=True):
+            own.rows[: own.means] = rows[:, :, 0]
         return layouts
 
     @cached_property
@@ -427,12 +456,13 @@ class RotationNull(NullDistribution):
         ]
         edges = np.cumsum([0, *(own[0].shape[1] for own in every)])
         scores = np.zeros((1 + NULL_DRAWS, edges[-1]))
-        scaled: list[Array] = []
+        columns = [
+            layout.mean_rows(np.hstack([own[n] for own in every]) for n in layout.numbers) for layout in self._layouts
+        ]
+        scaled = _scaled_to_noise(self._layouts, columns)
         for seed, (layout, weights) in enumerate(zip(self._layouts, self._scales, strict=True)):
-            columns = layout.sensitivities(np.hstack([own[number] for own in every]) for number in layout.numbers)
-            for rows, own in zip(layout.rotated(seed), columns, strict=True):
+            for rows, own in zip(layout.rotated(seed), scaled[seed], strict=True):
                 scores += (rows * weights) @ own
-            scaled.append(columns)
         return [
             self._p_value(jacobians, fitted, [own[:, :, first:last] for own in scaled], scores[:, first:last])
             for jacobians, first, last in zip(effects, edges[:-1], edges[1:], strict=True)

@@ -221,6 +221,29 @@ def test_a_simulator_that_is_off_as_much_as_is_known_is_seldom_significant() -> 
         assert np.count_nonzero(found < 0.5) >= 0.1 * NULLS  # scaled by the variance of few runs, it is conservative
 
 
+def test_a_calibration_that_is_off_within_its_uncertainty_is_no_effect() -> None:
+    """A clock that the conditions of two layouts share. Kills: left out; one amplitude for each layout."""
+    moved = [2.0 * own[:, 0] for own in sensitivity(4, 5, 1)]
+
+    def off_by(size: float, seed: int) -> RotationNull:
+        return RotationNull(
+            [
+                replace(item, residuals=item.residuals + size * row, calibrations=row[None])
+                for item, row in zip(in_two_layouts(seed, (2,) * 5), moved, strict=True)
+            ]
+        )
+
+    p_values, lacks = [], []
+    for seed in range(NULLS):
+        reference = off_by(np.random.default_rng([12, seed]).standard_normal(), seed)
+        p_values.append(p_of(reference, [row[:, None] for row in moved]))
+        lacks.append(lack_of_fit(reference))
+    for found in np.array((p_values, lacks)):
+        assert np.count_nonzero(found < 0.05) <= binom.ppf(1 - 1e-3, NULLS, 0.05)
+        assert np.count_nonzero(found < 0.5) >= 0.25 * NULLS
+    assert p_of(off_by(6.0, 0), [row[:, None] for row in moved]) < 0.01
+
+
 def test_what_shows_in_one_signal_of_many_is_seen() -> None:
     """One of ten signals is off by half a standard deviation: all squares together hide it, its own do not."""
     shift = np.where(np.arange(240) < 24, 0.5, 0.0)
