@@ -368,6 +368,31 @@ def _sets_of(
     return sets, incomplete
 
 
+class _BagReader:
+    """Reads bags and keeps which could not be used, and which have no checksums."""
+
+    def __init__(self, map_tasks: Map, progress: Callable[[int, int], None] | None, total: int) -> None:
+        self.skipped: list[SkippedBag] = []
+        self.unsealed: list[str] = []
+        self._map, self._progress, self._total, self._count = map_tasks, progress, total, 0
+
+    def read(self, paths: Sequence[Path], prefix: str = "") -> list[TrialFeedback]:
+        """Net feedback of the usable trials."""
+        found = []
+        spread = self._map if len(paths) > MIN_PARALLEL_BAGS else map
+        for path, (feedback, sealed) in zip(paths, spread(feedback_of, paths), strict=True):
+            if isinstance(feedback, str):
+                self.skipped.append(SkippedBag(f"{prefix}{path.name}", feedback))
+            else:
+                found.append(feedback)
+            if not sealed:
+                self.unsealed.append(f"{prefix}{path.name}")
+            self._count += 1
+            if self._progress is not None:
+                self._progress(self._count, self._total)
+        return found
+
+
 def analyze_campaign(
     directory: Path, progress: Callable[[int, int], None] | None = None, map_tasks: Map = map
 ) -> Analysis:
@@ -385,35 +410,17 @@ def analyze_campaign(
     folders = varied_folders(directory)
     varied = {key: trials_in(directory / folder) for key, folder in folders.items()}
     total = len(bags) + sum(map(len, varied.values()))
-    skipped: list[SkippedBag] = []
-    unsealed: list[str] = []
-    count = 0
-
-    def read(paths: Sequence[Path], prefix: str = "") -> list[TrialFeedback]:
-        nonlocal count
-        found = []
-        spread = map_tasks if len(paths) > MIN_PARALLEL_BAGS else map
-        for path, (feedback, sealed) in zip(paths, spread(feedback_of, paths), strict=True):
-            if isinstance(feedback, str):
-                skipped.append(SkippedBag(f"{prefix}{path.name}", feedback))
-            else:
-                found.append(feedback)
-            if not sealed:
-                unsealed.append(f"{prefix}{path.name}")
-            count += 1
-            if progress is not None:
-                progress(count, total)
-        return found
-
-    measured = read(bags)
+    reader = _BagReader(map_tasks, progress, total)
+    measured = reader.read(bags)
     if not measured:
+        first = reader.skipped[0]
         raise InputError(
-            f"none of its {len(bags)} bags is a trial that can be used; {skipped[0].name}: {skipped[0].reason}",
+            f"none of its {len(bags)} bags is a trial that can be used; {first.name}: {first.reason}",
             file=directory,
         )
-    others = {key: read(paths, f"{folders[key]}/") for key, paths in varied.items()}
-    missing = _missing(directory, skipped)
-    measured = _one_scenario_each(measured, skipped)
+    others = {key: reader.read(paths, f"{folders[key]}/") for key, paths in varied.items()}
+    missing = _missing(directory, reader.skipped)
+    measured = _one_scenario_each(measured, reader.skipped)
     groups: dict[tuple[str, str, str], list[TrialFeedback]] = defaultdict(list)
     for trial in measured:
         groups[trial.info.scenario, trial.info.object, trial.info.case_name].append(trial)
@@ -422,8 +429,8 @@ def analyze_campaign(
         directory=directory,
         sets=tuple(_in_order(sets, measured)),
         incomplete=tuple(incomplete),
-        skipped=tuple(skipped),
-        unsealed=tuple(unsealed),
+        skipped=tuple(reader.skipped),
+        unsealed=tuple(reader.unsealed),
         missing=tuple(missing),
         no_impact=tuple(trial.name for trial in measured if not trial.impact),
         apart=tuple(

@@ -204,24 +204,16 @@ def fit_figure(entry: ExperimentSet, contact: str = "first", band: tuple[float, 
     low, high = min(*x, *predicted, fit.estimate), max(*x, *predicted, fit.estimate)
     margin = 0.06 * (high - low)
     ends = np.array([low - margin, high + margin])
-    zero = np.zeros(1)
     curves = [
         Curve("Trials", x, y, PURPLE, line="none", marker="circle"),
         Curve(f"Linear fit, R² = {fit.r_squared:.4f}", ends, fit.at(ends), "#777777"),
     ]
     for model in MOTOR_INERTIA_MODELS:
-        label, colour, marker = MODEL_STYLE[model]
-        prediction = predictions[model]
-        curves.append(
-            Curve(
-                f"{label}: {abs(prediction.velocity):.3f} m/s ({prediction.error:+.2f} %)".replace("-", "−"),
-                np.array([prediction.velocity]),
-                zero,
-                colour,
-                line="none",
-                marker=marker,  # type: ignore[arg-type]
-            )
-        )
+        name, colour, marker = MODEL_STYLE[model]
+        velocity, off = predictions[model].velocity, predictions[model].error
+        label = f"{name}: {abs(velocity):.3f} m/s ({off:+.2f} %)".replace("-", "−")
+        own = Curve(label, np.array([velocity]), np.zeros(1), colour, line="none", marker=marker)  # type: ignore[arg-type]
+        curves.append(own)
     # Below the zero line, away from the fitted line, where no markers cover them.
     depth = -0.08 * (np.max(y) - np.min(y)) * np.ones(2)
     if contact == "first" and entry.prediction_interval is not None:
@@ -232,21 +224,7 @@ def fit_figure(entry: ExperimentSet, contact: str = "first", band: tuple[float, 
     if band is not None:
         label = f"Systematic band: {band[0]:+.1f} % to {band[1]:+.1f} %".replace("-", "−")
         curves.append(Curve(label, fit.estimate * (1.0 + np.array(band) / 100.0), 1.5 * depth, BLACK))
-    error, estimate = None, f"{entry.estimate:.3f} no 95 % interval"
-    if fit.interval is not None:
-        error = (fit.estimate - fit.interval[0], fit.interval[1] - fit.estimate)
-        estimate = " ± ".join(speed_text(entry.estimate, max(error))) + " m/s (95 %)"
-    curves.append(
-        Curve(
-            f"Experimental estimate: {estimate}",
-            np.array([fit.estimate]),
-            zero,
-            BLACK,
-            line="none",
-            marker="circle",
-            error=error,
-        )
-    )
+    curves.append(_estimate_curve(entry))
     return Figure(
         name=f"{_stem(entry)}__fit",
         title=f"{entry.label} – net feedback over post-impact reference",
@@ -264,3 +242,13 @@ def fit_figure(entry: ExperimentSet, contact: str = "first", band: tuple[float, 
         panels=(Panel(f"a<sub>fb,net,{axis}</sub> [m/s]", tuple(curves)),),
         x_range=(float(ends[0]), float(ends[1])),
     )
+
+
+def _estimate_curve(entry: ExperimentSet) -> Curve:
+    """The experimental estimate on the zero line, with its interval."""
+    fit, error, estimate = entry.fit, None, f"{entry.estimate:.3f} no 95 % interval"
+    if fit.interval is not None:
+        error = (fit.estimate - fit.interval[0], fit.interval[1] - fit.estimate)
+        estimate = " ± ".join(speed_text(entry.estimate, max(error))) + " m/s (95 %)"
+    label = f"Experimental estimate: {estimate}"
+    return Curve(label, np.array([fit.estimate]), np.zeros(1), BLACK, line="none", marker="circle", error=error)

@@ -287,49 +287,15 @@ def _law(
     ranges: Mapping[str, Range],
 ) -> Law:
     symbol = _symbol(quantity, where)
-    low, high = ranges.get(symbol, (-quantity.typical if quantity.opposes else 0.0, quantity.typical))
+    low, high = _span(quantity, ranges, symbol)
     anchors: list[dict[str, float]] = [{}]
     if quantity.of_place:
-        centre, half = _region(quantity, ranges)
-        anchors = _anchors(centre, quantity.typical)
-        low, high = max(quantity.typical - half, 0.0), quantity.typical + half
-    high = max(high, low + MIN_SPAN_SHARE * quantity.typical)
-    size = max(abs(low), abs(high))
+        anchors = _anchors(_region(quantity, ranges)[0], quantity.typical)
     middle = (low + high) / 2.0
     profile = form.law.replace("- middle", f"- {middle:.3g}" if middle > 0.0 else f"+ {-middle:.3g}")
     opposes = (quantity.opposes or form.restores) and not place.against
-    bounded = quantity.opposes or form.restores or place.against
-    parameters: dict[str, FormulaParameter] = {}
-    starts: dict[str, list[float]] = {}
-    for name, item in form.numbers.items():
-        if item.shape:
-            starts[name] = _starts(item, low, high)
-            parameters[name] = _shape(item, quantity.unit, low, high, starts[name][0])
-            continue
-        scale = place.noticeable / size**item.power
-        parameters[name] = FormulaParameter(
-            unit=unit_of(place.unit, quantity.unit, item.power),
-            lower=0.0 if bounded else -MAX_AMPLITUDE * scale,
-            upper=MAX_AMPLITUDE * scale,
-            scale=scale,
-        )
-    parameters |= {name: inner.parameter for name, inner in quantity.shapes.items()}
+    starts = {name: _starts(item, low, high) for name, item in form.numbers.items() if item.shape}
     starts |= {name: list(inner.starts) for name, inner in quantity.shapes.items()}
-    formula: dict[str, str] | str
-    if quantity.of_place:
-        for name, value in anchors[0].items():
-            reach = ANCHOR_REACH * quantity.typical
-            parameters[name] = FormulaParameter(
-                unit=quantity.unit, nominal=value, lower=value - reach, upper=value + reach,
-                scale=0.1 * quantity.typical, shape=True,
-            )  # fmt: skip
-    if place.each == "vector":
-        factor = _inserted(form.along, symbol)
-        formula = {axis: f"-({factor}) * {quantity.vector(axis)}" for axis in AXES}
-    else:
-        text = _inserted(profile, symbol)
-        text = f"-({text})" if opposes else text
-        formula = _on_joints(text, _joints(where), place.each == "opposed") or ({where: text} if where else text)
     number = "" if where in COEFFICIENTS else where.removeprefix("joint")
     words = f"{place.words} {' and '.join(number.split('_'))}".strip()
     spec = FormulaSpec.model_validate(
@@ -338,8 +304,8 @@ def _law(
             "sentence": f"{words}, {form.words} {quantity.words}."
             if form_name != "constant"
             else f"{words}, constant.",
-            place.formula: formula,
-            "parameters": parameters,
+            place.formula: _formula(place, quantity, form, where, _inserted(profile, symbol), opposes),
+            "parameters": _parameters(place, quantity, form, (low, high), anchors[0]),
             "valid": {symbol: (low, high)} if symbol in ranges else {},
         }
     )
@@ -362,6 +328,54 @@ def _law(
         opposes=opposes or place.each == "vector",
         reacts=place.each == "opposed",
     )
+
+
+def _span(quantity: Quantity, ranges: Mapping[str, Range], symbol: str) -> Range:
+    """Range of a quantity in the measurements, or its typical one."""
+    low, high = ranges.get(symbol, (-quantity.typical if quantity.opposes else 0.0, quantity.typical))
+    if quantity.of_place:
+        half = _region(quantity, ranges)[1]
+        low, high = max(quantity.typical - half, 0.0), quantity.typical + half
+    return low, max(high, low + MIN_SPAN_SHARE * quantity.typical)
+
+
+def _parameters(
+    place: Place, quantity: Quantity, form: Form, span: Range, anchor: Mapping[str, float]
+) -> dict[str, FormulaParameter]:
+    """Parameters of a law: amplitudes and shapes of its form, shapes of its quantity, and its anchor."""
+    bounded = quantity.opposes or form.restores or place.against
+    size = max(map(abs, span))
+    found: dict[str, FormulaParameter] = {}
+    for name, item in form.numbers.items():
+        if item.shape:
+            found[name] = _shape(item, quantity.unit, *span, _starts(item, *span)[0])
+            continue
+        scale = place.noticeable / size**item.power
+        found[name] = FormulaParameter(
+            unit=unit_of(place.unit, quantity.unit, item.power),
+            lower=0.0 if bounded else -MAX_AMPLITUDE * scale,
+            upper=MAX_AMPLITUDE * scale,
+            scale=scale,
+        )
+    found |= {name: inner.parameter for name, inner in quantity.shapes.items()}
+    reach = ANCHOR_REACH * quantity.typical
+    for name, value in anchor.items():
+        found[name] = FormulaParameter(
+            unit=quantity.unit, nominal=value, lower=value - reach, upper=value + reach,
+            scale=0.1 * quantity.typical, shape=True,
+        )  # fmt: skip
+    return found
+
+
+def _formula(
+    place: Place, quantity: Quantity, form: Form, where: str, profile: str, opposes: bool
+) -> dict[str, str] | str:
+    """Formula of a law, by axis or joint where it has several."""
+    if place.each == "vector":
+        factor = _inserted(form.along, _symbol(quantity, where))
+        return {axis: f"-({factor}) * {quantity.vector(axis)}" for axis in AXES}
+    text = f"-({profile})" if opposes else profile
+    return _on_joints(text, _joints(where), place.each == "opposed") or ({where: text} if where else text)
 
 
 def _joints(where: str) -> tuple[str, ...]:
