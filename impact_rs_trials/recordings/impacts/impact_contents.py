@@ -105,6 +105,9 @@ def read_with_contents(
     Raises:
         InputError: Not a table; a column is missing, has a wrong unit or no meaning; or two columns contradict.
     """
+    if scenario is not None and scenario.neighbours:
+        said = f"scenario {scenario.name!r} has neighbours, whose poses no table has: {', '.join(scenario.neighbours)}"
+        raise InputError(f"{said}; take trials (diagnose DIRECTORY), or a scenario without neighbours", file=path)
     known = [*COLUMNS, *(one for columns in JOINT_COLUMNS for one in _of_joints(scenario, columns))]
     cells = read_cells(path, known)
     declared = _declared(cells, covariates)

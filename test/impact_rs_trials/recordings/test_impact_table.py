@@ -658,3 +658,10 @@ def test_an_unsure_radius_of_a_can_is_one_of_x_and_y(tmp_path: Path) -> None:
     np.testing.assert_allclose(sizes[:, 0], sizes[:, 1])
     assert sizes[:, 0].min() == pytest.approx(0.07) and sizes[:, 0].max() == pytest.approx(0.09)
     np.testing.assert_allclose(sizes[:, 2], 0.14)
+
+
+def test_a_scenario_with_neighbours_has_no_table_of_impacts(tmp_path: Path, pushes: Rows) -> None:
+    """Else the neighbour would be left out of the prediction without a word."""
+    rows = [row | {"object": "box"} for row in pushes]
+    said = refusal(read_impact_table, write(tmp_path / "pushes.csv", rows), load_scenario("push_two_boxes"))
+    assert "has neighbours, whose poses no table has: behind; take trials" in said
