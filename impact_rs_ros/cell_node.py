@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import time
 from array import array
+from collections.abc import Sequence
 
 import numpy as np
 from rclpy.publisher import Publisher
@@ -91,8 +92,8 @@ class CellNode(LeadingNode[CellTrial]):
     def streams(self, maker: StreamMaker) -> dict[str, Stream]:
         return {topics.joint_states(arm): maker.joint_states(arm) for arm in self.arms}
 
-    def connect(self, arms: list[str]) -> None:
-        super().connect(arms)
+    def connect(self, arms: list[str], neighbours: Sequence[str] = ()) -> None:
+        super().connect(arms, neighbours)
         topic_of = watched_topic if self.parameter("watchdog") else commands_topic
         self._topics = {arm: topic_of(arm) for arm in arms}
         watched = {commands_topic(arm): TORQUES for arm in arms if self.parameter("watchdog")}

@@ -9,7 +9,7 @@ publish those where ``tf2_msgs`` is not installed (it is not on PyPI), and a use
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from impact_rs_ros.joint_signals import JointReader
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes
-from impact_rs_trials.bags.record import FrameSource
+from impact_rs_trials.bags.record import FrameSource, body_names
 from impact_rs_trials.bags.types import typestore
 
 DERIVED = frozenset({topics.TF, topics.TF_STATIC, topics.CLOCK})
@@ -29,11 +29,10 @@ class DerivedMessages:
 
     Args:
         plan: The trial.
-        tracked: Whether the pose of the object is published; otherwise its frame is left out.
+        tracked: Names of the objects whose poses are published; the frames of others are left out. None: all.
     """
 
-    def __init__(self, plan: TrialPlan, tracked: bool = True) -> None:
-        self._tracked = tracked
+    def __init__(self, plan: TrialPlan, tracked: Collection[str] | None = None) -> None:
         self._store = typestore()
         self._maker = MessageMaker(RosbagsTypes(), plan)
         self._period_ns = self._maker.nanoseconds(1)
@@ -41,7 +40,12 @@ class DerivedMessages:
         self._sources = {topics.joint_states(arm): arm for arm in plan.arms}
         self._readers = {arm: JointReader(names, ("position",)) for arm, names in self._maker.joints.items()}
         self._known: dict[int, dict[str, Array]] = {}  # joint positions by arm, of ticks that are not written yet
-        self._seen: list[tuple[int, bytes]] = []  # when [ns], and poses of the object
+        bodies = body_names(plan.scene.physics)
+        self._seen: dict[str, list[tuple[int, bytes]]] = {  # when [ns], and poses, of those that are tracked
+            name: [] for name in bodies if tracked is None or name in tracked
+        }
+        self._body_of = {topics.pose(name): name for name in self._seen}
+        self._unseen = set(bodies) - set(self._seen)
 
     def begin(self, origin_ns: int) -> None:
         """Tick 0 has this stamp [ns]."""
@@ -55,11 +59,11 @@ class DerivedMessages:
     def receive(self, topic: str, nanoseconds: int, data: bytes) -> Iterator[tuple[str, int, bytes]]:
         """Take a recorded message; yields topics, times [ns] and serialized messages as soon as they are known.
 
-        The object has its last measured pose. A tracker has its own stamps, and its poses come late: a tick waits for
-        a pose of the same or a later time.
+        Object and neighbours have their last measured pose. A tracker has its own stamps, and its poses come late: a
+        tick waits for a pose of the same or a later time.
         """
-        if topic == topics.OBJECT_POSE:
-            self._seen.append((nanoseconds, data))
+        if topic in self._body_of:
+            self._seen[self._body_of[topic]].append((nanoseconds, data))
         elif topic in self._sources and self._frames.due(tick := nanoseconds // self._period_ns):
             arm = self._sources[topic]
             if (signals := self._readers[arm].read(data)).complaint:
@@ -67,31 +71,36 @@ class DerivedMessages:
             self._known.setdefault(tick, {})[arm] = signals.values[0]
         else:
             return
-        yield from self._known_until(self._seen[-1][0] // self._period_ns if self._seen else -1)
+        last = min((own[-1][0] if own else -1 for own in self._seen.values()), default=-1)
+        yield from self._known_until(last // self._period_ns)
 
     def rest(self) -> Iterator[tuple[str, int, bytes]]:
-        """Messages of the ticks that still wait for a pose of the object at the end of a trial."""
-        self._tracked = self._tracked and bool(self._seen)
+        """Messages of the ticks that still wait for a pose of an object at the end of a trial."""
+        self._unseen |= {name for name, own in self._seen.items() if not own}
+        self._seen = {name: own for name, own in self._seen.items() if own}
         yield from self._known_until(max(self._known, default=0))
 
     def _known_until(self, last: int) -> Iterator[tuple[str, int, bytes]]:
-        """Messages of the ticks with states of all arms, and a pose of the object, up to a tick."""
+        """Messages of the ticks with states of all arms, and a pose of every tracked object, up to a tick."""
         for tick in sorted(self._known):
-            if self._tracked and tick > last:
+            if self._seen and tick > last:
                 return
             if len(self._known[tick]) < len(self._sources):
                 continue
             time = self._maker.nanoseconds(tick)
-            frames = self._frames.at(self._known.pop(tick), self._object_at(time))
-            transforms = self._maker.transforms(tick, [one for one in frames if self._tracked or one.name != "object"])
+            frames = self._frames.at(self._known.pop(tick), self._seen_at(time))
+            shown = [one for one in frames if one.name not in self._unseen]
+            transforms = self._maker.transforms(tick, shown)
             yield topics.TF, time, bytes(self._store.serialize_cdr(transforms, topics.TF_MESSAGE))
             yield topics.CLOCK, time, bytes(self._store.serialize_cdr(self._maker.clock(tick), topics.CLOCK_TYPE))
 
-    def _object_at(self, time: int) -> tuple[Array, Array] | None:
-        """Last position and quaternion of the object at a time [ns] (zero-order hold); None: not yet."""
-        row = bisect_right(self._seen, time, key=lambda seen: seen[0])
-        if row == 0:
-            return None
-        pose = self._store.deserialize_cdr(self._seen[row - 1][1], topics.POSE).pose  # type: ignore[attr-defined]
-        at, turn = pose.position, pose.orientation
-        return np.array([at.x, at.y, at.z]), np.array([turn.x, turn.y, turn.z, turn.w])
+    def _seen_at(self, time: int) -> dict[str, tuple[Array, Array]]:
+        """Last position and quaternion of the bodies that were seen, at a time [ns] (zero-order hold)."""
+        found = {}
+        for name, seen in self._seen.items():
+            if (row := bisect_right(seen, time, key=lambda one: one[0])) == 0:
+                continue
+            pose = self._store.deserialize_cdr(seen[row - 1][1], topics.POSE).pose  # type: ignore[attr-defined]
+            at, turn = pose.position, pose.orientation
+            found[name] = np.array([at.x, at.y, at.z]), np.array([turn.x, turn.y, turn.z, turn.w])
+        return found

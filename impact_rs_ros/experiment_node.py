@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -70,7 +70,8 @@ class ExperimentNode(NodeProgram):
     def served(self) -> list[str]:
         return [self.node.resolve_service_name(name) for name in ("run_trial", "run_campaign")]
 
-    def connect(self, arms: list[str]) -> None:
+    def connect(self, arms: list[str], neighbours: Sequence[str] = ()) -> None:
+        del neighbours
         self._session.watch(arms)
 
     def make_executor(self) -> Executor:

@@ -9,6 +9,7 @@ controller computes.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from std_msgs.msg import String
@@ -225,6 +226,9 @@ class PlantNode(LeadingNode[PlantTrial]):
             names += [topics.truth_joint_states(arm), topics.truth_contact_wrench(arm)]
         kinds = topics.recorded(arms)
         return {name: kinds[name] for name in names}
+
+    def published_of(self, neighbours: Sequence[str]) -> dict[str, str]:
+        return topics.of_neighbours(neighbours)
 
     def streams(self, maker: StreamMaker) -> dict[str, Stream]:
         return maker.of_plant()

@@ -7,7 +7,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar
@@ -99,7 +99,7 @@ class NodeProgram:
     def activate(self) -> None:
         """Connect to the topics of the scenario's arms, and offer services and actions."""
         assert self._scenario is not None
-        self.connect(list(self._scenario.robots))
+        self.connect(list(self._scenario.robots), list(self._scenario.neighbours))
         self.active = True
         if not self._offered:
             self.offer()
@@ -131,8 +131,8 @@ class NodeProgram:
         """Load the data of a trial for this node."""
         _ = spec.scene
 
-    def connect(self, arms: list[str]) -> None:
-        """Create publishers and subscriptions for these arms, replacing those of an earlier call."""
+    def connect(self, arms: list[str], neighbours: Sequence[str] = ()) -> None:
+        """Create publishers and subscriptions for arms and neighbours of the object, in place of earlier ones."""
 
     def offer(self) -> None:
         """Offer services and actions."""

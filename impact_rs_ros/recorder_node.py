@@ -13,7 +13,7 @@ from __future__ import annotations
 import struct
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
 from contextlib import ExitStack
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -62,7 +62,7 @@ class OpenTrial:
         arms: Names of the arms.
         duration: When the trial ends [s].
         plan: The trial; None: it has no scenario of impact_rs.
-        tracked: Whether the pose of the object is published.
+        tracked: Names of the objects whose poses are published.
         ros_time: Whether stamps are ROS time, and the first signal of every tick is that of tick 0.
 
     Attributes:
@@ -78,7 +78,7 @@ class OpenTrial:
         arms: list[str],
         duration: float,
         plan: TrialPlan | None,
-        tracked: bool,
+        tracked: Collection[str],
         ros_time: bool = False,
     ) -> None:
         self.bag = bag
@@ -88,9 +88,11 @@ class OpenTrial:
         self.counts: Counter[str] = Counter()
         self._arms = arms
         self._plan = plan
+        beside = () if plan is None else tuple(one.name for one in plan.scene.physics.neighbours)
+        kinds = topics.recorded(arms, neighbours=beside)
         self._stamp_at = {
             topic: _SEQUENCE_STAMP_BYTES if kind == topics.TF_MESSAGE else _HEADER_STAMP_BYTES
-            for topic, kind in topics.recorded(arms).items()
+            for topic, kind in kinds.items()
         }
         self._derived = None if plan is None else DerivedMessages(plan, tracked)
         if self._derived is not None:
@@ -98,11 +100,10 @@ class OpenTrial:
         self._origin_ns: int | None = None if ros_time else 0  # stamp of tick 0
         self._early: list[tuple[str, bytes]] = []  # what came before it was known
         self._last: dict[str, int] = {}  # trial time [ns] of the newest message, by topic
-        kinds = topics.recorded(arms)
         self._readable = {topic: Readable(typestore(), kind) for topic, kind in kinds.items()}
         self.refused: Counter[str] = Counter()
         judged = {topics.OBJECT_POSE, *(name(arm) for arm in arms for name in JUDGED)}
-        self._kinds = {topic: kind for topic, kind in topics.recorded(arms).items() if topic in judged}
+        self._kinds = {topic: kind for topic, kind in kinds.items() if topic in judged}
         self._judged: dict[str, list[bytes]] = defaultdict(list)  # messages of these topics
 
     def store(self, topic: str, data: bytes) -> None:
@@ -267,6 +268,7 @@ class RecorderNode(NodeProgram):
     def __init__(self) -> None:
         super().__init__()
         self._arms: list[str] = []
+        self._neighbours: tuple[str, ...] = ()
         self._inbox = Inbox(self.node, RECORD, raw=True)
         self._open = ExitStack()  # the bag of the trial that is recorded
         self._recording: OpenTrial | None = None
@@ -278,7 +280,7 @@ class RecorderNode(NodeProgram):
         self._subscriptions = SubscriptionsMatched(self.node, ["plant", "controller"])
 
     def rehearse(self, spec: TrialSpec) -> None:
-        DerivedMessages(spec.plan, tracked=True)
+        DerivedMessages(spec.plan)
         for kind in set(topics.recorded(list(spec.plan.arms)).values()):
             Readable(typestore(), kind)(b"")  # the first message of a type compiles the code that reads it
 
@@ -302,12 +304,13 @@ class RecorderNode(NodeProgram):
     def failure(self) -> str:
         return self._failure
 
-    def connect(self, arms: list[str]) -> None:
-        if arms != self._arms:
+    def connect(self, arms: list[str], neighbours: Sequence[str] = ()) -> None:
+        if (arms, tuple(neighbours)) != (self._arms, self._neighbours):
             self._arms = []  # until it has succeeded: a name of an arm may not be valid in a topic
-            recorded, latched = topics.recorded(arms).items(), topics.latched(arms)
+            recorded = topics.recorded(arms, neighbours=neighbours).items()
+            latched = topics.latched(arms, neighbours)
             self._inbox.connect({topic: kind for topic, kind in recorded if topic not in latched})
-            self._arms = arms
+            self._arms, self._neighbours = arms, tuple(neighbours)
 
     def _await_publishers(self) -> None:
         """Wait until the recorder and the publishers of the trial's topics have discovered each other.
@@ -391,13 +394,16 @@ class RecorderNode(NodeProgram):
             if not request.bag_path:
                 raise InputError("ConfigureTrial.bag_path is empty; the recorder needs to know where to write")
             path = self.output(request.bag_path, "bag_path")
-            self.connect(list(info.robots))
+            self.connect(list(info.robots), info.neighbours)
             self._await_publishers()
             self._inbox.clear()
             name = f"{info.scenario}/{info.key.name}"
-            tracked = self._inbox.publishers()[topics.OBJECT_POSE] > 0
+            publishers = self._inbox.publishers()
+            tracked = [name for name in ("object", *info.neighbours) if publishers[topics.pose(name)] > 0]
             origin = None if request.ros_time else 0
-            bag = self._open.enter_context(BagWriter.create(path, self._arms, origin_ns=origin))
+            bag = self._open.enter_context(
+                BagWriter.create(path, self._arms, origin_ns=origin, neighbours=info.neighbours)
+            )
             bag.describe(info)
             bag.write_raw(topics.TRIAL_INFO, 0, serialize_message(request.trial))
             own = {topics.ROBOT_DESCRIPTION: request.robot_description}

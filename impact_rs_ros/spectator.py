@@ -62,6 +62,7 @@ class Spectator:
         self._info: TrialInfo | None = None
         self._known = Snapshot("absent", self._place)
         self._arm_of: dict[str, str] = {}  # by topic of its contact wrench
+        self._neighbour_of: dict[str, str] = {}  # by topic of its pose
         self._heard = -float("inf")  # when the last joint state came, on the monotonic clock [s]
         self._present = False
         self._looked = -float("inf")  # when publishers were last counted [s]
@@ -158,9 +159,18 @@ class Spectator:
         arms = list(spec.scenario.robots)  # their names are valid in topics
         self._arm_of = {topics.truth_contact_wrench(arm): arm for arm in arms}
         of_arms = [name(arm) for arm in arms for name in (topics.joint_states, topics.controller_state)]
-        names = [*of_arms, topics.OBJECT_POSE, *self._arm_of]
-        kinds = topics.recorded(arms)
+        self._neighbour_of = {topics.pose(name): name for name in spec.scenario.neighbours}
+        names = [*of_arms, topics.OBJECT_POSE, *self._neighbour_of, *self._arm_of]
+        kinds = topics.recorded(arms, neighbours=tuple(spec.scenario.neighbours))
         self._signals.connect({name: kinds[name] for name in names})
+
+    def _take_pose(self, topic: str, data: bytes) -> None:
+        """Take the pose of the object or of a neighbour."""
+        message = decoded(data, message_type(topics.POSE))
+        if message is None:
+            return
+        pose, name = _seen(message.pose), self._neighbour_of.get(topic)
+        self._with(**({"object": pose} if name is None else {"neighbours": self._known.neighbours | {name: pose}}))
 
     def _take_state(self, topic: str, data: bytes) -> None:
         if topic in self._arm_of:
@@ -171,10 +181,8 @@ class Spectator:
             force = -np.array([wrench.x, wrench.y, wrench.z])  # the message has the force of the object on the pad
             if np.isfinite(force).all():
                 self._with(forces=self._known.forces | {self._arm_of[topic]: force})
-        elif topic == topics.OBJECT_POSE:
-            message = decoded(data, message_type(topics.POSE))
-            if message is not None:
-                self._with(object=_seen(message.pose))
+        elif topic == topics.OBJECT_POSE or topic in self._neighbour_of:
+            self._take_pose(topic, data)
         elif topic.endswith("/controller_state"):
             message = decoded(data, message_type(topics.CONTROLLER_STATE))
             if message is not None:
@@ -194,7 +202,7 @@ class Spectator:
 
 
 def _seen(pose: Any) -> Array | None:
-    """Pose of the object, ``(7,)``; None: not tracked."""
+    """Pose of an object, ``(7,)``; None: not tracked."""
     at, turned = pose.position, pose.orientation
     found = np.array([at.x, at.y, at.z, turned.x, turned.y, turned.z, turned.w])
     return found if np.isfinite(found).all() and np.any(found[3:]) else None

@@ -6,6 +6,7 @@ from __future__ import annotations
 import gc
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Generic, TypeVar
 
 from impact_rs.srv import ConfigureTrial, FinishTrial
@@ -99,6 +100,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
     def __init__(self) -> None:
         super().__init__()
         self.arms: list[str] = []
+        self.neighbours: tuple[str, ...] = ()
         self.trial: AnyTrial | None = None
         self.running = False
         self._name = ""
@@ -114,6 +116,11 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
     @abstractmethod
     def published(self, arms: list[str]) -> dict[str, str]:
         """Topics that the node publishes, with their types."""
+
+    def published_of(self, neighbours: Sequence[str]) -> dict[str, str]:
+        """Topics about neighbours of the object that the node publishes, with their types."""
+        del neighbours
+        return {}
 
     @abstractmethod
     def streams(self, maker: StreamMaker) -> dict[str, Stream]:
@@ -173,12 +180,12 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
     def failure(self) -> str:
         return "" if self.trial is None else self.trial.failure
 
-    def connect(self, arms: list[str]) -> None:
-        if arms != self.arms:
+    def connect(self, arms: list[str], neighbours: Sequence[str] = ()) -> None:
+        if (arms, tuple(neighbours)) != (self.arms, self.neighbours):
             self.arms = []  # until it has succeeded: a name of an arm may not be valid in a topic
             self.inbox.connect(self.received(arms))
-            self.outbox.connect(self.published(arms))
-            self.arms = arms
+            self.outbox.connect(self.published(arms) | self.published_of(neighbours))
+            self.arms, self.neighbours = arms, tuple(neighbours)
 
     def _on_configure(
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
@@ -194,7 +201,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
                 self._leave()
             info = TrialInfo.from_message(request.trial)
             plan = info.spec.plan
-            self.connect(list(plan.arms))
+            self.connect(list(plan.arms), [one.name for one in plan.scene.physics.neighbours])
             self.inbox.clear()
             self.outbox.reset(self.streams(StreamMaker(plan)))
             self.trial = self.prepare(plan, info, request.ros_time)

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import time
 from array import array
+from collections.abc import Sequence
 
 import numpy as np
 from rclpy.publisher import Publisher
@@ -117,7 +118,8 @@ class WatchdogNode(NodeProgram):
         self._watchdog: Watchdog | None = None
         self._looked = 0.0  # time of the last check [s]
 
-    def connect(self, arms: list[str]) -> None:
+    def connect(self, arms: list[str], neighbours: Sequence[str] = ()) -> None:
+        del neighbours
         self._arm_of = {watched_topic(arm): arm for arm in arms}
         self._inbox.connect({STATES: topics.JOINT_STATE} | dict.fromkeys(self._arm_of, TORQUES))
         self._publishers = {

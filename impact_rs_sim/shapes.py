@@ -85,6 +85,33 @@ class ConvexShape:
         length = {"sphere": 0.0, "capsule": half[2] - half[0], "cylinder": half[2]}[self.kind]
         return np.asarray(half[0] * across + length * along[..., 2])
 
+    def first_points(self, size: Array, direction: Array, tolerance: float = 0.0) -> Array:
+        """Points that may come first to a plane, or next, ``(k, 3)`` [m].
+
+        Corners; of a round body those of its section through axis and direction, because along a rim the height is a
+        cosine. Where the whole rim of a cylinder is as low up to a tolerance, eight points fixed to it stand for it.
+
+        Args:
+            size: Extents of the body along its axes, ``(3,)`` [m].
+            direction: Unit vector towards the plane, in axes of the body, ``(3,)``.
+            tolerance: Largest difference of heights of points that touch together [m].
+        """
+        half = np.asarray(size) / 2.0
+        if self.kind == "box":
+            return np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)]) * size / 2.0
+        if self.kind == "hull":
+            return np.array(self.corners)
+        if self.kind == "sphere":
+            return half[:1] * direction[None, :]
+        if self.kind == "capsule":
+            return half[0] * direction + (half[2] - half[0]) * np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+        tilt = float(np.hypot(direction[0], direction[1]))
+        turns = np.pi / 4.0 * np.arange(8)
+        if tilt > 0.0 and size[0] * tilt > tolerance:
+            turns = np.arctan2(direction[1], direction[0]) + np.array([0.0, np.pi])
+        rim = half[0] * np.column_stack((np.cos(turns), np.sin(turns)))
+        return np.array([[x, y, z] for z in (half[2], -half[2]) for x, y in rim])
+
     def moments(self, mass: float, size: Array) -> Array:
         """Principal moments of inertia of a homogeneous body about its middle, ``(3,)`` [kg m^2].
 

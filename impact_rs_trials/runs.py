@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from impact_rs_control.closed_loop import Tick
 from impact_rs_sim.physics import Physics
+from impact_rs_sim.plant.sensors import ObjectMeasurement
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.rotations import yaw_of_quaternions
 from impact_rs_sim.scene import BodyState
@@ -96,6 +97,49 @@ class ArmSignals:
 
 
 @dataclass(frozen=True)
+class Poses:
+    """Tracked poses of the geometric centre of a body.
+
+    Attributes:
+        time: Timestamps, ``(p,)`` [s]; empty: not tracked.
+        position: In A, ``(p, 3)``, or ``(B, p, 3)`` of a stack [m].
+        quaternion: Orientation in A, x y z w, ``(p, 4)``, or ``(B, p, 4)``.
+    """
+
+    time: Array
+    position: Array
+    quaternion: Array
+
+    @staticmethod
+    def of_samples(samples: Sequence[ObjectMeasurement]) -> Poses:
+        """From samples of a tracker."""
+        return Poses(
+            np.array([one.time for one in samples]),
+            np.array([one.position for one in samples]).reshape(-1, 3),
+            np.array([one.quaternion for one in samples]).reshape(-1, 4),
+        )
+
+    @staticmethod
+    def stack(simulations: Sequence[Poses]) -> Poses:
+        """Simulations on the same clock along a first axis."""
+        return Poses(
+            simulations[0].time,
+            np.stack([one.position for one in simulations]),
+            np.stack([one.quaternion for one in simulations]),
+        )
+
+    def at(self, times: Array) -> Poses:
+        """Samples at some of its timestamps."""
+        rows = np.isin(self.time, times)
+        return Poses(self.time[rows], self.position[rows], self.quaternion[rows])
+
+    @property
+    def yaw(self) -> Array:
+        """Rotation about z of A, without jumps, ``(p,)``, or ``(B, p)`` of a stack [rad]."""
+        return yaw_of_quaternions(self.quaternion)
+
+
+@dataclass(frozen=True)
 class Signals:
     """Signals of one run.
 
@@ -105,6 +149,7 @@ class Signals:
         object_time: Timestamps of the tracked object, ``(p,)`` [s]; empty: not tracked.
         object_position: Position of its geometric centre in A, ``(p, 3)`` [m].
         object_quaternion: Its orientation in A, x y z w, ``(p, 4)``.
+        neighbours: Poses of the neighbours of the object by name.
     """
 
     time: Array
@@ -112,6 +157,7 @@ class Signals:
     object_time: Array = field(default_factory=none)
     object_position: Array = field(default_factory=lambda: np.zeros((0, 3)))
     object_quaternion: Array = field(default_factory=lambda: np.zeros((0, 4)))
+    neighbours: Mapping[str, Poses] = field(default_factory=dict)
 
     @classmethod
     def stack(cls, simulations: Sequence[Signals]) -> Signals:
@@ -123,12 +169,23 @@ class Signals:
             first.object_time,
             np.stack([one.object_position for one in simulations]),
             np.stack([one.object_quaternion for one in simulations]),
+            {name: Poses.stack([one.neighbours[name] for one in simulations]) for name in first.neighbours},
         )
+
+    @property
+    def object(self) -> Poses:
+        """Poses of the object."""
+        return Poses(self.object_time, self.object_position, self.object_quaternion)
+
+    @property
+    def poses(self) -> dict[str, Poses]:
+        """Poses of the object, ``object``, and of its neighbours, by name."""
+        return {"object": self.object, **self.neighbours}
 
     @property
     def object_yaw(self) -> Array:
         """Rotation of the object about z of A, without jumps, ``(p,)``, or ``(B, p)`` of a stack [rad]."""
-        return yaw_of_quaternions(self.object_quaternion)
+        return self.object.yaw
 
 
 def signals_of_ticks(ticks: Iterable[Tick]) -> Signals:
@@ -148,14 +205,10 @@ def signals_of_ticks(ticks: Iterable[Tick]) -> Signals:
             command_time=time,
             command=np.array([tick.commands[name].torque for tick in ticks]),
         )
-    seen = [tick.measurement.object for tick in ticks if tick.measurement.object is not None]
-    return Signals(
-        time=time,
-        arms=arms,
-        object_time=np.array([pose.time for pose in seen]),
-        object_position=np.array([pose.position for pose in seen]).reshape(-1, 3),
-        object_quaternion=np.array([pose.quaternion for pose in seen]).reshape(-1, 4),
-    )
+    seen = Poses.of_samples([tick.measurement.object for tick in ticks if tick.measurement.object is not None])
+    beside = [tick.measurement.neighbours for tick in ticks if tick.measurement.neighbours]
+    neighbours = {name: Poses.of_samples([one[name] for one in beside]) for name in (beside[0] if beside else ())}
+    return Signals(time, arms, seen.time, seen.position, seen.quaternion, neighbours)
 
 
 @dataclass(frozen=True)

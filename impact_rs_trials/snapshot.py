@@ -47,6 +47,7 @@ class Snapshot:
         positions: Joint positions by their names in the URDF [rad, m].
         velocities: Joint velocities by the same names [rad/s, m/s]; empty if not published.
         object: Position of the object's centre in A [m] and quaternion x y z w, ``(7,)``; None: unknown.
+        neighbours: Likewise its neighbours by name.
         forces: By arm, true force of the arm on the object, axes of A, ``(3,)`` [N]; empty if not published.
         followed: Documents of the node ``identify`` of the graph.
     """
@@ -62,5 +63,6 @@ class Snapshot:
     positions: dict[str, float] = field(default_factory=dict)
     velocities: dict[str, float] = field(default_factory=dict)
     object: Array | None = None
+    neighbours: dict[str, Array | None] = field(default_factory=dict)
     forces: dict[str, Array] = field(default_factory=dict)
     followed: IdentifyMessages = IdentifyMessages()

@@ -147,6 +147,7 @@ def state_of(snapshot: Snapshot, scene: DrawnScene) -> dict[str, Any] | None:
     known, moving = snapshot.positions, snapshot.velocities
     if not scene.joints or not (any if snapshot.physics is None else all)(name in known for name in scene.joints):
         return None
+    beside, seen = (() if snapshot.physics is None else snapshot.physics.neighbours), snapshot.neighbours
     forces = None
     if all(arm in snapshot.forces for arm in scene.arms) and scene.arms:
         forces = [snapshot.forces[arm].tolist() for arm in scene.arms]
@@ -155,6 +156,7 @@ def state_of(snapshot: Snapshot, scene: DrawnScene) -> dict[str, Any] | None:
         "joints": [known.get(name, 0.0) for name in scene.joints],
         "velocities": [moving[name] for name in scene.joints] if moving.keys() >= set(scene.joints) else None,
         "object": None if snapshot.object is None else snapshot.object.tolist(),
+        "neighbours": [None if (pose := seen.get(one.name)) is None else pose.tolist() for one in beside],
         "forces": forces,
     }
 

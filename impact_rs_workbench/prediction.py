@@ -29,7 +29,7 @@ from impact_rs_sim.numbers import CONFIDENCE_LEVEL
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, Physics
 from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.scenarios.scenario import Scenario, Uncertainties, load_scenario
-from impact_rs_sim.scene import Scene
+from impact_rs_sim.scene import Scene, standing
 from impact_rs_sim.schema import Schema
 
 NOTHING = Model(name="nominal")
@@ -213,10 +213,14 @@ def _moment(scene: Scene, rows: list[dict[str, Any]]) -> dict[str, Any]:
                 "high": [row["high"] for row in own] if known else None,
             }
         )
-    pose = (*scene.object.position.tolist(), *quaternion_of(scene.object.rotation).tolist())
+    pose, *beside = (
+        (*body.position.tolist(), *quaternion_of(body.rotation).tolist())
+        for body in (scene.object, *standing(scene.physics, scene.object))
+    )
     return {
         "joints": np.concatenate([arm.position for arm in scene.arms.values()]).tolist(),
         "object": pose,
+        "neighbours": beside,
         "jumps": jumps,
     }
 

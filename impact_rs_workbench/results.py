@@ -241,8 +241,9 @@ def nearest_signal(cell: Cell) -> str:
     if (joint := re.fullmatch(r"joint(\d+)", index)) is not None:
         what = "velocity" if "velocity" in cell.signal else "torque"
         return f"{before}{what} of joint {joint[1]}"
-    if cell.signal.startswith("object"):
-        return "object yaw rate" if "rotation" in cell.signal else f"object velocity {index}"
+    body, _, what = cell.signal.rpartition(" ")
+    if what in ("velocity", "rotation") and not body.startswith(("end-effector", "joint")):
+        return f"{body} yaw rate" if what == "rotation" else f"{body} velocity {index}"
     return f"{before}end-effector velocity {index}"
 
 

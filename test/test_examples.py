@@ -24,7 +24,7 @@ from intervals import assert_covers
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
-from impact_rs_sim.impact_map.measured import MeasuredImpact, corners_that_touch, solve_measured
+from impact_rs_sim.impact_map.measured import MeasuredImpact, points_that_touch, solve_measured
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.scenarios.scenario import load_scenario
@@ -182,7 +182,7 @@ def _toss(
             break
     place = np.array([0.1, 0.2, -heights[0]])
     body = replace(impact.object, position=place)
-    impact = MeasuredImpact({}, body, corners_that_touch(body, truth.object.size, np.array([0.0, 0.0, 1.0])))
+    impact = MeasuredImpact({}, body, points_that_touch(body, truth.object.size, np.array([0.0, 0.0, 1.0])))
     after, _ = solve_measured(truth, impact)
     states = np.zeros((20, 19))
     for sample in range(20):

@@ -111,8 +111,9 @@ def _write(writer: Writer, track: Track) -> None:
                 rows.append((nanoseconds, f"/{name_of_side}/{name}/end_effector/twist", moving, topics.TWIST))
                 placed = pose_of(head, arm.pose[k])
                 rows.append((nanoseconds, f"/{name_of_side}/{name}/end_effector/pose", placed, topics.POSE))
-            if np.isfinite(side.object[k]).all():
-                rows.append((nanoseconds, f"/{name_of_side}/object/pose", pose_of(head, side.object[k]), topics.POSE))
+            for name, poses in side.poses.items():
+                if np.isfinite(poses[k]).all():
+                    rows.append((nanoseconds, f"/{name_of_side}/{name}/pose", pose_of(head, poses[k]), topics.POSE))
     connections: dict[str, Any] = {}
     for nanoseconds, topic, message, kind in sorted(rows, key=lambda row: row[0]):
         if topic not in connections:
@@ -132,7 +133,8 @@ def _residual(measured: TrackSide, predicted: TrackSide) -> TrackSide:
             pose=_pose_difference(a.pose, b.pose),
             twist=a.twist - b.twist,
         )
-    return TrackSide(arms, _pose_difference(measured.object, predicted.object))
+    beside = {name: _pose_difference(own, predicted.neighbours[name]) for name, own in measured.neighbours.items()}
+    return TrackSide(arms, _pose_difference(measured.object, predicted.object), neighbours=beside)
 
 
 def _pose_difference(measured: Array, predicted: Array) -> Array:

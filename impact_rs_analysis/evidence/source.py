@@ -263,8 +263,8 @@ class Source(ABC):
         return self.model.known_effects
 
     def offers(self, effect: Effect) -> bool:
-        """Whether a search considers an effect by default; effects of the bare arm need recordings."""
-        return not effect.calibrates
+        """Whether a search considers an effect; those of the bare arm need recordings, those of neighbours some."""
+        return not effect.calibrates and (effect.acts_on != "neighbour" or any(one.neighbours for one in self.worlds))
 
     def starts(self, name: str) -> Sequence[Array]:
         """Further starts ``(p,)`` of the fit of an effect, suggested by the measurements."""

@@ -33,10 +33,11 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.rotations import continuous, quaternion_of, yaw_of_quaternions
+from impact_rs_sim.scene import standing
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.recordings.recording import ARM
-from impact_rs_trials.runs import NONE, ArmSignals, Run, Signals, none
+from impact_rs_trials.runs import NONE, ArmSignals, Poses, Run, Signals, none
 
 OBJECT = "object"  # name of the object among the bodies
 JUMP_AFTER_S = JUMP_WINDOWS_S[SETTLED_WINDOW]  # s from the begin of the impact; window of the velocity after it
@@ -106,11 +107,18 @@ class TrackSide:
         object: Pose of the object's centre in A as position and quaternion x y z w, ``(k, 7)`` [m, -]; NaN where not
             tracked.
         jumps: Velocities before and after the impact.
+        neighbours: Poses of its neighbours by name, likewise.
     """
 
     arms: dict[str, ArmTrack]
     object: Array
     jumps: tuple[VelocityJump, ...] = ()
+    neighbours: dict[str, Array] = field(default_factory=dict)
+
+    @property
+    def poses(self) -> dict[str, Array]:
+        """Poses of the object, ``object``, and of its neighbours, by name."""
+        return {OBJECT: self.object, **self.neighbours}
 
 
 @dataclass(frozen=True)
@@ -186,15 +194,19 @@ def _windowed_side(run: MeasuredRun, windows: Sequence[Signals], time: Array, st
         )
         for name in windows[0].arms
     }
-    poses = []
+    poses: dict[str, list[Array]] = {}
     for window, signals in zip(run.setup.windows, windows, strict=True):
-        pose = _poses_at(window.time, signals)
-        if run.setup.tracked and not window.contact:
-            pose[:] = [*window.object.position, *quaternion_of(window.object.rotation)]
-        elif run.setup.tracked:  # the tracker is slower than the joints
-            pose = _held(pose)
-        poses.append(pose)
-    return _side(run.setup.physics, time, starts, arms, np.concatenate(poses), run.impacts)
+        resting = (window.object, *standing(run.setup.physics, window.object))
+        for name, body in zip((OBJECT, *(one.name for one in run.setup.physics.neighbours)), resting, strict=True):
+            tracked = name in run.setup.bodies
+            pose = _poses_at(window.time, signals.poses[name]) if window.contact and tracked else _unseen(window.time)
+            if tracked and not window.contact:
+                pose[:] = [*body.position, *quaternion_of(body.rotation)]
+            elif tracked:  # the tracker is slower than the joints
+                pose = _held(pose)
+            poses.setdefault(name, []).append(pose)
+    whole = {name: np.concatenate(parts) for name, parts in poses.items()}
+    return _side(run.setup.physics, time, starts, arms, whole, run.impacts)
 
 
 def _held(poses: Array) -> Array:
@@ -220,14 +232,16 @@ def _curves(track: Track, measured: TrackSide, predicted: TrackSide, main: int) 
         ]
         several = len(measured.arms) > 1
         found += [replace(curve, name=f"{name}: {curve.name}") for curve in curves] if several else curves
-    if np.isfinite(measured.object).any():
-        pose, other = measured.object, predicted.object
-        found += _columns("object position", pose, other, [(axis, AXES[axis], "m") for axis in range(2)])
+    for name, pose in measured.poses.items():
+        other = predicted.poses[name]
+        if not np.isfinite(pose).any():
+            continue
+        found += _columns(f"{name} position", pose, other, [(axis, AXES[axis], "m") for axis in range(2)])
         a, b = (_rate(track, values[:, :3]) for values in (pose, other))
-        found += _columns("object velocity", a, b, [(axis, AXES[axis], "m/s") for axis in range(2)])
+        found += _columns(f"{name} velocity", a, b, [(axis, AXES[axis], "m/s") for axis in range(2)])
         a, b = (_yaw(track, values) for values in (pose, other))
-        found.append(ComparedSignal("object yaw", "rad", a, b))
-        found.append(ComparedSignal("object yaw rate", "rad/s", _rate(track, a), _rate(track, b)))
+        found.append(ComparedSignal(f"{name} yaw", "rad", a, b))
+        found.append(ComparedSignal(f"{name} yaw rate", "rad/s", _rate(track, a), _rate(track, b)))
     return found
 
 
@@ -267,7 +281,8 @@ def track_of_recording(run: Run) -> Track:
         impacts = {arm: begin for arm, (begin, _) in impacts_of(run).items()} if run.hit else {}
     except InputError:  # no impact: the run is shown all the same
         impacts = {}
-    side = _side(run.physics, time, starts, arms, _poses_at(time, signals), impacts)
+    poses = {name: _poses_at(time, own) for name, own in signals.poses.items()}
+    side = _side(run.physics, time, starts, arms, poses, impacts)
     return Track(run.name, time, min(impacts.values(), default=None), starts, (), run.physics, side)
 
 
@@ -285,10 +300,9 @@ def track_of_bag(bag: TrialBag) -> Track:
     for name, (own, arm) in columns.items():
         at = {key: _at(time, own, values) for key in arm.measured for values in [getattr(arm, key)]}
         arms[name] = ArmSignals(**({"velocity": NONE, "torque": NONE} | at))
-    seen = bag.poses(topics.OBJECT_POSE)
-    signals = Signals(time, arms, seen.time, seen.position, seen.quaternion)
     tracked = bag.info.spec.scenario.excursion is None
-    poses = _poses_at(time, signals) if tracked else np.full((time.size, 7), np.nan)
+    bodies = (OBJECT, *(one.name for one in physics.neighbours))
+    poses = {name: _poses_at(time, bag.poses(topics.pose(name))) if tracked else _unseen(time) for name in bodies}
     impacts = {arm: moment for arm in arms if np.isfinite(moment := bag.impact_time(arm))}
     side = _side(physics, time, (0,), arms, poses, impacts)
     return Track(bag.path.name, time, min(impacts.values(), default=None), physics=physics, measured=side)
@@ -311,7 +325,7 @@ def track_of_motion(label: str, physics: Physics, motion: Motion, curves: Sequen
     """A recording of free motion, with the joints of its arm only."""
     kept = motion.kept
     time = motion.time[kept]
-    side = TrackSide({ARM: ArmTrack(motion.position[kept], motion.velocity[kept])}, np.full((time.size, 7), np.nan))
+    side = TrackSide({ARM: ArmTrack(motion.position[kept], motion.velocity[kept])}, _unseen(time))
     return Track(label, time, curves=tuple(curves), physics=physics, measured=side)
 
 
@@ -323,13 +337,14 @@ def _side(
     time: Array,
     starts: Sequence[int],
     arms: Mapping[str, ArmSignals],
-    poses: Array,
+    poses: Mapping[str, Array],
     impacts: Mapping[str, float],
 ) -> TrackSide:
     """Motion with pose, twist and contact force of every end effector, and the velocity jumps."""
     models = physics.robot_models()
     tracks = {name: _arm_track(arm, models[name], time, starts) for name, arm in arms.items()}
-    return TrackSide(tracks, poses, _jumps(time, tracks, poses, impacts))
+    neighbours = {name: own for name, own in poses.items() if name != OBJECT}
+    return TrackSide(tracks, poses[OBJECT], _jumps(time, tracks, poses[OBJECT], impacts), neighbours)
 
 
 def _arm_track(arm: ArmSignals, model: RobotModel, time: Array, starts: Sequence[int]) -> ArmTrack:
@@ -350,12 +365,17 @@ def _slices(starts: Sequence[int], size: int) -> list[slice]:
     return [slice(start, end) for start, end in pairwise((*starts, size))]
 
 
-def _poses_at(time: Array, signals: Signals) -> Array:
-    """Tracked poses of the object interpolated at some times, ``(k, 7)``; NaN outside the tracked time."""
-    seen = signals.object_time
+def _unseen(time: Array) -> Array:
+    """Poses of an object that was not tracked, ``(k, 7)``."""
+    return np.full((time.size, 7), np.nan)
+
+
+def _poses_at(time: Array, tracked: Poses) -> Array:
+    """Tracked poses of an object interpolated at some times, ``(k, 7)``; NaN outside the tracked time."""
+    seen = tracked.time
     if seen.size < 2:
-        return np.full((time.size, 7), np.nan)
-    poses = _at(time, seen, np.column_stack((signals.object_position, continuous(signals.object_quaternion))))
+        return _unseen(time)
+    poses = _at(time, seen, np.column_stack((tracked.position, continuous(tracked.quaternion))))
     poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1)[:, None]
     period = float(np.median(np.diff(seen)))
     poses[(time < seen[0] - period) | (time > seen[-1] + period)] = np.nan

@@ -267,7 +267,8 @@ def _hdf5_trial(group: Any, bag: TrialBag) -> None:
         group.attrs[f"{arm}_impact_time_s"] = bag.impact_time(arm)
         for name, (columns, units) in _signals(bag, arm).items():
             _datasets(group.create_group(f"{arm}/{name}"), columns, units)
-    _datasets(group.create_group("object"), bag.poses(topics.OBJECT_POSE), {"position": "m", "quaternion": "1"})
+    for body in ("object", *bag.info.neighbours):
+        _datasets(group.create_group(body), bag.poses(topics.pose(body)), {"position": "m", "quaternion": "1"})
 
 
 def _signals(bag: TrialBag, arm: str) -> dict[str, tuple[Any, dict[str, str]]]:

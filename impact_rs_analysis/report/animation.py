@@ -50,8 +50,8 @@ def animation_data(tracks: Sequence[Track]) -> dict[str, Any]:
     Returns:
         ``scenes`` (:mod:`impact_rs_analysis.report.scene_3d`), and by run its label, number of its scene, begin of the
         impact and of the slow part [s], times [s] with the rows in which stretches begin, and its sides ``measured``
-        and ``model``: joint positions of all arms side by side [rad], contact forces [N], pose
-        of the object [m, -], and velocities before and after the impact [m/s].
+        and ``model``: joint positions of all arms side by side [rad], contact forces [N], poses
+        of the object and of its neighbours [m, -], and velocities before and after the impact [m/s].
     """
     coarser = max(1.0, len(tracks) / MAX_RUNS_OF_ALL_ROWS)
     scenes: list[dict[str, Any]] = []
@@ -112,12 +112,18 @@ def _first_of_each(time: Array, period: float) -> NDArray[np.bool_]:
     return np.concatenate(([True], steps[1:] > steps[:-1]))
 
 
+def _poses(poses: Array, shown: NDArray[np.int64]) -> str | None:
+    """Poses of an object; None: not tracked."""
+    return None if np.isnan(poses).all() else packed(poses[shown])
+
+
 def _side(side: TrackSide, shown: NDArray[np.int64]) -> dict[str, Any]:
     forces = [arm.force for arm in side.arms.values()]
     return {
         "joints": packed(np.column_stack([arm.position for arm in side.arms.values()])[shown]),
         "forces": packed(np.column_stack(forces)[shown]) if all(force.size for force in forces) else None,
-        "object": None if np.isnan(side.object).all() else packed(side.object[shown]),
+        "object": _poses(side.object, shown),
+        **({"neighbours": [_poses(own, shown) for own in side.neighbours.values()]} if side.neighbours else {}),
         "jumps": [
             {
                 "arm": None if jump.body == OBJECT else list(side.arms).index(jump.body),

@@ -19,7 +19,6 @@ from impact_rs_analysis.report.page import packed
 from impact_rs_analysis.report.surface import surface_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import ObjectPhysics, Physics
-from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.urdf import joint_names
 from impact_rs_sim.rotations import quaternion_of
 
@@ -36,15 +35,23 @@ def scene_data(physics: Physics) -> dict[str, Any]:
         ``arms`` in the order of the data; ``joints`` with ``parent``, ``child``, ``type``, ``position`` [m] and
         ``quaternion`` (x y z w) in the parent, ``axis`` where it is not z, and ``column`` of those that move;
         ``links``: by name the shapes with pose in the link and colour; ``root``: the link that stands still;
-        ``object``: extent along its axes [m], and ``object_shape`` where it is no box.
+        ``object``: extent along its axes [m], and ``object_shape`` where it is no box; ``neighbours``: likewise, where
+        it has some.
     """
     robot, plain = (Xml.fromstring(physics.description(meshes)) for meshes in (True, False))
     links = {
         link.get("name", ""): _shapes(link) or _shapes(simple)
         for link, simple in zip(robot.iter("link"), plain.iter("link"), strict=True)
     }
-    scene = _scene(robot, moving_joints(physics), list(physics.arms), links, physics.object.size)
-    return scene if physics.object.shape.is_box else scene | {"object_shape": _object_shape(physics.object)}
+    scene = _scene(robot, moving_joints(physics), list(physics.arms), links) | _object(physics.object)
+    beside = [_object(one.body) for one in physics.neighbours]
+    return scene | {"neighbours": beside} if beside else scene
+
+
+def _object(body: ObjectPhysics) -> dict[str, Any]:
+    """Extents of an object, and its shape where it is no box."""
+    extents = {"object": body.size.tolist()}
+    return extents if body.shape.is_box else extents | {"object_shape": _object_shape(body)}
 
 
 def moving_joints(physics: Physics) -> list[str]:
@@ -68,15 +75,13 @@ def described_scene(urdf: str) -> tuple[dict[str, Any], list[str]]:
             link.get("name", ""): _shapes(link) or _shapes(link, "collision") or _sticks(robot, link)
             for link in robot.findall("link")
         }
-        scene = _scene(robot, moving, [], links, None)
+        scene = _scene(robot, moving, [], links) | {"object": None}
     except (Xml.ParseError, ValueError, TypeError) as error:
         raise InputError(f"no URDF that can be drawn: {error}") from None
     return scene, moving
 
 
-def _scene(
-    robot: Xml.Element, moving: Sequence[str], arms: list[str], links: dict[str, Any], size: Array | None
-) -> dict[str, Any]:
+def _scene(robot: Xml.Element, moving: Sequence[str], arms: list[str], links: dict[str, Any]) -> dict[str, Any]:
     joints = []
     for joint in robot.findall("joint"):
         name, axis = joint.get("name", ""), joint.find("axis")
@@ -97,7 +102,6 @@ def _scene(
         "joints": joints,
         "links": links,
         "root": roots[0],
-        "object": None if size is None else size.tolist(),
     }
 
 

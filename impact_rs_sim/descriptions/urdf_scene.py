@@ -34,7 +34,7 @@ def write(scene: ExportedScene) -> tuple[str, list[str]]:
             dynamics.set("friction", repr(float(coulomb)))
             dynamics.set("damping", repr(float(viscous)))
     described = write_object_description(
-        object_.size, object_.mass, object_.com_offset, np.diag(object_.inertia), object_.shape
+        object_.size, (object_.mass, object_.com_offset, np.diag(object_.inertia)), object_.shape
     )
     root.extend(Xml.fromstring(described))
     joint = Xml.SubElement(root, "joint", name="object", type="fixed" if object_.fixed else "floating")

@@ -16,6 +16,7 @@ from impact_rs_sim.effects.base import SINGLE_IMPACT, ArmEffect, Effect, Paramet
 from impact_rs_sim.effects.contact import (
     CONTACT_DISSIPATION,
     DRILLING_FRICTION,
+    OBJECT_FRICTION,
     PAD_COMPLIANCE,
     PAD_CREEP,
     PAD_FRICTION,
@@ -44,7 +45,7 @@ from impact_rs_sim.effects.motor import (
     STRIBECK_FRICTION,
     VISCOUS_FRICTION,
 )
-from impact_rs_sim.effects.object import OBJECT_COM_OFFSET, OBJECT_MASS
+from impact_rs_sim.effects.object import NEIGHBOUR_MASS, OBJECT_COM_OFFSET, OBJECT_MASS
 from impact_rs_sim.effects.sensing import SENSOR_EFFECTS, TORQUE_DELAY, TWIST_EFFECTS
 from impact_rs_sim.effects.surroundings import BASE_TILT, EXTERNAL_SPRING
 from impact_rs_sim.errors import InputError
@@ -94,6 +95,8 @@ BUILT_IN: tuple[Effect, ...] = (
     JOINT_SUM_FRICTION,
     JOINT_DIFFERENCE_FRICTION,
     STIFF_CONTROL,
+    NEIGHBOUR_MASS,
+    OBJECT_FRICTION,
 )
 
 

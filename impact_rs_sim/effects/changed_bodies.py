@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_rs_sim.errors import NotABody
-from impact_rs_sim.physics import ArmPhysics, Physics
+from impact_rs_sim.physics import ArmPhysics, ObjectPhysics, Physics
 from impact_rs_sim.robots.bodies import is_physically_consistent, second_moments
 from impact_rs_sim.robots.robot import Array, Link
 from impact_rs_sim.robots.robot_model import mounted_inertia
@@ -74,11 +74,15 @@ def check_bodies(before: Physics, after: Physics, effect: str) -> None:
                     f"{arm.motor_inertia_reduced[joint]:.3g} kg m^2; expected 0 or more"
                 )
     if after.object is not before.object and not after.object.fixed:
-        _check(_object(before), _object(after), effect)
+        _check(_object(before.object), _object(after.object), effect)
+    for was_beside, beside in zip(before.neighbours, after.neighbours, strict=True):
+        if beside.body is not was_beside.body:
+            name = f"neighbour {beside.name!r}"
+            _check(_object(was_beside.body, name), _object(beside.body, name), effect)
 
 
 def differ(one: Physics, other: Physics) -> bool:
-    """Whether inertial parameters of arms or object differ."""
+    """Whether inertial parameters of arms or objects differ."""
     return _numbers(one) != _numbers(other)
 
 
@@ -103,7 +107,8 @@ def of_other_bodies(worlds: Sequence[Physics]) -> list[Physics]:
 
 def _numbers(physics: Physics) -> list[object]:
     """All inertial parameters."""
-    numbers: list[object] = [physics.object.mass, physics.object.inertia.tobytes()]
+    objects = (physics.object, *(one.body for one in physics.neighbours))
+    numbers: list[object] = [number for body in objects for number in (body.mass, body.inertia.tobytes())]
     for arm in physics.arms.values():
         tool = arm.end_effector
         numbers += [tool.mass, tool.com.tobytes(), tool.inertia.tobytes(), arm.motor_inertia_reduced.tobytes()]
@@ -132,5 +137,5 @@ def _last_link(name: str, arm: ArmPhysics) -> InertialBody:
     return InertialBody(f"link {arm.facts.joint_count} of arm {name!r}", inertia.mass, inertia.inertia)
 
 
-def _object(physics: Physics) -> InertialBody:
-    return InertialBody("the object", physics.object.mass, np.diag(physics.object.inertia))
+def _object(body: ObjectPhysics, name: str = "the object") -> InertialBody:
+    return InertialBody(name, body.mass, np.diag(body.inertia))

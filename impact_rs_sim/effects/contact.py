@@ -79,6 +79,10 @@ def _support_friction(physics: Physics, values: Values) -> Physics:
     return replace(physics, support_friction=max(physics.support_friction + number(values, "friction"), 0.0))
 
 
+def _object_friction(physics: Physics, values: Values) -> Physics:
+    return replace(physics, object_friction=max(physics.object_friction + number(values, "friction"), 0.0))
+
+
 def _restitution(physics: Physics, values: Values) -> Physics:
     """Bounce of a single rigid impact, and damping of compliant pads.
 
@@ -279,6 +283,16 @@ SUPPORT_FRICTION = FrictionEffect(
     ),
     law=_support_friction,
     phases=("contact",),
+)
+
+OBJECT_FRICTION = FrictionEffect(
+    name="object_friction",
+    acts_on="neighbour",
+    sentence="The object slides along its neighbours with more or less friction than assumed.",
+    parameters=(Parameter("friction", "-", 0.0, -2.0, 2.0, 0.03, "coefficient beyond the assumed", far=(-0.3, 0.4)),),
+    law=_object_friction,
+    phases=("contact",),
+    drawn=False,
 )
 
 # Model files of 0.2.0 and before multiply the assumed coefficient.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects on the manipulated object: its mass, and where its centre of mass is."""
+"""Effects on the manipulated object and its neighbours: masses, and where its centre of mass is."""
 
 from __future__ import annotations
 
@@ -30,6 +30,15 @@ def _mass(physics: Physics, values: Values) -> Physics:
     return replace(physics, object=replace(object_, mass=object_.mass * scale, inertia=object_.inertia * scale))
 
 
+def _neighbour_mass(physics: Physics, values: Values) -> Physics:
+    scale = number(values, "scale")
+    neighbours = tuple(
+        replace(one, body=replace(one.body, mass=one.body.mass * scale, inertia=one.body.inertia * scale))
+        for one in physics.neighbours
+    )
+    return replace(physics, neighbours=neighbours)
+
+
 def _com_offset(physics: Physics, values: Values) -> Physics:
     object_ = physics.object
     if object_.round or object_.fixed:
@@ -44,6 +53,16 @@ OBJECT_MASS = SceneEffect(
     parameters=(Parameter("scale", "-", 1.0, 0.2, 4.0, 0.05, "mass over its assumed value"),),
     law=_mass,
     phases=("contact",),
+)
+
+NEIGHBOUR_MASS = SceneEffect(
+    name="neighbour_mass",
+    acts_on="neighbour",
+    sentence="The objects beside the object that is hit are heavier or lighter than their labels say.",
+    parameters=(Parameter("scale", "-", 1.0, 0.2, 4.0, 0.05, "mass over its assumed value, of all neighbours"),),
+    law=_neighbour_mass,
+    phases=("contact",),
+    drawn=False,
 )
 
 OBJECT_COM_OFFSET = ComOffsetEffect(

@@ -38,6 +38,7 @@ from impact_rs_sim.recent import Recent
 from impact_rs_sim.robots.robot import Array, RobotFacts
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_sim.shapes import BOX, ConvexShape
 from impact_rs_sim.twist_readings import TwistReadings
 
 FRICTION, RESTITUTION = "friction", "restitution"  # what tables call the two numbers of a contact,
@@ -301,21 +302,21 @@ def solve_measured(
     return velocity, system
 
 
-def corners_that_touch(
-    body: BodyState, size: Array, normal: Array, tolerance: float = GAP_TOLERANCE
+def points_that_touch(
+    body: BodyState, size: Array, normal: Array, tolerance: float = GAP_TOLERANCE, shape: ConvexShape = BOX
 ) -> tuple[ContactPoint, ...]:
-    """Corners of a box that come first to a plane: the lowest along its normal, and all as low up to the tolerance.
+    """Points of a body that come first to a plane: the lowest along its normal, and all as low up to the tolerance.
 
     Args:
-        body: Pose of the box.
+        body: Pose of the body.
         size: Extent along its own axes, ``(3,)`` [m].
         normal: Unit normal of the plane, into the body, in A, ``(3,)``.
-        tolerance: Largest distance of a touching corner beyond the distance of the first [m].
+        tolerance: Largest distance of a touching point beyond the distance of the first [m].
+        shape: Its shape.
     """
-    signs = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
-    corners = body.position + (signs * size / 2.0) @ body.rotation.T
-    height = corners @ normal
-    near = corners[height <= height.min() + tolerance]
+    points = body.position + shape.first_points(size, -body.rotation.T @ normal, tolerance) @ body.rotation.T
+    height = points @ normal
+    near = points[height <= height.min() + tolerance]
     return points_on_plane(near, normal)
 
 

@@ -137,9 +137,9 @@ class BulletMechanics(Mechanics):
         link, drive = self.links[name], self.drives[name]
         return ArmMotion(link.position, link.velocity, drive.elastic_torque, drive.position, drive.velocity)
 
-    def object_state(self) -> BodyState:
+    def object_state(self, number: int = 0) -> BodyState:
         """See :meth:`Mechanics.object_state`."""
-        return self.world.object_state()
+        return self.world.object_state(number)
 
     def pad_force(self, name: str) -> Array:
         """See :meth:`Mechanics.pad_force`."""

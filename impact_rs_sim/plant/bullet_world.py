@@ -251,14 +251,15 @@ class BulletWorld:
         poses[:, :3] -= offset + 2.0 * (w * turned + np.cross(axis, turned))
         return poses
 
-    def object_state(self) -> BodyState:
-        """State of the object, at its geometric centre."""
-        position, quaternion = self._get_pose(self.object)
-        linear, angular = self._get_velocity(self.object)
+    def object_state(self, number: int = 0) -> BodyState:
+        """State of the object at its geometric centre, or of one of its neighbours, counted from 1."""
+        position, quaternion = self._get_pose(self.objects[number])
+        linear, angular = self._get_velocity(self.objects[number])
         rotation = pin.Quaternion(np.array(quaternion)).matrix()
         centre, twist = np.array(position), np.array(linear + angular)
-        if self._com_is_offset:
-            offset = rotation @ self.physics.object.com_offset
+        body = self.physics.neighbours[number - 1].body if number else self.physics.object
+        if np.any(body.com_offset):
+            offset = rotation @ body.com_offset
             centre -= offset
             twist[:3] -= np.cross(twist[3:], offset)
         return BodyState(centre, rotation, twist)

@@ -70,8 +70,8 @@ class Mechanics(ABC):
         """Present motion of an arm."""
 
     @abstractmethod
-    def object_state(self) -> BodyState:
-        """State of the object, at its geometric centre."""
+    def object_state(self, number: int = 0) -> BodyState:
+        """State of the object at its geometric centre, or of one of its neighbours, counted from 1."""
 
     @abstractmethod
     def pad_force(self, name: str) -> Array:

@@ -9,8 +9,9 @@ tests; no controller and no analyzer sees it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Final
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -27,6 +28,8 @@ from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.scenarios.scenario import Scatter, Scenario
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState
 
+Tracked = TypeVar("Tracked", ObjectMeasurement, BodyState)
+
 SIMULATORS: Final[dict[Simulator, type[Mechanics]]] = {"bullet": BulletMechanics, "twin": TwinMechanics}
 
 
@@ -38,11 +41,13 @@ class Measurement:
         time: Time since the start of the trial [s].
         arms: Measured arms by name.
         object: A new sample of the object tracker, or None between samples.
+        neighbours: Likewise of its neighbours by name; empty between samples.
     """
 
     time: float
     arms: dict[str, ArmMeasurement]
     object: ObjectMeasurement | None
+    neighbours: dict[str, ObjectMeasurement] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -64,11 +69,13 @@ class Truth:
         time: Time since the start of the trial [s].
         arms: Arms by name.
         object: The object whenever the tracker takes a sample, or None between samples.
+        neighbours: Likewise its neighbours by name; empty between samples.
     """
 
     time: float
     arms: dict[str, ArmTruth]
     object: BodyState | None
+    neighbours: dict[str, BodyState] = field(default_factory=dict)
 
 
 class PlantExtension:
@@ -95,7 +102,7 @@ class Plant:
         scenario: Times and sensors.
         mechanics: Arms and object, in place.
         sensors: Sensors by arm.
-        tracker: Tracker of the object.
+        trackers: Tracker of the object, then of its neighbours.
         extension: Behaviour outside the physics.
 
     Attributes:
@@ -107,7 +114,7 @@ class Plant:
         scenario: Scenario,
         mechanics: Mechanics,
         sensors: dict[str, ArmSensors],
-        tracker: ObjectTracker,
+        trackers: Sequence[ObjectTracker],
         extension: PlantExtension | None = None,
     ) -> None:
         self.physics = mechanics.physics
@@ -118,7 +125,7 @@ class Plant:
         self._samples = scenario.timing.ticks + 1
         self._tick = 0
         self._arm_sensors = sensors
-        self._tracker = tracker
+        self._trackers = tuple(trackers)
         self._tracker_ticks = _tracker_ticks(scenario)
         self._extension = extension
 
@@ -149,7 +156,9 @@ class Plant:
             InputError: There is an extension, and the simulator is not Bullet.
         """
         timing, samples = scenario.timing, scenario.timing.ticks + 1
-        scatter_seed, tracker_seed, *arm_seeds = np.random.SeedSequence(seed).spawn(2 + len(physics.arms))
+        bodies, arms = 1 + len(physics.neighbours), len(physics.arms)
+        scatter_seed, first, *further = np.random.SeedSequence(seed).spawn(1 + arms + bodies)
+        arm_seeds, tracker_seeds = further[:arms], [first, *further[arms:]]
         physics, initial, object_state = _scatter(
             scenario.scatter, physics, initial, object_state, np.random.default_rng(scatter_seed)
         )
@@ -178,14 +187,17 @@ class Plant:
             for name, arm_seed in zip(physics.arms, arm_seeds, strict=True)
         }
         tracked = samples // _tracker_ticks(scenario) + 1
-        tracker = ObjectTracker(
-            scenario.sensors,
-            tracked,
-            np.random.default_rng(tracker_seed),
-            physics.tracker,
-            _tracker_ticks(scenario) * timing.control_period,
-        )
-        plant = cls(scenario, mechanics, sensors, tracker, extension)
+        trackers = [
+            ObjectTracker(
+                scenario.sensors,
+                tracked,
+                np.random.default_rng(tracker_seed),
+                physics.tracker,
+                _tracker_ticks(scenario) * timing.control_period,
+            )
+            for tracker_seed in tracker_seeds
+        ]
+        plant = cls(scenario, mechanics, sensors, trackers, extension)
         if extension is not None:
             extension.begin(plant)
         return plant
@@ -219,12 +231,13 @@ class Plant:
         arms = {
             name: sensors.measure(self._tick, self._mechanics.arm(name)) for name, sensors in self._arm_sensors.items()
         }
-        tracked = None
-        if self._tracked:
-            state = self.object_state()
-            sample = self._tick // self._tracker_ticks
-            tracked = self._tracker.measure(sample, self.time, state.position, state.rotation)
-        return Measurement(self.time, arms, tracked)
+        if not self._tracked:
+            return Measurement(self.time, arms, None)
+        sample, seen = self._tick // self._tracker_ticks, []
+        for number, tracker in enumerate(self._trackers):
+            state = self.object_state(number)
+            seen.append(tracker.measure(sample, self.time, state.position, state.rotation))
+        return Measurement(self.time, arms, seen[0], self._by_neighbour(seen[1:]))
 
     def truth(self) -> Truth:
         """The true state now."""
@@ -233,11 +246,18 @@ class Plant:
             name: ArmTruth(**vars(mechanics.arm(name)), pad_force=mechanics.pad_force(name))
             for name in self.physics.arms
         }
-        return Truth(self.time, arms, self.object_state() if self._tracked else None)
+        if not self._tracked:
+            return Truth(self.time, arms, None)
+        object_, *beside = map(self.object_state, range(len(self._trackers)))
+        return Truth(self.time, arms, object_, self._by_neighbour(beside))
 
-    def object_state(self) -> BodyState:
-        """True state of the object at its geometric centre."""
-        return self._mechanics.object_state()
+    def object_state(self, number: int = 0) -> BodyState:
+        """True state of the object at its geometric centre, or of one of its neighbours, counted from 1."""
+        return self._mechanics.object_state(number)
+
+    def _by_neighbour(self, values: Sequence[Tracked]) -> dict[str, Tracked]:
+        """What is known of the neighbours, by name."""
+        return dict(zip((one.name for one in self.physics.neighbours), values, strict=True))
 
     def step(self, desired: dict[str, Array]) -> None:
         """Advance by one control period with desired torques ``(n,)`` [N m] by arm.

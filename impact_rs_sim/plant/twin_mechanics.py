@@ -16,7 +16,7 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant.mechanics import Mechanics
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState
-from impact_rs_sim.twin import CONTACT_REFINEMENT, arm_start, box_starts, kernel_twin, motions
+from impact_rs_sim.twin import BOX_COLUMNS, CONTACT_REFINEMENT, arm_start, box_starts, kernel_twin, motions
 
 
 class TwinMechanics(Mechanics):
@@ -60,15 +60,15 @@ class TwinMechanics(Mechanics):
 
     def _update(self, state: Array) -> None:
         """Take the parts of a state."""
-        self._arms, self._body = motions(self.physics, state)
+        self._arms, self._bodies = motions(self.physics, state)
 
     def arm(self, name: str) -> ArmMotion:
         """See :meth:`Mechanics.arm`."""
         return self._arms[name]
 
-    def object_state(self) -> BodyState:
+    def object_state(self, number: int = 0) -> BodyState:
         """See :meth:`Mechanics.object_state`."""
-        pose, twist = self._body[:7], self._body[7:13]
+        pose, twist = np.split(self._bodies[BOX_COLUMNS * number : BOX_COLUMNS * (number + 1)], [7])
         return BodyState(pose[:3], pin.Quaternion(pose[3:]).matrix(), twist)
 
     def pad_force(self, name: str) -> Array:

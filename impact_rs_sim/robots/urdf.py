@@ -191,20 +191,22 @@ def write_description(
     return _document(scene)
 
 
-def write_object_description(size: Array, mass: float, com: Array, inertia: Array, shape: ConvexShape = BOX) -> str:
-    """URDF of the object: the one link ``object``, whose frame is at the middle of its extents.
+def write_object_description(
+    size: Array, inertial: tuple[float, Array, Array], shape: ConvexShape = BOX, name: str = "object"
+) -> str:
+    """URDF of an object: the one link with its name, whose frame is at the middle of its extents.
 
     Args:
         size: Extent along x, y, z, ``(3,)`` [m].
-        mass: Mass [kg]; infinite of a fixed object, which has no ``inertial``.
-        com: Centre of mass in the link, ``(3,)`` [m].
-        inertia: Inertia about the centre of mass, ``(3, 3)`` [kg m^2].
+        inertial: Mass [kg], infinite of a fixed object, which has no ``inertial``; centre of mass in the link, ``(3,)``
+            [m]; inertia about it, ``(3, 3)`` [kg m^2].
         shape: What fills the extents; of a capsule, which URDF lacks, a cylinder and two balls.
+        name: Its name.
     """
-    robot = Xml.Element("robot", name="object")
-    link = Xml.SubElement(robot, "link", name="object")
-    if math.isfinite(mass):
-        _inertial(link, mass, com, inertia)
+    robot = Xml.Element("robot", name=name)
+    link = Xml.SubElement(robot, "link", name=name)
+    if math.isfinite(inertial[0]):
+        _inertial(link, *inertial)
     colour = "0.76 0.6 0.42 1"
     if shape.kind == "capsule":
         tube = np.array([size[0], size[1], size[2] - size[0]])

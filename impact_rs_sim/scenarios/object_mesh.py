@@ -13,7 +13,7 @@ opening of area A at a distance d from the middle misses that by A d.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import coal
@@ -52,6 +52,24 @@ class ObjectMesh:
     volume: float
     hull_excess: float
     middle: Array
+
+    def stretched(self, size: Array) -> ObjectMesh:
+        """The mesh with other extents: second moments grow with the square of the stretch of their axis.
+
+        Args:
+            size: Extents, ``(3,)`` [m].
+        """
+        ratio = np.asarray(size) / self.size
+        second = (0.5 * np.sum(self.moments) - self.moments) * ratio**2
+        return replace(
+            self,
+            corners=self.corners * ratio,
+            size=np.asarray(size, dtype=float),
+            com=self.com * ratio,
+            moments=np.sum(second) - second,
+            volume=self.volume * float(np.prod(ratio)),
+            middle=self.middle * ratio,
+        )
 
 
 def read_object_mesh(path: Path, scale: float = 1.0, convex: bool = True) -> ObjectMesh:

@@ -666,8 +666,8 @@ class Scenario(Schema):
     objects: dict[Name, ObjectSpec] = Field(min_length=1, description="objects by name")
     neighbours: dict[Name, NeighbourSpec] = omitted(
         {},
-        description="further objects, which the object hits, by name: in a row, each beside the one before; only the "
-        "object is tracked",
+        description="further objects, which the object hits, by name: in a row, each beside the one before; they are "
+        "tracked as the object is",
     )
     support: Support = Field(description="what the object lies on")
     contact: Contact = Field(description="contact between pad and object")

@@ -19,8 +19,9 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_control.qp import QpStatus
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_trials.bags.reader import JointColumns, PoseColumns
+from impact_rs_trials.bags.reader import JointColumns
 from impact_rs_trials.bags.trial_info import OUTCOMES, Outcome
+from impact_rs_trials.runs import Poses
 
 MIN_LIFT_SHARE = 0.5  # of the commanded lift; below it the object slipped or fell
 MAX_VIOLATION_S = 0.005  # beyond a limit of position, speed or tilt; a shorter violation is a spike of a sensor
@@ -76,7 +77,7 @@ class TrialRecord:
     """
 
     arms: dict[str, ArmRecord]
-    object: PoseColumns
+    object: Poses
 
 
 class TickLog:
@@ -116,12 +117,9 @@ class TickLog:
             mode=np.array([command.mode for command in commands]),
         )
 
-    def _object(self) -> PoseColumns:
-        seen = [tick.measurement.object for tick in self._ticks if tick.measurement.object is not None]
-        return PoseColumns(
-            time=np.array([pose.time for pose in seen]),
-            position=np.array([pose.position for pose in seen]).reshape(-1, 3),
-            quaternion=np.array([pose.quaternion for pose in seen]).reshape(-1, 4),
+    def _object(self) -> Poses:
+        return Poses.of_samples(
+            [tick.measurement.object for tick in self._ticks if tick.measurement.object is not None]
         )
 
 
@@ -278,7 +276,7 @@ def _too_early(plan: TrialPlan, recorded: TrialRecord) -> Iterator[_Finding]:
                 )
 
 
-def _tipped(seen: PoseColumns, about_axis: bool) -> Iterator[_Finding]:
+def _tipped(seen: Poses, about_axis: bool) -> Iterator[_Finding]:
     """An object that tips over, by the angle between the vertical in body axes now and at the start.
 
     Args:
@@ -302,7 +300,7 @@ def _tipped(seen: PoseColumns, about_axis: bool) -> Iterator[_Finding]:
         )
 
 
-def _dropped(plan: TrialPlan, seen: PoseColumns) -> Iterator[_Finding]:
+def _dropped(plan: TrialPlan, seen: Poses) -> Iterator[_Finding]:
     """An object that was to be lifted and did not rise enough."""
     if not seen.time.size:  # it was not tracked
         return

@@ -31,7 +31,7 @@ from impact_rs_trials.bags.trial_info import OUTCOMES, VIA, TrialInfo
 from impact_rs_trials.bags.types import NS_PER_S, typestore, typestore_of
 from impact_rs_trials.bags.writer import ORIGIN, RECORDED
 from impact_rs_trials.file_names import BAG_METADATA
-from impact_rs_trials.runs import ArmSignals, Run, Signals, run_of_trial
+from impact_rs_trials.runs import ArmSignals, Poses, Run, Signals, run_of_trial
 
 OF_THE_TWIN = (
     "the twin recorded these trials and replays them as well, so that the comparison contains no difference between "
@@ -116,18 +116,8 @@ class ControllerColumns:
 
 
 @dataclass(frozen=True)
-class PoseColumns:
-    """One ``geometry_msgs/PoseStamped`` topic as columns.
-
-    Attributes:
-        time: Trial times by the header stamps, ``(k,)`` [s].
-        position: ``(k, 3)`` [m].
-        quaternion: x y z w, ``(k, 4)``.
-    """
-
-    time: Array
-    position: Array
-    quaternion: Array
+class PoseColumns(Poses):
+    """One ``geometry_msgs/PoseStamped`` topic as columns, at trial times by the header stamps."""
 
     @classmethod
     def of(cls, columns: dict[str, Array]) -> PoseColumns:
@@ -264,7 +254,8 @@ class TrialBag:
     @property
     def missing(self) -> list[str]:
         """Topics of a trial without messages in this one; ``/truth`` means all topics below it."""
-        return topics.lacking(list(self.info.robots), [topic for topic, count in self.counts.items() if count])
+        present = [topic for topic, count in self.counts.items() if count]
+        return topics.lacking(self.info.robots, present, self.info.neighbours)
 
     def serialized(self, topic: str) -> list[bytes]:
         """All messages of a topic as they were recorded (CDR).
@@ -319,16 +310,24 @@ class TrialBag:
         """Measured signals, checked."""
         arms, time = {}, None
         of_arm = (topics.joint_states, topics.motor_states, topics.controller_state)
-        self._read_ahead(topics.OBJECT_POSE, *(topic(arm) for arm in self.info.robots for topic in of_arm))
+        beside = {name: topics.pose(name) for name in self.info.neighbours}
+        of_arms = (topic(arm) for arm in self.info.robots for topic in of_arm)
+        self._read_ahead(topics.OBJECT_POSE, *beside.values(), *of_arms)
         for arm in self.info.robots:
             time, arms[arm] = self._arm(arm)
         if time is None:
             raise BagError(self.path, "names no robots")
-        pose = self.poses(topics.OBJECT_POSE)
-        if np.any(back := np.diff(pose.time) < 0.0):  # a tracker may repeat its last sample
-            first = float(pose.time[1:][np.argmax(back)])
-            raise BagError(self.path, f"{topics.OBJECT_POSE}: time stamps run backwards at t = {first:.3f} s")
-        return Signals(time, arms, pose.time, pose.position, pose.quaternion)
+        seen = self._tracked(topics.OBJECT_POSE)
+        neighbours = {name: self._tracked(topic) for name, topic in beside.items()}
+        return Signals(time, arms, seen.time, seen.position, seen.quaternion, neighbours)
+
+    def _tracked(self, topic: str) -> Poses:
+        """Tracked poses of a body, checked; empty where they were not recorded, as in bags of 0.1.0."""
+        seen = self.poses(topic)
+        if np.any(back := np.diff(seen.time) < 0.0):  # a tracker may repeat its last sample
+            first = float(seen.time[1:][np.argmax(back)])
+            raise BagError(self.path, f"{topic}: time stamps run backwards at t = {first:.3f} s")
+        return seen
 
     def _read_ahead(self, *names: str) -> None:
         """Read several topics in one pass over the file; a damaged one is read, and named, by itself later."""

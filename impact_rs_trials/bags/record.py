@@ -16,7 +16,7 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant.plant import Measurement, PlantExtension, Truth
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.urdf import WORLD, write_description, write_object_description
-from impact_rs_sim.scene import Scene
+from impact_rs_sim.scene import Scene, standing
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import TF_PERIOD_S, Frame, MessageMaker, RosbagsTypes
 from impact_rs_trials.bags.outcome import TickLog, Verdict, judge
@@ -28,16 +28,24 @@ FIXED_TOLERANCE = 1e-9  # [-], m; a placement that changes by less does not depe
 
 
 def descriptions(physics: Physics) -> dict[str, str]:
-    """URDFs by topic: all arms with the support, every arm alone, and the object."""
-    body = physics.object
+    """URDFs by topic: all arms with the support, every arm alone, the object, and its neighbours."""
+    bodies = dict(zip(body_names(physics), (physics.object, *(one.body for one in physics.neighbours)), strict=True))
     arms = {name: (arm.facts, arm.end_effector, arm.base) for name, arm in physics.arms.items()}
     return {
         topics.ROBOT_DESCRIPTION: physics.description(),
         **{topics.robot_description(name): write_description({name: arm}, None) for name, arm in arms.items()},
-        topics.OBJECT_DESCRIPTION: write_object_description(
-            body.size, body.mass, body.com_offset, np.diag(body.inertia), body.shape
-        ),
+        **{
+            topics.robot_description(name): write_object_description(
+                body.size, (body.mass, body.com_offset, np.diag(body.inertia)), body.shape, name
+            )
+            for name, body in bodies.items()
+        },
     }
+
+
+def body_names(physics: Physics) -> list[str]:
+    """Names of the object and its neighbours, in topics and frames."""
+    return ["object", *(one.name for one in physics.neighbours)]
 
 
 class FrameSource:
@@ -60,7 +68,10 @@ class FrameSource:
         self._prefix = prefix
         self._supported = scene.physics.support_height is not None
         self._every = max(1, round(TF_PERIOD_S / scene.scenario.timing.control_period))
-        self._object = pin.SE3(scene.object.rotation, scene.object.position)
+        bodies = dict(
+            zip(body_names(scene.physics), (scene.object, *standing(scene.physics, scene.object)), strict=True)
+        )
+        self._bodies = {name: pin.SE3(body.rotation, body.position) for name, body in bodies.items()}
         self._fixed: set[str] = set()
         at_rest, moved = (
             self._named({name: np.full(model.joint_count, q) for name, model in self._models.items()})
@@ -79,22 +90,21 @@ class FrameSource:
 
     def frames(self, measurement: Measurement) -> list[Frame]:
         """Every frame that moves, at a measurement."""
-        seen = measurement.object
+        seen = {"object": measurement.object} if measurement.object is not None else {}
         return self.at(
             {name: arm.position for name, arm in measurement.arms.items()},
-            None if seen is None else (seen.position, seen.quaternion),
+            {name: (one.position, one.quaternion) for name, one in (seen | measurement.neighbours).items()},
         )
 
-    def at(self, arms: dict[str, Array], seen: tuple[Array, Array] | None) -> list[Frame]:
-        """As :meth:`frames`, from joint positions by arm and position and quaternion of the object; None: not seen."""
-        if seen is not None:
-            position, quaternion = seen
-            self._object = pin.SE3(pin.Quaternion(quaternion).matrix(), position)
-        body = Frame(self._prefix + WORLD, self._prefix + "object", self._object)
-        return [*(frame for frame in self._named(arms) if frame.name not in self._fixed), body]
+    def at(self, arms: dict[str, Array], seen: Mapping[str, tuple[Array, Array]]) -> list[Frame]:
+        """As :meth:`frames`, from joint positions by arm, and position and quaternion of the objects that were seen."""
+        for name, (position, quaternion) in seen.items():
+            self._bodies[name] = pin.SE3(pin.Quaternion(quaternion).matrix(), position)
+        bodies = [Frame(self._prefix + WORLD, self._prefix + name, place) for name, place in self._bodies.items()]
+        return [*(frame for frame in self._named(arms) if frame.name not in self._fixed), *bodies]
 
     def _named(self, arms: dict[str, Array]) -> list[Frame]:
-        """Every frame but the object's, with its prefix."""
+        """Every frame but those of object and neighbours, with its prefix."""
         frames = [Frame(WORLD, "support", pin.SE3.Identity())] if self._supported else []
         for name, model in self._models.items():
             parent, before = WORLD, pin.SE3.Identity()
@@ -115,9 +125,12 @@ def occasional_messages(
     """Messages of the plant that are not published in every tick, with their topics."""
     if measurement.object is not None:
         yield topics.OBJECT_POSE, maker.object_pose(tick, measurement.object)
+    for name, seen in measurement.neighbours.items():
+        yield topics.pose(name), maker.object_pose(tick, seen)
     if truth is not None and truth.object is not None:
-        yield topics.TRUTH_OBJECT_POSE, maker.truth_object_pose(tick, truth.object)
-        yield topics.TRUTH_OBJECT_TWIST, maker.truth_object_twist(tick, truth.object)
+        for name, state in {"object": truth.object, **truth.neighbours}.items():
+            yield topics.truth_pose(name), maker.truth_object_pose(tick, state)
+            yield topics.truth_twist(name), maker.truth_object_twist(tick, state)
     if frames.due(tick):
         yield topics.TF, maker.transforms(tick, frames.frames(measurement))
         yield topics.CLOCK, maker.clock(tick)
@@ -183,7 +196,9 @@ def record_cell(
     """
     try:
         maker, frames = MessageMaker(RosbagsTypes(), plan), FrameSource(plan.scene)
-        with without_garbage_collection(), BagWriter.create(path, list(plan.arms), truth is not None) as bag:
+        neighbours = [one.name for one in plan.scene.physics.neighbours]
+        arms, known = list(plan.arms), truth is not None
+        with without_garbage_collection(), BagWriter.create(path, arms, known, neighbours=neighbours) as bag:
             bag.describe(info)
             bag.write(topics.TRIAL_INFO, 0, maker.trial_info(info))
             for topic, urdf in descriptions(plan.scene.physics).items():

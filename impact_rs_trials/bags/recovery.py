@@ -35,7 +35,7 @@ def recover(cut: Path, whole: Path) -> bool:
         return False
     origin, recorded = found  # the first message of a trial, at trial time 0
     info = TrialInfo.from_message(typestore().deserialize_cdr(recorded, topics.TRIAL_INFO_TYPE))
-    with BagWriter.create(whole, list(info.robots), origin_ns=origin) as bag:
+    with BagWriter.create(whole, list(info.robots), origin_ns=origin, neighbours=info.neighbours) as bag:
         bag.describe(info)
         for topic, nanoseconds, data in messages:
             bag.write_raw(topic, nanoseconds - origin, data)

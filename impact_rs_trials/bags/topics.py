@@ -6,7 +6,7 @@ Per arm: ``/ARM/...``. Everything below ``/truth`` comes from the plant and is n
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 CLOCK = "/clock"
@@ -15,7 +15,7 @@ ROBOT_DESCRIPTION = "/robot_description"
 TF = "/tf"
 TF_STATIC = "/tf_static"
 DIAGNOSTICS = "/diagnostics"
-OBJECT_POSE = "/object/pose"
+OBJECT_POSE = "/object/pose"  # topics of a neighbour have its name in place of object
 OBJECT_DESCRIPTION = "/object/robot_description"
 TRUTH = "/truth"
 TRUTH_MODEL = "/truth/model"
@@ -23,9 +23,24 @@ TRUTH_OBJECT_POSE = "/truth/object/pose"
 TRUTH_OBJECT_TWIST = "/truth/object/twist"
 
 
-def robot_description(arm: str) -> str:
-    """URDF of the arm alone."""
-    return f"/{arm}/robot_description"
+def robot_description(body: str) -> str:
+    """URDF of an arm, or of a neighbour of the object, alone."""
+    return f"/{body}/robot_description"
+
+
+def pose(neighbour: str) -> str:
+    """Tracked pose of a neighbour of the object."""
+    return f"/{neighbour}/pose"
+
+
+def truth_pose(neighbour: str) -> str:
+    """True pose of a neighbour of the object."""
+    return f"/truth/{neighbour}/pose"
+
+
+def truth_twist(neighbour: str) -> str:
+    """True twist of a neighbour of the object."""
+    return f"/truth/{neighbour}/twist"
 
 
 def joint_states(arm: str) -> str:
@@ -76,9 +91,9 @@ IMPACT_EVENT = "impact_rs/msg/ImpactEvent"
 TRIAL_INFO_TYPE = "impact_rs/msg/TrialInfo"
 
 
-def latched(arms: list[str]) -> list[str]:
+def latched(arms: Sequence[str], neighbours: Sequence[str] = ()) -> list[str]:
     """Topics with one message per trial, which late subscribers receive as well."""
-    return [TRIAL_INFO, ROBOT_DESCRIPTION, OBJECT_DESCRIPTION, *(robot_description(arm) for arm in arms)]
+    return [TRIAL_INFO, ROBOT_DESCRIPTION, OBJECT_DESCRIPTION, *map(robot_description, (*arms, *neighbours))]
 
 
 @dataclass(frozen=True)
@@ -118,7 +133,13 @@ def offer(topic: str) -> Offer:
     return TRANSFORMS if topic == TF else SIGNAL
 
 
-def recorded(arms: list[str], truth: bool = True) -> dict[str, str]:
+def of_neighbours(neighbours: Sequence[str]) -> dict[str, str]:
+    """Topics of the plant about the neighbours of the object, with their types."""
+    names = ((pose, POSE), (truth_pose, POSE), (truth_twist, TWIST))
+    return {name(neighbour): kind for neighbour in neighbours for name, kind in names}
+
+
+def recorded(arms: Sequence[str], truth: bool = True, neighbours: Sequence[str] = ()) -> dict[str, str]:
     """Every recorded topic of a trial with its type; those below ``/truth`` only if the plant publishes the truth."""
     topics = {
         CLOCK: CLOCK_TYPE,
@@ -144,24 +165,28 @@ def recorded(arms: list[str], truth: bool = True) -> dict[str, str]:
             truth_joint_states(arm): JOINT_STATE,
             truth_contact_wrench(arm): WRENCH,
         }
+    topics |= dict.fromkeys(map(robot_description, neighbours), STRING) | of_neighbours(neighbours)
     return {topic: kind for topic, kind in topics.items() if truth or not _is_truth(topic)}
 
 
-def needed(arms: list[str]) -> list[str]:
+def needed(arms: Sequence[str]) -> list[str]:
     """Topics needed to analyse a trial; a plant that publishes only these gives a complete bag."""
     return [name(arm) for arm in arms for name in (joint_states, joint_command, controller_state, impact_event)]
 
 
-def lacking(arms: list[str], present: Collection[str]) -> list[str]:
+def lacking(arms: Sequence[str], present: Collection[str], neighbours: Sequence[str] = ()) -> list[str]:
     """Topics of a trial without messages; ``/truth`` means all topics below it.
 
     Args:
         arms: Names of the arms.
         present: Topics with messages.
+        neighbours: Names of the neighbours of the object.
     """
     # Up to version 0.1.0 all frames are on /tf.
     occasional = {TF_STATIC, DIAGNOSTICS, TRUTH_MODEL, *(impact_event(arm) for arm in arms)}
-    absent = [topic for topic in recorded(arms) if topic not in present and topic not in occasional]
+    absent = [
+        topic for topic in recorded(arms, neighbours=neighbours) if topic not in present and topic not in occasional
+    ]
     if any(_is_truth(topic) for topic in present):
         return absent
     return [topic for topic in absent if not _is_truth(topic)] + [TRUTH]

@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 from impact_rs_control.plan import TrialPlan
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.plant.mechanics import Simulator
 from impact_rs_sim.seeds import seed_of
 from impact_rs_sim.version import git_revision, package_version
@@ -128,6 +130,13 @@ class TrialInfo:
     def spec(self) -> TrialSpec:
         """Common properties of its repeats; references and physics follow from it."""
         return TrialSpec(self.scenario_json, self.object, self.case_name, self.velocity_scale, self.motor_inertia)
+
+    @property
+    def neighbours(self) -> tuple[str, ...]:
+        """Names of the neighbours of the object; empty where the scenario is missing or cannot be read."""
+        with suppress(InputError):
+            return tuple(self.spec.scenario.neighbours) if self.scenario_json else ()
+        return ()
 
     @staticmethod
     def from_message(message: Any) -> TrialInfo:

@@ -139,18 +139,23 @@ class BagWriter:
     Args:
         path: Folder of the bag when it is complete.
         writer: Open, on the hidden folder.
-        arms: Names of the arms.
+        bodies: Names of the arms, and of the neighbours of the object.
         connections: Connections of the writer, by topic.
         store: Definitions of their types.
     """
 
     def __init__(
-        self, path: Path, writer: SealedWriter, arms: list[str], connections: dict[str, Connection], store: Typestore
+        self,
+        path: Path,
+        writer: SealedWriter,
+        bodies: tuple[Sequence[str], Sequence[str]],
+        connections: dict[str, Connection],
+        store: Typestore,
     ) -> None:
         self.path = path
         self._origin_ns = 0
         self._early: list[tuple[str, int, bytes | memoryview]] | None = None  # messages that wait for the origin
-        self._arms = arms
+        self._arms, self._neighbours = bodies
         self.messages = 0
         self._writer = writer
         self._connections = connections
@@ -161,7 +166,14 @@ class BagWriter:
         self._rows: list[tuple[int, Connection, bytes | memoryview]] = []
 
     @classmethod
-    def create(cls, path: Path, arms: list[str], truth: bool = True, origin_ns: int | None = 0) -> BagWriter:
+    def create(
+        cls,
+        path: Path,
+        arms: Sequence[str],
+        truth: bool = True,
+        origin_ns: int | None = 0,
+        neighbours: Sequence[str] = (),
+    ) -> BagWriter:
         """Begin a bag with every topic of a trial.
 
         Args:
@@ -169,6 +181,7 @@ class BagWriter:
             arms: Names of the arms.
             truth: Whether the bag has topics for the truth.
             origin_ns: Stamp of trial time 0 [ns]: ROS time of a robot, 0 in simulation; None: not before :meth:`begin`.
+            neighbours: Names of the neighbours of the object.
 
         Raises:
             InputError: The folder exists already or cannot be made.
@@ -189,9 +202,9 @@ class BagWriter:
         store = typestore()
         connections = {
             topic: writer.add_connection(topic, kind, typestore=store, offered_qos_profiles=[_offered(topic)])
-            for topic, kind in topics.recorded(arms, truth).items()
+            for topic, kind in topics.recorded(arms, truth, neighbours).items()
         }
-        bag = cls(path, writer, arms, connections, store)
+        bag = cls(path, writer, (arms, neighbours), connections, store)
         if origin_ns is None:
             bag._early = []
         else:
@@ -274,7 +287,7 @@ class BagWriter:
             outcome: How the trial ended.
             reason: Reason of the outcome, in one line; may be empty.
         """
-        if lacking := topics.lacking(self._arms, self._present):
+        if lacking := topics.lacking(self._arms, self._present, self._neighbours):
             self._writer.set_custom_data(MISSING, ", ".join(lacking))
         self._close(outcome, reason)
         partial_path(self.path).rename(self.path)

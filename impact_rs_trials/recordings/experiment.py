@@ -14,19 +14,21 @@ from __future__ import annotations
 import functools
 import os
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Self, TypeVar
+from typing import Annotated, Literal, Self, TypeVar
 
 import numpy as np
 import pinocchio as pin
 from pydantic import Field, PrivateAttr, model_validator
 
 from impact_rs_sim.errors import InputError, did_you_mean
-from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.physics import ObjectPhysics
 from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
 from impact_rs_sim.schema import PositiveNumber, PositiveVector3, Schema, Vector3, load
+from impact_rs_sim.shapes import check_extents
 from impact_rs_trials.file_names import EXPERIMENT_FILE, RUN_TABLE
+from impact_rs_trials.recordings.free_bodies import body_of_mesh, body_of_shape
 from impact_rs_trials.recordings.mapping import Mapping, load_mapping
 from impact_rs_trials.recordings.readers.run_finder import find_run, name_of
 from impact_rs_trials.recordings.readers.table_columns import read_columns
@@ -72,14 +74,23 @@ class MotionCapture(FramePlacement):
 
 
 class Body(Schema):
-    """A body without a robot that hits a fixed plane: a box or a ball."""
+    """A body without a robot that hits a fixed plane."""
 
     mass: PositiveNumber = Field(description="mass [kg]")
-    size: PositiveVector3 | None = Field(None, description="extent of a box along its own axes [m]")
+    shape: Literal["box", "sphere", "capsule", "cylinder"] = Field(
+        "box", description="shape with the extents size; capsule and cylinder have the axis z [-]"
+    )
+    mesh: str | None = Field(
+        None,
+        description="file of its mesh, a path from this file's folder, in place of shape: gives convex hull, extents "
+        "where size is absent, centre of mass, and inertia of an even density",
+    )
+    size: PositiveVector3 | None = Field(None, description="extent along its own axes [m]")
     radius: PositiveNumber | None = Field(None, description="radius of a ball [m]")
     shell: bool = Field(False, description="whether a ball is hollow, 2/3 m r^2; else solid, 2/5 m r^2")
     inertia: PositiveVector3 | None = Field(
-        None, description="principal moments about the centre, along its own axes [kg m^2]; absent: homogeneous"
+        None,
+        description="principal moments about the centre of mass, along its own axes [kg m^2]; absent: homogeneous",
     )
     place: FramePlacement = Field(
         default_factory=FramePlacement, description="its geometric centre and axes in the tracked frame"
@@ -91,19 +102,27 @@ class Body(Schema):
     )
 
     @property
-    def moments(self) -> Array:
-        """Principal moments about the centre, ``(3,)`` [kg m^2]."""
-        if self.inertia is not None:
-            return np.array(self.inertia)
-        if self.radius is not None:
-            return np.full(3, (2.0 / 3.0 if self.shell else 0.4) * self.mass * self.radius**2)
-        square = np.square(np.array(self.size))
-        return np.asarray(self.mass / 12.0 * (np.sum(square) - square))
+    def item(self) -> ObjectPhysics:
+        """The rigid body."""
+        if self.mesh is not None:
+            found = body_of_mesh(Path(self.mesh), self.mass, self.size)
+        elif self.radius is not None:
+            found = body_of_shape("sphere", self.mass, [2.0 * self.radius] * 3, self.shell)
+        else:
+            assert self.size is not None
+            found = body_of_shape(self.shape, self.mass, self.size)
+        return found if self.inertia is None else replace(found, inertia=np.array(self.inertia))
 
     @model_validator(mode="after")
     def _one_shape(self) -> Self:
-        if (self.size is None) == (self.radius is None):
-            raise ValueError("expected either size, of a box, or radius, of a ball [m]")
+        if self.radius is not None and (self.size is not None or self.mesh is not None or self.shape != "box"):
+            raise ValueError("radius is of a ball: leave shape, mesh and size out [m]")
+        if self.radius is None and self.mesh is None and self.size is None:
+            raise ValueError("expected size, with shape, or mesh, or radius of a ball [m]")
+        if self.mesh is not None and self.shape != "box":
+            raise ValueError("expected either shape or mesh")
+        if self.mesh is None and self.size is not None:
+            check_extents(self.shape, self.size)
         if self.spin is not None and self.radius is None:
             raise ValueError("spin is for balls: how a box lands follows from its turn, which must be tracked")
         return self
@@ -210,6 +229,11 @@ def load_experiment(path: Path) -> Experiment:
     if path.is_dir():
         raise InputError(f"a folder where an experiment file is expected, {EXPERIMENT_FILE} for example", file=path)
     experiment = load(Experiment, path)
+    if experiment.body is not None and experiment.body.mesh is not None:
+        mesh = str((path.parent / experiment.body.mesh).absolute())
+        body = experiment.body.model_copy(update={"mesh": mesh})
+        _in_key(path, "body.mesh", mesh, lambda: body.item)
+        experiment = experiment.model_copy(update={"body": body})
     experiment._file = path
     if experiment.scenario is None:
         return experiment

@@ -17,7 +17,7 @@ from measured_data import measured_data
 
 from impact_rs_analysis.diagnosis.document import read_document
 from impact_rs_cli.main import main
-from impact_rs_sim.impact_map.measured import MeasuredImpact, corners_that_touch, solve_measured
+from impact_rs_sim.impact_map.measured import MeasuredImpact, points_that_touch, solve_measured
 from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.scene import BodyState
 from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
@@ -113,7 +113,7 @@ def toss(path: Path, rng: np.random.Generator) -> None:
     height = float(-np.min(0.5 * SIZE * signs @ rotation[2]))
     twist = np.concatenate((rng.uniform([-0.5, -0.5, -1.6], [0.5, 0.5, -1.0]), rng.uniform(-3.0, 3.0, 3)))
     body = BodyState(np.array([0.1, 0.2, height]), rotation, twist)
-    impact = MeasuredImpact({}, body, corners_that_touch(body, np.full(3, SIZE), np.array([0.0, 0.0, 1.0])))
+    impact = MeasuredImpact({}, body, points_that_touch(body, np.full(3, SIZE), np.array([0.0, 0.0, 1.0])))
     after, _ = solve_measured(tossed_cube(), impact)
     rows = []
     for sample in range(-15, 16):

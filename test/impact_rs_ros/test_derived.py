@@ -65,7 +65,7 @@ def test_transforms_and_clock_follow_from_messages_in_any_order(recorded: Record
 
 def test_the_frame_of_an_object_that_nobody_tracks_is_left_out(recorded: Recorded) -> None:
     messages, expected = recorded
-    derived = DerivedMessages(PLAN, tracked=False)
+    derived = DerivedMessages(PLAN, tracked=())
     found = made_by(derived, messages)
     assert list(found) == list(expected)
     for key in (key for key in found if key[1] == topics.TF):
@@ -113,7 +113,7 @@ def test_an_object_with_its_own_tracker_times_is_where_it_was_last_seen(recorded
 def test_an_object_that_was_never_seen_has_no_frame(recorded: Recorded) -> None:
     derived = DerivedMessages(PLAN)
     assert made_by(derived, with_tracker_of_its_own(recorded[0], {}, late=0.0)) == {}
-    untracked = DerivedMessages(PLAN, tracked=False)
+    untracked = DerivedMessages(PLAN, tracked=())
     expected = made_by(untracked, recorded[0])
     assert {(at, name): made for name, at, made in derived.rest()} == expected
 

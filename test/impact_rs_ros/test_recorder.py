@@ -52,7 +52,7 @@ def opened(push_campaign: Path, tmp_path: Path) -> Iterator[Begin]:
         bags.append(BagWriter.create(tmp_path / str(len(bags)), ["arm"], origin_ns=None if ros_time else 0))
         plan = info.spec.plan if ours else None
         bags[-1].write_raw(topics.TRIAL_INFO, 0, identity)
-        return OpenTrial("push/it", bags[-1], ["arm"], info.duration, plan, True, ros_time)
+        return OpenTrial("push/it", bags[-1], ["arm"], info.duration, plan, ["object"], ros_time)
 
     yield begin
     for bag in bags:
@@ -253,7 +253,7 @@ def test_diagnostics_are_stored_at_the_trial_time_of_the_newest_signal() -> None
     values = [0.0] * 7
     state = JointState(name=["a"] * 7, position=values, velocity=values, effort=values)
     bag, told = Bag(), DiagnosticArray()
-    trial = OpenTrial("push/one", bag, ["arm"], 1.8, None, tracked=True)  # type: ignore[arg-type]
+    trial = OpenTrial("push/one", bag, ["arm"], 1.8, None, tracked=["object"])  # type: ignore[arg-type]
     state.header.stamp.nanosec = 200_000_000
     told.header.stamp.sec = 1_790_000_000
     for topic, message in (

@@ -86,6 +86,14 @@ def test_the_newest_state_is_by_joint_name_and_forces_act_on_the_object(graph: F
     assert last.positions == newest.positions
 
 
+def test_neighbours_of_the_object_are_seen_by_name(graph: FakeGraph, spectator: Spectator) -> None:
+    graph.trial("push_two_boxes", "box")
+    until(spectator, lambda seen: seen.physics)
+    found = until(spectator, lambda seen: seen.neighbours, lambda: graph.object(POSE, "behind"))
+    np.testing.assert_array_equal(found.neighbours["behind"], POSE)
+    assert found.object is None
+
+
 def test_another_scenario_is_another_scene_and_a_repeat_keeps_its_state(graph: FakeGraph, spectator: Spectator) -> None:
     graph.trial("push")
     first = until(spectator, lambda seen: seen.physics)

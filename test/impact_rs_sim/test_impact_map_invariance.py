@@ -15,7 +15,7 @@ from impact_table_cases import SIZE, UP, cube
 from random_impacts import random_problem
 
 from impact_rs_sim.impact_map import ImpactProblem, ImpactResult, compute_impact_map, kinetic_energy
-from impact_rs_sim.impact_map.measured import MeasuredImpact, MeasuredImpacts, corners_that_touch, solve_measured
+from impact_rs_sim.impact_map.measured import MeasuredImpact, MeasuredImpacts, points_that_touch, solve_measured
 from impact_rs_sim.impact_map.problem import EnergyGain
 from impact_rs_sim.physics import ObjectPhysics
 from impact_rs_sim.scene import BodyState
@@ -57,7 +57,7 @@ def thrown(seed: int) -> MeasuredImpact:
     turn = pin.rpy.rpyToMatrix(rng.choice([0.0, 0.4]), 0.0, rng.uniform(-3.0, 3.0))
     twist = np.concatenate((rng.uniform(-1.0, 1.0, 2), [-rng.uniform(0.1, 0.5)], rng.normal(0.0, 6.0, 3)))
     body = BodyState(rng.normal(0.0, 0.1, 3), turn, twist)
-    return MeasuredImpact({}, body, corners_that_touch(body, SIZE, UP))
+    return MeasuredImpact({}, body, points_that_touch(body, SIZE, UP))
 
 
 def answered(problem: ImpactProblem, engine: str = "exact") -> ImpactResult:

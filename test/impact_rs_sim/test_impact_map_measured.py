@@ -17,9 +17,9 @@ from impact_rs_sim.impact_map.measured import (
     PAD_REACH,
     MeasuredImpact,
     MeasuredImpacts,
-    corners_that_touch,
     points_of_scene,
     points_on_plane,
+    points_that_touch,
     restitution_of,
     solve_measured,
 )
@@ -113,7 +113,7 @@ def test_a_bounce_is_of_one_impact_and_not_of_a_push_that_goes_on() -> None:
 
 def test_corner_edge_and_face_touch_with_one_two_and_four_corners() -> None:
     def count(turn: np.ndarray) -> int:
-        return len(corners_that_touch(BodyState(np.zeros(3), turn, np.zeros(6)), SIZE, UP))
+        return len(points_that_touch(BodyState(np.zeros(3), turn, np.zeros(6)), SIZE, UP))
 
     c, s = np.cos(0.3), np.sin(0.3)
     edge = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
@@ -152,7 +152,7 @@ def test_beginning_at_impulses_of_other_physics_changes_no_answer_and_saves_step
     rng = np.random.default_rng(2)
     impacts = [tossed(rng) for _ in range(40)]
     flat = BodyState(np.array([0.0, 0.0, 0.05]), np.eye(3), np.array([0.4, 0.1, -1.0, 0.0, 0.3, 0.2]))
-    impacts.append(MeasuredImpact({}, flat, corners_that_touch(flat, SIZE, UP)))
+    impacts.append(MeasuredImpact({}, flat, points_that_touch(flat, SIZE, UP)))
     other = [cube(**hidden)] * len(impacts)
     near = MeasuredImpacts(impacts, other)
     near.solve([cube()] * len(impacts))

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -91,18 +92,62 @@ def test_poses_of_the_object_are_those_of_the_tracker_and_of_the_truth(bag: Tria
     np.testing.assert_array_equal(bag.poses(topics.TRUTH_OBJECT_POSE).position, true)
 
 
+@pytest.fixture(scope="module")
+def two_boxes(tmp_path_factory: pytest.TempPathFactory) -> tuple[TrialBag, list]:
+    """A trial with a neighbour, recorded, and once more without a bag."""
+    plan = plan_of("push_two_boxes", "box", "case_1", **BRIEF)
+    path = tmp_path_factory.mktemp("two_boxes") / "trial"
+    assert recorded(plan, path, seed=3).outcome == "OK"
+    return TrialBag.open(path), ticks_of(plan, 3)
+
+
+def test_a_neighbour_is_in_the_bag_as_the_object_is(two_boxes: tuple[TrialBag, list]) -> None:
+    bag, ticks = two_boxes
+    seen = [tick.measurement.neighbours["behind"] for tick, _ in ticks if tick.measurement.neighbours]
+    poses, true = bag.poses(topics.pose("behind")), bag.poses(topics.truth_pose("behind"))
+    np.testing.assert_array_equal(poses.position, [each.position for each in seen])
+    np.testing.assert_array_equal(poses.quaternion, [each.quaternion for each in seen])
+    np.testing.assert_allclose(poses.time, bag.poses(topics.OBJECT_POSE).time, atol=1e-12)
+    states = [state.neighbours["behind"] for _, state in ticks if state.neighbours]
+    np.testing.assert_array_equal(true.position, [each.position for each in states])
+    twists = [message.twist.linear.y for message in bag.messages(topics.truth_twist("behind"))]
+    np.testing.assert_array_equal(twists, [each.twist[1] for each in states])
+    assert twists[-1] < -0.1 < twists[0]  # it is pushed along -y
+    noise = [bag.poses(measured).position - bag.poses(real).position for measured, real in (
+        (topics.OBJECT_POSE, topics.TRUTH_OBJECT_POSE), (topics.pose("behind"), topics.truth_pose("behind"))
+    )]  # fmt: skip
+    assert all(0.5e-4 < own.std() < 2e-4 for own in noise)
+    assert abs(np.corrcoef(*(own.ravel() for own in noise))[0, 1]) < 0.3  # each has its own
+    (urdf,) = bag.messages(topics.robot_description("behind"))
+    assert 'link name="behind"' in urdf.data and 'mass value="0.6"' in urdf.data
+    assert {"object", "behind"} <= {one.child_frame_id for one in bag.messages(topics.TF)[0].transforms}
+    assert bag.missing == [] and bag.info.neighbours == ("behind",)
+    signals = bag.run().signals
+    np.testing.assert_array_equal(signals.neighbours["behind"].position, poses.position)
+
+
+def test_an_old_bag_without_its_neighbours_is_read(
+    two_boxes: tuple[TrialBag, list], tmp_path: Path, rewrite_bag: Callable
+) -> None:
+    rewrite_bag(two_boxes[0].path, tmp_path / "old", lambda topic: "/behind" not in topic)
+    old = TrialBag.open(tmp_path / "old")
+    signals = old.run().signals
+    assert signals.object_time.size and signals.neighbours["behind"].time.size == 0
+    assert topics.pose("behind") in old.missing
+
+
 def test_frames_follow_measured_joints_and_the_last_object_pose(plan: TrialPlan) -> None:
     frames = FrameSource(plan.scene)
     q = plan.scene.arms["arm"].position
     place, turn = np.array([0.4, -0.3, 0.5]), pin.rpy.rpyToMatrix(0.0, 0.0, 0.4)
     quaternion = np.array(pin.Quaternion(turn).coeffs())
-    first = in_world([*frames.static, *frames.at({"arm": q}, None)])
+    first = in_world([*frames.static, *frames.at({"arm": q}, {})])
     np.testing.assert_allclose(first["object"].translation, plan.scene.object.position)
     np.testing.assert_allclose(
         first["arm_end_effector"].homogeneous, plan.scene.models["arm"].placement(q).homogeneous, atol=1e-12
     )
-    frames.at({"arm": q}, (place, quaternion))
-    later = in_world([*frames.static, *frames.at({"arm": q}, None)])
+    frames.at({"arm": q}, {"object": (place, quaternion)})
+    later = in_world([*frames.static, *frames.at({"arm": q}, {})])
     np.testing.assert_allclose(later["object"].translation, place)
     np.testing.assert_allclose(later["object"].rotation, turn, atol=1e-12)
     assert [tick for tick in range(45) if frames.due(tick)] == [0, 20, 40]
@@ -111,7 +156,7 @@ def test_frames_follow_measured_joints_and_the_last_object_pose(plan: TrialPlan)
 def test_frames_in_a_namespace_have_its_prefix_and_the_same_poses(plan: TrialPlan) -> None:
     q = {"arm": plan.scene.arms["arm"].position}
     sources = FrameSource(plan.scene), FrameSource(plan.scene, "cell_a/")
-    alone, beside = ([*source.static, *source.at(q, None)] for source in sources)
+    alone, beside = ([*source.static, *source.at(q, {})] for source in sources)
     assert [(frame.parent, frame.name) for frame in beside if frame.parent == "world"] == [("world", "cell_a/world")]
     expected, found = in_world(alone), in_world(beside)
     assert set(found) - {"cell_a/world"} == {f"cell_a/{name}" for name in expected}
@@ -122,7 +167,7 @@ def test_frames_in_a_namespace_have_its_prefix_and_the_same_poses(plan: TrialPla
 def test_frames_that_never_move_are_static_and_no_others(plan: TrialPlan, bag: TrialBag) -> None:
     frames = FrameSource(plan.scene)
     assert [frame.name for frame in frames.static] == ["support", "arm_base", "arm_end_effector", "arm_pad"]
-    moving = frames.at({"arm": plan.scene.arms["arm"].position}, None)
+    moving = frames.at({"arm": plan.scene.arms["arm"].position}, {})
     assert [frame.name for frame in moving] == [*(f"arm_link{number}" for number in range(1, 8)), "object"]
     beside = FrameSource(plan.scene, "cell_a/")
     assert [frame.name for frame in beside.static[:2]] == ["cell_a/world", "cell_a/support"]
@@ -137,7 +182,7 @@ def test_robot_state_publisher_may_publish_the_links_and_then_nobody_else_does(p
     every, rest = FrameSource(plan.scene), FrameSource(plan.scene, links=False)
     model = pin.buildModelFromXML(descriptions(plan.scene.physics)[topics.robot_description("arm")])
     links = {frame.name for frame in model.frames if frame.type == pin.FrameType.BODY} - {"universe", "world"}
-    names = [{one.name for one in (*source.static, *source.at(q, None))} for source in (every, rest)]
+    names = [{one.name for one in (*source.static, *source.at(q, {}))} for source in (every, rest)]
     assert (names[0] - names[1], names[1]) == (links, {"support", "arm_pad", "object"})
 
 

@@ -13,6 +13,7 @@ from mixed_grab import MIXED
 from starlette.testclient import TestClient
 
 from impact_rs_sim.physics import Physics
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.snapshot import IdentifyMessages, Snapshot
 from impact_rs_workbench.live_page import LiveView, application, drawn_scene, followed_of, state_of, status_text
 
@@ -56,6 +57,17 @@ def test_forces_are_told_when_those_of_all_arms_are_known() -> None:
     assert one is not None
     assert both is not None
     assert (one["forces"], both["forces"]) == (None, [[-1.0, -2.0, -3.0], [1.0, 2.0, 3.0]])
+
+
+def test_poses_of_neighbours_are_told_in_the_order_of_the_scene() -> None:
+    physics = Physics.nominal(load_scenario("push_two_boxes"), "box")
+    joints = {f"arm_joint{number + 1}": 0.0 for number in range(7)}
+    seen = Snapshot("running", "here", 1, physics=physics, positions=joints)
+    pose = np.array([0.4, -0.1, 0.5, 0.0, 0.0, 0.0, 1.0])
+    known = replace(seen, neighbours={"behind": pose})
+    states = [state_of(one, drawn_scene(one)) for one in (seen, known)]
+    assert [state and state["neighbours"] for state in states] == [[None], [pose.tolist()]]
+    assert len(json.loads(drawn_scene(seen).text)["neighbours"]) == 1
 
 
 def test_a_described_robot_is_told_as_far_as_it_is_known() -> None:

@@ -56,12 +56,12 @@ class FakeGraph:
         self.say(topics.joint_states(arm), topics.JOINT_STATE, message)
         self.say(topics.controller_state(arm), topics.CONTROLLER_STATE, ControllerState(trial_time=time))
 
-    def object(self, pose: np.ndarray) -> None:
-        """Publish where the object is."""
+    def object(self, pose: np.ndarray, name: str = "object") -> None:
+        """Publish where the object is, or a neighbour."""
         message = PoseStamped()
         at, turned = message.pose.position, message.pose.orientation
         at.x, at.y, at.z, turned.x, turned.y, turned.z, turned.w = (float(value) for value in pose)
-        self.say(topics.OBJECT_POSE, topics.POSE, message)
+        self.say(topics.pose(name), topics.POSE, message)
 
     def force_on_pad(self, arm: str, force: tuple[float, float, float]) -> None:
         """Publish the true force of the object on a pad."""

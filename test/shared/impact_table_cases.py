@@ -13,8 +13,8 @@ import pinocchio as pin
 from impact_rs_sim.effects import library
 from impact_rs_sim.impact_map.measured import (
     MeasuredImpact,
-    corners_that_touch,
     points_of_scene,
+    points_that_touch,
     solve_measured,
 )
 from impact_rs_sim.physics import ObjectPhysics, Physics
@@ -42,7 +42,7 @@ def tossed(rng: np.random.Generator) -> MeasuredImpact:
         turn = pin.Quaternion(*rng.standard_normal(4)).normalized().matrix()
         twist = np.concatenate((rng.uniform(-1.0, 1.0, 2), [-rng.uniform(0.8, 2.0)], rng.normal(0.0, 3.0, 3)))
         body = BodyState(rng.normal(0.0, 0.1, 3), turn, twist)
-        impact = MeasuredImpact({}, body, corners_that_touch(body, SIZE, UP))
+        impact = MeasuredImpact({}, body, points_that_touch(body, SIZE, UP))
         if impact.closing_speed(cube(), {}) > 0.3:
             return impact
 

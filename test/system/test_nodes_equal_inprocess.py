@@ -22,12 +22,14 @@ SKIPPED = {topics.DIAGNOSTICS}
 
 
 @pytest.fixture(
-    scope="module", params=["push", *(pytest.param(name, marks=pytest.mark.slow) for name in ("grab", "hit_ball"))]
+    scope="module",
+    params=["push", *(pytest.param(name, marks=pytest.mark.slow) for name in ("grab", "hit_ball", "push_two_boxes"))],
 )
 def manifest(request: pytest.FixtureRequest, short: str) -> Manifest:
-    """One arm, then two: the nodes meet new topics between them. The push has every phase and is short; then a ball."""
+    """One arm, then two: the nodes meet new topics between them. The push has every phase and is short."""
     scenario = short if request.param == "push" else request.param
-    return make_manifest(scenario, [{"hit_ball": "solid"}.get(scenario, "cat_food")], ["2"], [1.1], trials=1, seed=3)
+    object_name = {"hit_ball": "solid", "push_two_boxes": "box"}.get(scenario, "cat_food")
+    return make_manifest(scenario, [object_name], ["2"], [1.1], trials=1, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +64,9 @@ def test_every_column_is_the_same(inprocess: TrialBag, through_nodes: list[Trial
         for arm in arms
         for topic in (topics.joint_states, topics.motor_states, topics.joint_command, topics.truth_joint_states)
     ]
-    pairs += [(inprocess.poses(topic), nodes.poses(topic)) for topic in (topics.OBJECT_POSE, topics.TRUTH_OBJECT_POSE)]
+    bodies = ("object", *inprocess.info.neighbours)
+    poses = [topic(body) for body in bodies for topic in (topics.pose, topics.truth_pose)]
+    pairs += [(inprocess.poses(topic), nodes.poses(topic)) for topic in poses]
     pairs += [(inprocess.controller(arm), nodes.controller(arm)) for arm in arms]
     for one, other in pairs:
         for field in fields(one):

@@ -36,6 +36,7 @@ NOT_MEASURED = {
     "actuation": "no commanded torque was measured",
     "contact": "no contact was measured",
     "object": "no object was measured",
+    "neighbour": "nothing stands beside the object (neighbours of a scenario)",
 }
 
 

@@ -26,7 +26,7 @@ from impact_rs_control.detection import separable_wrench
 from impact_rs_sim.physics import ArmPhysics
 from impact_rs_sim.robots.robot import UNITS, Array, JointType
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_trials.runs import ArmSignals, Signals
+from impact_rs_trials.runs import ArmSignals, Poses, Signals
 
 BIN_EDGE_S = 0.006  # averaged at each end of a bin for its momentum change
 ONSET_SPEED_SHARE = 0.05  # of the ante-impact speed; its loss marks the begin of an impact
@@ -52,7 +52,7 @@ def layout(
     pushes: int | None,
     command: bool,
     motor: bool,
-    tracked: bool,
+    bodies: tuple[str, ...],
 ) -> tuple[Feature, ...]:
     """Description of the entries of a feature vector.
 
@@ -63,7 +63,7 @@ def layout(
         pushes: Number of recorded bins of the push; None: free motion.
         command: Whether the desired torque is known.
         motor: Whether the motor's position is known.
-        tracked: Whether the object was tracked.
+        bodies: Names of the tracked objects: ``object``, then its neighbours.
     """
     result: list[Feature] = []
     for arm, moves in arms:
@@ -99,12 +99,12 @@ def layout(
         add("push", "contact force", force, pushes, 0.05)
         add("push", "contact moment", moment, pushes, 0.02)
         add("push", "end-effector velocity", velocity, pushes, 0.001)
-    if pushes is not None and tracked:
+    for body in () if pushes is None else bodies:
         for number in range(len(OBJECT_WINDOWS_S)):
-            result.extend(Feature("impact", "object velocity", axis, number, "m/s", 0.003) for axis in AXES[:2])
-            result.append(Feature("impact", "object rotation", "z", number, "rad/s", 0.05))
-        for number in range(pushes):
-            result.extend(Feature("push", "object velocity", axis, number, "m/s", 0.001) for axis in AXES[:2])
+            result.extend(Feature("impact", f"{body} velocity", axis, number, "m/s", 0.003) for axis in AXES[:2])
+            result.append(Feature("impact", f"{body} rotation", "z", number, "rad/s", 0.05))
+        for number in range(pushes or 0):
+            result.extend(Feature("push", f"{body} velocity", axis, number, "m/s", 0.001) for axis in AXES[:2])
     return tuple(result)
 
 
@@ -114,7 +114,7 @@ def extract(
     contact: Sequence[bool],
     arms: Mapping[str, tuple[ArmPhysics, RobotModel]],
     motor: bool,
-    tracked: bool,
+    bodies: tuple[str, ...],
     pushes: int | None,
     levels: Mapping[str, float],
 ) -> list[Array | None]:
@@ -127,7 +127,7 @@ def extract(
         contact: Whether each window contains the impact.
         arms: Nominal physics and rigid-body model by arm.
         motor: Whether motor position and velocity are looked at.
-        tracked: Whether object features are used.
+        bodies: Names of the tracked objects.
         pushes: Bins of the push.
         levels: By arm, loss of speed that marks the begin of the impact [m/s].
 
@@ -165,11 +165,13 @@ def extract(
         onset = np.where(np.isfinite(onset), onset, last.time[0] - JUMP_BEFORE_S[0])
         parts += _impact_features(onset, dynamics)
         parts += _push_features(onset, dynamics, pushes or 0)
-    if last is not None and tracked:
+    if last is not None and bodies:
         first = np.min(np.where(np.isfinite(onsets), onsets, last.time[0]), axis=0)[:, None]
         bins = np.array([*OBJECT_WINDOWS_S, *zip(PUSH_EDGES_S[: (pushes or 0)], PUSH_EDGES_S[1:], strict=False)]).T
-        velocity = _object_velocity(last, first + bins[0], first + bins[1])
-        parts += [_in_rows(velocity[:, : len(OBJECT_WINDOWS_S)]), _in_rows(velocity[:, len(OBJECT_WINDOWS_S) :, :2])]
+        for body in bodies:
+            velocity = _object_velocity(last.poses[body], first + bins[0], first + bins[1])
+            parts.append(_in_rows(velocity[:, : len(OBJECT_WINDOWS_S)]))
+            parts.append(_in_rows(velocity[:, len(OBJECT_WINDOWS_S) :, :2]))
     rows = np.concatenate(parts, axis=1)
     found = np.atleast_1d(np.all(np.isfinite(onsets), axis=0)) if onsets else np.full(len(rows), True)
     return [row if hits else None for row, hits in zip(rows, found, strict=True)]
@@ -454,17 +456,17 @@ class Balances:
         return jacobians, masses
 
 
-def _object_velocity(signals: Signals, start: Array, end: Array) -> Array:
+def _object_velocity(poses: Poses, start: Array, end: Array) -> Array:
     """Slope of position (x, y) and yaw over windows, ``(B, w, 3)`` [m/s, m/s, rad/s]; zero where it is not tracked.
 
     Between the means over the first and the last third: nearly as precise as a least-squares line, and continuous when
     a sample enters the window.
     """
-    time = signals.object_time
+    time = poses.time
     seen = np.searchsorted(time, end, side="right") - np.searchsorted(time, start)
     if time.size < 2:
         return np.zeros((*start.shape, 3))
-    pose = _Integral(time, np.concatenate((signals.object_position[..., :2], signals.object_yaw[..., None]), axis=-1))
+    pose = _Integral(time, np.concatenate((poses.position[..., :2], poses.yaw[..., None]), axis=-1))
     third = (end - start) / 3.0
     slope = (pose.mean(end - third, end) - pose.mean(start, start + third)) / (2.0 * third)[..., None]
     return np.where(seen[..., None] < 2, 0.0, slope)

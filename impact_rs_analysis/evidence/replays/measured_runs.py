@@ -48,6 +48,7 @@ class Setup:
         drive: Model between the recorded torque and the links.
         motor: Whether motor position and velocity are used.
         tracked: Whether object features are used.
+        beside: Names of the neighbours of the object whose features are used.
         pushes: Number of bins of the push; None: free motion.
         kept: Mask of the features that are used.
         levels: By arm, loss of speed that marks the begin of the impact [m/s].
@@ -62,15 +63,17 @@ class Setup:
     pushes: int | None
     kept: tuple[int, ...]
     levels: dict[str, float]
+    beside: tuple[str, ...] = ()
 
     @cached_property
     def digest(self) -> str:
         """Digest of the content."""
         facts = self.physics, self.drive_period, self.drive, self.motor, self.tracked, self.pushes, self.kept
         with np.printoptions(floatmode="unique", threshold=sys.maxsize):  # to the last bit
-            text = [repr((facts, self.levels))]
+            text = [repr((facts, self.levels)), *self.beside]
         for window in self.windows:
             text.append(repr(window.contact))
+            text += [hashlib.sha256(times.tobytes()).hexdigest() for times in window.seen_beside.values()]
             arrays = [window.time, window.seen, window.object.position, window.object.rotation, window.object.twist]
             for name, arm in window.arms.items():
                 drive = window.drives[name]
@@ -82,14 +85,19 @@ class Setup:
         return hashlib.sha256("\n".join(text).encode()).hexdigest()
 
     @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the objects whose features are used."""
+        return ("object", *self.beside) if self.tracked else ()
+
+    @property
     def free_motion_part(self) -> Setup:
         """The windows of free motion, with their features."""
         windows = tuple(window for window in self.windows if not window.contact)
         joints, commanded = self.physics.arm_joints, self.drive == "command"
-        every = layout(joints, len(windows), self.pushes, commanded, self.motor, self.tracked)
+        every = layout(joints, len(windows), self.pushes, commanded, self.motor, self.bodies)
         free = [number for number, feature in enumerate(every) if feature.phase == "free"]
         kept = tuple(free.index(number) for number in self.kept if number in free)
-        return replace(self, windows=windows, pushes=None, tracked=False, kept=kept)
+        return replace(self, windows=windows, pushes=None, tracked=False, beside=(), kept=kept)
 
     def features_of(self, signals: Sequence[Signals]) -> Array | None:
         """Features of its windows, measured or replayed, ``(F,)``; None without an expected impact."""
@@ -121,7 +129,7 @@ class Setup:
             [window.contact for window in self.windows],
             arms,
             self.motor,
-            self.tracked,
+            self.bodies,
             self.pushes,
             self.levels,
         )
@@ -180,6 +188,7 @@ class MeasuredRun(Run):
             raise InputError(f"{what} of free motion")
         pushes = pushes_recorded(max(impacts.values()), float(windows[-1].time[-1])) if impacts else None
         tracked = bool(impacts) and run.signals.object_time.size > 1
+        beside = tuple(name for name, poses in run.signals.neighbours.items() if tracked and poses.time.size > 1)
         numbers = [window.number for window in windows if not window.contact]
         features = layout(
             run.physics.arm_joints,
@@ -187,7 +196,7 @@ class MeasuredRun(Run):
             pushes,
             run.commanded,
             run.motor_measured,
-            tracked,
+            ("object", *beside) if tracked else (),
         )
         size = Proportion.of(run.physics)
         features = tuple(replace(f, relevance_limit=f.relevance_limit * size.factor(f.unit)) for f in features)
@@ -203,6 +212,7 @@ class MeasuredRun(Run):
             pushes=pushes,
             kept=tuple(range(len(features))),
             levels={name: level for name, (_, level) in found.items()},
+            beside=beside,
         )
         measured = setup.features_of([_within(run.signals, window) for window in windows])
         if measured is None:
@@ -259,10 +269,9 @@ def _within(signals: Signals, window: Window) -> Signals:
     first = int(np.argmin(np.abs(signals.time - window.time[0])))
     rows = slice(first, first + window.time.size)
     arms = {name: arm.at(rows) for name, arm in signals.arms.items()}
-    seen = np.isin(signals.object_time, window.seen)
-    return Signals(
-        window.time, arms, signals.object_time[seen], signals.object_position[seen], signals.object_quaternion[seen]
-    )
+    seen = signals.object.at(window.seen)
+    neighbours = {name: signals.neighbours[name].at(times) for name, times in window.seen_beside.items()}
+    return Signals(window.time, arms, seen.time, seen.position, seen.quaternion, neighbours)
 
 
 _models = Recent[RobotModel](CACHED_MODELS)

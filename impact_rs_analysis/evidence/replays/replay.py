@@ -34,7 +34,7 @@ from impact_rs_sim.readings import ArmReadings
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.twin import Result, TwinJob, simulate
-from impact_rs_trials.runs import ArmSignals, DriveName, Run, Signals
+from impact_rs_trials.runs import ArmSignals, DriveName, Poses, Run, Signals
 
 FREE_WINDOW_S = 0.1  # length of a window of free motion
 FREE_WINDOWS_WITH_IMPACT = 4  # per run
@@ -62,6 +62,7 @@ class Window:
         torque: By arm, driving torques in the order in which they act, ``(m, n)`` [N m].
         acting: By arm, row of ``torque`` in every period of the torque loop, ``((k - 1) s,)``.
         seen: Times at which the object was tracked, ``(m,)`` [s].
+        seen_beside: Likewise its neighbours, by name.
         before: By arm, samples from the begin of the run to the start (:attr:`TwinJob.before`).
         from_velocity: By arm, what velocity readings contribute to position and velocity of the start, what their
             slopes would contribute in their place, and the reading itself, ``(5, n)`` [rad, rad/s, rad/s, rad/s^2,
@@ -81,6 +82,7 @@ class Window:
     before: dict[str, Array] = field(default_factory=dict)
     from_velocity: dict[str, Array] = field(default_factory=dict)
     age: float = 0.0
+    seen_beside: dict[str, Array] = field(default_factory=dict)
 
     @property
     def substeps(self) -> int:
@@ -177,9 +179,17 @@ def _window(run: Run, start: float, end: float, box: BodyState, number: int | No
             torques[name] = np.column_stack([np.interp(ends, time, column) for column in arm.torque.T])
             acting[name] = np.arange(grid.size, dtype=np.int32)
         drives[name] = DriveStart(torque, rate, earlier)
-    tracked = run.signals.object_time
-    seen = tracked[contact & (tracked >= ticks[0] - 1e-9) & (tracked <= ticks[-1] + 1e-9)]
-    return Window(contact, number or 0, ticks, arms, drives, box, torques, acting, seen, before, from_velocity)
+    seen, beside = _within_ticks(run.signals.object_time, ticks, contact), {}
+    for name, poses in run.signals.neighbours.items():
+        beside[name] = _within_ticks(poses.time, ticks, contact)
+    return Window(
+        contact, number or 0, ticks, arms, drives, box, torques, acting, seen, before, from_velocity, seen_beside=beside
+    )
+
+
+def _within_ticks(tracked: Array, ticks: Array, contact: bool) -> Array:
+    """Times of tracking within the window of the impact; empty in others."""
+    return tracked[contact & (tracked >= ticks[0] - 1e-9) & (tracked <= ticks[-1] + 1e-9)]
 
 
 def _held(sent: Array, values: Array, grid: Array, period: float) -> tuple[Array, NDArray[np.int32]]:
@@ -374,11 +384,20 @@ def _signals(window: Window, physics: Physics, result: Result) -> Signals:
         arms[name] = ArmSignals(*(solved * values for values in true))
     if not window.contact:
         return Signals(window.time, arms)
+    seen = _seen(window, physics, result.poses, window.seen)
+    neighbours = {
+        name: _seen(window, physics, result.neighbours[name][0], times) for name, times in window.seen_beside.items()
+    }
+    return Signals(window.time, arms, seen.time, seen.position, seen.quaternion, neighbours)
+
+
+def _seen(window: Window, physics: Physics, poses: Array, times: Array) -> Poses:
+    """Poses of a body, ``(k, 7)``, as the tracker reads them at its times ``(m,)`` [s]."""
     if physics.tracker.exact:
-        seen = np.column_stack([np.interp(window.seen, window.time, column) for column in result.poses.T])
+        read = np.column_stack([np.interp(times, window.time, column) for column in poses.T])
     else:
-        seen = physics.tracker.poses(window.time, result.poses, window.seen)
-    return Signals(window.time, arms, window.seen, seen[:, :3], seen[:, 3:])
+        read = physics.tracker.poses(window.time, poses, times)
+    return Poses(times, read[:, :3], read[:, 3:])
 
 
 def _resting(signals: Signals, nominal: BodyState, until: float) -> BodyState:

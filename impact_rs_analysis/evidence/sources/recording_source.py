@@ -373,7 +373,7 @@ class RecordingSource(Source):
             without += VELOCITY_SENSOR_FAULTS
         shown = effect.may_change or effect.shown_by_load or not self._minus
         acts = bool(effect.scalars(self.joints))  # one joint has no neighbour
-        return acts and shown and effect.name not in {one.name for one in without}
+        return acts and shown and effect.acts_on != "neighbour" and effect.name not in {one.name for one in without}
 
     def residuals_with(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """See :meth:`Source.residuals_with`."""

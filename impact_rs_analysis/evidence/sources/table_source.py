@@ -627,7 +627,9 @@ class ImpactTableSource(Source):
             return "on the pad"
         if row.physics.object.round:
             return "of a ball"
-        return {1: "on a corner", 2: "on an edge"}.get(len(row.impact.points), "on a face")
+        of_shape = {"cylinder": ("on its rim", "on its wall"), "capsule": ("on an end", "on its wall")}
+        corner, edge = of_shape.get(row.physics.object.shape.kind, ("on a corner", "on an edge"))
+        return {1: corner, 2: edge}.get(len(row.impact.points), "on a face")
 
     def _remarks(self) -> list[str]:
         remarks = [*doubts_of(self.table), *self.table.assumed]

@@ -7,12 +7,12 @@
 // One call moves everything: seek(time) places joints and object between the two nearest samples, and calls onSeek.
 //
 //   const live = new ImpactLive(element);
-//   live.show(scene);   live.update({time, joints, object, forces});   // scene: report/scene_3d.py
+//   live.show(scene);   live.update({time, joints, object, neighbours, forces});   // scene: report/scene_3d.py
 //
 // shows the newest state of running nodes.
 //
 //   const picture = new ImpactPicture(element);
-//   picture.show(scene);   picture.update({joints, object, jumps});
+//   picture.show(scene);   picture.update({joints, object, neighbours, jumps});
 //
 // shows one moment, the impact, with the velocities before and after it and their intervals.
 // Lengths are in m, times in s, z is up. Needs THREE, of three.min.js.
@@ -67,7 +67,7 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
     return new THREE.CylinderGeometry(radius, radius, shape.length[0], 32).rotateX(Math.PI / 2);
   }
 
-  // Arms, support and object of one side; a ghost has neither support nor colours of its own.
+  // Arms, support and objects of one side; a ghost has neither support nor colours of its own.
   class Bodies {
     constructor(scene, ghost) {
       this.root = new THREE.Group();
@@ -92,10 +92,11 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
         const axis = new THREE.Vector3(...(joint.axis || [0, 0, 1]));
         this.joints[joint.column] = {type: joint.type, axis, link: this.links[joint.child]};
       });
-      const size = scene.object || [0, 0, 0];  // no object is known
-      const body = scene.object_shape ? geometry(scene.object_shape) : new THREE.BoxGeometry(...size);
-      this.object = new THREE.Mesh(body, this.material(new THREE.Color(OBJECT)));
-      this.root.add(this.links[scene.root], this.object);
+      this.objects = [scene, ...(scene.neighbours || [])].map(({object, object_shape: shape}) => {
+        const body = shape ? geometry(shape) : new THREE.BoxGeometry(...(object || [0, 0, 0]));  // no object is known
+        return new THREE.Mesh(body, this.material(new THREE.Color(OBJECT)));
+      });
+      this.root.add(this.links[scene.root], ...this.objects);
     }
 
     // A ghost is pushed back a little, so that it is seen only where it leaves the measured body.
@@ -106,16 +107,28 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
         : new THREE.MeshLambertMaterial({color: colour});
     }
 
-    place(joints, pose) {
+    get object() {
+      return this.objects[0];
+    }
+
+    // Poses of the object and its neighbours; null: not tracked.
+    place(joints, poses) {
       this.joints.forEach((joint, column) => {
         if (joint.type === 'prismatic') joint.link.position.copy(joint.axis).multiplyScalar(joints[column]);
         else joint.link.quaternion.setFromAxisAngle(joint.axis, joints[column]);
       });
-      this.object.visible = pose !== null && Number.isFinite(pose[0]);
-      if (this.object.visible) {
-        this.object.position.fromArray(pose);
-        this.object.quaternion.fromArray(pose, 3).normalize();
-      }
+      this.objects.forEach((object, number) => {
+        const pose = poses[number] || null;
+        object.visible = pose !== null && Number.isFinite(pose[0]);
+        if (!object.visible) return;
+        object.position.fromArray(pose);
+        object.quaternion.fromArray(pose, 3).normalize();
+      });
+    }
+
+    // Extend bounds by the objects that are seen.
+    expand(bounds, precise) {
+      this.objects.filter((object) => object.visible).forEach((object) => bounds.expandByObject(object, precise));
     }
 
     positions() {
@@ -268,7 +281,7 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
     return side && {
       joints: floats(side.joints),
       forces: side.forces && floats(side.forces),
-      object: side.object && floats(side.object),
+      objects: [side.object, ...(side.neighbours || [])].map((poses) => poses && floats(poses)),
       jumps: side.jumps,
     };
   }
@@ -436,14 +449,15 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
       const sides = [[this.measured, measured], [this.model, model]].filter(([bodies]) => bodies);
       const forces = sides.map(([bodies, side], number) => {
         let joints = this.values(side.joints, this.columns, at);
-        let pose = side.object && this.values(side.object, 7, at);
+        let poses = side.objects.map((own) => own && this.values(own, 7, at));
         if (number) {
           const larger = Number(this.larger.value);
           const from = (truth, value) => value.map((one, i) => truth[i] + larger * (one - truth[i]));
           joints = from(this.values(measured.joints, this.columns, at), joints);
-          if (pose && measured.object) pose = from(this.values(measured.object, 7, at), pose);
+          poses = poses.map((pose, i) =>
+            (pose && measured.objects[i] ? from(this.values(measured.objects[i], 7, at), pose) : pose));
         }
-        bodies.place(joints, pose);
+        bodies.place(joints, poses);
         const hands = bodies.positions();
         return this.arms.map((arm, place) => {
           const force = side.forces && this.values(side.forces, 3 * this.arms.length, at).slice(3 * place, 3 * place + 3);
@@ -518,14 +532,14 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
       const bounds = new THREE.Box3();
       const {time, measured} = this.run;
       for (let row = 0; row < time.length; row += Math.ceil(time.length / 24)) {
-        const pose = measured.object && this.values(measured.object, 7, [row, 0]);
-        this.measured.place(this.values(measured.joints, this.columns, [row, 0]), pose);
+        const poses = measured.objects.map((own) => own && this.values(own, 7, [row, 0]));
+        this.measured.place(this.values(measured.joints, this.columns, [row, 0]), poses);
         this.measured.root.updateMatrixWorld(true);
         Object.entries(this.measured.links).forEach(([name, link]) => {
           if (name === 'support' || name === 'world') return;
           link.children.filter((child) => child.isMesh).forEach((child) => bounds.expandByObject(child, true));
         });
-        if (this.measured.object.visible) bounds.expandByObject(this.measured.object, true);
+        this.measured.expand(bounds, true);
       }
       const along = new THREE.Vector3(...(measured.jumps.length ? measured.jumps[0].before : [0, 1, 0]));
       this.frame(bounds, this.measured, this.arms, along);
@@ -562,11 +576,12 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
       else this.fit();
     }
 
-    // The newest state: joints of all arms side by side [rad], pose of the object or null, forces by arm [N] or null.
+    // The newest state: joints of all arms side by side [rad], poses of the object and its neighbours or null, forces by
+    // arm [N] or null.
     update(state) {
       this.state = state;
       this.measured.root.visible = true;
-      this.measured.place(state.joints, state.object);
+      this.measured.place(state.joints, [state.object, ...(state.neighbours || [])]);
       const hands = this.measured.positions(), known = state.forces !== null;
       const newtons = known ? state.forces.map((force) => Math.hypot(...force)) : [];
       this.most = FULL.find((most) => most >= Math.max(this.most, ...newtons)) || FULL[FULL.length - 1];
@@ -590,7 +605,7 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
       Object.entries(hands).forEach(([name, place]) => {
         if (name !== 'support' && name !== 'world') this.seen.expandByPoint(new THREE.Vector3(...place));
       });
-      if (this.measured.object.visible) this.seen.expandByObject(this.measured.object);
+      this.measured.expand(this.seen);
       if (this.shown && (this.turned || this.shown.containsBox(this.seen))) return;
       this.fit();
     }
@@ -641,12 +656,12 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
       this.canvas.setAttribute('aria-label', `${this.arms.join(' and ')} at the impact in 3D, with velocities`);
     }
 
-    // Joints of all arms side by side [rad], pose of the object, and by body: arm (null: the object), velocities before and
+    // Joints of all arms side by side [rad], poses of the object and its neighbours, and by body: arm (null: the object), velocities before and
     // after and the ends of the interval [m/s], null where there is none.
     update(moment) {
       const first = this.moment === null;
       this.moment = moment;
-      this.measured.place(moment.joints, moment.object);
+      this.measured.place(moment.joints, [moment.object, ...(moment.neighbours || [])]);
       const hands = this.measured.positions(), vector = (values) => new THREE.Vector3(...values);
       const fastest = Math.max(1e-9, ...moment.jumps.flatMap((jump) => [jump.before, jump.after]).map((one) => Math.hypot(...one)));
       // The scale stays while a slider moves, so that arrows grow with velocities.
@@ -682,7 +697,7 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
         if (name === 'support' || name === 'world') return;
         link.children.filter((child) => child.isMesh).forEach((child) => bounds.expandByObject(child, true));
       });
-      if (this.measured.object.visible) bounds.expandByObject(this.measured.object, true);
+      this.measured.expand(bounds, true);
       const moving = this.moment.jumps.find((jump) => Math.hypot(...jump.before) > 0);
       this.frame(bounds, this.measured, this.arms, new THREE.Vector3(...(moving ? moving.before : [0, 1, 0])));
       this.draw();

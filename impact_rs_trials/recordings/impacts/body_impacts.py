@@ -16,12 +16,13 @@ no state before and after:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from impact_rs_sim.physics import ObjectPhysics
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.recordings.experiment import Body
 from impact_rs_trials.recordings.impacts.impact_rows import Impact, NoRow
@@ -48,7 +49,7 @@ class TrackedBody:
     Attributes:
         run: Its name.
         time: Stamps, ``(k,)`` [s].
-        position: Of the geometric centre, ``(k, 3)`` [m].
+        position: Of the geometric centre, the middle of its bounding box, ``(k, 3)`` [m].
         rotation: From its axes, ``(k, 3, 3)``.
         gravity: ``(3,)`` [m/s^2].
         spin: Assumed angular velocity before the impacts, ``(3,)`` [rad/s]; None: the orientation was tracked.
@@ -87,6 +88,8 @@ def impacts_of_bodies(runs: Sequence[TrackedBody], body: Body) -> tuple[list[Imp
 def _impacts_of(run: TrackedBody, body: Body) -> tuple[list[Impact], list[NoRow]]:
     if len(run.time) < 2 * MIN_FLIGHT_SAMPLES + 2:
         return [], [NoRow(run.run, f"{len(run.time)} samples, at least {2 * MIN_FLIGHT_SAMPLES + 2} are needed")]
+    item = body.item
+    run = replace(run, position=run.position + run.rotation @ item.com_offset)  # which flies freely
     disturbed_and_reach = disturbed_samples(run.time, run.position[:, 2], float(run.gravity[2]))
     if disturbed_and_reach is None:
         return [], [NoRow(run.run, "the tracker is so noisy that rest looks like free flight")]
@@ -112,7 +115,7 @@ def _impacts_of(run: TrackedBody, body: Body) -> tuple[list[Impact], list[NoRow]
                 )
             )
             continue
-        result = _impact(run, body, name, before, after, reach)
+        result = _impact(run, item, name, before, after, reach)
         if isinstance(result, Impact):
             found.append(result)
         else:
@@ -155,14 +158,15 @@ def _stretches(flying: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(a), int(b) - 1) for a, b in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True)]
 
 
-def _impact(run: TrackedBody, body: Body, name: str, before: Rows, after: Rows, reach: int) -> Impact | NoRow:
+def _impact(run: TrackedBody, item: ObjectPhysics, name: str, before: Rows, after: Rows, reach: int) -> Impact | NoRow:
+    """An impact by the flights of the centre of mass before and after."""
     period = float(np.median(np.diff(run.time)))
     before, after = _window(run, before, -1), _window(run, after, 1)
     edge = (float(run.time[before[-1]]), float(run.time[after[0]]))
     if edge[1] - edge[0] > (MAX_DISTURBED + 2.0) * reach * period:
         return NoRow(name, f"the tracker does not see the impact: {edge[1] - edge[0]:.3f} s without a sample")
     ante, post = (
-        fly(run.time[rows], run.position[rows], run.rotation[rows], run.gravity, body.moments, at)
+        fly(run.time[rows], run.position[rows], run.rotation[rows], run.gravity, item.inertia, at)
         for rows, at in ((before, edge[0]), (after, edge[1]))
     )
     time = _crossing_time(ante, post, edge)
@@ -171,16 +175,16 @@ def _impact(run: TrackedBody, body: Body, name: str, before: Rows, after: Rows, 
     if run.spin is not None:
         twist = np.concatenate((twist[:3], run.spin))
     noise = (float(np.hypot(ante.noise[0], post.noise[0])), float(np.hypot(ante.noise[1], post.noise[1])))
-    corners = _corners(position, rotation, body)
-    if corners is None:
-        approach = -float(twist[2])
-    else:
-        heights = np.sort(corners[:, 2])
-        speeds = twist[2] + np.cross(twist[3:], corners - position)[:, 2]
-        approach = -float(speeds[int(np.argmin(corners[:, 2]))])
-        gap = float(heights[1] - heights[0])
-        if gap < max(MIN_NEXT_CORNER_SAMPLES, reach) * period * max(approach, 0.0):
-            return NoRow(name, "lands on an edge or a face: another corner comes too soon after the first")
+    lever = rotation @ item.com_offset
+    position = position - lever
+    twist, post_twist = (np.concatenate((one[:3] - np.cross(one[3:], lever), one[3:])) for one in (twist, post_twist))
+    corners = position + item.shape.first_points(item.size, -rotation[2]) @ rotation.T
+    heights = np.sort(corners[:, 2])
+    speeds = twist[2] + np.cross(twist[3:], corners - position)[:, 2]
+    approach = -float(speeds[int(np.argmin(corners[:, 2]))])
+    gap = float(heights[1] - heights[0]) if heights.size > 1 else np.inf
+    if gap < max(MIN_NEXT_CORNER_SAMPLES, reach) * period * max(approach, 0.0):
+        return NoRow(name, "lands on an edge or a face: another corner comes too soon after the first")
     if approach < MIN_APPROACH_SIGMA * noise[0]:
         return NoRow(
             name,
@@ -188,7 +192,7 @@ def _impact(run: TrackedBody, body: Body, name: str, before: Rows, after: Rows, 
         )
     if post_twist[2] < twist[2]:
         return NoRow(name, "goes on downwards faster than it came: not this plane")
-    extent = 0.0 if body.size is None else float(np.max(body.size))
+    extent = 0.0 if item.round else float(np.max(item.size))
     return Impact(
         run=name,
         condition="",
@@ -223,11 +227,3 @@ def _crossing_time(ante: FittedMotion, post: FittedMotion, edge: tuple[float, fl
     gap = ante.at(start)[0][2] - post.at(start)[0][2]
     slope = ante.at(start)[2][2] - post.at(start)[2][2]
     return float(np.clip(start - gap / slope, *edge)) if slope != 0.0 else start
-
-
-def _corners(position: Array, rotation: Array, body: Body) -> Array | None:
-    """Corners of a box, ``(8, 3)`` [m]; None: a ball."""
-    if body.size is None:
-        return None
-    signs = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
-    return np.asarray(position + 0.5 * (signs * np.array(body.size)) @ rotation.T)

@@ -19,9 +19,11 @@ from impact_rs_trials.recordings.impacts.body_impacts import TrackedBody, impact
 from impact_rs_trials.recordings.impacts.impact_columns import (
     FRICTION,
     MASS,
+    MESH,
     MOMENTS,
     RADIUS,
     RESTITUTION,
+    SHAPE,
     SHELL,
     SIZE,
     ColumnGroup,
@@ -68,7 +70,7 @@ class FoundImpacts:
     impacts: tuple[Impact, ...]
     left_out: tuple[NoRow, ...]
     runs: int
-    constants: dict[str, float]
+    constants: dict[str, float | str]
     remarks: tuple[str, ...] = ()
 
 
@@ -143,11 +145,15 @@ def _with_condition(impact: Impact, rows: dict[str, RunRow]) -> Impact:
     return replace(impact, condition=row.condition, session=row.session)
 
 
-def body_columns(body: Body, plane: Plane) -> dict[str, float]:
+def body_columns(body: Body, plane: Plane) -> dict[str, float | str]:
     """Columns of an impact table with the properties of the body and the assumptions about the contact."""
-    found: list[tuple[ColumnGroup, Sequence[float]]] = [(MASS, (body.mass,))]
+    found: list[tuple[ColumnGroup, Sequence[float | str]]] = [(MASS, (body.mass,))]
     if body.radius is None or body.inertia is not None:
-        found.append((MOMENTS, body.moments.tolist()))
+        found.append((MOMENTS, body.item.inertia.tolist()))
+    if body.mesh is not None:
+        found.append((MESH, (body.mesh,)))
+    elif body.shape != "box":
+        found.append((SHAPE, (body.shape,)))
     if body.radius is not None:
         found += [(RADIUS, (body.radius,)), (SHELL, (float(body.shell),))]
     if body.size is not None:

@@ -138,7 +138,9 @@ def _vector(stem: str, tail: str = "") -> tuple[str, ...]:
     return tuple(f"{stem}{axis}{tail}" for axis in AXES)
 
 
-POSITION = ColumnGroup(_vector(""), "m", "geometric centre of the body, or of the object", "not for a ball")
+POSITION = ColumnGroup(
+    _vector(""), "m", "geometric centre of the body, or of the object: middle of its bounding box", "not for a ball"
+)
 ORIENTATION = ColumnGroup(
     ("qx", "qy", "qz", "qw"), "-", "orientation: unit quaternion from its own axes to A", "not for a ball"
 )
@@ -184,14 +186,25 @@ MASS = ColumnGroup(("mass",), "kg", "mass; absent for an object: the scenario's"
 MOMENTS = ColumnGroup(
     ("ixx", "iyy", "izz"),
     "kg m^2",
-    "principal moments about the centre, along the body's own axes; absent: homogeneous",
+    "principal moments about the centre of mass, along the body's own axes; absent: homogeneous",
     range=POSITIVE,
+)
+SHAPE = ColumnGroup(
+    ("shape",),
+    "",
+    "shape of a free body with the extents `size_x` ...: `box` (absent, empty), `sphere`, `capsule` or `cylinder` with "
+    "the axis z",
+)
+MESH = ColumnGroup(
+    ("mesh",),
+    "",
+    "in place of `shape`: file of the body's mesh, a path from the table's folder; it gives convex hull, centre of "
+    "mass, moments of an even density, and extents where `size_x` ... are absent",
 )
 SIZE = ColumnGroup(
     _vector("size_"),
     "m",
-    "extent of the body along its own axes, of a box where it is free; a free body needs it, or contact points and "
-    "moments",
+    "extent of the body along its own axes; a free body needs it, or a mesh, or contact points and moments",
     range=POSITIVE,
 )
 RADIUS = ColumnGroup(("radius",), "m", "radius of a free ball, which touches below its centre", range=POSITIVE)
@@ -275,8 +288,8 @@ DISTANCES = (SLIDE_DISTANCE, FLIGHT_DISTANCE)
 CONTACT_NOISE = (P_NOISE, N_NOISE)
 COLUMNS: tuple[ColumnGroup, ...] = (
     POSITION, ORIENTATION, V_BEFORE, V_AFTER, W_BEFORE, W_AFTER, *DISTANCES, FALL_HEIGHT, SUPPORT_FRICTION,
-    MASS, MOMENTS, SIZE, RADIUS, SHELL, *POINTS, NORMAL, FRICTION, RESTITUTION, OBJECT, CONDITION, TIME, TOLERANCE,
-    V_NOISE, W_NOISE, DQ_NOISE, DISTANCE_NOISE, V_NOISE_AXES, W_NOISE_AXES, *CONTACT_NOISE,
+    MASS, MOMENTS, SHAPE, MESH, SIZE, RADIUS, SHELL, *POINTS, NORMAL, FRICTION, RESTITUTION, OBJECT, CONDITION, TIME,
+    TOLERANCE, V_NOISE, W_NOISE, DQ_NOISE, DISTANCE_NOISE, V_NOISE_AXES, W_NOISE_AXES, *CONTACT_NOISE,
 )  # fmt: skip
 JOINT_COLUMNS = (Q, DQ_BEFORE, DQ_AFTER, MOTOR_INERTIA)
 

@@ -20,12 +20,14 @@ from impact_rs_trials.recordings.impacts.impact_columns import (
     FLIGHT_DISTANCE,
     JOINT_COLUMNS,
     MASS,
+    MESH,
     MOMENTS,
     MOTOR_INERTIA,
     ORIENTATION,
     POINTS,
     POSITION,
     RADIUS,
+    SHAPE,
     SHELL,
     SIZE,
     SLIDE_DISTANCE,
@@ -53,6 +55,7 @@ class TableContents:
         scenario: Robots, pads and support of rows of arms; None: free bodies.
         questions: Whether velocities after the impact are to be predicted and not read.
         ball: Whether the bodies are balls.
+        shaped: Whether the geometry of the bodies is known.
         joints: Whether some joint has a velocity after the impact.
         centre: Whether the velocity of the centre after the impact is compared, not a distance.
         turning: Whether the body has an angular velocity after the impact.
@@ -61,6 +64,7 @@ class TableContents:
     scenario: Scenario | None
     questions: bool
     ball: bool
+    shaped: bool
     joints: bool
     centre: bool
     turning: bool
@@ -72,6 +76,7 @@ class TableContents:
             scenario,
             questions,
             ball=RADIUS in cells,
+            shaped=any(one in cells for one in (SIZE, RADIUS, MESH)),
             joints=any(one in cells for one in _of_joints(scenario, DQ_AFTER)),
             centre=V_AFTER in cells or not any(one in cells for one in DISTANCES),
             turning=W_AFTER in cells,
@@ -100,12 +105,16 @@ def read_with_contents(
     Raises:
         InputError: Not a table; a column is missing, has a wrong unit or no meaning; or two columns contradict.
     """
+    if scenario is not None and scenario.neighbours:
+        said = f"scenario {scenario.name!r} has neighbours, whose poses no table has: {', '.join(scenario.neighbours)}"
+        raise InputError(f"{said}; take trials (diagnose DIRECTORY), or a scenario without neighbours", file=path)
     known = [*COLUMNS, *(one for columns in JOINT_COLUMNS for one in _of_joints(scenario, columns))]
     cells = read_cells(path, known)
     declared = _declared(cells, covariates)
     _check_others(cells, known, scenario, declared)
     contents = TableContents.of(cells, scenario, questions)
     _check_ball(cells, contents)
+    _check_shape(cells, contents)
     if not contents.centre:
         _check_distances(cells, contents)
     _check_needed(cells, contents)
@@ -166,11 +175,12 @@ def _check_needed(cells: ImpactCells, contents: TableContents) -> None:
             if name not in cells:
                 near = did_you_mean(wanted, cells.others)
                 raise InputError(f"no column {wanted!r}{near}; {_there(cells)}", file=cells.path)
-    shaped = SIZE in cells or contents.ball
-    if contents.scenario is None and not (shaped or POINTS[0] in cells):
+    if SHAPE in cells and SIZE not in cells:
+        raise InputError(f"column {SHAPE.first!r} without {SIZE.header!r} ...: its extents", file=cells.path)
+    if contents.scenario is None and not (contents.shaped or POINTS[0] in cells):
         said = f"expected its size ({SIZE.header!r} ...) or contact points ({POINTS[0].header!r} ...)"
         raise InputError(f"nothing says where the body touches; {said}; {_there(cells)}", file=cells.path)
-    if contents.scenario is None and not (shaped or MOMENTS in cells):
+    if contents.scenario is None and not (contents.shaped or MOMENTS in cells):
         said = f"expected principal moments ({MOMENTS.header!r} ...) or its size ({SIZE.header!r} ...)"
         raise InputError(f"nothing says how hard the body is to turn; {said}; {_there(cells)}", file=cells.path)
 
@@ -210,6 +220,16 @@ def _check_distances(cells: ImpactCells, contents: TableContents) -> None:
         raise InputError(f"column {first!r} {said}", file=cells.path)
 
 
+def _check_shape(cells: ImpactCells, contents: TableContents) -> None:
+    """Refuse a second shape of an object of a scenario."""
+    if contents.scenario is None:
+        return
+    for one in (SHAPE, MESH):
+        if one in cells:
+            said = f"is of a free body; scenario {contents.scenario.name!r} has the shape of its objects"
+            raise InputError(f"column {cells.header(one)!r} {said}", file=cells.path)
+
+
 def _check_ball(cells: ImpactCells, contents: TableContents) -> None:
     """Refuse a ball with another shape."""
     if not contents.ball:
@@ -221,7 +241,7 @@ def _check_ball(cells: ImpactCells, contents: TableContents) -> None:
     if contents.scenario is not None:
         said = f"is of a free ball; scenario {contents.scenario.name!r} has the shape of its objects"
         raise InputError(f"column {radius!r} {said}", file=cells.path)
-    for other in (SIZE, POINTS[0]):
+    for other in (SHAPE, MESH, SIZE, POINTS[0]):
         if other in cells:
             said = f"columns {radius!r} and {cells.header(other)!r}: expected one of them"
             raise InputError(f"{said}; a ball touches below its centre", file=cells.path)

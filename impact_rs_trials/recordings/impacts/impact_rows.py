@@ -123,7 +123,7 @@ class Impact:
         return self.noise[0] * 2.0 * distance / max(float(np.linalg.norm(self.after[:3])), 1e-9)
 
 
-def table_text(impacts: Sequence[Impact], constants: Mapping[str, float]) -> str:
+def table_text(impacts: Sequence[Impact], constants: Mapping[str, float | str]) -> str:
     """The table of impacts as CSV.
 
     If all velocities after follow from the slide distance, that distance is the outcome and they are omitted, so
@@ -164,7 +164,7 @@ class _Form:
     conditions: bool
 
 
-def _cells(impact: Impact, form: _Form, constants: Mapping[str, float]) -> dict[str, str]:
+def _cells(impact: Impact, form: _Form, constants: Mapping[str, float | str]) -> dict[str, str]:
     """Cells of one row by header, in the order of the table."""
     cells: dict[str, str] = {}
 
@@ -204,7 +204,7 @@ def _cells(impact: Impact, form: _Form, constants: Mapping[str, float]) -> dict[
     for column, noise in zip(CONTACT_NOISE, impact.contact_noise, strict=True):
         put(column, noise)
     put(TOLERANCE, max(impact.tolerance, GAP_TOLERANCE))
-    cells |= {header: _short(value) for header, value in constants.items()}
+    cells |= {header: value if isinstance(value, str) else _short(value) for header, value in constants.items()}
     put(LAW, impact.model)
     for column, value in impact.outcomes.items():
         put(column, value)

@@ -25,19 +25,21 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.errors import Infeasible, InputError, did_you_mean
+from impact_rs_sim.files import is_file
 from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE
 from impact_rs_sim.impact_map.measured import (
     MeasuredImpact,
-    corners_that_touch,
     points_of_scene,
     points_on_plane,
+    points_that_touch,
 )
 from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.scene import ArmState, BodyState
-from impact_rs_sim.shapes import BOX, SPHERE, check_extents
+from impact_rs_sim.shapes import check_extents
+from impact_rs_trials.recordings.free_bodies import ROUND_AXES, body_of_mesh, body_of_shape
 from impact_rs_trials.recordings.impacts.distances import Distance
 from impact_rs_trials.recordings.impacts.impact_cells import ImpactCells, name_of_row
 from impact_rs_trials.recordings.impacts.impact_columns import (
@@ -53,6 +55,7 @@ from impact_rs_trials.recordings.impacts.impact_columns import (
     FLIGHT_DISTANCE,
     FRICTION,
     MASS,
+    MESH,
     MOMENTS,
     MOTOR_INERTIA,
     NORMAL,
@@ -62,6 +65,7 @@ from impact_rs_trials.recordings.impacts.impact_columns import (
     POSITION,
     RADIUS,
     RESTITUTION,
+    SHAPE,
     SHELL,
     SIZE,
     SUPPORT_FRICTION,
@@ -238,6 +242,7 @@ def read_impact_table(
     """
     digest = _digest(path)
     cells, contents, declared = read_with_contents(path, scenario, questions, covariates)
+    digest = _with_meshes(digest, cells)
     reader = _Reader(cells, contents, tolerance, declared)
     table, found = reader.table(digest), []
     for name, (low, high) in unsure.items():
@@ -270,6 +275,14 @@ def _digest(path: Path) -> str:
     if not data:
         raise InputError("this file is empty", file=path)
     return hashlib.sha256(data).hexdigest()
+
+
+def _with_meshes(digest: str, cells: ImpactCells) -> str:
+    """Digest of a table and of the files of its meshes."""
+    names = {cells.text(row, MESH.first) for row in range(len(cells))}
+    files = [cells.path.parent / name for name in sorted(names) if name]
+    whole = "".join(hashlib.sha256(one.read_bytes()).hexdigest() for one in files if is_file(one))
+    return hashlib.sha256(f"{digest}{whole}".encode()).hexdigest() if whole else digest
 
 
 @dataclass(frozen=True)
@@ -353,12 +366,19 @@ class _Reader:
             assumed: Its value by :meth:`assumed_geometry`.
         """
         if self._scales(name):
-            return replace(self, cells=replace(self.cells, scale={name: value / assumed}), physics={})
+            scale = dict.fromkeys(self._growing_with(name), value / assumed)
+            return replace(self, cells=replace(self.cells, scale=scale), physics={})
         if name in UNSEEN_GEOMETRY:
             return replace(self, geometry={name: value}, physics={})
         assert self.contents.scenario is not None
         scenario = with_value(self.contents.scenario, name, value)
         return replace(self, contents=replace(self.contents, scenario=scenario), physics={})
+
+    def _growing_with(self, name: str) -> set[str]:
+        """Columns that have one scale with an uncertain one: equal extents of the round bodies of the table."""
+        kinds = {self.cells.text(row, SHAPE.first) for row in range(len(self.cells))}
+        equal = [{f"size_{axis}" for axis in ROUND_AXES.get(kind, "")} for kind in kinds]
+        return {name}.union(*(extents for extents in equal if name in extents))
 
     def _tolerance(self, row: int) -> float:
         """Largest extra distance of a touching point of a row beyond the nearest one [m]."""
@@ -426,10 +446,9 @@ class _Reader:
                 points = points_of_scene(physics, arms, body, models, on_pad, tolerance)
             elif given:
                 points = points_on_plane(given, upwards)
-            elif self.contents.ball:
-                points = points_on_plane([body.position - physics.object.size[0] / 2.0 * upwards], upwards)
             else:
-                points = corners_that_touch(body, physics.object.size, upwards, tolerance)
+                item = physics.object
+                points = points_that_touch(body, item.size, upwards, tolerance, item.shape)
             return MeasuredImpact(arms, body, points, bool(given))
 
         tolerance = self._tolerance(row)
@@ -495,7 +514,7 @@ class _Reader:
             for point in POINTS
             if point in cells and any(cells.text(row, name) for name in point.names)
         ]
-        if not found and self.contents.scenario is None and not (self.contents.ball or SIZE in cells):
+        if not found and self.contents.scenario is None and not self.contents.shaped:
             said = f"no contact point; expected at least one [m], or columns {SIZE.header!r} ... for the geometry"
             raise cells.error(row, f"columns {', '.join(map(repr, POINTS[0].names))}", None, said)
         return found
@@ -530,29 +549,49 @@ class _Reader:
             for arm in contents.arms
             if (names := contents.names(MOTOR_INERTIA, arm))[0] in cells
         }
-        key = (object_name, *own.items(), *motors.items())
+        kind, mesh = cells.text(row, SHAPE.first), cells.text(row, MESH.first)
+        key = (object_name, kind, mesh, *own.items(), *motors.items())
         if key not in self.physics:
-            physics = self._free(own) if contents.scenario is None else self._of_scene(object_name, own, motors)
+            free = contents.scenario is None
+            physics = self._free(row, own) if free else self._of_scene(object_name, own, motors)
             self.physics[key] = physics, physics.robot_models()
         return self.physics[key]
 
-    @staticmethod
-    def _free(own: Mapping[str, float]) -> Physics:
+    def _free(self, row: int, own: Mapping[str, float]) -> Physics:
         """A free body: an object without arms, on a support without an edge."""
-        mass, radius = own[MASS.first], own.get(RADIUS.first, 0.0)
-        size = np.array([own.get(name, 2.0 * radius) for name in SIZE.names])
-        inertia = BOX.moments(mass, size)
-        if radius:
-            inertia = np.full(3, (2.0 / 3.0 if own.get(SHELL.first) else 2.0 / 5.0) * mass * radius**2)
+        body = self._free_body(row, own)
         return Physics(
             arms={},
-            object=ObjectPhysics(mass, size, _moments(own, inertia), np.zeros(3), shape=SPHERE if radius else BOX),
+            object=replace(body, inertia=_moments(own, body.inertia)),
             support_height=None,
             support_size=(np.inf, np.inf),
             support_friction=own.get(FRICTION.first, ASSUMED_FRICTION),
             pad_friction=0.0,
             restitution=own.get(RESTITUTION.first, 0.0),
         )
+
+    def _free_body(self, row: int, own: Mapping[str, float]) -> ObjectPhysics:
+        """A free body of an even density by shape, mesh or radius; without any of these one known by its moments."""
+        cells, mass = self.cells, own[MASS.first]
+        size = [own[name] for name in SIZE.names] if SIZE.first in own else None
+        kind, mesh = cells.text(row, SHAPE.first), cells.text(row, MESH.first)
+        if RADIUS.first in own:
+            return body_of_shape("sphere", mass, [2.0 * own[RADIUS.first]] * 3, bool(own.get(SHELL.first)))
+        if kind and mesh:
+            raise cells.column_error(row, SHAPE.first, kind, f"and {MESH.first} = {mesh!r}: expected one of them")
+        if mesh:
+            try:
+                return body_of_mesh(cells.path.parent / mesh, mass, size)
+            except InputError as error:
+                raise cells.column_error(row, MESH.first, mesh, error.message) from None
+        if size is None and MESH in cells:
+            raise cells.column_error(
+                row, MESH.first, None, f"this cell is empty; expected a file, or {SIZE.header!r} ..."
+            )
+        try:
+            return body_of_shape(kind or "box", mass, size or [0.0] * 3)
+        except ValueError as error:
+            raise cells.column_error(row, SHAPE.first, kind, str(error)) from None
 
     def _of_scene(self, object_name: str, own: Mapping[str, float], motors: Mapping[str, tuple[float, ...]]) -> Physics:
         """A scenario with the values of the table."""

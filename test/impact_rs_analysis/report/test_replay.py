@@ -20,13 +20,16 @@ from plotly.offline import get_plotlyjs_version
 from reports import APART
 from scenes import PHYSICS, joints_track
 
+from impact_rs_analysis.evidence.tracks import ArmTrack, Track, TrackSide
 from impact_rs_analysis.report.animation import animation_data
 from impact_rs_analysis.report.page import BUNDLE, TEMPLATES
 from impact_rs_analysis.report.scene_3d import described_scene
 from impact_rs_cli.main import main
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import Mesh
+from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.bags.reader import TrialBag
+from impact_rs_trials.spec import TrialSpec
 
 LARGEST_PAGE = 3e6  # bytes
 DESK = {"width": 1280, "height": 720}
@@ -129,6 +132,26 @@ def test_links_of_every_arm_are_where_pinocchio_says(shown: Callable[[Path], Pag
                 q = (1.0 - share) * rows[before] + share * rows[after]
                 for link, placement in model.link_placements(q).items():
                     assert positions[f"{name}_{link}"] == pytest.approx(placement.translation, abs=1e-6), (name, link)
+
+
+@needs_browser
+def test_neighbours_of_the_object_are_where_they_were_measured(shown: Callable[[Path], Page], tmp_path: Path) -> None:
+    """And those of the model where they were predicted; one that was not tracked is not shown."""
+    spec = TrialSpec.of(load_scenario("push_two_boxes"), "box", "case_1")
+    physics, time = spec.scene.physics, np.arange(5) / 100.0
+    poses = np.column_stack((time, 0.0 * time, 0.5 - time, np.tile([0.0, 0.0, 0.0, 1.0], (5, 1))))
+    arms = {"arm": ArmTrack(np.tile(spec.scene.arms["arm"].position, (5, 1)))}
+    sides = [TrackSide(arms, poses, neighbours={"behind": poses + shift}) for shift in (0.25, np.nan)]
+    track = Track("two", time, physics=physics, measured=sides[0], predicted=sides[1])
+    data = json.dumps(animation_data([track]))
+    page = shown(component(tmp_path / "page.html", f"var replay = new ImpactReplay(here, {data});"))
+    measured, model = page.evaluate(
+        """() => { replay.seek(0.02); return [replay.measured, replay.model].map((side) =>
+             side.objects.map((one) => one.visible && one.position.toArray())); }"""
+    )
+    assert measured[0] == pytest.approx(poses[2, :3], abs=1e-6)
+    assert measured[1] == pytest.approx(poses[2, :3] + 0.25, abs=1e-6)
+    assert model[0] == pytest.approx(poses[2, :3], abs=1e-6) and model[1] is False
 
 
 ROBOT = """<robot name="r"><link name="foot"/><link name="a"/><link name="b"/><link name="c"/><link name="tip"/>

@@ -133,6 +133,8 @@ def test_effects_of_the_contact_are_not_seen_in_free_motion():
         "tracker_delay",
         "tracker_lag",
         "stiff_control",
+        "neighbour_mass",
+        "object_friction",
     ]
     assert all(effect.seen_in(contact=True) for effect in library().values())
 

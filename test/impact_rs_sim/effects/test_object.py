@@ -21,6 +21,8 @@ from bench import (
 )
 
 from impact_rs_sim.effects import library
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.scenarios.scenario import load_scenario
 
 # ---- object ---------------------------------------------------------------------------------------------------------
 
@@ -35,6 +37,17 @@ def test_the_inertia_of_the_object_grows_with_its_mass():
     physics = bench()
     heavier = switched_on(physics, "object_mass", scale=2.5).object
     np.testing.assert_allclose(heavier.inertia, 2.5 * physics.object.inertia)
+
+
+def test_all_neighbours_grow_heavier_and_the_object_does_not():
+    physics = Physics.nominal(load_scenario("push_two_boxes"), "box")
+    changed = switched_on(physics, "neighbour_mass", scale=1.5)
+    ((was, now),) = ((one.body, other.body) for one, other in zip(physics.neighbours, changed.neighbours, strict=True))
+    assert now.mass == pytest.approx(1.5 * was.mass)
+    np.testing.assert_allclose(now.inertia, 1.5 * was.inertia)
+    assert changed.object is physics.object
+    assert switched_on(physics, "object_friction", friction=-0.1).object_friction == pytest.approx(0.3)
+    assert switched_on(physics, "object_friction", friction=-1.0).object_friction == 0.0
 
 
 @pytest.mark.parametrize("axis", ["x", "y"])

@@ -10,13 +10,18 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+import yaml
+from shape_tosses import SIZES, com, lowest, moments, write_pyramid
 
+from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.experiment import Body, Plane, load_experiment
 from impact_rs_trials.recordings.impacts.body_impacts import TrackedBody, impacts_of_bodies
-from impact_rs_trials.recordings.impacts.found_impacts import find_impacts, tracked_body
+from impact_rs_trials.recordings.impacts.found_impacts import body_columns, find_impacts, tracked_body
 from impact_rs_trials.recordings.impacts.impact_rows import table_text
+from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 from impact_rs_trials.recordings.impacts.motion_fits import fly
 
+UP = np.array([0.0, 0.0, 1.0])
 GRAVITY = np.array([0.0, 0.0, -9.81])  # m/s^2
 CUBE = Body(mass=0.4, size=(0.1, 0.1, 0.1))
 SLAB = Body(mass=0.4, size=(0.16, 0.06, 0.1))
@@ -27,7 +32,7 @@ AFTER = np.array([0.4, -0.2, 0.5, -3.0, 2.0, 1.0])
 
 def free_turn(body: Body, rotation: np.ndarray, turning: np.ndarray, time: np.ndarray) -> list[np.ndarray]:
     """Euler's equations by midpoint steps of 3 ms, forwards or backwards."""
-    moments = body.moments
+    moments = body.item.inertia
     found, w, turn, now = [], rotation.T @ turning, rotation, 0.0
     for moment in time:
         even = np.ptp(moments) < 1e-9  # it turns at an even speed
@@ -89,7 +94,7 @@ def test_gyroscopic_torques_are_in_the_flight_of_a_slab() -> None:
     at = float(run.time[20])
     motions = [
         fly(run.time[rows], run.position[rows], run.rotation[rows], GRAVITY, moments, at)
-        for moments in (SLAB.moments, np.ones(3))
+        for moments in (SLAB.item.inertia, np.ones(3))
     ]
     start = run.time[20] - run.time[np.argmax(run.time > 16.0 / 150.0)]
     assert abs(start) < 0.05
@@ -258,3 +263,85 @@ def test_a_jump_between_two_samples_is_no_motion_of_a_body(tmp_path: Path) -> No
     lab = laboratory(tmp_path / "lab", [names, *(",".join(row) for row in moved)])
     (remark,) = remarks_of(lab)
     assert "jumps by 5" in remark and "at t = 0.116 s" in remark
+
+
+CAN = Body(mass=0.5, shape="cylinder", size=(0.08, 0.08, 0.14))
+
+
+def flight(body: Body, normal_height: float, turn: np.ndarray, rate: float = 240.0, noise: float = 2e-5) -> TrackedBody:
+    """Free flight of the centre of mass on both sides of an impact at ``turn``; the tracker sees the middle."""
+    rng = np.random.default_rng(1)
+    time = (np.arange(-18, 19) + 0.4) / rate
+    off = body.item.com_offset
+    turns = free_turn(body, turn, BEFORE[3:], time[time < 0.0][::-1])[::-1]
+    turns += free_turn(body, turn, AFTER[3:], time[time >= 0.0])
+    place = np.array([0.2, 0.1, normal_height]) + turn @ off
+    positions = []
+    for t, own in zip(time, turns, strict=True):
+        twist = BEFORE if t < 0.0 else AFTER
+        of_com = twist[:3] + np.cross(twist[3:], turn @ off)
+        positions.append(place + of_com * t + 0.5 * GRAVITY * t**2 - own @ off)
+    position = np.array(positions) + noise * rng.standard_normal((time.size, 3))
+    return TrackedBody("flight", time - time[0], position, np.array(turns), GRAVITY)
+
+
+@pytest.mark.parametrize("kind", ["capsule", "cylinder", "mesh"])
+def test_twists_of_the_middle_of_any_body_are_recovered(tmp_path: Path, kind: str) -> None:
+    """The centre of mass of a pyramid is off its middle and flies freely; kills a middle that is taken for it."""
+    mesh = str(write_pyramid(tmp_path / "pyramid.stl")) if kind == "mesh" else None
+    body = Body(mass=0.5, mesh=mesh) if mesh else Body(mass=0.5, shape=kind, size=SIZES[kind])
+    run = flight(body, 0.1, TILTED)
+    ((impact,), left_out) = impacts_of_bodies([run], body)
+    assert not left_out
+    np.testing.assert_allclose(impact.before, BEFORE, atol=0.02)
+    np.testing.assert_allclose(impact.after, AFTER, atol=0.02)
+    np.testing.assert_allclose(impact.position, [0.2, 0.1, 0.1], atol=2e-4)
+
+
+def test_a_can_that_lands_on_its_wall_or_base_is_left_out_and_one_on_its_rim_is_not() -> None:
+    """The other end of what touches comes within two samples; along its rim nothing lands in between."""
+    for angle, kept in ((0.02, False), (0.7, True), (np.pi / 2.0 - 0.02, False)):
+        found, left_out = impacts_of_bodies([flight(CAN, 0.1, pin.utils.rotate("x", angle))], CAN)
+        assert bool(found) == kept, (angle, left_out)
+        assert kept or "edge or a face" in left_out[0].reason
+
+
+@pytest.mark.parametrize("kind", ["cylinder", "mesh"])
+def test_impacts_of_any_body_become_a_table_with_its_shape(tmp_path: Path, kind: str) -> None:
+    write_pyramid(tmp_path / "pyramid.stl")
+    body = {"mesh": "pyramid.stl"} if kind == "mesh" else {"shape": kind, "size": list(SIZES[kind])}
+    experiment = tmp_path / "experiment.yaml"
+    experiment.write_text(yaml.safe_dump({"mapping": "joint_state", "body": {"mass": 0.5, **body}}))
+    read = load_experiment(experiment).body
+    assert read is not None
+    found, _ = impacts_of_bodies([flight(read, 0.1, TILTED)], read)
+    path = tmp_path / "elsewhere" / "impacts.csv"
+    path.parent.mkdir()
+    path.write_text(table_text(found, body_columns(read, Plane())))
+    (row,) = read_impact_table(path).rows
+    assert row.physics.object.shape.kind == ("hull" if kind == "mesh" else kind)
+    np.testing.assert_allclose(row.physics.object.inertia, moments(kind), rtol=1e-6)
+    np.testing.assert_allclose(row.physics.object.com_offset, com(kind), atol=1e-9)
+    (point,) = row.impact.points
+    np.testing.assert_allclose(point.position - row.impact.object.position, lowest(kind, TILTED, UP), atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ({}, "expected size, with shape, or mesh, or radius of a ball"),
+        ({"radius": 0.02, "size": (0.1, 0.1, 0.1)}, "radius is of a ball"),
+        ({"mesh": "a.stl", "shape": "cylinder"}, "expected either shape or mesh"),
+        ({"shape": "cylinder", "size": (0.1, 0.2, 0.1)}, "a cylinder is round"),
+    ],
+)
+def test_a_body_of_no_shape_or_two_is_refused(body: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Body.model_validate({"mass": 0.5, **body})
+
+
+def test_a_mesh_that_is_not_there_is_refused_with_its_path(tmp_path: Path) -> None:
+    path = tmp_path / "experiment.yaml"
+    path.write_text(yaml.safe_dump({"mapping": "joint_state", "body": {"mass": 0.5, "mesh": "nowhere.stl"}}))
+    with pytest.raises(InputError, match="nowhere.stl: no such file"):
+        load_experiment(path)

@@ -9,9 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from impact_table_cases import CUBE_HEADER, MASS, SIZE, arm_table, cube, cube_rows, write_csv
 from refusals import lacking, refusal
+from shape_tosses import MASS as PYRAMID_MASS
+from shape_tosses import PYRAMID_COM, moments, write_pyramid
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
@@ -550,3 +553,115 @@ def test_velocities_after_are_demanded_where_they_are_no_question(tmp_path: Path
     table = read_impact_table(tmp_path / "tosses.csv", questions=True)
     with pytest.raises(InputError, match=r"\.csv or \.parquet"):
         write_answers(table, answer_table(table), tmp_path / "answers.txt")
+
+
+CAN = {"mass [kg]": 0.5, "shape": "cylinder", "size_x [m]": 0.08, "size_y [m]": 0.08, "size_z [m]": 0.14}
+DROP = {f"v{axis}_{when} [m/s]": speed for when, speed in (("before", -1.0), ("after", 0.5)) for axis in "xyz"}
+
+
+def lying(axis: Sequence[float], angle: float) -> dict[str, float]:
+    """Pose of a body that is turned about an axis, and its motion."""
+    quaternion = pin.Quaternion(pin.exp3(angle * np.array(axis))).coeffs().tolist()
+    pose = dict(zip(("x [m]", "y [m]", "z [m]"), (0.0, 0.0, 0.1), strict=True))
+    return pose | dict(zip(("qx [-]", "qy [-]", "qz [-]", "qw [-]"), quaternion, strict=True)) | DROP | SPIN
+
+
+@pytest.mark.parametrize(
+    ("body", "angle", "count"),
+    [
+        (CAN, 0.0, 8),  # it stands on its base,
+        (CAN, 0.6, 1),  # comes with its rim,
+        (CAN, np.pi / 2.0, 2),  # and lies on its wall
+        (CAN | {"shape": "capsule"}, 0.0, 1),
+        (CAN | {"shape": "capsule"}, np.pi / 2.0 - 0.005, 2),
+        (CAN | {"shape": "sphere", "size_z [m]": 0.08}, 0.3, 1),
+        (CAN | {"shape": ""}, 0.0, 4),
+    ],
+)
+def test_a_free_body_touches_where_its_shape_does(
+    tmp_path: Path, body: dict[str, Any], angle: float, count: int
+) -> None:
+    (row,) = read_cubes(tmp_path, [body | lying((1.0, 0.0, 0.0), angle)]).rows
+    points = np.array([point.position for point in row.impact.points])
+    assert len(points) == count
+    shape, size = row.physics.object.shape, row.physics.object.size
+    depth = float(shape.support(size, -pin.exp3(np.array([angle, 0.0, 0.0]))[2]))
+    np.testing.assert_allclose(points[:, 2].min(), 0.1 - depth, atol=1e-12)
+    assert np.ptp(points[:, 2]) <= 1e-3
+
+
+def test_the_rim_of_a_can_touches_as_a_whole_where_its_tilt_is_below_the_tolerance(tmp_path: Path) -> None:
+    """8 mm across the base of 80 mm at a tilt of 0.1; kills neighbours on a rim that are taken for other contacts."""
+    pose = CAN | lying((1.0, 0.0, 0.0), 0.1)
+    counts = [
+        len(read_cubes(tmp_path, [pose | {"contact_tolerance [mm]": tolerance}]).rows[0].impact.points)
+        for tolerance in (1.0, 7.5, 8.5)
+    ]
+    assert counts == [1, 1, 8]
+
+
+def test_a_mesh_gives_hull_centre_of_mass_and_moments_and_may_be_stretched(tmp_path: Path) -> None:
+    """A pyramid: com at a quarter of its height, moments by tables of solids; in a file of other units, its extents."""
+    write_pyramid(tmp_path / "pyramid.stl")
+    row = {"mass [kg]": PYRAMID_MASS, "mesh": "pyramid.stl"} | lying((1.0, 0.0, 0.0), 0.0)
+    (own,) = read_cubes(tmp_path, [row]).rows
+    np.testing.assert_allclose(own.physics.object.com_offset, PYRAMID_COM, atol=1e-9)
+    np.testing.assert_allclose(own.physics.object.inertia, moments("mesh"), rtol=1e-6)
+    assert len(own.impact.points) == 4
+    a, b, c = 0.2, 0.05, 0.3
+    sizes = dict(zip(("size_x [m]", "size_y [m]", "size_z [m]"), (a, b, c), strict=True))
+    (other,) = read_cubes(tmp_path, [row | sizes]).rows
+    squares = np.array([a * a / 20.0, b * b / 20.0, 3.0 * c * c / 80.0])
+    np.testing.assert_allclose(other.physics.object.inertia, PYRAMID_MASS * (squares.sum() - squares), rtol=1e-6)
+    np.testing.assert_allclose(other.physics.object.com_offset, [0.0, 0.0, -c / 4.0], atol=1e-9)
+    np.testing.assert_allclose(np.ptp([one.position for one in other.impact.points], axis=0), [a, b, 0.0], atol=1e-9)
+
+
+def test_another_mesh_under_one_name_is_another_table(tmp_path: Path) -> None:
+    row = {"mass [kg]": PYRAMID_MASS, "mesh": "pyramid.stl"} | lying((1.0, 0.0, 0.0), 0.0)
+    digests = []
+    for end in ("", "\n"):
+        path = write_pyramid(tmp_path / "pyramid.stl")
+        path.write_text(path.read_text() + end)
+        digests.append(read_cubes(tmp_path, [row]).digest)
+    assert digests[0] != digests[1]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"shape": "cylindre"}, r"column 'shape' = 'cylindre': expected .*cylinder; did you mean 'cylinder'"),
+        ({"shape": "hull"}, "column or key mesh names the file of a mesh"),
+        ({"size_y [m]": 0.09}, "a cylinder is round: size needs equal extents along x and y"),
+        ({"mesh": "other.stl"}, "expected one of them"),
+        ({"shape": "", "mesh": "other.stl"}, r"row 1, column 'mesh' = 'other.stl': no such file"),
+        ({"radius [m]": 0.04}, "expected one of them; a ball touches below"),
+    ],
+)
+def test_a_shape_that_cannot_be_is_refused(tmp_path: Path, change: dict[str, Any], message: str) -> None:
+    row = CAN | lying((1.0, 0.0, 0.0), 0.4) | change
+    assert re.search(message, refusal(read_cubes, tmp_path, [row]))
+
+
+def test_a_shape_needs_extents_and_a_scenario_has_its_own(tmp_path: Path, pushes: Rows) -> None:
+    row = without("size_x", "size_y", "size_z")(CAN | lying((1.0, 0.0, 0.0), 0.4))
+    assert "column 'shape' without 'size_x [m]'" in refusal(read_cubes, tmp_path, [row])
+    for name in ("shape", "mesh"):
+        said = refusal(read_pushes, tmp_path, pushes, **{name: "box"})
+        assert "scenario 'push' has the shape of its objects" in said
+
+
+def test_an_unsure_radius_of_a_can_is_one_of_x_and_y(tmp_path: Path) -> None:
+    path = write(tmp_path / "cans.csv", [CAN | lying((1.0, 0.0, 0.0), 0.4)])
+    variants = read_impact_table(path, unsure={"size_x": (0.07, 0.09)}).variants
+    sizes = np.array([one.table.rows[0].physics.object.size for one in variants])
+    np.testing.assert_allclose(sizes[:, 0], sizes[:, 1])
+    assert sizes[:, 0].min() == pytest.approx(0.07) and sizes[:, 0].max() == pytest.approx(0.09)
+    np.testing.assert_allclose(sizes[:, 2], 0.14)
+
+
+def test_a_scenario_with_neighbours_has_no_table_of_impacts(tmp_path: Path, pushes: Rows) -> None:
+    """Else the neighbour would be left out of the prediction without a word."""
+    rows = [row | {"object": "box"} for row in pushes]
+    said = refusal(read_impact_table, write(tmp_path / "pushes.csv", rows), load_scenario("push_two_boxes"))
+    assert "has neighbours, whose poses no table has: behind; take trials" in said
