@@ -477,6 +477,17 @@ class TorqueBalance:
             rows.append(arm.readings.torque(motion.time, torque, 0.0))
         return rows
 
+    def lost(self, physics: Physics) -> Array:
+        """Part of :meth:`predict` by which commands of servos that act late change their torque, ``(k, m)`` [N m]."""
+        arm = physics.arms[ARM]
+        delay = arm.actuation_delay + arm.readings.command_delay
+        return np.concatenate(
+            [
+                (np.zeros_like(motion.torque) if motion.servo is None else motion.servo.lost(delay))[motion.kept]
+                for motion in self.motions
+            ]
+        )[:, self.joints]
+
     def _deflections(self, physics: Physics) -> list[Array]:
         """Predicted deflection of the transmissions of every motion, with its edges, ``(k, n)`` [rad]."""
         if not self.elastic.size:
