@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packages of the extra ``export``, which Parquet and HDF5 files need and nothing else does."""
+"""Packages of the extra ``export``, which Parquet and HDF5 files and messages in Protobuf need."""
 
 from __future__ import annotations
 
@@ -10,21 +10,22 @@ from pathlib import Path
 
 from impact_rs_sim.errors import MissingPackage
 
-EXPORT_EXTRA_SIZE = "0.2 GB on disk"  # of pyarrow and h5py together
+EXPORT_EXTRA_SIZE = "0.2 GB on disk"  # of all of it, most of it of pyarrow
 
 
-def require(package: str, path: Path) -> None:
+def require(package: str, path: Path, distribution: str = "") -> None:
     """Check that a package of the extra ``export`` is installed.
 
     Args:
         package: Its name, for example ``pyarrow``.
         path: The file that needs it.
+        distribution: Name under which pip installs it; empty: that of the package.
 
     Raises:
         MissingPackage: It is not.
     """
     if find_spec(package) is None:
-        command = shlex.join(installer() or ["pip", "install", package])
+        command = shlex.join(installer() or ["pip", "install", distribution or package])
         raise MissingPackage(
             f"this needs {package}, which is not installed; {command} does it ({EXPORT_EXTRA_SIZE})", file=path
         )

@@ -40,7 +40,7 @@ PACKAGES = tuple(package for layer in LAYERS for package in layer)
 
 # Who loads these owns them and does it where they are used: each takes a third of a second or more, or is optional.
 SLOW = ("scipy", "matplotlib", "distributed", "dask", "pyarrow", "h5py")
-LATE = (*SLOW, "fsspec")
+LATE = (*SLOW, "fsspec", "mcap_protobuf")
 LATE_ROS = {  # what some commands need for running nodes alone
     ("impact_rs_cli/commands/show.py", "impact_rs_cli.live_graph"),
     ("impact_rs_cli/commands/investigate.py", "impact_rs_cli.node_benches"),

@@ -387,7 +387,10 @@ class HeldOutRollouts(Schema):
 
     before: RolloutDocument = Field(description="of the model")
     after: RolloutDocument = Field(description="with the effects found on the other folds")
-    compared: int = Field(description="rollouts that do not overlap, paired at the longest horizon")
+    horizon_s: float | None = Field(
+        None, description="at which they are compared: the longest one at which either predicts better than chance [s]"
+    )
+    compared: int = Field(description="rollouts that do not overlap, paired")
     closer: int = Field(description="of these, rollouts that are closer to the measurement with the effects")
     p_value: float | None = Field(
         description="p-value of no difference (Wilcoxon signed-rank test); null: too few rollouts, or no difference"
@@ -412,8 +415,15 @@ class HeldOutRollouts(Schema):
         test = "" if self.p_value is None else f" (Wilcoxon signed-rank test, p = {self.p_value:.2g})"
         return (
             f"rollouts of held-out motion, after {time} s: tool off by {tool} mm, {worst.joint} by {joint} "
-            f"{worst.unit}; closer with the effects in {self.closer} of {self.compared} that do not overlap{test}"
+            f"{worst.unit}; closer with the effects{self._when} in {self.closer} of {self.compared} that do not "
+            f"overlap{test}"
         )
+
+    @property
+    def _when(self) -> str:
+        """Horizon of the comparison, where it is not the longest one."""
+        shorter = self.horizon_s is not None and self.horizon_s < self.after.last.horizon_s
+        return f" after {self.horizon_s:g} s, beyond which neither predicts," if shorter else ""
 
     def disagreement(self, change: tuple[float, float] | None) -> str:
         """Sentence on a torque balance that improves where rollouts get worse; empty: they do not disagree.
@@ -425,7 +435,8 @@ class HeldOutRollouts(Schema):
             return ""
         return (
             "The two estimators disagree: with these effects the held-out error falls, but predictions in "
-            f"{self.after.loop} over {self.after.last.horizon_s:g} s get worse in {self.compared - self.closer} of "
+            f"{self.after.loop} over {self.horizon_s or self.after.last.horizon_s:g} s get worse in "
+            f"{self.compared - self.closer} of "
             f"{self.compared} rollouts "
             f"(Wilcoxon signed-rank test, p = {self.p_value:.2g}), which is evidence of a wrong model class."
         )

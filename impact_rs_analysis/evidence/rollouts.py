@@ -290,21 +290,23 @@ class Rollouts:
         over_time = 1e3 * _rms(tool[:, valid])
         closed = self.parts[0].closed
         power, rate, law = (None, None, None) if closed else _growth(self.time, self._joint_growth)
-        rows = [
-            int(np.argmin(np.abs(self.time - horizon))) for horizon in HORIZONS_S if horizon <= self.time[-1] + 1e-9
-        ]
         return RolloutDocument(
             what=CLOSED_LOOP if closed else OPEN_LOOP,
             starts=tool.shape[1],
             starts_apart=int(self.apart.sum()),
             diverged=int(np.sum(~valid)),
-            horizons=tuple(self._horizon(row) for row in rows),
+            horizons=tuple(self._horizon(row) for row in self.rows),
             growth=law,
             exponent=power,
             rate_per_s=rate,
             time_s=tuple(rounded(float(moment)) for moment in self.time),
             tool_mm=tuple(rounded(float(value)) for value in over_time),
         )
+
+    @property
+    def rows(self) -> list[int]:
+        """Rows of the horizons that the data allow, among the moments."""
+        return [int(np.argmin(np.abs(self.time - one))) for one in HORIZONS_S if one <= self.time[-1] + 1e-9]
 
     @property
     def _joint_growth(self) -> Array:

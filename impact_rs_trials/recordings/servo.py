@@ -46,7 +46,7 @@ class Servo(Schema):
     gains: Literal["given", "estimated"] = Field(
         "given",
         description="'estimated': kp follows from gravity and inertia of the model, so its scale is that of the "
-        "masses; 30 % of each joint's torque (standard deviation) is a systematic error",
+        "masses; the gain of each joint, known to 30 % (standard deviation), is fitted with every model",
     )
     torque_max: PositiveVector | None = Field(
         None, description="torque at which each servo saturates [N m], prismatic [N]; absent: that of the robot"

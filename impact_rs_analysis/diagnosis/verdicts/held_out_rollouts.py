@@ -7,7 +7,14 @@ their errors add up to. If a model of the right class is missing an effect, both
 improves and rollouts get worse, the effect stands in for something else.
 
 Rollouts that do not overlap are paired, after minus before, and tested by Wilcoxon's signed-rank test (Wilcoxon 1945)
-of the mean squared error of the joints, each over its mean square under both models.
+of the mean squared error of the joints, each over its mean square under both models. They are compared after the
+longest horizon at which one of both models predicts: its squared error is below
+
+    2 var(q),
+
+that of another moment of the motion, at which a prediction knows nothing (the limit of predictability, against
+climatology: Leith 1974, Mon. Weather Rev. 102). Beyond, a wrist of little inertia has turned several times, and the
+errors of right and wrong models differ by chance.
 """
 
 from __future__ import annotations
@@ -19,7 +26,8 @@ import scipy
 
 from impact_rs_analysis.diagnosis.document import HeldOutRollouts
 from impact_rs_analysis.diagnosis.search.hold_out import HoldOut
-from impact_rs_analysis.evidence.rollouts import MIN_STARTS_APART, Rollouts
+from impact_rs_analysis.evidence.levels import rounded
+from impact_rs_analysis.evidence.rollouts import MIN_STARTS_APART, FreeMotion, Rollouts
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.robots.robot import Array
 
@@ -42,33 +50,48 @@ def held_out_rollouts(source: Source, found: HoldOut | None) -> HeldOutRollouts 
     after = source.rollouts(parts)
     if before is None or after is None:
         return None
-    change = _changes(before, after)
+    row = _row_compared(before, after, [motion for motion, _ in parts])
+    change = _changes(before, after, row)
     moved = change[change != 0.0]
     # Not by permutation where rollouts tie: only those tie that diverge, and 8,192 permutations take a second.
     p_value = float(scipy.stats.wilcoxon(moved, method="exact").pvalue) if moved.size >= MIN_STARTS_APART else None
     return HeldOutRollouts(
         before=before.document(),
         after=after.document(),
+        horizon_s=rounded(float(before.time[row])),
         compared=change.size,
         closer=int(np.sum(change < 0.0)),
         p_value=p_value,
     )
 
 
-def _changes(before: Rollouts, after: Rollouts) -> Array:
-    """Change of the error of every rollout that overlaps no other, at the longest horizon, ``(S,)`` [-]."""
+def _row_compared(before: Rollouts, after: Rollouts, motions: Sequence[FreeMotion]) -> int:
+    """Moment of the longest horizon at which one of both models predicts; of the shortest one, if neither does."""
+    positions: dict[str, list[Array]] = {}
+    for motion in motions:
+        positions.setdefault(motion.arm, []).append(motion.position)
+    spreads = {arm: 2.0 * np.var(np.concatenate(rows), axis=0) for arm, rows in positions.items()}
+    for row in before.rows[:0:-1]:
+        with np.errstate(invalid="ignore"):
+            if min(np.mean(_scores(one, spreads, row)) for one in (before, after)) < 1.0:
+                return row
+    return before.rows[0]
+
+
+def _changes(before: Rollouts, after: Rollouts, row: int) -> Array:
+    """Change of the error of every rollout that overlaps no other, at one moment, ``(S,)`` [-]."""
     scales: dict[str, Array] = {}
     for arm in dict.fromkeys(part.arm for part in before.parts):
-        squares = [np.square(part.joints[-1]) for part in (*before.parts, *after.parts) if part.arm == arm]
+        squares = [np.square(part.joints[row]) for part in (*before.parts, *after.parts) if part.arm == arm]
         scales[arm] = np.nanmean(np.concatenate(squares), axis=0)
-    scores = [_scores(one, scales)[one.apart] for one in (after, before)]
+    scores = [_scores(one, scales, row)[one.apart] for one in (after, before)]
     with np.errstate(invalid="ignore"):
         return np.nan_to_num(scores[0] - scores[1], nan=0.0)
 
 
-def _scores(rollouts: Rollouts, scales: dict[str, Array]) -> Array:
+def _scores(rollouts: Rollouts, scales: dict[str, Array], row: int) -> Array:
     """Mean squared error of the joints of every rollout, over its scale, ``(S,)`` [-]; infinite if it diverged."""
     rows: Sequence[Array] = [
-        np.mean(np.square(part.joints[-1]) / np.maximum(scales[part.arm], 1e-300), axis=1) for part in rollouts.parts
+        np.mean(np.square(part.joints[row]) / np.maximum(scales[part.arm], 1e-300), axis=1) for part in rollouts.parts
     ]
     return np.nan_to_num(np.concatenate(rows), nan=np.inf)

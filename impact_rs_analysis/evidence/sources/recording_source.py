@@ -4,7 +4,9 @@
 Stretches last about a second, longer than the correlation time of the low-passed torque noise. Torques are divided by
 the root mean square of the residual of their joint, so that all joints have equal weight; the pure error is the noise
 of the recorded torque below the cut-off. The gain of an effect is also compared with the residual of each joint, whose
-noise is not known. The scale of each joint's torque is confounded with a payload and enters as a systematic error.
+noise is not known. The scale of each joint's torque is confounded with a payload and enters as a systematic error, or,
+if it is that of servos with estimated gains, is fitted with every model
+(:mod:`impact_rs_analysis.evidence.free_motion.servo_gains`).
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from numpy.typing import NDArray
 from impact_rs_analysis.evidence.calibration import with_intervals
 from impact_rs_analysis.evidence.cluster import Added, Cluster, Feature
 from impact_rs_analysis.evidence.free_motion.motion_difference import minus_references, order_warning
+from impact_rs_analysis.evidence.free_motion.servo_gains import GAIN_DEVIATION, ServoGains
 from impact_rs_analysis.evidence.free_motion.torque_balance import Motion, TorqueBalance, motor_ratios, prepare
 from impact_rs_analysis.evidence.free_motion.velocity_relation import VelocityRelation
 from impact_rs_analysis.evidence.levels import (
@@ -70,13 +73,12 @@ TARGET_STRETCHES = 24  # more in a recording that is longer than 24 times MAX_ST
 MAX_STRETCH_S, MIN_STRETCH_S = 2.0, 0.5  # the noise remembers less than the shorter
 CLIPPING_ITERATIONS = 10  # of densities of information, until they settle
 MIN_MOVING_SPEED = 0.05  # rad/s, m/s
-TORQUE, DEFLECTION, POSITION_SLOPE = "torque", "deflection", "velocity of positions"
+TORQUE, DEFLECTION, POSITION_SLOPE, SERVO_GAIN = "torque", "deflection", "velocity of positions", "gain of the servo"
 PHASES = ("moving up", "moving down", "slow")
 LEVEL_TEXT = "torque balance of the arm in free motion, both sides low-passed"
 CACHED_TORQUES_BYTES = 2**28
 MIN_CACHED_TORQUES = 64  # predictions that one linearisation needs
 TORQUE_SCALE_DEVIATION = {"link": 0.01, "motor": 0.02}  # over the torque; torque sensors of arms: 1 to 2 %
-UNKNOWN_GAIN_DEVIATION = 0.3  # of servos whose gains were found from the masses of the model
 # Without a command, faults of torque sensor and motor are confounded: torque_gain and torque_offset stand for both.
 CONFOUNDED_WITH_MOTOR_FAULTS = (TORQUE_SENSOR_GAIN, TORQUE_SENSOR_OFFSET)
 # No command was recorded, a deflection is known up to its mean, and the age of the arm is that of the recording.
@@ -109,6 +111,10 @@ MOTOR_ENCODERS_REMARK = (
     "deflection of the transmission is a signal of its own, up to its mean"
 )
 MOTORS_UNUSED_REMARK = "motor_position is not used: in a difference of recordings the motion of the motors cancels"
+FITTED_GAINS_REMARK = (
+    "intervals count the scatter over the motion and the gains of the servos, which are fitted with every model; links "
+    "of the model count as exact"
+)
 NO_MOTOR_ENCODERS_REMARK = (
     "no motor has an encoder of its own: the elasticity of a transmission shows only in the torque of its motor, and "
     "resembles a delay, a damping or another inertia; positions of the motors separate them (signals.motor_position)"
@@ -128,8 +134,9 @@ ADDED = {
 ADDED_TO_SERVO = "; their controller adds the gravity torque, for which that of the nominal model is taken"
 SERVO_TORQUE = "no torque was recorded: it is that of position servos, {law}"
 UNKNOWN_GAIN = (
-    "; kp was estimated from gravity and inertia of the model (torque_gain corrects it), so this log cannot hold "
-    "masses or gains apart: torques and friction are known in proportion to the masses of the model alone"
+    f"; kp was estimated from gravity and inertia of the model and is known to {GAIN_DEVIATION:.0%}. It is fitted with "
+    "every model, so this log cannot hold masses or gains apart: torques and friction are known in proportion to the "
+    "masses of the model alone"
 )
 UNKNOWN_DAMPING = "; kd is unknown, so viscous friction includes the damping of the servos"
 
@@ -213,19 +220,22 @@ class RecordingSource(Source):
         self.motions, self.physics = tuple(motions), physics
         at_motor = mapping.torque_measured_at == "motor"
         self.balance = TorqueBalance(list(motions), at_motor)
+        self._torques, self._stretches = self.balance.joints.size, tuple(stretches)
+        related = "velocity" in mapping.signals and not minus
+        self._relation = VelocityRelation(motions, [one.rows for one in stretches]) if related else None
+        uncertain = mapping.servo is not None and mapping.servo.gains == "estimated"
+        torque = self.balance.recorded[:, : self._torques]
+        self._gains = ServoGains(torque, self.balance.noise[: self._torques], len(stretches)) if uncertain else None
         self._of_the_model = self.balance.predict(physics)
-        self.rest = self.balance.recorded - self._of_the_model
+        predicted, self._related_of_the_model = self._with_relations(self._of_the_model, physics)
+        self.rest = self.balance.recorded - predicted
         self.sigma = np.maximum(np.sqrt(np.mean(np.square(self.rest), axis=0)), 1e-12)
         units = physics.arms[ARM].facts.units
         self._columns = [Column(TORQUE, int(joint), units[joint].effort) for joint in self.balance.joints]
-        self._torques = len(self._columns)
         self._columns += [Column(DEFLECTION, int(joint), units[joint].position) for joint in self.balance.elastic]
         self._weights = self._column_weights()
         self.size_unit = self.residual_unit = joined_units(column.unit for column in self._columns[: self._torques])
-        self._stretches = tuple(stretches)
-        related = "velocity" in mapping.signals and not minus
-        self._relation = VelocityRelation(motions, [one.rows for one in stretches]) if related else None
-        self._predicted = Recent[tuple[Array, Array | None] | None](
+        self._predicted = Recent[tuple[Array, Array] | None](
             max(MIN_CACHED_TORQUES, int(CACHED_TORQUES_BYTES / self.balance.recorded.nbytes))
         )
         self.clusters = with_intervals(self, [self._cluster(number) for number in range(len(self._stretches))])
@@ -238,7 +248,9 @@ class RecordingSource(Source):
         self.remarks = (
             *REMARKS,
             *((DIFFERENCE_REMARK,) if minus else ()),
-            INTERVALS_REMARK.format(scale=scale_deviation(mapping)),
+            FITTED_GAINS_REMARK
+            if uncertain
+            else INTERVALS_REMARK.format(scale=TORQUE_SCALE_DEVIATION[mapping.torque_measured_at]),
             *((NO_MOTOR_ENCODERS_REMARK,) if at_motor and not self.balance.elastic.size and not minus else ()),
             *self.reading,
         )
@@ -293,14 +305,14 @@ class RecordingSource(Source):
 
     def residual_weight(self, item: Cluster) -> Array:
         """See :meth:`Source.residual_weight`."""
-        torques = item.sigma.size - self._slopes
+        torques = item.sigma.size - self._related
         scale = np.sqrt(item.sigma.size / torques)  # the mean square over all features is that of the torques
-        return np.concatenate((np.resize(self._weights, torques) * scale, np.zeros(self._slopes)))
+        return np.concatenate((np.resize(self._weights, torques) * scale, np.zeros(self._related)))
 
     @property
-    def _slopes(self) -> int:
-        """Number of features of a stretch that relate its velocities to its positions; they come last."""
-        return 0 if self._relation is None else self._relation.noise.size
+    def _related(self) -> int:
+        """Number of features of a stretch beyond its samples, which come last: velocities against positions, gains."""
+        return sum(one.noise.size for one in (self._relation, self._gains) if one is not None)
 
     @property
     def _weighted_residuals(self) -> Array:
@@ -350,17 +362,16 @@ class RecordingSource(Source):
         del what
         found: list[Array | None] = []
         last: Added | None = None
-        predicted: tuple[Array, Array | None] | None = None
+        predicted: tuple[Array, Array] | None = None
         for number, added in wanted:
             if added is not last:  # equal effects follow each other, and hashing many numbers is expensive
                 last, predicted = added, self._prediction(added)
             found.append(None if predicted is None else self._features_of(number, *predicted))
         return found
 
-    def _features_of(self, number: int, torque: Array, slopes: Array | None) -> Array:
-        """Features of a stretch: torques and deflections by sample, then velocities against positions, ``(F,)``."""
-        own = torque[self._stretches[number].rows].ravel()
-        return own if slopes is None else np.concatenate((own, slopes[number]))
+    def _features_of(self, number: int, torque: Array, related: Array) -> Array:
+        """Features of a stretch: torques and deflections by sample, then those of :attr:`_related`, ``(F,)``."""
+        return np.concatenate((torque[self._stretches[number].rows].ravel(), related[number]))
 
     def offers(self, effect: Effect) -> bool:
         """See :meth:`Source.offers`; recordings calibrate the bare arm, differences show what changes or has a load."""
@@ -388,8 +399,7 @@ class RecordingSource(Source):
 
     def _recorded(self, number: int) -> Array:
         """Recorded features of a stretch, ``(F,)``."""
-        slopes = None if self._relation is None else self._relation.recorded
-        return self._features_of(number, self.balance.recorded, slopes)
+        return self._features_of(number, self.balance.recorded, self._related_recorded)
 
     def size(self) -> float:
         """See :meth:`Source.size`; root mean square of the torque residual [N m]."""
@@ -403,7 +413,7 @@ class RecordingSource(Source):
         """See :meth:`Source.compare_levels`: the torque of every joint."""
         noise = np.maximum(self.balance.noise, 1e-12)
         phases = [[feature.phase for feature in item.features] for item in self.clusters]
-        torques = [row[: len(row) - self._slopes] for row in phases]
+        torques = [row[: len(row) - self._related] for row in phases]
         phase = np.concatenate([np.array(row, dtype=object).reshape(-1, self.rest.shape[1]) for row in torques])
         signals, cells = [], []
         for number, column in enumerate(self._columns):
@@ -457,7 +467,7 @@ class RecordingSource(Source):
 
     def joint_sizes(self, rest: Sequence[Array]) -> list[tuple[str, float, float, str]]:
         """See :meth:`Source.joint_sizes`."""
-        torques = np.concatenate([own[: own.size - self._slopes] for own in rest])
+        torques = np.concatenate([own[: own.size - self._related] for own in rest])
         sizes = np.sqrt(np.mean(np.square(torques.reshape(-1, self.sigma.size)), axis=0)) * self.sigma
         return [
             (column.index, float(size), float(noise), column.unit)
@@ -514,6 +524,14 @@ class RecordingSource(Source):
             first = last
         return tuple(found)
 
+    def _rolled(self, motion: FreeMotion, added: Added) -> Physics:
+        """Physics of a motion with effects; drives give the torque of servos with the gains that fit these."""
+        physics = super()._rolled(motion, added)
+        if self._gains is None:
+            return physics
+        arm, share = physics.arms[ARM], self._gain_errors(self.balance.predict(physics), physics)
+        return replace(physics, arms={ARM: replace(arm, torque_gain=arm.torque_gain / (1.0 + share))})
+
     def _parts(self, numbers: Sequence[int] | None, first: int, last: int) -> list[tuple[int, int]]:
         """Rows of a motion that stretches cover, neighbours together; its samples are ``first`` to ``last`` of all."""
         if numbers is None:
@@ -545,11 +563,11 @@ class RecordingSource(Source):
         found = self._prediction(added)
         return None if found is None else found[0]
 
-    def _prediction(self, added: Added) -> tuple[Array, Array | None] | None:
-        """Torque of all recordings [N m], and velocities against positions [rad/s]; None without positive inertia."""
+    def _prediction(self, added: Added) -> tuple[Array, Array] | None:
+        """Torque of all recordings [N m], and what is :attr:`_related` ``(K, E)``; None without positive inertia."""
         return self._predicted.of(added, lambda: self._predict_anew(added))
 
-    def _predict_anew(self, added: Added) -> tuple[Array, Array | None] | None:
+    def _predict_anew(self, added: Added) -> tuple[Array, Array] | None:
         try:
             physics = self._with(added)
             torque = self.balance.predict(physics)
@@ -558,8 +576,31 @@ class RecordingSource(Source):
                 torque = torque - self.balance.predict(self._with(shared)) + self._of_the_model
         except NotABody:
             return None
-        readings = physics.arms[ARM].readings
-        return torque, None if self._relation is None else self._relation.predicted(readings)
+        return self._with_relations(torque, physics)
+
+    def _with_relations(self, torque: Array, physics: Physics) -> tuple[Array, Array]:
+        """A predicted torque under the gains that fit it ``(k, c)``, and what is :attr:`_related`, ``(K, E)``."""
+        related = [np.empty((len(self._stretches), 0))]
+        if self._relation is not None:
+            related.append(self._relation.predicted(physics.arms[ARM].readings))
+        if self._gains is not None:
+            share, own = self._gain_errors(torque, physics), slice(self._torques)
+            late = self.balance.lost(physics)
+            torque = torque.copy()
+            torque[:, own] += share * (torque[:, own] - late)
+            related.append(self._gains.predicted(share))
+        return torque, np.hstack(related)
+
+    def _gain_errors(self, torque: Array, physics: Physics) -> Array:
+        """Shares by which the gains of the servos are too high under a prediction ``(k, c)``, ``(m,)`` [-]."""
+        assert self._gains is not None
+        return self._gains.fitted(torque[:, : self._torques], self.balance.lost(physics))
+
+    @cached_property
+    def _related_recorded(self) -> Array:
+        """What was recorded of :attr:`_related`, ``(K, E)``."""
+        nothing = np.empty((len(self._stretches), 0))
+        return np.hstack([nothing, *(one.recorded for one in (self._relation, self._gains) if one is not None)])
 
     def _with(self, added: Added) -> Physics:
         """The physics of the model with effects."""
@@ -581,13 +622,13 @@ class RecordingSource(Source):
         noise = np.broadcast_to(self.balance.noise, rest.shape).ravel()
         features = [labels[place][phase[k, place]] for k in range(len(rest)) for place in range(rest.shape[1])]
         rows = rest.ravel()
-        if self._relation is not None:
+        if self._related:
             share = max(root_mean_square(self.balance.noise / self.sigma), MIN_NOISE_SHARE)
-            noise = np.append(noise, self._relation.noise)
-            sigma = np.append(sigma, self._relation.noise / share)  # equal noise has equal weight
-            predicted = self._relation.predicted(self.physics.arms[ARM].readings)
-            rows = np.append(rows, (self._relation.recorded - predicted)[number])
-            features += self._slope_features()
+            own = np.concatenate([one.noise for one in (self._relation, self._gains) if one is not None])
+            noise = np.append(noise, own)
+            sigma = np.append(sigma, own / share)  # equal noise has equal weight
+            rows = np.append(rows, (self._related_recorded - self._related_of_the_model)[number])
+            features += self._related_features()
         return Cluster(
             name=stretch.name,
             condition_key=(stretch.unit, stretch.name, ""),
@@ -599,22 +640,25 @@ class RecordingSource(Source):
             sigma=sigma,
             pure_error=noise / sigma,
             discrepancy=np.zeros(rows.size),
-            calibrations=np.pad(self._of_scales(stretch.rows), ((0, 0), (0, self._slopes))),
+            calibrations=np.pad(self._of_scales(stretch.rows), ((0, 0), (0, self._related))),
         )
 
-    def _slope_features(self) -> list[Feature]:
-        """Features of velocities against positions: gains of all joints, then delays."""
+    def _related_features(self) -> list[Feature]:
+        """Features of :attr:`_related`: gains, then delays of the velocities of all joints; gains of servos."""
         units = self.physics.arms[ARM].facts.units
-        return [
+        velocities = [
             Feature("free", POSITION_SLOPE, f"joint{joint + 1}", order, unit.velocity, 0.0)
             for order in range(2)
             for joint, unit in enumerate(units)
         ]
+        gains = [Feature("free", SERVO_GAIN, f"joint{joint + 1}", 0, "-", 0.0) for joint in self.balance.joints]
+        return (velocities if self._relation else []) + (gains if self._gains else [])
 
     @cached_property
     def _scale_deviations(self) -> Array:
         """Standard deviations of the scale of each joint's torque, with that of a gain in the model, ``(n,)`` [-]."""
-        found = np.full(self.physics.arms[ARM].facts.joint_count, scale_deviation(self.mapping))
+        own = 0.0 if self._gains else TORQUE_SCALE_DEVIATION[self.mapping.torque_measured_at]
+        found = np.full(self.physics.arms[ARM].facts.joint_count, own)
         for effect in self.model.effects:
             if effect.name == TORQUE_GAIN.name:
                 for joint, scalar in enumerate(TORQUE_GAIN.scalars(self.joints)):
@@ -632,13 +676,6 @@ class RecordingSource(Source):
         own = np.eye(self._torques, self.sigma.size)[:, None, :]
         each = self._scale_deviations[:, None, None] * torque[None, :, :] * own
         return np.asarray(each.reshape(self._torques, -1))
-
-
-def scale_deviation(mapping: Mapping) -> float:
-    """Standard deviation of the scale of each joint's torque, over the torque [-]."""
-    if mapping.servo is not None and mapping.servo.gains == "estimated":
-        return UNKNOWN_GAIN_DEVIATION
-    return TORQUE_SCALE_DEVIATION[mapping.torque_measured_at]
 
 
 def torque_in_words(mapping: Mapping) -> str:

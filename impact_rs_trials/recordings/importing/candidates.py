@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterator, Sequence
 from collections.abc import Mapping as AbstractMapping
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from pathlib import Path
 from typing import Any, Final
 
@@ -247,6 +248,8 @@ def _in_bag(path: Path) -> list[SignalCandidate]:
                 found += _in_message(connection.topic, connection.msgtype, message)
                 if len(seen) == len(reader.topics):
                     break
+    except InputError:
+        raise
     except Exception as error:  # a damaged file can fail anywhere inside the library
         raise unreadable(path, error) from None
     return found
@@ -255,14 +258,17 @@ def _in_bag(path: Path) -> list[SignalCandidate]:
 def _in_message(topic: str, kind: str, message: Any) -> Iterator[SignalCandidate]:
     if _holds_pose(message) and not topic.endswith(STATIC):
         yield SignalCandidate(topic, {"topic": topic, "type": kind}, True, OBJECT_POSE)
-    names = _names(message)
     for place, numbers in _numbers(message):
         source = {"topic": topic, "type": kind, "field": place}
         joints: tuple[str, ...] = ()
-        if names is not None and len(names) == numbers:
-            source["names"] = "name"
-            joints = tuple(sorted(names, key=_base_to_tip))
-        guess = {"effort": "torque"}.get(place, place)
+        before, _, own = place.rpartition(".")
+        for prefix in (f"{before}.", ""):  # names beside the numbers, or of the whole message
+            names = _names(reduce(getattr, filter(None, prefix.split(".")), message))
+            if names is not None and len(names) == numbers:
+                source["names"] = f"{prefix}name".lstrip(".")
+                joints = tuple(sorted(names, key=_base_to_tip))
+                break
+        guess = {"effort": "torque"}.get(own, own)
         guess = "command" if "command" in topic else guess if "names" in source else ""
         label, stamped = f"{topic}: {place} ({numbers})", hasattr(message, "header")
         yield SignalCandidate(label, source, False, guess, numbers, joints, stamped)

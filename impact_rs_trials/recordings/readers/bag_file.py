@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags of ROS 2 (SQLite or MCAP) and of ROS 1: a topic, a message type and a field per signal.
+"""Bags of ROS 2 (SQLite or MCAP) and of ROS 1, and MCAP files without ROS (:mod:`mcap_messages`).
+
+A signal has a topic, a message type and a field.
 
 A run has one clock. If header timestamps define it, times of a topic without headers are computed from log times:
 
@@ -29,6 +31,7 @@ from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags.cdr import stacked
 from impact_rs_trials.recordings.mapping import WIDTH, Mapping, SignalName, SignalSource
+from impact_rs_trials.recordings.readers.mcap_messages import McapMessages, is_without_ros
 from impact_rs_trials.recordings.readers.read_once import once
 from impact_rs_trials.recordings.readers.run_finder import ROS1_SUFFIX
 from impact_rs_trials.recordings.readers.series import MissingSignal, Names, Series
@@ -41,13 +44,18 @@ FIELDLESS: tuple[SignalName, ...] = ("object_pose", "wrench", "acceleration")  #
 
 STORED = (".db3", ".mcap", ".zstd")  # endings of files of messages
 
-OTHER_PROFILE = "Profile is not ros2"  # as rosbags says it
+OTHER_PROFILE = "Profile is not ros2"  # as rosbags says it of a file in a folder
 POSE_PARTS = (("position", "orientation"), ("translation", "rotation"))
 
 
-def open_bag(path: Path) -> Reader | Ros1Reader:
-    """Reader of a bag of ROS 2, or of ROS 1 (``.bag``)."""
-    return Ros1Reader(path) if path.suffix == ROS1_SUFFIX else Reader(path)
+BagReader = Reader | Ros1Reader | McapMessages
+
+
+def open_bag(path: Path) -> BagReader:
+    """Reader of a bag of ROS 2, of one of ROS 1 (``.bag``), or of an MCAP file without ROS."""
+    if path.suffix == ROS1_SUFFIX:
+        return Ros1Reader(path)
+    return McapMessages(path) if is_without_ros(path) else Reader(path)
 
 
 def unreadable(path: Path, error: Exception) -> InputError:
@@ -60,16 +68,17 @@ def unreadable(path: Path, error: Exception) -> InputError:
     text = str(error).splitlines()[0] if str(error) else ""
     if OTHER_PROFILE in text:
         return InputError(
-            "an MCAP file whose messages are not those of ROS 2 (JSON or Protobuf, as Foxglove writes them); expected "
-            "the profile ros2: record the topics with ros2 bag, or export time and joints as a table, a column each "
-            "(.csv, .parquet), and import that",
+            "a bag's folder whose MCAP file is not of ROS 2 (JSON or Protobuf, as Foxglove writes them); "
+            "give the .mcap file itself",
             file=path,
         )
     return InputError(f"not a readable bag ({type(error).__name__}: {text})", file=path)
 
 
-def deserialized(store: Typestore, path: Path, data: bytes, kind: str) -> Any:
-    """A message of a bag."""
+def deserialized(store: Typestore, path: Path, data: Any, kind: str) -> Any:
+    """A message of a bag from its bytes; one that its reader has decoded is returned."""
+    if not isinstance(data, bytes):
+        return data
     return store.deserialize_ros1(data, kind) if path.suffix == ROS1_SUFFIX else store.deserialize_cdr(data, kind)
 
 
@@ -158,7 +167,7 @@ class OpenedBag:
                 self.unread, self._connections = _files_beside(self._path, reader), list(reader.connections)
                 chosen = choose(self._connections)
                 missing = [connection for connection in chosen if connection.topic not in self.messages]
-                rows: dict[str, list[tuple[int, str, bytes]]] = {connection.topic: [] for connection in missing}
+                rows: dict[str, list[tuple[int, str, Any]]] = {connection.topic: [] for connection in missing}
                 for connection in missing:
                     register(self._store, connection)
                 for connection, log, data in reader.messages(connections=missing) if missing else ():  # [] is all
@@ -171,10 +180,11 @@ class OpenedBag:
         self.messages |= read
         return chosen
 
-    def _recorded(self, rows: list[tuple[int, str, bytes]]) -> Recorded:
-        """Messages of a topic from log times [ns], types and bytes."""
+    def _recorded(self, rows: list[tuple[int, str, Any]]) -> Recorded:
+        """Messages of a topic from log times [ns], types and bytes, or messages that were decoded."""
         logs = np.array([log for log, _, _ in rows], dtype=np.int64)
-        if self._path.suffix != ROS1_SUFFIX and len({kind for _, kind, _ in rows}) == 1:
+        in_cdr = self._path.suffix != ROS1_SUFFIX and all(isinstance(data, bytes) for _, _, data in rows)
+        if in_cdr and len({kind for _, kind, _ in rows}) == 1:
             one = stacked(self._store, rows[0][1], [data for _, _, data in rows])
             if one is not None:
                 return Recorded(logs, [one], True)
@@ -523,7 +533,7 @@ def _check_pages(path: Path) -> None:
             raise InputError(said, file=file)
 
 
-def _files_beside(path: Path, reader: Reader | Ros1Reader) -> tuple[str, ...]:
+def _files_beside(path: Path, reader: BagReader) -> tuple[str, ...]:
     """A warning about message files in the folder of a bag that its metadata do not name."""
     if not path.is_dir():
         return ()

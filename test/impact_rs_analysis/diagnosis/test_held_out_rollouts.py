@@ -79,6 +79,18 @@ def test_folds_without_an_effect_do_not_count_for_or_against_it(rubbed: Recordin
     np.testing.assert_allclose(nothing.before.tool_mm, nothing.after.tool_mm)
 
 
+@pytest.mark.parametrize(("factor", "horizon_s"), [(1.0, 2.0), (10.0, 0.5)])
+def test_rollouts_are_compared_while_one_of_both_predicts(factor: float, horizon_s: float, tmp_path: Path) -> None:
+    """Friction of 0.3 and of 3 N m, of which the effect has 90 %. Kills the longest horizon, where both fail."""
+    mapping = mapping_of(tmp_path, slender_arm(("revolute",) * 2, FLAT), torque_measured_at="motor")
+    planted = {"joint_coulomb_friction": {"coulomb_joint1": factor * TRUE[0], "coulomb_joint2": factor * TRUE[1]}}
+    source = source_of(tmp_path, mapping, swung(mapping, planted))
+    found = held_out(source, (("joint_coulomb_friction", tuple(0.9 * factor * one for one in TRUE)),))
+    assert found.horizon_s == horizon_s
+    assert found.closer >= found.compared - 1 >= 6
+    assert ("after 0.5 s, beyond which neither predicts" in found.in_words) == (horizon_s < 2.0)
+
+
 def test_friction_that_stands_in_for_a_law_of_the_frequency_is_contradicted_by_rollouts(tmp_path: Path) -> None:
     """Viscous friction of 0.3 N m s/rad at 0.9 Hz and of -0.1 N m s/rad at 0.08 Hz, of an inertia of 1.1 kg m^2.
 

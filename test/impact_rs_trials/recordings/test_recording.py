@@ -67,19 +67,17 @@ def test_a_bag_of_ros_1_is_read_as_one_of_ros_2_is(tmp_path: Path) -> None:
     assert "not a readable bag" in refusal(read_recordings, tmp_path / "cut.bag", PLAIN)
 
 
-def test_a_file_of_json_messages_is_refused_with_what_to_do(tmp_path: Path) -> None:
+def test_a_folder_whose_file_is_not_of_ros_is_refused_with_what_to_do(tmp_path: Path) -> None:
     """Kills the words of a library, which name a profile and no remedy."""
-    path = tmp_path / "run.mcap"
+    bag = write_bag(tmp_path / "bag", COLUMNS, range(7))
+    (path,) = bag.glob("*.mcap")
     with path.open("wb") as stream:
         writer = McapWriter(stream)
         writer.start(profile="")
-        schema = writer.register_schema(name="state", encoding="jsonschema", data=b'{"type": "object"}')
-        channel = writer.register_channel(topic="/state", message_encoding="json", schema_id=schema)
-        writer.add_message(channel_id=channel, log_time=0, publish_time=0, data=b'{"q": [0.0]}')
         writer.finish()
-    for read in (lambda: read_recordings(path, PLAIN), lambda: candidates_of(path)):
+    for read in (lambda: read_recordings(bag, PLAIN), lambda: candidates_of(bag)):
         said = refusal(read)
-        assert "Profile" not in said and "JSON or Protobuf" in said and "export time and joints as a table" in said
+        assert "Profile" not in said and "JSON or Protobuf" in said and "give the .mcap file itself" in said
 
 
 @pytest.mark.parametrize(("stamp", "start"), [("header", 5.0), ("log", 0.0)])

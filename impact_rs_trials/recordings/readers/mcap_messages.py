@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""MCAP files without ROS: channels of JSON and Protobuf messages, as Foxglove's libraries write them.
+
+Messages get the form that those of ROS have, so that topics and fields are named alike (:mod:`bag_file`):
+
+    {"timestamp": {"sec": 1, "nsec": 0}, ...}       header.stamp
+    {"position": [0.1, 0.2]}                        position, an array of numbers
+    {"q1": 0.1, "q2": 0.2}                          q, numbers of the same name but for a count from 0 or 1
+    {"position": {"hip": 0.1, "knee": 0.2}}         position, and name, the joints
+    {"joints": [{"name": "hip", "position": 0.1}]}  joints.position and joints.name (foxglove.JointStates)
+
+Booleans, texts and lists of other values stay as they are. ``null`` is not a number. Channels in CDR, which a library
+other than ros2 bag wrote, are read as those of a bag.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from types import SimpleNamespace
+from typing import IO, Any
+
+import numpy as np
+from mcap.reader import McapReader, make_reader
+from mcap.records import Channel, Schema
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinition, MessageDefinitionFormat
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.optional_packages import require
+
+logger = logging.getLogger(__name__)
+
+ROS2 = "ros2"  # profile of the files that rosbags reads
+STAMPS = (("sec", "nanosec"), ("sec", "nsec"), ("seconds", "nanos"), ("secs", "nsecs"))
+PARTS_OF_VECTORS = {"x", "y", "z", "w", "r", "g", "b", "a"}
+COUNTED = re.compile(r"^(\D*)(\d+)(\D*)$")
+
+
+def is_without_ros(path: Path) -> bool:
+    """Whether a path is an MCAP file that ROS 2 did not record; a damaged one is not."""
+    if path.suffix != ".mcap" or not path.is_file():
+        return False
+    try:
+        with path.open("rb") as stream:
+            return str(make_reader(stream).get_header().profile) != ROS2
+    except Exception as error:  # a damaged file can fail anywhere inside the library; rosbags gives the reason
+        logger.debug("%s: no MCAP file (%s: %s)", path, type(error).__name__, error)
+        return False
+
+
+class McapMessages:
+    """Reader of an MCAP file without ROS, with the part of the interface of ``rosbags`` readers that is used here.
+
+    Args:
+        path: The file.
+
+    Attributes:
+        connections: Topics with their types.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._stream: IO[bytes] | None = None
+        self.connections: list[Connection] = []
+
+    def __enter__(self) -> McapMessages:
+        self._stream = self._path.open("rb")
+        summary = self._reader.get_summary()
+        if summary is None or not summary.channels:
+            raise InputError("an MCAP file without an index, or without a channel", file=self._path)
+        counts = {} if summary.statistics is None else summary.statistics.channel_message_counts
+        self.connections = [
+            self._connection(channel, summary.schemas.get(channel.schema_id), counts.get(number, 0))
+            for number, channel in summary.channels.items()
+        ]
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._stream is not None:
+            self._stream.close()
+
+    @property
+    def topics(self) -> dict[str, Connection]:
+        """Topics by name."""
+        return {connection.topic: connection for connection in self.connections}
+
+    def messages(self, connections: Collection[Connection] = ()) -> Iterator[tuple[Connection, int, Any]]:
+        """Topic, log time [ns] and message, by log time: decoded, or the bytes of one in CDR.
+
+        Args:
+            connections: Topics to read; none: all.
+
+        Raises:
+            InputError: A message is not what its encoding says.
+            MissingPackage: That which decodes Protobuf is not installed.
+        """
+        own = {connection.id: connection for connection in connections or self.connections}
+        topics = [connection.topic for connection in own.values()]
+        decoders: dict[int, Callable[[bytes], Any]] = {}
+        for schema, channel, message in self._reader.iter_messages(topics=topics):
+            if channel.id not in own:
+                continue
+            if channel.id not in decoders:
+                decoders[channel.id] = self._decoder(channel, schema)
+            try:
+                found = decoders[channel.id](message.data)
+            except Exception as error:  # a damaged message can fail anywhere inside a library
+                said = f"{channel.topic}: a message is not {channel.message_encoding} ({type(error).__name__}: {error})"
+                raise InputError(said, file=self._path) from None
+            yield own[channel.id], message.log_time, found
+
+    @cached_property
+    def _reader(self) -> McapReader:
+        assert self._stream is not None
+        return make_reader(self._stream)
+
+    def _connection(self, channel: Channel, schema: Schema | None, count: int) -> Connection:
+        cdr = channel.message_encoding == "cdr" and schema is not None and schema.encoding == "ros2msg"
+        text = schema.data.decode() if cdr and schema is not None else ""
+        kind = MessageDefinitionFormat.MSG if cdr else MessageDefinitionFormat.NONE
+        return Connection(
+            channel.id,
+            channel.topic,
+            channel.message_encoding if schema is None else schema.name,
+            MessageDefinition(kind, text),
+            "",
+            count,
+            ConnectionExtRosbag2(channel.message_encoding, []),
+            self,
+        )
+
+    def _decoder(self, channel: Channel, schema: Schema | None) -> Callable[[bytes], Any]:
+        """What makes messages of the bytes of a channel."""
+        kind = channel.message_encoding if schema is None else schema.name
+        if channel.message_encoding == "json":
+            return lambda data: as_message(json.loads(data), kind)
+        if channel.message_encoding == "cdr":
+            return lambda data: data
+        if channel.message_encoding == "protobuf":
+            decode = _protobuf_decoder(self._path, schema)
+            return lambda data: as_message(_plain(decode(data)), kind)
+        raise InputError(
+            f"{channel.topic}: messages are encoded as {channel.message_encoding!r}; expected json, protobuf or cdr",
+            file=self._path,
+        )
+
+
+def _protobuf_decoder(path: Path, schema: Schema | None) -> Callable[[bytes], Any]:
+    require("mcap_protobuf", path, "mcap-protobuf-support")
+    from mcap_protobuf.decoder import DecoderFactory
+
+    decode = DecoderFactory().decoder_for("protobuf", schema)
+    if decode is None:
+        raise InputError("a channel in Protobuf without a schema in Protobuf", file=path)
+    return decode
+
+
+def _plain(value: Any) -> Any:
+    """A message of Protobuf as JSON has it: dictionaries, lists and numbers."""
+    if hasattr(value, "DESCRIPTOR"):
+        return {field.name: _plain(getattr(value, field.name)) for field in value.DESCRIPTOR.fields}
+    if isinstance(value, Mapping):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, (str, bytes, int, float)):
+        return value
+    return [_plain(one) for one in value]
+
+
+def as_message(content: Any, kind: str) -> Any:
+    """A decoded message in the form of one of ROS.
+
+    Args:
+        content: Its content: a dictionary, or numbers alone, whose field is then ``data``.
+        kind: Name of its type.
+    """
+    found = _with_fields(content if isinstance(content, Mapping) else {"data": content})
+    found.__msgtype__ = kind
+    if not hasattr(found, "header"):
+        stamp = next((one for one in map(_stamp, vars(found).values()) if one is not None), None)
+        if stamp is not None:
+            found.header = SimpleNamespace(stamp=stamp, __msgtype__="header")
+    elif hasattr(found.header, "stamp"):
+        found.header.stamp = _stamp(found.header.stamp) or found.header.stamp
+    return found
+
+
+def _stamp(value: Any) -> SimpleNamespace | None:
+    """A time of seconds and nanoseconds under the names of ROS; None: it is no time."""
+    for second, rest in STAMPS:
+        if hasattr(value, second) and hasattr(value, rest):
+            return SimpleNamespace(sec=getattr(value, second), nanosec=getattr(value, rest))
+    return None
+
+
+def _with_fields(content: Mapping[str, Any]) -> SimpleNamespace:
+    """A dictionary as a message, whose numbers are in arrays."""
+    fields = {key: _field(value) for key, value in content.items()}
+    for key, value in _counted(content).items():
+        fields.setdefault(key, value)
+    joints = [tuple(value) for value in content.values() if _by_joint(value)]
+    if len(set(joints)) == 1 and "name" not in fields:
+        fields["name"] = list(joints[0])
+    return SimpleNamespace(**fields, __msgtype__="")
+
+
+def _field(value: Any) -> Any:
+    if _by_joint(value):
+        return _numbers(list(value.values()))
+    if isinstance(value, Mapping):
+        return _with_fields(value)
+    if not isinstance(value, list) or not value:
+        return value
+    if all(map(_is_number, value)):
+        return _numbers(value)
+    if all(isinstance(one, Mapping) for one in value) and len({tuple(one) for one in value}) == 1:
+        return _with_fields({key: [one[key] for one in value] for key in value[0]})
+    return value
+
+
+def _by_joint(value: Any) -> bool:
+    """Whether a value holds a number for each of several joints by name."""
+    if not isinstance(value, Mapping) or len(value) < 2 or not all(map(_is_number, value.values())):
+        return False
+    return not (set(value) <= PARTS_OF_VECTORS or any(set(value) == set(names) for names in STAMPS))
+
+
+def _counted(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Numbers whose names differ in a count from 0 or 1 alone, as one array of the name without it."""
+    groups: dict[str, dict[int, Any]] = {}
+    for key, value in content.items():
+        found = COUNTED.match(key)
+        if found and _is_number(value):
+            name = re.sub("__+", "_", found[1] + found[3]).strip("_")
+            groups.setdefault(name, {})[int(found[2])] = value
+    return {
+        name: _numbers([own[number] for number in sorted(own)])
+        for name, own in groups.items()
+        if name and len(own) > 1 and sorted(own) in (list(range(len(own))), list(range(1, len(own) + 1)))
+    }
+
+
+def _is_number(value: Any) -> bool:
+    return value is None or (isinstance(value, (int, float)) and not isinstance(value, bool))
+
+
+def _numbers(values: Sequence[Any]) -> Any:
+    return np.array(values, dtype=float)  # None is NaN
