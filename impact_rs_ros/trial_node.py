@@ -8,15 +8,17 @@ import time
 from abc import ABC, abstractmethod
 from typing import Generic, TypeVar
 
+from impact_rs.action import RunTrial
 from impact_rs.srv import ConfigureTrial, FinishTrial
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.action.server import ServerGoalHandle
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.message_types import RosidlTypes
-from impact_rs_ros.process import THROTTLE_S, NodeProgram
+from impact_rs_ros.process import THROTTLE_S, NodeProgram, close_goal
 from impact_rs_ros.qos import AWAITED
 from impact_rs_sim.errors import full_traceback
 from impact_rs_trials.bags.messages import MessageMaker
@@ -25,6 +27,7 @@ from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.spec import TrialSpec
 
 TRIAL_SLICE_S = 0.02  # of a running trial between two services of its node
+FEEDBACK_S = 0.1  # wall clock, between two feedbacks on a running trial
 SUBSCRIBER_POLL_S = 0.002  # between two checks whether all topics have subscribers
 CONNECTION_TIMEOUT_S = 8.0  # for a newly started controller to receive the first state
 
@@ -236,12 +239,16 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
             self.log.info(text)
         return response
 
+    def break_off(self, why: str) -> None:
+        """End a running trial early; ``~/finish_trial`` then answers that it was ABORTED, and why."""
+        if self.running and self.trial is not None:
+            self.trial.stop(f"{self.kind} was {why} at t = {1e-9 * self.trial.now:.3f} s")
+            self._finished = self._end(self.trial, FinishTrial.Request(aborted=True), FinishTrial.Response())
+
     def deactivate(self) -> None:
         """End a running trial, and disconnect."""
         super().deactivate()
-        if self.running and self.trial is not None:
-            self.trial.stop(f"{self.kind} was deactivated at t = {1e-9 * self.trial.now:.3f} s")
-            self._finished = self._end(self.trial, FinishTrial.Request(aborted=True), FinishTrial.Response())
+        self.break_off("deactivated")
         self.disconnect()
 
     def disconnect(self) -> None:
@@ -291,25 +298,39 @@ AnyLeadingTrial = TypeVar("AnyLeadingTrial", bound=LeadingTrial)
 
 
 class LeadingNode(TrialNode[AnyLeadingTrial]):
-    """The node that serves ``~/run_trial``, whose answer comes when the trial is over."""
+    """The node that runs trials: each is a goal of its action ``~/run_trial``.
+
+    A goal runs the trial that ``~/configure_trial`` has prepared. Its result comes when the trial is over. To cancel it
+    ends the trial as :meth:`deactivate` does; the node stays active.
+    """
 
     def __init__(self) -> None:
         super().__init__()
-        self._over: Future | None = None  # present from the start of the ticks to their end
+        self._goal: ServerGoalHandle | None = None  # that runs the trial
+        self._over = Future()  # reason of a failure of this goal, or an empty text
+        self._reported = 0.0  # when the last feedback was sent, on the monotonic clock [s]
 
     def offer(self) -> None:
         super().offer()
-        # The answer comes when the trial is over; meanwhile the other services stay open.
-        group = MutuallyExclusiveCallbackGroup()
-        self.node.create_service(Trigger, self.role("run_trial"), self._on_run, callback_group=group)
+        self._runs = ActionServer(
+            self.node,
+            RunTrial,
+            self.role("run_trial"),
+            execute_callback=self._on_run,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+        )
+        self.node.create_service(Trigger, self.role("run_trial"), self._on_former_run)
 
     def wait(self) -> None:
         """Serve requests for some milliseconds, before or after the ticks of a trial."""
         self.serve(SUBSCRIBER_POLL_S)
 
     def work(self, trial: AnyLeadingTrial, until: float) -> None:
-        if self._over is None:
+        if self._goal is None:
             self.wait()
+            return
+        if self._goal.is_cancel_requested:
+            self.break_off("cancelled")
             return
         if not trial.begun:
             if self.outbox.unmatched():
@@ -323,28 +344,47 @@ class LeadingNode(TrialNode[AnyLeadingTrial]):
             self.log.error(f"the trial cannot go on: {full_traceback(error)}")
             trial.stop(f"{self.kind} at t = {1e-9 * trial.now:.3f} s: {type(error).__name__}: {error}")
         if trial.over:
-            self._answer(self._over, trial)
+            self._conclude(trial.failure)
+        elif (now := time.monotonic()) > self._reported + FEEDBACK_S:
+            self._reported = now
+            self._goal.publish_feedback(RunTrial.Feedback(time=1e-9 * trial.now))
 
-    async def _on_run(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        del request
-        if not self.running or self._over is not None:
+    async def _on_run(self, goal: ServerGoalHandle) -> RunTrial.Result:
+        result = RunTrial.Result(outcome="ABORTED", detected_time=float("nan"))
+        if self._goal is not None or not self.running:
             wrong = "the trial runs already" if self.running else "configure a trial first"
-            response.message = f"{self.kind}: {wrong}"
-            return response
-        self._over = Future(executor=self.executor)
-        failure = await self._over
-        response.success = not failure
-        response.message = failure
+            result.message = f"{self.kind}: {wrong}"
+            goal.abort()
+            return result
+        self._goal, self._over = goal, Future(executor=self.executor)
+        result.message = await self._over
+        result.success = not result.message
+        if result.success:
+            result.outcome = "OK"
+        close_goal(goal, result.success)
+        return result
+
+    def _on_former_run(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Answer a client of the service that the action has replaced."""
+        del request
+        name = self.node.resolve_service_name(self.role("run_trial"))
+        response.message = f"{name} is an action now: ros2 action send_goal {name} impact_rs/action/RunTrial {{}}"
         return response
 
-    def _answer(self, over: Future, trial: AnyLeadingTrial) -> None:
-        """Answer the caller of ``~/run_trial``."""
-        self._over = None
-        over.set_result(trial.failure)
+    def _conclude(self, failure: str) -> None:
+        """The trial of the goal is over."""
+        if self._goal is not None:
+            self._goal = None
+            self._over.set_result(failure)
 
     def _leave(self) -> str:
-        trial, over = self.trial, self._over
-        if trial is not None and over is not None:
+        trial = self.trial
+        if trial is not None and self._goal is not None:
             trial.stop(trial.failure or "the trial was aborted")
-            self._answer(over, trial)
+            self._conclude(trial.failure)
         return super()._leave()
+
+    def close(self) -> None:
+        super().close()
+        if self._offered:
+            self._runs.destroy()

@@ -13,15 +13,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from impact_rs.action import RunTrial
 from impact_rs.msg import TrialInfo as TrialInfoMessage
 from impact_rs.srv import ConfigureTrial, FinishTrial
+from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 
 from impact_msgs_py.conversions import joint_state_to_message, pose_to_message
 from impact_rs_control.plan import TrialPlan
@@ -87,6 +90,30 @@ class TrialResult:
     progress: Progress
 
 
+class SharedActionClient(ActionClient):
+    """An action client whose requests come from another thread than the executor's.
+
+    rclpy 7.1.6 drops an answer that comes before the sending thread has noted its request; a lock prevents that.
+    """
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        self._sending = threading.Lock()
+        super().__init__(*arguments, **options)
+
+    def send_goal_async(self, *arguments: Any, **options: Any) -> Future:
+        with self._sending:
+            return super().send_goal_async(*arguments, **options)
+
+    def _get_result_async(self, goal_handle: ClientGoalHandle) -> Future:
+        with self._sending:
+            return super()._get_result_async(goal_handle)
+
+    async def execute(self, taken_data: Any) -> None:
+        with self._sending:  # the request of this answer is noted
+            pass
+        await super().execute(taken_data)
+
+
 class TrialSession:
     """Runs trials with plant, controller and recorder.
 
@@ -104,7 +131,7 @@ class TrialSession:
         self._presence = Presence(node, ALL)
         self._configure = {name: client(ConfigureTrial, f"{name}/configure_trial") for name in MEMBERS}
         self._finish = {name: client(FinishTrial, f"{name}/finish_trial") for name in MEMBERS}
-        self._run = client(Trigger, "plant/run_trial")
+        self._run = SharedActionClient(node, RunTrial, "plant/run_trial", callback_group=group)
         self._trial_info = node.create_publisher(TrialInfoMessage, on_network(topics.TRIAL_INFO), LATCHED)
         self._descriptions: dict[str, Publisher] = {}  # by topic
         self._arms: list[str] = []
@@ -129,6 +156,7 @@ class TrialSession:
         """Destroy the subscriptions."""
         self._states.close()
         self._events.close()
+        self._run.destroy()
 
     def run(
         self,
@@ -306,11 +334,12 @@ class TrialSession:
         feedback: Callable[[Progress], None],
         cancelled: Callable[[], bool],
     ) -> None:
-        """Start the plant, and report progress until the trial is over."""
+        """Give the plant the goal, and report progress until the trial is over; a failure cancels the goal."""
         period = node_parameters.value(self._node, "feedback_period")
         patience = node_parameters.value(self._node, "service_timeout")  # until time passes: discovery takes its own
         over = threading.Event()
-        future = self._run.call_async(Trigger.Request())
+        goal = self._accepted()
+        future = goal.get_result_async()
         future.add_done_callback(lambda _: over.set())
         alive = time.monotonic()
         try:
@@ -334,8 +363,8 @@ class TrialSession:
                     )
         finally:
             if not over.is_set():
-                self._run.remove_pending_request(future)
-        answer = future.result()
+                goal.cancel_goal_async()
+        answer = future.result().result
         if not answer.success:
             raise TrialError(answer.message)
         end = plan.scene.scenario.timing.ticks * plan.scene.scenario.timing.control_period
@@ -344,6 +373,21 @@ class TrialSession:
             time.sleep(0.001)
             self._look(progress)
         feedback(progress)
+
+    def _accepted(self) -> ClientGoalHandle:
+        """The goal of the plant, accepted."""
+        answered = threading.Event()
+        future = self._run.send_goal_async(RunTrial.Goal())
+        future.add_done_callback(lambda _: answered.set())
+        deadline = time.monotonic() + node_parameters.value(self._node, "service_timeout")
+        while not answered.wait(ALIVE_POLL_S):
+            self._check_present("plant")
+            if time.monotonic() > deadline:
+                raise TrialError(f"plant does not answer {self._node.resolve_service_name('plant/run_trial')}")
+        goal: ClientGoalHandle = future.result()
+        if not goal.accepted:
+            raise TrialError("plant rejected the trial: see its log")
+        return goal
 
     def _look(self, progress: Progress) -> None:
         self._events.gather()

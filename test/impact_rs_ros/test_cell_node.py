@@ -284,7 +284,6 @@ class Trial:
 
 def test_what_is_found_while_a_trial_runs_ends_it(cell: CellNode, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cell, "_strangers", lambda: "/stranger can send torques")
-    monkeypatch.setattr(cell, "_over", None)
     monkeypatch.setattr(cell_node, "PUBLISHER_POLL_S", -1.0)
     trial = Trial()
     cell.work(trial, 0.0)  # type: ignore[arg-type]

@@ -10,13 +10,14 @@ from typing import Any
 
 import pytest
 import rclpy
+from impact_rs.action import RunTrial
 from impact_rs.srv import ConfigureTrial, FinishTrial
 from processes import until
+from rclpy.action import ActionServer
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
 from rclpy.executors import MultiThreadedExecutor
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 
 from impact_rs_ros import node_parameters
 from impact_rs_ros.exchange import Inbox
@@ -63,10 +64,14 @@ class Actors(Spinning):
             self._serve(ConfigureTrial, f"{name}/configure_trial", self._agree)
             finish = self._nothing_to_finish if name == "controller" else self._agree
             self._serve(FinishTrial, f"{name}/finish_trial", finish)
-        self._serve(Trigger, "plant/run_trial", self._agree)
+        self._runs = ActionServer(self.node, RunTrial, "plant/run_trial", self._run, callback_group=self._group)
 
     def _serve(self, kind: Any, name: str, answer: Callable[[Any, Any], Any]) -> None:
         self.node.create_service(kind, name, answer, callback_group=self._group)
+
+    def _run(self, goal: Any) -> RunTrial.Result:
+        goal.succeed()
+        return RunTrial.Result(success=True, outcome="OK")
 
     def _agree(self, request: Any, response: Any) -> Any:
         response.success = True
