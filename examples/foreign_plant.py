@@ -33,11 +33,11 @@ from sensor_msgs.msg import JointState
 from impact_msgs_py.conversions import pose_from_message, pose_to_message
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.qos import AWAITED
-from impact_rs_ros.robot_states import OWN_JOINTS, joint_names
 from impact_rs_sim.physics import ArmPhysics
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.trial_info import TrialInfo
+from impact_rs_trials.cell.robot_states import OWN_JOINTS, joint_names
 
 DEPTH = 4000  # messages that a recorder which is late still gets
 CONNECTING = 8.0  # s, for everybody to listen, and for the first torque

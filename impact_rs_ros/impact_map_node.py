@@ -29,7 +29,6 @@ from impact_msgs_py.conversions import (
     vector_to_message,
 )
 from impact_rs_ros.process import NodeProgram, run
-from impact_rs_ros.robot_states import OWN_JOINTS, joint_names
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.impact_map import ImpactMapError, engine_name, predict_impact
 from impact_rs_sim.impact_map.contacts import OBJECT
@@ -43,6 +42,7 @@ from impact_rs_sim.scenarios.object_mesh import MAX_PRODUCT_SHARE, object_mesh
 from impact_rs_sim.scenarios.scenario import ObjectSpec
 from impact_rs_sim.scene import ArmState, BodyState, Scene
 from impact_rs_sim.schema import validate
+from impact_rs_trials.cell.robot_states import OWN_JOINTS, joint_names
 from impact_rs_trials.spec import TrialSpec
 
 WORLD = ("", "world")  # frames in which an object may be described

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import gc
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from typing import Generic, TypeVar
 
 from impact_rs.action import RunTrial
@@ -24,64 +24,12 @@ from impact_rs_sim.errors import full_traceback
 from impact_rs_trials.bags.messages import MessageMaker
 from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
+from impact_rs_trials.lockstep.lockstep_trial import LeadingTrial, LockstepTrial
 from impact_rs_trials.spec import TrialSpec
 
 TRIAL_SLICE_S = 0.02  # of a running trial between two services of its node
 FEEDBACK_S = 0.1  # wall clock, between two feedbacks on a running trial
 SUBSCRIBER_POLL_S = 0.002  # between two checks whether all topics have subscribers
-CONNECTION_TIMEOUT_S = 8.0  # for a newly started controller to receive the first state
-
-
-class LockstepTrial(ABC):
-    """One trial as one node of the lockstep runs it.
-
-    Args:
-        plan: The trial.
-
-    Attributes:
-        now: Trial time [ns].
-        failure: Why the trial failed; empty: it did not.
-        unreadable: Number of messages that could not be decoded; they are ignored.
-    """
-
-    def __init__(self, plan: TrialPlan) -> None:
-        self.now = 0
-        self.failure = ""
-        self.unreadable = 0
-        self._last = plan.scene.scenario.timing.ticks
-        self._maker = MessageMaker(RosidlTypes(), plan)
-        self._tick_times: list[float] = []
-
-    @abstractmethod
-    def work(self, until: float) -> None:
-        """Process messages until ``until`` on the monotonic clock [s], or a little longer."""
-
-    def stop(self, failure: str) -> None:
-        """End the trial early; ``failure`` says why."""
-        self.failure = failure
-
-    @abstractmethod
-    def end(self) -> str:
-        """End the trial; returns its outcome as this node sees it."""
-
-    @abstractmethod
-    def status(self) -> tuple[str, dict[str, object]]:
-        """A line and numbers for ``/diagnostics``."""
-
-    def note(self) -> str:
-        """Warning about a successful trial, in one line; may be empty."""
-        return f"{self.unreadable} messages could not be read" if self.unreadable else ""
-
-    def tick_statistics(self) -> dict[str, object]:
-        """Wall-clock time per tick since the last call."""
-        times, self._tick_times = sorted(self._tick_times), []
-        if not times:
-            return {"ticks": 0}
-        return {
-            "ticks": len(times),
-            "tick_time_median [s]": f"{times[len(times) // 2]:.6f}",
-            "tick_time_largest [s]": f"{times[-1]:.6f}",
-        }
 
 
 AnyTrial = TypeVar("AnyTrial", bound=LockstepTrial)
@@ -123,11 +71,12 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         """Published signals of every tick, by topic."""
 
     @abstractmethod
-    def prepare(self, plan: TrialPlan, info: TrialInfo, ros_time: bool) -> AnyTrial:
+    def prepare(self, plan: TrialPlan, maker: MessageMaker, info: TrialInfo, ros_time: bool) -> AnyTrial:
         """A trial that is ready to begin and independent of earlier ones.
 
         Args:
             plan: The trial.
+            maker: Fills its messages.
             info: Its identity.
             ros_time: Whether the plant's timestamps are ROS time, as the request says.
         """
@@ -200,7 +149,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
             self.connect(list(plan.arms))
             self.inbox.clear()
             self.outbox.reset(self.streams(StreamMaker(plan)))
-            self.trial = self.prepare(plan, info, request.ros_time)
+            self.trial = self.prepare(plan, MessageMaker(RosidlTypes(), plan), info, request.ros_time)
             self.running = True
             self._attempt = request.attempt
             self._name = f"{info.scenario}/{info.key.name}"
@@ -270,28 +219,6 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         if self.running:
             self._leave()
         self.inbox.close()
-
-
-class LeadingTrial(LockstepTrial):
-    """One trial of the node that publishes measured states; this node begins and ends the trial.
-
-    Attributes:
-        begun: Whether the first state was published.
-        over: Whether the trial has ended; ``failure`` says why, if it ended early.
-    """
-
-    def __init__(self, plan: TrialPlan) -> None:
-        super().__init__(plan)
-        self.begun = False
-        self.over = False
-
-    @abstractmethod
-    def begin(self) -> None:
-        """Begin the trial; all its topics have subscribers."""
-
-    def stop(self, failure: str) -> None:
-        self.over = True
-        super().stop(failure)
 
 
 AnyLeadingTrial = TypeVar("AnyLeadingTrial", bound=LeadingTrial)

@@ -34,7 +34,6 @@ from impact_rs_ros.message_types import RosidlTypes
 from impact_rs_ros.names import on_network, resolved
 from impact_rs_ros.presence import LEASE_GRACE_S, Presence
 from impact_rs_ros.qos import EVENT, LATCHED, LEASE_S, WATCH
-from impact_rs_ros.robot_states import OWN_JOINTS, joint_names
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.rotations import quaternion_of
@@ -43,6 +42,7 @@ from impact_rs_trials.bags.messages import MessageMaker
 from impact_rs_trials.bags.record import descriptions
 from impact_rs_trials.bags.trial_info import Outcome, TrialInfo, TrialKey
 from impact_rs_trials.bags.writer import partial_path
+from impact_rs_trials.cell.robot_states import OWN_JOINTS, joint_names
 
 ATTEMPT_S = 1.0  # after which a request is repeated; it can be lost while a restarted node is being discovered
 ALIVE_POLL_S = 0.1  # between two checks whether the answering node is alive

@@ -236,6 +236,12 @@ class MessageMaker:
         return self._types.type(topics.TF_MESSAGE)(transforms=messages)
 
 
+def pose_values(pose: Any) -> Array:
+    """Position [m] and quaternion ``(x, y, z, w)`` of a ``geometry_msgs/Pose``, ``(7,)``."""
+    at, turned = pose.position, pose.orientation
+    return np.array([at.x, at.y, at.z, turned.x, turned.y, turned.z, turned.w])
+
+
 def _xyz(values: Array) -> dict[str, float]:
     x, y, z = values.tolist()
     return {"x": x, "y": y, "z": z}

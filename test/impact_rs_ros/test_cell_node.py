@@ -11,7 +11,7 @@ import pytest
 import rclpy
 from processes import PATIENCE, until
 from rclpy.serialization import serialize_message
-from robot_bench import PUSH, WEIGHT, Robot
+from robot_bench import MAKER, PUSH, WEIGHT, Robot
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 
@@ -132,7 +132,7 @@ def test_whoever_else_can_send_torques_is_named_and_nothing_is_armed(cell: CellN
     assert eventually(cell, lambda: cell._strangers() != "")
     assert cell._strangers().startswith(f"/stranger can send torques on {COMMANDS} as well: stop it")
     with pytest.raises(InputError, match="^not armed: /stranger can send torques"):
-        cell.prepare(PUSH, None, True)  # type: ignore[arg-type]
+        cell.prepare(PUSH, MAKER, None, True)  # type: ignore[arg-type]
     other.destroy_node()
     assert eventually(cell, lambda: cell._strangers() == "")
 

@@ -11,13 +11,11 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterator
 
-import numpy as np
-
 from impact_rs_control.plan import TrialPlan
-from impact_rs_ros.joint_signals import JointReader
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags import topics
-from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes
+from impact_rs_trials.bags.joint_signals import JointReader
+from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes, pose_values
 from impact_rs_trials.bags.record import FrameSource
 from impact_rs_trials.bags.types import typestore
 
@@ -93,5 +91,5 @@ class DerivedMessages:
         if row == 0:
             return None
         pose = self._store.deserialize_cdr(self._seen[row - 1][1], topics.POSE).pose  # type: ignore[attr-defined]
-        at, turn = pose.position, pose.orientation
-        return np.array([at.x, at.y, at.z]), np.array([turn.x, turn.y, turn.z, turn.w])
+        values = pose_values(pose)
+        return values[:3], values[3:]
