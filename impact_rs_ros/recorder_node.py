@@ -19,8 +19,9 @@ from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.message_types import decoded
 from impact_rs_ros.names import resolved
 from impact_rs_ros.presence import SubscriptionsMatched
-from impact_rs_ros.process import HARDWARE, NodeProgram, run
+from impact_rs_ros.process import HARDWARE, run
 from impact_rs_ros.qos import RECORD
+from impact_rs_ros.trial_services import TrialServices
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.cdr import Readable
@@ -39,11 +40,10 @@ SAVE_PERIOD_S = 0.2  # of a trial that is lost when the recorder is killed
 UNAWAITED = (topics.TF, topics.TF_STATIC, topics.DIAGNOSTICS, topics.TRUTH_MODEL)
 
 
-class RecorderNode(NodeProgram):
+class RecorderNode(TrialServices):
     """Writes with a :class:`~impact_rs_trials.bags.writer.BagWriter`."""
 
     kind = "recorder"
-    managed = True
 
     def __init__(self) -> None:
         super().__init__()
@@ -51,8 +51,6 @@ class RecorderNode(NodeProgram):
         self._inbox = Inbox(self.node, RECORD, raw=True)
         self._open = ExitStack()  # the bag of the trial that is recorded
         self._recording: OpenTrial | None = None
-        self._attempt = 0  # the last one that was configured
-        self._finished: FinishTrial.Response | None = None  # answer on the end of the trial before
         self._messages = 0
         self._failure = ""  # why the last bag is not a complete trial
         self._saved = 0.0  # when the bag was last written to the disk, on the monotonic clock [s]
@@ -62,10 +60,6 @@ class RecorderNode(NodeProgram):
         DerivedMessages(spec.plan, tracked=True)
         for kind in set(topics.recorded(list(spec.plan.arms)).values()):
             Readable(typestore(), kind)(b"")  # the first message of a type compiles the code that reads it
-
-    def offer(self) -> None:
-        self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)
-        self.node.create_service(FinishTrial, "~/finish_trial", self._on_finish)
 
     def turn(self) -> None:
         if self._recording is None:
@@ -156,29 +150,25 @@ class RecorderNode(NodeProgram):
             for status in message.status
         )
 
-    def _on_configure(
-        self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
-    ) -> ConfigureTrial.Response:
-        if self.active and request.attempt and request.attempt == self._attempt:
-            response.success = True  # a repeated request, because the answer took long
-            return response
+    @property
+    def in_trial(self) -> bool:
+        return self._recording is not None
+
+    def begin_trial(self, request: ConfigureTrial.Request, response: ConfigureTrial.Response) -> None:
+        del response
         self._abort()
-        self._attempt, self._finished = 0, None
-        self._failure = ""
-        with self.answering(response, "open the bag"):
-            self.check_active()
-            info = TrialInfo.from_message(request.trial)
-            plan = info.spec.plan if info.scenario_json else None
-            if not request.bag_path:
-                raise InputError("ConfigureTrial.bag_path is empty; the recorder needs to know where to write")
-            path = self.output(request.bag_path, "bag_path")
-            self.connect(list(info.robots))
-            self._await_publishers()
-            self._inbox.clear()
-            name = f"{info.scenario}/{info.key.name}"
-            tracked = self._inbox.publishers()[topics.OBJECT_POSE] > 0
-            origin = None if request.ros_time else 0
-            bag = self._open.enter_context(BagWriter.create(path, self._arms, origin_ns=origin))
+        info = TrialInfo.from_message(request.trial)
+        plan = info.spec.plan if info.scenario_json else None
+        if not request.bag_path:
+            raise InputError("ConfigureTrial.bag_path is empty; the recorder needs to know where to write")
+        path = self.output(request.bag_path, "bag_path")
+        self.connect(list(info.robots))
+        self._await_publishers()
+        self._inbox.clear()
+        name = f"{info.scenario}/{info.key.name}"
+        tracked = self._inbox.publishers()[topics.OBJECT_POSE] > 0
+        with ExitStack() as opened:  # closes it if it cannot be used
+            bag = opened.enter_context(BagWriter.create(path, self._arms, origin_ns=None if request.ros_time else 0))
             bag.describe(info)
             bag.write_raw(topics.TRIAL_INFO, 0, serialize_message(request.trial))
             own = {topics.ROBOT_DESCRIPTION: request.robot_description}
@@ -191,32 +181,32 @@ class RecorderNode(NodeProgram):
                 else plan.scene.scenario.timing.ticks * plan.scene.scenario.timing.control_period
             )
             self._recording = OpenTrial(name, bag, self._arms, duration, plan, tracked, request.ros_time)
-            self._attempt = request.attempt
-            self.log.debug(f"recording {path}")
-            response.success = True
-        if not response.success:
-            self._open.close()
-            self._failure = response.message
-        return response
+            self._open = opened.pop_all()
+        self.log.debug(f"recording {path}")
 
-    def _on_finish(self, request: FinishTrial.Request, response: FinishTrial.Response) -> FinishTrial.Response:
+    def _on_configure(
+        self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
+    ) -> ConfigureTrial.Response:
+        answer = super()._on_configure(request, response)
+        self._failure = answer.message  # empty: it records
+        return answer
+
+    def finish_trial(self, request: FinishTrial.Request, response: FinishTrial.Response) -> None:
         recording = self._recording
-        if recording is None or request.attempt not in (0, self._attempt):
-            response.message = "recorder: there is no bag to finish"
-            return self._finished or response  # a repeated request, whose first answer was lost
+        assert recording is not None
         bag = recording.bag
         expected = {topic: count for topic, count in zip(request.topics, request.counts, strict=False) if count}
         unknown = [topic for topic in expected if not recording.has(topic)]
         if unknown and not request.aborted:
             response.message = f"recorder: {', '.join(unknown)} is no topic of {recording.name}, which is recorded"
-            return response
+            return
         missing = self._complete(recording, expected)
         verdict = Verdict("ABORTED", request.reason or f"messages were published and not received: {missing}")
         if not request.aborted and not missing:
             verdict = self._verdict(recording)
             if verdict.outcome == "ABORTED" and recording.cut_off():  # the request may concern another trial
                 response.message = f"recorder: {recording.name} is not over: {verdict.reason}"
-                return response
+                return
         recording.complete()
         note = "; ".join(filter(None, (recording.note(), "" if request.aborted else request.reason)))
         verdict = Verdict(verdict.outcome, "; ".join(filter(None, (verdict.reason, note))))
@@ -242,8 +232,6 @@ class RecorderNode(NodeProgram):
         response.messages = bag.messages
         response.topics = list(recording.counts)
         response.counts = list(recording.counts.values())
-        self._finished = response
-        return response
 
     def _verdict(self, recording: OpenTrial) -> Verdict:
         """Outcome of the trial; ABORTED if unknown."""

@@ -18,8 +18,9 @@ from std_srvs.srv import Trigger
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.message_types import RosidlTypes
-from impact_rs_ros.process import THROTTLE_S, NodeProgram, close_goal
+from impact_rs_ros.process import THROTTLE_S, close_goal
 from impact_rs_ros.qos import AWAITED
+from impact_rs_ros.trial_services import TrialServices
 from impact_rs_sim.errors import full_traceback
 from impact_rs_trials.bags.messages import MessageMaker
 from impact_rs_trials.bags.streams import Stream, StreamMaker
@@ -35,7 +36,7 @@ SUBSCRIBER_POLL_S = 0.002  # between two checks whether all topics have subscrib
 AnyTrial = TypeVar("AnyTrial", bound=LockstepTrial)
 
 
-class TrialNode(NodeProgram, Generic[AnyTrial]):
+class TrialNode(TrialServices, Generic[AnyTrial]):
     """A node that takes part in the lockstep.
 
     Attributes:
@@ -44,7 +45,6 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
     """
 
     background = False
-    managed = True
     ros_time = False  # whether this node stamps states in ROS time
 
     def __init__(self) -> None:
@@ -53,8 +53,6 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         self.trial: AnyTrial | None = None
         self.running = False
         self._name = ""
-        self._attempt = 0  # the last one that was configured
-        self._finished: FinishTrial.Response | None = None  # answer on the end of the trial before
         self.inbox = Inbox(self.node, AWAITED, raw=True)
         self.outbox = Outbox(self.node)
 
@@ -88,10 +86,6 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
 
     def rehearse(self, spec: TrialSpec) -> None:
         self.streams(StreamMaker(spec.plan))
-
-    def offer(self) -> None:
-        self.node.create_service(ConfigureTrial, self.role("configure_trial"), self._on_configure)
-        self.node.create_service(FinishTrial, self.role("finish_trial"), self._on_finish)
 
     def turn(self) -> None:
         if not self.running or self.trial is None:
@@ -132,45 +126,29 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
             self.outbox.connect(self.published(arms))
             self.arms = arms
 
-    def _on_configure(
-        self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
-    ) -> ConfigureTrial.Response:
+    @property
+    def in_trial(self) -> bool:
+        return self.running
+
+    def begin_trial(self, request: ConfigureTrial.Request, response: ConfigureTrial.Response) -> None:
         response.ros_time = self.ros_time
-        if self.active and request.attempt and request.attempt == self._attempt:
-            response.success = True  # a repeated request, because the answer took long
-            return response
-        self._attempt, self._finished = 0, None
-        with self.answering(response, "prepare the trial"):
-            self.check_active()
-            if self.running:
-                self._leave()
-            info = TrialInfo.from_message(request.trial)
-            plan = info.spec.plan
-            self.connect(list(plan.arms))
-            self.inbox.clear()
-            self.outbox.reset(self.streams(StreamMaker(plan)))
-            self.trial = self.prepare(plan, MessageMaker(RosidlTypes(), plan), info, request.ros_time)
-            self.running = True
-            self._attempt = request.attempt
-            self._name = f"{info.scenario}/{info.key.name}"
-            gc.collect()
-            gc.disable()  # a collection takes longer than a tick
-            self.log.debug(f"configured {self._name}, seed {info.seed}")
-            response.success = True
-        return response
+        if self.running:
+            self._leave()
+        info = TrialInfo.from_message(request.trial)
+        plan = info.spec.plan
+        self.connect(list(plan.arms))
+        self.inbox.clear()
+        self.outbox.reset(self.streams(StreamMaker(plan)))
+        self.trial = self.prepare(plan, MessageMaker(RosidlTypes(), plan), info, request.ros_time)
+        self.running = True
+        self._name = f"{info.scenario}/{info.key.name}"
+        gc.collect()
+        gc.disable()  # a collection takes longer than a tick
+        self.log.debug(f"configured {self._name}, seed {info.seed}")
 
-    def _on_finish(self, request: FinishTrial.Request, response: FinishTrial.Response) -> FinishTrial.Response:
-        if not self.running or self.trial is None or request.attempt not in (0, self._attempt):
-            response.message = f"{self.kind}: there is no trial to finish"
-            again = request.attempt in (0, self._attempt)  # a repeated request, whose first answer was lost
-            return self._finished if self._finished is not None and again else response
-        self._finished = self._end(self.trial, request, response)
-        return response
-
-    def _end(
-        self, trial: AnyTrial, request: FinishTrial.Request, response: FinishTrial.Response
-    ) -> FinishTrial.Response:
-        """End the trial; returns the response, which says how."""
+    def finish_trial(self, request: FinishTrial.Request, response: FinishTrial.Response) -> None:
+        trial = self.trial
+        assert trial is not None
         self.outbox.flush()
         self.diagnose(now=True)
         outcome, failure = self._leave(), trial.failure
@@ -186,13 +164,13 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
             self.log.warning(f"{text}: {response.message or request.reason}")
         else:
             self.log.info(text)
-        return response
 
     def break_off(self, why: str) -> None:
         """End a running trial early; ``~/finish_trial`` then answers that it was ABORTED, and why."""
         if self.running and self.trial is not None:
             self.trial.stop(f"{self.kind} was {why} at t = {1e-9 * self.trial.now:.3f} s")
-            self._finished = self._end(self.trial, FinishTrial.Request(aborted=True), FinishTrial.Response())
+            self._finished = FinishTrial.Response()
+            self.finish_trial(FinishTrial.Request(aborted=True), self._finished)
 
     def deactivate(self) -> None:
         """End a running trial, and disconnect."""

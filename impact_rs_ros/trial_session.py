@@ -150,7 +150,13 @@ class TrialSession:
 
     def describe(self, plan: TrialPlan) -> None:
         """Publish the URDFs of the arms and the object of a trial, in place of earlier ones, for viewers."""
-        self._describe(descriptions(plan.scene.physics))
+        urdfs = descriptions(plan.scene.physics)
+        for topic in self._descriptions.keys() - urdfs.keys():
+            self._node.destroy_publisher(self._descriptions.pop(topic))
+        for topic, urdf in urdfs.items():
+            if topic not in self._descriptions:
+                self._descriptions[topic] = self._node.create_publisher(String, on_network(topic), LATCHED)
+            self._descriptions[topic].publish(String(data=urdf))
 
     def close(self) -> None:
         """Destroy the subscriptions."""
@@ -224,15 +230,6 @@ class TrialSession:
     def _has_duplicate_servers(self) -> bool:
         """Whether a service of a trial has several servers; a killed node's is counted for 20 s."""
         return any(self._node.count_services(client.srv_name) > 1 for client in self._finish.values())
-
-    def _describe(self, urdfs: dict[str, str]) -> None:
-        """Publish URDFs by topic, and destroy the publishers of other topics."""
-        for topic in self._descriptions.keys() - urdfs.keys():
-            self._node.destroy_publisher(self._descriptions.pop(topic))
-        for topic, urdf in urdfs.items():
-            if topic not in self._descriptions:
-                self._descriptions[topic] = self._node.create_publisher(String, on_network(topic), LATCHED)
-            self._descriptions[topic].publish(String(data=urdf))
 
     def _call(self, name: str, client: Client, request: Any, timeout: float) -> Any:
         """Answer of a service, with repeated requests; any answer is accepted, and a node acts only once."""
