@@ -91,6 +91,9 @@ def test_a_node_is_led_from_outside_by_the_services_of_ros(made: Callable[[str],
             assert asked(state, GetState.Request()).current_state.label == label
             assert program.active == (label == "active")
         assert program.over  # the process ends
+        names = [name for name, _ in caller.get_node_names_and_namespaces()]  # some of earlier tests
+        assert names.count(kind) == 1
+        assert {name.removeprefix("lifecycle_of_") for name in names} <= set(KINDS)  # no program has a second node
     finally:
         caller.destroy_node()
 
@@ -235,17 +238,17 @@ def test_a_cell_whose_trial_is_cancelled_brakes_until_the_arms_rest_and_holds_th
         while not client.server_is_ready() and time.monotonic() < until:
             rclpy.spin_once(caller, timeout_sec=0.01)
         goal = served(client.send_goal_async(RunTrial.Goal()))
-        led._held = Arms(5)  # type: ignore[assignment]
+        led._held = Arms(500)  # type: ignore[assignment]
         result = goal.get_result_async()
         cancelled = goal.cancel_goal_async()
         answer = served(result)
+        assert led._held.held
         assert len(served(cancelled).goals_canceling) == 1
     finally:
         client.destroy()
         caller.destroy_node()
     assert answer.status == GoalStatus.STATUS_CANCELED
     assert answer.result.message == led.trial.stopped[0] == "cell was cancelled at t = 1.200 s"
-    assert led._held.held
     assert is_held_on(led)
     assert led.active and not led.running
     end = led._on_finish(FinishTrial.Request(aborted=True), FinishTrial.Response())
