@@ -36,8 +36,8 @@ from impact_rs_ros.qos import AWAITED
 from impact_rs_sim.physics import ArmPhysics
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.messages import joints_of
 from impact_rs_trials.bags.trial_info import TrialInfo
-from impact_rs_trials.cell.robot_states import OWN_JOINTS, joint_names
 
 DEPTH = 4000  # messages that a recorder which is late still gets
 CONNECTING = 8.0  # s, for everybody to listen, and for the first torque
@@ -166,8 +166,7 @@ class ForeignPlant:
         self.end("another trial was configured")
         try:
             spec = TrialInfo.from_message(request.trial).spec
-            counts = {name: arm.facts.joint_count for name, arm in spec.scene.physics.arms.items()}
-            self.joints = joint_names(OWN_JOINTS, counts)
+            self.joints = joints_of(spec.scene.physics)
             named = dict(zip(request.start.name, request.start.position, strict=True))
             start = {arm: np.array([named[joint] for joint in joints]) for arm, joints in self.joints.items()}
             self.world = World(spec.scene, start, pose_from_message(request.object_pose))

@@ -38,11 +38,10 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.rotations import quaternion_of
 from impact_rs_trials.bags import topics
-from impact_rs_trials.bags.messages import MessageMaker
+from impact_rs_trials.bags.messages import MessageMaker, joints_of
 from impact_rs_trials.bags.record import descriptions
 from impact_rs_trials.bags.trial_info import Outcome, TrialInfo, TrialKey
 from impact_rs_trials.bags.writer import partial_path
-from impact_rs_trials.cell.robot_states import OWN_JOINTS, joint_names
 
 ATTEMPT_S = 1.0  # after which a request is repeated; it can be lost while a restarted node is being discovered
 ALIVE_POLL_S = 0.1  # between two checks whether the answering node is alive
@@ -438,6 +437,5 @@ class TrialSession:
 
 def starting_joints(plan: TrialPlan) -> JointState:
     """Joints of all arms at trial time 0, at rest."""
-    joints = joint_names(OWN_JOINTS, {name: arm.initial.size for name, arm in plan.arms.items()})
-    names = [joint for own in joints.values() for joint in own]
+    names = [joint for own in joints_of(plan.scene.physics).values() for joint in own]
     return joint_state_to_message(names, np.concatenate([arm.initial for arm in plan.arms.values()]))

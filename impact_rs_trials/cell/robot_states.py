@@ -24,7 +24,6 @@ from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.bags.joint_signals import FIELDS, joint_signals, names_of
 
 STATES = "/joint_states"  # of joint_state_broadcaster
-OWN_JOINTS = "{arm}_joint{number}"  # names of joints on /ARM/joint_states and in services
 MIN_STEP_PERIODS = 0.5  # between the measurements of two states
 RECENT, EXTRA = 100, 10  # messages, and how many of them may repeat a state or come between two
 
