@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from impact_rs.action import RunTrial
 from impact_rs.srv import ConfigureTrial, FinishTrial
-from node_trials import participant
+from node_trials import participant, spin_until
 from processes import running
 from rclpy.action import ActionServer
 from rclpy.executors import SingleThreadedExecutor
@@ -129,6 +129,8 @@ def test_a_graph_waits_for_a_foreign_node_and_says_what_is_wrong_with_it(
         unpublished = graph.call_trial(goal)
         request = asked[0][0]
         with silent_plant(domain_id, best_effort=True):
+            states = topics.joint_states("arm")
+            spin_until(graph, lambda: graph.node.count_publishers(states), "the publisher is not discovered")
             unheard = graph.call_trial(goal)
     assert (unpublished.success, unpublished.outcome) == (False, "ABORTED")
     assert unpublished.message == "recorder: no publisher of /arm/joint_states; are plant and controller running?"
