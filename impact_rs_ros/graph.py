@@ -9,13 +9,10 @@ from __future__ import annotations
 
 import logging
 import os
-import signal
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -27,12 +24,11 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
 from impact_rs_ros.middleware import discovery, set_middleware
-from impact_rs_ros.names import full_namespace, within
+from impact_rs_ros.names import full_namespace
 from impact_rs_ros.node_processes import NODES, NodeProcesses, ours
 from impact_rs_ros.presence import Presence
 from impact_rs_ros.trial_session import MEMBERS
 from impact_rs_sim.model import Model, model_text
-from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.bags.trial_info import Outcome, TrialKey
 from impact_rs_trials.campaign import Manifest, TrialReport, keep_failure, report_of_bag
 from impact_rs_trials.store import open_store
@@ -401,72 +397,3 @@ def _attempt(graph: Graph, goal: RunTrial.Goal) -> tuple[Outcome, str]:
     except GraphError as error:
         return "ABORTED", str(error)
     return result.outcome, result.message
-
-
-def up(scenario: str, domain_id: int | None = None, without: Sequence[str] = (), namespace: str = "") -> int:
-    """Run the nodes until Ctrl-C, and print how to call them.
-
-    Args:
-        scenario: Name or path of the scenario.
-        domain_id: ``ROS_DOMAIN_ID``; None: the environment's.
-        without: Nodes that the user provides; they are waited for, not started.
-        namespace: ROS namespace of the nodes; empty: the root.
-
-    Returns:
-        Exit code of the process.
-
-    Raises:
-        InputError: There is no such scenario, no such node, or no such namespace.
-        KeyboardInterrupt: SIGINT or SIGTERM came before the nodes were up.
-    """
-    known = load_scenario(scenario)
-    started = stopping = False
-
-    def stop(number: int, frame: object) -> None:
-        nonlocal stopping
-        del number, frame
-        stopping = True
-        if not started:
-            raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        notify = partial(print, flush=True)
-        with Graph.running(
-            scenario, domain_id, quiet=False, without=without, notify=notify, namespace=namespace
-        ) as graph:
-            started = True
-            names = [*graph.processes, *(f"{name} (yours)" for name in graph.foreign)]
-            which = known.name, next(iter(known.objects)), next(iter(known.cases))
-            print(_instructions(names, *which, full_namespace(namespace)), flush=True)
-            while not stopping:
-                for line in graph.replace_lost():
-                    print(line, file=sys.stderr, flush=True)
-                graph.spin(0.2)
-            print("stopping the nodes", flush=True)
-    except GraphError as error:
-        print(error, file=sys.stderr)
-        return 1
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-    return 0
-
-
-def _instructions(nodes: Sequence[str], scenario: str, object_name: str, case: str, namespace: str) -> str:
-    what = f"{{scenario: {scenario}, object_name: {object_name}, case_name: {case}"
-    return "\n".join(
-        (
-            f"The nodes are up: {', '.join(nodes)}. Ctrl-C stops them.",
-            "",
-            "Run a trial into the folder trials/:",
-            f"  ros2 action send_goal --feedback {within(namespace, 'run_trial')} impact_rs/action/RunTrial \\",
-            f'    "{what}, velocity_scale: 1.0, seed: 1, output_directory: trials}}"',
-            "Call the impact map:",
-            f"  ros2 service call {within(namespace, 'impact_map/predict')} impact_rs/srv/PredictImpact \\",
-            f'    "{{problem: {what}}}}}"',
-            "Monitor the nodes:",
-            "  ros2 topic echo /diagnostics",
-            f"  ros2 param describe {within(namespace, 'plant')} realtime",
-        )
-    )

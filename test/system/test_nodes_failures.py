@@ -475,7 +475,7 @@ def test_trials_of_a_campaign_run_one_after_the_other_once_their_nodes_are_ready
 
 @pytest.mark.slow
 def test_up_starts_a_lost_node_again_and_stops_on_interrupt(domain_ids: Callable[[], int]) -> None:
-    program = "import sys; from impact_rs_ros.graph import up; sys.exit(up('push'))"
+    program = "import sys; from impact_rs_cli.commands.up import up; sys.exit(up('push'))"
     domain = {"ROS_DOMAIN_ID": str(domain_ids())}
     with running([sys.executable, "-c", program], domain, start_new_session=True) as up:
         up.line("The nodes are up")
