@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node in the plant's place: another simulator, in rclpy and Pinocchio, runs trials with our four other nodes.
 
-Shows the whole contract of such a node (docs/nodes.md): three services, joint states out, torques in, in lockstep.
+Shows the whole contract of such a node (docs/nodes.md): two services and an action, joint states out, torques in.
 Its simulation is much simpler than our plant: drives are rigid and carry B_theta, sensors have no noise, and the object
 slides and does not turn. It reads no references or predictions, and publishes no ground truth.
 
@@ -19,23 +19,24 @@ import numpy as np
 import pinocchio as pin
 import rclpy
 from geometry_msgs.msg import PoseStamped
+from impact_rs.action import RunTrial
 from impact_rs.srv import ConfigureTrial, FinishTrial
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.action.server import ServerGoalHandle
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
 from impact_msgs_py.conversions import pose_from_message, pose_to_message
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.qos import AWAITED
-from impact_rs_ros.robot_states import OWN_JOINTS, joint_names
 from impact_rs_sim.physics import ArmPhysics
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.messages import joints_of
 from impact_rs_trials.bags.trial_info import TrialInfo
 
 DEPTH = 4000  # messages that a recorder which is late still gets
@@ -144,12 +145,14 @@ class ForeignPlant:
         self.executor.add_node(self.node)
         self.node.create_service(ConfigureTrial, "~/configure_trial", self.configure)
         self.node.create_service(FinishTrial, "~/finish_trial", self.finish)
-        # The answer comes when the trial is over; meanwhile the other services stay open.
-        self.node.create_service(Trigger, "~/run_trial", self.run, callback_group=MutuallyExclusiveCallbackGroup())
+        self.runs = ActionServer(
+            self.node, RunTrial, "~/run_trial", self.run, cancel_callback=lambda goal: CancelResponse.ACCEPT
+        )
         self.inbox = Inbox(self.node, AWAITED)  # takes torques past the executor: the sooner they are here
         self.publishers: dict[str, Publisher] = {}
         self.commands: dict[str, str] = {}
-        self.over: Future | None = None  # present while a trial runs
+        self.goal: ServerGoalHandle | None = None  # present while a trial runs
+        self.over = Future()  # of this goal: why it failed
         self.ready = self.begun = False
         self.attempt = 0  # at a trial, the last one that was configured
         self.finished = FinishTrial.Response(message="plant: there is no trial to finish")  # answer on the last end
@@ -163,8 +166,7 @@ class ForeignPlant:
         self.end("another trial was configured")
         try:
             spec = TrialInfo.from_message(request.trial).spec
-            counts = {name: arm.facts.joint_count for name, arm in spec.scene.physics.arms.items()}
-            self.joints = joint_names(OWN_JOINTS, counts)
+            self.joints = joints_of(spec.scene.physics)
             named = dict(zip(request.start.name, request.start.position, strict=True))
             start = {arm: np.array([named[joint] for joint in joints]) for arm, joints in self.joints.items()}
             self.world = World(spec.scene, start, pose_from_message(request.object_pose))
@@ -188,15 +190,18 @@ class ForeignPlant:
         self.attempt, self.ready, response.success = request.attempt, True, True
         return response
 
-    async def run(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Run the trial; the answer comes when it is over."""
-        if not self.ready or self.over is not None:
-            response.message = "plant: configure a trial first"
-            return response
-        self.over = Future(executor=self.executor)
-        response.message = await self.over
-        response.success = not response.message
-        return response
+    async def run(self, goal: ServerGoalHandle) -> RunTrial.Result:
+        """Run the trial; the result comes when it is over."""
+        result = RunTrial.Result(outcome="ABORTED", message="plant: configure a trial first")
+        if self.ready and self.goal is None:
+            self.goal, self.over = goal, Future(executor=self.executor)
+            result.message = await self.over
+        if result.message:
+            (goal.canceled if goal.is_cancel_requested else goal.abort)()
+        else:
+            result.success, result.outcome = True, "OK"
+            goal.succeed()
+        return result
 
     def finish(self, request: FinishTrial.Request, response: FinishTrial.Response) -> FinishTrial.Response:
         """Leave the trial, and say how many messages of each topic the recorder shall have."""
@@ -218,17 +223,19 @@ class ForeignPlant:
             self.publishers[topic] = self.node.create_publisher(kind, topic, DEPTH)
 
     def end(self, failure: str = "") -> None:
-        """Complete the request that waits for the end of the trial."""
-        if self.over is not None:
+        """The trial of the goal is over."""
+        if self.goal is not None:
+            self.goal = None
             self.over.set_result(failure)
-            self.over = None
 
     def spin(self) -> None:
         """Serve, and in between go on with the trial that runs."""
         while True:
-            self.executor.spin_once(timeout_sec=0.1 if self.over is None else 0.0)
+            self.executor.spin_once(timeout_sec=0.1 if self.goal is None else 0.0)
             until = time.monotonic() + SLICE
-            while self.over is not None and time.monotonic() < until:
+            if self.goal is not None and self.goal.is_cancel_requested:
+                self.end("plant was cancelled")
+            while self.goal is not None and time.monotonic() < until:
                 self.go_on()
 
     def go_on(self) -> None:
@@ -264,7 +271,7 @@ class ForeignPlant:
     def hear(self, arm: str, message: JointState) -> None:
         """Take a torque that belongs to the present tick, with its joints in our order."""
         stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-        if self.over is not None and stamp == self.tick * self.period_ns:
+        if self.goal is not None and stamp == self.tick * self.period_ns:
             self.torques[arm] = np.array([message.effort[message.name.index(joint)] for joint in self.joints[arm]])
 
     def publish(self) -> None:

@@ -19,26 +19,13 @@ from rclpy.publisher import Publisher
 from std_msgs.msg import Bool, Float64MultiArray
 
 from impact_rs_control.plan import TrialPlan
-from impact_rs_ros.arming import Arming, ArmingLimits
-from impact_rs_ros.cell_trial import CellTrial, TrialLimits
-from impact_rs_ros.effort_arms import (
-    MAX_BRAKING_S,
-    EffortArms,
-    arms_of,
-    commands_topic,
-    rest_until,
-    torques_of,
-    watched_topic,
-)
 from impact_rs_ros.exchange import Inbox
-from impact_rs_ros.message_types import RosidlTypes
-from impact_rs_ros.motion_capture import COORDINATES, MOCAP, TrackerPoses
+from impact_rs_ros.message_types import torques_of
 from impact_rs_ros.names import frame_prefix, on_network, resolved
 from impact_rs_ros.presence import UNKNOWN
 from impact_rs_ros.process import run
 from impact_rs_ros.qos import COMMAND, LATCHED, WATCH
 from impact_rs_ros.robot_clock import RobotClock
-from impact_rs_ros.robot_states import STATES
 from impact_rs_ros.trial_node import SUBSCRIBER_POLL_S, TRIAL_SLICE_S, LeadingNode
 from impact_rs_ros.watchdog_node import BRAKING_TOPIC, TORQUES, WatchdogNode
 from impact_rs_sim.errors import InputError
@@ -48,6 +35,18 @@ from impact_rs_trials.bags.messages import MessageMaker
 from impact_rs_trials.bags.record import FrameSource
 from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
+from impact_rs_trials.cell.arming import Arming, ArmingLimits
+from impact_rs_trials.cell.cell_trial import CellTrial, TrialLimits
+from impact_rs_trials.cell.effort_arms import (
+    MAX_BRAKING_S,
+    EffortArms,
+    arms_of,
+    commands_topic,
+    rest_until,
+    watched_topic,
+)
+from impact_rs_trials.cell.motion_capture import COORDINATES, MOCAP, TrackerPoses
+from impact_rs_trials.cell.robot_states import STATES
 
 DISCOVERY_S = 1.0  # in which the effort controllers, and the names of all publishers of torques, must be found
 ECHO_POLL_S = 0.005  # between two checks of the torques that the watchdog passed on
@@ -138,7 +137,7 @@ class CellNode(LeadingNode[CellTrial]):
                 trial.stop(complaint)
         super().work(trial, until)
 
-    def prepare(self, plan: TrialPlan, info: TrialInfo, ros_time: bool) -> CellTrial:
+    def prepare(self, plan: TrialPlan, maker: MessageMaker, info: TrialInfo, ros_time: bool) -> CellTrial:
         del info, ros_time
         arms = arms_of(plan, self.parameter, self._clock, self._send)
         mocap = None
@@ -167,10 +166,9 @@ class CellNode(LeadingNode[CellTrial]):
         )
         prefix = frame_prefix(self.node.get_namespace())
         frames = [*FrameSource(plan.scene, prefix, links=False).static, *(mocap.frames(prefix) if mocap else ())]
-        maker = MessageMaker(RosidlTypes(), plan)
-        maker.origin_ns = self._clock.now()
+        maker.origin_ns = self._clock.now()  # of the frames; the trial chooses its own
         self.outbox.later(topics.TF_STATIC, maker.transforms(0, frames))
-        return CellTrial(plan, arms, limits, mocap, self.inbox, self.outbox)
+        return CellTrial(plan, maker, arms, limits, mocap, self.inbox, self.outbox)
 
     def _hold(self, arming: Arming) -> str:
         """Hold the arms for a moment, through the watchdog if there is one; returns the result.

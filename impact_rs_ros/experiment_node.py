@@ -17,7 +17,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import Executor, MultiThreadedExecutor
 
 from impact_rs_control.plan import TrialPlan
-from impact_rs_ros.process import IDLE_WAIT_S, NodeProgram, run
+from impact_rs_ros.process import IDLE_WAIT_S, NodeProgram, close_goal, run
 from impact_rs_ros.trial_session import Progress, TrialResult, TrialSession
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.model import parse_model
@@ -182,7 +182,7 @@ class ExperimentNode(NodeProgram):
         answer.bag_path = str(result.bag_path)
         answer.net_feedback = result.progress.net_feedback
         answer.detected_time = result.progress.detected_time
-        _close(handle, answer.success)
+        close_goal(handle, answer.success)
         return answer
 
     def _run_campaign(self, handle: Any) -> RunCampaign.Result:
@@ -218,24 +218,15 @@ class ExperimentNode(NodeProgram):
         self.log.info(f"campaign {directory}: {answer.finished} trials finished, {answer.failed} failed")
         answer.success = answer.failed == 0 and not answer.message
         answer.message = "; ".join(filter(None, (answer.message, *wrong_outcomes(reports))))
-        _close(handle, answer.success)
+        close_goal(handle, answer.success)
         return answer
 
     def _failed(self, handle: Any, answer: Any, error: Exception) -> Any:
         expected = isinstance(error, InputError)
         answer.message = str(error) if expected else f"{type(error).__name__}: {error}"
         self.log.error(answer.message if expected else full_traceback(error))
-        _close(handle, False)
+        close_goal(handle, False)
         return answer
-
-
-def _close(handle: Any, success: bool) -> None:
-    if handle.is_cancel_requested:
-        handle.canceled()
-    elif success:
-        handle.succeed()
-    else:
-        handle.abort()
 
 
 def _planned(goal: Any, scenario: Scenario) -> tuple[TrialPlan, TrialKey]:

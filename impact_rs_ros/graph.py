@@ -9,13 +9,10 @@ from __future__ import annotations
 
 import logging
 import os
-import signal
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -25,14 +22,13 @@ from impact_rs.srv import ConfigureTrial, FinishTrial, ImpactDerivatives, Impact
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from std_srvs.srv import Trigger
 
 from impact_rs_ros.middleware import discovery, set_middleware
-from impact_rs_ros.names import full_namespace, within
+from impact_rs_ros.names import full_namespace
 from impact_rs_ros.node_processes import NODES, NodeProcesses, ours
 from impact_rs_ros.presence import Presence
+from impact_rs_ros.trial_session import MEMBERS
 from impact_rs_sim.model import Model, model_text
-from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.bags.trial_info import Outcome, TrialKey
 from impact_rs_trials.campaign import Manifest, TrialReport, keep_failure, report_of_bag
 from impact_rs_trials.store import open_store
@@ -43,22 +39,22 @@ FOREIGN_TIMEOUT_S = 120.0  # for a user's node in place of one of ours, which ma
 RESULT_TIMEOUT_S = 10.0  # for the answer of a service or to a goal
 MAX_SILENCE_S = 60.0  # without feedback on a trial; longer than the experiment node waits for any other node
 
-_CONFIGURABLE = {"configure_trial": ConfigureTrial, "finish_trial": FinishTrial}
 SERVICES: dict[str, dict[str, Any]] = {
-    "plant": {f"plant/{name}": kind for name, kind in (_CONFIGURABLE | {"run_trial": Trigger}).items()},
+    name: {f"{name}/configure_trial": ConfigureTrial, f"{name}/finish_trial": FinishTrial} for name in MEMBERS
+} | {
     "impact_map": {
-        f"impact_map/{name}": kind
-        for name, kind in (
-            ("predict", PredictImpact),
-            ("intervals", ImpactIntervals),
-            ("derivatives", ImpactDerivatives),
-        )
-    },
-    "controller": {f"controller/{name}": kind for name, kind in _CONFIGURABLE.items()},
-    "recorder": {f"recorder/{name}": kind for name, kind in _CONFIGURABLE.items()},
-    "experiment": {},
+        "impact_map/predict": PredictImpact,
+        "impact_map/intervals": ImpactIntervals,
+        "impact_map/derivatives": ImpactDerivatives,
+    }
 }
 """Services of every node, with their types. A user's own node in its place has to offer the same."""
+
+ACTIONS: dict[str, dict[str, Any]] = {
+    "plant": {"plant/run_trial": RunTrial},
+    "experiment": {"run_trial": RunTrial, "run_campaign": RunCampaign},
+}
+"""Actions of every node, likewise."""
 
 Notify = Callable[[str], None]
 
@@ -154,12 +150,16 @@ class Graph:
         self._context = Context()
         rclpy.init(context=self._context, domain_id=self._domain_id)
         self.node = rclpy.create_node(f"runner_{os.getpid()}", context=self._context, namespace=self._namespace)
-        self.run_trial = ActionClient(self.node, RunTrial, "run_trial")
-        self.run_campaign = ActionClient(self.node, RunCampaign, "run_campaign")
-        self._clients: dict[str, list[Any]] = {
-            owner: [self.node.create_client(kind, name) for name, kind in services.items()]
+        self._actions = {
+            owner: {name: ActionClient(self.node, kind, name) for name, kind in actions.items()}
+            for owner, actions in ACTIONS.items()
+        }
+        self._services = {
+            owner: {name: self.node.create_client(kind, name) for name, kind in services.items()}
             for owner, services in SERVICES.items()
         }
+        self.run_trial = self._actions["experiment"]["run_trial"]
+        self.run_campaign = self._actions["experiment"]["run_campaign"]
         self.presence = Presence(self.node, NODES)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
@@ -167,8 +167,8 @@ class Graph:
     def close(self) -> None:
         """Destroy the node of this process."""
         self._executor.shutdown(timeout_sec=1.0)
-        self.run_trial.destroy()
-        self.run_campaign.destroy()
+        for client in (client for actions in self._actions.values() for client in actions.values()):
+            client.destroy()
         self.node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 
@@ -249,7 +249,7 @@ class Graph:
             deadline = time.monotonic() + FOREIGN_TIMEOUT_S
             notified = False
             while missing := self._missing(name):
-                what = f"{'actions' if name == 'experiment' else 'services'} {', '.join(missing)}"
+                what = ", ".join(missing)
                 if not notified:
                     self._notify(f"waiting for a {name}: {what}; for {FOREIGN_TIMEOUT_S:g} s at most")
                     notified = True
@@ -257,19 +257,17 @@ class Graph:
                     raise GraphError(line)
                 if time.monotonic() > deadline:
                     raise GraphError(
-                        f"no {name} came within {FOREIGN_TIMEOUT_S:g} s: no node offers the {what} in ROS domain "
+                        f"no {name} came within {FOREIGN_TIMEOUT_S:g} s: no node offers {what} in ROS domain "
                         f"{self._domain_id}"
                     )
                 self.spin(0.1)
 
     def _missing(self, name: str) -> list[str]:
         """Services and actions of a node that are not offered."""
-        if name == "experiment":
-            actions = {"run_trial": self.run_trial, "run_campaign": self.run_campaign}
-            missing = [action for action, client in actions.items() if not client.server_is_ready()]
-        else:
-            missing = [client.srv_name for client in self._clients[name] if not client.service_is_ready()]
-        return [self.node.resolve_service_name(service) for service in missing]
+        full = self.node.resolve_service_name
+        services = [full(one) for one, client in self._services.get(name, {}).items() if not client.service_is_ready()]
+        actions = [full(one) for one, client in self._actions.get(name, {}).items() if not client.server_is_ready()]
+        return services + [f"the action {action}" for action in actions]
 
     def call_trial(self, goal: RunTrial.Goal, feedback: Any = None) -> RunTrial.Result:
         """Run one trial; if the experiment node is silent, it may go on until :meth:`restart`."""
@@ -399,72 +397,3 @@ def _attempt(graph: Graph, goal: RunTrial.Goal) -> tuple[Outcome, str]:
     except GraphError as error:
         return "ABORTED", str(error)
     return result.outcome, result.message
-
-
-def up(scenario: str, domain_id: int | None = None, without: Sequence[str] = (), namespace: str = "") -> int:
-    """Run the nodes until Ctrl-C, and print how to call them.
-
-    Args:
-        scenario: Name or path of the scenario.
-        domain_id: ``ROS_DOMAIN_ID``; None: the environment's.
-        without: Nodes that the user provides; they are waited for, not started.
-        namespace: ROS namespace of the nodes; empty: the root.
-
-    Returns:
-        Exit code of the process.
-
-    Raises:
-        InputError: There is no such scenario, no such node, or no such namespace.
-        KeyboardInterrupt: SIGINT or SIGTERM came before the nodes were up.
-    """
-    known = load_scenario(scenario)
-    started = stopping = False
-
-    def stop(number: int, frame: object) -> None:
-        nonlocal stopping
-        del number, frame
-        stopping = True
-        if not started:
-            raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        notify = partial(print, flush=True)
-        with Graph.running(
-            scenario, domain_id, quiet=False, without=without, notify=notify, namespace=namespace
-        ) as graph:
-            started = True
-            names = [*graph.processes, *(f"{name} (yours)" for name in graph.foreign)]
-            which = known.name, next(iter(known.objects)), next(iter(known.cases))
-            print(_instructions(names, *which, full_namespace(namespace)), flush=True)
-            while not stopping:
-                for line in graph.replace_lost():
-                    print(line, file=sys.stderr, flush=True)
-                graph.spin(0.2)
-            print("stopping the nodes", flush=True)
-    except GraphError as error:
-        print(error, file=sys.stderr)
-        return 1
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-    return 0
-
-
-def _instructions(nodes: Sequence[str], scenario: str, object_name: str, case: str, namespace: str) -> str:
-    what = f"{{scenario: {scenario}, object_name: {object_name}, case_name: {case}"
-    return "\n".join(
-        (
-            f"The nodes are up: {', '.join(nodes)}. Ctrl-C stops them.",
-            "",
-            "Run a trial into the folder trials/:",
-            f"  ros2 action send_goal --feedback {within(namespace, 'run_trial')} impact_rs/action/RunTrial \\",
-            f'    "{what}, velocity_scale: 1.0, seed: 1, output_directory: trials}}"',
-            "Call the impact map:",
-            f"  ros2 service call {within(namespace, 'impact_map/predict')} impact_rs/srv/PredictImpact \\",
-            f'    "{{problem: {what}}}}}"',
-            "Monitor the nodes:",
-            "  ros2 topic echo /diagnostics",
-            f"  ros2 param describe {within(namespace, 'plant')} realtime",
-        )
-    )

@@ -29,7 +29,6 @@ from impact_msgs_py.conversions import (
     vector_to_message,
 )
 from impact_rs_ros.process import NodeProgram, run
-from impact_rs_ros.robot_states import OWN_JOINTS, joint_names
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.impact_map import ImpactMapError, engine_name, predict_impact
 from impact_rs_sim.impact_map.contacts import OBJECT
@@ -43,6 +42,7 @@ from impact_rs_sim.scenarios.object_mesh import MAX_PRODUCT_SHARE, object_mesh
 from impact_rs_sim.scenarios.scenario import ObjectSpec
 from impact_rs_sim.scene import ArmState, BodyState, Scene
 from impact_rs_sim.schema import validate
+from impact_rs_trials.bags.messages import joints_of
 from impact_rs_trials.spec import TrialSpec
 
 WORLD = ("", "world")  # frames in which an object may be described
@@ -161,10 +161,6 @@ def _problem(asked: ImpactProblemMessage, scene: Scene) -> ImpactProblem:
     return problem if asked.restitution < 0.0 else replace(problem, restitution=asked.restitution)
 
 
-def _joints(physics: Physics) -> dict[str, list[str]]:
-    return joint_names(OWN_JOINTS, {name: arm.facts.joint_count for name, arm in physics.arms.items()})
-
-
 def _arms(asked: JointState, physics: Physics) -> dict[str, ArmState]:
     """States of the arms whose joints are named."""
     for name in ("position", "velocity"):
@@ -174,7 +170,7 @@ def _arms(asked: JointState, physics: Physics) -> dict[str, ArmState]:
                 key=f"joint_state.{name}",
             )
     given = dict(zip(asked.name, zip(asked.position, asked.velocity, strict=True), strict=True))
-    arms, all_joints = {}, _joints(physics)
+    arms, all_joints = {}, joints_of(physics)
     for arm, joints in all_joints.items():
         if given.keys().isdisjoint(joints):
             continue
@@ -284,7 +280,7 @@ def _diagonal(values: Array, physics: Physics) -> dict[str, Array]:
 
 
 def _fill(response: PredictImpact.Response, problem: ImpactProblem, result: ImpactResult, object_name: str) -> None:
-    names = [joint for joints in _joints(problem.physics).values() for joint in joints]
+    names = [joint for joints in joints_of(problem.physics).values() for joint in joints]
     position, velocity = (
         np.concatenate([values[name] for name in problem.physics.arms])
         for values in ({name: arm.position for name, arm in problem.arms.items()}, result.joint_velocity)

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from rclpy.serialization import deserialize_message
+from std_msgs.msg import Float64MultiArray
 
 from impact_rs_sim.robots.robot import Array
 
@@ -37,6 +38,12 @@ def decoded(data: bytes, kind: Any) -> Any | None:
         return deserialize_message(data, kind)
     except Exception:  # of rclpy or the middleware, depending on the bytes
         return None
+
+
+def torques_of(data: bytes) -> Array | None:
+    """Numbers of a serialized ``std_msgs/Float64MultiArray``; None if the bytes are not one."""
+    message = decoded(data, Float64MultiArray)
+    return None if message is None else np.array(message.data)
 
 
 def filled(kind: Any, document: Mapping[str, Any]) -> Any:

@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -21,6 +21,7 @@ from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.impact_map import CONTACTS, DEFAULT_ENGINE, ENGINES, FORMER_NAMES
 from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_sim.schema import load_mapping
+from impact_rs_trials.cell.driver_profiles import DriverProfile
 
 Value = bool | float | str
 Effect = Literal["at once", "next trial", "node start"]
@@ -417,6 +418,21 @@ def complaint_about(kind: str, name: str, wanted: Any) -> str:
 def defaults_of(kind: str) -> dict[str, Any]:
     """Default values of all parameters of a node, by name."""
     return {parameter.name: parameter.default for parameter in PARAMETERS[kind]}
+
+
+def values_for(profile: DriverProfile, arms: Collection[str]) -> dict[str, dict[str, Any]]:
+    """Parameters of cell and watchdog for a driver: defaults, with its names, gravity convention and torque rate.
+
+    Args:
+        profile: The driver.
+        arms: Names of the arms.
+    """
+    own = {
+        "joints": profile.joints_of(arms),
+        "robot_adds_gravity": profile.adds_gravity,
+        "torque_rate_limit": profile.torque_rate,
+    }
+    return {"cell": defaults_of("cell") | own | {"watchdog": True}, "watchdog": defaults_of("watchdog") | own}
 
 
 FORMER_SECTIONS = {"cell": "plant"}  # what nodes were called up to 0.2, by their names now

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.action.server import ServerGoalHandle
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
@@ -229,6 +230,16 @@ class NodeProgram:
 
     def close(self) -> None:
         """Close open files and subscriptions; the process ends."""
+
+
+def close_goal(goal: ServerGoalHandle, success: bool) -> None:
+    """Close a goal of an action: cancelled where that was requested, otherwise succeeded or aborted."""
+    if goal.is_cancel_requested:
+        goal.canceled()
+    elif success:
+        goal.succeed()
+    else:
+        goal.abort()
 
 
 def run(program: type[NodeProgram]) -> None:

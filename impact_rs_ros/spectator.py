@@ -23,7 +23,6 @@ from rclpy.node import Node
 
 from impact_rs_ros import identify_node
 from impact_rs_ros.exchange import Inbox
-from impact_rs_ros.joint_signals import joint_signals, names_of
 from impact_rs_ros.message_types import decoded, document_of, message_type
 from impact_rs_ros.middleware import discovery, set_middleware
 from impact_rs_ros.names import full_namespace, resolved
@@ -32,6 +31,8 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.joint_signals import joint_signals, names_of
+from impact_rs_trials.bags.messages import pose_values
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.snapshot import IdentifyMessages, Situation, Snapshot
 
@@ -203,8 +204,7 @@ class Spectator:
 
 def _seen(pose: Any) -> Array | None:
     """Pose of an object, ``(7,)``; None: not tracked."""
-    at, turned = pose.position, pose.orientation
-    found = np.array([at.x, at.y, at.z, turned.x, turned.y, turned.z, turned.w])
+    found = pose_values(pose)
     return found if np.isfinite(found).all() and np.any(found[3:]) else None
 
 

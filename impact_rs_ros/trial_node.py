@@ -5,87 +5,39 @@ from __future__ import annotations
 
 import gc
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Generic, TypeVar
 
+from impact_rs.action import RunTrial
 from impact_rs.srv import ConfigureTrial, FinishTrial
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.action.server import ServerGoalHandle
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.message_types import RosidlTypes
-from impact_rs_ros.process import THROTTLE_S, NodeProgram
+from impact_rs_ros.process import THROTTLE_S, close_goal
 from impact_rs_ros.qos import AWAITED
+from impact_rs_ros.trial_services import TrialServices
 from impact_rs_sim.errors import full_traceback
 from impact_rs_trials.bags.messages import MessageMaker
 from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
+from impact_rs_trials.lockstep.lockstep_trial import LeadingTrial, LockstepTrial
 from impact_rs_trials.spec import TrialSpec
 
 TRIAL_SLICE_S = 0.02  # of a running trial between two services of its node
+FEEDBACK_S = 0.1  # wall clock, between two feedbacks on a running trial
 SUBSCRIBER_POLL_S = 0.002  # between two checks whether all topics have subscribers
-CONNECTION_TIMEOUT_S = 8.0  # for a newly started controller to receive the first state
-
-
-class LockstepTrial(ABC):
-    """One trial as one node of the lockstep runs it.
-
-    Args:
-        plan: The trial.
-
-    Attributes:
-        now: Trial time [ns].
-        failure: Why the trial failed; empty: it did not.
-        unreadable: Number of messages that could not be decoded; they are ignored.
-    """
-
-    def __init__(self, plan: TrialPlan) -> None:
-        self.now = 0
-        self.failure = ""
-        self.unreadable = 0
-        self._last = plan.scene.scenario.timing.ticks
-        self._maker = MessageMaker(RosidlTypes(), plan)
-        self._tick_times: list[float] = []
-
-    @abstractmethod
-    def work(self, until: float) -> None:
-        """Process messages until ``until`` on the monotonic clock [s], or a little longer."""
-
-    def stop(self, failure: str) -> None:
-        """End the trial early; ``failure`` says why."""
-        self.failure = failure
-
-    @abstractmethod
-    def end(self) -> str:
-        """End the trial; returns its outcome as this node sees it."""
-
-    @abstractmethod
-    def status(self) -> tuple[str, dict[str, object]]:
-        """A line and numbers for ``/diagnostics``."""
-
-    def note(self) -> str:
-        """Warning about a successful trial, in one line; may be empty."""
-        return f"{self.unreadable} messages could not be read" if self.unreadable else ""
-
-    def tick_statistics(self) -> dict[str, object]:
-        """Wall-clock time per tick since the last call."""
-        times, self._tick_times = sorted(self._tick_times), []
-        if not times:
-            return {"ticks": 0}
-        return {
-            "ticks": len(times),
-            "tick_time_median [s]": f"{times[len(times) // 2]:.6f}",
-            "tick_time_largest [s]": f"{times[-1]:.6f}",
-        }
 
 
 AnyTrial = TypeVar("AnyTrial", bound=LockstepTrial)
 
 
-class TrialNode(NodeProgram, Generic[AnyTrial]):
+class TrialNode(TrialServices, Generic[AnyTrial]):
     """A node that takes part in the lockstep.
 
     Attributes:
@@ -94,7 +46,6 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
     """
 
     background = False
-    managed = True
     ros_time = False  # whether this node stamps states in ROS time
 
     def __init__(self) -> None:
@@ -104,8 +55,6 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         self.trial: AnyTrial | None = None
         self.running = False
         self._name = ""
-        self._attempt = 0  # the last one that was configured
-        self._finished: FinishTrial.Response | None = None  # answer on the end of the trial before
         self.inbox = Inbox(self.node, AWAITED, raw=True)
         self.outbox = Outbox(self.node)
 
@@ -127,11 +76,12 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         """Published signals of every tick, by topic."""
 
     @abstractmethod
-    def prepare(self, plan: TrialPlan, info: TrialInfo, ros_time: bool) -> AnyTrial:
+    def prepare(self, plan: TrialPlan, maker: MessageMaker, info: TrialInfo, ros_time: bool) -> AnyTrial:
         """A trial that is ready to begin and independent of earlier ones.
 
         Args:
             plan: The trial.
+            maker: Fills its messages.
             info: Its identity.
             ros_time: Whether the plant's timestamps are ROS time, as the request says.
         """
@@ -143,10 +93,6 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
 
     def rehearse(self, spec: TrialSpec) -> None:
         self.streams(StreamMaker(spec.plan))
-
-    def offer(self) -> None:
-        self.node.create_service(ConfigureTrial, self.role("configure_trial"), self._on_configure)
-        self.node.create_service(FinishTrial, self.role("finish_trial"), self._on_finish)
 
     def turn(self) -> None:
         if not self.running or self.trial is None:
@@ -187,45 +133,29 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
             self.outbox.connect(self.published(arms) | self.published_of(neighbours))
             self.arms, self.neighbours = arms, tuple(neighbours)
 
-    def _on_configure(
-        self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
-    ) -> ConfigureTrial.Response:
+    @property
+    def in_trial(self) -> bool:
+        return self.running
+
+    def begin_trial(self, request: ConfigureTrial.Request, response: ConfigureTrial.Response) -> None:
         response.ros_time = self.ros_time
-        if self.active and request.attempt and request.attempt == self._attempt:
-            response.success = True  # a repeated request, because the answer took long
-            return response
-        self._attempt, self._finished = 0, None
-        with self.answering(response, "prepare the trial"):
-            self.check_active()
-            if self.running:
-                self._leave()
-            info = TrialInfo.from_message(request.trial)
-            plan = info.spec.plan
-            self.connect(list(plan.arms), [one.name for one in plan.scene.physics.neighbours])
-            self.inbox.clear()
-            self.outbox.reset(self.streams(StreamMaker(plan)))
-            self.trial = self.prepare(plan, info, request.ros_time)
-            self.running = True
-            self._attempt = request.attempt
-            self._name = f"{info.scenario}/{info.key.name}"
-            gc.collect()
-            gc.disable()  # a collection takes longer than a tick
-            self.log.debug(f"configured {self._name}, seed {info.seed}")
-            response.success = True
-        return response
+        if self.running:
+            self._leave()
+        info = TrialInfo.from_message(request.trial)
+        plan = info.spec.plan
+        self.connect(list(plan.arms), [one.name for one in plan.scene.physics.neighbours])
+        self.inbox.clear()
+        self.outbox.reset(self.streams(StreamMaker(plan)))
+        self.trial = self.prepare(plan, MessageMaker(RosidlTypes(), plan), info, request.ros_time)
+        self.running = True
+        self._name = f"{info.scenario}/{info.key.name}"
+        gc.collect()
+        gc.disable()  # a collection takes longer than a tick
+        self.log.debug(f"configured {self._name}, seed {info.seed}")
 
-    def _on_finish(self, request: FinishTrial.Request, response: FinishTrial.Response) -> FinishTrial.Response:
-        if not self.running or self.trial is None or request.attempt not in (0, self._attempt):
-            response.message = f"{self.kind}: there is no trial to finish"
-            again = request.attempt in (0, self._attempt)  # a repeated request, whose first answer was lost
-            return self._finished if self._finished is not None and again else response
-        self._finished = self._end(self.trial, request, response)
-        return response
-
-    def _end(
-        self, trial: AnyTrial, request: FinishTrial.Request, response: FinishTrial.Response
-    ) -> FinishTrial.Response:
-        """End the trial; returns the response, which says how."""
+    def finish_trial(self, request: FinishTrial.Request, response: FinishTrial.Response) -> None:
+        trial = self.trial
+        assert trial is not None
         self.outbox.flush()
         self.diagnose(now=True)
         outcome, failure = self._leave(), trial.failure
@@ -241,14 +171,18 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
             self.log.warning(f"{text}: {response.message or request.reason}")
         else:
             self.log.info(text)
-        return response
+
+    def break_off(self, why: str) -> None:
+        """End a running trial early; ``~/finish_trial`` then answers that it was ABORTED, and why."""
+        if self.running and self.trial is not None:
+            self.trial.stop(f"{self.kind} was {why} at t = {1e-9 * self.trial.now:.3f} s")
+            self._finished = FinishTrial.Response()
+            self.finish_trial(FinishTrial.Request(aborted=True), self._finished)
 
     def deactivate(self) -> None:
         """End a running trial, and disconnect."""
         super().deactivate()
-        if self.running and self.trial is not None:
-            self.trial.stop(f"{self.kind} was deactivated at t = {1e-9 * self.trial.now:.3f} s")
-            self._finished = self._end(self.trial, FinishTrial.Request(aborted=True), FinishTrial.Response())
+        self.break_off("deactivated")
         self.disconnect()
 
     def disconnect(self) -> None:
@@ -272,51 +206,43 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         self.inbox.close()
 
 
-class LeadingTrial(LockstepTrial):
-    """One trial of the node that publishes measured states; this node begins and ends the trial.
-
-    Attributes:
-        begun: Whether the first state was published.
-        over: Whether the trial has ended; ``failure`` says why, if it ended early.
-    """
-
-    def __init__(self, plan: TrialPlan) -> None:
-        super().__init__(plan)
-        self.begun = False
-        self.over = False
-
-    @abstractmethod
-    def begin(self) -> None:
-        """Begin the trial; all its topics have subscribers."""
-
-    def stop(self, failure: str) -> None:
-        self.over = True
-        super().stop(failure)
-
-
 AnyLeadingTrial = TypeVar("AnyLeadingTrial", bound=LeadingTrial)
 
 
 class LeadingNode(TrialNode[AnyLeadingTrial]):
-    """The node that serves ``~/run_trial``, whose answer comes when the trial is over."""
+    """The node that runs trials: each is a goal of its action ``~/run_trial``.
+
+    A goal runs the trial that ``~/configure_trial`` has prepared. Its result comes when the trial is over. To cancel it
+    ends the trial as :meth:`deactivate` does; the node stays active.
+    """
 
     def __init__(self) -> None:
         super().__init__()
-        self._over: Future | None = None  # present from the start of the ticks to their end
+        self._goal: ServerGoalHandle | None = None  # that runs the trial
+        self._over = Future()  # reason of a failure of this goal, or an empty text
+        self._reported = 0.0  # when the last feedback was sent, on the monotonic clock [s]
 
     def offer(self) -> None:
         super().offer()
-        # The answer comes when the trial is over; meanwhile the other services stay open.
-        group = MutuallyExclusiveCallbackGroup()
-        self.node.create_service(Trigger, self.role("run_trial"), self._on_run, callback_group=group)
+        self._runs = ActionServer(
+            self.node,
+            RunTrial,
+            self.role("run_trial"),
+            execute_callback=self._on_run,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+        )
+        self.node.create_service(Trigger, self.role("run_trial"), self._on_former_run)
 
     def wait(self) -> None:
         """Serve requests for some milliseconds, before or after the ticks of a trial."""
         self.serve(SUBSCRIBER_POLL_S)
 
     def work(self, trial: AnyLeadingTrial, until: float) -> None:
-        if self._over is None:
+        if self._goal is None:
             self.wait()
+            return
+        if self._goal.is_cancel_requested:
+            self.break_off("cancelled")
             return
         if not trial.begun:
             if self.outbox.unmatched():
@@ -330,28 +256,47 @@ class LeadingNode(TrialNode[AnyLeadingTrial]):
             self.log.error(f"the trial cannot go on: {full_traceback(error)}")
             trial.stop(f"{self.kind} at t = {1e-9 * trial.now:.3f} s: {type(error).__name__}: {error}")
         if trial.over:
-            self._answer(self._over, trial)
+            self._conclude(trial.failure)
+        elif (now := time.monotonic()) > self._reported + FEEDBACK_S:
+            self._reported = now
+            self._goal.publish_feedback(RunTrial.Feedback(time=1e-9 * trial.now))
 
-    async def _on_run(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        del request
-        if not self.running or self._over is not None:
+    async def _on_run(self, goal: ServerGoalHandle) -> RunTrial.Result:
+        result = RunTrial.Result(outcome="ABORTED", detected_time=float("nan"))
+        if self._goal is not None or not self.running:
             wrong = "the trial runs already" if self.running else "configure a trial first"
-            response.message = f"{self.kind}: {wrong}"
-            return response
-        self._over = Future(executor=self.executor)
-        failure = await self._over
-        response.success = not failure
-        response.message = failure
+            result.message = f"{self.kind}: {wrong}"
+            goal.abort()
+            return result
+        self._goal, self._over = goal, Future(executor=self.executor)
+        result.message = await self._over
+        result.success = not result.message
+        if result.success:
+            result.outcome = "OK"
+        close_goal(goal, result.success)
+        return result
+
+    def _on_former_run(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Answer a client of the service that the action has replaced."""
+        del request
+        name = self.node.resolve_service_name(self.role("run_trial"))
+        response.message = f"{name} is an action now: ros2 action send_goal {name} impact_rs/action/RunTrial {{}}"
         return response
 
-    def _answer(self, over: Future, trial: AnyLeadingTrial) -> None:
-        """Answer the caller of ``~/run_trial``."""
-        self._over = None
-        over.set_result(trial.failure)
+    def _conclude(self, failure: str) -> None:
+        """The trial of the goal is over."""
+        if self._goal is not None:
+            self._goal = None
+            self._over.set_result(failure)
 
     def _leave(self) -> str:
-        trial, over = self.trial, self._over
-        if trial is not None and over is not None:
+        trial = self.trial
+        if trial is not None and self._goal is not None:
             trial.stop(trial.failure or "the trial was aborted")
-            self._answer(over, trial)
+            self._conclude(trial.failure)
         return super()._leave()
+
+    def close(self) -> None:
+        super().close()
+        if self._offered:
+            self._runs.destroy()

@@ -13,15 +13,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from impact_rs.action import RunTrial
 from impact_rs.msg import TrialInfo as TrialInfoMessage
 from impact_rs.srv import ConfigureTrial, FinishTrial
+from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 
 from impact_msgs_py.conversions import joint_state_to_message, pose_to_message
 from impact_rs_control.plan import TrialPlan
@@ -31,12 +34,11 @@ from impact_rs_ros.message_types import RosidlTypes
 from impact_rs_ros.names import on_network, resolved
 from impact_rs_ros.presence import LEASE_GRACE_S, Presence
 from impact_rs_ros.qos import EVENT, LATCHED, LEASE_S, WATCH
-from impact_rs_ros.robot_states import OWN_JOINTS, joint_names
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.rotations import quaternion_of
 from impact_rs_trials.bags import topics
-from impact_rs_trials.bags.messages import MessageMaker
+from impact_rs_trials.bags.messages import MessageMaker, joints_of
 from impact_rs_trials.bags.record import descriptions
 from impact_rs_trials.bags.trial_info import Outcome, TrialInfo, TrialKey
 from impact_rs_trials.bags.writer import partial_path
@@ -87,6 +89,30 @@ class TrialResult:
     progress: Progress
 
 
+class SharedActionClient(ActionClient):
+    """An action client whose requests come from another thread than the executor's.
+
+    rclpy 7.1.6 drops an answer that comes before the sending thread has noted its request; a lock prevents that.
+    """
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        self._sending = threading.Lock()
+        super().__init__(*arguments, **options)
+
+    def send_goal_async(self, *arguments: Any, **options: Any) -> Future:
+        with self._sending:
+            return super().send_goal_async(*arguments, **options)
+
+    def _get_result_async(self, goal_handle: ClientGoalHandle) -> Future:
+        with self._sending:
+            return super()._get_result_async(goal_handle)
+
+    async def execute(self, taken_data: Any) -> None:
+        with self._sending:  # the request of this answer is noted
+            pass
+        await super().execute(taken_data)
+
+
 class TrialSession:
     """Runs trials with plant, controller and recorder.
 
@@ -104,7 +130,7 @@ class TrialSession:
         self._presence = Presence(node, ALL)
         self._configure = {name: client(ConfigureTrial, f"{name}/configure_trial") for name in MEMBERS}
         self._finish = {name: client(FinishTrial, f"{name}/finish_trial") for name in MEMBERS}
-        self._run = client(Trigger, "plant/run_trial")
+        self._run = SharedActionClient(node, RunTrial, "plant/run_trial", callback_group=group)
         self._trial_info = node.create_publisher(TrialInfoMessage, on_network(topics.TRIAL_INFO), LATCHED)
         self._descriptions: dict[str, Publisher] = {}  # by topic
         self._arms: list[str] = []
@@ -123,12 +149,19 @@ class TrialSession:
 
     def describe(self, plan: TrialPlan) -> None:
         """Publish the URDFs of the arms and the object of a trial, in place of earlier ones, for viewers."""
-        self._describe(descriptions(plan.scene.physics))
+        urdfs = descriptions(plan.scene.physics)
+        for topic in self._descriptions.keys() - urdfs.keys():
+            self._node.destroy_publisher(self._descriptions.pop(topic))
+        for topic, urdf in urdfs.items():
+            if topic not in self._descriptions:
+                self._descriptions[topic] = self._node.create_publisher(String, on_network(topic), LATCHED)
+            self._descriptions[topic].publish(String(data=urdf))
 
     def close(self) -> None:
         """Destroy the subscriptions."""
         self._states.close()
         self._events.close()
+        self._run.destroy()
 
     def run(
         self,
@@ -196,15 +229,6 @@ class TrialSession:
     def _has_duplicate_servers(self) -> bool:
         """Whether a service of a trial has several servers; a killed node's is counted for 20 s."""
         return any(self._node.count_services(client.srv_name) > 1 for client in self._finish.values())
-
-    def _describe(self, urdfs: dict[str, str]) -> None:
-        """Publish URDFs by topic, and destroy the publishers of other topics."""
-        for topic in self._descriptions.keys() - urdfs.keys():
-            self._node.destroy_publisher(self._descriptions.pop(topic))
-        for topic, urdf in urdfs.items():
-            if topic not in self._descriptions:
-                self._descriptions[topic] = self._node.create_publisher(String, on_network(topic), LATCHED)
-            self._descriptions[topic].publish(String(data=urdf))
 
     def _call(self, name: str, client: Client, request: Any, timeout: float) -> Any:
         """Answer of a service, with repeated requests; any answer is accepted, and a node acts only once."""
@@ -306,11 +330,12 @@ class TrialSession:
         feedback: Callable[[Progress], None],
         cancelled: Callable[[], bool],
     ) -> None:
-        """Start the plant, and report progress until the trial is over."""
+        """Give the plant the goal, and report progress until the trial is over; a failure cancels the goal."""
         period = node_parameters.value(self._node, "feedback_period")
         patience = node_parameters.value(self._node, "service_timeout")  # until time passes: discovery takes its own
         over = threading.Event()
-        future = self._run.call_async(Trigger.Request())
+        goal = self._accepted()
+        future = goal.get_result_async()
         future.add_done_callback(lambda _: over.set())
         alive = time.monotonic()
         try:
@@ -334,8 +359,8 @@ class TrialSession:
                     )
         finally:
             if not over.is_set():
-                self._run.remove_pending_request(future)
-        answer = future.result()
+                goal.cancel_goal_async()
+        answer = future.result().result
         if not answer.success:
             raise TrialError(answer.message)
         end = plan.scene.scenario.timing.ticks * plan.scene.scenario.timing.control_period
@@ -344,6 +369,21 @@ class TrialSession:
             time.sleep(0.001)
             self._look(progress)
         feedback(progress)
+
+    def _accepted(self) -> ClientGoalHandle:
+        """The goal of the plant, accepted."""
+        answered = threading.Event()
+        future = self._run.send_goal_async(RunTrial.Goal())
+        future.add_done_callback(lambda _: answered.set())
+        deadline = time.monotonic() + node_parameters.value(self._node, "service_timeout")
+        while not answered.wait(ALIVE_POLL_S):
+            self._check_present("plant")
+            if time.monotonic() > deadline:
+                raise TrialError(f"plant does not answer {self._node.resolve_service_name('plant/run_trial')}")
+        goal: ClientGoalHandle = future.result()
+        if not goal.accepted:
+            raise TrialError("plant rejected the trial: see its log")
+        return goal
 
     def _look(self, progress: Progress) -> None:
         self._events.gather()
@@ -397,6 +437,5 @@ class TrialSession:
 
 def starting_joints(plan: TrialPlan) -> JointState:
     """Joints of all arms at trial time 0, at rest."""
-    joints = joint_names(OWN_JOINTS, {name: arm.initial.size for name, arm in plan.arms.items()})
-    names = [joint for own in joints.values() for joint in own]
+    names = [joint for own in joints_of(plan.scene.physics).values() for joint in own]
     return joint_state_to_message(names, np.concatenate([arm.initial for arm in plan.arms.values()]))

@@ -5,8 +5,8 @@ A JointGroupEffortController of ros2_control holds the last command for ever. Th
 only one that sends it commands: those of the cell come to it on a topic of its own, and it passes each on at once,
 changed no faster than the robot allows in the stream that the robot sees. When none has come for ``command_timeout`` of
 the robot's clock while a joint moves, it takes over: it brakes and holds the arms as the cell does
-(:meth:`impact_rs_ros.effort_arms.EffortArms.rest`), and torques of the cell are dropped, until a call of ``~/reset``.
-It says so on ``~/braking`` (latched), where the cell arms nothing.
+(:meth:`~impact_rs_trials.cell.effort_arms.EffortArms.rest`), and torques of the cell are dropped, until a call of
+``~/reset``. It says so on ``~/braking`` (latched), where the cell arms nothing.
 
 It shares machine, Python and middleware with the cell: it is no safety function.
 """
@@ -17,89 +17,33 @@ import time
 from array import array
 from collections.abc import Sequence
 
-import numpy as np
 from rclpy.publisher import Publisher
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
-from impact_rs_ros.effort_arms import (
-    MAX_BRAKING_S,
-    MAX_REST_SPEED,
-    EffortArms,
-    arms_of,
-    commands_topic,
-    rest_until,
-    torques_of,
-    watched_topic,
-)
 from impact_rs_ros.exchange import Inbox
+from impact_rs_ros.message_types import torques_of
 from impact_rs_ros.names import on_network
 from impact_rs_ros.process import NodeProgram, run
 from impact_rs_ros.qos import AWAITED, COMMAND, LATCHED
 from impact_rs_ros.robot_clock import RobotClock
-from impact_rs_ros.robot_states import STATES
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags import topics
+from impact_rs_trials.cell.effort_arms import (
+    MAX_BRAKING_S,
+    arms_of,
+    commands_topic,
+    rest_until,
+    watched_topic,
+)
+from impact_rs_trials.cell.robot_states import STATES
+from impact_rs_trials.cell.watchdog import Watchdog
 from impact_rs_trials.spec import TrialSpec
 
 BRAKING_TOPIC = "/watchdog/braking"
 TORQUES = "std_msgs/msg/Float64MultiArray"
 SERVICE_POLL_S = 0.02
 MAX_INBOX_PAUSE_S = 0.01  # between two reads of the inbox; after a longer one all of it is read before anything is sent
-
-
-class Watchdog:
-    """Passes torques on until they stop coming, and then brakes.
-
-    Args:
-        arms: The arms.
-        timeout: Without a command for so long, arms that move are taken over [s].
-
-    Attributes:
-        braking: Whether they were taken over.
-        deposed: Whether the cell bypasses the watchdog, because it forwarded no torque.
-    """
-
-    def __init__(self, arms: EffortArms, timeout: float) -> None:
-        self.arms = arms
-        self.braking = False
-        self.deposed = False
-        self._timeout = timeout
-        self._heard: dict[str, float] = {}  # when the last command came [s], by arm
-
-    def heard(self, arm: str, data: bytes, now: float) -> None:
-        """A command of the cell came; it goes to the robot, unless the arms were taken over or it cannot be read.
-
-        One without torques says that the cell sends them itself: who had passed torques on sends nothing any more.
-        """
-        torque = torques_of(data)
-        if torque is not None and not torque.size:
-            self.deposed, self.braking = self.deposed or self.commanded, False
-        elif torque is not None and not self.braking and not self.deposed and self.arms.pass_on(arm, torque):
-            self._heard[arm] = now
-
-    def silent(self, now: float) -> bool:
-        """Whether an arm moves that no command has come for."""
-        if self.braking or self.deposed or not self._heard or self.arms.states.latest is None:
-            return False
-        speed = max(float(np.abs(arm.velocity).max()) for arm in self.arms.states.latest.arms.values())
-        return now - min(self._heard.values()) > self._timeout and speed > MAX_REST_SPEED
-
-    def look(self, now: float) -> bool:
-        """Whether the arms are taken over just now."""
-        taken = self.silent(now)
-        self.braking |= taken
-        return taken
-
-    @property
-    def commanded(self) -> bool:
-        """Whether the robot was sent anything since the last reset, and by no one else after it."""
-        return self.braking or (bool(self._heard) and not self.deposed)
-
-    def reset(self) -> None:
-        """Pass torques on again, and watch from the next one on."""
-        self.braking = False
-        self._heard.clear()
 
 
 class WatchdogNode(NodeProgram):
@@ -169,7 +113,7 @@ class WatchdogNode(NodeProgram):
             else:
                 commands[self._arm_of[topic]] = data
         for arm, data in commands.items():
-            self._watchdog.heard(arm, data, self._clock.steady())
+            self._watchdog.heard(arm, torques_of(data), self._clock.steady())
         for data in states:
             self._watchdog.arms.states.read(data)
 

@@ -21,14 +21,13 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 from impact_rs_ros.names import frame_prefix, full_namespace, within
+from impact_rs_ros.node_processes import NODES, REFUSED_EXIT_CODE
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.record import descriptions
 
-NODES = ("plant", "impact_map", "controller", "recorder", "experiment")
 LEVELS = ["debug", "info", "warn", "error", "fatal"]
-REFUSED = 2  # exit code of a node with invalid parameters: starting it again would not help
 RESPAWNS = 5  # of each node
 VIEWED = ("/robot_description", "/object/robot_description", "/object/pose", "/clock")  # topics of impact_rs.rviz
 
@@ -122,7 +121,7 @@ def wanted_nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
 def stay_down_if_refused(event: ProcessExited, context: LaunchContext) -> list[LaunchDescriptionEntity] | None:
     """Prevent the restart of a node that refused its parameters."""
     del context
-    if event.returncode != REFUSED:
+    if event.returncode != REFUSED_EXIT_CODE:
         return None
     text = f"{event.process_name}: its parameters were refused (see above), so it is not started again"
     return [LogInfo(msg=text), EmitEvent(event=ShutdownProcess(process_matcher=matches_action(event.action)))]

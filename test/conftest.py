@@ -95,7 +95,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     class LongestFirst(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
             file = super()._split_scope(nodeid)
-            if not file.startswith(("test/system/", "test/impact_rs_ros/")) or file.endswith("test_rehearsal.py"):
+            if not file.startswith(("test/system/", "test/impact_rs_ros/")):
                 return file
             return GRAPH if uses_the_graph(file) else OTHER_NODES
 

@@ -21,12 +21,12 @@ from catkin_pkg.package import parse_package
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
-from impact_rs_ros.driver_profiles import PROFILES, profile_of
 from impact_rs_ros.middleware import CHOICES, PROFILE, set_middleware
 from impact_rs_ros.node_parameters import values_of
 from impact_rs_ros.node_processes import NODES
-from impact_rs_ros.robot_states import joint_names
 from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_trials.cell.driver_profiles import PROFILES, profile_of
+from impact_rs_trials.cell.robot_states import joint_names
 
 ROOT = Path(__file__).resolve().parent.parent
 INTERFACES = sorted(

@@ -11,12 +11,12 @@ from rich.table import Table
 from impact_rs_analysis.report.rehearsal import write_rehearsal
 from impact_rs_cli.arguments import check_robots, settings_of
 from impact_rs_cli.terminal import Terminal, output_folder
-from impact_rs_ros.cell_rehearsal import Checklist, rehearse
-from impact_rs_ros.driver_profiles import profile_of
-from impact_rs_ros.node_parameters import values_of
+from impact_rs_ros.node_parameters import values_for, values_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Reflexes, RobotFacts
 from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_trials.cell.cell_rehearsal import Checklist, rehearse
+from impact_rs_trials.cell.driver_profiles import profile_of
 from impact_rs_trials.spec import TrialSpec
 
 PHASES = 2
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             report(what, done, PHASES)
             done += 1
 
-        found = rehearse(plan, profile, reflexes, args.seed, say, given)
+        found = rehearse(plan, profile, reflexes, given or values_for(profile, plan.arms), args.seed, say)
     document = {"scenario": scenario.name, "object": item, "case": plan.scene.case_name, "parameters": given}
     document |= found.to_json()
     page = None

@@ -17,6 +17,7 @@ import pinocchio as pin
 
 from impact_rs_control.controller import ArmCommand, ImpactDetection
 from impact_rs_control.plan import ArmPlan, TrialPlan
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant.plant import ArmTruth
 from impact_rs_sim.plant.sensors import ArmMeasurement, ObjectMeasurement
 from impact_rs_sim.robots.robot import Array
@@ -94,10 +95,7 @@ class MessageMaker:
         self._vector = types.type("geometry_msgs/msg/Vector3")
         self._quaternion = types.type("geometry_msgs/msg/Quaternion")
         self._period_ns = round(plan.scene.scenario.timing.control_period * 1e9)
-        self.joints = {
-            name: [f"{name}_{joint}" for joint in joint_names(arm.facts)]
-            for name, arm in plan.scene.physics.arms.items()
-        }
+        self.joints = joints_of(plan.scene.physics)
         self._empty = types.floats(np.zeros(0))
         self._references = {name: reference_columns(arm) for name, arm in plan.arms.items()}
 
@@ -234,6 +232,17 @@ class MessageMaker:
                 )
             )
         return self._types.type(topics.TF_MESSAGE)(transforms=messages)
+
+
+def joints_of(physics: Physics) -> dict[str, list[str]]:
+    """Names of the joints of every arm in messages, base to tip."""
+    return {name: [f"{name}_{joint}" for joint in joint_names(arm.facts)] for name, arm in physics.arms.items()}
+
+
+def pose_values(pose: Any) -> Array:
+    """Position [m] and quaternion ``(x, y, z, w)`` of a ``geometry_msgs/Pose``, ``(7,)``."""
+    at, turned = pose.position, pose.orientation
+    return np.array([at.x, at.y, at.z, turned.x, turned.y, turned.z, turned.w])
 
 
 def _xyz(values: Array) -> dict[str, float]:

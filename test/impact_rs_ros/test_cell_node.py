@@ -11,7 +11,7 @@ import pytest
 import rclpy
 from processes import PATIENCE, until
 from rclpy.serialization import serialize_message
-from robot_bench import PUSH, WEIGHT, Robot
+from robot_bench import MAKER, PUSH, WEIGHT, Robot
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 
@@ -132,7 +132,7 @@ def test_whoever_else_can_send_torques_is_named_and_nothing_is_armed(cell: CellN
     assert eventually(cell, lambda: cell._strangers() != "")
     assert cell._strangers().startswith(f"/stranger can send torques on {COMMANDS} as well: stop it")
     with pytest.raises(InputError, match="^not armed: /stranger can send torques"):
-        cell.prepare(PUSH, None, True)  # type: ignore[arg-type]
+        cell.prepare(PUSH, MAKER, None, True)  # type: ignore[arg-type]
     other.destroy_node()
     assert eventually(cell, lambda: cell._strangers() == "")
 
@@ -284,7 +284,6 @@ class Trial:
 
 def test_what_is_found_while_a_trial_runs_ends_it(cell: CellNode, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cell, "_strangers", lambda: "/stranger can send torques")
-    monkeypatch.setattr(cell, "_over", None)
     monkeypatch.setattr(cell_node, "PUBLISHER_POLL_S", -1.0)
     trial = Trial()
     cell.work(trial, 0.0)  # type: ignore[arg-type]

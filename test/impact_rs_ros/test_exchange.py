@@ -18,10 +18,10 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
 from impact_rs_ros.exchange import Inbox
-from impact_rs_ros.joint_signals import joint_signals
 from impact_rs_ros.message_types import RosidlTypes, message_type
 from impact_rs_ros.qos import RECORD, STREAM
 from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.joint_signals import joint_signals
 
 
 @pytest.fixture(scope="module")

@@ -10,10 +10,13 @@ from typing import Any
 
 import pytest
 import rclpy
+from action_msgs.msg import GoalStatus
+from impact_rs.action import RunTrial
 from impact_rs.srv import ConfigureTrial, FinishTrial
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import ChangeState, GetState
 from node_trials import configuration
+from rclpy.action import ActionClient
 from robot_bench import PUSH
 
 from impact_rs_ros import cell_node
@@ -88,6 +91,9 @@ def test_a_node_is_led_from_outside_by_the_services_of_ros(made: Callable[[str],
             assert asked(state, GetState.Request()).current_state.label == label
             assert program.active == (label == "active")
         assert program.over  # the process ends
+        names = [name for name, _ in caller.get_node_names_and_namespaces()]  # some of earlier tests
+        assert names.count(kind) == 1
+        assert {name.removeprefix("lifecycle_of_") for name in names} <= set(KINDS)  # no program has a second node
     finally:
         caller.destroy_node()
 
@@ -168,31 +174,82 @@ class Arms:
         self.looks -= 1
 
 
-def test_a_cell_that_is_deactivated_in_a_trial_brakes_until_the_arms_rest_and_holds_them(
-    made: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+class CellTrial:
+    """A trial at 1.2 s of its time that goes on until it is stopped."""
+
+    now, failure, begun, over = 1_200_000_000, "", True, False
+    unreadable = 0
+
+    def __init__(self) -> None:
+        self.stopped: list[str] = []
+
+    def work(self, until: float) -> None:
+        """Nothing to do."""
+
+    def stop(self, failure: str) -> None:
+        self.failure = failure
+        self.stopped.append(failure)
+
+    def end(self) -> str:
+        return "OK"
+
+
+@pytest.fixture
+def led(made: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch) -> CellNode:
+    """A cell in a trial, with arms that need five states to come to rest."""
     monkeypatch.setattr(cell_node, "rest_until", lambda arms, *others: arms.rest())
-    program = made("cell")
+    program: CellNode = made("cell")
     program.start()
-    stopped: list[str] = []
-
-    class Trial:
-        now, failure, over = 1_200_000_000, "", False
-
-        def stop(self, failure: str) -> None:
-            self.failure = failure
-            stopped.append(failure)
-
-        def end(self) -> str:
-            return "OK"
-
-    program.trial, program.running, program._held = Trial(), True, Arms(5)
+    program.trial, program.running, program._held = CellTrial(), True, Arms(5)  # type: ignore[assignment]
     monkeypatch.setattr(program, "diagnose", lambda now=False: None)
-    assert program.node.trigger_deactivate() == SUCCESS
-    assert program._held.held
-    assert stopped[0] == "cell was deactivated at t = 1.200 s"
+    return program
+
+
+def is_held_on(program: CellNode) -> bool:
+    """Whether arms that rest are braked in every turn."""
+    assert isinstance(program._held, Arms)
     looks = program._held.looks
     program.turn()
-    assert program._held.looks < looks  # it is held on
-    assert program.node.trigger_cleanup() == SUCCESS
-    assert program._held is None
+    return looks <= 0 and program._held.looks < looks
+
+
+def test_a_cell_that_is_deactivated_in_a_trial_brakes_until_the_arms_rest_and_holds_them(led: CellNode) -> None:
+    assert led.node.trigger_deactivate() == SUCCESS
+    assert led.trial.stopped[0] == "cell was deactivated at t = 1.200 s"
+    assert is_held_on(led)
+    assert led.node.trigger_cleanup() == SUCCESS
+    assert led._held is None
+
+
+def test_a_cell_whose_trial_is_cancelled_brakes_until_the_arms_rest_and_holds_them(led: CellNode) -> None:
+    """The caller of the action has the result when they rest; the cell stays active."""
+    caller = rclpy.create_node("canceller")
+    client = ActionClient(caller, RunTrial, "/plant/run_trial")
+
+    def served(future: Any) -> Any:
+        until = time.monotonic() + 60.0
+        while not future.done() and time.monotonic() < until:
+            led.turn()
+            rclpy.spin_once(caller, timeout_sec=0.01)
+        return future.result()
+
+    try:
+        until = time.monotonic() + 60.0
+        while not client.server_is_ready() and time.monotonic() < until:
+            rclpy.spin_once(caller, timeout_sec=0.01)
+        goal = served(client.send_goal_async(RunTrial.Goal()))
+        led._held = Arms(500)  # type: ignore[assignment]
+        result = goal.get_result_async()
+        cancelled = goal.cancel_goal_async()
+        answer = served(result)
+        assert led._held.held
+        assert len(served(cancelled).goals_canceling) == 1
+    finally:
+        client.destroy()
+        caller.destroy_node()
+    assert answer.status == GoalStatus.STATUS_CANCELED
+    assert answer.result.message == led.trial.stopped[0] == "cell was cancelled at t = 1.200 s"
+    assert is_held_on(led)
+    assert led.active and not led.running
+    end = led._on_finish(FinishTrial.Request(aborted=True), FinishTrial.Response())
+    assert (end.success, end.outcome) == (False, "ABORTED")

@@ -115,6 +115,19 @@ def test_a_change_that_cannot_act_is_refused_with_the_reason(
     assert told in result.reason
 
 
+@pytest.mark.parametrize("kind", node_parameters.PARAMETERS)
+def test_every_parameter_that_is_read_at_the_start_alone_refuses_a_change_and_the_others_take_one(
+    kind: str, domain_ids: Callable[[], int]
+) -> None:
+    """Kills: a parameter that says read_only and takes a value, or that says nothing and takes none."""
+    with participant(domain_ids(), kind) as node:
+        node_parameters.declare(node, kind)
+        for known in node_parameters.PARAMETERS[kind]:
+            (result,) = node.set_parameters([RclParameter(known.name, value=known.default)])
+            reason = f"Trying to set a read-only parameter: {known.name}." if known.read_only else ""
+            assert (result.successful, result.reason) == (not known.read_only, reason), known.name
+
+
 def test_former_name_of_an_engine_is_accepted() -> None:
     assert not node_parameters.complaint_about("impact_map", "engine", "pinocchio")
 

@@ -4,23 +4,26 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import rclpy
+from impact_rs.action import RunTrial
 from impact_rs.srv import ConfigureTrial, FinishTrial
-from processes import until
+from processes import PATIENCE, until
+from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
 from rclpy.executors import MultiThreadedExecutor
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 
 from impact_rs_ros import node_parameters
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.presence import announce
+from impact_rs_ros.process import close_goal
 from impact_rs_ros.qos import LATCHED
 from impact_rs_ros.trial_session import MEMBERS, TrialSession
 from impact_rs_sim.scenarios.scenario import load_scenario
@@ -63,10 +66,27 @@ class Actors(Spinning):
             self._serve(ConfigureTrial, f"{name}/configure_trial", self._agree)
             finish = self._nothing_to_finish if name == "controller" else self._agree
             self._serve(FinishTrial, f"{name}/finish_trial", finish)
-        self._serve(Trigger, "plant/run_trial", self._agree)
+        self.endless = False  # whether a goal of the plant ends only when it is cancelled
+        self.ended: list[str] = []  # how each ended
+        self._runs = ActionServer(
+            self.node,
+            RunTrial,
+            "plant/run_trial",
+            self._run,
+            callback_group=self._group,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+        )
 
     def _serve(self, kind: Any, name: str, answer: Callable[[Any, Any], Any]) -> None:
         self.node.create_service(kind, name, answer, callback_group=self._group)
+
+    def _run(self, goal: Any) -> RunTrial.Result:
+        deadline = time.monotonic() + PATIENCE
+        while self.endless and not goal.is_cancel_requested and time.monotonic() < deadline:
+            time.sleep(0.01)
+        self.ended.append("cancelled" if goal.is_cancel_requested else "over")
+        close_goal(goal, success=True)
+        return RunTrial.Result(success=True, outcome="OK")
 
     def _agree(self, request: Any, response: Any) -> Any:
         response.success = True
@@ -108,6 +128,18 @@ def test_descriptions_reach_a_viewer_that_comes_later(stage: tuple[TrialSession,
     assert isinstance(message, String)
     assert "<robot" in message.data
     viewer.close()
+
+
+def test_a_trial_that_is_cancelled_cancels_the_goal_of_the_plant(
+    stage: tuple[TrialSession, Actors], tmp_path: Path
+) -> None:
+    session, actors = stage
+    actors.endless = True
+    result = session.run(PLAN, TrialKey("juice", "case_1", 1.0, 0), 0, tmp_path, cancelled=lambda: True)
+    until(lambda: actors.ended, lambda: time.sleep(0.01), "the goal goes on")
+    actors.endless = False
+    assert actors.ended == ["cancelled"]
+    assert (result.outcome, result.message) == ("ABORTED", "cancelled")
 
 
 @pytest.mark.parametrize(  # in this order: the second controller stays

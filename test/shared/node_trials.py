@@ -75,6 +75,12 @@ def begun(graph: Graph, client: ActionClient, request: Any) -> ClientGoalHandle:
     return accepted
 
 
+def plant_action(graph: Graph) -> ActionClient:
+    """Client of the action by which plant or cell runs a trial."""
+    client: ActionClient = graph._actions["plant"]["plant/run_trial"]
+    return client
+
+
 def in_trial(act: Callable[[], object], after: float = 0.2) -> Feedback:
     """Feedback that acts once, when the trial time is beyond ``after`` [s]."""
     done: list[object] = []

@@ -11,13 +11,15 @@ import numpy as np
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
-from impact_rs_ros.effort_arms import EffortArms
-from impact_rs_ros.robot_states import RobotStates, joint_names
 from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes
+from impact_rs_trials.cell.effort_arms import EffortArms
+from impact_rs_trials.cell.robot_states import RobotStates, joint_names
 from impact_rs_trials.spec import TrialSpec
 
 PUSH = TrialSpec.of(load_scenario("push"), "juice", "case_1").plan
 GRAB = TrialSpec.of(load_scenario("grab"), "juice", "case_1").plan
+MAKER = MessageMaker(RosbagsTypes(), PUSH)
 MODEL = PUSH.scene.models["arm"]
 MOTORS = PUSH.scene.physics.arms["arm"].motor_inertia_reduced
 START = PUSH.arms["arm"].initial

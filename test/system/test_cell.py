@@ -18,12 +18,11 @@ import numpy as np
 import pytest
 from impact_rs.action import RunTrial
 from impact_rs.srv import ConfigureTrial
-from node_trials import TRIES, configuration, spin_until
+from node_trials import TRIES, configuration, plant_action, result_of, spin_until
 from processes import PATIENCE, Running, running
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter as RclParameter
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
 from impact_rs_analysis.measure.analyze import ExperimentSet, analyze_campaign
 from impact_rs_cli.main import main
@@ -300,11 +299,13 @@ class LedCell:
         deadline = time.monotonic() + READY
         while not (armed := self.graph.call(ConfigureTrial, "plant/configure_trial", request, READY)).success:
             assert any(reason in armed.message for reason in SLOW) and time.monotonic() < deadline, armed.message
-        client = self.graph.node.create_client(Trigger, "plant/run_trial")
-        spin_until(self.graph, client.service_is_ready, "the cell runs no trial")
-        over, cell = client.call_async(Trigger.Request()), self.processes["cell"].process
+        client = plant_action(self.graph)
+        spin_until(self.graph, client.server_is_ready, "the cell runs no trial")
+        cell = self.processes["cell"].process
+        goal = result_of(self.graph, client.send_goal_async(RunTrial.Goal()))
+        over = goal.get_result_async()
         spin_until(self.graph, lambda: over.done() or cell.poll() is not None, "it does not end")
-        return over.result().message if over.done() else ""
+        return over.result().result.message if over.done() else ""
 
     def _lead(self, model: RobotModel) -> None:
         """In the place of a controller: the weight, and a torque that turns the arm at its base faster and faster."""

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 from impact_rs.action import RunTrial
 from impact_rs.srv import ConfigureTrial, FinishTrial
-from node_trials import participant
+from node_trials import participant, spin_until
 from processes import running
+from rclpy.action import ActionServer
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
 from impact_rs_cli.main import main
 from impact_rs_ros.graph import Graph
@@ -28,7 +28,7 @@ from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "foreign_plant.py"
-WAITING = "waiting for a plant: services /plant/configure_trial, /plant/finish_trial, /plant/run_trial; for "
+WAITING = "waiting for a plant: /plant/configure_trial, /plant/finish_trial, the action /plant/run_trial; for "
 TRIAL = "cat_food__case_2__s1.000__r0"
 pytestmark = pytest.mark.slow
 
@@ -48,9 +48,9 @@ def silent_plant(domain_id: int, best_effort: bool = False) -> Iterator[list[Con
         return response
 
     with participant(domain_id, "plant") as node:
-        services = {"configure_trial": ConfigureTrial, "finish_trial": FinishTrial, "run_trial": Trigger}
-        for name, kind in services.items():
+        for name, kind in {"configure_trial": ConfigureTrial, "finish_trial": FinishTrial}.items():
             node.create_service(kind, f"~/{name}", agree)
+        runs = ActionServer(node, RunTrial, "~/run_trial", lambda goal: RunTrial.Result())
         if best_effort:
             node.create_publisher(JointState, topics.joint_states("arm"), qos_profile_sensor_data)
         executor = SingleThreadedExecutor(context=node.context)
@@ -68,6 +68,7 @@ def silent_plant(domain_id: int, best_effort: bool = False) -> Iterator[list[Con
         finally:
             over.set()
             thread.join()
+            runs.destroy()
             executor.shutdown()
 
 
@@ -128,6 +129,8 @@ def test_a_graph_waits_for_a_foreign_node_and_says_what_is_wrong_with_it(
         unpublished = graph.call_trial(goal)
         request = asked[0][0]
         with silent_plant(domain_id, best_effort=True):
+            states = topics.joint_states("arm")
+            spin_until(graph, lambda: graph.node.count_publishers(states), "the publisher is not discovered")
             unheard = graph.call_trial(goal)
     assert (unpublished.success, unpublished.outcome) == (False, "ABORTED")
     assert unpublished.message == "recorder: no publisher of /arm/joint_states; are plant and controller running?"

@@ -14,10 +14,11 @@ from itertools import count
 from pathlib import Path
 
 import pytest
+from action_msgs.msg import GoalStatus
 from impact_rs.action import RunTrial
 from impact_rs.srv import ConfigureTrial, FinishTrial
 from lifecycle_msgs.srv import ChangeState
-from node_trials import TRIES, beside, configuration, goal, one_trial, result_of, spin_until
+from node_trials import TRIES, beside, configuration, goal, one_trial, plant_action, result_of, spin_until
 from processes import PATIENCE, running, until
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.task import Future
@@ -26,6 +27,8 @@ from std_srvs.srv import Trigger
 
 from impact_rs_ros import graph as graphs
 from impact_rs_ros.graph import Graph, GraphError, run_trial, run_trials_through_nodes
+from impact_rs_ros.message_types import available, message_type
+from impact_rs_ros.names import on_network
 from impact_rs_ros.node_processes import NODES, NodeProcesses
 from impact_rs_ros.qos import WATCH
 from impact_rs_sim.effects.formula import FormulaParameter, FormulaSpec
@@ -171,6 +174,42 @@ def test_a_node_that_is_deactivated_ends_its_trial_with_that_reason_and_serves_t
     assert again.result().success
     assert graph.call_trial(goal(tmp_path / "2", scenario=short)).outcome == "OK"
     graph.node.destroy_client(client)
+
+
+def test_a_goal_of_the_plant_reports_its_time_and_ends_when_it_is_cancelled(graph: Graph, short: str) -> None:
+    """Without a prepared trial it is aborted with the reason; a cancelled one is over at once."""
+    refused = result_of(graph, plant_action(graph).send_goal_async(RunTrial.Goal()))
+    answer = result_of(graph, refused.get_result_async())
+    assert (answer.status, answer.result.message) == (GoalStatus.STATUS_ABORTED, "plant: configure a trial first")
+
+    trial = configuration(TrialSpec.of(load_scenario(short), "parcel", "case_1").plan, attempt=11)
+    for name in ("plant", "controller"):
+        assert graph.call(ConfigureTrial, f"{name}/configure_trial", trial).success
+    listening = [
+        graph.node.create_subscription(message_type(kind), on_network(topic), lambda message: None, WATCH)
+        for topic, kind in topics.recorded(["arm"]).items()
+        if available(kind)
+    ]
+    times: list[float] = []
+    run = plant_action(graph).send_goal_async(RunTrial.Goal(), lambda told: times.append(told.feedback.time))
+    running_goal = result_of(graph, run)
+    spin_until(graph, lambda: times and times[-1] > 0.1, "no feedback")
+    assert len(result_of(graph, running_goal.cancel_goal_async()).goals_canceling) == 1
+    answer = result_of(graph, running_goal.get_result_async())
+    assert answer.status == GoalStatus.STATUS_CANCELED
+    assert answer.result.message.startswith("plant was cancelled at t = 0.")
+    assert (answer.result.success, answer.result.outcome) == (False, "ABORTED")
+    done = graph.call(FinishTrial, "plant/finish_trial", FinishTrial.Request(attempt=11))
+    assert (done.success, done.outcome, done.message) == (False, "ABORTED", answer.result.message)
+    assert graph.call(FinishTrial, "controller/finish_trial", FinishTrial.Request(attempt=11, aborted=True)).success
+    for subscription in listening:
+        graph.node.destroy_subscription(subscription)
+
+
+def test_the_service_that_ran_trials_answers_with_the_name_of_the_action(graph: Graph) -> None:
+    answer = graph.call(Trigger, "plant/run_trial", Trigger.Request())
+    assert not answer.success
+    assert answer.message.startswith("/plant/run_trial is an action now: ros2 action send_goal /plant/run_trial ")
 
 
 def test_a_bag_that_was_closed_before_the_answer_was_lost_is_kept(
@@ -389,14 +428,14 @@ def test_requests_that_come_late_leave_the_trial_alone(graph: Graph, tmp_path: P
 
     heard: list[object] = []
     states = graph.node.create_subscription(JointState, STATES, heard.append, WATCH)
-    run = graph.node.create_client(Trigger, "plant/run_trial")
-    over = run.call_async(Trigger.Request())
+    running_goal = result_of(graph, plant_action(graph).send_goal_async(RunTrial.Goal()))
+    over = running_goal.get_result_async()
     spin_until(graph, lambda: len(heard) > 3, "no states")
     for name in members:
         assert graph.call(ConfigureTrial, f"{name}/configure_trial", configure).success
         assert not graph.call(FinishTrial, f"{name}/finish_trial", FinishTrial.Request(attempt=6)).success
     assert not over.done()
-    assert result_of(graph, over).success
+    assert result_of(graph, over).result.success
     graph.node.destroy_subscription(states)
 
     finish = FinishTrial.Request(attempt=7)
@@ -436,7 +475,7 @@ def test_trials_of_a_campaign_run_one_after_the_other_once_their_nodes_are_ready
 
 @pytest.mark.slow
 def test_up_starts_a_lost_node_again_and_stops_on_interrupt(domain_ids: Callable[[], int]) -> None:
-    program = "import sys; from impact_rs_ros.graph import up; sys.exit(up('push'))"
+    program = "import sys; from impact_rs_cli.commands.up import up; sys.exit(up('push'))"
     domain = {"ROS_DOMAIN_ID": str(domain_ids())}
     with running([sys.executable, "-c", program], domain, start_new_session=True) as up:
         up.line("The nodes are up")

@@ -23,8 +23,8 @@ from robot_bench import (
 )
 
 from impact_rs_control.fallback import MAX_STATE_AGE_S, SETTLING_TIME_S, holding_torque
-from impact_rs_ros.effort_arms import EffortArms, rest_until
-from impact_rs_ros.robot_states import STATES, RobotStates, joint_names
+from impact_rs_trials.cell.effort_arms import EffortArms, rest_until
+from impact_rs_trials.cell.robot_states import STATES, RobotStates, joint_names
 
 STEP = RATE * PERIOD  # N m
 MOVING = np.full(7, 0.5)

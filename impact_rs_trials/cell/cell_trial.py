@@ -7,7 +7,7 @@ for the one of tick 0. The controller answers it; its torque is sent when the ro
 
 A state that is not usable, a torque that is late or beyond a limit, silence of either, and an arm that rests away from
 its references, as after a stop of its own, end the trial with the reason; from then on the arms are braked and held
-(:meth:`impact_rs_ros.effort_arms.EffortArms.rest`).
+(:meth:`impact_rs_trials.cell.effort_arms.EffortArms.rest`).
 """
 
 from __future__ import annotations
@@ -21,16 +21,17 @@ import numpy as np
 
 from impact_rs_control.arm_limits import torque_complaint
 from impact_rs_control.plan import TrialPlan
-from impact_rs_ros.arming import start_complaint
-from impact_rs_ros.effort_arms import MAX_REST_SPEED, EffortArms
-from impact_rs_ros.exchange import Inbox, Outbox
-from impact_rs_ros.joint_signals import JointReader
-from impact_rs_ros.motion_capture import MOCAP, TrackerPoses
-from impact_rs_ros.robot_states import STATES, ArmStates
-from impact_rs_ros.trial_node import LeadingTrial
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.joint_signals import JointReader
+from impact_rs_trials.bags.messages import MessageMaker
+from impact_rs_trials.cell.arming import start_complaint
+from impact_rs_trials.cell.effort_arms import MAX_REST_SPEED, EffortArms
+from impact_rs_trials.cell.motion_capture import MOCAP, TrackerPoses, serialized
+from impact_rs_trials.cell.robot_states import STATES, ArmStates
+from impact_rs_trials.lockstep.lockstep_trial import LeadingTrial
+from impact_rs_trials.lockstep.wires import Incoming, Outgoing
 
 REPEAT_S = 0.25  # until the first state is sent to the controller again
 LATE_WINDOW_TICKS = 100  # the last ones, for the share of late torques
@@ -62,6 +63,7 @@ class CellTrial(LeadingTrial):
 
     Args:
         plan: The trial.
+        maker: Fills its messages.
         arms: The robot.
         limits: Limits that end the trial.
         mocap: Reads poses of the object; None: not used.
@@ -73,14 +75,15 @@ class CellTrial(LeadingTrial):
     def __init__(
         self,
         plan: TrialPlan,
+        maker: MessageMaker,
         arms: EffortArms,
         limits: TrialLimits,
         mocap: TrackerPoses | None,
-        inbox: Inbox,
-        outbox: Outbox,
+        inbox: Incoming,
+        outbox: Outgoing,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        super().__init__(plan)
+        super().__init__(plan, maker)
         self.arms = arms
         self._plan = plan
         self._limits = limits
@@ -313,4 +316,4 @@ class CellTrial(LeadingTrial):
         stamp = pose.header.stamp.sec * 10**9 + pose.header.stamp.nanosec - self._origin
         if 0 <= stamp <= self._last * self._period_ns:
             self._poses += 1
-            self._outbox.later(topics.OBJECT_POSE, pose)
+            self._outbox.later(topics.OBJECT_POSE, serialized(pose))

@@ -11,8 +11,9 @@ import pytest
 from robot_bench import ARM_JOINTS, MODEL, MOTORS, PUSH, START, STILL, Wires, state_message
 
 from impact_rs_control.fallback import holding_torque
-from impact_rs_ros.controller_node import ControllerTrial
 from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes
+from impact_rs_trials.lockstep.controller_trial import ControllerTrial
 
 STATES = topics.joint_states("arm")
 HELD = holding_torque(MODEL, MOTORS, START, STILL)
@@ -24,7 +25,7 @@ class Bench(Wires):
     def __init__(self, first_ns: int | None = None) -> None:
         """``first_ns``: stamp of the first state in ROS time; None: stamps are trial time."""
         super().__init__()
-        self.trial = ControllerTrial(PUSH, self, self, first_ns is not None)  # type: ignore[arg-type]
+        self.trial = ControllerTrial(PUSH, MessageMaker(RosbagsTypes(), PUSH), self, self, first_ns is not None)
         self.first_ns = first_ns or 0
         self.tick = 0
 

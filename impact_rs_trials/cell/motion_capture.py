@@ -10,20 +10,22 @@ not looked up on /tf, where it could change or be missing while the arm moves; a
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
-from geometry_msgs.msg import PoseStamped
 
-from impact_msgs_py.conversions import pose_from_message, pose_to_message
-from impact_rs_ros.message_types import decoded
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.rotations import quaternion_of
-from impact_rs_trials.bags.messages import Frame
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.messages import Frame, pose_values
+from impact_rs_trials.bags.types import typestore
 
 MOCAP = "/mocap/object_pose"
 WORLD = "world"
 COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
+TrackedPose = Any  # ``geometry_msgs/PoseStamped`` of rosbags
 MAX_NORM_ERROR = 0.01  # of a quaternion; a tracker that lost the object sends zeros or NaN
 
 
@@ -48,7 +50,7 @@ class TrackerPoses:
             return []
         return [Frame(prefix + WORLD, self.frame, pin.SE3(self._rotation, self._origin))]
 
-    def read(self, data: bytes) -> PoseStamped | None:
+    def read(self, data: bytes) -> TrackedPose | None:
         """A pose in ``world`` with its original timestamp; None: no valid pose, for example of an occluded object.
 
         Bytes that are not a message give None as well.
@@ -56,17 +58,24 @@ class TrackerPoses:
         Raises:
             InputError: The pose is not in the frame of the tracker.
         """
-        pose = decoded(data, PoseStamped)
-        if pose is None:
+        try:
+            pose: TrackedPose = typestore().deserialize_cdr(data, topics.POSE)
+        except Exception:  # whatever rosbags finds wrong with the bytes
             return None
         if pose.header.frame_id != self.frame:
             found = pose.header.frame_id
             raise InputError(f"expected {self.frame}, see mocap_frame", key=f"frame_id of {MOCAP}", value=found)
-        seen = pose_from_message(pose.pose)
+        seen = pose_values(pose.pose)
         position, quaternion = seen[:3], seen[3:]
         if not (np.isfinite(seen).all() and abs(np.linalg.norm(quaternion) - 1.0) < MAX_NORM_ERROR):
             return None
-        moved = np.concatenate((self._origin + self._rotation @ position, self._turn @ quaternion))
-        pose.pose = pose_to_message(moved)
+        at, turned = pose.pose.position, pose.pose.orientation
+        at.x, at.y, at.z = (self._origin + self._rotation @ position).tolist()
+        turned.x, turned.y, turned.z, turned.w = (self._turn @ quaternion).tolist()
         pose.header.frame_id = WORLD
         return pose
+
+
+def serialized(pose: TrackedPose) -> bytes:
+    """The message of a pose."""
+    return bytes(typestore().serialize_cdr(pose, topics.POSE))

@@ -13,7 +13,8 @@ from rclpy.serialization import serialize_message
 from robot_bench import PERIOD, PUSH, START, SWITCHED_ON, Robot, Wire, state_message
 
 from impact_msgs_py.conversions import pose_to_message
-from impact_rs_ros.arming import (
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.cell.arming import (
     ARMING_TIMEOUT_S,
     HOLDING_S,
     MIN_OBSERVED_S,
@@ -21,10 +22,9 @@ from impact_rs_ros.arming import (
     ArmingLimits,
     distance_from_scenario,
 )
-from impact_rs_ros.effort_arms import rest_until
-from impact_rs_ros.motion_capture import MOCAP, TrackerPoses
-from impact_rs_ros.robot_states import STATES
-from impact_rs_sim.errors import InputError
+from impact_rs_trials.cell.effort_arms import rest_until
+from impact_rs_trials.cell.motion_capture import MOCAP, TrackerPoses
+from impact_rs_trials.cell.robot_states import STATES
 
 Motion = Callable[[float], dict[str, np.ndarray]]
 STEADY: Motion = lambda time: {}  # noqa: E731

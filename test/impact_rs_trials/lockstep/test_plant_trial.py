@@ -11,13 +11,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from robot_bench import PERIOD, PUSH, Wires, torque_message
+from robot_bench import MAKER, PERIOD, PUSH, Wires, torque_message
 
-from impact_rs_ros import plant_node
-from impact_rs_ros.plant_node import Pace, PlantTrial
 from impact_rs_sim.plant.plant import Plant
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.record import FrameSource
+from impact_rs_trials.lockstep import plant_trial
+from impact_rs_trials.lockstep.plant_trial import Pace, PlantTrial
 
 COMMAND = topics.joint_command("arm")
 
@@ -31,8 +31,8 @@ class Bench(Wires):
         self.used: list[float] = []  # torque of joint 1 [N m], by tick
         self.coming: list[tuple[float, bytes]] = []  # when it comes, and what
         clock = SimpleNamespace(monotonic=lambda: self.time, sleep=self.sleep)
-        monkeypatch.setattr(plant_node, "time", clock)
-        monkeypatch.setattr(plant_node, "ran_away", lambda *_: False)
+        monkeypatch.setattr(plant_trial, "time", clock)
+        monkeypatch.setattr(plant_trial, "ran_away", lambda *_: False)
         plant: Plant = SimpleNamespace(  # type: ignore[assignment]
             measure=lambda: SimpleNamespace(arms={"arm": None}),
             truth=lambda: SimpleNamespace(arms={}),
@@ -41,7 +41,7 @@ class Bench(Wires):
         )
         monkeypatch.setattr(PlantTrial, "_rest", lambda trial: None)
         pace = Pace(realtime, limit, 0.25, 1.5)
-        self.trial = PlantTrial(PUSH, plant, pace, self, self, FrameSource(PUSH.scene))  # type: ignore[arg-type]
+        self.trial = PlantTrial(PUSH, MAKER, plant, pace, self, self, FrameSource(PUSH.scene))
         self.trial._last = 5
         self.trial.begin()
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
-from impact_rs_ros.joint_signals import MAX_JOINTS, JointReader, joint_signals, names_of
+from impact_rs_trials.bags.joint_signals import MAX_JOINTS, JointReader, joint_signals, names_of
 
 NAMES = ["arm_joint1", "arm_joint22", "arm_joint3", "x"]
 VALUES = {"position": [1.0, 2.0, 3.0, 4.0], "velocity": [5.0, 6.0, 7.0, 8.0], "effort": [9.0, 10.0, 11.0, 12.0]}

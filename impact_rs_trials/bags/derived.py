@@ -11,13 +11,11 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Collection, Iterator
 
-import numpy as np
-
 from impact_rs_control.plan import TrialPlan
-from impact_rs_ros.joint_signals import JointReader
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags import topics
-from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes
+from impact_rs_trials.bags.joint_signals import JointReader
+from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes, pose_values
 from impact_rs_trials.bags.record import FrameSource, body_names
 from impact_rs_trials.bags.types import typestore
 
@@ -101,6 +99,6 @@ class DerivedMessages:
             if (row := bisect_right(seen, time, key=lambda one: one[0])) == 0:
                 continue
             pose = self._store.deserialize_cdr(seen[row - 1][1], topics.POSE).pose  # type: ignore[attr-defined]
-            at, turn = pose.position, pose.orientation
-            found[name] = np.array([at.x, at.y, at.z]), np.array([turn.x, turn.y, turn.z, turn.w])
+            values = pose_values(pose)
+            found[name] = values[:3], values[3:]
         return found

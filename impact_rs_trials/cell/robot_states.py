@@ -17,14 +17,13 @@ import numpy as np
 
 from impact_rs_control.arm_limits import state_complaint
 from impact_rs_control.motion_monitor import MotionMonitor
-from impact_rs_ros.joint_signals import FIELDS, joint_signals, names_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.plant.sensors import ArmMeasurement
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_trials.bags.joint_signals import FIELDS, joint_signals, names_of
 
 STATES = "/joint_states"  # of joint_state_broadcaster
-OWN_JOINTS = "{arm}_joint{number}"  # names of joints on /ARM/joint_states and in services
 MIN_STEP_PERIODS = 0.5  # between the measurements of two states
 RECENT, EXTRA = 100, 10  # messages, and how many of them may repeat a state or come between two
 

@@ -10,16 +10,15 @@ from statistics import median
 
 import numpy as np
 import pinocchio as pin
-from geometry_msgs.msg import PoseStamped
 
-from impact_msgs_py.conversions import pose_from_message
 from impact_rs_control.plan import TrialPlan
-from impact_rs_ros.effort_arms import MAX_REST_SPEED, EffortArms
-from impact_rs_ros.exchange import Inbox
-from impact_rs_ros.motion_capture import MOCAP, TrackerPoses
-from impact_rs_ros.robot_states import STATES, ArmStates
 from impact_rs_sim.errors import InputError
+from impact_rs_trials.bags.messages import pose_values
 from impact_rs_trials.bags.topics import CLOCK
+from impact_rs_trials.cell.effort_arms import MAX_REST_SPEED, EffortArms
+from impact_rs_trials.cell.motion_capture import MOCAP, TrackedPose, TrackerPoses
+from impact_rs_trials.cell.robot_states import STATES, ArmStates
+from impact_rs_trials.lockstep.wires import Incoming
 
 MIN_OBSERVED_S = 0.5  # of the robot before it is held
 MIN_OBSERVED_STATES = 50  # in that time
@@ -61,7 +60,7 @@ class Arming:
         plan: TrialPlan,
         arms: EffortArms,
         mocap: TrackerPoses | None,
-        inbox: Inbox,
+        inbox: Incoming,
         limits: ArmingLimits,
         holder: EffortArms | None = None,
         monotonic: Callable[[], float] = time.monotonic,
@@ -74,7 +73,7 @@ class Arming:
         self._holder = holder
         self._monotonic = monotonic
         self._timeless = False  # states came whose age is not known
-        self._pose: PoseStamped | None = None  # last pose of the object
+        self._pose: TrackedPose | None = None  # last pose of the object
 
     def look(self) -> str:
         """Observe the robot's states for a while without new commands; returns the result in one line.
@@ -174,7 +173,7 @@ class Arming:
             if holder is not None:
                 holder.rest()
 
-    def _see(self, pose: PoseStamped | None) -> None:
+    def _see(self, pose: TrackedPose | None) -> None:
         if pose is not None:
             stamp = pose.header.stamp.sec * 10**9 + pose.header.stamp.nanosec
             self._pose = pose if abs(1e-9 * (self._arms.states.clock.now() - stamp)) <= MAX_POSE_AGE_S else None
@@ -204,7 +203,7 @@ def start_complaint(plan: TrialPlan, states: ArmStates, tolerance: float) -> str
     return ""
 
 
-def distance_from_scenario(plan: TrialPlan, pose: PoseStamped) -> str:
+def distance_from_scenario(plan: TrialPlan, pose: TrackedPose) -> str:
     """Distance of the object from its position in the scenario, in words; shows a wrong placement of the tracker.
 
     Args:
@@ -212,6 +211,6 @@ def distance_from_scenario(plan: TrialPlan, pose: PoseStamped) -> str:
         pose: Of the object, in ``world``.
     """
     nominal = pin.SE3(plan.scene.object.rotation, plan.scene.object.position)
-    there = nominal.actInv(pin.XYZQUATToSE3(pose_from_message(pose.pose)))
+    there = nominal.actInv(pin.XYZQUATToSE3(pose_values(pose.pose)))
     distance, angle = (float(np.linalg.norm(part)) for part in (there.translation, pin.log3(there.rotation)))
     return f"{1e3 * distance:.1f} mm and {np.degrees(angle):.1f} deg from its place in the scenario"

@@ -13,7 +13,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from robot_bench import (
     LIMIT,
     MODEL,
@@ -29,10 +29,11 @@ from robot_bench import (
 )
 
 from impact_rs_control.fallback import holding_torque
-from impact_rs_ros.cell_trial import CellTrial, TrialLimits
-from impact_rs_ros.motion_capture import MOCAP, TrackerPoses
-from impact_rs_ros.robot_states import STATES
 from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes
+from impact_rs_trials.cell.cell_trial import CellTrial, TrialLimits
+from impact_rs_trials.cell.motion_capture import MOCAP, TrackerPoses
+from impact_rs_trials.cell.robot_states import STATES
 
 COMMAND = topics.joint_command("arm")
 LAST = PUSH.scene.scenario.timing.ticks
@@ -50,6 +51,7 @@ class Bench(Wires):
         self.step = 0
         self.trial = CellTrial(
             PUSH,
+            MessageMaker(RosbagsTypes(), PUSH),
             self.arms,
             TrialLimits(LIMIT, LIMIT, 0.2, 0.01, delay),
             TrackerPoses("tracker", np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])) if mocap else None,
@@ -386,10 +388,11 @@ def test_poses_are_passed_on_in_world_with_their_own_stamps() -> None:
     begin = round(1e9 * DELAY)
     for taken, x in ((-1, 0.1), (700_000, 0.2), (900_000, np.nan), (1_600_000_000, 0.4), (1_800_000_001, 0.5)):
         bench.pose(begin + taken, x)
-    times = [pose.header.stamp.sec * 10**9 + pose.header.stamp.nanosec for pose in bench.kept]
+    published = [deserialize_message(data, PoseStamped) for data in bench.kept]
+    times = [pose.header.stamp.sec * 10**9 + pose.header.stamp.nanosec for pose in published]
     assert times == [SWITCHED_ON + begin + taken for taken in (700_000, 1_600_000_000)]
-    assert [pose.pose.position.x for pose in bench.kept] == [0.2, 0.4]
-    assert {(pose.header.frame_id, pose.pose.position.z) for pose in bench.kept} == {("world", 1.0)}
+    assert [pose.pose.position.x for pose in published] == [0.2, 0.4]
+    assert {(pose.header.frame_id, pose.pose.position.z) for pose in published} == {("world", 1.0)}
     assert not bench.trial.over
     bench.pose(1_700_000_000, frame="world")
     assert "frame_id of /mocap/object_pose = 'world': expected tracker" in bench.trial.failure

@@ -11,22 +11,28 @@ import numpy as np
 import pytest
 
 from impact_rs_cli.main import main
-from impact_rs_ros import cell_rehearsal
-from impact_rs_ros.cell_rehearsal import Checklist, ExternalTorque, StandIn, VirtualTime, rehearse
-from impact_rs_ros.driver_profiles import PROFILES, profile_of
-from impact_rs_ros.effort_arms import rest_until
-from impact_rs_ros.node_parameters import defaults_of
-from impact_rs_ros.robot_states import joint_names
+from impact_rs_control.plan import TrialPlan
+from impact_rs_ros.node_parameters import defaults_of, values_for
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.plant.sensors import ArmMeasurement
 from impact_rs_sim.robots.robot import Reflexes
 from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_trials.cell import cell_rehearsal
+from impact_rs_trials.cell.cell_rehearsal import Checklist, ExternalTorque, StandIn, VirtualTime, rehearse
+from impact_rs_trials.cell.driver_profiles import PROFILES, DriverProfile, profile_of
+from impact_rs_trials.cell.effort_arms import rest_until
+from impact_rs_trials.cell.robot_states import joint_names
 from impact_rs_trials.checked_bound import CheckedBound
 from impact_rs_trials.spec import TrialSpec
 
 PLAN = TrialSpec.of(load_scenario("push_fr3"), "parcel", "case_1").plan
 FRANKA = PROFILES["franka_ros2"]
 NO_REFLEXES = {"arm": Reflexes()}
+
+
+def rehearsed(plan: TrialPlan, profile: DriverProfile, reflexes: dict[str, Reflexes]) -> Checklist:
+    """A rehearsal with the parameters for the driver."""
+    return rehearse(plan, profile, reflexes, values_for(profile, plan.arms))
 
 
 def margin_of(found: Checklist, name: str) -> CheckedBound:
@@ -37,7 +43,7 @@ def margin_of(found: Checklist, name: str) -> CheckedBound:
 @pytest.fixture(scope="module")
 def passed() -> Checklist:
     reflexes = {"arm": Reflexes(external_torque_Nm=(80.0,) * 7, external_force_N=200.0)}
-    return rehearse(PLAN, FRANKA, reflexes)
+    return rehearsed(PLAN, FRANKA, reflexes)
 
 
 def test_a_careful_push_arms_runs_and_passes_every_line(passed: Checklist) -> None:
@@ -66,7 +72,7 @@ def test_the_watchdog_stops_the_arm_by_the_time_constant_of_its_brake(passed: Ch
 
 def test_a_hit_beyond_a_threshold_stops_the_robot_and_the_cell_ends_the_trial() -> None:
     """8 N m: the hit makes 11 N m, noise of the estimate 5 N m."""
-    low = rehearse(PLAN, FRANKA, {"arm": Reflexes(external_torque_Nm=(8.0,) * 7)})
+    low = rehearsed(PLAN, FRANKA, {"arm": Reflexes(external_torque_Nm=(8.0,) * 7)})
     assert "external torque of joint" in low.stopped and "threshold 8" in low.stopped
     assert "no state of the robot for 0.01" in low.failure  # franka_ros2 ends its broadcasters
     assert any("its states ended; the cell ended the trial" in line for line in low.log)
@@ -79,7 +85,7 @@ def test_a_hit_beyond_a_threshold_stops_the_robot_and_the_cell_ends_the_trial() 
 
 def test_a_robot_that_stops_itself_and_goes_on_reporting_is_noticed_by_its_rest() -> None:
     quiet = replace(FRANKA, states_end=False)
-    found = rehearse(PLAN, quiet, {"arm": Reflexes(external_force_N=20.0)})
+    found = rehearsed(PLAN, quiet, {"arm": Reflexes(external_force_N=20.0)})
     assert "arm has rested for 0.1 s more than 0.03 m from its references" in found.failure and not found.passed
     assert any("its states went on; the cell ended the trial" in line for line in found.log)
 
@@ -110,7 +116,7 @@ def test_a_shipped_scenario_passes_its_own_rehearsal(name: str, capsys: pytest.C
     assert capsys.readouterr().out.rstrip().endswith("rehearsal passed")
 
 
-LAUNCHED = Path(__file__).resolve().parents[2] / "config" / "drivers" / "fr3_cell.yaml"  # by the launch file
+LAUNCHED = Path(__file__).resolve().parents[3] / "config" / "drivers" / "fr3_cell.yaml"  # by the launch file
 
 
 def test_with_joint_names_of_another_robot_in_the_file_there_is_no_state(
@@ -140,7 +146,7 @@ def test_with_a_slower_watchdog_in_the_file_the_arm_rests_that_much_later(
 def test_the_wrong_gravity_convention_arms_nothing_and_motion_capture_is_named_as_not_rehearsed() -> None:
     given = {kind: dict(defaults_of(kind), joints=FRANKA.joints) for kind in ("cell", "watchdog")}
     given["cell"] |= {"mocap": True, "robot_adds_gravity": False}
-    found = rehearse(PLAN, FRANKA, NO_REFLEXES, given=given)
+    found = rehearse(PLAN, FRANKA, NO_REFLEXES, given)
     assert "mocap is true" in found.unknown[0]
     assert "while it was held" in found.failure  # the weight twice
 
@@ -180,13 +186,13 @@ def test_the_verdict_says_what_was_not_checked() -> None:
 
 
 def test_a_driver_of_another_rate_is_refused_with_the_rate() -> None:
-    found = rehearse(PLAN, replace(FRANKA, period=0.002), NO_REFLEXES)
+    found = rehearsed(PLAN, replace(FRANKA, period=0.002), NO_REFLEXES)
     assert not found.passed
     assert "a state every 2.000 ms; timing.control_period of the scenario is 1 ms" in found.failure
 
 
 def test_states_that_come_too_late_are_refused() -> None:
-    found = rehearse(PLAN, replace(FRANKA, state_latency=0.02), NO_REFLEXES)
+    found = rehearsed(PLAN, replace(FRANKA, state_latency=0.02), NO_REFLEXES)
     assert "the robot's state is 0.0200 s old, state_timeout is 0.01 s" in found.failure
 
 
@@ -195,7 +201,7 @@ def test_a_later_torque_swings_more() -> None:
     """A torque that is late by 12 ms in a loop of 1 kHz turns damping into drive, in a push at 0.5 m/s."""
     fast = TrialSpec.of(load_scenario("push_fr3"), "parcel", "case_2", 2.3).plan
     prompt, late = (
-        rehearse(fast, replace(FRANKA, command_latency=latency), NO_REFLEXES) for latency in (0.0002, 0.012)
+        rehearsed(fast, replace(FRANKA, command_latency=latency), NO_REFLEXES) for latency in (0.0002, 0.012)
     )
     assert margin_of(late, "joint velocity").value > margin_of(prompt, "joint velocity").value
 

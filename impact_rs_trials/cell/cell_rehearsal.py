@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A rehearsal: the cell arms, runs and leaves a trial against a stand-in of a robot's driver, and margins are measured.
 
-The code that a robot meets is the real one: :class:`~impact_rs_ros.arming.Arming`,
-:class:`~impact_rs_ros.cell_trial.CellTrial`, :class:`~impact_rs_ros.effort_arms.EffortArms`,
-:class:`~impact_rs_ros.watchdog_node.Watchdog` and the controller, with serialized messages between them. Driver, wires
-and time are simulated: time passes event by event, so that a rehearsal is the same on a slow machine, and a state or a
-torque is late by exactly the latency of the driver's profile. The middleware, ros2_control and a kernel that keeps time
-are not part of it.
+The code that a robot meets is the real one: :class:`~impact_rs_trials.cell.arming.Arming`,
+:class:`~impact_rs_trials.cell.cell_trial.CellTrial`, :class:`~impact_rs_trials.cell.effort_arms.EffortArms`,
+:class:`~impact_rs_trials.cell.watchdog.Watchdog` and the controller, with serialized messages between them. Driver,
+wires and time are simulated: time passes event by event, so that a rehearsal is the same on a slow machine, and a state
+or a torque is late by exactly the latency of the driver's profile. The middleware, ros2_control and a kernel that keeps
+time are not part of it.
 
 A robot whose external torque or force passes a threshold of its reflexes stops itself, as its driver says: it brakes,
 takes no more torques, and its states end where they do so with that driver.
@@ -24,30 +24,29 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from rclpy.serialization import serialize_message
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 
 from impact_rs_control.controller import Controller
 from impact_rs_control.fallback import holding_torque
 from impact_rs_control.plan import TrialPlan
-from impact_rs_ros.arming import Arming, ArmingLimits
-from impact_rs_ros.cell_trial import CellTrial, TrialLimits
-from impact_rs_ros.driver_profiles import DriverProfile
-from impact_rs_ros.effort_arms import MAX_REST_SPEED, EffortArms, arms_of, rest_until
-from impact_rs_ros.node_parameters import defaults_of
-from impact_rs_ros.robot_states import STATES, joint_names
-from impact_rs_ros.watchdog_node import Watchdog
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.plant.plant import Plant
 from impact_rs_sim.plant.sensors import ArmMeasurement
 from impact_rs_sim.robots.robot import Array, Reflexes
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes
 from impact_rs_trials.bags.streams import StreamMaker
+from impact_rs_trials.bags.types import typestore
+from impact_rs_trials.cell.arming import Arming, ArmingLimits
+from impact_rs_trials.cell.cell_trial import CellTrial, TrialLimits
+from impact_rs_trials.cell.driver_profiles import DriverProfile
+from impact_rs_trials.cell.effort_arms import MAX_REST_SPEED, EffortArms, arms_of, rest_until
+from impact_rs_trials.cell.robot_states import STATES, joint_names
+from impact_rs_trials.cell.watchdog import Watchdog
 from impact_rs_trials.checked_bound import CheckedBound
 
 DRIVER_CLOCK_START_S = 1_700_000_000  # of the driver
+TIME = "builtin_interfaces/msg/Time"
 NOISE_DURATION_S = 8.0  # of simulated time, for which the plant draws its noise
 CONTROLLER_TIME_S = 0.0003  # for one torque; assumed
 WATCHDOG_POLL_S = 0.002
@@ -209,6 +208,9 @@ class VirtualOutbox:
     def repeat(self, topic: str, data: bytes) -> None:
         """Nothing gets lost here."""
 
+    def keep(self, topic: str, tick: int, sample: Any) -> None:
+        """No one listens."""
+
     def later(self, topic: str, message: Any) -> None:
         """No one listens."""
 
@@ -287,6 +289,8 @@ class StandIn:
         self.external = {
             arm: ExternalTorque(model, reflexes[arm].observer_gain, self.period) for arm, model in self.models.items()
         }
+        types = RosbagsTypes().type
+        self._joint_state, self._header, self._time = map(types, (topics.JOINT_STATE, "std_msgs/msg/Header", TIME))
         self._held: dict[str, Array] = {}
         self._next = 0.0
         self.measured: dict[str, ArmMeasurement] = self.plant.measure().arms
@@ -348,17 +352,15 @@ class StandIn:
 
     def _publish(self) -> None:
         """Send the states of all joints."""
-        message = JointState(name=[name for names in self.joints.values() for name in names])
-        for arm in self.joints:
-            measured = self.measured[arm]
-            for target, values in (
-                (message.position, measured.position),
-                (message.velocity, measured.velocity),
-                (message.effort, measured.torque),
-            ):
-                target.extend(values.tolist())
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(self.clock.now(), 10**9)
-        data = bytes(serialize_message(message))
+        measured = [self.measured[arm] for arm in self.joints]
+        message = self._joint_state(
+            header=self._header(stamp=self._time(*divmod(self.clock.now(), 10**9)), frame_id=""),
+            name=[name for names in self.joints.values() for name in names],
+            position=np.concatenate([one.position for one in measured]),
+            velocity=np.concatenate([one.velocity for one in measured]),
+            effort=np.concatenate([one.torque for one in measured]),
+        )
+        data = bytes(typestore().serialize_cdr(message, topics.JOINT_STATE))
         for listener in self.listeners:
             self.clock.at(self.clock.time + self.profile.state_latency, lambda listener=listener: listener(data))  # type: ignore[misc]
 
@@ -394,9 +396,9 @@ def rehearse(
     plan: TrialPlan,
     profile: DriverProfile,
     reflexes: Mapping[str, Reflexes],
+    given: Mapping[str, Mapping[str, Any]],
     seed: int = 0,
     say: Callable[[str], None] = lambda line: None,
-    given: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Checklist:
     """Rehearse a trial; a failure of the trial is part of the result.
 
@@ -404,18 +406,10 @@ def rehearse(
         plan: The trial.
         profile: The driver.
         reflexes: Thresholds of the robot's own reflexes, by arm.
+        given: Values of all parameters of ``cell`` and ``watchdog``.
         seed: Of noise and scatter.
         say: Called with a line about the present step.
-        given: Values of all parameters of ``cell`` and ``watchdog``; None: their defaults with names, gravity
-            convention and torque rate of the profile, and with the watchdog.
     """
-    if given is None:
-        own = {
-            "joints": profile.joints_of(plan.arms),
-            "robot_adds_gravity": profile.adds_gravity,
-            "torque_rate_limit": profile.torque_rate,
-        }
-        given = {"cell": defaults_of("cell") | own | {"watchdog": True}, "watchdog": defaults_of("watchdog") | own}
     found = Checklist(profile.name, blocking=profile.blocking)
     if given["cell"]["mocap"]:
         found.unknown.append("mocap is true: poses of the object from motion capture are not rehearsed")
@@ -461,8 +455,8 @@ class _Cell:
         if (watchdog := self.watchdog) is None:
             self.robot.command(arm, torque)
             return
-        data = bytes(serialize_message(Float64MultiArray(data=torque.tolist())))
-        self.clock.at(self.clock.time + WATCHDOG_HOP_S, lambda: watchdog.heard(arm, data, self.clock.steady()))
+        sent = torque.copy()
+        self.clock.at(self.clock.time + WATCHDOG_HOP_S, lambda: watchdog.heard(arm, sent, self.clock.steady()))
 
     def _watch(self, own: Mapping[str, Any]) -> Watchdog:
         """A watchdog between the cell and the robot."""
@@ -485,14 +479,15 @@ class _Cell:
             InputError: It is not armed.
         """
         limits = ArmingLimits(self.parameters["start_tolerance"], self.parameters["arm_jitter_limit"])
-        arming = Arming(self.plan, self.arms, None, self.inbox, limits, None, self.clock)  # type: ignore[arg-type]
+        arming = Arming(self.plan, self.arms, None, self.inbox, limits, None, self.clock)
         return arming.look() + arming.hold()
 
     def trial(self) -> CellTrial:
         """The trial, begun."""
         names = ("state_timeout", "answer_timeout", "late_torque_share", "start_tolerance", "start_delay")
         limits = TrialLimits(**{name: self.parameters[name] for name in names})
-        trial = CellTrial(self.plan, self.arms, limits, None, self.inbox, self.outbox, self.clock)  # type: ignore[arg-type]
+        maker = MessageMaker(RosbagsTypes(), self.plan)
+        trial = CellTrial(self.plan, maker, self.arms, limits, None, self.inbox, self.outbox, self.clock)
         trial.begin()
         return trial
 
@@ -514,7 +509,7 @@ def _rehearse_trial(cell: _Cell, found: Checklist) -> None:
             found.log.append(_stopped_words(cell.robot, trial))
         ended = cell.clock.time
         while not cell.arms.held and cell.clock.time < ended + MAX_SETTLING_S:
-            rest_until(cell.arms, cell.inbox, cell.clock.time + cell.robot.period, cell.clock)  # type: ignore[arg-type]
+            rest_until(cell.arms, cell.inbox, cell.clock.time + cell.robot.period, cell.clock)
         if cell.arms.held:
             rest = f"the arms rest {cell.clock.time - ended:.2f} s later"
         elif cell.robot.error and cell.robot.at_rest:

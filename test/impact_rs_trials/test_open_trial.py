@@ -18,10 +18,10 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader, Writer
 from sensor_msgs.msg import JointState
 
-from impact_rs_ros.derived import DERIVED
-from impact_rs_ros.recorder_node import OpenTrial
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.derived import DERIVED
+from impact_rs_trials.bags.open_trial import OpenTrial
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.bags.types import typestore
 from impact_rs_trials.bags.writer import BagWriter, partial_path

@@ -12,15 +12,13 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from rclpy.serialization import deserialize_message
-from std_msgs.msg import Float64MultiArray
 
 from impact_rs_control.arm_limits import rate_limited
 from impact_rs_control.fallback import MAX_STATE_AGE_S, holding_torque
 from impact_rs_control.plan import TrialPlan
-from impact_rs_ros.exchange import Inbox
-from impact_rs_ros.robot_states import STATES, ArmStates, Clock, RobotStates, joint_names
 from impact_rs_sim.robots.robot import Array
+from impact_rs_trials.cell.robot_states import STATES, ArmStates, Clock, RobotStates, joint_names
+from impact_rs_trials.lockstep.wires import Incoming
 
 MAX_REST_SPEED = 0.02  # rad/s, m/s; the holding torque then changes by a thousandth of the gravity torque
 MAX_BRAKING_S = 0.6  # until arms rest before they are left; six time constants of the brake
@@ -147,14 +145,6 @@ class EffortArms:
         return self.states.models[arm].gravity_torque(self.states.latest.arms[arm].position)
 
 
-def torques_of(data: bytes) -> Array | None:
-    """Numbers of a serialized ``std_msgs/Float64MultiArray``; None if the bytes are not one."""
-    try:
-        return np.array(deserialize_message(data, Float64MultiArray).data)
-    except Exception:  # the middleware raises whatever it likes
-        return None
-
-
 def arms_of(
     plan: TrialPlan, parameter: Callable[[str], Any], clock: Clock, send: Callable[[str, Array], None]
 ) -> EffortArms:
@@ -182,7 +172,7 @@ def arms_of(
     )
 
 
-def rest_until(arms: EffortArms, inbox: Inbox, until: float, monotonic: Callable[[], float]) -> None:
+def rest_until(arms: EffortArms, inbox: Incoming, until: float, monotonic: Callable[[], float]) -> None:
     """Brake and hold, or carry the weight, until ``until`` on the clock ``monotonic`` [s].
 
     Args:

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Services of plant, cell, controller and recorder: a trial is configured, and finished, once.
+
+A request or its answer can be lost while a restarted node is being discovered. A caller therefore sends it again, with
+the number of its attempt at the trial; the node acts on the first one, and gives the same answer to the others.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+from impact_rs.srv import ConfigureTrial, FinishTrial
+
+from impact_rs_ros.process import NodeProgram
+
+
+class TrialServices(NodeProgram):
+    """A managed node that serves ``~/configure_trial`` and ``~/finish_trial``."""
+
+    managed = True
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._attempt = 0  # the last one that was configured
+        self._finished: FinishTrial.Response | None = None  # answer on the end of the trial before
+
+    @property
+    @abstractmethod
+    def in_trial(self) -> bool:
+        """Whether a trial is configured and not finished."""
+
+    @abstractmethod
+    def begin_trial(self, request: ConfigureTrial.Request, response: ConfigureTrial.Response) -> None:
+        """Get ready for a trial, whatever became of the one before.
+
+        Raises:
+            InputError: The request is wrong, or another node is missing.
+        """
+
+    @abstractmethod
+    def finish_trial(self, request: FinishTrial.Request, response: FinishTrial.Response) -> None:
+        """End the trial and fill in the answer; one that goes on has the reason in the answer."""
+
+    def offer(self) -> None:
+        self.node.create_service(ConfigureTrial, self.role("configure_trial"), self._on_configure)
+        self.node.create_service(FinishTrial, self.role("finish_trial"), self._on_finish)
+
+    def _on_configure(
+        self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
+    ) -> ConfigureTrial.Response:
+        if self.active and request.attempt and request.attempt == self._attempt:
+            response.success = True  # a repeated request, because the answer took long
+            return response
+        self._attempt, self._finished = 0, None
+        with self.answering(response, "prepare the trial"):
+            self.check_active()
+            self.begin_trial(request, response)
+            self._attempt = request.attempt
+            response.success = True
+        return response
+
+    def _on_finish(self, request: FinishTrial.Request, response: FinishTrial.Response) -> FinishTrial.Response:
+        own = request.attempt in (0, self._attempt)
+        if not (own and self.in_trial):
+            response.message = f"{self.kind}: there is no trial to finish"
+            return self._finished if own and self._finished is not None else response  # else its answer was lost
+        self.finish_trial(request, response)
+        if not self.in_trial:
+            self._finished = response
+        return response
