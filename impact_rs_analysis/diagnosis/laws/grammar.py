@@ -298,13 +298,14 @@ def _law(
     starts |= {name: list(inner.starts) for name, inner in quantity.shapes.items()}
     number = "" if where in COEFFICIENTS else where.removeprefix("joint")
     words = f"{place.words} {' and '.join(number.split('_'))}".strip()
+    text = _inserted(profile, symbol)
     spec = FormulaSpec.model_validate(
         {
             "name": _name(place_name, place, quantity_name, form_name, number),
             "sentence": f"{words}, {form.words} {quantity.words}."
             if form_name != "constant"
             else f"{words}, constant.",
-            place.formula: _formula(place, quantity, form, where, _inserted(profile, symbol), opposes),
+            place.formula: _formula(place, quantity, form, where, f"-({text})" if opposes else text),
             "parameters": _parameters(place, quantity, form, (low, high), anchors[0]),
             "valid": {symbol: (low, high)} if symbol in ranges else {},
         }
@@ -367,14 +368,11 @@ def _parameters(
     return found
 
 
-def _formula(
-    place: Place, quantity: Quantity, form: Form, where: str, profile: str, opposes: bool
-) -> dict[str, str] | str:
-    """Formula of a law, by axis or joint where it has several."""
+def _formula(place: Place, quantity: Quantity, form: Form, where: str, text: str) -> dict[str, str] | str:
+    """Formula of a law, by axis or joint where it has several; ``text`` for a scalar."""
     if place.each == "vector":
         factor = _inserted(form.along, _symbol(quantity, where))
         return {axis: f"-({factor}) * {quantity.vector(axis)}" for axis in AXES}
-    text = f"-({profile})" if opposes else profile
     return _on_joints(text, _joints(where), place.each == "opposed") or ({where: text} if where else text)
 
 
