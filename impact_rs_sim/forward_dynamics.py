@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from impact_rs_sim.physics import LoadState, Physics
 from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import symmetric
 
 Rows = NDArray[np.int_]
 Servo = Callable[[Array, Array, Array], Array]  # torque of servos at times (S,), q and dq (S, n), (S, n) [N m]
@@ -87,8 +88,7 @@ class ForwardDynamics:
     def inertia(self, position: Array) -> Array:
         """M(q) + B at several positions ``(S, n)`` [rad], ``(S, n, n)`` [kg m^2]."""
         self._pinocchio.armature = self.motor_inertia  # which the mass matrix of Pinocchio contains
-        upper = np.triu([pin.crba(self._pinocchio, self._data, q).copy() for q in position])
-        return np.asarray(upper + np.triu(upper, 1).swapaxes(1, 2))
+        return symmetric(np.array([pin.crba(self._pinocchio, self._data, q).copy() for q in position]))
 
     def _step(
         self, time: Array, q: Array, dq: Array, driving: Array, h: float, slowed: Array, servo: Servo | None

@@ -85,6 +85,11 @@ class ArmSignals:
         names = [name for name in arms[0].measured if not name.startswith(("command", "wrench"))]
         return cls(**{name: np.stack([getattr(arm, name) for arm in arms]) for name in names})
 
+    @classmethod
+    def joined(cls, stacks: Sequence[ArmSignals]) -> ArmSignals:
+        """Stacks of simulations on the same clock, ``(B, k, n)`` each, one after the other."""
+        return cls(**{name: np.concatenate([getattr(arm, name) for arm in stacks]) for name in stacks[0].measured})
+
     def at(self, rows: slice | NDArray[np.bool_]) -> ArmSignals:
         """Selected samples, without commands and wrench, which have other timestamps."""
         return ArmSignals(

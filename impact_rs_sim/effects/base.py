@@ -25,6 +25,7 @@ import numpy as np
 from impact_rs_sim.effects.changed_bodies import check_bodies, differ
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.physics import Physics
+from impact_rs_sim.recent import Recent
 from impact_rs_sim.robots.robot import Array, JointType
 
 if TYPE_CHECKING:
@@ -42,6 +43,8 @@ PRISMATIC_UNITS = {
     "kg m^2": ("kg", 1.0 / PINION_RADIUS_M**2),
     "rad/(N m)": ("m/N", PINION_RADIUS_M**2),
 }
+
+MAX_SPELLED = 256  # lists of parameters that are kept joint by joint; the library has 60
 
 SINGLE_IMPACT = ("impact",)  # phases of effects that only tables of impacts have
 
@@ -241,8 +244,13 @@ class Effect(ABC):
         return [scalar for _, own in self.spelled(joints) for scalar in own]
 
     def spelled(self, joints: Joints) -> list[tuple[str, list[Parameter]]]:
-        """Every parameter by name, joint by joint."""
-        return [(parameter.name, parameter.scalars(joints)) for parameter in self.parameters]
+        """Every parameter by name, joint by joint; a search asks thousands of times."""
+        parameters = self.parameters
+        kept, found = _SPELLED.of(
+            (id(parameters), joints), lambda: (parameters, [(one.name, one.scalars(joints)) for one in parameters])
+        )
+        del kept  # as long as it is known, no other object has its identity
+        return found
 
     def apply_vector(self, physics: Physics, vector: Array) -> Physics:
         """As :meth:`apply`, with all scalars in one vector ordered as :meth:`scalars`.
@@ -256,9 +264,10 @@ class Effect(ABC):
         spelled = self.spelled(self._joints(physics))
         count = sum(len(own) for _, own in spelled)
         vector = np.asarray(vector, dtype=float)
-        left_out = [scalar for _, own in spelled for scalar in own][vector.size :]
-        if vector.ndim == 1 and all(scalar.prior is not None for scalar in left_out):
-            vector = np.append(vector, [scalar.nominal for scalar in left_out])
+        if vector.ndim == 1 and vector.size < count:
+            left_out = [scalar for _, own in spelled for scalar in own][vector.size :]
+            if all(scalar.prior is not None for scalar in left_out):
+                vector = np.append(vector, [scalar.nominal for scalar in left_out])
         if vector.shape != (count,) or not np.isfinite(vector).all():
             raise InputError(f"effect {self.name!r} needs {count} finite numbers, got {vector.tolist()}")
         values, start = {}, 0
@@ -377,6 +386,9 @@ class SceneEffect(LawEffect):
         """See :meth:`Effect.apply`."""
         changed: Physics = self.law(physics, values)
         return changed
+
+
+_SPELLED = Recent[tuple[tuple[Parameter, ...], list[tuple[str, list[Parameter]]]]](MAX_SPELLED)
 
 
 def number(values: Values, name: str) -> float:

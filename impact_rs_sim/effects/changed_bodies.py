@@ -9,7 +9,8 @@ fits stop at the boundary of that set.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -62,9 +63,9 @@ def check_bodies(before: Physics, after: Physics, effect: str) -> None:
         if arm.facts is not was.facts or arm.end_effector is not was.end_effector:
             *others, last = zip(was.facts.links, arm.facts.links, strict=True)
             for number, (link, changed) in enumerate(others, start=1):
-                if changed is not link:
-                    _check(_link(name, number, link), _link(name, number, changed), effect)
-            _check(_last_link(name, was), _last_link(name, arm), effect)
+                if (changed.mass, changed.inertia) != (link.mass, link.inertia):
+                    _check(partial(_link, name, number, link), _link(name, number, changed), effect)
+            _check(partial(_last_link, name, was), _last_link(name, arm), effect)
         if arm.motor_inertia_reduced is not was.motor_inertia_reduced:
             negative = (arm.motor_inertia_reduced < 0.0) & (was.motor_inertia_reduced >= 0.0)
             if np.any(negative):
@@ -74,11 +75,11 @@ def check_bodies(before: Physics, after: Physics, effect: str) -> None:
                     f"{arm.motor_inertia_reduced[joint]:.3g} kg m^2; expected 0 or more"
                 )
     if after.object is not before.object and not after.object.fixed:
-        _check(_object(before.object), _object(after.object), effect)
+        _check(partial(_object, before.object), _object(after.object), effect)
     for was_beside, beside in zip(before.neighbours, after.neighbours, strict=True):
         if beside.body is not was_beside.body:
             name = f"neighbour {beside.name!r}"
-            _check(_object(was_beside.body, name), _object(beside.body, name), effect)
+            _check(partial(_object, was_beside.body, name), _object(beside.body, name), effect)
 
 
 def differ(one: Physics, other: Physics) -> bool:
@@ -116,9 +117,9 @@ def _numbers(physics: Physics) -> list[object]:
     return numbers
 
 
-def _check(before: InertialBody, after: InertialBody, effect: str) -> None:
+def _check(before: Callable[[], InertialBody], after: InertialBody, effect: str) -> None:
     """Refuse if a body becomes physically inconsistent."""
-    if not after.exists and before.exists:
+    if not after.exists and before().exists:
         moments = ", ".join(f"{value:.3g}" for value in np.linalg.eigvalsh(second_moments(after.inertia)))
         raise NotABody(
             f"effect {effect!r} leaves {after.name} a mass of {after.mass:.4g} kg with principal second moments "

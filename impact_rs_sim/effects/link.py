@@ -32,7 +32,7 @@ import numpy as np
 from impact_rs_sim.effects.base import ArmEffect, Parameter, Values, number, vector3
 from impact_rs_sim.errors import NotABody
 from impact_rs_sim.physics import ArmPhysics, Physics
-from impact_rs_sim.robots.bodies import ellipsoid_contains, inertia_of, second_moments
+from impact_rs_sim.robots.bodies import IDENTITY, ellipsoid_contains, inertia_of, second_moments
 from impact_rs_sim.robots.robot import Array, Link
 from impact_rs_sim.robots.robot_model import mounted_inertia
 
@@ -72,7 +72,7 @@ def _payload(arm: ArmPhysics, values: Values) -> ArmPhysics:
         return arm
     if added < 0.0:
         _check_removable(arm, added, position)
-    before, own = arm.end_effector, added * number(values, "gyration") ** 2 * np.eye(3)
+    before, own = arm.end_effector, added * number(values, "gyration") ** 2 * IDENTITY
     mass = before.mass + added
     mass = mass if abs(mass) > MIN_MASS_KG else MIN_MASS_KG
     com = (before.mass * before.com + added * position) / mass
@@ -93,7 +93,7 @@ def _check_removable(arm: ArmPhysics, added: float, position: Array) -> None:
 
 def _steiner(offset: Array) -> Array:
     """S of the module's head, ``(3, 3)`` [m^2]."""
-    return np.asarray(offset @ offset * np.eye(3) - np.outer(offset, offset))
+    return np.asarray(offset @ offset * IDENTITY - offset[:, None] * offset)
 
 
 def _place(axis: str, nominal: float, hidden: tuple[float, float]) -> Parameter:

@@ -17,24 +17,36 @@ import numpy as np
 
 from impact_rs_sim.robots.robot import Array
 
+IDENTITY = np.eye(3)
 # Share of tr(S) by which an eigenvalue may be below 0 [-]; a body is a sum of 10 terms of 1e-16
 EIGENVALUE_ROUNDING = 1e-9
+SURE_MINOR_SHARE = 1e-6  # of a power of tr(S): minors above have the sign of exact ones, whose rounding is 1e-15
 
 
 def second_moments(inertia: Array) -> Array:
     """Second moments of mass S = tr(I)/2 1 - I about the centre of mass, ``(3, 3)`` [kg m^2]."""
-    return np.asarray(0.5 * np.trace(inertia) * np.eye(3) - inertia)
+    return np.asarray(0.5 * inertia.trace() * IDENTITY - inertia)
 
 
 def inertia_of(moments: Array) -> Array:
     """Inertia I = tr(S) 1 - S of second moments of mass S, ``(3, 3)`` [kg m^2]."""
-    return np.asarray(np.trace(moments) * np.eye(3) - moments)
+    return np.asarray(moments.trace() * IDENTITY - moments)
 
 
 def is_physically_consistent(mass: float, inertia: Array) -> bool:
     """Whether mass [kg] and inertia about the centre of mass ``(3, 3)`` [kg m^2] are physically consistent."""
     moments = second_moments(inertia)
+    if mass > 0.0 and _surely_positive(moments):
+        return True
     return mass > 0.0 and bool(np.linalg.eigvalsh(moments)[0] >= -EIGENVALUE_ROUNDING * abs(float(np.trace(moments))))
+
+
+def _surely_positive(moments: Array) -> bool:
+    """Whether a symmetric matrix ``(3, 3)`` is positive definite beyond rounding, by its minors (Sylvester)."""
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = moments.tolist()
+    least, second = SURE_MINOR_SHARE * (xx + yy + zz), xx * yy - xy * xy
+    third = zz * second - yz * (xx * yz - xy * xz) + xz * (xy * yz - yy * xz)
+    return xx > least > 0.0 and second > least * (xx + yy + zz) and third > least * (xx + yy + zz) ** 2
 
 
 def ellipsoid_contains(mass: float, com: Array, inertia: Array, point: Array) -> bool:

@@ -131,8 +131,7 @@ class RobotModel:
 
     def mass_matrix(self, q: Array) -> Array:
         """M(q), ``(n, n)`` [kg m^2], a copy."""
-        upper = np.triu(pin.crba(self.pinocchio, self.data, q))
-        return np.asarray(upper + np.triu(upper, 1).T)
+        return symmetric(pin.crba(self.pinocchio, self.data, q))
 
     def gravity_torque(self, q: Array) -> Array:
         """g(q), ``(n,)`` [N m], a copy."""
@@ -273,6 +272,11 @@ class RobotModel:
     def effective_mass(self, q: Array, direction: Array, motor_inertia: Array) -> float:
         """Effective mass along ``direction`` at E, the inverse of :meth:`mobility` [kg]; arguments as there."""
         return 1.0 / self.mobility(q, direction, motor_inertia)
+
+
+def symmetric(upper: Array) -> Array:
+    """Symmetric matrices with given upper triangles, which are all that Pinocchio computes, ``(..., n, n)``; copies."""
+    return np.where(np.tri(upper.shape[-1], dtype=bool), upper.swapaxes(-1, -2), upper)
 
 
 def mounted_inertia(facts: RobotFacts, end_effector: EndEffector) -> pin.Inertia:

@@ -196,6 +196,13 @@ class Candidate:
         zero = np.all([np.all(jacobian == 0.0, axis=0) for jacobian in self.jacobians], axis=0)
         return [int(index) for index in np.flatnonzero(zero)]
 
+    @property
+    def unseen_shapes(self) -> list[int]:
+        """Indices of the unseen shape parameters of effects that are off at ``point``, as that centre of a payload."""
+        off = [not np.any(((self.point != self.nominal) & ~self._shapes)[part]) for _, part in self.parts]
+        idle = np.repeat(off, self.sizes) & self._shapes
+        return [index for index in self.unseen if idle[index]]
+
     def curved(self, index: int) -> bool:
         """Whether the valley of the error is curved along a parameter: its effect has several shapes without a grid.
 

@@ -453,7 +453,7 @@ class Search:
         few conditions, and predicts the others worse than what is wrong everywhere.
         """
         found = {entry.candidate.names: entry for entry in linear}
-        unsure = [entry for entry in linear if any(entry.candidate.scalars[i].shape for i in entry.candidate.unseen)]
+        unsure = [entry for entry in linear if entry.candidate.unseen_shapes]
         for entry in unsure:
             there = self._linearised(replace(entry.candidate, point=entry.estimate), entry.evidence)
             if there is not None and (seen := Fit.of(there, entry.evidence)).score < entry.score:

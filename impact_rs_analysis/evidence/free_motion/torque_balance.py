@@ -200,6 +200,11 @@ class Motion:
         fine = np.linspace(self.time[0], self.time[-1], len(self.unfiltered))
         return np.asarray(scipy.interpolate.CubicSpline(self.time, values)(fine))
 
+    @cached_property
+    def _fine_velocity(self) -> Array:
+        """:attr:`velocity` at the rate of the samples, ``(l, n)`` [rad/s]."""
+        return self.at_samples(self.velocity)
+
     def dry_friction(self, friction: JointFriction, velocity: Array, carried: Array) -> Array:
         """Friction without its viscous part, low-passed once, ``(k, n)`` [N m].
 
@@ -208,8 +213,10 @@ class Motion:
             velocity: Low-passed velocity of the motors on the grid [rad/s].
             carried: Torque of the transmissions on the grid [N m].
         """
-        velocity = self.at_samples(velocity) + self.unfiltered
-        torque = friction.torque(velocity, self.at_samples(carried)) - friction.viscous_torque(velocity)
+        fine = self._fine_velocity if velocity is self.velocity else self.at_samples(velocity)
+        velocity = fine + self.unfiltered
+        loaded = 0.0 if friction.load is None else self.at_samples(carried)
+        torque = friction.torque(velocity, loaded) - friction.viscous_torque(velocity)
         stride = (len(torque) - 1) // (len(self.time) - 1)
         return _low_pass(torque, self.cut_off, self.rate * stride)[::stride]
 
@@ -390,6 +397,8 @@ def _of_motors(motion: Motion, transmitted: Array, arm: ArmPhysics) -> tuple[Arr
     if np.any(np.isfinite(arm.stiffness[~own])):
         rate, change = _deflection_derivatives(motion, transmitted, arm, (1, 2))
         velocity, acceleration = velocity + rate, acceleration + change
+    if not np.any(own):
+        return velocity, acceleration
     return np.where(own, motion.motor_velocity, velocity), np.where(own, motion.motor_acceleration, acceleration)
 
 

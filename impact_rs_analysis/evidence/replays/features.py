@@ -138,11 +138,9 @@ def extract(
     onsets: list[Array] = []
     last = windows[-1] if contact and contact[-1] else None
     for name, (physics, model) in arms.items():
-        free = [
-            FreeBalances.of(w.time, w.arms[name], physics, model, motor)
-            for w, hit in zip(windows, contact, strict=True)
-            if not hit
-        ]
+        free = _free_balances(
+            [w for w, hit in zip(windows, contact, strict=True) if not hit], name, physics, model, motor
+        )
         if commands[0]:
             parts += [
                 f.motor_balance(own[name], physics.motor_inertia_reduced)
@@ -386,6 +384,23 @@ class FreeBalances:
         """Mean of b_m for a desired torque at every tick, ``(k, n)`` [N m]."""
         _, mean = _weights(_ticks(self.time))
         return np.asarray(mean @ command - self.transmitted - inertia * self.acceleration)
+
+
+def _free_balances(
+    windows: Sequence[Signals], name: str, physics: ArmPhysics, model: RobotModel, motor: bool
+) -> list[FreeBalances]:
+    """Balances of one arm in windows of free motion; windows of equal ticks are computed together."""
+    alike: dict[bytes, list[int]] = {}
+    for number, window in enumerate(windows):
+        alike.setdefault(_ticks(window.time), []).append(number)
+    found: dict[int, FreeBalances] = {}
+    for numbers in alike.values():
+        together = ArmSignals.joined([windows[number].arms[name] for number in numbers])
+        whole = FreeBalances.of(windows[numbers[0]].time, together, physics, model, motor)
+        parts = (np.split(one, len(numbers)) for one in (whole.acceleration, whole.transmitted, whole.link_balance))
+        for number, part in zip(numbers, zip(*parts, strict=True), strict=True):
+            found[number] = FreeBalances(windows[number].time, *part)
+    return [found[number] for number in range(len(windows))]
 
 
 class Balances:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_rs_analysis.evidence.cluster import Feature
 from impact_rs_analysis.evidence.replays.features import extract, layout, pushes_recorded
@@ -92,12 +93,44 @@ class Setup:
     @property
     def free_motion_part(self) -> Setup:
         """The windows of free motion, with their features."""
-        windows = tuple(window for window in self.windows if not window.contact)
-        joints, commanded = self.physics.arm_joints, self.drive == "command"
-        every = layout(joints, len(windows), self.pushes, commanded, self.motor, self.bodies)
-        free = [number for number, feature in enumerate(every) if feature.phase == "free"]
-        kept = tuple(free.index(number) for number in self.kept if number in free)
-        return replace(self, windows=windows, pushes=None, tracked=False, beside=(), kept=kept)
+        return self._part(contact=False)
+
+    def _part(self, contact: bool) -> Setup:
+        """The window about the impact, or those of free motion, with their features."""
+        windows = tuple(window for window in self.windows if window.contact == contact)
+        own = [number for number, feature in enumerate(self._layout) if (feature.phase != "free") == contact]
+        kept = tuple(own.index(number) for number in self.kept if number in own)
+        if contact:
+            return replace(self, windows=windows, kept=kept)
+        return replace(self, windows=windows, kept=kept, pushes=None, tracked=False, beside=())
+
+    @cached_property
+    def parts(self) -> tuple[tuple[Setup, NDArray[np.intp]], ...]:
+        """Free motion and contact apart, each with the places of its features: what acts in one may not in the other.
+
+        The windows of a replay do not depend on each other.
+        """
+        contact = np.array([self._layout[number].phase != "free" for number in self.kept])
+        if np.all(contact == contact[:1]):
+            return ((self, np.arange(contact.size)),)
+        return tuple((self._part(which), np.flatnonzero(contact == which)) for which in (False, True))
+
+    @property
+    def contact(self) -> bool:
+        """Whether it has the window about an impact."""
+        return self.pushes is not None
+
+    @property
+    def _layout(self) -> tuple[Feature, ...]:
+        """Every feature of its windows, those that are not used included."""
+        free = sum(not window.contact for window in self.windows)
+        return layout(self.physics.arm_joints, free, self.pushes, self.drive == "command", self.motor, self.bodies)
+
+    @cached_property
+    def _nominal(self) -> str:
+        """Nominal physics of the arms as text; setups of equal arms share their rigid-body models."""
+        with np.printoptions(floatmode="unique", threshold=sys.maxsize):  # to the last bit
+            return repr((self.physics.arms, self.physics.gravity))
 
     def features_of(self, signals: Sequence[Signals]) -> Array | None:
         """Features of its windows, measured or replayed, ``(F,)``; None without an expected impact."""
@@ -117,7 +150,7 @@ class Setup:
         if not simulations:
             return []
         arms = {
-            name: (arm, _models.of((self.digest, name), partial(self.physics.robot_model, name)))
+            name: (arm, _models.of((self._nominal, name), partial(self.physics.robot_model, name)))
             for name, arm in self.physics.arms.items()
         }
         found = extract(

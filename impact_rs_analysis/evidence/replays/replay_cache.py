@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.replays.measured_runs import Setup
+from impact_rs_sim.effects.base import SINGLE_IMPACT
 from impact_rs_sim.errors import NotABody
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
@@ -112,6 +113,16 @@ def _batches(missing: Iterable[Replay]) -> list[tuple[Replay, ...]]:
     return [tuple(own[start : start + size]) for own in grouped.values() for start in range(0, len(own), size)]
 
 
+def _joined(setup: Setup, parts: Sequence[Array | None]) -> Array | None:
+    """Features of a replay from those of its parts; None if one of them has none."""
+    found = np.empty(len(setup.kept))
+    for (_, rows), values in zip(setup.parts, parts, strict=True):
+        if values is None:
+            return None
+        found[rows] = values
+    return found
+
+
 class ReplayCache:
     """Computes missing replays in parallel, and caches their results.
 
@@ -124,6 +135,7 @@ class ReplayCache:
         self._map = map_tasks
         self._progress = progress
         self._known: dict[tuple[str, str, Added], Array | None] = {}
+        self._phases: dict[tuple[str, str], tuple[str, ...]] = {}  # by model and effect
 
     def in_one_process(self) -> ReplayCache:
         """A copy that makes replays in its own process, without progress reports; it can be pickled."""
@@ -142,15 +154,35 @@ class ReplayCache:
 
     def __call__(self, tasks: Sequence[Replay], what: str = "replays") -> list[Array | None]:
         """Features of each replay, in order."""
-        keys = [task.key for task in tasks]
-        missing = {key: task for key, task in zip(keys, tasks, strict=True) if key not in self._known}
+        parts = [self._parts(task) for task in tasks]
+        keys = [[part.key for part in own] for own in parts]
+        missing = {
+            key: part
+            for own, found in zip(parts, keys, strict=True)
+            for part, key in zip(own, found, strict=True)
+            if key not in self._known
+        }
         batches = _batches(missing.values())
         done = 0
         for batch, results in zip(batches, self._map(run_batch, batches), strict=True):
             self._known.update(zip((task.key for task in batch), results, strict=True))
             done += len(batch)
             self._report_progress(what, done, len(missing))
-        return [self._known[key] for key in keys]
+        return [_joined(task.setup, [self._known[key] for key in own]) for task, own in zip(tasks, keys, strict=True)]
+
+    def _parts(self, task: Replay) -> list[Replay]:
+        """Free motion and contact of a replay, each with the effects that act there; cached apart."""
+        return [
+            replace(task, setup=part, added=tuple(item for item in task.added if self._acts(task.model, item[0], part)))
+            for part, _ in task.setup.parts
+        ]
+
+    def _acts(self, model: Model, effect: str, part: Setup) -> bool:
+        """Whether an effect acts in a part; those that only tables of impacts have act in none."""
+        key = model.digest, effect
+        if key not in self._phases:
+            self._phases[key] = model.known_effects[effect].phases
+        return self._phases[key] != SINGLE_IMPACT if part.contact else "free" in self._phases[key]
 
     def _report_progress(self, what: str, done: int, total: int) -> None:
         if self._progress is not None:

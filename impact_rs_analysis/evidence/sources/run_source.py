@@ -23,7 +23,6 @@ from impact_rs_analysis.evidence.rollouts import MAX_STARTS, FreeMotion, free_of
 from impact_rs_analysis.evidence.source import Identity, Item, Made, Source, with_per_arm_parameters
 from impact_rs_analysis.evidence.tracks import Track, tracks_of_runs
 from impact_rs_sim.effects import Effect
-from impact_rs_sim.effects.base import SINGLE_IMPACT
 from impact_rs_sim.effects.sensing import COMMAND_CLOCK_OFFSET, TRACKED_POINT, TRACKER_FRAME
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
@@ -317,17 +316,11 @@ class ReplaySource(Source):
 
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
         """See :meth:`Source.predict`; the first run of every condition is replayed."""
-        return self.store(
-            [self._replay(self.conditions[number][0], self._of_trials(added)) for number, added in wanted], what
-        )
+        return self.store([self._replay(self.conditions[number][0], added) for number, added in wanted], what)
 
     def _replay(self, run: MeasuredRun, added: Added) -> Replay:
         """A replay of a run with effects; its model has the formulas of these effects alone, for the cache key."""
         return Replay(run.setup, self.model.containing(name for name, _ in added), added)
-
-    def _of_trials(self, added: Added) -> Added:
-        """The effects without those that only tables of impacts have: they change no replay."""
-        return tuple(item for item in added if self._known[item[0]].phases != SINGLE_IMPACT)
 
     @cached_property
     def free_motion_part(self) -> ReplaySource | None:
@@ -366,7 +359,7 @@ class ReplaySource(Source):
     def residuals_with(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """See :meth:`Source.residuals_with`; every run is replayed from its own start."""
         groups = [self.conditions[self._numbers[item.name]] for item in like]
-        tasks = [self._replay(run, self._of_trials(added)) for group in groups for run in group]
+        tasks = [self._replay(run, added) for group in groups for run in group]
         found = self.store(tasks, "every run again")
         if any(values is None for values in found):
             return None

@@ -167,3 +167,12 @@ def test_a_fit_does_not_step_to_an_object_whose_mass_is_negative_under_some_circ
     ]
     fitted = Fit.of(seen, Evidence(knowing, tuple(numbers), tuple(wild)))
     assert candidate.physically_consistent(fitted.estimate) and fitted.at_bound.any()
+
+
+def test_the_place_of_a_payload_is_unsure_only_while_there_is_no_payload(tmp_path: Path) -> None:
+    """A radius of gyration that no torque feels although there is a mass stays unfelt."""
+    source = source_of(tmp_path, WITH_TOOL, mounted(WITH_TOOL, 0.5, np.zeros(3)))
+    none = linearise(Candidate.of((source.known_effects[PAYLOAD],), source), source.clusters, range(24), source)
+    assert none is not None and none.unseen_shapes == none.unseen == [1, 2, 3, 4]
+    some = replace(none, point=np.array([0.5, 0.0, 0.0, 0.0, 0.0]))
+    assert some.unseen == [1, 2, 3, 4] and some.unseen_shapes == []

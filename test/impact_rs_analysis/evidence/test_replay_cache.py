@@ -43,10 +43,10 @@ class CountingMap:
 
 
 def test_a_replay_runs_once(setup: Setup) -> None:
-    tasks, rng = CountingMap(lambda task: rng.standard_normal(3)), np.random.default_rng(0)
+    tasks, rng = CountingMap(lambda task: rng.standard_normal(len(task.setup.kept))), np.random.default_rng(0)
     task, store = Replay(setup, NOMINAL, (("restitution", (0.1,)),)), ReplayCache(tasks)
     first, second = store([task, task]), store([task])
-    assert tasks.count == 1
+    assert tasks.count == 2  # free motion and contact
     np.testing.assert_array_equal(first[1], second[0])
 
 
@@ -59,10 +59,35 @@ def test_start_torque_and_object_count_to_the_last_bit(setup: Setup) -> None:
         replace(first, object=replace(first.object, position=np.nextafter(first.object.position, more))),
     )
     setups = [setup, *(replace(setup, windows=(window, *others)) for window in changed)]
-    setups.append(replace(setup, drive="joint torque"))
-    tasks = CountingMap(lambda task: np.zeros(1))
+    setups.append(replace(setup, drive_period=np.nextafter(setup.drive_period, more)))
+    tasks = CountingMap(lambda task: np.zeros(len(task.setup.kept)))
     ReplayCache(tasks)([Replay(one, NOMINAL) for one in setups])
-    assert tasks.count == len(setups)
+    assert tasks.count == len(setups) + 2  # contact as well, at first and with another period
+
+
+def test_an_effect_of_contact_replays_no_free_motion_again(setup: Setup) -> None:
+    """And the features are those of all windows replayed together, each in its place."""
+    asked: list[Replay] = []
+
+    def replayed(function: Callable, batches: Iterable[Sequence[Replay]]) -> list:
+        found = [list(batch) for batch in batches]
+        asked.extend(task for batch in found for task in batch)
+        return [function(batch) for batch in found]
+
+    store = ReplayCache(replayed)
+    for added, contacts in (
+        ((), [False, True]),
+        ((("object_mass", (1.1,)),), [True]),
+        ((("torque_gain", (0.9,) * 7),), [False, True]),
+        ((("torque_gain", (0.9,) * 7), ("object_mass", (1.1,))), [True]),
+        ((("restitution_fall", (0.1,)),), []),  # of tables of impacts alone
+    ):
+        asked.clear()
+        whole = Replay(setup, NOMINAL, added)
+        (apart,) = store([whole])
+        assert [task.setup.contact for task in asked] == contacts
+        if contacts:
+            np.testing.assert_allclose(apart, run_replay(whole), rtol=1e-12, atol=1e-15)
 
 
 def test_a_replay_that_hits_nothing_is_kept_as_well(setup: Setup) -> None:
@@ -70,7 +95,7 @@ def test_a_replay_that_hits_nothing_is_kept_as_well(setup: Setup) -> None:
     store = ReplayCache(tasks)
     for _ in range(2):
         assert store([Replay(setup, NOMINAL)]) == [None]
-    assert tasks.count == 1
+    assert tasks.count == 2  # free motion and contact
 
 
 def test_no_body_has_no_replay_in_a_fit_and_is_refused_in_a_model(setup: Setup) -> None:
@@ -101,13 +126,13 @@ def test_a_replay_with_a_step_that_was_not_solved_is_passed_over_by_fits_and_ref
 
 
 def test_replays_travel_in_batches_of_one_run_and_come_back_in_order(setup: Setup) -> None:
-    other = replace(setup, drive="joint torque")
+    other = replace(setup, drive_period=0.5 * setup.drive_period)
     values = [0.001 * number for number in range(4 * MIN_BATCHES)]
-    tasks = CountingMap(lambda task: np.array([task.added[0][1][0]]))
-    asked = [Replay(one, NOMINAL, (("restitution", (value,)),)) for value in values for one in (setup, other)]
+    tasks = CountingMap(lambda task: np.full(len(task.setup.kept), task.added[0][1][0]))
+    asked = [Replay(one, NOMINAL, (("actuation_delay", (value,)),)) for value in values for one in (setup, other)]
     assert [float(item[0]) for item in ReplayCache(tasks)(asked)] == [value for value in values for _ in range(2)]
     assert all(len({task.setup.digest for task in batch}) == 1 for batch in tasks.batches)
-    assert len(tasks.batches) == MIN_BATCHES
+    assert len(tasks.batches) == MIN_BATCHES  # of free motion and of contact
 
 
 def test_replays_in_one_batch_are_those_of_each_alone(setup: Setup) -> None:
