@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -26,6 +26,7 @@ MIN_BATCH, MAX_BATCH = 4, 32  # replays per task, 30 to 300 ms of work: a task h
 MIN_BATCHES = 16  # so that workers finish at about the same time
 
 Progress = Callable[[str, int, int], None]
+Key = tuple[str, str, Added]  # digests of start and model, and the effects: all that a replay depends on
 
 Item = TypeVar("Item")
 Made = TypeVar("Made")
@@ -44,11 +45,6 @@ class Replay:
     setup: Setup
     model: Model
     added: Added = ()
-
-    @property
-    def key(self) -> tuple[str, str, Added]:
-        """Cache key: all inputs of the replay."""
-        return self.setup.digest, self.model.digest, self.added
 
     @property
     def physics(self) -> Physics:
@@ -134,7 +130,7 @@ class ReplayCache:
     def __init__(self, map_tasks: Map, progress: Progress | None = None) -> None:
         self._map = map_tasks
         self._progress = progress
-        self._known: dict[tuple[str, str, Added], Array | None] = {}
+        self._known: dict[Key, Array | None] = {}
         self._phases: dict[tuple[str, str], tuple[str, ...]] = {}  # by model and effect
 
     def in_one_process(self) -> ReplayCache:
@@ -154,35 +150,37 @@ class ReplayCache:
 
     def __call__(self, tasks: Sequence[Replay], what: str = "replays") -> list[Array | None]:
         """Features of each replay, in order."""
-        parts = [self._parts(task) for task in tasks]
-        keys = [[part.key for part in own] for own in parts]
-        missing = {
-            key: part
-            for own, found in zip(parts, keys, strict=True)
-            for part, key in zip(own, found, strict=True)
-            if key not in self._known
-        }
+        digests = {id(model): model.digest for model in {id(task.model): task.model for task in tasks}.values()}
+        parts = [self._parts(task, digests[id(task.model)]) for task in tasks]
+        missing = {key: part for own in parts for key, part in own.items() if key not in self._known}
+        keys = {id(part): key for key, part in missing.items()}
         batches = _batches(missing.values())
         done = 0
         for batch, results in zip(batches, self._map(run_batch, batches), strict=True):
-            self._known.update(zip((task.key for task in batch), results, strict=True))
+            self._known.update(zip((keys[id(part)] for part in batch), results, strict=True))
             done += len(batch)
             self._report_progress(what, done, len(missing))
-        return [_joined(task.setup, [self._known[key] for key in own]) for task, own in zip(tasks, keys, strict=True)]
+        return [_joined(task.setup, [self._known[key] for key in own]) for task, own in zip(tasks, parts, strict=True)]
 
-    def _parts(self, task: Replay) -> list[Replay]:
-        """Free motion and contact of a replay, each with the effects that act there; cached apart."""
-        return [
-            replace(task, setup=part, added=tuple(item for item in task.added if self._acts(task.model, item[0], part)))
-            for part, _ in task.setup.parts
-        ]
+    def _parts(self, task: Replay, model: str) -> dict[Key, Replay]:
+        """Free motion and contact of a replay, each with the effects that act there, by all that they depend on.
 
-    def _acts(self, model: Model, effect: str, part: Setup) -> bool:
+        Args:
+            task: The replay.
+            model: Digest of its model.
+        """
+        found = {}
+        for setup, _ in task.setup.parts:
+            added = tuple(item for item in task.added if self._acts(task.model, model, item[0], setup))
+            found[setup.digest, model, added] = Replay(setup, task.model, added)
+        return found
+
+    def _acts(self, model: Model, digest: str, effect: str, part: Setup) -> bool:
         """Whether an effect acts in a part; those that only tables of impacts have act in none."""
-        key = model.digest, effect
-        if key not in self._phases:
-            self._phases[key] = model.known_effects[effect].phases
-        return self._phases[key] != SINGLE_IMPACT if part.contact else "free" in self._phases[key]
+        if (digest, effect) not in self._phases:
+            self._phases[digest, effect] = model.known_effects[effect].phases
+        phases = self._phases[digest, effect]
+        return phases != SINGLE_IMPACT if part.contact else "free" in phases
 
     def _report_progress(self, what: str, done: int, total: int) -> None:
         if self._progress is not None:
