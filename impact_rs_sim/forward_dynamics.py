@@ -141,7 +141,9 @@ class ForwardDynamics:
         arm, with_drive = self._arm, self._with_drive
 
         def friction(dq: Array, rows: Rows) -> Array:
-            own = np.zeros_like(dq) if servo is None else servo(time[rows], q[rows], dq)
+            if servo is None:
+                return arm.friction.torque(dq, driving[rows]) if with_drive else np.zeros_like(dq)
+            own = servo(time[rows], q[rows], dq)
             return own + (arm.friction.torque(dq, driving[rows] + own) if with_drive else 0.0)
 
         if not arm.loads:

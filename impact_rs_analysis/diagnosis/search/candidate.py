@@ -133,8 +133,10 @@ class Candidate:
 
     def physically_consistent(self, vector: Array) -> bool:
         """Whether the inertial parameters at ``vector``, ``(p,)``, are physically consistent: those of rigid bodies."""
+        if not self.worlds:
+            return True
         moved = self.inertial & (vector != self.nominal)
-        own = [(effect, vector[part]) for effect, part in self.parts if np.any(moved[part])]
+        own = [(effect, vector[part]) for effect, part in self.parts if moved[part].any()]
         try:
             for physics in self.worlds if own else ():
                 for effect, values in own:
@@ -199,8 +201,8 @@ class Candidate:
     @property
     def unseen_shapes(self) -> list[int]:
         """Indices of the unseen shape parameters of effects that are off at ``point``, as that centre of a payload."""
-        off = [not np.any(((self.point != self.nominal) & ~self._shapes)[part]) for _, part in self.parts]
-        idle = np.repeat(off, self.sizes) & self._shapes
+        acts = (self.point != self.nominal) & ~self._shapes
+        idle = np.repeat([not acts[part].any() for _, part in self.parts], self.sizes) & self._shapes
         return [index for index in self.unseen if idle[index]]
 
     def curved(self, index: int) -> bool:
@@ -318,11 +320,8 @@ class Candidate:
 
     def split(self, vector: Array) -> Added:
         """Effect names with their parameter values, without effects at nominal, so that equal physics share replays."""
-        return tuple(
-            (effect.name, tuple(float(value) for value in vector[part]))
-            for effect, part in self.parts
-            if np.any(((vector != self.nominal) & ~self._shapes)[part])
-        )
+        acts = (vector != self.nominal) & ~self._shapes
+        return tuple((effect.name, tuple(vector[part].tolist())) for effect, part in self.parts if acts[part].any())
 
     def beside(self, other: Candidate) -> Candidate:
         """Both candidates as one, the sum of both linearisations: exact for small effects, a start for large ones."""
