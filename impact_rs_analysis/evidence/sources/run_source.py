@@ -234,9 +234,9 @@ class ReplaySource(Source):
         """See :attr:`Source.worlds`."""
         return [self.model.apply(runs[0].setup.physics) for runs in self.conditions]
 
-    @property
+    @cached_property
     def identity(self) -> Identity:
-        """See :attr:`Source.identity`."""
+        """See :attr:`Source.identity`; its digest opens every bag."""
         return Identity(self.runs.digest, len(self.runs.runs), tuple(self.runs.conditions), self.runs.recorded)
 
     @classmethod
