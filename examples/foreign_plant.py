@@ -196,11 +196,9 @@ class ForeignPlant:
         if self.ready and self.goal is None:
             self.goal, self.over = goal, Future(executor=self.executor)
             result.message = await self.over
-        if result.message:
-            (goal.canceled if goal.is_cancel_requested else goal.abort)()
-        else:
-            result.success, result.outcome = True, "OK"
-            goal.succeed()
+        if not result.message:
+            result = RunTrial.Result(success=True, outcome="OK")
+        (goal.succeed if result.success else goal.canceled if goal.is_cancel_requested else goal.abort)()
         return result
 
     def finish(self, request: FinishTrial.Request, response: FinishTrial.Response) -> FinishTrial.Response:

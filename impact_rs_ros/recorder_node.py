@@ -104,6 +104,7 @@ class RecorderNode(TrialServices):
                 break
             time.sleep(0.005)
         undiscovered = [topic.removesuffix("/alive") for topic in self._subscriptions.awaited()]
+        self._subscriptions.close()
         absent = [topic for topic in unmatched if not self._publishers(topic)]
         unreceived = [topic for topic in unmatched if topic not in absent]
         wrong = [f"no publisher of {', '.join(absent)}; are plant and controller running?"] if absent else []
@@ -282,7 +283,6 @@ class RecorderNode(TrialServices):
 
     def close(self) -> None:
         self._abort()
-        self._subscriptions.close()
         self._inbox.close()
 
 

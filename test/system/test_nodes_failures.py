@@ -159,20 +159,29 @@ def test_a_node_that_is_deactivated_ends_its_trial_with_that_reason_and_serves_t
         request.transition.label = label
         return client.call_async(request)
 
+    def activate() -> None:
+        again = change("activate")
+        spin_until(graph, again.done, "it does not activate")
+        assert again.result().success
+
     def strike(told: RunTrial.Impl.FeedbackMessage) -> None:
         if not changed and told.feedback.time > 0.1:
             changed.append(change("deactivate"))
 
-    result = graph.call_trial(goal(tmp_path / "0", scenario=short), strike)
-    assert changed[0].result().success
+    for number in range(TRIES):
+        changed.clear()
+        result = graph.call_trial(goal(tmp_path / str(number), scenario=short), strike)
+        spin_until(graph, changed[0].done, "it does not deactivate")
+        assert changed[0].result().success
+        if result.outcome != "OK":
+            break  # else a busy machine has run the request after the end of the trial
+        activate()
     assert result.outcome == "ABORTED"
     assert f"{victim} was deactivated at t = 0." in result.message
-    refused = graph.call_trial(goal(tmp_path / "1", scenario=short))
+    refused = graph.call_trial(goal(tmp_path / "refused", scenario=short))
     assert f"/{victim} is not active: ros2 lifecycle set /{victim} activate" in refused.message
-    again = change("activate")
-    spin_until(graph, again.done, "it does not activate")
-    assert again.result().success
-    assert graph.call_trial(goal(tmp_path / "2", scenario=short)).outcome == "OK"
+    activate()
+    assert graph.call_trial(goal(tmp_path / "after", scenario=short)).outcome == "OK"
     graph.node.destroy_client(client)
 
 

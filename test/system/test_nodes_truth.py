@@ -78,4 +78,7 @@ def test_a_node_has_the_topics_services_and_actions_of_the_docs_and_no_others(gr
         difference[:] = [f"{kind}: {name}" for kind in here for name in sorted(here[kind] ^ wanted.get(kind, set()))]
         return not difference
 
-    spin_until(graph, agrees, f"docs/nodes.md and the node differ in {difference}")
+    try:
+        spin_until(graph, agrees)
+    except AssertionError:
+        pytest.fail(f"docs/nodes.md and the node differ in {difference}")

@@ -61,11 +61,11 @@ def test_both_arms_have_the_discrepancy_of_one_the_unmeasured_has_none() -> None
 def features_of(kind: str) -> list[Feature]:
     """All features of a run."""
     free = kind == "free"
-    return list(layout((("arm", ("revolute",) * 7),), 12 if free else 4, None if free else 4, True, True, True))
+    return list(layout((("arm", ("revolute",) * 7),), 12 if free else 4, None if free else 4, True, True, ("object",)))
 
 
 def test_features_of_a_joint_that_slides_are_in_newtons_and_metres() -> None:
-    features = layout((("arm", ("prismatic", "revolute")),), 1, 1, True, True, False)
+    features = layout((("arm", ("prismatic", "revolute")),), 1, 1, True, True, ())
     units = {(feature.signal, feature.index): feature.unit for feature in features}
     signals = ("motor torque balance", "link torque balance", "elastic deflection", "joint velocity jump")
     assert [units[signal, "joint1"] for signal in signals] == ["N", "N", "m", "m/s"]
