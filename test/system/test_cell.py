@@ -379,9 +379,15 @@ def test_after_a_watchdog_is_killed_in_a_trial_the_cell_brakes_the_arm_itself(
 ) -> None:
     """Whoever is left of the two brakes the arm: its effort controller keeps the last torque for ever."""
     killed = "--kill", "watchdog", "--kill-after", 50, "--slower", 5
-    with led_cell(domain_ids(), tmp_path, push_500, *killed, watchdog_timeout=0.1) as cell:
-        assert "the watchdog passed no torques on for 0.1 s" in cell.run()
-        cell.comes_to_rest("watchdog", 1750)
+    for _ in range(TRIES):
+        with led_cell(domain_ids(), tmp_path, push_500, *killed, watchdog_timeout=0.1) as cell:
+            reason = cell.run()
+            if "the watchdog brakes the arms" in reason:
+                continue  # on a busy machine it has braked a cell that was late, before it was killed
+            assert "the watchdog passed no torques on for 0.1 s" in reason
+            cell.comes_to_rest("watchdog", 1750)
+            return
+    pytest.fail("the watchdog braked before it was killed")
 
 
 @pytest.mark.slow
