@@ -71,7 +71,8 @@ class McapMessages:
         self._stream = self._path.open("rb")
         summary = self._reader.get_summary()
         if summary is None or not summary.channels:
-            raise InputError("an MCAP file without an index, or without a channel", file=self._path)
+            said = "an MCAP file without an index or without a channel; `mcap recover FILE -o NEW.mcap` writes an index"
+            raise InputError(said, file=self._path)
         counts = {} if summary.statistics is None else summary.statistics.channel_message_counts
         self.connections = [
             self._connection(channel, summary.schemas.get(channel.schema_id), counts.get(number, 0))

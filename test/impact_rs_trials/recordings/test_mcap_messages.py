@@ -140,6 +140,14 @@ def write_raw(
         writer.finish()
 
 
+def test_a_file_without_a_channel_is_refused_with_the_command_that_may_mend_it(tmp_path: Path) -> None:
+    with (tmp_path / "run.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        writer.finish()
+    assert "mcap recover" in refusal(candidates_of, tmp_path / "run.mcap")
+
+
 def test_protobuf_without_its_package_is_refused_with_the_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
