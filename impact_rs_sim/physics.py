@@ -584,6 +584,11 @@ class Physics:
         return self.support_friction if partner == "support" else self.object_friction
 
     @property
+    def bodies(self) -> dict[str, ObjectPhysics]:
+        """The object, called ``object``, and its neighbours, by name."""
+        return {"object": self.object, **{one.name: one.body for one in self.neighbours}}
+
+    @property
     def moved_mass(self) -> float:
         """Mass of the objects that the first one pushes along, and its own [kg]."""
         return self.object.mass + sum(one.body.mass for one in self.neighbours)

@@ -36,7 +36,7 @@ from impact_rs_sim.robots.robot import Array
 INDEPENDENT_DISCREPANCY_SHARE = 1.0 / 3.0
 # Share of the square of a variant's differences that is common to all conditions: 32 to 71 % in nine square hits.
 SHARED_DISCREPANCY_SHARE = 0.55
-# Quantile of Student's t over that of the normal distribution (99 %): the size is known from six simulators.
+# Student's t with 5 degrees of freedom over the normal distribution, both at 99 %: six simulators give the size.
 DISCREPANCY_QUANTILE_RATIO = float(scipy.stats.t.ppf(0.995, 5) / scipy.stats.norm.ppf(0.995))
 
 Added = tuple[tuple[str, tuple[float, ...]], ...]

@@ -197,13 +197,12 @@ def _windowed_side(run: MeasuredRun, windows: Sequence[Signals], time: Array, st
     poses: dict[str, list[Array]] = {}
     for window, signals in zip(run.setup.windows, windows, strict=True):
         resting = (window.object, *standing(run.setup.physics, window.object))
-        for name, body in zip((OBJECT, *(one.name for one in run.setup.physics.neighbours)), resting, strict=True):
-            tracked = name in run.setup.bodies
-            pose = _poses_at(window.time, signals.poses[name]) if window.contact and tracked else _unseen(window.time)
-            if tracked and not window.contact:
+        for name, body in zip(run.setup.physics.bodies, resting, strict=True):
+            pose = _unseen(window.time)
+            if name in run.setup.bodies and window.contact:  # the tracker is slower than the joints
+                pose = _held(_poses_at(window.time, signals.poses[name]))
+            elif name in run.setup.bodies:
                 pose[:] = [*body.position, *quaternion_of(body.rotation)]
-            elif tracked:  # the tracker is slower than the joints
-                pose = _held(pose)
             poses.setdefault(name, []).append(pose)
     whole = {name: np.concatenate(parts) for name, parts in poses.items()}
     return _side(run.setup.physics, time, starts, arms, whole, run.impacts)
@@ -301,8 +300,9 @@ def track_of_bag(bag: TrialBag) -> Track:
         at = {key: _at(time, own, values) for key in arm.measured for values in [getattr(arm, key)]}
         arms[name] = ArmSignals(**({"velocity": NONE, "torque": NONE} | at))
     tracked = bag.info.spec.scenario.excursion is None
-    bodies = (OBJECT, *(one.name for one in physics.neighbours))
-    poses = {name: _poses_at(time, bag.poses(topics.pose(name))) if tracked else _unseen(time) for name in bodies}
+    poses = {
+        name: _poses_at(time, bag.poses(topics.pose(name))) if tracked else _unseen(time) for name in physics.bodies
+    }
     impacts = {arm: moment for arm in arms if np.isfinite(moment := bag.impact_time(arm))}
     side = _side(physics, time, (0,), arms, poses, impacts)
     return Track(bag.path.name, time, min(impacts.values(), default=None), physics=physics, measured=side)

@@ -71,18 +71,6 @@ class ReturningEffect(SceneEffect):
         return lower, np.where(shares, np.minimum(upper, 1.0), upper)
 
 
-def _pad_friction(physics: Physics, values: Values) -> Physics:
-    return replace(physics, pad_friction=max(physics.pad_friction + number(values, "friction"), 0.0))
-
-
-def _support_friction(physics: Physics, values: Values) -> Physics:
-    return replace(physics, support_friction=max(physics.support_friction + number(values, "friction"), 0.0))
-
-
-def _object_friction(physics: Physics, values: Values) -> Physics:
-    return replace(physics, object_friction=max(physics.object_friction + number(values, "friction"), 0.0))
-
-
 def _restitution(physics: Physics, values: Values) -> Physics:
     """Bounce of a single rigid impact, and damping of compliant pads.
 
@@ -270,7 +258,7 @@ PAD_FRICTION = FrictionEffect(
             "friction", "-", 0.0, -2.0, 2.0, 0.1, "coefficient beyond the assumed", step=-0.4, far=(-0.8, -0.4, 0.4)
         ),
     ),
-    law=_pad_friction,
+    law=Added("pad_friction", ("friction",), least=0.0),
     phases=("contact",),
 )
 
@@ -281,7 +269,7 @@ SUPPORT_FRICTION = FrictionEffect(
     parameters=(
         Parameter("friction", "-", 0.0, -2.0, 2.0, 0.03, "coefficient beyond the assumed", far=(-0.8, -0.4, 0.4)),
     ),
-    law=_support_friction,
+    law=Added("support_friction", ("friction",), least=0.0),
     phases=("contact",),
 )
 
@@ -290,7 +278,7 @@ OBJECT_FRICTION = FrictionEffect(
     acts_on="neighbour",
     sentence="The object slides along its neighbours with more or less friction than assumed.",
     parameters=(Parameter("friction", "-", 0.0, -2.0, 2.0, 0.03, "coefficient beyond the assumed", far=(-0.3, 0.4)),),
-    law=_object_friction,
+    law=Added("object_friction", ("friction",), least=0.0),
     phases=("contact",),
     drawn=False,
 )

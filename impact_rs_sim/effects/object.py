@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from impact_rs_sim.effects.base import Parameter, SceneEffect, Values, number, vector3
-from impact_rs_sim.physics import Physics
+from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robots.robot import Array
 
 
@@ -24,19 +24,19 @@ class ComOffsetEffect(SceneEffect):
 
 
 def _mass(physics: Physics, values: Values) -> Physics:
-    scale, object_ = number(values, "scale"), physics.object
-    if object_.fixed:
+    if physics.object.fixed:
         return physics
-    return replace(physics, object=replace(object_, mass=object_.mass * scale, inertia=object_.inertia * scale))
+    return replace(physics, object=_denser(physics.object, number(values, "scale")))
 
 
 def _neighbour_mass(physics: Physics, values: Values) -> Physics:
     scale = number(values, "scale")
-    neighbours = tuple(
-        replace(one, body=replace(one.body, mass=one.body.mass * scale, inertia=one.body.inertia * scale))
-        for one in physics.neighbours
-    )
-    return replace(physics, neighbours=neighbours)
+    return replace(physics, neighbours=tuple(replace(one, body=_denser(one.body, scale)) for one in physics.neighbours))
+
+
+def _denser(body: ObjectPhysics, scale: float) -> ObjectPhysics:
+    """A body of equal shape with ``scale`` times the mass."""
+    return replace(body, mass=body.mass * scale, inertia=body.inertia * scale)
 
 
 def _com_offset(physics: Physics, values: Values) -> Physics:

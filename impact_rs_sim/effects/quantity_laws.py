@@ -20,11 +20,13 @@ class Added:
         quantity: Attribute of the arm or the scene, with dots where it belongs to a part: ``readings.torque_lag``.
         parameters: Name of the parameter; of a quantity that is a tuple, one name per component.
         per_joint: Whether the parameter has a value per joint.
+        least: Value below which a single quantity never falls.
     """
 
     quantity: str
     parameters: tuple[str, ...]
     per_joint: bool = False
+    least: float | None = None
 
     def __call__(self, whole: Any, values: Values) -> Any:
         """The arm or the scene with the effect; without a change the same object."""
@@ -36,7 +38,8 @@ class Added:
             return _replaced(whole, self.quantity, tuple(one + number(values, name) for one, name in pairs))
         (name,) = self.parameters
         more = values[name] if self.per_joint else number(values, name)
-        return _replaced(whole, self.quantity, (0.0 if before is None else before) + more)
+        after = (0.0 if before is None else before) + more
+        return _replaced(whole, self.quantity, after if self.least is None else max(after, self.least))
 
 
 @dataclass(frozen=True)

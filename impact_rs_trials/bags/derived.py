@@ -16,7 +16,7 @@ from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.joint_signals import JointReader
 from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes, pose_values
-from impact_rs_trials.bags.record import FrameSource, body_names
+from impact_rs_trials.bags.record import FrameSource
 from impact_rs_trials.bags.types import typestore
 
 DERIVED = frozenset({topics.TF, topics.TF_STATIC, topics.CLOCK})
@@ -38,7 +38,7 @@ class DerivedMessages:
         self._sources = {topics.joint_states(arm): arm for arm in plan.arms}
         self._readers = {arm: JointReader(names, ("position",)) for arm, names in self._maker.joints.items()}
         self._known: dict[int, dict[str, Array]] = {}  # joint positions by arm, of ticks that are not written yet
-        bodies = body_names(plan.scene.physics)
+        bodies = plan.scene.physics.bodies
         self._seen: dict[str, list[tuple[int, bytes]]] = {  # when [ns], and poses, of those that are tracked
             name: [] for name in bodies if tracked is None or name in tracked
         }

@@ -29,7 +29,6 @@ FIXED_TOLERANCE = 1e-9  # [-], m; a placement that changes by less does not depe
 
 def descriptions(physics: Physics) -> dict[str, str]:
     """URDFs by topic: all arms with the support, every arm alone, the object, and its neighbours."""
-    bodies = dict(zip(body_names(physics), (physics.object, *(one.body for one in physics.neighbours)), strict=True))
     arms = {name: (arm.facts, arm.end_effector, arm.base) for name, arm in physics.arms.items()}
     return {
         topics.ROBOT_DESCRIPTION: physics.description(),
@@ -38,14 +37,9 @@ def descriptions(physics: Physics) -> dict[str, str]:
             topics.robot_description(name): write_object_description(
                 body.size, (body.mass, body.com_offset, np.diag(body.inertia)), body.shape, name
             )
-            for name, body in bodies.items()
+            for name, body in physics.bodies.items()
         },
     }
-
-
-def body_names(physics: Physics) -> list[str]:
-    """Names of the object and its neighbours, in topics and frames."""
-    return ["object", *(one.name for one in physics.neighbours)]
 
 
 class FrameSource:
@@ -68,9 +62,7 @@ class FrameSource:
         self._prefix = prefix
         self._supported = scene.physics.support_height is not None
         self._every = max(1, round(TF_PERIOD_S / scene.scenario.timing.control_period))
-        bodies = dict(
-            zip(body_names(scene.physics), (scene.object, *standing(scene.physics, scene.object)), strict=True)
-        )
+        bodies = dict(zip(scene.physics.bodies, (scene.object, *standing(scene.physics, scene.object)), strict=True))
         self._bodies = {name: pin.SE3(body.rotation, body.position) for name, body in bodies.items()}
         self._fixed: set[str] = set()
         at_rest, moved = (
@@ -104,7 +96,7 @@ class FrameSource:
         return [*(frame for frame in self._named(arms) if frame.name not in self._fixed), *bodies]
 
     def _named(self, arms: dict[str, Array]) -> list[Frame]:
-        """Every frame but those of object and neighbours, with its prefix."""
+        """Every frame except object and neighbours, with its prefix."""
         frames = [Frame(WORLD, "support", pin.SE3.Identity())] if self._supported else []
         for name, model in self._models.items():
             parent, before = WORLD, pin.SE3.Identity()

@@ -43,7 +43,7 @@ def documented() -> dict[str, Offered]:
 
 
 def shown(graph: Graph, node: str) -> Offered:
-    """What the middleware tells about a node."""
+    """Topics, services and actions of a node, as the middleware lists them."""
     asked = graph.node
     entities = {
         "publishes": asked.get_publisher_names_and_types_by_node(node, "/"),

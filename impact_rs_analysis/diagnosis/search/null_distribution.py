@@ -330,10 +330,13 @@ class _Rows:
         noise = _moderated(1.0, np.sum(np.square(contrasts @ directions), axis=0), self.freedom)
         return np.asarray((directions * np.sqrt(noise / (noise + np.maximum(sizes, 0.0)))) @ directions.T)
 
-    def left(self, seed: int) -> Array:
-        """Sum of squares of the contrasts in every rotation, ``(1 + B, F)``."""
-        means = reduce(np.add, map(np.square, self.rotated(seed)))
-        return np.maximum(np.sum(np.square(self.rows), axis=0) - means, 0.0)
+    def squares(self, seed: int) -> Array:
+        """Sum of squares of the mean rows in every rotation, ``(1 + B, F)``."""
+        return reduce(np.add, map(np.square, self.rotated(seed)))
+
+    def left(self, squares: Array) -> Array:
+        """Sum of squares of the contrasts in every rotation, from that of the mean rows, ``(1 + B, F)``."""
+        return np.maximum(np.sum(np.square(self.rows), axis=0) - squares, 0.0)
 
     def signals_of(self, keys: Sequence[tuple[str, str, str]]) -> Array:
         """Indicator matrix of features in signals, ``(F, S)``."""
@@ -351,8 +354,8 @@ def _scaled_to_noise(layouts: Sequence[_Rows], means: Sequence[Array]) -> list[A
     All rows are exchangeable then. A calibration is one amplitude for the clusters of all layouts.
     """
     found = [own.scaled(rows) for own, rows in zip(layouts, means, strict=True)]
-    if number := max((len(item.calibrations) for item in _items(layouts) if item.calibrations is not None), default=0):
-        basis, sizes = _calibrations(layouts, number)
+    basis, sizes = _calibrations(layouts)
+    if sizes.size:
         stacked = np.concatenate([rows.reshape(-1, rows.shape[-1]) for rows in found])
         stacked -= (basis * (1.0 - 1.0 / np.sqrt(1.0 + np.square(sizes)))) @ (basis.T @ stacked)
         ends = np.cumsum([rows.shape[0] * rows.shape[1] for rows in found])[:-1]
@@ -360,15 +363,12 @@ def _scaled_to_noise(layouts: Sequence[_Rows], means: Sequence[Array]) -> list[A
     return [rows * own.noise[:, None] for own, rows in zip(layouts, found, strict=True)]
 
 
-def _items(layouts: Sequence[_Rows]) -> Iterator[Cluster]:
-    """Clusters of all layouts."""
-    return (item for own in layouts for item in own.items)
-
-
-def _calibrations(layouts: Sequence[_Rows], number: int) -> tuple[Array, Array]:
+def _calibrations(layouts: Sequence[_Rows]) -> tuple[Array, Array]:
     """Principal directions of the calibrations over all scaled mean rows, ``(N, k)``, and sizes in noise, ``(k,)``."""
-    rows = []
-    for own in layouts:
+    known = [item.calibrations for own in layouts for item in own.items if item.calibrations is not None]
+    number = max(map(len, known), default=0)
+    rows = [np.zeros((0, number))]
+    for own in layouts if number else ():
         none = np.zeros((number, own.unit.size))
         columns = [none.T if item.calibrations is None else item.calibrations.T for item in own.items]
         rows.append(own.scaled(own.mean_rows(columns)).reshape(-1, number))
@@ -396,9 +396,9 @@ def _shared(layout: _Rows, donors: Sequence[_Rows], left: Sequence[Array]) -> Ar
     return np.asarray((total / np.maximum(number, 1.0))[:, place] / np.square(layout.unit))
 
 
-def _weights_of(layouts: Sequence[_Rows]) -> Iterator[Array]:
-    """Moderated weights W by layout in every rotation, ``(1 + B, F)`` each."""
-    left = {id(own): own.left(seed) for seed, own in enumerate(layouts)}
+def _weights_of(layouts: Sequence[_Rows], squares: Sequence[Array]) -> Iterator[Array]:
+    """Moderated weights W by layout in every rotation, from the squares of the mean rows, ``(1 + B, F)`` each."""
+    left = {id(own): own.left(each) for own, each in zip(layouts, squares, strict=True)}
     for own in layouts:
         shared = _shared(own, own.donors, [left[id(donor)] for donor in own.donors])
         yield np.asarray(1.0 / (_moderated(shared, left[id(own)], own.freedom) + own.apart + RIDGE))
@@ -430,7 +430,7 @@ class RotationNull(NullDistribution):
     @cached_property
     def _scales(self) -> list[Array]:
         """W of every layout in all rotations, ``(1 + B, F)``."""
-        return list(_weights_of(self._layouts))
+        return list(_weights_of(self._layouts, [own.squares(seed) for seed, own in enumerate(self._layouts)]))
 
     @property
     def freedom(self) -> int:
@@ -495,10 +495,10 @@ class RotationNull(NullDistribution):
         if self.shortage is not None:
             return None
         layouts = self._rows(rest)
+        squares = [own.squares(seed) for seed, own in enumerate(layouts)]
         total = np.zeros((1 + NULL_DRAWS, len(self._groups) + 1))
-        for seed, (own, weights) in enumerate(zip(layouts, _weights_of(layouts), strict=True)):
-            squares = reduce(np.add, map(np.square, own.rotated(seed)))
-            total += (squares * weights) @ _members(own.items[0], self._groups).T
+        for own, each, weights in zip(layouts, squares, _weights_of(layouts, squares), strict=True):
+            total += (each * weights) @ _members(own.items[0], self._groups).T
         return westfall_young_p_value(total[0], total[1:])
 
     @cached_property

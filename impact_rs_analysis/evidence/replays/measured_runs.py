@@ -48,8 +48,7 @@ class Setup:
         drive_period: Period of the torque loop [s].
         drive: Model between the recorded torque and the links.
         motor: Whether motor position and velocity are used.
-        tracked: Whether object features are used.
-        beside: Names of the neighbours of the object whose features are used.
+        bodies: Names of the tracked objects whose features are used: ``object``, then its neighbours.
         pushes: Number of bins of the push; None: free motion.
         kept: Mask of the features that are used.
         levels: By arm, loss of speed that marks the begin of the impact [m/s].
@@ -60,18 +59,17 @@ class Setup:
     drive_period: float
     drive: DriveName
     motor: bool
-    tracked: bool
+    bodies: tuple[str, ...]
     pushes: int | None
     kept: tuple[int, ...]
     levels: dict[str, float]
-    beside: tuple[str, ...] = ()
 
     @cached_property
     def digest(self) -> str:
         """Digest of the content."""
-        facts = self.physics, self.drive_period, self.drive, self.motor, self.tracked, self.pushes, self.kept
+        facts = self.physics, self.drive_period, self.drive, self.motor, self.bodies, self.pushes, self.kept
         with np.printoptions(floatmode="unique", threshold=sys.maxsize):  # to the last bit
-            text = [repr((facts, self.levels)), *self.beside]
+            text = [repr((facts, self.levels))]
         for window in self.windows:
             text.append(repr(window.contact))
             text += [hashlib.sha256(times.tobytes()).hexdigest() for times in window.seen_beside.values()]
@@ -86,11 +84,6 @@ class Setup:
         return hashlib.sha256("\n".join(text).encode()).hexdigest()
 
     @property
-    def bodies(self) -> tuple[str, ...]:
-        """Names of the objects whose features are used."""
-        return ("object", *self.beside) if self.tracked else ()
-
-    @property
     def free_motion_part(self) -> Setup:
         """The windows of free motion, with their features."""
         return self._part(contact=False)
@@ -102,7 +95,7 @@ class Setup:
         kept = tuple(own.index(number) for number in self.kept if number in own)
         if contact:
             return replace(self, windows=windows, kept=kept)
-        return replace(self, windows=windows, kept=kept, pushes=None, tracked=False, beside=())
+        return replace(self, windows=windows, kept=kept, pushes=None, bodies=())
 
     @cached_property
     def parts(self) -> tuple[tuple[Setup, NDArray[np.intp]], ...]:
@@ -220,8 +213,8 @@ class MeasuredRun(Run):
             what = "gaps leave no window" if starts else "no joint moves for the length of a window"
             raise InputError(f"{what} of free motion")
         pushes = pushes_recorded(max(impacts.values()), float(windows[-1].time[-1])) if impacts else None
-        tracked = bool(impacts) and run.signals.object_time.size > 1
-        beside = tuple(name for name, poses in run.signals.neighbours.items() if tracked and poses.time.size > 1)
+        tracked = tuple(name for name, poses in run.signals.poses.items() if impacts and poses.time.size > 1)
+        bodies = tracked if "object" in tracked else ()
         numbers = [window.number for window in windows if not window.contact]
         features = layout(
             run.physics.arm_joints,
@@ -229,7 +222,7 @@ class MeasuredRun(Run):
             pushes,
             run.commanded,
             run.motor_measured,
-            ("object", *beside) if tracked else (),
+            bodies,
         )
         size = Proportion.of(run.physics)
         features = tuple(replace(f, relevance_limit=f.relevance_limit * size.factor(f.unit)) for f in features)
@@ -241,11 +234,10 @@ class MeasuredRun(Run):
             drive_period=run.drive_period,
             drive=run.drive,
             motor=run.motor_measured,
-            tracked=tracked,
+            bodies=bodies,
             pushes=pushes,
             kept=tuple(range(len(features))),
             levels={name: level for name, (_, level) in found.items()},
-            beside=beside,
         )
         measured = setup.features_of([_within(run.signals, window) for window in windows])
         if measured is None:

@@ -47,7 +47,7 @@ def tracker_start(effect: Effect, runs: Iterable[MeasuredRun]) -> Array | None:
     impacts = [
         (run.setup.physics, run.setup.windows[-1].object, placements)
         for run in runs
-        if run.hit and run.setup.tracked and run.signals.object_time.size and (placements := _placements(run))
+        if run.hit and run.setup.bodies and run.signals.object_time.size and (placements := _placements(run))
     ]
     nominal = effect.nominal(ONE_JOINT)
     scales = PRIOR_SCALES * np.array([scalar.scale for scalar in effect.scalars(ONE_JOINT)])

@@ -4,8 +4,8 @@
 Stretches last about a second, longer than the correlation time of the low-passed torque noise. Torques are divided by
 the root mean square of the residual of their joint, so that all joints have equal weight; the pure error is the noise
 of the recorded torque below the cut-off. The gain of an effect is also compared with the residual of each joint, whose
-noise is not known. The scale of each joint's torque is confounded with a payload and enters as a systematic error, or,
-if it is that of servos with estimated gains, is fitted with every model
+noise is not known. The scale of each joint's torque is confounded with a payload and enters as a systematic error. A
+scale that follows from estimated gains of servos is fitted with every model
 (:mod:`impact_rs_analysis.evidence.free_motion.servo_gains`).
 """
 
@@ -312,7 +312,12 @@ class RecordingSource(Source):
     @property
     def _related(self) -> int:
         """Number of features of a stretch beyond its samples, which come last: velocities against positions, gains."""
-        return sum(one.noise.size for one in (self._relation, self._gains) if one is not None)
+        return sum(one.noise.size for one in self._relations)
+
+    @property
+    def _relations(self) -> list[VelocityRelation | ServoGains]:
+        """What gives features beyond the samples."""
+        return [one for one in (self._relation, self._gains) if one is not None]
 
     @property
     def _weighted_residuals(self) -> Array:
@@ -529,7 +534,8 @@ class RecordingSource(Source):
         physics = super()._rolled(motion, added)
         if self._gains is None:
             return physics
-        arm, share = physics.arms[ARM], self._gain_errors(self.balance.predict(physics), physics)
+        arm, torque = physics.arms[ARM], self.balance.predict(physics)[:, : self._torques]
+        share = self._gains.fitted(torque, self.balance.lost(physics))
         return replace(physics, arms={ARM: replace(arm, torque_gain=arm.torque_gain / (1.0 + share))})
 
     def _parts(self, numbers: Sequence[int] | None, first: int, last: int) -> list[tuple[int, int]]:
@@ -584,23 +590,18 @@ class RecordingSource(Source):
         if self._relation is not None:
             related.append(self._relation.predicted(physics.arms[ARM].readings))
         if self._gains is not None:
-            share, own = self._gain_errors(torque, physics), slice(self._torques)
-            late = self.balance.lost(physics)
+            own, late = slice(self._torques), self.balance.lost(physics)
+            share = self._gains.fitted(torque[:, own], late)
             torque = torque.copy()
             torque[:, own] += share * (torque[:, own] - late)
             related.append(self._gains.predicted(share))
         return torque, np.hstack(related)
 
-    def _gain_errors(self, torque: Array, physics: Physics) -> Array:
-        """Shares by which the gains of the servos are too high under a prediction ``(k, c)``, ``(m,)`` [-]."""
-        assert self._gains is not None
-        return self._gains.fitted(torque[:, : self._torques], self.balance.lost(physics))
-
     @cached_property
     def _related_recorded(self) -> Array:
         """What was recorded of :attr:`_related`, ``(K, E)``."""
         nothing = np.empty((len(self._stretches), 0))
-        return np.hstack([nothing, *(one.recorded for one in (self._relation, self._gains) if one is not None)])
+        return np.hstack([nothing, *(one.recorded for one in self._relations)])
 
     def _with(self, added: Added) -> Physics:
         """The physics of the model with effects."""
@@ -624,7 +625,7 @@ class RecordingSource(Source):
         rows = rest.ravel()
         if self._related:
             share = max(root_mean_square(self.balance.noise / self.sigma), MIN_NOISE_SHARE)
-            own = np.concatenate([one.noise for one in (self._relation, self._gains) if one is not None])
+            own = np.concatenate([one.noise for one in self._relations])
             noise = np.append(noise, own)
             sigma = np.append(sigma, own / share)  # equal noise has equal weight
             rows = np.append(rows, (self._related_recorded - self._related_of_the_model)[number])

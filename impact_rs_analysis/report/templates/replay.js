@@ -656,8 +656,8 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
       this.canvas.setAttribute('aria-label', `${this.arms.join(' and ')} at the impact in 3D, with velocities`);
     }
 
-    // Joints of all arms side by side [rad], poses of the object and its neighbours, and by body: arm (null: the object), velocities before and
-    // after and the ends of the interval [m/s], null where there is none.
+    // Joints of all arms side by side [rad], poses of the object and its neighbours, and by body: arm (null: the object),
+    // velocities before and after and the ends of the interval [m/s], null where there is none.
     update(moment) {
       const first = this.moment === null;
       this.moment = moment;

@@ -81,7 +81,7 @@ def test_folds_without_an_effect_do_not_count_for_or_against_it(rubbed: Recordin
 
 @pytest.mark.parametrize(("factor", "horizon_s"), [(1.0, 2.0), (10.0, 0.5)])
 def test_rollouts_are_compared_while_one_of_both_predicts(factor: float, horizon_s: float, tmp_path: Path) -> None:
-    """Friction of 0.3 and of 3 N m, of which the effect has 90 %. Kills the longest horizon, where both fail."""
+    """The effect has 90 % of a friction of 0.3 or 3 N m. Kills the longest horizon, where both models fail."""
     mapping = mapping_of(tmp_path, slender_arm(("revolute",) * 2, FLAT), torque_measured_at="motor")
     planted = {"joint_coulomb_friction": {"coulomb_joint1": factor * TRUE[0], "coulomb_joint2": factor * TRUE[1]}}
     source = source_of(tmp_path, mapping, swung(mapping, planted))

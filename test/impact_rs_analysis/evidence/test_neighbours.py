@@ -87,9 +87,9 @@ def test_a_neighbour_is_shown_where_it_was_measured_beside_its_replay(pushed: Ru
     assert len(shown["measured"]["neighbours"]) == len(shown["model"]["neighbours"]) == 1
 
 
-@pytest.mark.parametrize(("name", "thing", "offered"), [("push_two_boxes", "box", True), ("push", "juice", False)])
-def test_effects_on_neighbours_are_looked_for_where_there_are_some(name: str, thing: str, offered: bool) -> None:
-    source = SimpleNamespace(worlds=[Physics.nominal(load_scenario(name), thing)])
+@pytest.mark.parametrize(("name", "item", "offered"), [("push_two_boxes", "box", True), ("push", "juice", False)])
+def test_effects_on_neighbours_are_looked_for_where_there_are_some(name: str, item: str, offered: bool) -> None:
+    source = SimpleNamespace(worlds=[Physics.nominal(load_scenario(name), item)])
     for effect in ("neighbour_mass", "object_friction"):
         assert Source.offers(source, library()[effect]) == offered  # type: ignore[arg-type]
     assert Source.offers(source, library()["object_mass"])  # type: ignore[arg-type]
