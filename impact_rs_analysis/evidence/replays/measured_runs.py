@@ -67,9 +67,9 @@ class Setup:
     @cached_property
     def digest(self) -> str:
         """Digest of the content."""
-        facts = self.physics, self.drive_period, self.drive, self.motor, self.bodies, self.pushes, self.kept
+        facts = self.physics, self.drive_period, self.drive, self.motor, bool(self.bodies), self.pushes, self.kept
         with np.printoptions(floatmode="unique", threshold=sys.maxsize):  # to the last bit
-            text = [repr((facts, self.levels))]
+            text = [repr((facts, self.levels)), *self.bodies[1:]]  # digests of documents from before stay
         for window in self.windows:
             text.append(repr(window.contact))
             text += [hashlib.sha256(times.tobytes()).hexdigest() for times in window.seen_beside.values()]
