@@ -81,7 +81,9 @@ def recorder(plant: str) -> Callable[[BlindTask], str]:
 
 def hidden_in(plant: str) -> list[str]:
     """Effects of the physics that a plant can hide; the board ``measurement`` has those of sensors."""
-    physical = [name for name, effect in of_trials().items() if not effect.of_measurement]
+    physical = [
+        name for name, effect in of_trials().items() if effect.acts_on != "neighbour" and not effect.of_measurement
+    ]  # pushes of one object have no neighbour
     if plant == "plant":
         return physical
     from mujoco_cell import UNKNOWN_HERE

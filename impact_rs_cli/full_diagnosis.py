@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from impact_rs_analysis.diagnosis.document import read_document
-from impact_rs_analysis.following.lessons import ChangeDiagnosis
+from impact_rs_analysis.following.documents import ChangeDiagnosis
 from impact_rs_cli import main as program
 from impact_rs_cli.parser import command_line
 from impact_rs_commands.explaining import DIAGNOSE

@@ -16,10 +16,10 @@ from impact_rs_analysis.application.followed_hits import (
     hits_options,
 )
 from impact_rs_analysis.evidence.calibration import calibration_of
+from impact_rs_analysis.following.documents import HitDocument, PublishedChange, PublishedPrediction, RefusedHit
 from impact_rs_analysis.following.follow import Follower
-from impact_rs_analysis.following.lessons import HitDocument, PublishedChange, PublishedPrediction, RefusedHit
 from impact_rs_cli.full_diagnosis import FullDiagnosis
-from impact_rs_ros.identify_node import Identifier, IdentifyNode, Lesson
+from impact_rs_ros.identify_node import HitReport, Identifier, IdentifyNode
 from impact_rs_ros.process import run
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
@@ -27,7 +27,7 @@ from impact_rs_sim.model import load_model
 HITS_PER_POLL = 3  # in between the node answers
 
 
-class Lessons:
+class HitReports:
     """Results of followed hits, in the format of the node.
 
     Args:
@@ -40,7 +40,7 @@ class Lessons:
         self._restored = False
         self._arriving: Iterator[HitDocument] = iter(())
 
-    def arrived(self) -> Sequence[Lesson]:
+    def arrived(self) -> Sequence[HitReport]:
         """Results of the hits since the last call; if many wait, of the first ones.
 
         Raises:
@@ -53,12 +53,12 @@ class Lessons:
         if not documents:
             self._arriving = self._followed.arrived()
             documents = list(islice(self._arriving, HITS_PER_POLL))
-        lessons = [*self._refusals(), *map(self._lesson, documents)]
+        reports = [*self._refusals(), *map(self._report, documents)]
         if not documents and (begun := self._followed.diagnose()):
-            lessons.append(Lesson(begun, hit=False))
+            reports.append(HitReport(begun, hit=False))
         if (ended := self._diagnosis.ended()) is not None:
-            lessons.append(Lesson(f"full diagnosis: {ended.words}", "diagnosis", ended.model_dump(), hit=False))
-        return lessons
+            reports.append(HitReport(f"full diagnosis: {ended.words}", "diagnosis", ended.model_dump(), hit=False))
+        return reports
 
     def prediction(self) -> dict[str, Any]:
         """Fields of the prediction of the next hit, with the parameters believed; empty: not yet."""
@@ -71,19 +71,19 @@ class Lessons:
         """Stop a diagnosis that runs."""
         self._diagnosis.stop()
 
-    def _refusals(self) -> Iterator[Lesson]:
+    def _refusals(self) -> Iterator[HitReport]:
         """Refused trials since the last call."""
         for name, reason in self._followed.follower.hit_source.newly_skipped().items():
-            yield Lesson(f"{name}: {reason}", "refused", RefusedHit(hit=name, reason=reason).model_dump(), hit=False)
+            yield HitReport(f"{name}: {reason}", "refused", RefusedHit(hit=name, reason=reason).model_dump(), hit=False)
 
-    def _lesson(self, document: HitDocument) -> Lesson:
+    def _report(self, document: HitDocument) -> HitReport:
         if document.error is None:
-            return Lesson(f"{document.name}: the scatter is being learnt")
+            return HitReport(f"{document.name}: the scatter is being learnt")
         line = f"{document.name}: prediction off by {document.error:.2g} standard deviations"
         if (change := document.change) is None:
-            return Lesson(line)
+            return HitReport(line)
         command = self._diagnosis.command(change.since)
-        return Lesson(line, "change", PublishedChange(**vars(change), diagnose=command).model_dump())
+        return HitReport(line, "change", PublishedChange(**vars(change), diagnose=command).model_dump())
 
 
 class Identify(IdentifyNode):
@@ -106,7 +106,7 @@ class Identify(IdentifyNode):
         folder = folder_of_diagnoses(Path(given) if given else None, state)
         diagnosis = FullDiagnosis(diagnose_options(hits, file), folder)
         follower = Follower(hit_source_of(hits, model), model)
-        return Lessons(
+        return HitReports(
             FollowedHits(hits, follower, state, diagnosis if self.parameter("diagnose") else None), diagnosis
         )
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """``impact-rs``: reads the command line, runs the command, and makes one line and an exit code of its errors.
 
-Commands are declared in :mod:`impact_rs_commands`; each is run by a module of :mod:`impact_rs_cli.commands`. What
-several commands share (measurements, benches of investigations, hits that are followed) stands in the modules beside
+Commands are declared in :mod:`impact_rs_commands`; each is run by a module of :mod:`impact_rs_cli.commands`. Steps
+that several commands share (measurements, benches of investigations, hits that are followed) stand in modules next to
 this one.
 """
 

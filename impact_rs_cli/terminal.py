@@ -8,19 +8,22 @@ import ctypes
 import json
 import os
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn
 from rich.table import Table
+from rich.text import Text
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.progress import ProgressFile
 from impact_rs_sim.questions import PageQuestions
 from impact_rs_trials.store import is_bag, is_url
+from impact_rs_workbench.remaining import STAGES, Remaining, remaining, shown
 
 Report = Callable[[int, int], None]
 
@@ -38,15 +41,38 @@ def add_word_column(table: Table, heading: str, cells: Iterable[str]) -> None:
     table.add_column(heading, min_width=max((len(word) for cell in cells for word in cell.split()), default=0))
 
 
+class _TimeLeft(ProgressColumn):
+    """Time left of the whole command, of which a bar shows one stage; of the stage where the others are not known."""
+
+    def __init__(self, command: str) -> None:
+        super().__init__()
+        self._usual = STAGES.get(command, {})
+        self._shown: Remaining | None = None
+
+    def look(self, progress: ProgressFile) -> None:
+        """Estimate it from the progress of the command."""
+        if progress.document:
+            new = remaining(progress.document, self._usual, time.time())
+            self._shown = shown(self._shown if self._usual else None, new)
+
+    def render(self, task: Task) -> Text:
+        """The time, which falls until the next estimate."""
+        del task
+        if self._shown is None or self._shown.left is None:
+            return Text("")
+        return Text(f"{max(0.0, self._shown.left - (time.time() - self._shown.at)):.0f} s left")
+
+
 class Terminal:
     """Output of a command: text for people, or one JSON document and nothing else on standard output.
 
     Args:
         as_json: Whether the document is wanted.
         debug: Whether tracebacks are wanted.
+        command: Name of the command, for its time left.
     """
 
-    def __init__(self, as_json: bool, debug: bool = False) -> None:
+    def __init__(self, as_json: bool, debug: bool = False, command: str = "") -> None:
         self.as_json = as_json
         self.debug = debug
         self._document: dict[str, Any] | None = None
@@ -54,6 +80,7 @@ class Terminal:
         self._file = ProgressFile()
         self._page = PageQuestions.of_environment()
         self._bars = 0  # that are shown
+        self._left = _TimeLeft(command)
 
     def result(self, document: dict[str, Any]) -> None:
         """The document of ``--json``; printed when the command has ended."""
@@ -98,7 +125,7 @@ class Terminal:
             TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
-            TimeRemainingColumn(elapsed_when_finished=True),
+            self._left,
             console=self._errors,
             disable=not self._errors.is_terminal,
             redirect_stdout=False,
@@ -112,15 +139,19 @@ class Terminal:
 
     @contextmanager
     def progress(self, what: str) -> Iterator[Report]:
-        """A bar with the remaining time on standard error, if that is a terminal."""
+        """A bar with the time left on standard error, if that is a terminal."""
         with self._bar() as bar:
             task = bar.add_task(what, total=None)
 
             def report(done: int, total: int) -> None:
                 bar.update(task, completed=done, total=total)
-                self._file.update(what, done, total)
+                self._update(what, done, total)
 
             yield report
+
+    def _update(self, what: str, done: int, total: int | None) -> None:
+        self._file.update(what, done, total)
+        self._left.look(self._file)
 
     @contextmanager
     def stages(self) -> Iterator[Callable[[str, int, int], None]]:
@@ -129,8 +160,9 @@ class Terminal:
             task = bar.add_task("", total=None)
 
             def report(what: str, done: int, total: int) -> None:
-                bar.update(task, description=what, completed=done, total=total)
-                self._file.update(what, done, total)
+                if total > 0:
+                    bar.update(task, description=what, completed=done, total=total)
+                self._update(what, done, total)
 
             yield report
 
@@ -212,7 +244,7 @@ def run(action: Action, args: argparse.Namespace) -> int:
         InputError: The user made a mistake.
     """
     check_outputs(args)
-    terminal = Terminal(args.json, args.debug)
+    terminal = Terminal(args.json, args.debug, args.command.name)
     with terminal.owned_output():
         code = action(args, terminal)
     terminal.finish()

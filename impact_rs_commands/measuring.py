@@ -279,7 +279,7 @@ impact-rs blind make 8 -o blind_8 --scenarios my_push.yaml my_excite.yaml      #
                 ),
                 option(
                     "--scenarios", kind="scenario", many=True, metavar="SCENARIO", default=("push", "excite"),
-                    help="scenarios of one arm to record: pushes and free motions", advanced=True,
+                    help="scenarios to record, with arms of one kind: hits and free motions", advanced=True,
                 ),
                 option("--size", choices=("small", "full"), default="small", help="how many trials", advanced=True),
                 *JOBS,
@@ -347,7 +347,7 @@ impact-rs blind score inquiry""",
         ),
         option(
             "--scenarios", kind="scenario", many=True, metavar="SCENARIO", default=("push", "excite"),
-            help="scenarios of one arm: hits and free motions", advanced=True,
+            help="scenarios with arms of one kind: hits and free motions", advanced=True,
         ),
         MODEL._replace(label="first model", advanced=True),
         option(

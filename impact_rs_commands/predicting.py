@@ -225,9 +225,10 @@ ROBOT = Command(
 Import your own robot from its URDF, and check the result.
 
 import writes robot facts (kinematics, inertias, limits) of the serial chain from --base to --tip. Joints may be
-revolute or prismatic, about any axis; mesh files are not needed. Comments in the file name the facts that a URDF does
-not hold. Robot facts are never overwritten. check tests robot facts before a simulation uses them, with --scenario also
-the drives of the arms that are this robot.""",
+revolute or prismatic, about any axis, and may mimic others; mesh files are not needed. Joints off the chain stand still
+while the robot hits, unless --move names them. Comments in the file name the facts that a URDF does not hold. Robot
+facts are never overwritten. check tests robot facts before a simulation uses them, with --scenario also the drives of
+the arms that are this robot.""",
     examples="""\
 impact-rs robot import my_robot.urdf --tip flange -o my_robot.yaml
 impact-rs robot check my_robot.yaml
@@ -264,7 +265,22 @@ impact-rs robot check my_robot.yaml --scenario my_push.yaml""",
                 option(
                     "--lock", many=True, default=(), metavar="JOINT=PLACE",
                     help="joints that were held, and where [rad, m]: torso_lift=0.15 'head_*=0' 'finger*=0.04'; they "
-                    "become fixed, on the chain and off it",
+                    "become fixed, on the chain and off it; those off it are held at 0 without it",
+                ),
+                option(
+                    "--move", many=True, default=(), metavar="JOINT",
+                    help="joints off the chain that move while the robot hits: 'left_arm_*'; impact map and impact "
+                    "tables take them, trials do not",
+                ),
+                option(
+                    "--floating", kind="switch",
+                    help="nothing holds the base (a humanoid, a drone); impact map and impact tables take it, trials "
+                    "do not",
+                ),
+                option(
+                    "--hand", many=True, default=(), metavar="LINK",
+                    help="links whose frames are further flanges, as the other palm of two arms, for pads that hit at "
+                    "once; --move lets them move",
                 ),
                 option(
                     "--package-path", many=True, kind="folder", default=(), metavar="DIR",

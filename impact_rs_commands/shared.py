@@ -57,8 +57,8 @@ PLANT = option(
 NO_BROWSER = option("--no-browser", kind="switch", help="only print the address")
 JOBS = (
     option(
-        "--jobs", kind="whole", least=1, metavar="N", label="worker processes", advanced=True, help="worker processes",
-        otherwise="one per core",
+        "--jobs", kind="whole", least=1, metavar="N", label="workers", advanced=True, otherwise="one per core",
+        help="worker processes, and threads that replay trials",
     ),
     option(
         "--scheduler", kind="address", metavar="ADDRESS", label="dask scheduler", advanced=True,

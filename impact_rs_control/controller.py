@@ -279,7 +279,7 @@ class Controller:
     """Controllers of all arms of a trial.
 
     Args:
-        plan: What to do.
+        plan: Plan of the trial.
     """
 
     def __init__(self, plan: TrialPlan) -> None:

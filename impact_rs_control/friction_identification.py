@@ -38,7 +38,7 @@ Phase = Literal["ante", "post"]
 
 SAMPLE_PERIOD_S = 0.01  # feedback with k_p = 200 / s^2 follows nothing faster than some 70 ms
 IDENTIFICATION_ROUNDS = 3  # each with the feedforward of those before; see docs/physics.md
-OUT_OF_REACH_M = np.array([100.0, 0.0, 0.0])  # position of an object that no arm meets
+OUT_OF_REACH_OFFSET_M = np.array([100.0, 0.0, 0.0])  # position of an object that no arm meets
 ACCELERATION_DECIMALS = 5  # digits after the point [m/s^2, rad/s^2], far below the noise
 
 
@@ -137,7 +137,7 @@ def _free_motion(plan: TrialPlan, arm: str, phase: Phase) -> TrialPlan:
             wrench=np.zeros_like(own.wrench),
             initial=initial_position(scene, arm, own.orientation[0], position, own.posture, posture),
         )
-    away = replace(scene.object, position=scene.object.position + OUT_OF_REACH_M)
+    away = replace(scene.object, position=scene.object.position + OUT_OF_REACH_OFFSET_M)
     return replace(plan, scene=replace(scene, object=away), arms={arm: own})
 
 

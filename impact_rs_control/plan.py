@@ -273,11 +273,12 @@ def check_restitution(scene: Scene) -> None:
 
 
 def check_joint_counts(scenario: Scenario) -> None:
-    """Refuse arms with too few joints for the tasks.
+    """Refuse trees, and arms with too few joints for the tasks.
 
     Raises:
-        InputError: An arm has fewer joints than the pose of its pad has components.
+        InputError: An arm is a tree, or has fewer joints than the pose of its pad has components.
     """
+    scenario.check_chains("the controller")
     for name, robot in scenario.robots.items():
         if (count := robot.robot_facts.joint_count) < POSE_TASKS:
             raise InputError(

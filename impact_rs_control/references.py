@@ -132,7 +132,7 @@ def carry_path(
 ) -> SampledPath:
     """Post-impact path of a pad: continues along ``axis`` with the object; the velocity across decays soon.
 
-    At T_nom the whole predicted velocity is there, as the impact map demands. What is not along the axis of the task,
+    At T_nom the whole predicted velocity is there, as the impact map demands. Velocity across the axis of the task,
     such as sliding along the object's face, is no part of it, and as long as it lasts pad friction loads object and
     support: it ends after ``timing.slide``. So does what one pad does otherwise than all pads together, and what would
     lead it into the object or off it: these leave no displacement behind, because pads that hold one rigid object

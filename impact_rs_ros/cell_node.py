@@ -265,11 +265,11 @@ class CellNode(LeadingNode[CellTrial]):
                     remedy = "set the parameter watchdog, so that torques go through it, or stop it"
                 return f"{names} can send torques on {topic} as well: {remedy}"
         if self._watchdog_brakes:
-            return (
-                "the watchdog brakes the arms: ros2 service call /watchdog/reset std_srvs/srv/Trigger when it is safe"
-            )
+            reset = self.node.resolve_service_name("watchdog/reset")
+            return f"the watchdog brakes the arms: ros2 service call {reset} std_srvs/srv/Trigger when it is safe"
         if self.parameter("watchdog") and not self.node.count_publishers(resolved(self.node, BRAKING_TOPIC)):
-            return "there is no watchdog, and the parameter watchdog asks for one: ros2 run impact_rs watchdog"
+            there = "" if own[1] == "/" else f" --ros-args -r __ns:={own[1]}"
+            return f"there is no watchdog, and the parameter watchdog asks for one: ros2 run impact_rs watchdog{there}"
         sources = self.node.count_publishers(resolved(self.node, STATES))
         if sources > max(1, self._robots):
             return f"{sources} publishers on {resolved(self.node, STATES)}, {self._robots} when the trial was armed"

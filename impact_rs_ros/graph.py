@@ -258,7 +258,7 @@ class Graph:
                 if time.monotonic() > deadline:
                     raise GraphError(
                         f"no {name} came within {FOREIGN_TIMEOUT_S:g} s: no node offers {what} in ROS domain "
-                        f"{self._domain_id}"
+                        f"{self._domain_id}; {discovery(os.environ)}"
                     )
                 self.spin(0.1)
 

@@ -31,7 +31,7 @@ TOPICS = {"prediction": HitPrediction, "change": CellChange, "diagnosis": Change
 
 
 @dataclass(frozen=True)
-class Lesson:
+class HitReport:
     """Result of one hit, or of a diagnosis after a change.
 
     Attributes:
@@ -50,7 +50,7 @@ class Lesson:
 class Identifier(Protocol):
     """Follows hits as they arrive."""
 
-    def arrived(self) -> Sequence[Lesson]:
+    def arrived(self) -> Sequence[HitReport]:
         """Results of the hits since the last call; raises ``InputError`` if they cannot be read."""
 
     def prediction(self) -> Mapping[str, Any]:
@@ -111,7 +111,7 @@ class IdentifyNode(NodeProgram):
             return
         self._looked = now
         try:
-            lessons = self._identifier.arrived()
+            reports = self._identifier.arrived()
         except InputError as error:
             if self._complaint != str(error):
                 self.log.warning(f"no hits: {error}")
@@ -123,21 +123,21 @@ class IdentifyNode(NodeProgram):
             self._refuse(self._complaint, {"hit": "", "reason": self._complaint})
             return
         self._complaint = ""
-        hits = [lesson for lesson in lessons if lesson.hit]
+        hits = [report for report in reports if report.hit]
         self._hits += len(hits)
         if hits:
             self._looked = -float("inf")  # more may wait
-        for lesson in lessons:
-            if lesson.topic == "refused":
-                self.log.warning(f"refused {lesson.line}")
-                self._refuse(lesson.line, lesson.document)
+        for report in reports:
+            if report.topic == "refused":
+                self.log.warning(f"refused {report.line}")
+                self._refuse(report.line, report.document)
                 continue
-            self.log.info(lesson.line)
-            if lesson.topic:
-                self._publish(lesson.topic, lesson.document)
-            if lesson.topic == "change":
+            self.log.info(report.line)
+            if report.topic:
+                self._publish(report.topic, report.document)
+            if report.topic == "change":
                 self._changes += 1
-                self._last = lesson.document["words"]
+                self._last = report.document["words"]
                 self.log.warning(f"changed {self._last}")
         if hits and (found := self._identifier.prediction()):
             self._publish("prediction", found)

@@ -149,6 +149,7 @@ def _object_name(asked: ImpactProblemMessage) -> str:
 
 def _problem(asked: ImpactProblemMessage, scene: Scene) -> ImpactProblem:
     """The impact of a request: that of the scene with what the request changes."""
+    scene.scenario.check_chains("this service, whose messages have joints alone,")
     diagonal = asked.motor_inertia == "diagonal"
     problem = ImpactProblem.at_nominal_impact(scene, "reduced" if diagonal else asked.motor_inertia or "reduced")
     if asked.object:

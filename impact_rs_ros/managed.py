@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lifecycle (managed) nodes: a program is configured, activated, deactivated and cleaned up from outside.
 
-A transition that the program refuses leaves the node in the state before, with the reason in the log.
+A transition that the program refuses leaves the node in the state before, with the reason in the log. After an error of
+the program it is deactivated and unconfigured.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from impact_rs_sim.errors import InputError, full_traceback
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+ERROR = TransitionCallbackReturn.ERROR
 
 
 class Managed(Protocol):
@@ -71,6 +73,10 @@ class ManagedNode(LifecycleNode):
         self._do(self._program.deactivate)
         return self._do(self._program.finish)
 
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._do(self._program.deactivate)
+        return self._do(self._program.cleanup)
+
     def _do(self, action: Callable[[], None]) -> TransitionCallbackReturn:
         try:
             action()
@@ -81,5 +87,5 @@ class ManagedNode(LifecycleNode):
         except Exception as error:  # no transition ends a node
             self.get_logger().error(full_traceback(error))
             self._refusal = error
-            return FAILURE
+            return ERROR
         return SUCCESS

@@ -20,6 +20,7 @@ from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedE
 from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from impact_rs_ros import node_parameters, presence
 from impact_rs_ros.managed import ManagedNode
@@ -260,6 +261,8 @@ def run(program: type[NodeProgram]) -> None:
     rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     try:
         try:
+            if unknown := remove_ros_args(sys.argv)[1:]:
+                raise InputError(f"{' '.join(unknown)}: expected --ros-args first, as in --ros-args -p scenario:=push")
             node_parameters.refuse_former_sections(sys.argv, program.kind)
             node = program()
         except (InputError, ParameterException) as error:

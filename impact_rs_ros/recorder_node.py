@@ -35,7 +35,7 @@ from impact_rs_trials.bags.types import typestore
 from impact_rs_trials.bags.writer import BagWriter, partial_path
 from impact_rs_trials.spec import TrialSpec
 
-MATCHING_S = 2.0  # for publishers to be discovered; shorter than a caller's wait before it repeats a request
+MATCHING_S = 5.0  # for publishers to be discovered, on a busy machine; well below a service_timeout of 10 s
 SAVE_PERIOD_S = 0.2  # of a trial that is lost when the recorder is killed
 # Topics that need not be recorded from the first message on.
 UNAWAITED = (topics.TF, topics.TF_STATIC, topics.DIAGNOSTICS, topics.TRUTH_MODEL)

@@ -21,7 +21,8 @@ class TrialServices(NodeProgram):
 
     def __init__(self) -> None:
         super().__init__()
-        self._attempt = 0  # the last one that was configured
+        self._attempt = 0  # the last one that was to be configured
+        self._answer = ConfigureTrial.Response()  # to that request
         self._finished: FinishTrial.Response | None = None  # answer on the end of the trial before
 
     @property
@@ -49,18 +50,17 @@ class TrialServices(NodeProgram):
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
     ) -> ConfigureTrial.Response:
         if self.active and request.attempt and request.attempt == self._attempt:
-            response.success = True  # a repeated request, because the answer took long
-            return response
+            return self._answer  # a repeated request, because the answer took long
         self._attempt, self._finished = 0, None
         with self.answering(response, "prepare the trial"):
             self.check_active()
+            self._attempt, self._answer = request.attempt, response
             self.begin_trial(request, response)
-            self._attempt = request.attempt
             response.success = True
         return response
 
     def _on_finish(self, request: FinishTrial.Request, response: FinishTrial.Response) -> FinishTrial.Response:
-        own = request.attempt in (0, self._attempt)
+        own = request.attempt == 0 or (request.attempt == self._attempt and self._answer.success)
         if not (own and self.in_trial):
             response.message = f"{self.kind}: there is no trial to finish"
             return self._finished if own and self._finished is not None else response  # else its answer was lost

@@ -95,7 +95,7 @@ class Terms:
 
 def solve_impacts(
     count: int,
-    arms: Sequence[Sequence[Array | Shape | None]],
+    arms: Sequence[Sequence[Array | Shape | int | None]],
     object: Sequence[Array | float | Shape | None],
     contact: Sequence[Array | float],
     support: Array | None,
@@ -109,7 +109,9 @@ def solve_impacts(
     Args:
         count: N.
         arms: By arm q, dq, B, least and largest q, largest speed, M (upper triangle), J of E in E[A], origin and axes
-            of E in A, middle, axes and half extents of the pad in E; and, unless it is a box, its :class:`Shape`.
+            of E in A, middle, axes and half extents of the pad in E; and, unless it is a box, its :class:`Shape`. A
+            further pad of an arm follows it likewise, with its shape (None: a box) and the index of that arm, whose
+            velocities it has.
         object: Position, axes, twist, mass, half extents, principal moments, centre of mass of the object; and, unless
             it is a box, its :class:`Shape`.
         contact: Friction of pads and of the support, restitution; with neighbours, friction between objects.
@@ -125,7 +127,7 @@ def solve_impacts(
     Returns:
         Status (0 solved, 1 invalid data, 2 not converged) ``(N,)``; u^+ ``(N, nv)``; twists of E
         ``(N, 6 k)``; residuals ``(N, 4)``; kinetic energy before and its gain ``(N, 2)``; steps ``(N,)``; number of the
-        first contact point ``(N + 1,)``; and of all points partner (arm; the number of arms: the support; beyond it:
+        first contact point ``(N + 1,)``; and of all points partner (pad; the number of pads: the support; beyond it:
         the objects), state (0 open, 1 stick, 2 slide), position on the object, normal, gap, impulse, and number of the
         object.
 
@@ -171,8 +173,8 @@ Sigmoid = tuple[Array, Array, Array]
 Shafts = tuple[Array, Array, Array, Array]
 """F_c, F_v, r of the shafts of joints i and i + 1, ``(k (n - 1),)``, and B_rho B_theta^-1 of the joints ``(n,)``."""
 
-Friction = tuple[Array, Array, Array, Array, Array, Array, Sigmoid | None, float, Shafts | None]
-"""F_c, F_v, F_s, v_s, asymmetry, share of the transmitted torque ``(n,)``, sigmoid, smoothing [rad/s], shafts."""
+Friction = tuple[Array, Array, Array, Array, Array, Array, Array, Sigmoid | None, Shafts | None]
+"""F_c, F_v, F_s, v_s, v_r, asymmetry, share of the transmitted torque ``(n,)``, sigmoid, shafts."""
 
 class Motors:
     """Motors and springs of one arm; equations in :mod:`impact_rs_sim.drive`.
@@ -366,6 +368,8 @@ class TwinArm:
         joint_torque: Whether the torques are measured joint torques, without a motor.
         pad: Middle from the origin of E [m], axes, both in axes of the last joint; half extents [m]; stiffness [N/m]
             (None: rigid) and damping [N s/m] of the face; shear compliance [m/N] and creep [m/(s N)]; shape.
+        tool: Motions that the tool's spring leaves the pad, scaled to unit compliance, linear then angular in axes of
+            the last joint, ``(d, 6)`` [m/J^0.5, rad/J^0.5]; damping over stiffness [s]; None: it is rigid.
         pull: f_0 [N], k [N/m] and p_impact [m] of a spring on E; None: there is none.
         formulas: Loads of formulas.
         load: Loads of Python classes; None: there are none.
@@ -386,6 +390,7 @@ class TwinArm:
         delay: float,
         joint_torque: bool,
         pad: _Pad,
+        tool: tuple[Array, float] | None,
         pull: tuple[Array, float, Array] | None,
         formulas: Sequence[TwinFormula],
         load: TwinLoad | None,

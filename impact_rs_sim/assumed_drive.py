@@ -46,8 +46,8 @@ def assumed_drive(facts: RobotFacts, end_effector: EndEffector, period: float) -
 
     Args:
         facts: The robot.
-        end_effector: What it carries.
-        period: Of the torque loop [s].
+        end_effector: Its end effector.
+        period: Period of the torque loop [s].
     """
     slides = np.array(facts.joint_types) == "prismatic"
     radius = np.where(slides, np.array(facts.limits.velocity_rad_s) / FRANKA_SPEED_LIMIT_RAD_S, 1.0)

@@ -150,10 +150,10 @@ def _on_motors(friction: JointFriction, shaping: Array) -> Friction | None:
         shaping * friction.viscous,
         shaping * friction.stribeck,
         friction.stribeck_velocity,
+        none + friction.smoothing,
         none if friction.asymmetry is None else shaping * friction.asymmetry,
         none if friction.load is None else shaping * friction.load,
         None if sigmoid is None else (shaping * sigmoid.a, np.array(sigmoid.b), np.array(sigmoid.c)),
-        friction.smoothing,
         _shafts(friction.shafts, shaping) if friction.shafts else None,
     )
 

@@ -28,7 +28,7 @@ class InputError(ValueError):
     ``success: false``.
 
     Args:
-        message: What is wrong, or, with ``key``, what was expected (with its unit).
+        message: Description of the mistake, or, with ``key``, the expected value with its unit.
         file: The file the mistake is in, if any.
         key: Dotted path of the key, for example ``robots.arm.end_effector.mass``.
         value: The value found there.

@@ -65,7 +65,7 @@ class ForwardDynamics:
         """Positions and velocities at the end of every step and before the first, ``(K + 1, S, n)`` each.
 
         Args:
-            time: Of the starts, for loads that depend on time, ``(S,)`` [s].
+            time: Time of the starts, for loads that depend on time, ``(S,)`` [s].
             position: q of the starts, ``(S, n)`` [rad].
             velocity: dq of the starts, ``(S, n)`` [rad/s].
             torque: Mean driving torque of every step, ``(K, S, n)`` [N m].

@@ -11,6 +11,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -21,13 +22,17 @@ from impact_rs_sim.memory import Memory
 from impact_rs_sim.readings import EXACT, ArmReadings, TrackerReadings
 from impact_rs_sim.robots.robot import Array, EndEffector, JointType, RobotFacts, SigmoidFriction
 from impact_rs_sim.robots.robot_model import STANDARD_GRAVITY, RobotModel
+from impact_rs_sim.robots.tool_spring import ToolSpring
 from impact_rs_sim.robots.urdf import write_description
-from impact_rs_sim.scenarios.scenario import ObjectSpec, Scenario
+from impact_rs_sim.scenarios.scenario import ObjectSpec, Scenario, guided_object
 from impact_rs_sim.shapes import BOX, ConvexShape
 from impact_rs_sim.twist_readings import TwistReadings
 
 MOTOR_INERTIA_MODELS = ("reduced", "rotor", "zero")
 RESTITUTION_LAWS = ("newton", "poisson")
+# Width of dry friction at a reversal that no effect widens: sharp against the speeds of a motion, and smooth against
+# the change of a motor's velocity within one period of its torque loop.
+SHARP_WIDTH_RAD_S = 0.005
 
 
 @dataclass(frozen=True)
@@ -44,14 +49,15 @@ class ShaftFriction:
     viscous: Array
     ratio: float
 
-    def torque(self, velocity: Array, smoothing: float) -> Array:
+    def torque(self, velocity: Array, smoothing: float | Array) -> Array:
         """Torque on the joints, ``(..., n)`` [N m], see :class:`JointFriction`.
 
         Args:
             velocity: Velocity of the motors, ``(..., n)`` [rad/s].
-            smoothing: Velocity scale of the smoothed sign [rad/s].
+            smoothing: v_r of all joints, or of each, ``(n,)`` [rad/s]; a shaft takes the width of its first joint.
         """
         speed = velocity[..., :-1] + self.ratio * velocity[..., 1:]
+        smoothing = np.broadcast_to(smoothing, velocity.shape[-1:])[:-1]
         own = -self.coulomb * np.tanh(speed / smoothing) - self.viscous * speed
         torque = np.zeros_like(velocity)
         torque[..., :-1] += own
@@ -64,13 +70,14 @@ class JointFriction:
     """Joint friction, in terms of the desired torque: tau_fric of paper eq. EOM_motor_mod.
 
     The motor feels ``tau_fric,m = B_rho B_theta^-1 tau_fric`` (paper, below eq. EOM_motor_mod). With the direction
-    ``s = tanh(dtheta / smoothing)``, a sign that is smoothed so that rest is a state and not a limit cycle,
+    ``s = tanh(dtheta / v_r)`` (Andersson, Söderberg and Björklund 2007, Tribology International 40), a smooth sign with
+    which rest is a state and not a limit cycle,
 
         tau_fric = -(F_c + F_s exp(-(dtheta / v_s)^2) + a s + k |tau_J|) s - F_v dtheta
 
     and the shaft that turns with joints i and i + 1 adds, at its speed w = dtheta_i + r dtheta_i+1,
 
-        tau_i = -(F_c tanh(w / smoothing) + F_v w),    tau_i+1 = r tau_i
+        tau_i = -(F_c tanh(w / v_r,i) + F_v w),    tau_i+1 = r tau_i
 
     Every part opposes motion (power <= 0) as long as no asymmetry exceeds the Coulomb friction of its joint.
 
@@ -80,7 +87,8 @@ class JointFriction:
         stribeck: Breakaway torque above Coulomb F_s, ``(n,)`` [N m].
         stribeck_velocity: Velocity v_s at which the excess has fallen to 1/e, ``(n,)`` [rad/s].
         sigmoid: Friction identified by Gaz et al. 2019, added to the above.
-        smoothing: Velocity scale of the smoothed sign [rad/s].
+        smoothing: Width v_r of a reversal, where dry friction has turned by tanh(1) = 76 %, of all joints or of each,
+            ``(n,)`` [rad/s].
         asymmetry: Half of friction forward minus backward a, ``(n,)`` [N m]; None: none.
         load: Friction over transmitted torque k, ``(n,)`` [-]; None: none.
         shafts: Shafts that turn with two joints.
@@ -91,7 +99,7 @@ class JointFriction:
     stribeck: Array
     stribeck_velocity: Array
     sigmoid: SigmoidFriction | None = None
-    smoothing: float = 0.005
+    smoothing: float | Array = SHARP_WIDTH_RAD_S
     asymmetry: Array | None = None
     load: Array | None = None
     shafts: tuple[ShaftFriction, ...] = ()
@@ -308,6 +316,8 @@ class ArmPhysics:
         pad_shear_compliance: Yield of the pad along its face per friction force, back when it ends [m/N].
         pad_creep: Speed at which a pad that sticks is dragged along its face, per friction force [m/(s N)].
         readings: Sensor models of the arm.
+        tool_spring: Spring and damper between flange and pad; None: the tool is rigid.
+        hands: End effectors of the further hands of a tree, by name.
         assumed: What of the numbers of the scenario and of the facts is assumed, in words; no part of the physics.
     """
 
@@ -330,6 +340,8 @@ class ArmPhysics:
     pad_shear_compliance: float = 0.0
     pad_creep: float = 0.0
     readings: ArmReadings = EXACT
+    tool_spring: ToolSpring | None = field(default=None, repr=False)  # a digest has it beside the rest
+    hands: Mapping[str, EndEffector] = field(default_factory=dict, repr=False)  # no run has them, nor its digest
     assumed: tuple[str, ...] = field(default=(), repr=False, compare=False)
 
     def motor_inertia(self, model: str) -> Array:
@@ -390,6 +402,20 @@ class ArmPhysics:
         return on_links, on_motors
 
 
+class PadOnRobot(NamedTuple):
+    """A pad that hits.
+
+    Attributes:
+        arm: Name of its robot.
+        hand: Name of the hand that has it; empty: the flange.
+        end_effector: End effector that carries it.
+    """
+
+    arm: str
+    hand: str
+    end_effector: EndEffector
+
+
 @dataclass(frozen=True)
 class ObjectPhysics:
     """A rigid convex body, whose principal axes of inertia are its own x, y, z.
@@ -400,6 +426,8 @@ class ObjectPhysics:
         inertia: Principal moments about the centre of mass, ``(3,)`` [kg m^2]; infinite likewise.
         com_offset: Centre of mass from the geometric centre, in axes of the object, ``(3,)`` [m].
         shape: Its shape.
+        freedom: Twist of its centre in its own axes per velocity that a hinge or slide leaves it, ``(6, d)``; None: it
+            is free, or fixed.
     """
 
     mass: float
@@ -407,6 +435,7 @@ class ObjectPhysics:
     inertia: Array
     com_offset: Array
     shape: ConvexShape = BOX
+    freedom: Array | None = field(default=None, repr=False)  # no run has one, nor its digest
 
     @staticmethod
     def of(spec: ObjectSpec) -> ObjectPhysics:
@@ -417,7 +446,21 @@ class ObjectPhysics:
             inertia=spec.moments,
             com_offset=np.array(spec.com_offset),
             shape=spec.form,
+            freedom=spec.freedom,
         )
+
+    def freedom_at(self, rotation: Array) -> Array | None:
+        """``freedom`` in axes of A, with axes of the object ``(3, 3)``."""
+        return None if self.freedom is None else np.vstack((rotation @ self.freedom[:3], rotation @ self.freedom[3:]))
+
+    def check_free(self, what: str) -> None:
+        """Refuse an object on a hinge or slide, for ``what`` takes free and fixed ones.
+
+        Raises:
+            InputError: It has a hinge or slide.
+        """
+        if self.freedom is not None:
+            raise guided_object(what, "object")
 
     @property
     def fixed(self) -> bool:
@@ -476,7 +519,7 @@ class Physics:
     Attributes:
         arms: Arms by name.
         object: The manipulated object.
-        support_height: Height of the support's surface [m]; None: no support, as of a fixed object.
+        support_height: Height of the support's surface [m]; None: no support, as of an object that is fixed or guided.
         support_size: Extent of the support along x and y [m].
         support_friction: Friction between object and support [-].
         pad_friction: Friction between pad and object [-].
@@ -536,8 +579,10 @@ class Physics:
             if drive.friction == "identified":
                 friction = replace(friction, sigmoid=facts.friction)
             effector, base = robot.end_effector.build(), robot.base.placement
-            pose = np.array(robot.impact.joint_position or robot.impact.joint_guess)
-            model = RobotModel(facts, effector, base)
+            hands = {hand: one.end_effector.build() for hand, one in robot.hands.items()}
+            given = robot.impact.joint_position
+            model = RobotModel(facts, effector, base, hands=hands)
+            pose = model.position_of(np.array(robot.impact.joint_guess if given is None else given))
             arms[name] = ArmPhysics(
                 facts=facts,
                 base=base,
@@ -552,16 +597,18 @@ class Physics:
                 actuation_delay=drive.actuation_delay,
                 pad_stiffness=pad.stiffness,
                 pad_damping=pad.damping,
+                tool_spring=robot.end_effector.tool_spring,
                 impact_position=scenario.impact_placement(name, object_name).translation,
                 pad_mobility=model.mobility(
                     pose, model.placement(pose).rotation[:, 2], np.array(drive.reflected_inertia)
                 ),
+                hands=hands,
                 assumed=robot.assumed,
             )
         return Physics(
             arms=arms,
             object=ObjectPhysics.of(spec),
-            support_height=None if spec.fixed else scenario.support.height,
+            support_height=None if spec.fixed or spec.freedom is not None else scenario.support.height,
             support_size=scenario.support.size,
             support_friction=scenario.support.friction,
             pad_friction=scenario.contact.friction,
@@ -579,9 +626,18 @@ class Physics:
 
     def friction_of(self, partner: str) -> float:
         """Coulomb coefficient of an object against an arm's pad, the support (``support``) or an object before it."""
-        if partner in self.arms:
-            return self.pad_friction
-        return self.support_friction if partner == "support" else self.object_friction
+        if partner == "support":
+            return self.support_friction
+        return self.object_friction if partner in self.bodies else self.pad_friction
+
+    @property
+    def pads(self) -> dict[str, PadOnRobot]:
+        """All pads: of every arm under its name, and then of its further hands under theirs."""
+        return {
+            hand or name: PadOnRobot(name, hand, tool)
+            for name, arm in self.arms.items()
+            for hand, tool in {"": arm.end_effector, **arm.hands}.items()
+        }
 
     @property
     def bodies(self) -> dict[str, ObjectPhysics]:
@@ -643,7 +699,7 @@ class Physics:
     def robot_model(self, arm: str) -> RobotModel:
         """Rigid-body model of one arm under these physics."""
         physics = self.arms[arm]
-        return RobotModel(physics.facts, physics.end_effector, physics.base, self.gravity)
+        return RobotModel(physics.facts, physics.end_effector, physics.base, self.gravity, physics.hands)
 
     def robot_models(self) -> dict[str, RobotModel]:
         """Rigid-body models of all arms, by name."""

@@ -3,8 +3,9 @@
 
 The file holds one JSON document, replaced as a whole: the stage (``what``), the steps ``done`` of ``total``, start and
 last update of the stage (``since``, ``at``, seconds of the wall clock), and the steps done by an earlier run of the
-command (``first``). ``stages`` holds the seconds of all stages so far, by name. While explanations
-are compared, ``ranking`` holds them with their remaining error, the smallest first.
+command (``first``). ``stages`` holds the seconds of all stages so far, by name; in those of ``empty`` nothing is
+expected to be done. While explanations are compared, ``ranking`` holds them with their remaining error, the smallest
+first.
 """
 
 from __future__ import annotations
@@ -14,24 +15,32 @@ import os
 import time
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 
 VARIABLE = "IMPACT_RS_PROGRESS"
 MIN_WRITE_PERIOD_S = 0.1  # between two writes of one stage
+SEARCH, HOLD_OUT, ENDS = "fit of the shortlist", "hold-out", "ends of intervals"  # stages of a diagnosis
 
 
 class ProgressFile:
-    """The progress file; without the environment variable nothing is written."""
+    """The progress file; without the environment variable nothing is written.
+
+    Attributes:
+        document: Its content; empty before the first stage.
+    """
 
     def __init__(self) -> None:
         name = os.environ.get(VARIABLE)
         self._path = None if not name else Path(name)
+        self.document: dict[str, Any] = {}
         self._what: str | None = None
         self._since = self._at = 0.0
         self._first = 0
         self._stages: dict[str, float] = {}
+        self._empty: set[str] = set()
         self._ranking: dict[str, float] = {}
 
     def rank(self, name: str, error: float) -> None:
@@ -44,10 +53,12 @@ class ProgressFile:
         Args:
             what: The stage.
             done: Steps done.
-            total: Steps of the stage; None: unknown.
+            total: Steps of the stage; None: unknown; 0: nothing is expected to be done in it.
         """
-        if self._path is None:
+        if total == 0:
+            self._empty.add(what)
             return
+        self._empty.discard(what)
         now = time.time()
         if what != self._what:
             if self._what is not None:
@@ -56,12 +67,14 @@ class ProgressFile:
         elif done != total and now - self._at < MIN_WRITE_PERIOD_S:
             return
         self._at = now
-        ranking = sorted(self._ranking.items(), key=lambda entry: entry[1])
-        document = {"what": what, "done": done, "total": total, "first": self._first, "since": self._since, "at": now}
-        document["stages"] = self._stages | {what: self._seconds(now)}
-        document["ranking"] = ranking
-        with suppress(InputError):  # a full disk must not stop a command because of its progress
-            write_whole(self._path, json.dumps(document))
+        self.document = {
+            "what": what, "done": done, "total": total, "first": self._first, "since": self._since, "at": now,
+            "stages": self._stages | {what: self._seconds(now)}, "empty": sorted(self._empty),
+            "ranking": sorted(self._ranking.items(), key=lambda entry: entry[1]),
+        }  # fmt: skip
+        if self._path is not None:
+            with suppress(InputError):  # a full disk must not stop a command because of its progress
+                write_whole(self._path, json.dumps(self.document))
 
     def _seconds(self, now: float) -> float:
         """Duration of the stage, earlier visits included [s]."""

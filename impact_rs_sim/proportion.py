@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from impact_rs_sim.physics import ObjectPhysics, Physics
-from impact_rs_sim.robots.robot import Array, RobotFacts
+from impact_rs_sim.robots.robot import Array, Inertial, RobotFacts
 from impact_rs_sim.robots.robot_model import GRAVITY_M_S2
 from impact_rs_sim.shapes import BOX
 from impact_rs_sim.units import dimension_of
@@ -36,8 +36,8 @@ class Proportion:
     """Scale of a robot relative to the Franka arm, or of a free body relative to the cube above.
 
     Attributes:
-        mass: Of its links, or of the body [-].
-        length: Of its reach (:func:`reach_of`), or of its radius of gyration [-].
+        mass: Mass of its links, or of the body [-].
+        length: Length of its reach (:func:`reach_of`), or of its radius of gyration [-].
         time: In which a body falls as far as it reaches, or comes as far [-].
     """
 
@@ -88,11 +88,17 @@ def gyration_of(body: ObjectPhysics) -> float:
 
 
 def _mass(facts: RobotFacts) -> float:
-    return sum(link.mass for link in facts.links)
+    return sum(link.mass for link in _bodies(facts))
+
+
+def _bodies(facts: RobotFacts) -> list[Inertial]:
+    """A floating base and the links from it to the flange."""
+    base: list[Inertial] = [] if facts.floating_base is None else [facts.floating_base]
+    return [*base, *(facts.links[number] for number in facts.path)]
 
 
 def reach_of(facts: RobotFacts) -> float:
-    """Reach of an arm: length of the chain from its second joint to the flange [m].
+    """Reach of an arm: length of the chain from its second joint, or its floating base, to the flange [m].
 
     Where axes and flange meet in one point, as those of a pan-tilt, the chain has no length, but the links have: the
     reach is at least the rms distance of their mass from that joint, along the chain,
@@ -101,9 +107,11 @@ def reach_of(facts: RobotFacts) -> float:
 
     with d_i the length of the chain to joint i, c_i the centre of mass of link i and I_i its inertia about it.
     """
-    steps = np.linalg.norm([(0.0, 0.0, 0.0), *(joint.xyz for joint in facts.joints[1:]), facts.flange.xyz], axis=1)
+    links, start = _bodies(facts), facts.floating_base is None
+    origins = [facts.joints[number].xyz for number in facts.path][start:]
+    steps = np.linalg.norm([(0.0, 0.0, 0.0), *origins, facts.flange.xyz], axis=1)
     *before, chain = np.cumsum(steps)
-    mass = np.array([link.mass for link in facts.links])
-    about = [np.sum(np.square(link.com)) + np.trace(link.inertia_matrix) / (2.0 * link.mass) for link in facts.links]
+    mass = np.array([link.mass for link in links])
+    about = [np.sum(np.square(link.com)) + np.trace(link.inertia_matrix) / (2.0 * link.mass) for link in links]
     spread = float(mass @ np.square(np.array(before) + np.sqrt(about)) / np.sum(mass))
     return max(float(chain), float(np.sqrt(spread)))

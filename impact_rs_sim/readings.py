@@ -130,7 +130,7 @@ class ArmReadings:
         """Torque for a reading and its slope, ``(n,)`` or ``(k, n)`` [N m].
 
         Args:
-            reading: Of the sensors [N m].
+            reading: Reading of the sensors [N m].
             rate: Its slope [N m/s].
             age: Time since the first run of the campaign [s].
         """
@@ -165,7 +165,7 @@ class TrackerReadings:
         position: t, of A's origin in the frame that readings are taken for A [m], along x and y.
         yaw: Rotation of A in that frame about z [rad].
         point: c, tracked point from the object's centre, axes of the object [m], along x and y.
-        delay: Of its time stamps [s].
+        delay: Delay of its timestamps [s].
         lag: T of its filter [s].
     """
 

@@ -3,11 +3,15 @@
 
 from __future__ import annotations
 
+import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Generic, TypeVar
 
 Made = TypeVar("Made")
+
+# One for all caches: to make one result may need another's, and a lock cannot be pickled with its cache.
+_turn = threading.RLock()
 
 
 class Recent(Generic[Made]):
@@ -22,10 +26,11 @@ class Recent(Generic[Made]):
         self._kept: OrderedDict[Hashable, Made] = OrderedDict()
 
     def of(self, key: Hashable, make: Callable[[], Made]) -> Made:
-        """The result for a key, made if missing."""
-        if key not in self._kept:
-            self._kept[key] = make()
-            if len(self._kept) > self._most:
-                self._kept.popitem(last=False)
-        self._kept.move_to_end(key)
-        return self._kept[key]
+        """The result for a key, made if missing; threads wait for each other."""
+        with _turn:
+            if key not in self._kept:
+                self._kept[key] = make()
+                if len(self._kept) > self._most:
+                    self._kept.popitem(last=False)
+            self._kept.move_to_end(key)
+            return self._kept[key]

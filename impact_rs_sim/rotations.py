@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rotations as quaternions, and quaternions as angles."""
+"""Names of axes, rotations as quaternions, and quaternions as angles."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import pinocchio as pin
 
 from impact_rs_sim.robots.robot import Array
 
+AXES = ("x", "y", "z")
+MAX_NORM_ERROR = 0.02  # of a measured unit quaternion; a tracker that lost its body sends zeros or NaN
 _ORIGIN = np.zeros(3)
 
 

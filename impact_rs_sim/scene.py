@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,11 +22,11 @@ MIN_HORIZONTAL_COSINE = 0.95  # between pad normal and horizontal; a steeper pad
 
 @dataclass(frozen=True)
 class ArmState:
-    """Joint state of one arm.
+    """State of one arm: its joints, behind its base where that floats (:mod:`impact_rs_sim.robots.robot`).
 
     Attributes:
-        position: q, ``(n,)`` [rad].
-        velocity: dq, ``(n,)`` [rad/s].
+        position: q, ``(n,)`` [rad]; with a floating base ``(7 + n,)``, its position and quaternion in front.
+        velocity: dq, ``(n,)`` [rad/s]; with a floating base v, ``(6 + n,)``, its twist in its own axes in front.
     """
 
     position: Array
@@ -78,6 +79,21 @@ def standing(physics: Physics, object_: BodyState) -> tuple[BodyState, ...]:
     )
 
 
+def pad_placements(
+    physics: Physics, models: Mapping[str, RobotModel], arms: Mapping[str, ArmState]
+) -> dict[str, pin.SE3]:
+    """Frames E of all pads in A by name of the pad; ``models`` are the rigid-body models by arm."""
+    return {name: models[pad.arm].placement(arms[pad.arm].position, pad.hand) for name, pad in physics.pads.items()}
+
+
+def pad_twists(physics: Physics, models: Mapping[str, RobotModel], arms: Mapping[str, ArmState]) -> dict[str, Array]:
+    """Twists of frames E of all pads in E[A] by name of the pad, ``(6,)`` [m/s, rad/s]; ``models`` by arm."""
+    return {
+        name: models[pad.arm].jacobian(arms[pad.arm].position, pad.hand) @ arms[pad.arm].velocity
+        for name, pad in physics.pads.items()
+    }
+
+
 @dataclass(frozen=True)
 class Scene:
     """One object and case of a scenario, at the nominal moment of impact.
@@ -119,14 +135,16 @@ class Scene:
         for name, robot in scenario.robots.items():
             wanted = case.robots[name]
             model = physics.robot_model(name)
-            linear = np.array(wanted.ante_velocity)
+            linear = {"": np.array(wanted.ante_velocity), **{one: np.array(own) for one, own in wanted.hands.items()}}
             try:
                 if robot.impact.joint_position is not None:
-                    q = _within_limits(model, np.array(robot.impact.joint_position))
+                    q = model.position_of(_within_limits(model, np.array(robot.impact.joint_position)))
                     dq = _velocity_of_given_joints(model, q, linear)
                 else:
                     placement = scenario.impact_placement(name, object_name)
-                    q = model.inverse_kinematics(placement, wanted.held, np.array(robot.impact.joint_guess))
+                    guess = np.array(robot.impact.joint_guess)
+                    hands = {hand: scenario.impact_placement(name, object_name, hand) for hand in robot.hands}
+                    q = model.inverse_kinematics(placement, wanted.held, guess, hands=hands)
                     dq = _impact_velocity(model, q, linear, wanted.joint_1_velocity)
             except UnreachablePose as error:
                 raise UnreachablePose(
@@ -152,56 +170,72 @@ class Scene:
         )
 
 
-def _impact_velocity(model: RobotModel, q: Array, linear: Array, joint_1: float | None) -> Array:
-    """Smallest joint velocity with the desired end-effector velocity, no rotation, and the given joint 1.
+def _impact_velocity(model: RobotModel, q: Array, linear: Mapping[str, Array], joint_1: float | None) -> Array:
+    """Smallest joint velocity with the desired velocities of the hands, no rotation, and the given joint 1.
 
     Raises:
         UnreachablePose: No solution: too few joints, or a singular pose.
     """
-    tasks, wanted = model.jacobian(q), np.concatenate((linear, np.zeros(3)))
+    tasks = np.vstack([model.jacobian(q, hand) for hand in linear])
+    wanted = np.concatenate([np.append(own, np.zeros(3)) for own in linear.values()])
     if joint_1 is not None:
         tasks, wanted = np.vstack((tasks, np.eye(model.joint_count)[:1])), np.append(wanted, joint_1)
     dq = np.linalg.pinv(tasks) @ wanted
     missed = float(np.abs(tasks @ dq - wanted).max())
     if missed > 1e-6 * max(1.0, float(np.abs(wanted).max())):
         raise UnreachablePose(
-            f"ante_velocity {linear.tolist()} m/s without rotation is beyond these joints: the nearest velocity is off "
-            f"by {missed:.3g} (m/s or rad/s)"
+            f"ante_velocity {_velocities_in_words(linear)} m/s without rotation is beyond these joints: the nearest "
+            f"velocity is off by {missed:.3g} (m/s or rad/s)"
         )
     return np.asarray(dq)
 
 
-def _within_limits(model: RobotModel, q: Array) -> Array:
-    """``q`` ``(n,)``.
+def _within_limits(model: RobotModel, joints: Array) -> Array:
+    """``joints`` ``(n,)``.
 
     Raises:
         UnreachablePose: A joint is beyond its limits.
     """
-    for joint, (position, low, high) in enumerate(zip(q, model.position_min, model.position_max, strict=True)):
+    limits = model.facts.limits
+    ranges = zip(joints, limits.position_min_rad, limits.position_max_rad, strict=True)
+    for joint, (position, low, high) in enumerate(ranges):
         if not low <= position <= high:
             unit = model.facts.units[joint].position
             raise UnreachablePose(
                 f"joint {joint + 1} at {position:.4g} {unit} is outside its limits [{low:.4g}, {high:.4g}] {unit}"
             )
-    return q
+    return joints
 
 
-def _velocity_of_given_joints(model: RobotModel, q: Array, linear: Array) -> Array:
-    """Smallest joint velocity with the desired velocity of E and the least rotation of E, ``(n,)``.
+def _velocity_of_given_joints(model: RobotModel, q: Array, linear: Mapping[str, Array]) -> Array:
+    """Smallest joint velocity with the desired velocities of the hands and the least rotation of them, ``(nv,)``.
+
+    A robot with one pad whose base floats comes as a whole: the base has that velocity, in its own axes, and the joints
+    rest. With several hands the base rests, and the joints move them.
 
     Raises:
-        UnreachablePose: No joint velocity gives the desired velocity.
+        UnreachablePose: No joint velocity gives the desired velocities.
     """
-    jacobian = model.jacobian(q)
-    dq = np.linalg.pinv(jacobian[:3], rcond=SINGULAR_VALUE_TOLERANCE) @ linear
-    missed = float(np.abs(jacobian[:3] @ dq - linear).max())
-    if missed > 1e-6 * max(1.0, float(np.abs(linear).max())):
+    base = model.facts.base_size
+    if base and len(linear) == 1:
+        return np.concatenate((model.base.rotation.T @ linear[""], np.zeros(model.joint_count - 3)))
+    jacobians, wanted = [model.jacobian(q, hand)[:, base:] for hand in linear], np.concatenate(list(linear.values()))
+    moving, turning = (np.vstack([own[rows] for own in jacobians]) for rows in (slice(0, 3), slice(3, 6)))
+    dq = np.linalg.pinv(moving, rcond=SINGULAR_VALUE_TOLERANCE) @ wanted
+    missed = float(np.abs(moving @ dq - wanted).max())
+    if missed > 1e-6 * max(1.0, float(np.abs(wanted).max())):
         raise UnreachablePose(
-            f"ante_velocity {linear.tolist()} m/s is beyond these joints there: the nearest is off by {missed:.3g} m/s"
+            f"ante_velocity {_velocities_in_words(linear)} m/s is beyond these joints there: the nearest is off by "
+            f"{missed:.3g} m/s"
         )
-    still = scipy.linalg.null_space(jacobian[:3], rcond=SINGULAR_VALUE_TOLERANCE)
-    back = np.linalg.pinv(jacobian[3:] @ still, rcond=SINGULAR_VALUE_TOLERANCE) @ (jacobian[3:] @ dq)
-    return np.asarray(dq - still @ back)
+    still = scipy.linalg.null_space(moving, rcond=SINGULAR_VALUE_TOLERANCE)
+    back = np.linalg.pinv(turning @ still, rcond=SINGULAR_VALUE_TOLERANCE) @ (turning @ dq)
+    return np.concatenate((np.zeros(base), dq - still @ back))
+
+
+def _velocities_in_words(linear: Mapping[str, Array]) -> str:
+    """Velocities of the pads with the names of their hands."""
+    return " and ".join(f"{f'of {hand} ' if hand else ''}{own.tolist()}" for hand, own in linear.items())
 
 
 def resting_pose(scenario: Scenario, object_name: str) -> BodyState:

@@ -68,6 +68,8 @@ def _check_name(value: str, info: ValidationInfo) -> str:
 RECORDED = "recorded"  # context in which what was recorded by an earlier version is validated
 Name = Annotated[str, AfterValidator(_check_name)]
 Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_as_tuple)]
+Vector6 = Annotated[tuple[float, float, float, float, float, float], BeforeValidator(_as_tuple)]
+Matrix6 = Annotated[tuple[Vector6, Vector6, Vector6, Vector6, Vector6, Vector6], BeforeValidator(_as_tuple)]
 Vector = Annotated[tuple[float, ...], BeforeValidator(_as_tuple)]
 PositiveVector = Annotated[Vector, _check(lambda value: value > 0.0, "> 0")]
 NonNegativeVector = Annotated[Vector, _check(lambda value: value >= 0.0, ">= 0")]
@@ -212,7 +214,7 @@ def read_json(path: str | Path, what: str, most: int = MAX_TEXT_LENGTH) -> Any:
 
     Args:
         path: The file.
-        what: What it should be, for the message.
+        what: Kind of the file, for the message.
         most: Bytes that it may have.
     """
     text = read_text(path, most)
@@ -228,7 +230,7 @@ def validate(schema: type[SchemaType], data: Any, file: str | Path | None, conte
     """Validate parsed data against ``schema``; ``file`` only names the place in errors.
 
     Args:
-        schema: What the data should be.
+        schema: Schema of the data.
         data: As :func:`parse_yaml` returns them.
         file: Where they are from; None: not from a file.
         context: ``RECORDED`` for what an earlier version may have written.

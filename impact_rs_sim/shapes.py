@@ -51,8 +51,8 @@ class ConvexShape:
 
     Attributes:
         kind: Which one.
-        corners: Of a hull, from the middle of its bounding box [m].
-        faces: Of a hull, numbers of their corners in order, seen from outside anticlockwise.
+        corners: Corners of a hull, from the middle of its bounding box [m].
+        faces: Faces of a hull: numbers of their corners in order, seen from outside anticlockwise.
     """
 
     kind: Kind = "box"
@@ -191,7 +191,7 @@ def check_extents(kind: str, size: Sequence[float]) -> None:
     """Refuse extents that a shape cannot fill.
 
     Args:
-        kind: Of the shape.
+        kind: Kind of the shape.
         size: Extents along x, y, z, ``(3,)`` [m].
 
     Raises:

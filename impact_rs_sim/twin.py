@@ -22,6 +22,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
+import scipy
 from numpy.typing import NDArray
 
 from impact_rs_sim import _kernel
@@ -202,6 +203,7 @@ def kernel_twin(physics: Physics, period: float, joint_torque: bool, refinement:
     if physics.support_height is not None:
         half_x, half_y = (extent / 2.0 for extent in physics.support_size)
         support = (physics.support_height, half_x, half_y, physics.support_friction, physics.support_compliance)
+    physics.object.check_free("the twin")
     return _kernel.Twin(
         arms,
         [(box.mass, box.size / 2.0, box.inertia, box.com_offset, box.shape.kernel) for box in boxes],
@@ -218,6 +220,7 @@ def kernel_twin(physics: Physics, period: float, joint_torque: bool, refinement:
 
 def _arm(physics: Physics, name: str, period: float, joint_torque: bool) -> _kernel.TwinArm:
     arm = physics.arms[name]
+    arm.facts.check_chain("the twin", f"robots.{name}")
     links, tip = _links(arm, physics.gravity)
     pad = arm.end_effector.pad_placement
     springs = [load for load in arm.loads if isinstance(load, Spring)]
@@ -247,6 +250,7 @@ def _arm(physics: Physics, name: str, period: float, joint_torque: bool) -> _ker
             arm.pad_creep,
             arm.end_effector.shape.kernel,
         ),
+        None if arm.tool_spring is None else (arm.tool_spring.motions @ _turned_twists(tip).T, arm.tool_spring.lag),
         pull,
         formulas,
         _call(physics, name, others) if others else None,
@@ -273,6 +277,11 @@ def _links(arm: ArmPhysics, gravity: Array) -> tuple[_kernel.Chain, Array]:
     mass[-1], com[-1] = total, middle
     slides = [joint.type == "prismatic" for joint in facts.joints]
     return _kernel.Chain(rotations, origins, slides, mass, com, inertia, gravity, place), tip
+
+
+def _turned_twists(rotation: Array) -> Array:
+    """Twists about the same point in axes turned by ``rotation``, ``(6, 6)``."""
+    return scipy.linalg.block_diag(rotation, rotation)
 
 
 @functools.lru_cache(maxsize=64)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from fractions import Fraction
 
@@ -24,6 +25,7 @@ BASE = {
 TORQUE, FORCE = BASE["J"], BASE["N"]
 
 
+@functools.cache
 def dimension_of(unit: str) -> Dimension:
     """Dimension of a unit as parameters have it, ``N s/m`` for example.
 

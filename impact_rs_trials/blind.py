@@ -80,8 +80,16 @@ def draw(
     is a bound (friction cannot be negative) the effect goes the only way it can; values beyond a bound stop 10 % short
     of it. An effect with a shape drawn from a range of its own only ever adds: what is taken away from a place drawn at
     random need not be there. A parameter with a prior, which the data hardly determine, stays nominal.
+
+    Raises:
+        InputError: It acts on neighbours of the object, and there are none.
     """
     effect = library()[name]
+    if worlds and effect.acts_on == "neighbour" and not any(world.neighbours for world in worlds):
+        raise InputError(
+            f"effect {name!r} changes nothing where no object has neighbours; name a scenario with some, such as "
+            "push_two_boxes, with --scenarios"
+        )
     scalars = effect.scalars(joints)
     lowest, highest = (np.array([getattr(scalar, side) for scalar in scalars]) for side in ("lower", "upper"))
     if worlds:
@@ -350,7 +358,7 @@ def make(
         magnitude: Size in parameter scales; for an outside effect in multiples of a noticeable one; None: drawn.
         work: Records a trial; :func:`run_task` on another cell than our plant.
         outsides: Names of the effects outside the library that it knows.
-        scenarios: Names or paths of the recorded scenarios of one arm: pushes, and motions there and back.
+        scenarios: Names or paths of the scenarios to record, with arms of one kind: hits, and motions there and back.
 
     Raises:
         InputError: Unknown kind, effect, size or scenario, arms with different numbers of joints, or a folder that

@@ -104,6 +104,6 @@ def write_answers(table: ImpactTable, answers: Answers, target: Path) -> None:
 
 def _headers(table: ImpactTable) -> list[str]:
     """Headers of the velocities after, in the order of :attr:`Answers.after`."""
-    units = {arm: own.facts.units for arm, own in table.rows[0].physics.arms.items()}
-    of_arms = [one for arm in table.arms for one in DQ_AFTER.of_arm(arm_label(arm, table.arms), units[arm])]
+    facts = {arm: own.facts for arm, own in table.rows[0].physics.arms.items()}
+    of_arms = [one for arm in table.arms for one in DQ_AFTER.of_arm(arm_label(arm, table.arms), facts[arm])]
     return [header for one in (*of_arms, V_AFTER, W_AFTER) for header in one.headers]

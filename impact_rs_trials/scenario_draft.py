@@ -54,9 +54,9 @@ Report = Callable[[str, int, int], None]
 Kind = Literal["push", "grab", "excite"]
 KINDS: tuple[Kind, ...] = ("push", "grab", "excite")
 
-SEARCHED_POSES = 150
+SEARCHED_POSES = 150  # drawn within the joint limits
 SIMULATED_POSES = 6  # the best ones
-SEED = 0
+SEED = 0  # of these poses: a draft gives one scenario
 PATH_STEP_M = 0.02  # along the path of the pad
 COMFORTABLE = {"revolute": 0.3, "prismatic": 0.1}  # rad, m from a limit; more is no better
 MAX_DEFLECTION_RATIO = 0.5  # velocity across the pad's normal over velocity along it, by an impulse along it
@@ -72,7 +72,7 @@ class Pose:
     """Pose of an arm at the impact.
 
     Attributes:
-        position: Of E, ``(3,)`` [m].
+        position: Position of E, ``(3,)`` [m].
         q: Joint positions, ``(n,)`` [rad].
         score: 0: a limit is reached on the way; 1: far from all.
     """
@@ -128,6 +128,7 @@ def draft(
     """
     if proposed is not None and kind == "excite":
         raise InputError("excite moves freely and hits nothing: leave the object out, or take push or grab")
+    facts.check_chain("a scenario with trials", "--robot")
     if facts.joint_count < 6:
         raise InputError(
             f"{facts_name} has {facts.joint_count} joints: a pad that keeps its orientation on its way needs six; "
@@ -232,9 +233,9 @@ def _rated(model: RobotModel, pose: Pose, scenario: Scenario, share: float, moto
 
 
 def _deflection(model: RobotModel, q: Array, motors: Array) -> float:
-    """Velocity of the pad across its normal that an impulse along it makes, over that along it [-].
+    """Ratio of tangential to normal pad velocity caused by a normal impulse [-].
 
-    What goes up carries a part of the object's weight from then on, and the support's friction is another.
+    A pad that moves upwards carries a part of the object's weight, which changes the friction of the support.
     """
     linear = model.jacobian(q)[:3]
     thrown = linear @ np.linalg.solve(model.mass_matrix(q) + np.diag(motors), linear.T @ NORMAL)

@@ -19,7 +19,7 @@ class IdentifyMessages:
     """The newest messages of a node ``identify``, as JSON documents; empty: not yet.
 
     Attributes:
-        prediction: Of the next hit, with the parameters believed.
+        prediction: Prediction of the next hit, with the parameters believed.
         changes: Changes of the cell, in the order of detection.
         diagnosis: How the last full diagnosis ended.
         refused: Last trial without a hit, with the reason.

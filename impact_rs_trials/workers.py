@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Workers for independent pure tasks: processes of this machine, or the workers of a ``dask`` scheduler."""
+"""Workers for independent pure tasks: processes of this machine, or the workers of a ``dask`` scheduler.
+
+Processes take seconds to start, and each makes its own copy of what it needs. Tasks that spend their time in compiled
+code without Python's lock are declared by :func:`on_threads`, and run on threads of this process.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +15,11 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.version import package_version
@@ -23,12 +28,14 @@ if TYPE_CHECKING:
     from distributed import Client
 
 Map = Callable[[Callable[..., Any], Sequence[Any]], Iterator[Any]]
+Task = TypeVar("Task", bound=Callable[..., Any])
 
 MEMORY_LIMIT = "1GiB"  # of a worker process here; measured: 0.2 GiB after five trials
 ANSWER_TIMEOUT_S = 10.0  # of a scheduler
 WORKERS_TIMEOUT_S = 30.0  # until the first worker of a scheduler is there
 MAX_PENDING_TASKS = 1000  # of the scheduler, so that its memory does not grow with a campaign
 
+_on_threads: set[Callable[..., Any]] = set()
 _one_trial_at_a_time = threading.Lock()  # trials of one process share models, which are not thread-safe
 
 
@@ -51,7 +58,7 @@ class Workforce:
     """Workers to use.
 
     Attributes:
-        jobs: Worker processes of this machine; 1: no others than this process.
+        jobs: Worker processes of this machine, or threads of this process (:func:`on_threads`); 1: neither.
         scheduler: Address of a running ``dask`` scheduler, whose workers are used instead.
 
     Raises:
@@ -166,6 +173,12 @@ def _check_workers(client: Client, address: str) -> None:
             raise InputError(f"worker {name} has impact-rs {version}; expected {package_version()}, as here")
 
 
+def on_threads(function: Task) -> Task:
+    """Declare a thread-safe task that spends its time outside of Python's lock; threads of this process run it here."""
+    _on_threads.add(function)
+    return function
+
+
 @contextmanager
 def workers(workforce: Workforce) -> Iterator[Map]:
     """A ``map`` over the workforce that yields results in order.
@@ -183,6 +196,10 @@ def workers(workforce: Workforce) -> Iterator[Map]:
         clients = [] if workforce.scheduler is None else [held.enter_context(client_of(workforce))]
 
         def distributed_map(function: Callable[..., Any], items: Sequence[Any]) -> Iterator[Any]:
+            if workforce.scheduler is None and function in _on_threads:
+                with ThreadPoolExecutor(workforce.jobs) as threads:
+                    yield from threads.map(function, items)
+                return
             if not clients:
                 if len(items) < 2:
                     yield from map(function, items)

@@ -20,7 +20,7 @@ from starlette.responses import HTMLResponse, Response, StreamingResponse
 from starlette.routing import Route
 from starlette.types import ASGIApp
 
-from impact_rs_analysis.following.lessons import ChangeDiagnosis, PublishedChange, PublishedPrediction, RefusedHit
+from impact_rs_analysis.following.documents import ChangeDiagnosis, PublishedChange, PublishedPrediction, RefusedHit
 from impact_rs_analysis.report.page import BUNDLE, STYLE, TEMPLATES
 from impact_rs_analysis.report.scene_3d import described_scene, moving_joints, scene_data
 from impact_rs_sim.errors import InputError

@@ -68,8 +68,8 @@ class Slider:
     known: bool = False
 
 
-class Question(Schema):
-    """A question to the impact map."""
+class MapQuery(Schema):
+    """Inputs of one prediction by the impact map."""
 
     scenario: str = Field(description="name, or path of a file in the folder")
     object: str = Field(description="object of the scenario")
@@ -107,27 +107,27 @@ def sliders_of(scenario: Scenario, object_name: str) -> tuple[Slider, ...]:
     )  # fmt: skip
 
 
-def settings_of(scenario: Scenario, question: Question) -> dict[str, Setting]:
+def settings_of(scenario: Scenario, query: MapQuery) -> dict[str, Setting]:
     """Values that the scenario has instead of its own, by dotted key.
 
     Raises:
         InputError: There is no such slider.
     """
     settings: dict[str, Setting] = {}
-    for key, value in question.values.items():
-        if slider_of(scenario, question.object, key).key != SPEED:
+    for key, value in query.values.items():
+        if slider_of(scenario, query.object, key).key != SPEED:
             settings[key] = value
             continue
-        case = scenario.case_name(question.case)
+        case = scenario.case_name(query.case)
         for name, robot in scenario.cases[case].robots.items():
             x, y, z = (float(f"{value * speed:.6g}") for speed in robot.ante_velocity)
             settings[f"cases.{case}.robots.{name}.ante_velocity"] = (x, y, z)
     return settings
 
 
-def map_arguments(scenario: str, model: str, question: Question, settings: Mapping[str, Setting]) -> list[str]:
+def map_arguments(scenario: str, model: str, query: MapQuery, settings: Mapping[str, Setting]) -> list[str]:
     """The arguments of ``impact-rs`` that give the same answer; scenario and model as the terminal calls them."""
-    named = {"object": question.object, "case": question.case, "motor_inertia": question.motor_inertia}
+    named = {"object": query.object, "case": query.case, "motor_inertia": query.motor_inertia}
     changed = tuple(f"{key}={_yaml(value)}" for key, value in settings.items())
     return MAP.words({"scenario": scenario, **named, "uncertainty": True, "model": model, "settings": changed})
 
@@ -137,30 +137,30 @@ def _yaml(value: Setting) -> str:
 
 
 def answer(
-    scenario: Scenario, question: Question, model: Model = NOTHING, stopped: Callable[[], bool] = lambda: False
+    scenario: Scenario, query: MapQuery, model: Model = NOTHING, stopped: Callable[[], bool] = lambda: False
 ) -> dict[str, Any]:
     """Velocities before and after with their intervals, impulses, and the shares of the sources.
 
     Args:
         scenario: The scenario.
-        question: The question.
+        query: Its inputs.
         model: Effects beyond the scenario's nominal physics.
         stopped: Whether the answer is no longer wanted.
 
     Raises:
         Stopped: ``stopped`` said so.
-        InputError: The scenario has no such object, case, arm or value, or the question has no answer.
+        InputError: The scenario has no such object, case, arm or value, or the query has no answer.
         ImpactMapError: No answer was found.
     """
-    arm = _arm(scenario, question)
-    scene, problem = _problem(scenario, question, model)
+    arm = _arm(scenario, query)
+    scene, problem = _problem(scenario, query, model)
     found = predict_impact(problem)
     stated = scene.scenario.uncertainty
     uncertain: UncertainPrediction | None = None
     ends: Ends = {}
     note = ""
     try:
-        if question.moving:
+        if query.moving:
             names, low, high = interval_of_draws(problem, stated, scene.models, MOVING_DRAWS)
         else:
             uncertain = predict(problem, stated, scene.models, stopped=stopped)
@@ -168,7 +168,7 @@ def answer(
         ends = dict(zip(names, zip(low.tolist(), high.tolist(), strict=True), strict=True))
     except (InputError, ImpactMapError) as error:  # velocities are known all the same
         note = f"no interval: {error}"
-    if not question.moving:
+    if not query.moving:
         note = note or (uniqueness_of(problem, scene.models).warning or "")
     before = velocities_before(scene)
     bodies = [(name, before[name], twist) for name, twist in found.end_effector_twist.items()]
@@ -192,7 +192,7 @@ def answer(
         "interval": None
         if uncertain is None
         else {"level": CONFIDENCE_LEVEL, "method": uncertain.method, "draws": uncertain.draws},
-        "moving": question.moving,
+        "moving": query.moving,
         "residual": found.residual.largest,
         "note": note,
     }
@@ -253,21 +253,22 @@ def _budget(uncertain: UncertainPrediction | None, name: str) -> list[dict[str, 
     ]
 
 
-def _arm(scenario: Scenario, question: Question) -> str:
-    """The arm of the question.
+def _arm(scenario: Scenario, query: MapQuery) -> str:
+    """The arm of the query.
 
     Raises:
         InputError: There is no such arm.
     """
-    arm = question.arm or next(iter(scenario.robots))
+    arm = query.arm or next(iter(scenario.robots))
     if arm not in scenario.robots:
         raise InputError(f"scenario {scenario.name!r} has no arm {arm!r}; known: {', '.join(scenario.robots)}")
     return arm
 
 
-def _problem(scenario: Scenario, question: Question, model: Model) -> tuple[Scene, ImpactProblem]:
-    changed = scenario.with_settings(settings_of(scenario, question))
-    return planned_impact(changed, question.object, question.case, model, question.motor_inertia)
+def _problem(scenario: Scenario, query: MapQuery, model: Model) -> tuple[Scene, ImpactProblem]:
+    scenario.check_chains("the workbench, which draws them,")
+    changed = scenario.with_settings(settings_of(scenario, query))
+    return planned_impact(changed, query.object, query.case, model, query.motor_inertia)
 
 
 @dataclass(frozen=True)
@@ -301,23 +302,23 @@ def slider_of(scenario: Scenario, object_name: str, key: str) -> Slider:
     return sliders[key]
 
 
-def sweep(scenario: Scenario, question: Question, slider: Slider, model: Model = NOTHING) -> Iterator[SweepPoint]:
+def sweep(scenario: Scenario, query: MapQuery, slider: Slider, model: Model = NOTHING) -> Iterator[SweepPoint]:
     """Points over one slider, computed lazily."""
     for value in np.linspace(slider.low, slider.high, SWEEP_POINTS):
-        at = question.model_copy(update={"values": {**question.values, slider.key: float(value)}})
+        at = query.model_copy(update={"values": {**query.values, slider.key: float(value)}})
         yield _point(scenario, at, model, float(value))
 
 
-def _point(scenario: Scenario, question: Question, model: Model, value: float) -> SweepPoint:
+def _point(scenario: Scenario, query: MapQuery, model: Model, value: float) -> SweepPoint:
     arms: dict[str, float | None] = dict.fromkeys(MOTOR_INERTIA_MODELS)
     object_velocity = low = high = None
-    axis, arm = scenario.axis_index, _arm(scenario, question)
+    axis, arm = scenario.axis_index, _arm(scenario, query)
     try:
-        scene, problem = _problem(scenario, question, model)
+        scene, problem = _problem(scenario, query, model)
         for name in arms:
             found = predict_impact(ImpactProblem.at_nominal_impact(scene, name))
             arms[name] = float(found.end_effector_twist[arm][axis])
-            if name == question.motor_inertia:
+            if name == query.motor_inertia:
                 object_velocity = float(found.object_twist[axis])
         names, lows, highs = interval_of_draws(problem, scene.scenario.uncertainty, scene.models, MOVING_DRAWS)
         place = names.index(f"{arm}.velocity.{scenario.axis}")
@@ -327,7 +328,7 @@ def _point(scenario: Scenario, question: Question, model: Model, value: float) -
     return SweepPoint(value, arms, object_velocity, low, high)
 
 
-def drawn(question: Question, slider: Slider, points: Sequence[SweepPoint]) -> dict[str, Any]:
+def drawn(query: MapQuery, slider: Slider, points: Sequence[SweepPoint]) -> dict[str, Any]:
     """Points of a sweep as the page draws them."""
     return {
         "slider": asdict(slider),
@@ -337,7 +338,7 @@ def drawn(question: Question, slider: Slider, points: Sequence[SweepPoint]) -> d
                 "label": label,
                 "colour": colour,
                 "y": [point.arms[name] for point in points],
-                "chosen": name == question.motor_inertia,
+                "chosen": name == query.motor_inertia,
             }
             for name, (label, colour, _) in MODEL_STYLE.items()
         ],

@@ -37,7 +37,7 @@ from impact_rs_workbench.jobs import Job, Jobs, PageAnswer
 from impact_rs_workbench.kept_choices import ListChoice, choices, keep
 from impact_rs_workbench.live_page import Sources, Watch
 from impact_rs_workbench.local import listening, serve_locally
-from impact_rs_workbench.prediction import Question
+from impact_rs_workbench.prediction import MapQuery
 from impact_rs_workbench.recording_description import Description, PreviewRequest
 from impact_rs_workbench.request_guard import FILE_POLICY, Guard
 from impact_rs_workbench.static_files import SCRIPTS, SHARED, STATIC, static_file
@@ -76,7 +76,7 @@ class Workbench:
         self.jobs = Jobs(self.workspace.root / HIDDEN / "jobs", program)
         self.stopped: list[Job] = []  # jobs that its end has stopped
         self._asked = 0  # predictions for sliders that move, so far
-        self._map = threading.Lock()  # the impact map keeps engines warm and answers one question at a time
+        self._map = threading.Lock()  # the impact map keeps engines warm and answers one query at a time
 
     def state(self) -> dict[str, Any]:
         """All that lies in the folder."""
@@ -90,50 +90,50 @@ class Workbench:
         """A scenario with one of its objects, as the picture draws it."""
         return prediction.scene_of(self.workspace.scenario_path(name), object_name)
 
-    def predict(self, question: Question) -> dict[str, Any]:
+    def predict(self, query: MapQuery) -> dict[str, Any]:
         """One prediction, with the command that gives it; ``superseded`` where a slider has moved meanwhile.
 
         Other questions wait for their turn: questions of two windows would stop each other for ever.
         """
-        scenario = load_scenario(self.workspace.scenario_path(question.scenario))
-        settings, model = prediction.settings_of(scenario, question), self.model(question)
-        self._asked += question.moving
+        scenario = load_scenario(self.workspace.scenario_path(query.scenario))
+        settings, model = prediction.settings_of(scenario, query), self.model(query)
+        self._asked += query.moving
         asked = self._asked
         with self._map:
             try:
-                found = prediction.answer(scenario, question, model, lambda: self._asked != asked)
+                found = prediction.answer(scenario, query, model, lambda: self._asked != asked)
             except Stopped:
                 return {"superseded": True}
-        name = named(self.workspace, question.scenario)
-        file = NOMINAL if question.model == NOMINAL else seen(self.workspace.existing(question.model))
-        words = prediction.map_arguments(name, file, question, settings)
+        name = named(self.workspace, query.scenario)
+        file = NOMINAL if query.model == NOMINAL else seen(self.workspace.existing(query.model))
+        words = prediction.map_arguments(name, file, query, settings)
         return found | {"command": self.command(words)}
 
-    def model(self, question: Question) -> Model:
-        """The model of a question.
+    def model(self, query: MapQuery) -> Model:
+        """The model of a query.
 
         Raises:
             InputError: There is no such file, or it is no model.
         """
-        return load_model(NOMINAL if question.model == NOMINAL else self.workspace.existing(question.model))
+        return load_model(NOMINAL if query.model == NOMINAL else self.workspace.existing(query.model))
 
-    def impact(self, question: Question) -> dict[str, Any]:
-        """The impact as a picture shows it; no other question gives way to it."""
-        scenario = load_scenario(self.workspace.scenario_path(question.scenario))
+    def impact(self, query: MapQuery) -> dict[str, Any]:
+        """The impact as a picture shows it; no other query gives way to it."""
+        scenario = load_scenario(self.workspace.scenario_path(query.scenario))
         with self._map:
-            return prediction.answer(scenario, question.model_copy(update={"moving": True}), self.model(question))
+            return prediction.answer(scenario, query.model_copy(update={"moving": True}), self.model(query))
 
-    def sweep(self, question: Question, key: str) -> dict[str, Any]:
+    def sweep(self, query: MapQuery, key: str) -> dict[str, Any]:
         """Predictions over a slider; ``superseded`` where a slider has moved meanwhile, which comes first."""
-        scenario = load_scenario(self.workspace.scenario_path(question.scenario))
-        slider = prediction.slider_of(scenario, question.object, key)
-        rest, asked = prediction.sweep(scenario, question, slider, self.model(question)), self._asked
+        scenario = load_scenario(self.workspace.scenario_path(query.scenario))
+        slider = prediction.slider_of(scenario, query.object, key)
+        rest, asked = prediction.sweep(scenario, query, slider, self.model(query)), self._asked
         points: list[prediction.SweepPoint] = []
         while self._asked == asked:
             with self._map:
                 point = next(rest, None)
             if point is None:
-                return prediction.drawn(question, slider, points)
+                return prediction.drawn(query, slider, points)
             points.append(point)
         return {"superseded": True}
 
@@ -165,7 +165,7 @@ def _routes(workbench: Workbench) -> list[Route]:
 
     def sweep(data: Any) -> Any:
         key = data.pop("over", "") if isinstance(data, dict) else ""
-        return workbench.sweep(_question(data), str(key))
+        return workbench.sweep(_map_query(data), str(key))
 
     def preview(data: Any) -> Any:
         return recording_description.preview(workspace, validate(PreviewRequest, data, None))
@@ -209,8 +209,8 @@ def _routes(workbench: Workbench) -> list[Route]:
         Route("/api/jobs/{number}/log", _got(lambda given: {"log": jobs.log(_job(given))})),
         Route("/api/events", _events(workbench)),
         Route("/api/live", _live(workbench)),
-        Route("/api/predict", _posted(lambda data: workbench.predict(_question(data))), methods=["POST"]),
-        Route("/api/impact", _posted(lambda data: workbench.impact(_question(data))), methods=["POST"]),
+        Route("/api/predict", _posted(lambda data: workbench.predict(_map_query(data))), methods=["POST"]),
+        Route("/api/impact", _posted(lambda data: workbench.impact(_map_query(data))), methods=["POST"]),
         Route("/api/sweep", _posted(sweep), methods=["POST"]),
         Route("/api/laboratory/preview", _posted(preview), methods=["POST"]),
         Route("/api/laboratory", _posted(lambda data: _described(workbench, data)), methods=["POST"]),
@@ -248,8 +248,8 @@ def _kept(workbench: Workbench, data: Any) -> dict[str, str]:
     return {"command": workbench.command(EFFECTS.words({"formulas": seen(workbench.workspace.existing(path))}))}
 
 
-def _question(data: Any) -> Question:
-    return validate(Question, data, None)
+def _map_query(data: Any) -> MapQuery:
+    return validate(MapQuery, data, None)
 
 
 def _got(work: Work) -> Endpoint:

@@ -107,7 +107,7 @@ class ModelNode:
     Attributes:
         path: Its file, seen from the workspace, or ``nominal``.
         name: Its name.
-        digest: Of what it says about the physics.
+        digest: Digest of its physics.
         parent: The parent's path, as ``path``; None: it has none here.
         effects: Names of its effects.
         note: Why it was made.
@@ -502,7 +502,7 @@ def _scores(path: Path) -> list[dict[str, Any]]:
 
 
 def _with_scores(models: list[ModelNode], scores: list[dict[str, Any]]) -> Iterator[ModelNode]:
-    """Models with what was found of them, the newest first; ``score`` of all of them is of the same measurements."""
+    """Models with their results, newest first; ``score`` of all of them is of the same measurements."""
     own: dict[str, list[dict[str, Any]]] = {}
     latest: dict[str, float] = {}  # by measurements
     for model in models:

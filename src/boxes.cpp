@@ -2,6 +2,8 @@
 
 #include "boxes.hpp"
 
+#include <algorithm>
+
 #include "shapes.hpp"
 
 namespace impact_rs {

@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "chain.hpp"
 
+#include <algorithm>
+#include <utility>
+
 namespace impact_rs {
 Chain::Chain(std::vector<Joint> joints, std::vector<Link> links, const Vector& gravity, const Vector& tip)
     : joints_(std::move(joints)),
@@ -20,7 +23,7 @@ Spatial Chain::times(const Body& body, const Spatial& motion) {
 }
 
 void Chain::place(const double* q) {
-  Matrix rotation{1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0};
+  Matrix rotation = IDENTITY;
   Vector origin{};
   for (std::size_t i = 0; i < joints(); ++i) {
     origin = origin + rotation * joints_[i].origin;

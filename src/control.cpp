@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "control.hpp"
 
+#include <algorithm>
+#include <utility>
+
 namespace impact_rs {
 namespace {
 

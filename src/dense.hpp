@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <utility>
 #include <vector>
 
 namespace impact_rs {
@@ -45,6 +46,21 @@ inline Matrix operator*(const Matrix& a, const Matrix& b) {
     for (int k = 0; k < 3; ++k)
       for (int j = 0; j < 3; ++j) c[3 * i + j] += a[3 * i + k] * b[3 * k + j];
   return c;
+}
+
+constexpr Matrix IDENTITY{1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0};
+
+// exp([a]) m: axes turned by a rotation vector [rad].
+inline Matrix turned(const Vector& a, const Matrix& m) {
+  const double square = dot(a, a), angle = std::sqrt(square);
+  const double s = square < 1e-8 ? 1.0 - square / 6.0 : std::sin(angle) / angle;
+  const double c = square < 1e-8 ? 0.5 - square / 24.0 : (1.0 - std::cos(angle)) / square;
+  Matrix found;
+  for (int j = 0; j < 3; ++j) {
+    const Vector axis = column(m, j), first = cross(a, axis), second = cross(a, first);
+    for (int i = 0; i < 3; ++i) found[3 * i + j] = axis[i] + s * first[i] + c * second[i];
+  }
+  return found;
 }
 
 // Cholesky factor L of a = L L^T in its lower triangle, in place; false where a is not positive definite.

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "drive.hpp"
 
+#include <utility>
+
 namespace impact_rs {
 
 double Friction::torque(std::size_t i, double velocity, double transmitted) const {
-  const double ratio = velocity / stribeck_velocity[i], direction = std::tanh(velocity / smoothing);
+  const double ratio = velocity / stribeck_velocity[i], direction = std::tanh(velocity / smoothing[i]);
   const double sliding = coulomb[i] + stribeck[i] * std::exp(-ratio * ratio);
   double torque = -(sliding + asymmetry[i] * direction + load[i] * std::abs(transmitted)) * direction -
                   viscous[i] * velocity;
@@ -16,7 +18,7 @@ void Friction::add_shafts(const std::vector<double>& velocity, std::vector<doubl
   for (std::size_t shaft = 0; shaft < shaft_coulomb.size(); ++shaft) {
     const std::size_t i = shaft % (velocity.size() - 1);
     const double speed = velocity[i] + shaft_ratio[shaft] * velocity[i + 1];
-    const double own = -shaft_coulomb[shaft] * std::tanh(speed / smoothing) - shaft_viscous[shaft] * speed;
+    const double own = -shaft_coulomb[shaft] * std::tanh(speed / smoothing[i]) - shaft_viscous[shaft] * speed;
     torque[i] += shaping[i] * own;
     torque[i + 1] += shaping[i + 1] * shaft_ratio[shaft] * own;
   }

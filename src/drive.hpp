@@ -3,6 +3,7 @@
 
 #pragma once
 
+#include <utility>
 #include <vector>
 
 #include "dense.hpp"
@@ -11,10 +12,9 @@ namespace impact_rs {
 
 // B_rho B_theta^-1 tau_fric of the n joints; parameters as in impact_rs_sim/physics.py. Empty: no friction.
 struct Friction {
-  std::vector<double> coulomb, viscous, stribeck, stribeck_velocity;
+  std::vector<double> coulomb, viscous, stribeck, stribeck_velocity, smoothing;
   std::vector<double> asymmetry, load;
   std::vector<double> a, b, c;  // of the sigmoid
-  double smoothing;
   std::vector<double> shaft_coulomb, shaft_viscous, shaft_ratio;  // of joints i and i + 1, in sets of n - 1; of tau_fric
   std::vector<double> shaping;                                    // B_rho B_theta^-1 of the joints
 

@@ -33,18 +33,19 @@ class Values {
 using PerJoint = std::vector<double>;
 using Sigmoid = std::tuple<PerJoint, PerJoint, PerJoint>;
 using Shafts = std::tuple<PerJoint, PerJoint, PerJoint, PerJoint>;
-using FrictionOfPython = std::tuple<PerJoint, PerJoint, PerJoint, PerJoint, PerJoint, PerJoint, std::optional<Sigmoid>,
-                                    double, std::optional<Shafts>>;
+using FrictionOfPython = std::tuple<PerJoint, PerJoint, PerJoint, PerJoint, PerJoint, PerJoint, PerJoint,
+                                    std::optional<Sigmoid>, std::optional<Shafts>>;
 
 Friction friction_of(const std::optional<FrictionOfPython>& given, std::size_t joints) {
   if (!given) return {};
-  const auto& [coulomb, viscous, stribeck, stribeck_velocity, asymmetry, load, sigmoid, smoothing, shafts] = *given;
+  const auto& [coulomb, viscous, stribeck, stribeck_velocity, smoothing, asymmetry, load, sigmoid, shafts] = *given;
   Friction found{};
   found.coulomb = coulomb, found.viscous = viscous, found.stribeck = stribeck;
-  found.stribeck_velocity = stribeck_velocity, found.asymmetry = asymmetry, found.load = load;
-  found.smoothing = smoothing;
+  found.stribeck_velocity = stribeck_velocity, found.smoothing = smoothing;
+  found.asymmetry = asymmetry, found.load = load;
   std::vector<const PerJoint*> parts{&found.coulomb,           &found.viscous,   &found.stribeck,
-                                     &found.stribeck_velocity, &found.asymmetry, &found.load};
+                                     &found.stribeck_velocity, &found.smoothing, &found.asymmetry,
+                                     &found.load};
   if (sigmoid) {
     std::tie(found.a, found.b, found.c) = *sigmoid;
     parts.insert(parts.end(), {&found.a, &found.b, &found.c});

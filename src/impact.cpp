@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <numeric>
+#include <utility>
 
 namespace impact_rs {
 
@@ -93,9 +94,16 @@ Impact::Side Impact::object_side(const Objects& objects, int number) const {
   return {STILL, object.fixed() ? 0 : 6, vector(object.position), block};
 }
 
+// Block of H with the velocities of a partner; -1: the support, which has none.
+int Impact::block_of(const Arms& arms, int partner) const {
+  const int count = static_cast<int>(arms.size());
+  if (partner < count) return arms[partner].carrier;
+  return partner == count ? -1 : partner - 1;
+}
+
 Impact::Side Impact::partner_side(const Arms& arms, const Objects& objects, int partner) const {
   const int count = static_cast<int>(arms.size());
-  if (partner < count) return {arms[partner].jacobian, arms[partner].joints, places_[partner], partner};
+  if (partner < count) return {arms[partner].jacobian, arms[partner].joints, places_[partner], block_of(arms, partner)};
   return partner == count ? Side{STILL, 0, {}, -1} : object_side(objects, partner - count - 1);
 }
 
@@ -126,8 +134,7 @@ bool Impact::find_points(const Arms& arms, const Objects& objects, const Contact
       if (!add(partner, pad, number, body, *contact.pad_friction)) return false;
     }
     if (contact.support != nullptr) {
-      const Body below{vector(contact.support), {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0},
-                       vector(contact.support + 3)};
+      const Body below{vector(contact.support), IDENTITY, vector(contact.support + 3)};
       if (!add(count, below, number, body, *contact.support_friction)) return false;
     }
     for (int before = 0; before < number; ++before)
@@ -171,6 +178,12 @@ bool Impact::assemble(const Arms& arms, const Objects& objects) {
     const ArmState& arm = arms[a];
     const int n = arm.joints;
     Block& block = blocks_[a];
+    twist_of(arm.jacobian, arm.velocity, n, before_twists_.data() + 6 * a);
+    if (arm.carrier != a) {  // its velocities stand in the block of its carrier
+      block.start = blocks_[arm.carrier].start;
+      block.size = 0;
+      continue;
+    }
     block.start = static_cast<int>(before_.size());
     block.size = n;
     block.inertia.resize(n * n);
@@ -178,7 +191,6 @@ bool Impact::assemble(const Arms& arms, const Objects& objects) {
       for (int j = 0; j < n; ++j)
         block.inertia[i * n + j] = arm.inertia[std::min(i, j) * n + std::max(i, j)] + (i == j ? arm.motor[i] : 0.0);
     before_.insert(before_.end(), arm.velocity, arm.velocity + n);
-    twist_of(arm.jacobian, arm.velocity, n, before_twists_.data() + 6 * a);
   }
   for (std::size_t k = 0; k < objects.size(); ++k) add_object(objects[k], blocks_[count + k]);
   for (Block& block : blocks_) {
@@ -204,8 +216,11 @@ bool Impact::assemble(const Arms& arms, const Objects& objects) {
   for (int i = 0; i < m; ++i) {
     const Point& point = point_of(i);
     const auto columns = [&](const Side& side, const Vector& at, double sign, double* found) {
-      if (turns(i)) turning_rows(side.jacobian, side.size, sign * length_, work_.data());
-      else point_rows(side.jacobian, side.size, at, sign, work_.data());
+      if (turns(i)) {
+        turning_rows(side.jacobian, side.size, sign * length_, work_.data());
+      } else {
+        point_rows(side.jacobian, side.size, at, sign, work_.data());
+      }
       for (int k = 0; k < 3; ++k)
         for (int j = 0; j < side.size; ++j) found[3 * j + k] = work_[k * side.size + j];
       forward(blocks_[side.block].factor.data(), side.size, found, 3);
@@ -227,7 +242,7 @@ bool Impact::assemble(const Arms& arms, const Objects& objects) {
       const double* object_before = object_columns_.data() + 18 * j;
       const double* partner_before = arm_columns_.data() + 3 * widest * j;
       if (point.body == before.body) add(of_object, object_before, 6);
-      if (point.partner == before.partner) add(of_partner, partner_before, other.size);
+      if (other.block == block_of(arms, before.partner)) add(of_partner, partner_before, other.size);
       if (point.partner == count + 1 + before.body) add(of_partner, object_before, other.size);
       if (before.partner == count + 1 + point.body) add(of_object, partner_before, own.size);
       for (int k = 0; k < 3; ++k)
@@ -236,7 +251,7 @@ bool Impact::assemble(const Arms& arms, const Objects& objects) {
               sums[3 * k + c2];
     }
   }
-  take_root(count);
+  take_root(arms);
   terms_.take_inverse_mass();
   terms_.mobility = fixed ? mean(terms_.inverse_mass) : 1.0 / *object.mass;
   relative_velocities(arms, objects, before_twists_.data(), before_.data() + blocks_[count].start,
@@ -261,7 +276,7 @@ bool Impact::assemble(const Arms& arms, const Objects& objects) {
 }
 
 // Y, from the columns of the object and of its partner at every point.
-void Impact::take_root(int arms) {
+void Impact::take_root(const Arms& arms) {
   const int m = terms_.count, size = 3 * m, stride = m == 0 ? 0 : static_cast<int>(arm_columns_.size()) / m;
   const int velocities = static_cast<int>(before_.size());
   terms_.rank = size > MANY * velocities && turning_.empty() ? velocities : 0;
@@ -272,9 +287,9 @@ void Impact::take_root(int arms) {
       for (int k = 0; k < 3; ++k) terms_.root[(block.start + r) * size + 3 * point + k] = columns[3 * r + k];
   };
   for (int i = 0; i < m; ++i) {
-    put(object_columns_.data() + 18 * i, blocks_[arms + points[i].body], i);
-    const int partner = points[i].partner;
-    if (partner != arms) put(arm_columns_.data() + stride * i, blocks_[partner < arms ? partner : partner - 1], i);
+    put(object_columns_.data() + 18 * i, blocks_[arms.size() + points[i].body], i);
+    const int block = block_of(arms, points[i].partner);
+    if (block >= 0) put(arm_columns_.data() + stride * i, blocks_[block], i);
   }
 }
 

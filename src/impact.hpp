@@ -35,6 +35,7 @@ struct ArmState {
   const double* pad_axes;   // its axes in E, (3, 3)
   const double* pad_half;   // its half extents, (3)
   Form pad_form;            // its shape
+  int carrier;              // index of the arm whose velocities it has: its own, but for a further pad of a robot
 };
 
 struct ObjectState {
@@ -119,9 +120,10 @@ class Impact {
   void add_object(const ObjectState& object, Block& block);
   Side object_side(const Objects& objects, int number) const;
   Side partner_side(const Arms& arms, const Objects& objects, int partner) const;
+  int block_of(const Arms& arms, int partner) const;
   const Point& point_of(int contact) const { return points[turns(contact) ? turning_[contact - points.size()] : contact]; }
   bool turns(int contact) const { return contact >= static_cast<int>(points.size()); }
-  void take_root(int arms);
+  void take_root(const Arms& arms);
   void finish(const Arms& arms, const Objects& objects);
   void impulses_to_momenta(const Arms& arms, const Objects& objects, std::vector<double>& momenta);
   void relative_velocities(const Arms& arms, const Objects& objects, const double* of_arms, const double* of_objects,

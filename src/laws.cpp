@@ -2,6 +2,8 @@
 
 #include "laws.hpp"
 
+#include <algorithm>
+
 namespace impact_rs {
 
 namespace {
@@ -176,9 +178,10 @@ bool Solver::step_by_root(const Terms& terms, double yield) {
     rest_.resize(size);  // b - (D + V Y^T Y) x, then D^-1 times that
     right_.assign(rank, 0.0);
     moved_.assign(rank, 0.0);
-    if (round > 0)
+    if (round > 0) {
       for (int r = 0; r < rank; ++r)
         for (int i = 0; i < size; ++i) moved_[r] += root[r * size + i] * step_[i];
+    }
     for (int i = 0; i < terms.count; ++i) {
       Vector velocity = yield * at(step_, i);
       for (int r = 0; r < rank; ++r) velocity = velocity + moved_[r] * gathered(r, i);
@@ -243,8 +246,9 @@ bool Solver::newton_step(const Terms& terms, double yield) {
       for (int c = 0; c < 3; ++c) row[3 * p + c] += law.by_impulse[3 * k + c] + yield * by[c];
       if (host < 0) continue;
       for (int q = 0; q < points; ++q)
-        if (coupled_[q] == host)
+        if (coupled_[q] == host) {
           for (int c = 0; c < 3; ++c) row[3 * q + c] += law.by_host[k] * terms.normals[3 * host + c];
+        }
     }
   }
   if (!eliminate(matrix_.data(), right_.data(), unknowns)) return false;

@@ -2,7 +2,10 @@
 // Python bindings of the kernel, documented in impact_rs_sim/_kernel.pyi.
 
 #include <algorithm>
+#include <memory>
 #include <optional>
+#include <tuple>
+#include <utility>
 
 #include "impact.hpp"
 #include "module.hpp"
@@ -54,7 +57,8 @@ Form form_of(const std::string& kind, const std::optional<Numbers>& corners,
   Form shape{static_cast<Kind>(found - kinds), nullptr};
   if ((shape.kind == Kind::hull) != corners.has_value()) throw py::value_error("corners: a hull has some, nothing else");
   if (corners) {
-    if (corners->size() % 3 != 0) throw py::value_error("corners: expected three numbers each");
+    if (corners->size() == 0 || corners->size() % 3 != 0)
+      throw py::value_error("corners: expected one or more, three numbers each");
     std::vector<Vector> points;
     for (py::ssize_t i = 0; i < corners->size(); i += 3) points.push_back(vector(corners->data() + i));
     shape.hull = std::make_shared<Hull>(std::move(points), faces);  // an invalid one is a ValueError
@@ -190,10 +194,14 @@ struct ArmFields {
   py::ssize_t joints;
   std::vector<Field> fields;
   OptionalForm shape;  // of what is on the flange
+  int carrier;         // index of the arm whose velocities it has
 
-  ArmFields(const py::sequence& given, py::ssize_t count) {
-    if (given.size() != 13 && given.size() != 14) throw py::value_error("an arm has 13 fields, or 14 with a shape");
-    if (given.size() == 14) shape = given[13].cast<OptionalForm>();
+  ArmFields(const py::sequence& given, py::ssize_t count, int own) : carrier(own) {
+    if (given.size() < 13 || given.size() > 15)
+      throw py::value_error("an arm has 13 fields, 14 with a shape, 15 with its carrier");
+    if (given.size() > 13) shape = given[13].cast<OptionalForm>();
+    if (given.size() > 14) carrier = given[14].cast<int>();
+    if (carrier < 0 || carrier > own) throw py::value_error("expected the carrier of a pad before it");
     joints = Numbers(py::reinterpret_borrow<py::object>(given[3])).size();  // low: one number per joint
     const py::ssize_t n = joints;
     const py::ssize_t sizes[] = {n, n, n, n, n, n, n * n, 6 * n, 3, 9, 3, 9, 3};
@@ -205,7 +213,7 @@ struct ArmFields {
   ArmState at(py::ssize_t q) const {
     const auto& f = fields;
     return {static_cast<int>(joints), f[0](q), f[1](q), f[2](q),  f[3](q),  f[4](q),  f[5](q), f[6](q),
-            f[7](q),                  f[8](q), f[9](q), f[10](q), f[11](q), f[12](q), shape.value_or(Form{})};
+            f[7](q),                  f[8](q), f[9](q), f[10](q), f[11](q), f[12](q), shape.value_or(Form{}), carrier};
   }
 };
 
@@ -255,8 +263,13 @@ py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::s
   std::vector<ArmFields> arm_fields;
   py::ssize_t joints = 0;
   for (const py::handle arm : arms) {
-    arm_fields.emplace_back(py::reinterpret_borrow<py::sequence>(arm), count);
-    joints += arm_fields.back().joints;
+    const int own = static_cast<int>(arm_fields.size());
+    arm_fields.emplace_back(py::reinterpret_borrow<py::sequence>(arm), count, own);
+    const ArmFields& found = arm_fields.back();
+    const ArmFields& carrier = arm_fields[found.carrier];
+    if (carrier.joints != found.joints || carrier.carrier != found.carrier)
+      throw py::value_error("a pad has the joints of its carrier, and a carrier has no carrier");
+    if (found.carrier == own) joints += found.joints;
   }
   std::vector<ObjectFields> object_fields;
   object_fields.emplace_back(object, count);
@@ -342,11 +355,7 @@ py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::s
                         array(impulses, {points, 3}), py::array_t<int>(points, bodies.data()));
 }
 
-}  // namespace
-}  // namespace impact_rs
-
-PYBIND11_MODULE(_kernel, module) {
-  using namespace impact_rs;
+void add_impacts(py::module_& module) {
   module.attr("ACCEPTED") = ACCEPTED;
   py::class_<Form>(module, "Shape")
       .def(py::init(&form_of), py::arg("kind"), py::arg("corners") = py::none(),
@@ -367,8 +376,15 @@ PYBIND11_MODULE(_kernel, module) {
   module.def("solve_impacts", &solve_impacts, py::arg("count"), py::arg("arms"), py::arg("object"), py::arg("contact"),
              py::arg("support"), py::arg("rules"), py::arg("points") = py::none(), py::arg("near") = py::none(),
              py::arg("neighbours") = py::tuple());
-  add_chain(module);
-  add_control(module);
-  add_drive(module);
-  add_twin(module);
+}
+
+}  // namespace
+}  // namespace impact_rs
+
+PYBIND11_MODULE(_kernel, module) {
+  impact_rs::add_impacts(module);
+  impact_rs::add_chain(module);
+  impact_rs::add_control(module);
+  impact_rs::add_drive(module);
+  impact_rs::add_twin(module);
 }

@@ -2,7 +2,9 @@
 
 #include "shapes.hpp"
 
+#include <algorithm>
 #include <stdexcept>
+#include <utility>
 
 namespace impact_rs {
 
@@ -161,12 +163,9 @@ void furthest(const Body& body, const Vector& direction, Corners& found) {
       const Hull& hull = *body.form.hull;
       double most = -INFINITY;
       for (const Vector& corner : hull.corners) most = std::max(most, dot(corner, local));
-      int first = -1, last = -1;
-      for (int i = 0; i < static_cast<int>(hull.corners.size()); ++i) {
-        if (dot(hull.corners[i], local) < most - ALONG * norm(body.half)) continue;
-        if (first < 0) first = i;
-        last = i;
-      }
+      std::size_t first = 0, last = hull.corners.size() - 1;  // of those that are furthest, or nearly
+      while (dot(hull.corners[first], local) < most - ALONG * norm(body.half)) ++first;
+      while (dot(hull.corners[last], local) < most - ALONG * norm(body.half)) --last;
       found.add(body.centre + body.rotation * hull.corners[first]);
       if (last != first) found.add(body.centre + body.rotation * hull.corners[last]);
       return;
@@ -369,14 +368,16 @@ struct Search {
     };
     const Kind kind = body.form.kind;
     if (kind == Kind::sphere) towards(body.centre);
-    if (kind == Kind::capsule)
+    if (kind == Kind::capsule) {
       for (const double side : {-1.0, 1.0}) towards(body.centre + side * core(body) * axis_of(body));
+    }
     if (!is_round(other.form.kind)) return;
-    if (kind == Kind::box)
+    if (kind == Kind::box) {
       for (int i = 0; i < 8; ++i) {
         const Vector signs{i & 1 ? 1.0 : -1.0, i & 2 ? 1.0 : -1.0, i & 4 ? 1.0 : -1.0}, &half = body.half;
         towards(body.centre + body.rotation * Vector{signs[0] * half[0], signs[1] * half[1], signs[2] * half[2]});
       }
+    }
     if (kind == Kind::hull)
       for (const Vector& corner : body.form.hull->corners) towards(body.centre + body.rotation * corner);
     if (kind == Kind::cylinder)

@@ -2,6 +2,7 @@
 #include "twin.hpp"
 
 #include <limits>
+#include <vector>
 
 namespace impact_rs {
 
@@ -21,28 +22,13 @@ constexpr double RESOLVED = 1e-2;        // m/s; a pad that meets the object mor
 constexpr double PI = 3.14159265358979323846;
 constexpr double SLOW = 2e-3;            // m/s; sliding below it has less than its force, so that rest is a state
 
-constexpr Matrix IDENTITY{1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0};
-
 bool is_zero(const Vector& a) { return a[0] == 0.0 && a[1] == 0.0 && a[2] == 0.0; }
-
-// exp([a]) m: axes turned by a rotation vector [rad].
-Matrix turned(const Vector& a, const Matrix& m) {
-  const double square = dot(a, a), angle = std::sqrt(square);
-  const double s = square < 1e-8 ? 1.0 - square / 6.0 : std::sin(angle) / angle;
-  const double c = square < 1e-8 ? 0.5 - square / 24.0 : (1.0 - std::cos(angle)) / square;
-  Matrix found;
-  for (int j = 0; j < 3; ++j) {
-    const Vector axis = column(m, j), first = cross(a, axis), second = cross(a, first);
-    for (int i = 0; i < 3; ++i) found[3 * i + j] = axis[i] + s * first[i] + c * second[i];
-  }
-  return found;
-}
 
 // Quaternion x y z w, with the sign that is nearer to another one unless that is null.
 void quaternion(const Matrix& m, double* out, const double* near) {
   const double squares[] = {1.0 + m[0] - m[4] - m[8], 1.0 - m[0] + m[4] - m[8], 1.0 - m[0] - m[4] + m[8],
                             1.0 + m[0] + m[4] + m[8]};  // 4 x^2, 4 y^2, 4 z^2, 4 w^2
-  const long most = std::max_element(squares, squares + 4) - squares;
+  const auto most = std::max_element(squares, squares + 4) - squares;
   const double twice = std::sqrt(squares[most]), scale = 0.5 / twice;
   const double xy = m[3] + m[1], xz = m[2] + m[6], yz = m[7] + m[5];  // 4 x y, 4 x z, 4 y z
   const double xw = m[7] - m[5], yw = m[2] - m[6], zw = m[3] - m[1];
@@ -53,8 +39,9 @@ void quaternion(const Matrix& m, double* out, const double* near) {
     out[i] = scale * products[most][i];
     if (near != nullptr) sign += out[i] * near[i];
   }
-  if (sign < 0.0)
+  if (sign < 0.0) {
     for (int i = 0; i < 4; ++i) out[i] = -out[i];
+  }
 }
 
 // S^-1 x of a symmetric 3 x 3 matrix.
@@ -381,14 +368,15 @@ void Twin::look_at_pad(int number) {
     return;
   }
   Vector linear = solid.velocity, angular = solid.angular;
-  for (int i = 0; i < arm.joints(); ++i) {
-    const Spatial& axis = arm.axis(i);
+  const auto moves = [&](const Spatial& axis, double rate) {
     const Vector slides = axis.linear + cross(axis.angular, solid.centre);
     motions.insert(motions.end(), axis.angular.begin(), axis.angular.end());
     motions.insert(motions.end(), slides.begin(), slides.end());
-    linear = linear - arm.dq[i] * slides;
-    angular = angular - arm.dq[i] * axis.angular;
-  }
+    linear = linear - rate * slides;
+    angular = angular - rate * axis.angular;
+  };
+  for (int i = 0; i < arm.joints(); ++i) moves(arm.axis(i), arm.dq[i]);
+  for (int i = 0; i < arm.yields(); ++i) moves(arm.yielding(i), arm.tool_rate[i]);
   bool in_reach = false;
   for (std::size_t i = first; i < first + count; ++i) {
     ContactPoint& point = solver_.points[i];
@@ -401,7 +389,7 @@ void Twin::look_at_pad(int number) {
     return;
   }
   partners_.push_back(number);
-  solver_.partners.push_back({arm.joints(), 0, motions.data(), first, count, 0});
+  solver_.partners.push_back({arm.joints() + arm.yields(), 0, motions.data(), first, count, 0});
 }
 
 // Whether a box touches one before it.
@@ -582,7 +570,10 @@ void Twin::step(double length, double time) {
     for (TwinArm& arm : arms_)
       if (!arm.coast(kick)) std::fill(arm.dq.begin(), arm.dq.end(), std::numeric_limits<double>::quiet_NaN());
   }
-  for (TwinArm& arm : arms_) arm.move(kick, length);
+  for (std::size_t i = 0; i < arms_.size(); ++i) {
+    const auto touches = [&](int number) { return pairs_[number].arm == static_cast<int>(i); };
+    arms_[i].move(kick, length, std::any_of(partners_.begin(), partners_.end(), touches));
+  }
   for (Solid& solid : solids_) {
     if (!solid.awake || solid.fixed) continue;
     solid.centre = solid.centre + length * solid.velocity;
@@ -595,7 +586,7 @@ void Twin::step(double length, double time) {
 // An arm in contact among the unknowns of the step.
 void Twin::put_arm(const Partner& partner, const TwinArm& arm) {
   StepSolver& solver = solver_;
-  const int joints = partner.joints, at = partner.offset, n = solver.size;
+  const int joints = arm.joints(), at = partner.offset, n = solver.size;
   for (int i = 0; i < joints; ++i)
     for (int j = 0; j <= i; ++j)
       solver.mass[(at + i) * n + at + j] = solver.mass[(at + j) * n + at + i] = arm.mass[i * joints + j];
@@ -604,6 +595,11 @@ void Twin::put_arm(const Partner& partner, const TwinArm& arm) {
     for (int j = 0; j < joints; ++j) sum += solver.mass[(at + i) * n + at + j] * arm.dq[j];
     solver.impulse[at + i] = sum;
     solver.velocity[at + i] = arm.dq[i];
+  }
+  for (int i = 0, own = at + joints; i < arm.yields(); ++i, ++own) {
+    solver.mass[own * n + own] = arm.tool_inertia(solver.kick, solver.span.now);
+    solver.impulse[own] = arm.tool_impulse(i, solver.kick);
+    solver.velocity[own] = arm.tool_rate[i];
   }
 }
 
@@ -634,7 +630,7 @@ void Twin::touch_step(double kick, double time) {
     const int arm = pairs_[number].arm;
     if (arm < 0 || offsets[arm] >= 0) continue;
     offsets[arm] = size;
-    size += arms_[arm].joints();
+    size += arms_[arm].joints() + arms_[arm].yields();
   }
   for (std::size_t i = 0; i < arms_.size(); ++i)
     if (offsets[i] < 0 && !arms_[i].coast(kick))
@@ -672,8 +668,9 @@ void Twin::touch_step(double kick, double time) {
     ++report_.contact_steps;
     recall();
     const std::vector<double> before = solver.velocity;
-    if (partners_ == partners_before_ && change_.size() == before.size())
+    if (partners_ == partners_before_ && change_.size() == before.size()) {
       for (int i = 0; i < n; ++i) solver.velocity[i] += kick / kick_before_ * change_[i];
+    }
     const Solution solution = solver.solve();
     change_.resize(n);
     for (int i = 0; i < n; ++i) change_[i] = solver.velocity[i] - before[i];
@@ -706,7 +703,9 @@ void Twin::touch_step(double kick, double time) {
     if (pair.arm < 0) continue;
     TwinArm& arm = arms_[pair.arm];
     pad_forces_[pair.arm] = pad_forces_[pair.arm] + -1.0 * vector(wrench + 3);
-    std::copy_n(solver.velocity.begin() + partner.offset, partner.joints, arm.dq.begin());
+    const auto rates = solver.velocity.begin() + partner.offset;
+    std::copy_n(rates, arm.joints(), arm.dq.begin());
+    std::copy_n(rates + arm.joints(), arm.yields(), arm.tool_rate.begin());
     if (pair.box == 0 && softened_[pair.arm].yields) remember(k);
   }
   for (Solid& solid : solids_) {

@@ -5,6 +5,8 @@
 #pragma once
 
 #include <algorithm>
+#include <cstdint>
+#include <vector>
 
 #include "twin_arm.hpp"
 #include "twin_step.hpp"
@@ -67,7 +69,7 @@ struct Course {
 
 // How well the steps were solved.
 struct TwinReport {
-  long steps = 0, contact_steps = 0, iterations = 0, fallbacks = 0;
+  std::int64_t steps = 0, contact_steps = 0, iterations = 0, fallbacks = 0;
   double residual = 0.0;       // largest of all steps [m/s]
   std::vector<double> failed;  // times of the steps that were not solved [s]
 };
@@ -159,7 +161,7 @@ class Twin {
   std::vector<Solid> solids_;  // empty: the arms are alone
   std::vector<Pair> pairs_;    // by number: of every box the arms, then the support; then boxes with boxes before them
   double last_;  // length of the step before [s]
-  long periods_ = 0;  // of the torque loop so far
+  std::int64_t periods_ = 0;  // of the torque loop so far
 
   // Change of the velocities in the step before and its kick, as a first guess while the partners are the same.
   std::vector<double> change_;

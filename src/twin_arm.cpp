@@ -1,6 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "twin_arm.hpp"
 
+#include <algorithm>
+#include <utility>
+#include <vector>
+
 namespace impact_rs {
 
 TwinArm::TwinArm(const ArmModel& model, const ArmStart& start, double period)
@@ -17,6 +21,7 @@ TwinArm::TwinArm(const ArmModel& model, const ArmStart& start, double period)
     numbers->assign(n, 0.0);
   mass.assign(n * n, 0.0);
   symbols.assign(of_joints + 3 * n, 0.0);
+  for (auto* numbers : {&tool, &tool_rate, &tool_before_, &tool_load_}) numbers->assign(yields(), 0.0);
   rate_ = start.torque_rate;
   drive_.elastic = start.torque;
   for (std::size_t i = 0; i < n; ++i) {
@@ -29,7 +34,26 @@ TwinArm::TwinArm(const ArmModel& model, const ArmStart& start, double period)
 
 Body TwinArm::pad_box() const {
   const Matrix& axes = links_.axes_of_last();
-  return {links_.end() + axes * model_.pad.centre, axes * model_.pad.rotation, model_.pad.half, model_.pad.form};
+  const Pad& pad = model_.pad;
+  if (yields() == 0) return {links_.end() + axes * pad.centre, axes * pad.rotation, pad.half, pad.form};
+  Spatial displaced{};
+  for (int i = 0; i < yields(); ++i) displaced = displaced + tool[i] * model_.tool.motions[i];
+  const Matrix turn = turned(displaced.angular, IDENTITY);
+  return {links_.end() + axes * (displaced.linear + turn * pad.centre), axes * (turn * pad.rotation), pad.half, pad.form};
+}
+
+Spatial TwinArm::yielding(int freedom) const {
+  const Matrix& axes = links_.axes_of_last();
+  const Spatial& own = model_.tool.motions[freedom];
+  const Vector angular = axes * own.angular;
+  return {angular, axes * own.linear + cross(end(), angular)};
+}
+
+// lag dz+/dt + (z- + z+) / 2 = B^T w with z+ = z + drift dz+/dt: the mean of two steps keeps the spring's energy.
+double TwinArm::tool_inertia(double kick, double drift) const { return kick * (model_.tool.lag + 0.5 * drift); }
+
+double TwinArm::tool_impulse(int freedom, double kick) const {
+  return kick * (tool_load_[freedom] - 0.5 * (tool[freedom] + tool_before_[freedom]));
 }
 
 void TwinArm::look_around() {
@@ -89,9 +113,13 @@ void TwinArm::load() {
 
 void TwinArm::push(const Vector& place, const Vector& force) {
   for (int i = 0; i < joints(); ++i) driving[i] += dot(axis(i).linear + cross(axis(i).angular, place), force);
+  for (int i = 0; i < yields(); ++i) {
+    const Spatial own = yielding(i);
+    tool_load_[i] += dot(own.linear + cross(own.angular, place), force);
+  }
 }
 
-void TwinArm::desire(const double* torque, long period) {
+void TwinArm::desire(const double* torque, std::int64_t period) {
   if (model_.delay <= 0.0 || model_.joint_torque) {
     std::copy_n(torque, joints(), wanted_.begin());
     return;
@@ -112,7 +140,7 @@ void TwinArm::deliver(double begin) {
   }
 }
 
-void TwinArm::command(long period) {
+void TwinArm::command(std::int64_t period) {
   const int n = joints();
   if (model_.joint_torque) {
     for (int i = 0; i < n; ++i) {
@@ -130,9 +158,11 @@ void TwinArm::command(long period) {
 
 void TwinArm::equations() {
   const int n = joints();
-  if (!model_.joint_torque)
+  if (!model_.joint_torque) {
     for (int i = 0; i < n; ++i) passed_[i] = drive_.transmission[i] + on_links_[i];
+  }
   links_.equations(dq.data(), passed_.data(), mass.data(), driving.data());
+  std::fill(tool_load_.begin(), tool_load_.end(), 0.0);
 }
 
 bool TwinArm::coast(double kick) {
@@ -146,8 +176,17 @@ bool TwinArm::coast(double kick) {
   return true;
 }
 
-void TwinArm::move(double kick, double drift) {
+void TwinArm::move(double kick, double drift, bool touched) {
   const int n = joints();
+  for (int i = 0; i < yields(); ++i) {
+    tool_before_[i] = tool[i];
+    if (touched) {
+      tool[i] += drift * tool_rate[i];
+    } else {
+      tool[i] *= model_.tool.lag > 0.0 ? std::exp(-drift / model_.tool.lag) : 0.0;
+      tool_rate[i] = (tool[i] - tool_before_[i]) / drift;
+    }
+  }
   for (int i = 0; i < n; ++i) q[i] += drift * dq[i];
   if (model_.joint_torque) {
     for (int i = 0; i < n; ++i) {

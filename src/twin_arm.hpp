@@ -3,10 +3,13 @@
 
 #pragma once
 
+#include <cstdint>
 #include <deque>
 #include <functional>
 #include <optional>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include "boxes.hpp"
 #include "chain.hpp"
@@ -24,6 +27,13 @@ struct Pad {
   double stiffness, damping;         // of the whole face [N/m, N s/m]
   double shear_compliance, creep;    // [m/N], [m/(s N)]
   Form form;                         // its shape
+};
+
+// Spring and damper between flange and pad, whose tip has no mass: z + lag dz/dt = B^T w under the wrench w of the
+// contacts at frame E, which displaces the pad by the twist B z; its compliance matrix is B B^T.
+struct ToolSpring {
+  std::vector<Spatial> motions;  // columns of B at frame E, in axes of the last joint
+  double lag;                    // [s]
 };
 
 // f_0 - k (p - p_impact) on frame E.
@@ -44,6 +54,7 @@ struct ArmModel {
   double delay;        // of the desired torque [s]
   bool joint_torque;   // the torques are measured joint torques; there is no motor
   Pad pad;
+  ToolSpring tool;
   std::optional<Pull> pull;
   std::vector<FormulaLoad> formulas;
   PythonLoad python;
@@ -73,7 +84,14 @@ class TwinArm {
   TwinArm(const ArmModel& model, const ArmStart& start, double period);
 
   int joints() const { return static_cast<int>(q.size()); }
-  Body pad_box() const;  // where the links were placed
+  Body pad_box() const;  // where the links were placed, displaced by the tool's spring
+
+  // Freedoms of the tool's spring, which are unknowns of a step in contact beside the joint velocities: motion of the pad
+  // at unit speed about the origin of A, and their block of the equations and impulse of a step.
+  int yields() const { return static_cast<int>(model_.tool.motions.size()); }
+  Spatial yielding(int freedom) const;
+  double tool_inertia(double kick, double drift) const;
+  double tool_impulse(int freedom, double kick) const;
 
   // Values of the symbols of formulas: those of the arm now, beside those of time, object and contact as they are.
   void look_around();
@@ -88,10 +106,10 @@ class TwinArm {
   void push(const Vector& place, const Vector& force);
 
   // Desired torque from the begin of a period on (or measured joint torque, which then is that of its end).
-  void desire(const double* torque, long period);
+  void desire(const double* torque, std::int64_t period);
 
   // Torque law at the begin of a period of the torque loop.
-  void command(long period);
+  void command(std::int64_t period);
 
   // Links in their places; then M (n, n) and the change of momentum per time without contact.
   void look() { links_.place(q.data()); }
@@ -100,8 +118,9 @@ class TwinArm {
   // Velocities after `kick` [s] without contact; false where M is not positive definite.
   bool coast(double kick);
 
-  // Motors after a step, links along their velocities, and the spring between them.
-  void move(double kick, double drift);
+  // Motors after a step, links along their velocities, and the spring between them; the tool's spring along its velocities
+  // where the pad is touched.
+  void move(double kick, double drift, bool touched);
 
   const Spatial& axis(int joint) const { return links_.axis(joint); }
   const Vector& end() const { return links_.end(); }
@@ -113,6 +132,7 @@ class TwinArm {
   double value(std::size_t formula) { return model_.formulas[formula].at(symbols, memory_[formula]); }
 
   std::vector<double> q, dq;
+  std::vector<double> tool, tool_rate;  // z and dz/dt of the tool's spring
   std::vector<double> mass, driving;  // of equations()
   std::vector<double> symbols;  // of formulas
   Shear shear;
@@ -130,6 +150,7 @@ class TwinArm {
   Chain links_;
   Drive drive_;
   std::vector<double> wanted_, shaped_, rate_, passed_, on_links_, on_motors_, factor_, acceleration_;
+  std::vector<double> tool_before_, tool_load_;  // z a step ago; loads of formulas along z
   std::deque<Command> commands_;  // that the delay may still deliver
 };
 

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "twin_contact.hpp"
 
+#include <algorithm>
+
 namespace impact_rs {
 
 namespace {

@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "twin_formula.hpp"
 
+#include <algorithm>
 #include <cstdio>
 #include <limits>
 #include <stdexcept>
+#include <utility>
 
 namespace impact_rs {
 
@@ -42,7 +44,7 @@ double Lag::step(double now, double u, double constant, double start) {
 }
 
 double Formula::operator()(const std::vector<double>& symbols, std::vector<Lag>& memory) const {
-  double values[DEEPEST];
+  double values[DEEPEST] = {};
   int top = -1;
   auto next = memory.begin();
   for (std::size_t i = 0; i < code_.size(); ++i) {

@@ -14,6 +14,7 @@ namespace {
 
 using Rows = py::array_t<int, py::array::c_style | py::array::forcecast>;
 using PadOfPython = std::tuple<Numbers, Numbers, Numbers, std::optional<double>, double, double, double, OptionalForm>;
+using ToolOfPython = std::tuple<Numbers, double>;
 using PullOfPython = std::tuple<Numbers, double, Numbers>;
 using FormulaOfPython = std::tuple<std::string, int, int, std::vector<int>, std::vector<double>>;
 using BoxOfPython = std::tuple<double, Numbers, Numbers, Numbers, OptionalForm>;
@@ -49,7 +50,7 @@ PythonLoad load_of(const py::function& function, std::size_t n) {
 
 ArmModel arm_of(const Chain& links, const py::object& motors, const Numbers& shaping, const Numbers& gain,
                 const Numbers& offset, const Numbers& stiffness, const Numbers& damping, double delay, bool joint_torque,
-                const PadOfPython& pad, const std::optional<PullOfPython>& pull,
+                const PadOfPython& pad, const std::optional<ToolOfPython>& tool, const std::optional<PullOfPython>& pull,
                 const std::vector<FormulaOfPython>& formulas, const std::optional<py::function>& load) {
   const auto n = static_cast<py::ssize_t>(links.joints());
   const auto& [centre, rotation, half, pad_stiffness, pad_damping, shear_compliance, creep, shape] = pad;
@@ -64,9 +65,17 @@ ArmModel arm_of(const Chain& links, const py::object& motors, const Numbers& sha
                joint_torque,
                {vector_of(centre, "pad"), matrix_of(rotation, "pad"), vector_of(half, "pad"), !pad_stiffness,
                 pad_stiffness.value_or(0.0), pad_damping, shear_compliance, creep, shape.value_or(Form{})},
+               {},
                std::nullopt,
                {},
                load ? load_of(*load, links.joints()) : PythonLoad{}};
+  if (tool) {
+    const auto& [motions, lag] = *tool;
+    if (motions.size() % 6 != 0) throw py::value_error("tool: expected the six components of a twist in every row");
+    arm.tool.lag = lag;
+    for (const double* row = motions.data(); row < motions.data() + motions.size(); row += 6)
+      arm.tool.motions.push_back({vector(row + 3), vector(row)});
+  }
   if (pull) arm.pull = Pull{vector_of(std::get<0>(*pull), "pull"), std::get<1>(*pull), vector_of(std::get<2>(*pull), "pull")};
   for (const auto& [effect, acts, index, code, constants] : formulas) {
     if (acts < 0 || acts > static_cast<int>(Acts::along_pad)) throw py::value_error("formula: acts on no arm");
@@ -251,7 +260,7 @@ void add_twin(py::module_& module) {
   py::class_<ArmModel>(module, "TwinArm")
       .def(py::init(&arm_of), py::arg("links"), py::arg("motors"), py::arg("shaping"), py::arg("gain"), py::arg("offset"),
            py::arg("stiffness"), py::arg("damping"), py::arg("delay"), py::arg("joint_torque"), py::arg("pad"),
-           py::arg("pull"), py::arg("formulas"), py::arg("load"));
+           py::arg("tool"), py::arg("pull"), py::arg("formulas"), py::arg("load"));
   py::class_<TwinModel>(module, "Twin")
       .def(py::init(&model_of), py::arg("arms"), py::arg("boxes"), py::arg("support"), py::arg("pad_friction"),
            py::arg("box_friction"), py::arg("rolling_arm"), py::arg("gravity"), py::arg("period"), py::arg("refinement"), py::arg("formulas"));

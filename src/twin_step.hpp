@@ -43,7 +43,7 @@ class StepSolver {
   bool fixed = false;           // whether no wrench moves the object
   std::vector<double> mass;     // A, (size, size)
   std::vector<double> impulse;  // p
-  std::vector<double> velocity; // x: first guess, then the root
+  std::vector<double> velocity;  // x: first guess, then the root
   std::vector<int> objects;     // offsets of their velocities
   std::vector<Partner> partners;
   std::vector<ContactPoint> points;

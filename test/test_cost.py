@@ -19,7 +19,7 @@ def session_of(path: Path, monkeypatch: pytest.MonkeyPatch, **tests: tuple[float
     monkeypatch.setattr(cost, "seconds_of_a_trial", lambda: 2.0)
     costs = cost.Costs(path)
     for name, (seconds, slow) in tests.items():
-        properties = [(cost.KEY, seconds, slow)]
+        properties = [(cost.KEY, (seconds, slow))]
         costs.pytest_runtest_logreport(
             SimpleNamespace(when="teardown", nodeid=f"test_x.py::{name}", user_properties=properties)
         )
@@ -49,7 +49,7 @@ def test_a_trial_while_other_tests_run_is_the_measure_where_it_is_dearer(
     record_property(cost.TRIAL, seconds)
     monkeypatch.setattr(cost, "seconds_of_a_trial", lambda: 1.0)
     costs = cost.Costs(tmp_path / "costs.json")
-    properties = [(cost.TRIAL, 2.0), (cost.KEY, 7.9, False)]
+    properties = [(cost.TRIAL, 2.0), (cost.KEY, (7.9, False))]
     costs.pytest_runtest_logreport(
         SimpleNamespace(when="teardown", nodeid="test_x.py::one", user_properties=properties)
     )
@@ -58,18 +58,31 @@ def test_a_trial_while_other_tests_run_is_the_measure_where_it_is_dearer(
     assert session.exitstatus == 0 and costs.dear == {}
 
 
+def test_costs_can_be_written_as_properties_of_junit(tmp_path: Path) -> None:
+    """colcon asks for such a file. Kills: a property that is no pair of name and value, at which pytest ends."""
+    (tmp_path / "conftest.py").write_text(
+        f"import sys; sys.path.append({str(Path(cost.__file__).parent)!r})\n"
+        "from cost import Costs\n\ndef pytest_configure(config):\n    config.pluginmanager.register(Costs(None))\n"
+    )
+    (tmp_path / "test_one.py").write_text("def test_one():\n    pass\n")
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--junit-xml=found.xml"]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stdout
+    assert cost.KEY in (tmp_path / "found.xml").read_text()
+
+
 def test_processor_time_of_children_counts_whether_they_run_or_have_ended() -> None:
     """Kills: descendants left out."""
     burn = "import time; t = time.process_time()\nwhile time.process_time() < t + 0.3: pass"
     before = cost.processor_time()
     subprocess.run([sys.executable, "-c", burn], check=True)
     ended = cost.processor_time()
-    assert ended - before >= 0.3
+    assert ended - before > 0.25  # the kernel counts in ticks of 10 ms
     with subprocess.Popen([sys.executable, "-c", f"{burn}\nprint(flush=True); input()"],
                           stdin=subprocess.PIPE, stdout=subprocess.PIPE) as running:  # fmt: skip
         assert running.stdout is not None
         running.stdout.readline()
-        assert cost.processor_time() - ended >= 0.3
+        assert cost.processor_time() - ended > 0.25
         running.communicate(b"\n")
 
 

@@ -24,10 +24,12 @@ from intervals import assert_covers
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
+from impact_rs_sim.impact_map.contacts import contact_pairs
 from impact_rs_sim.impact_map.measured import MeasuredImpact, points_that_touch, solve_measured
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scene import Scene, pad_placements
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
@@ -88,6 +90,30 @@ def test_the_example_of_a_diagnosis_finds_the_friction_that_it_hides(
     score, *where, summary, estimate = capsys.readouterr().out.splitlines()
     assert float(score.split()[1]) > 3.0 and len(where) == 3
     assert summary == document.summary and estimate.startswith("  support_friction: friction 0.1")
+
+
+def test_two_hands_are_where_their_poses_say_and_a_locked_torso_makes_both_heavier(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """By inverse kinematics of 15 joints; the box of 0.6 kg is between them, and both go on with it."""
+    example = load("two_hands")
+    scene = Scene.resolve(example.scenario(), "parcel", "case_1")
+    state, model, wanted = scene.arms["robot"], scene.models["robot"], example.scenario().robots["robot"]
+    assert wanted.hands["right"].impact is not None
+    for hand, pose, linear in (
+        ("", wanted.impact.placement, [0.0, -0.4, 0.0]),
+        ("right", wanted.hands["right"].impact.placement, [0.0, 0.0, 0.0]),
+    ):
+        found = model.placement(state.position, hand)
+        np.testing.assert_allclose(found.rotation, pose.rotation, atol=1e-8)
+        np.testing.assert_allclose(model.jacobian(state.position, hand) @ state.velocity, [*linear, 0, 0, 0], atol=1e-8)
+    for pair in contact_pairs(scene.physics, scene.object, pad_placements(scene.physics, scene.models, scene.arms)):
+        assert abs(pair.separation) < 1e-8
+    found = example.main()
+    (left, right), (left_locked, right_locked) = found["turns"], found["locked"]
+    assert left > left_locked + 2e-4 and left_locked > 0.1  # the hand that hits is lighter on a torso that gives way
+    assert right_locked < right < -0.1
+    assert "torso turns: left hand" in capsys.readouterr().out
 
 
 def test_the_cable_of_ones_own_holds_the_box_back_in_proportion_to_its_drag() -> None:

@@ -107,6 +107,16 @@ def test_every_script_and_interface_is_built() -> None:
         assert f'"{interface.parent.name}/{interface.name}"' in cmake
 
 
+def test_what_colcon_tests_needs_no_package_that_is_not_installed() -> None:
+    """It runs in the build folder. Kills: an import of the benchmarks or tools of a clone."""
+    (parts,) = re.findall(r"foreach\(part\n(.*?)\)", (ROOT / "CMakeLists.txt").read_text(), re.DOTALL)
+    files = [path for part in parts.split() for path in ([ROOT / "test" / part] if part.endswith(".py")
+                                                         else (ROOT / "test" / part).glob("**/*.py"))]  # fmt: skip
+    assert len(files) > 50
+    for path in files:
+        assert not re.search(r"^\s*(from|import) (benchmarks|tools)\b", path.read_text(), re.MULTILINE), path
+
+
 def test_an_interface_says_what_it_is_and_comments_every_field_with_its_unit() -> None:
     for interface in INTERFACES:
         lines = interface.read_text().splitlines()
@@ -344,7 +354,7 @@ def test_run_sets_the_middleware_as_the_nodes_do(rmw: dict[str, str], chosen: di
     environment = rmw | chosen
     set_middleware(environment)
     block = re.search(
-        r"^if \[ -z .*?^fi$", (ROOT / "run").read_text().partition("# Nodes find each other")[2], re.M | re.S
+        r"^profile=$.*?profile\"$", (ROOT / "run").read_text().partition("# Nodes find each other")[2], re.M | re.S
     )
     assert block is not None
     script = f"set -eu\nroot={ROOT}\n{block[0]}\nenv -0"

@@ -18,7 +18,7 @@ from impact_rs_analysis.measure.design_study import (
     MEASURES,
     PADS,
     ROBOTS,
-    DesignQuestion,
+    DesignConditions,
     problems_of,
     random_poses,
     values_by,
@@ -41,10 +41,10 @@ def cases(options: argparse.Namespace) -> list[Case]:
 
 def run(case: Case, work: Work) -> Row:
     """Measures of all designs of a robot by both engines, ``(designs, 2, measures)``."""
-    question = DesignQuestion(load_scenario("push"), "cat_food", pads=tuple(work.options.pads))
+    conditions = DesignConditions(load_scenario("push"), "cat_food", pads=tuple(work.options.pads))
     found, failed = [], 0
-    for stance in random_poses(case.name, question, work.options.poses)[0]:
-        for _, _, problem in problems_of(question, stance):
+    for stance in random_poses(case.name, conditions, work.options.poses)[0]:
+        for _, _, problem in problems_of(conditions, stance):
             try:
                 found.append([list(values_by(engine, problem).values()) for engine in ("exact", "bullet")])
             except ImpactMapError:

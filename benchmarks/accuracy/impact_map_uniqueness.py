@@ -20,6 +20,7 @@ from impact_rs_sim.impact_map.contacts import contact_pairs, find_contacts
 from impact_rs_sim.impact_map.laws import ContactTerms, build_system
 from impact_rs_sim.impact_map.uniqueness import lawful_answers, spread_of
 from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scene import pad_placements
 
 LAWFUL = 1e-6  # m/s
 OPEN = 1e-3  # of the ante-impact speed: a spread that is reported as not unique
@@ -45,7 +46,7 @@ def one(case: Case, options: argparse.Namespace, seed: int) -> tuple[float, floa
     rng = np.random.default_rng([0, seed])
     problem = random_problem(load_scenario("push"), rng)
     models = problem.physics.robot_models()
-    placements = {name: models[name].placement(arm.position) for name, arm in problem.arms.items()}
+    placements = pad_placements(problem.physics, models, problem.arms)
     contacts = find_contacts(problem.physics, contact_pairs(problem.physics, problem.object, placements))
     system = build_system(problem, models)
     terms = ContactTerms.of(system, contacts, problem.restitution)

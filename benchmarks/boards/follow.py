@@ -35,9 +35,9 @@ from benchmarks.harness import Case, Row, Work, median_and_largest, quantiles
 from benchmarks.results import Table
 from impact_rs_analysis.following.causes import Causes
 from impact_rs_analysis.following.change import ChangeExplanation
+from impact_rs_analysis.following.documents import HitDocument
 from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.hits import Hit, TableHitSource
-from impact_rs_analysis.following.lessons import HitDocument
 from impact_rs_control.closed_loop import make_plant, run_closed_loop, without_garbage_collection
 from impact_rs_sim.effects import library
 from impact_rs_sim.model import load_model

@@ -34,7 +34,7 @@ from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.scenarios.scenario import load_scenario
-from impact_rs_sim.scene import BodyState, Scene
+from impact_rs_sim.scene import BodyState, Scene, pad_placements
 
 SCENES = ("corner", "edge", "face", "push", "grab", "grid")
 FRICTIONS = {"none": (0.0, 0.0), "sticking": (2.0, 0.0), "nominal": (0.5, 0.3)}  # of pad and support [-]
@@ -75,7 +75,7 @@ class Question:
         models = {arm: physics.robot_model(arm) for arm in physics.arms}
         if name in ("corner", "edge"):
             problem = _tilted(problem, models["arm"], roll=0.035 if name == "corner" else 0.0, yaw=0.03)
-        placements = {arm: models[arm].placement(state.position) for arm, state in problem.arms.items()}
+        placements = pad_placements(physics, models, problem.arms)
         contacts = find_contacts(physics, contact_pairs(physics, problem.object, placements))
         if name == "grid":
             contacts = grid(contacts, 4)

@@ -11,9 +11,9 @@ from impact_rs_analysis.application.measurements import MeasurementOptions, read
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY
 from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.tables.map_discrepancy import NO_MAP_DISCREPANCY
+from impact_rs_analysis.following.documents import HitDocument
 from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.hits import BagHitSource, HitSource, TableHitSource
-from impact_rs_analysis.following.lessons import HitDocument
 from impact_rs_analysis.following.state import restore_state, save_state
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model

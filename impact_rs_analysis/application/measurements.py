@@ -43,6 +43,7 @@ from impact_rs_trials.workers import Map
 
 DEFAULT_MAPPING = "joint_state"
 
+MIN_PARALLEL_RUNS = 50  # fewer are read sooner in one process: about 0.2 s each, and worker processes start in seconds
 SourceOfModel = Callable[[Model, ReplayCache], Source]  # the cache keeps the replays of runs
 
 
@@ -166,6 +167,7 @@ class Measurements:
         key = f"{model.digest} {[spec.name for spec in model.formulas]} {model.arms}"
         if key not in self._sources:
             self._sources[key] = self._source(model, self._cache)
+            self._sources[key].progress = lambda stage, done, total: self._stage(stage, done, total)
         return self._sources[key]
 
     def tracks(self, model: Model, added: Added = ()) -> tuple[Track, ...]:
@@ -310,10 +312,11 @@ def _source_of_recordings(options: MeasurementOptions) -> SourceOfModel:
 
 
 def _with_progress(map_tasks: Map, report: Report) -> Map:
-    """A map that reports its progress."""
+    """A map that reports its progress; few runs are read in this process."""
 
     def mapped(function: Any, items: Any) -> Iterator[Any]:
-        for number, result in enumerate(map_tasks(function, items), start=1):
+        spread = map_tasks if len(items) >= MIN_PARALLEL_RUNS else map
+        for number, result in enumerate(spread(function, items), start=1):
             report(number, len(items))
             yield result
 

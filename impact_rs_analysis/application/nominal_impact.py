@@ -7,7 +7,7 @@ from impact_rs_sim.impact_map import ImpactProblem
 from impact_rs_sim.model import Model
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.scenarios.scenario import Scenario
-from impact_rs_sim.scene import Scene
+from impact_rs_sim.scene import Scene, pad_twists
 
 
 def planned_impact(
@@ -31,5 +31,5 @@ def planned_impact(
 
 
 def velocities_before(scene: Scene) -> dict[str, Array]:
-    """End-effector twist of every arm before the impact, ``(6,)`` [m/s, rad/s], by arm."""
-    return {name: scene.models[name].jacobian(arm.position) @ arm.velocity for name, arm in scene.arms.items()}
+    """Twist of frame E of every pad before the impact, ``(6,)`` [m/s, rad/s], by pad."""
+    return pad_twists(scene.physics, scene.models, scene.arms)

@@ -74,11 +74,11 @@ def design(
     """The most informative trials for the coming decision.
 
     Args:
-        model: What predicts them.
-        scenarios: Names or paths of what the cell can run.
+        model: Model that predicts them.
+        scenarios: Names or paths of scenarios that the cell can run.
         budget: Largest number of trials.
         map_tasks: Parallel map.
-        decide: What shall be decided, from a source with the model and all physics.
+        decide: Decision to be made, from a source with the model and all physics.
         runs: Trials measured so far; their scatter counts, and their information.
         method: How trials are chosen.
         envelope: Envelope of the cell.

@@ -48,7 +48,7 @@ class Discrimination:
     """Information of sets of trials about a decision.
 
     Args:
-        decision: What shall be distinguished.
+        decision: Explanations to be distinguished.
         trials: Every trial that may be counted.
     """
 
@@ -122,7 +122,7 @@ class Discrimination:
         """Probability that the next diagnosis distinguishes them, for every pair, ``(pairs,)`` [-].
 
         Args:
-            total: What the trials say.
+            total: Information of the trials.
             freedom: Degrees of freedom of the scatter; infinite: it is known.
         """
         return _means(self.gains(total), lambda cases: probability(cases, freedom))
@@ -141,7 +141,7 @@ class Discrimination:
         information.
 
         Args:
-            total: What the trials say.
+            total: Information of the trials.
             freedom: Degrees of freedom of the scatter; infinite: it is known.
         """
         if self.decision.aim == "parameters":

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Candidate trials of a cell: cases at other speeds, off-centre, oblique, and along other directions.
 
-A variant of a scenario is the scenario with some settings, as in ``impact-rs campaign --set``. What is beyond reach or
-limits is found out by a forecast (:mod:`impact_rs_analysis.design.forecast`).
+A variant of a scenario is the scenario with some settings, as in ``impact-rs campaign --set``. Trials beyond reach or
+limits are found by a forecast (:mod:`impact_rs_analysis.design.forecast`).
 """
 
 from __future__ import annotations

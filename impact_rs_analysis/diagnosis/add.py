@@ -106,7 +106,7 @@ def add_faults(
     faults, known = calibration.faults, document.calibration
     if (faults.digest if calibration else None) != (None if known is None else known.digest):
         raise InputError(
-            f"this calibration is not the one of the diagnosis {source}, which would count twice what it knows; "
+            f"this calibration is not the one of the diagnosis {source}: its faults would be included twice; "
             "diagnose the measurements again",
             file=calibration.file,
         )

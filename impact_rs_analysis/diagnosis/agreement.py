@@ -313,11 +313,11 @@ def tracking_clusters(clusters: Sequence[Cluster]) -> list[Cluster]:
     """Residual of the velocity of the object minus that of the end effector while it is pushed, condition by condition.
 
     Args:
-        clusters: Of trials; those without an object have none.
+        clusters: Conditions of trials; those without an object have none.
     """
     rows: dict[str, Array] = {}
     named: dict[str, tuple[tuple[str, str, str], tuple[Feature, ...]]] = {}
-    patterns: dict[str, Array] = {}
+    patterns: dict[str, tuple[str, Array]] = {}
     for item in clusters:
         places = {(f.signal, f.index, f.bin): n for n, f in enumerate(item.features) if f.phase == "push"}
         arms = {f.arm for f in item.features if f.arm}
@@ -332,7 +332,7 @@ def tracking_clusters(clusters: Sequence[Cluster]) -> list[Cluster]:
         scaled = item.residuals * item.sigma
         moved = item.discrepancy_factor * item.sigma
         rows[item.name] = scaled[:, first] - scaled[:, second]
-        patterns[item.name] = moved[:, first] - moved[:, second]
+        patterns[item.name] = item.discrepancy_group, moved[:, first] - moved[:, second]
         named[item.name] = (
             item.condition_key,
             tuple(replace(item.features[n], signal=OBJECT_TRACKING.name) for n in first),
@@ -343,9 +343,12 @@ def tracking_clusters(clusters: Sequence[Cluster]) -> list[Cluster]:
 def _clusters(
     rows: dict[str, Array],
     named: dict[str, tuple[tuple[str, str, str], tuple[Feature, ...]]],
-    patterns: dict[str, Array] | None = None,
+    patterns: dict[str, tuple[str, Array]] | None = None,
 ) -> list[Cluster]:
-    """Clusters from residuals of repeats ``(n, F)`` by condition, with key and features, and patterns ``(k, F)``."""
+    """Clusters from residuals of repeats ``(n, F)`` by condition, with key and features.
+
+    The patterns ``(k, F)`` of their discrepancy, with the key of the clusters that share its amplitudes, may be absent.
+    """
     alike: dict[tuple[Feature, ...], list[str]] = {}
     for name, (_, features) in named.items():
         alike.setdefault(features, []).append(name)
@@ -355,7 +358,7 @@ def _clusters(
         known = pooled[features]
         pure = np.zeros(len(features)) if known is None else known
         limit = np.array([feature.relevance_limit for feature in features]) / 2.0
-        moved = np.zeros((0, len(features))) if patterns is None else patterns[name]
+        group, moved = (None, np.zeros((0, len(features)))) if patterns is None else patterns[name]
         differing = np.sqrt(np.sum(np.square(moved), axis=0))
         sigma = np.maximum(np.sqrt(pure**2 + limit**2 + differing**2), 1e-12)
         found.append(
@@ -371,6 +374,7 @@ def _clusters(
                 pure_error=pure / sigma,
                 discrepancy=differing / sigma,
                 patterns=moved / sigma if moved.size else None,
+                discrepancy_key=group,
             )
         )
     return found

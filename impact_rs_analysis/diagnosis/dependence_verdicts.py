@@ -20,6 +20,7 @@ from impact_rs_analysis.diagnosis.document import (
     EstimateDocument,
 )
 from impact_rs_analysis.diagnosis.search.fit import Fit
+from impact_rs_analysis.diagnosis.search.intervals import intervals_of
 from impact_rs_analysis.diagnosis.search.relevance import exceeds_relevance_limit
 from impact_rs_analysis.diagnosis.thresholds import MIN_CANONICAL_CORRELATION, SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.verdict import CONFIRMED, NO_IMPROVEMENT, SMALL, DiagnosisVerdict, Kind
@@ -187,7 +188,8 @@ def with_estimates_of(
 
 def _estimates(fitted: Fit, pair: Depending) -> Iterator[tuple[str, dict[str, EstimateDocument]]]:
     """Estimates by term and parameter."""
-    candidate, (low, high) = fitted.candidate, fitted.interval
+    candidate = fitted.candidate
+    [(low, high)] = intervals_of([(fitted, range(candidate.point.size))])
     part, own = candidate.part(pair.name), pair.effect.scalars(fitted.evidence.source.joints)
     index = part.start
     for label in pair.terms.labels:

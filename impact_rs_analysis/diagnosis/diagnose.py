@@ -40,6 +40,7 @@ from impact_rs_analysis.diagnosis.thresholds import (
     MIN_CLUSTERS,
     MIN_REPORTED_CORRELATION,
     MIN_REPORTED_P,
+    SIGNIFICANCE_LEVEL,
 )
 from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, TOO_FEW
 from impact_rs_analysis.diagnosis.verdicts.effect_verdicts import effect_documents
@@ -65,6 +66,7 @@ from impact_rs_analysis.measure.arms import arms_of, assumptions
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
+from impact_rs_sim.progress import HOLD_OUT, SEARCH
 from impact_rs_sim.robots.robot import Array
 
 
@@ -252,9 +254,15 @@ def findings_of(
             "out; `impact-rs compare` still shows where the model fails"
         )
     search_budget = budget.part(SEARCH_TIME_SHARE)
-    search = Search(effects, Evidence.of(source, budget=search_budget), progress, earlier=earlier)
+    evidence = Evidence.of(source, budget=search_budget)
+    if (left := evidence.lack_of_fit) is not None and left > SIGNIFICANCE_LEVEL:  # then nothing is found, usually
+        source.report(SEARCH)
+        source.report(HOLD_OUT)
+    search = Search(effects, evidence, progress, earlier=earlier)
     undecidable = search.evidence.null.shortage is not None or bool(source.impossible)
     chosen = None if undecidable else search.forward_selection()
+    if chosen is None:
+        source.report(HOLD_OUT)
     rivals: Sequence[Rival] = ()
     held, unsupported = None, ""
     suspected: tuple[str, ...] = ()
@@ -274,6 +282,7 @@ def findings_of(
             chosen, rivals = supported, () if supported is None else search.rivals(supported)
         if chosen is None:
             held = None
+    chosen = None if chosen is None else search.finished(chosen)
     decided = chosen is not None or suspected or undecidable
     return Findings(
         search=search,

@@ -27,7 +27,7 @@ from impact_rs_sim.files import write_whole
 from impact_rs_sim.model import Model
 from impact_rs_sim.schema import Schema, omitted, read_json, validate
 
-MAX_FILE_BYTES = 50_000_000  # bytes; a diagnosis usually has about ten thousand
+MAX_JSON_BYTES = 50_000_000  # a diagnosis usually has about ten thousand
 
 
 class EstimateDocument(Schema):
@@ -36,7 +36,7 @@ class EstimateDocument(Schema):
     estimate: float = Field(description="estimate, in its unit")
     ci95: tuple[float, float] | None = Field(description="95 % interval, in its unit; null: known without one")
     unit: str = Field(description="unit, '-' where it has none")
-    meaning: str = Field("", description="what it is")
+    meaning: str = Field("", description="meaning of the parameter")
     joint: str | None = Field(None, description="joint it belongs to; null: the effect as a whole")
     arm: str | None = Field(None, description="arm it belongs to; null: arms share it")
     verdict: DiagnosisVerdict | None = Field(None, description="verdict on this joint alone; null: none")
@@ -84,7 +84,7 @@ class SizeDocument(Schema):
     """Largest change of one signal that an effect causes."""
 
     phase: str = Field(description="phase of the motion")
-    signal: str = Field(description="what it is")
+    signal: str = Field(description="name of the signal")
     value: float = Field(description="largest change of the signal that it causes, in the unit")
     unit: str = Field(description="unit")
     floor: float = Field(description="relevance limit: smallest difference that matters, in the unit")
@@ -94,7 +94,7 @@ class EffectDocument(Schema):
     """Verdict on one effect, with its evidence."""
 
     name: str = Field(description="effect")
-    sentence: str = Field("", description="what it is")
+    sentence: str = Field("", description="the effect in one sentence")
     of_measurement: bool = omitted(False, description="whether it is a fault of a reading and no physics")
     reading: str = omitted("", description="clause that says the fault of the reading, with places for its size")
     calibration: str = omitted("", description="experiment that determines the fault of the reading")
@@ -234,7 +234,7 @@ class RestDocument(Schema):
     """One remaining residual."""
 
     phase: str = Field(description="phase of the motion")
-    signal: str = Field(description="what it is")
+    signal: str = Field(description="name of the signal")
     index: str = Field(description="joint or axis")
     value: float = Field(0.0, description="root mean square beyond noise, in the unit")
     unit: str = Field("", description="unit")
@@ -330,7 +330,7 @@ class DriftDocument(Schema):
     """The signal that changes most with the order of measurement, among repeats of the same condition."""
 
     phase: str = Field(description="phase of the motion")
-    signal: str = Field(description="what it is")
+    signal: str = Field(description="name of the signal")
     index: str = Field(description="joint or axis")
     change: float = Field(description="change of its residual from first to last run, rms over its bins, in the unit")
     unit: str = Field(description="unit")
@@ -351,7 +351,7 @@ class LimitDocument(Schema):
     """Relevance limit of one signal."""
 
     phase: str = Field(description="phase of the motion")
-    signal: str = Field(description="what it is")
+    signal: str = Field(description="name of the signal")
     limit: float = Field(description="smallest difference that matters, in the unit")
     unit: str = Field(description="unit")
 
@@ -603,7 +603,7 @@ def read_document(path: Path) -> DiagnosisDocument:
     Raises:
         InputError: The file is missing or no diagnosis.
     """
-    data = read_json(path, "a diagnosis", MAX_FILE_BYTES)
+    data = read_json(path, "a diagnosis", MAX_JSON_BYTES)
     if not isinstance(data, dict):
         raise InputError("no diagnosis", file=path)
     if "laws" in data:  # a discovery holds the diagnosis that it comes from

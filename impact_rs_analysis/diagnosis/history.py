@@ -42,7 +42,7 @@ class Version:
 
     @property
     def whole(self) -> Model:
-        """What predicts the measurements."""
+        """A model that predicts the measurements."""
         return self.model if self.applied is None else self.applied
 
     @property

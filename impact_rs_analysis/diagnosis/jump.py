@@ -18,7 +18,7 @@ from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_analysis.evidence.discrepancy import Discrepancy
 from impact_rs_analysis.evidence.levels import JumpLevel, Level, root_mean_square, rounded
 from impact_rs_analysis.evidence.replays.ante_impact import problem_of
-from impact_rs_analysis.evidence.replays.features import AXES, SETTLED_WINDOW
+from impact_rs_analysis.evidence.replays.features import SETTLED_WINDOW
 from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs
 from impact_rs_analysis.evidence.sources.run_source import clusters_of
 from impact_rs_analysis.measure.departure import departures, objects_left
@@ -27,6 +27,7 @@ from impact_rs_analysis.measure.net_feedback import net_feedback
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem, compute_impact_map
 from impact_rs_sim.model import Model
+from impact_rs_sim.rotations import AXES
 from impact_rs_trials.bags.reader import BagError, TrialBag
 
 JOINT_VELOCITY_JUMP = "joint velocity jump"

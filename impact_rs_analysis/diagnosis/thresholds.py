@@ -20,6 +20,7 @@ MIN_REPORTED_P = 0.0005  # printed as a bound: the tails of a real robot's noise
 # What is the null distribution?
 NULL_DRAWS = 4999  # rotations; the smallest p, 0.0002, survives the adjustment for 25 effects
 PRIOR_DEGREES_OF_FREEDOM = 3  # d_0 of the moderated variance, whose weight is that of d_0 contrasts
+MAX_CALIBRATION_ERROR = 3.0  # standard deviations that a calibration explains; a uniform prior ends at 1.7
 MAX_NOISE_RATIO = 2.0  # residual over noise and calibrations, without repeats: noise is known to a third
 
 # How much better has a model to predict what it has not seen?
@@ -39,7 +40,7 @@ MIN_CONFOUNDED_SHARE = 0.85  # variance of the order between conditions; three c
 
 # How many candidates does a search fit?
 MAX_EFFECTS = 6  # chosen together; more cannot be distinguished in one campaign
-SHORTLIST_SIZE = 5  # candidates fitted by simulation in every round; in tests the true one was always among them
+SHORTLIST_SIZE = 5  # candidates fitted by simulation in every round; in the first also the likeliest of the others
 
 # Can there be a law of this form?
 MIN_RESIDUAL_RATIO_OF_LAW = 1.5  # times repeatability; a smaller residual shows no law

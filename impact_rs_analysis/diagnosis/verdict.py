@@ -12,7 +12,7 @@ from pydantic import GetCoreSchemaHandler, PlainSerializer, PlainValidator
 
 
 class Kind(StrEnum):
-    """What a verdict says; the word that files and reports have for it."""
+    """Kind of a verdict: its word in files and reports."""
 
     NAMED = "NAMED"  # of a model that lacks some effects: their names, without this word
     NOTHING = "NOTHING-MISSING"
@@ -39,7 +39,7 @@ class DiagnosisVerdict:
     ``NAMED`` the names joined by ``+``. Documents have this text, and validate to a verdict.
 
     Attributes:
-        kind: What it says.
+        kind: Its kind.
         names: The effects that explain (``NAMED``, ``PARTLY``), or the rivals (``CONFUSABLE``); else empty.
     """
 

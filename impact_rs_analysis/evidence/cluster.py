@@ -121,10 +121,11 @@ class Cluster:
 
     @cached_property
     def discrepancy_factor(self) -> Array:
-        """Factor L of the discrepancy covariance L^T L: its patterns, or one row per feature, ``(k, F)`` [-]."""
-        if self.patterns is not None:
-            return self.patterns
-        return np.diag(self.discrepancy)[self.discrepancy > 0.0]
+        """Factor L of the discrepancy covariance L^T L: its patterns, or one row per feature, ``(k, F)`` [-].
+
+        Clusters of a group share amplitudes, row by row, so every feature has its row, with or without a discrepancy.
+        """
+        return np.diag(self.discrepancy) if self.patterns is None else self.patterns
 
     @property
     def shared_discrepancy(self) -> Array:
@@ -139,7 +140,7 @@ class Cluster:
     @cached_property
     def _whole_discrepancy(self) -> Array:
         """Factor of the discrepancy along its patterns and outside them, ``(k, F)`` [-]."""
-        outside = math.sqrt(INDEPENDENT_DISCREPANCY_SHARE) * np.diag(self.discrepancy)[self.discrepancy > 0.0]
+        outside = math.sqrt(INDEPENDENT_DISCREPANCY_SHARE) * np.diag(self.discrepancy)
         found = self.discrepancy_factor if self.patterns is None else np.vstack((self.patterns, outside))
         return DISCREPANCY_QUANTILE_RATIO * found
 

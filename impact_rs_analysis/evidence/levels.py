@@ -55,7 +55,7 @@ class SignalLevel(Schema):
     """Residual of one signal."""
 
     phase: str = Field(description="phase of the motion")
-    signal: str = Field(description="what it is")
+    signal: str = Field(description="name of the signal")
     index: str = Field("", description="joint, where joints are listed one by one")
     arm: str = Field("", description="arm, where there are several")
     error: float = Field(description="root mean square difference, in the unit")
@@ -78,7 +78,7 @@ class JumpLevel(Schema):
     scenario: str = Field(description="scenario")
     object: str = Field(description="object")
     case: str = Field(description="case")
-    signal: str = Field(description="what it is")
+    signal: str = Field(description="name of the signal")
     index: str = Field(description="joint or axis")
     measured: float = Field(description="mean over the repeats, in the unit")
     predicted: float = Field(description="by the impact map, in the unit")
@@ -181,7 +181,7 @@ def level_of(what: str, clusters: Sequence[Cluster], phases: tuple[str, ...], by
     """Root mean square differences of the signals of some phases, over all conditions, arm by arm.
 
     Args:
-        what: What is compared.
+        what: Compared quantity, in words.
         clusters: The conditions.
         phases: Phases of the signals; none: all.
         by_limit: Whether differences are multiples of the relevance limit, because nothing was repeated.

@@ -45,7 +45,7 @@ from impact_rs_trials.runs import Run, none
 HORIZONS_S = (0.1, 0.5, 2.0)
 STEP_S = 0.005  # of the integrator; at 5 Hz, a usual low-pass, one step in 40 of a period
 STEPS_PER_ERROR = 4  # from one evaluation of the error to the next
-MAX_STARTS = 40  # 2 s of 32 rollouts of seven joints take 0.15 s of processor time, with friction 1 s
+MAX_ROLLOUT_STARTS = 40  # 2 s of 32 rollouts of seven joints take 0.15 s of processor time, with friction 1 s
 MAX_PHASE_PER_STEP = 0.5  # rad, of the fastest mode of servos; at 2 the step is unstable
 MAX_SUBSTEPS = 8  # of a step; beyond, servos are too stiff to be rolled out
 MAX_INERTIAS = 5  # of the starts, from which the fastest mode is taken
@@ -397,10 +397,10 @@ def starts_of(motions: Sequence[FreeMotion]) -> tuple[float, list[Array]]:
         return 0.0, nothing
     horizon = fitting[-1]
     usable = np.flatnonzero(lengths >= horizon - 1e-9)
-    if usable.size > MAX_STARTS:
-        usable = usable[np.linspace(0, usable.size - 1, MAX_STARTS).astype(int)]
+    if usable.size > MAX_ROLLOUT_STARTS:
+        usable = usable[np.linspace(0, usable.size - 1, MAX_ROLLOUT_STARTS).astype(int)]
     room = np.maximum(lengths - horizon, 0.0)
-    spacing = float(room[usable].sum()) / max(MAX_STARTS - usable.size, 1)
+    spacing = float(room[usable].sum()) / max(MAX_ROLLOUT_STARTS - usable.size, 1)
     if 0.0 < spacing < horizon:  # every few rollouts one begins where another ends
         spacing = horizon / int(horizon / spacing)
     starts = list(nothing)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -122,6 +122,7 @@ class Source(ABC):
         interleaved: Whether folds are interleaved, in place of runs of neighbours.
         folds: Largest number of folds of the cross-validation: from five on, the held-out error changes little.
         state: Variables of the state that may be confounded with a covariate, such as the impact speed.
+        progress: Called with (stage, done, total); None: not reported.
     """
 
     kind: Literal["trials", "recordings", "impacts"] = "trials"
@@ -146,6 +147,16 @@ class Source(ABC):
     least_change: float = 1.0
     interleaved: bool = False
     folds: int = 6
+    progress: Callable[[str, int, int], None] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """State for a worker, which does not report."""
+        return {name: value for name, value in vars(self).items() if name != "progress"}
+
+    def report(self, stage: str, done: int = 0, total: int = 0) -> None:
+        """Report progress; 0 of 0: nothing is expected to be done in this stage."""
+        if self.progress is not None:
+            self.progress(stage, done, total)
 
     @property
     def free_motion_part(self) -> Source | None:
@@ -208,7 +219,7 @@ class Source(ABC):
         return Identity("", len(units), units)
 
     def size(self) -> float:
-        """Size of the model's residuals, in multiples of repeatability (module text) [-]."""
+        """Size of the model's residuals, in multiples of repeatability (:func:`.size_of`) [-]."""
         return size_of([item.error for item in self.clusters], [item.expected for item in self.clusters])
 
     def noise_size(self) -> float | None:
@@ -227,8 +238,12 @@ class Source(ABC):
             items: Arguments.
             what: Purpose, shown as progress.
         """
-        del what
-        return [function(self, item) for item in items]
+        found = []
+        self.report(what, 0, len(items))
+        for item in items:
+            found.append(function(self, item))
+            self.report(what, len(found), len(items))
+        return found
 
     @abstractmethod
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
@@ -338,7 +353,7 @@ class Source(ABC):
         parts = [(motion, ()) for motion in self.free_motions()] if parts is None else parts
         try:
             return rollouts_of([motion for motion, _ in parts], [self._rolled(*part) for part in parts])
-        except (InputError, np.linalg.LinAlgError):  # bodies that are none, a link without inertia, a law that diverges
+        except (InputError, np.linalg.LinAlgError):  # a body without positive inertia, or a load that diverges
             return None
 
     def _rolled(self, motion: FreeMotion, added: Added) -> Physics:

@@ -17,13 +17,7 @@ import pinocchio as pin
 
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.free_motion.torque_balance import Motion
-from impact_rs_analysis.evidence.replays.features import (
-    AXES,
-    JUMP_BEFORE_S,
-    JUMP_WINDOWS_S,
-    OBJECT_WINDOWS_S,
-    SETTLED_WINDOW,
-)
+from impact_rs_analysis.evidence.replays.features import JUMP_BEFORE_S, JUMP_WINDOWS_S, OBJECT_WINDOWS_S, SETTLED_WINDOW
 from impact_rs_analysis.evidence.replays.impacts import impacts_of, observe
 from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs
 from impact_rs_analysis.evidence.replays.replay_cache import with_effects
@@ -32,7 +26,7 @@ from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.rotations import continuous, quaternion_of, yaw_of_quaternions
+from impact_rs_sim.rotations import AXES, continuous, quaternion_of, yaw_of_quaternions
 from impact_rs_sim.scene import standing
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import BagError, TrialBag

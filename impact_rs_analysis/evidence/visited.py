@@ -7,11 +7,12 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from impact_rs_analysis.evidence.replays.replay import AFTER_IMPACT_S
+from impact_rs_analysis.evidence.replays.replay import WINDOW_AFTER_IMPACT_S
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.evidence.sources.recording_source import RecordingSource
-from impact_rs_sim.effects.formula import AXES, CONTACT_SYMBOLS, JOINT_SYMBOL, SYMBOLS, Formula
+from impact_rs_sim.effects.formula import CONTACT_SYMBOLS, JOINT_SYMBOL, SYMBOLS, Formula
 from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.rotations import AXES
 from impact_rs_trials.runs import Run
 
 Range = tuple[float, float]
@@ -21,7 +22,9 @@ RANGE_MARGIN_SHARE = 0.02  # of a range; a smaller excess is not reported
 RANGE_PERCENTILES = (0.5, 99.5)  # that count as the ends of a range
 
 
-def measured_ranges(source: Source, quantities: Iterable[str] = (), after: float = AFTER_IMPACT_S) -> dict[str, Range]:
+def measured_ranges(
+    source: Source, quantities: Iterable[str] = (), after: float = WINDOW_AFTER_IMPACT_S
+) -> dict[str, Range]:
     """Range of the symbols over all runs, up to the end of the replay; those that were not measured are missing.
 
     Args:

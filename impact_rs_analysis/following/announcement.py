@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_rs_analysis.following.lessons import Followed
+from impact_rs_analysis.following.documents import Followed
 from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.robots.robot import Array
@@ -21,7 +21,7 @@ class EverydayQuantity(NamedTuple):
     """An everyday quantity of a scene.
 
     Attributes:
-        noun: What it belongs to.
+        noun: Body that has it.
         more: Comparative of a larger value.
         less: Comparative of a smaller value.
         unit: Unit of a change; ``%``: share of the value before.

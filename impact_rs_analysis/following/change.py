@@ -164,7 +164,7 @@ class ChangeTest:
         They use the present linearisation: a nonlinear one may turn out likelier, or fail.
 
         Args:
-            statistics: Of :meth:`statistics`.
+            statistics: Result of :meth:`statistics`.
         """
         least = math.log(DECISIVE_LIKELIHOOD_RATIO)
         possible = (self._explained(name) for name, own in statistics.items() if float(np.max(own)) > least)

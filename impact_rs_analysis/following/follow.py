@@ -13,9 +13,9 @@ from itertools import groupby
 
 from impact_rs_analysis.design.selection import MIN_CONDITIONS, MIN_REPEATS
 from impact_rs_analysis.following.change import MEAN_TIME_TO_FALSE_ALARM
+from impact_rs_analysis.following.documents import Followed, HitDocument, NextHit
 from impact_rs_analysis.following.hits import Hit, HitSource
 from impact_rs_analysis.following.learning import Learning
-from impact_rs_analysis.following.lessons import Followed, HitDocument, NextHit
 from impact_rs_analysis.following.watch import HitWatch
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
@@ -50,14 +50,14 @@ class Follower:
 
     Args:
         hit_source: Gives hits and predictions; its model is replaced by one without the effects that are followed.
-        model: What is believed at the start.
+        model: Model at the start.
         only: Effects to follow in addition to those of the model; None: all observable ones.
         learnt: Number of hits from which the scatter is estimated.
         mean_time: Mean number of hits to a false alarm, at least.
 
     Attributes:
         learning: Hits of layouts whose scatter is not known yet.
-        watch: What is believed since then; None: no scatter is known.
+        watch: Hypotheses since then; None: no scatter is known.
         names: All hits, in time order.
         last: Last hit of every condition; empty condition: last trial with a contact.
         changed: The hits since the last change; None: there was none.

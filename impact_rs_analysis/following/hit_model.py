@@ -13,8 +13,8 @@ import scipy
 from impact_rs_analysis.diagnosis.search.candidate import Candidate
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.following.change import Calibration, ChangeTest
+from impact_rs_analysis.following.documents import Followed
 from impact_rs_analysis.following.hits import Hit, HitSource
-from impact_rs_analysis.following.lessons import Followed
 from impact_rs_analysis.following.posterior import HitEvidence, Posterior
 from impact_rs_analysis.following.recent_residuals import RecentResiduals
 from impact_rs_analysis.inference.belief import Belief

@@ -286,7 +286,7 @@ class BagHit(Hit):
     """A bag.
 
     Attributes:
-        run: What was measured.
+        run: Its measured run.
     """
 
     run: MeasuredRun

@@ -31,14 +31,14 @@ class Learning:
 
     Args:
         hit_source: Gives hits and predictions; its model is replaced by one without the effects that are followed.
-        model: What is believed at the start.
+        model: Model at the start.
         only: Effects to follow in addition to those of the model; None: all observable ones.
         learnt: Number of hits from which the scatter is estimated.
         mean_time: Mean number of hits to a false alarm, at least.
 
     Attributes:
         first: The hits.
-        hits: What predicts hits; None: too few were seen.
+        hits: Model of the hits; None: too few were seen.
     """
 
     def __init__(

@@ -17,9 +17,9 @@ import scipy
 
 from impact_rs_analysis.following.announcement import in_words
 from impact_rs_analysis.following.causes import Causes, Held
+from impact_rs_analysis.following.documents import Cause, Change, HitDocument, NextHit, Predicted
 from impact_rs_analysis.following.hit_model import HitModel, Hypothesis
 from impact_rs_analysis.following.hits import Hit
-from impact_rs_analysis.following.lessons import Cause, Change, HitDocument, NextHit, Predicted
 from impact_rs_analysis.following.posterior import WINDOW_INSTANTS, huber_weight, unpredicted_log_density
 from impact_rs_analysis.following.proposals import distinguishing
 from impact_rs_analysis.inference.student import log_density, squared_distance

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What further trials will decide between two explanations, before they are measured.
+"""Probability that further trials decide between two explanations, before they are measured.
 
 Along the difference of two explanations, a squared distance g apart in units of the noise, a measurement is
 z ~ N(+-sqrt(g)/2, 1). The noise is estimated from nu degrees of freedom, so that with X ~ chi^2_nu the log likelihood

@@ -97,7 +97,7 @@ def deviations_of(residuals: Sequence[Array], conditions: Sequence[str]) -> tupl
     """Residuals minus the mean of their condition, ``(n, F)``, and their degrees of freedom.
 
     Args:
-        residuals: Of every measurement, ``(F,)``.
+        residuals: Residuals of every measurement, ``(F,)``.
         conditions: Condition of each. Conditions without repeats are left out, or pooled if there are no repeats.
     """
     rows, names = np.array(residuals), np.array(conditions)

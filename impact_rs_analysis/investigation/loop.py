@@ -72,7 +72,7 @@ class Investigation:
 
     Args:
         directory: The folder.
-        settings: What was asked.
+        settings: Settings of the investigation.
         budget: Trials at most.
         bench: Where trials are measured.
         say: Called with a line about every step.
@@ -172,8 +172,8 @@ class Investigation:
         done = last.decision
         assert done is not None
         reason = (
-            f"{done.reason} And no trial that can be planned here distinguishes what is possible: all {left} trials "
-            f"left would distinguish it with {100.0 * promised:.0f} % at best."
+            f"{done.reason} No trial that can be planned here distinguishes the explanations left: all {left} trials "
+            f"left would do so with {100.0 * promised:.0f} % at best."
         )
         end = done.model_copy(update={"action": "end", "verdict": UNDECIDED, "reason": reason, "spent": True})
         self._say(f"Round {last.number}: end. {reason}")

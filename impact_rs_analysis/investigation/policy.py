@@ -39,10 +39,10 @@ class PolicyRule:
 
 
 def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDecision:
-    """What to do after the last of some rounds.
+    """Decision after the last of some rounds.
 
     Args:
-        settings: What was asked.
+        settings: Settings of the investigation.
         rounds: All rounds, the last one complete but for its decision.
         budget: Trials at most.
     """
@@ -145,7 +145,7 @@ POLICY = (
     PolicyRule("Nothing missing, once", lambda s: s.holds, _nothing_once),
     PolicyRule("A suspicion", lambda s: s.found.verdict == NOTHING and bool(s.found.suspected), _suspected),
     PolicyRule("An error beyond noise", lambda s: s.found.verdict == NOTHING, _loud),
-    PolicyRule("What no effect explains", lambda s: s.unexplained, _unexplained),
+    PolicyRule("An unexplained residual", lambda s: s.unexplained, _unexplained),
     PolicyRule("A small effect beside a large one", lambda s: bool(s.further), _extended),
     PolicyRule("Estimates that were off", lambda s: s.renewed, _renewed),
     PolicyRule("A tie", lambda s: bool(s.unsure), _tied),
@@ -201,7 +201,7 @@ def _files(state: RoundState, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _summary(state: RoundState) -> str:
-    """What is named, in words, with the formulas of laws."""
+    """Named effects in words, with the formulas of laws."""
     discovery, laws = state.here.discovery, state.here.laws
     if discovery is None or laws is None:
         return state.found.summary

@@ -21,13 +21,14 @@ from pydantic import Field
 from impact_rs_analysis.diagnosis.document import ModelIdentity
 from impact_rs_analysis.evidence.cluster import ErrorUnit, size_of
 from impact_rs_analysis.evidence.levels import rounded
-from impact_rs_analysis.evidence.replays.features import AXES, JUMP_WINDOWS_S, SETTLED_WINDOW
+from impact_rs_analysis.evidence.replays.features import JUMP_WINDOWS_S, SETTLED_WINDOW
 from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.investigation.error_test import p_of_error
 from impact_rs_sim.impact_map import predict_impact
 from impact_rs_sim.impact_map.problem import ImpactProblem
 from impact_rs_sim.model import Model
+from impact_rs_sim.rotations import AXES
 from impact_rs_sim.schema import Schema
 from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec

@@ -69,7 +69,7 @@ class RoundState:
         """The state after some rounds, the last one complete but for its decision.
 
         Args:
-            settings: What was asked.
+            settings: Settings of the investigation.
             rounds: All rounds.
             budget: Trials at most.
         """

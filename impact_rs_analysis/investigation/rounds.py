@@ -30,7 +30,7 @@ ROUNDS_FOLDER = "rounds"
 
 
 class RoundDecision(Schema):
-    """What to do after a round, and why (``decision.json``)."""
+    """Decision after a round, with its reason (``decision.json``)."""
 
     action: Literal["measure", "add", "end"] = Field(description="what to do")
     reason: str = Field(description="why, in words")
@@ -59,7 +59,7 @@ class PlannedTrial:
         scenario: Name or path of its scenario.
         settings: Values that the scenario has instead of its own.
         campaign_seed: Seed of its campaign.
-        trial: What runs.
+        trial: Specification of the trial.
     """
 
     folder: str

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an investigation was asked (``investigation.yaml``)."""
+"""Settings of an investigation (``investigation.yaml``)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class BlindChoice(Schema):
 
 
 class Settings(Schema):
-    """What an investigation was asked (``investigation.yaml``)."""
+    """Settings of an investigation (``investigation.yaml``)."""
 
     scenarios: tuple[str, ...] = Field(min_length=1, description="names or paths of scenarios")
     model: str = Field("nominal", description="the first model: nominal, or a file")

@@ -37,7 +37,7 @@ from impact_rs_sim.proportion import reach_of
 from impact_rs_sim.robots.robot import Array, Reflexes
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.scenarios.scenario import Uncertainties
-from impact_rs_sim.scene import ArmMotion, ArmState, BodyState, Scene
+from impact_rs_sim.scene import ArmMotion, ArmState, BodyState, Scene, pad_placements
 from impact_rs_sim.twin import TwinJob, simulate
 
 DEFAULT_DRAWS = 200  # of a speed limit: two of them may exceed it
@@ -77,7 +77,7 @@ class Hits:
     Args:
         scene: Arms, object, case.
         thresholds: Used instead of the limits of the robot facts.
-        stated: What is uncertain; None: as the scenario states.
+        stated: Uncertain quantities; None: as the scenario states.
         draws: Number of draws; 0: the nominal hit alone, without discrepancy.
         seed: Seed of the draws.
 
@@ -96,6 +96,7 @@ class Hits:
         draws: int = 0,
         seed: int = 0,
     ) -> None:
+        scene.scenario.check_chains("the search for a speed limit")
         self.scene = scene
         self.bounds: Bounds = bounds_of(scene.physics, thresholds)
         problem = touching(scene)
@@ -215,7 +216,7 @@ def _approach(
     Raises:
         InputError: A pad does not approach the object.
     """
-    placements = {name: models[name].placement(state.position) for name, state in arms.items()}
+    placements = pad_placements(physics, models, arms)
     found = {}
     for one in contact_pairs(physics, body, placements):
         if one.partner == SUPPORT:

@@ -44,8 +44,8 @@ class Thresholds:
     """User thresholds that replace the limits of the robot facts.
 
     Attributes:
-        velocity_jump: Of every joint [rad/s]; None: as in the facts.
-        external_torque: Of every joint [N m]; None: as in the facts.
+        velocity_jump: Limit of every joint [rad/s]; None: as in the facts.
+        external_torque: Limit of every joint [N m]; None: as in the facts.
         external_force: [N]; None: as in the facts.
     """
 

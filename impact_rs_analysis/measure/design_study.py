@@ -51,7 +51,7 @@ class PadDesign:
 
     Attributes:
         size: Width, height and thickness [m].
-        friction: Between pad and object [-].
+        friction: Coulomb coefficient between pad and object [-].
         restitution: Restitution of the impact [-].
     """
 
@@ -131,17 +131,17 @@ class Design:
 
 
 @dataclass(frozen=True)
-class DesignQuestion:
+class DesignConditions:
     """Conditions common to all designs.
 
     Attributes:
         scenario: Its end effector, object and uncertainties.
         object_name: Object that is hit.
         speed: Ante-impact speed of the pad [m/s].
-        motor_inertias: Which motor inertias.
+        motor_inertias: Names of motor inertias.
         pads: Names of pads.
-        draws: From the uncertainties.
-        seed: Of poses and draws.
+        draws: Number of draws from the uncertainties.
+        seed: Seed of poses and draws.
     """
 
     scenario: Scenario
@@ -173,13 +173,13 @@ class DesignStudy:
     """All designs.
 
     Attributes:
-        question: The common conditions.
+        conditions: The common conditions.
         designs: With answers, in the order of robots and poses.
         failed: Reason by name of the design, where the map has no answer.
         places: Random places that were tried, by robot.
     """
 
-    question: DesignQuestion
+    conditions: DesignConditions
     designs: tuple[Design, ...]
     failed: Mapping[str, str]
     places: Mapping[str, int]
@@ -198,7 +198,7 @@ class DesignStudy:
 
 
 def study_designs(
-    question: DesignQuestion,
+    conditions: DesignConditions,
     robots: Sequence[str] = ROBOTS,
     poses: int = 100,
     map_tasks: Map = map,
@@ -207,7 +207,7 @@ def study_designs(
     """Evaluate every robot in every pose.
 
     Args:
-        question: The common conditions.
+        conditions: The common conditions.
         robots: Names of robots, or paths of their facts.
         poses: Random poses per robot.
         map_tasks: Parallel map.
@@ -216,10 +216,10 @@ def study_designs(
     Raises:
         InputError: No such robot or object, or too few poses that the robot reaches fast enough.
     """
-    question.scenario.object(question.object_name)
+    conditions.scenario.object(conditions.object_name)
     stances: list[RobotPose] = []
     places = {}
-    wanted = [(robot, question, poses) for robot in robots]
+    wanted = [(robot, conditions, poses) for robot in robots]
     for number, (robot, (own, tried)) in enumerate(
         zip(robots, map_tasks(_random_poses_of, wanted), strict=True), start=1
     ):
@@ -228,15 +228,15 @@ def study_designs(
         report("poses", number, len(robots))
     designs: list[Design] = []
     failed: dict[str, str] = {}
-    tasks = [(question, stance) for stance in stances]
-    for done, (answers, wrong) in enumerate(map_tasks(ask, tasks), start=1):
+    tasks = [(conditions, stance) for stance in stances]
+    for done, (answers, wrong) in enumerate(map_tasks(evaluate, tasks), start=1):
         designs += answers
         failed |= wrong
-        report("designs", done * len(question.pads), len(tasks) * len(question.pads))
-    return DesignStudy(question, tuple(designs), failed, places)
+        report("designs", done * len(conditions.pads), len(tasks) * len(conditions.pads))
+    return DesignStudy(conditions, tuple(designs), failed, places)
 
 
-def random_poses(robot: str, question: DesignQuestion, poses: int) -> tuple[list[RobotPose], int]:
+def random_poses(robot: str, conditions: DesignConditions, poses: int) -> tuple[list[RobotPose], int]:
     """Random poses in which a robot reaches the speed, and the number of places that were tried.
 
     Raises:
@@ -245,34 +245,34 @@ def random_poses(robot: str, question: DesignQuestion, poses: int) -> tuple[list
     facts = load_facts(robot)
     if facts.joint_count < 6:
         raise InputError(f"{robot} has {facts.joint_count} joints; a pad that is held upright needs six")
-    model = RobotModel(facts, replace(_effector(question, "wide"), mount_yaw=0.0))
+    model = RobotModel(facts, replace(_effector(conditions, "wide"), mount_yaw=0.0))
     found: list[RobotPose] = []
-    for tried, pose in enumerate(upright_poses(model, question.seed), start=1):
-        if pose is not None and np.all(np.abs(_velocity(model, pose.q, question.speed)) <= model.velocity_max):
+    for tried, pose in enumerate(upright_poses(model, conditions.seed), start=1):
+        if pose is not None and np.all(np.abs(_velocity(model, pose.q, conditions.speed)) <= model.velocity_max):
             found.append(RobotPose(robot, len(found) + 1, pose.q))
         if len(found) == poses:
             return found, tried
         if tried >= MAX_TRIES_PER_POSE * poses:
             break
     raise InputError(
-        f"{robot} reaches {question.speed:g} m/s in {len(found)} of {tried} random places, expected {poses}; give a "
+        f"{robot} reaches {conditions.speed:g} m/s in {len(found)} of {tried} random places, expected {poses}; give a "
         "lower --speed or fewer --poses"
     )
 
 
-def _random_poses_of(task: tuple[str, DesignQuestion, int]) -> tuple[list[RobotPose], int]:
+def _random_poses_of(task: tuple[str, DesignConditions, int]) -> tuple[list[RobotPose], int]:
     """:func:`random_poses`, for a parallel map."""
     return random_poses(*task)
 
 
-def ask(task: tuple[DesignQuestion, RobotPose]) -> tuple[list[Design], dict[str, str]]:
+def evaluate(task: tuple[DesignConditions, RobotPose]) -> tuple[list[Design], dict[str, str]]:
     """All designs of one robot in one pose, and why some have no answer."""
-    question, stance = task
+    conditions, stance = task
     designs, failed = [], {}
-    for motor_inertia, pad, problem in problems_of(question, stance):
+    for motor_inertia, pad, problem in problems_of(conditions, stance):
         name = f"{stance.robot}/{stance.number}/{motor_inertia}/{pad}"
         try:
-            measures = _measured(problem, question, uncertainties_of(question, stance.robot, motor_inertia))
+            measures = _measured(problem, conditions, uncertainties_of(conditions, stance.robot, motor_inertia))
         except (InputError, ImpactMapError) as error:
             failed[name] = str(error)
             continue
@@ -281,14 +281,14 @@ def ask(task: tuple[DesignQuestion, RobotPose]) -> tuple[list[Design], dict[str,
     return designs, failed
 
 
-def problems_of(question: DesignQuestion, stance: RobotPose) -> Iterator[tuple[str, str, ImpactProblem]]:
+def problems_of(conditions: DesignConditions, stance: RobotPose) -> Iterator[tuple[str, str, ImpactProblem]]:
     """Motor inertia, pad and impact problem of every design of one robot in one pose."""
     facts = load_facts(stance.robot)
-    template = Physics.nominal(question.scenario, question.object_name)
+    template = Physics.nominal(conditions.scenario, conditions.object_name)
     arm = next(iter(template.arms.values()))
-    for pad_name in question.pads:
-        pad, effector = PADS[pad_name], replace(_effector(question, pad_name), mount_yaw=0.0)
-        drive = _drive(question, stance.robot, effector)
+    for pad_name in conditions.pads:
+        pad, effector = PADS[pad_name], replace(_effector(conditions, pad_name), mount_yaw=0.0)
+        drive = _drive(conditions, stance.robot, effector)
         rotor = np.array(drive["motor_inertia_rotor"])
         reduced = np.array(drive.get("motor_inertia_reduced", drive["motor_inertia_rotor"]))
         model = RobotModel(facts, effector)
@@ -315,8 +315,8 @@ def problems_of(question: DesignQuestion, stance: RobotPose) -> Iterator[tuple[s
             restitution=pad.restitution,
         )
         middle = placement.translation + NORMAL * (0.5 * float(np.abs(NORMAL) @ template.object.size))
-        state = ArmState(stance.position, _velocity(model, stance.position, question.speed))
-        for motor_inertia in question.motor_inertias:
+        state = ArmState(stance.position, _velocity(model, stance.position, conditions.speed))
+        for motor_inertia in conditions.motor_inertias:
             if motor_inertia == "reduced" and not facts.joint_torque_loop:
                 continue
             yield (
@@ -356,32 +356,32 @@ def values_by(engine_name: str, problem: ImpactProblem) -> dict[str, float]:
         engine.close()
 
 
-def uncertainties_of(question: DesignQuestion, robot: str, motor_inertia: str) -> Uncertainties:
+def uncertainties_of(conditions: DesignConditions, robot: str, motor_inertia: str) -> Uncertainties:
     """Uncertainties of a scenario; of an assumed motor inertia, none to three times the number.
 
     Args:
-        question: The common conditions.
+        conditions: The common conditions.
         robot: Name of the robot, or path of its facts.
         motor_inertia: ``reduced`` or ``rotor``.
     """
-    stated, own = question.scenario.uncertainty, _in_scenario(question, robot)
+    stated, own = conditions.scenario.uncertainty, _in_scenario(conditions, robot)
     assumed = assumed_numbers(load_facts(robot)) if own is None else own.assumed
     if f"motor_inertia_{motor_inertia}" not in assumed:
         return stated
     return stated.model_copy(update={"motor_inertia": max(stated.motor_inertia, ASSUMED_MOTOR_INERTIA)})
 
 
-def _measured(problem: ImpactProblem, question: DesignQuestion, uncertain: Uncertainties) -> dict[str, Estimate]:
+def _measured(problem: ImpactProblem, conditions: DesignConditions, uncertain: Uncertainties) -> dict[str, Estimate]:
     """The measures of a problem with their intervals."""
     models = problem.physics.robot_models()
     nominal = values_by(DEFAULT_ENGINE, problem)
     sources, pads = sources_of(problem, uncertain), touching_pads(problem, models)
-    found = np.full((question.draws, len(nominal)), np.nan)
-    for number in range(question.draws):
+    found = np.full((conditions.draws, len(nominal)), np.nan)
+    for number in range(conditions.draws):
         amounts: dict[str, float] = {}
         # Each source by itself, so that designs with more joints have the same object.
         for index, source in enumerate(sources):
-            for name, amount in draw((source,), np.random.default_rng((question.seed, number, index))).items():
+            for name, amount in draw((source,), np.random.default_rng((conditions.seed, number, index))).items():
                 amounts[name] = amounts.get(name, 0.0) + amount
         try:
             found[number] = list(_drawn(problem, models, pads, amounts).values())
@@ -389,7 +389,7 @@ def _measured(problem: ImpactProblem, question: DesignQuestion, uncertain: Uncer
             continue
     answered = found[~np.isnan(found[:, 0])]
     if len(answered) < 2:
-        raise ImpactMapError(f"{len(answered)} of {question.draws} draws have an answer, expected two or more")
+        raise ImpactMapError(f"{len(answered)} of {conditions.draws} draws have an answer, expected two or more")
     return {
         name: _estimate(value, own, tuple(column))
         for (name, value), own, column in zip(nominal.items(), answered.T, found.T.tolist(), strict=True)
@@ -441,16 +441,16 @@ def _values(problem: ImpactProblem, answer: Array, more: Array, less: Array) -> 
     }
 
 
-def _in_scenario(question: DesignQuestion, robot: str) -> DriveSettings | None:
+def _in_scenario(conditions: DesignConditions, robot: str) -> DriveSettings | None:
     """Drive of a robot that the scenario has; None: it has no such robot."""
-    return next((own.drive for own in question.scenario.robots.values() if own.facts == robot), None)
+    return next((own.drive for own in conditions.scenario.robots.values() if own.facts == robot), None)
 
 
-def _drive(question: DesignQuestion, robot: str, effector: EndEffector) -> dict[str, list[float]]:
+def _drive(conditions: DesignConditions, robot: str, effector: EndEffector) -> dict[str, list[float]]:
     """The drive of a robot as in the scenario, as published, or scaled from another's."""
-    own = _in_scenario(question, robot)
+    own = _in_scenario(conditions, robot)
     if own is None:
-        return _scaled_drive(robot, effector, question.scenario.timing.drive_period)
+        return _scaled_drive(robot, effector, conditions.scenario.timing.drive_period)
     given = {
         "motor_inertia_rotor": own.motor_inertia_rotor,
         "motor_inertia_reduced": own.motor_inertia_reduced or own.motor_inertia_rotor,
@@ -471,7 +471,7 @@ def _velocity(model: RobotModel, q: Array, speed: float) -> Array:
     return np.asarray(np.linalg.pinv(model.jacobian(q)) @ np.append(speed * NORMAL, np.zeros(3)))
 
 
-def _effector(question: DesignQuestion, pad: str) -> EndEffector:
+def _effector(conditions: DesignConditions, pad: str) -> EndEffector:
     """The end effector of the scenario's first arm with another pad."""
-    robot = next(iter(question.scenario.robots.values()))
+    robot = next(iter(conditions.scenario.robots.values()))
     return replace(robot.end_effector.build(), pad_size=PADS[pad].size)

@@ -23,16 +23,17 @@ import numpy as np
 import scipy
 
 from impact_rs_analysis.evidence.replays.ante_impact import ante_impact_state, problem_of
-from impact_rs_analysis.evidence.replays.features import AXES, JUMP_BEFORE_S, JUMP_WINDOWS_S, SETTLED_WINDOW
+from impact_rs_analysis.evidence.replays.features import JUMP_BEFORE_S, JUMP_WINDOWS_S, SETTLED_WINDOW
 from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs
 from impact_rs_analysis.measure.far import Jump, far_jumps
+from impact_rs_sim.effects.formula import MIN_SLIDING_SPEED_M_S
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactMapError, predict_impact
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import GRAVITY_M_S2
-
-MIN_SLIDING_SPEED_M_S = 1e-3  # below, the friction of the support has no direction
+from impact_rs_sim.rotations import AXES
+from impact_rs_sim.scene import pad_twists
 
 
 @dataclass(frozen=True)
@@ -178,10 +179,9 @@ def _speeds(run: MeasuredRun, ante: dict[str, Array]) -> tuple[float, float]:
 
 def _ante_velocities(run: MeasuredRun) -> dict[str, Array]:
     """Velocity of every end effector at the begin of the impact, ``(3,)`` [m/s]."""
-    return {
-        name: (run.setup.physics.robot_model(name).jacobian(state.position) @ state.velocity)[:3]
-        for name, state in ante_impact_state(run).items()
-    }
+    physics = run.setup.physics
+    twists = pad_twists(physics, physics.robot_models(), ante_impact_state(run))
+    return {name: twist[:3] for name, twist in twists.items()}
 
 
 def _directions(ante: dict[str, Array]) -> dict[str, Array]:

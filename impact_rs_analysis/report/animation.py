@@ -16,7 +16,7 @@ from impact_rs_analysis.report.scene_3d import scene_data
 from impact_rs_sim.robots.robot import Array
 
 SLOW_BEFORE, SLOW_AFTER = 0.02, 0.06  # s about the impact, shown in slow motion
-MIN_SAMPLE_PERIODS_S = (0.001, 0.01)  # near the impact and elsewhere; the page interpolates
+MIN_FRAME_PERIODS_S = (0.001, 0.01)  # near the impact and elsewhere; the page interpolates
 MAX_ROWS_PER_RUN = 1500  # away from the impact; a recording may last for minutes
 MAX_RUNS_OF_ALL_ROWS = 8  # with more runs the rows per run decrease in proportion
 
@@ -62,9 +62,7 @@ def animation_data(tracks: Sequence[Track]) -> dict[str, Any]:
         if scene not in scenes:
             scenes.append(scene)
         runs.append(
-            _run_data(
-                track, scenes.index(scene), (coarser * MIN_SAMPLE_PERIODS_S[0], coarser * MIN_SAMPLE_PERIODS_S[1])
-            )
+            _run_data(track, scenes.index(scene), (coarser * MIN_FRAME_PERIODS_S[0], coarser * MIN_FRAME_PERIODS_S[1]))
         )
     return {"scenes": scenes, "runs": runs}
 

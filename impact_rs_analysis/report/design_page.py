@@ -11,13 +11,12 @@ from pathlib import Path
 import plotly.graph_objects as go
 
 from impact_rs_analysis.measure.design_study import MEASURES, Design, DesignStudy
-from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, PURPLE, RED, SKY
+from impact_rs_analysis.report.figures import SERIES_COLOURS
 from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.page_names import DESIGN_STUDY_PAGE, DESIGNS_TABLE
 from impact_rs_analysis.report.plots import TEMPLATE
 from impact_rs_sim.numbers import CONFIDENCE_LEVEL
 
-COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
 MAX_TABLE_DESIGNS = 15  # designs of a table
 SYMBOLS = ("circle", "diamond", "square", "cross", "x")
 
@@ -50,14 +49,14 @@ def write_design_study(study: DesignStudy, directory: Path) -> Path:
     Raises:
         InputError: They cannot be written.
     """
-    question = study.question
+    conditions = study.conditions
     robots = list(dict.fromkeys(design.robot for design in study.designs))
     page = DesignPage(
         title="Design study",
-        summary=f"{len(study.designs)} designs of {len(robots)} robots hit {question.object_name} of "
-        f"{question.scenario.name} at {question.speed:g} m/s, square and free of support. "
+        summary=f"{len(study.designs)} designs of {len(robots)} robots hit {conditions.object_name} of "
+        f"{conditions.scenario.name} at {conditions.speed:g} m/s, square and free of support. "
         f"Intervals of {CONFIDENCE_LEVEL:.0%}: "
-        f"{question.draws} draws from the uncertainties of the scenario. Poses are random.",
+        f"{conditions.draws} draws from the uncertainties of the scenario. Poses are random.",
         plots=(
             Plot(
                 "hits",
@@ -120,7 +119,7 @@ def _hits(study: DesignStudy, robots: list[str]) -> go.Figure:
     traces = []
     for number, robot in enumerate(robots):
         own = [design for design in study.designs if design.robot == robot]
-        pads = list(study.question.pads)
+        pads = list(study.conditions.pads)
         symbols = [
             SYMBOLS[pads.index(design.pad) % len(SYMBOLS)] + ("-open" if design.motor_inertia == "reduced" else "")
             for design in own
@@ -131,7 +130,7 @@ def _hits(study: DesignStudy, robots: list[str]) -> go.Figure:
                 y=[round(design.measures["impulse"].value, 5) for design in own],
                 text=[design.name for design in own],
                 mode="markers",
-                marker={"color": COLOURS[number % len(COLOURS)], "symbol": symbols, "size": 6},
+                marker={"color": SERIES_COLOURS[number % len(SERIES_COLOURS)], "symbol": symbols, "size": 6},
                 name=robot,
             )
         )
@@ -146,14 +145,14 @@ def _hits(study: DesignStudy, robots: list[str]) -> go.Figure:
 def _sensitivity(study: DesignStudy, robots: list[str]) -> go.Figure:
     """Sensitivities by robot and motor inertia."""
     traces = []
-    for number, kind in enumerate(study.question.motor_inertias):
+    for number, kind in enumerate(study.conditions.motor_inertias):
         own = [design for design in study.designs if design.motor_inertia == kind]
         traces.append(
             go.Box(
                 x=[design.robot for design in own],
                 y=[round(design.measures["sensitivity"].value, 6) for design in own],
                 name={"reduced": "B_theta", "rotor": "B_rho"}[kind],
-                marker={"color": COLOURS[number]},
+                marker={"color": SERIES_COLOURS[number]},
                 boxpoints=False,
             )
         )

@@ -89,8 +89,8 @@ def law_plot(law: LawDocument) -> go.Figure:
 def _caption(law: LawDocument) -> str:
     if law.curved:
         return (
-            "The curve that describes what no law explains, with its 95 % band. Points: its values with their "
-            "intervals, between which it is straight. Beyond them it falls to 0: it says nothing there."
+            "Curve of the dependence that no law explains, with its 95 % band. Points: its values with their "
+            "intervals; it is straight between them. Beyond them it falls to 0: nothing was measured there."
         )
     return (
         f"Line: {law.name} with its 95 % band. Points: a free curve in its place, fitted to the same measurements, "

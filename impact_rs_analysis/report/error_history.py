@@ -33,7 +33,7 @@ class HistoryPart:
 
 @dataclass(frozen=True)
 class HistoryPage:
-    """What ``history.html.j2`` shows."""
+    """Contents of ``history.html.j2``."""
 
     title: str
     history: HistoryPart

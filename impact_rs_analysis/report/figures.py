@@ -29,6 +29,7 @@ BLUE, SKY, BLACK, ORANGE, RED, GREEN, PURPLE = (
     "#009E73",
     "#CC79A7",
 )
+SERIES_COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)  # of curves side by side, in this order
 SCALE_COLOURS = (BLUE, SKY, BLACK, ORANGE, RED)
 MODEL_STYLE = {
     "reduced": ("Prediction, B<sub>θ</sub> (nominal)", BLUE, "square"),

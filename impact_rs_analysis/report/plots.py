@@ -39,7 +39,7 @@ DIVERGING_COLOURS = [
     [0.8, "#67A9CF"],
     [1.0, "#2166AC"],
 ]
-MAX_SHOWN_EFFECTS = 12  # bars of the figure
+MAX_PLOTTED_EFFECTS = 12  # bars of the figure
 MIN_LOG_AXIS_RATIO = 10.0  # largest over smallest value, from which an axis is logarithmic
 MIN_SHOWN_RATIO = 2.0  # residual over repeatability, from which a cell above its relevance limit is shown
 
@@ -74,7 +74,7 @@ def curves_plot(figure: Figure, most: int | None = None) -> go.Figure:
     """A figure that is also drawn as PNG, from the same description.
 
     Args:
-        figure: What is shown.
+        figure: Description of the figure.
         most: Points of a curve over time, at most; None: all.
     """
     if most is not None and figure.over_time:
@@ -162,7 +162,7 @@ def effects_plot(document: DiagnosisDocument) -> go.Figure | None:
     """Held-out error of the best effects, alone and added to the chosen ones; None if none was measured."""
     shown = [
         (effect, effect.held_out_error_after) for effect in document.effects if effect.held_out_error_after is not None
-    ][:MAX_SHOWN_EFFECTS]
+    ][:MAX_PLOTTED_EFFECTS]
     if not shown:
         return None
     names = [_plain(effect.name) for effect, _ in shown]

@@ -23,7 +23,7 @@ from impact_rs_analysis.report.page_names import LIMITS_DATA, LIMITS_PAGE, LIMIT
 from impact_rs_analysis.report.plots import GREY, TEMPLATE
 from impact_rs_sim.scenarios.scenario import Scenario
 
-COLOURS = {"jump": BLUE, "speed": GREEN, "torque": ORANGE, "reflex": RED, "force": GREY}
+KIND_COLOURS = {"jump": BLUE, "speed": GREEN, "torque": ORANGE, "reflex": RED, "force": GREY}
 COLOUR_SCALE_END = 2.0  # limit over planned speed, at the end of the colour scale of the map
 
 
@@ -56,7 +56,7 @@ def write_limits(
     Args:
         scenario: The scenario.
         limits: Limits of its objects and cases.
-        places: Of other places of the hit, row by row upwards; empty: none.
+        places: Limits at other places of the hit, row by row upwards; empty: none.
         directory: Folder of the report.
 
     Returns:
@@ -119,7 +119,7 @@ def limits_plot(limits: Sequence[SpeedLimit]) -> go.Figure:
     for kind in KINDS:
         if kind in limits[0].by_kind:
             speeds = [one.to_json()["by_kind_m_s"][kind] for one in limits]  # type: ignore[index]
-            figure.add_bar(x=names, y=speeds, name=KIND_WORDS[kind], marker={"color": COLOURS[kind]})
+            figure.add_bar(x=names, y=speeds, name=KIND_WORDS[kind], marker={"color": KIND_COLOURS[kind]})
     planned = [one.planned for one in limits]
     marker = {"symbol": "line-ew-open", "size": 30, "color": BLACK}
     figure.add_scatter(x=names, y=planned, mode="markers", name="planned", marker=marker)

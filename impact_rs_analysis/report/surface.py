@@ -23,7 +23,7 @@ from impact_rs_sim.robots.robot import Array
 MAX_FACES = 1200  # per mesh; twenty such meshes are 0.5 MB of a page
 MAX_INITIAL_CELLS = 64  # along the longest side
 COARSENING_FACTOR = 0.8  # on the number of cells of the next try
-MAX_FILE_BYTES = 50_000_000  # bytes
+MAX_MESH_BYTES = 50_000_000  # of a file; a larger mesh is shown as the simple shape
 HEADER, RECORD = 84, 50  # bytes, of a binary STL
 COAL_SUFFIXES = (".dae", ".obj")  # loaded by coal, which comes with Pinocchio
 UNIT = re.compile(rb"""<unit\b[^>]*\bmeter\s*=\s*["']([^"']+)""")  # of a DAE file [m]
@@ -48,7 +48,7 @@ def surface_of(address: str) -> Surface | None:
     """The mesh at an address of :func:`~impact_rs_sim.robots.mesh_files.mesh_path`; None without a readable file."""
     path = mesh_path(address)
     try:
-        if path is None or path.stat().st_size > MAX_FILE_BYTES:
+        if path is None or path.stat().st_size > MAX_MESH_BYTES:
             return None
         corners = _loaded(path) if path.suffix.lower() in COAL_SUFFIXES else _corners(path.read_bytes())
     except (OSError, ValueError, RuntimeError):  # coal raises the latter two

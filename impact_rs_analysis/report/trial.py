@@ -13,13 +13,7 @@ from numpy.typing import NDArray
 from impact_rs_analysis.evidence.tracks import OBJECT, Track, track_of_bag, track_of_recording
 from impact_rs_analysis.report.animation import ReplayPart, shown_rows
 from impact_rs_analysis.report.figures import (
-    BLACK,
-    BLUE,
-    GREEN,
-    ORANGE,
-    PURPLE,
-    RED,
-    SKY,
+    SERIES_COLOURS,
     TIME,
     Curve,
     Figure,
@@ -33,8 +27,7 @@ from impact_rs_sim.robots.robot import Array, joined_units
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.runs import NONE, Run
 
-MIN_SAMPLE_PERIODS_S = (0.001, 0.004)  # of a figure, near the impact and elsewhere
-COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
+MIN_CURVE_PERIODS_S = (0.001, 0.004)  # of a figure, near the impact and elsewhere
 FIGURE_HEIGHT_PX = 360  # px, of a figure
 
 
@@ -180,7 +173,7 @@ def _page(title: str, facts: tuple[tuple[str, str], ...], notes: tuple[str, ...]
 def trial_plots(track: Track) -> list[Plot]:
     """Velocity of the end effector, joint velocities and joint positions, arm by arm."""
     assert track.physics is not None and track.measured is not None
-    shown = shown_rows(track, *MIN_SAMPLE_PERIODS_S)
+    shown = shown_rows(track, *MIN_CURVE_PERIODS_S)
     found = []
     for number, (arm, own) in enumerate(track.physics.arms.items()):
         of_arm = f" of {arm}" if len(track.physics.arms) > 1 else ""
@@ -209,7 +202,8 @@ def _over_time(track: Track, shown: NDArray[np.int64], values: Array, labels: li
     time = np.insert(track.time[shown], breaks, np.nan)
     drawn = np.insert(values[shown].astype(float), breaks, np.nan, axis=0)
     curves = tuple(
-        Curve(label, time, drawn[:, column], COLOURS[column % len(COLOURS)]) for column, label in enumerate(labels)
+        Curve(label, time, drawn[:, column], SERIES_COLOURS[column % len(SERIES_COLOURS)])
+        for column, label in enumerate(labels)
     )
     notes = () if track.impact is None else (Note(track.impact, "impact"),)
     figure = Figure("", "", "", TIME, (Panel(f"[{unit}]", curves),), notes)

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from pydantic import Field
 
-from impact_rs_analysis.diagnosis.document import MAX_FILE_BYTES, DiagnosisDocument
+from impact_rs_analysis.diagnosis.document import MAX_JSON_BYTES, DiagnosisDocument
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.model import Model, check_model
@@ -193,7 +193,7 @@ def read_package(path: Path) -> EvidencePackage:
     Raises:
         InputError: The file is missing or no package.
     """
-    data = read_json(path, "a package of evidence", MAX_FILE_BYTES)
+    data = read_json(path, "a package of evidence", MAX_JSON_BYTES)
     if not isinstance(data, dict) or "seal" not in data:
         raise InputError("not an evidence package; expected a file written by impact-rs evidence pack", file=path)
     package = validate(EvidencePackage, data, path)

@@ -52,8 +52,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         reports: Iterator[tuple[Store, TrialReport]]
         if args.via == "nodes":
             reports = itertools.chain.from_iterable(
-                through_nodes(place, manifest, args.namespace, args.without, terminal.warn)
-                for place, manifest in campaigns.items()
+                through_nodes(target, manifest, args.namespace, args.without, terminal.warn)
+                for target, manifest in campaigns.items()
             )
         else:
             reports = owned_campaigns(store, every, workforce)
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     outcomes = Counter(report.outcome for report in ran)
     wanted = sum(len(manifest.keys) for manifest in campaigns.values())
     done = sum(  # counts bags, independent of the reports
-        len({key.name for key in manifest.keys} & place.names()) for place, manifest in campaigns.items()
+        len({key.name for key in manifest.keys} & target.names()) for target, manifest in campaigns.items()
     )
     terminal.result(
         {

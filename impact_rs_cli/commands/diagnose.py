@@ -45,7 +45,7 @@ from impact_rs_sim.robots.robot import joined_units
 from impact_rs_trials.store import is_url
 from impact_rs_trials.workers import processor_time
 
-MAX_SHOWN_EFFECTS = 8
+MAX_LISTED_EFFECTS = 8
 
 
 @on_local_runs
@@ -162,7 +162,7 @@ def show(document: DiagnosisDocument, terminal: Terminal) -> None:
     if document.joints:
         terminal.say(_joints_table(document))
     shown = [effect for effect in document.effects if effect.measured]
-    terminal.say(_effects_table(document, shown[:MAX_SHOWN_EFFECTS]))
+    terminal.say(_effects_table(document, shown[:MAX_LISTED_EFFECTS]))
     for effect in shown:
         if effect.verdict not in (NO_IMPROVEMENT, UNIDENTIFIABLE, TOO_FEW):
             terminal.say(estimates_table(effect.name, effect.parameters))
@@ -170,8 +170,8 @@ def show(document: DiagnosisDocument, terminal: Terminal) -> None:
                 terminal.say(f"  moves {size.signal} ({size.phase}) by up to {number(size.value)} {size.unit}")
     if document.dependences:
         terminal.say(dependences_table(document))
-    if len(shown) > MAX_SHOWN_EFFECTS:
-        terminal.say(f"and {len(shown) - MAX_SHOWN_EFFECTS} more effects, none of them better")
+    if len(shown) > MAX_LISTED_EFFECTS:
+        terminal.say(f"and {len(shown) - MAX_LISTED_EFFECTS} more effects, ranked below these")
     if missing := [effect.name for effect in document.effects if not effect.measured]:
         terminal.say(f"not measured here: {', '.join(missing)}")
     if beyond_zero := shown_unnamed(document):
@@ -216,7 +216,7 @@ def _effects_table(document: DiagnosisDocument, shown: Sequence[EffectDocument])
 
 def dependences_table(document: DiagnosisDocument) -> Table:
     """Every effect that was found by covariate, with estimates where it depends on it."""
-    table = Table(title="What depends on circumstances", title_justify="left")
+    table = Table(title="Dependences on circumstances", title_justify="left")
     table.add_column("effect", no_wrap=True)
     table.add_column("covariate", no_wrap=True)
     verdicts = []

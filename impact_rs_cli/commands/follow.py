@@ -17,9 +17,9 @@ from impact_rs_analysis.application.followed_hits import (
     hits_options,
 )
 from impact_rs_analysis.evidence.calibration import calibration_of
+from impact_rs_analysis.following.documents import ChangeDiagnosis, FollowDocument, HitDocument, NextHit
 from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.hits import HitSource
-from impact_rs_analysis.following.lessons import ChangeDiagnosis, FollowDocument, HitDocument, NextHit
 from impact_rs_cli.arguments import number, on_local_runs
 from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_cli.parser import PROGRAM

@@ -134,7 +134,7 @@ def _show(
         terminal.say(f"  {name:<8} v before {_vector(before[name][:3])} m/s, after {_vector(twist[:3])} m/s")
     for name, twist in answers.result.twists.items():
         terminal.say(f"  {name:<8} v after  {_vector(twist[:3])} m/s")
-    total = sum((c.impulse for c in answers.result.contacts if c.body_b in scene.arms), np.zeros(3))
+    total = sum((c.impulse for c in answers.result.contacts if c.body_b in scene.physics.pads), np.zeros(3))
     terminal.say(
         f"  impulse of the pads on the object {_vector(total)} N s; {answers.result.engine}, "
         f"residual {answers.result.residual.largest:.1e}, {1e3 * answers.result.elapsed:.1f} ms"

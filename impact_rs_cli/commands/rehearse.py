@@ -19,7 +19,7 @@ from impact_rs_trials.cell.cell_rehearsal import Checklist, rehearse
 from impact_rs_trials.cell.driver_profiles import profile_of
 from impact_rs_trials.spec import TrialSpec
 
-PHASES = 2
+PHASES = 2  # of the progress: planning, then the rehearsal
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:

@@ -30,6 +30,9 @@ def import_robot(args: argparse.Namespace, terminal: Terminal) -> int:
         args.inertia_at,
         args.lock,
         packages=args.package_path,
+        move=args.move,
+        floating=args.floating,
+        hands=args.hand,
         **measured,
     )
     with output_folder(args.output.parent):

@@ -86,7 +86,7 @@ def check_trial(path: Path) -> None:
     if is_bag(path) or any(path.glob("*.mcap")):
         return
     found = [str(file.parent) for file in islice(path.rglob(BAG_METADATA), MAX_SEARCHED_FOLDERS) if is_bag(file.parent)]
-    remedy = f"; there are trials below it, for example {min(found)}" if found else ", and there are none below it"
+    remedy = f"; there are trials below it, for example {min(found)}" if found else ", nor does a folder below it"
     raise InputError(f"not the folder of a trial: it holds neither metadata.yaml nor an .mcap file{remedy}", file=path)
 
 

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from impact_rs_analysis.measure.design_study import (
     MEASURES,
-    DesignQuestion,
+    DesignConditions,
     DesignStudy,
     study_designs,
 )
@@ -26,7 +26,7 @@ MAX_SHOWN_DESIGNS = 8  # all are in the file
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
     scenario = load_scenario(args.scenario)
-    question = DesignQuestion(
+    conditions = DesignConditions(
         scenario,
         args.object or next(iter(scenario.objects)),
         args.speed,
@@ -36,7 +36,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         args.seed,
     )
     with output_folder(args.output), started(args) as map_tasks, terminal.stages() as report_progress:
-        study = study_designs(question, tuple(dict.fromkeys(args.robots)), args.poses, map_tasks, report_progress)
+        study = study_designs(conditions, tuple(dict.fromkeys(args.robots)), args.poses, map_tasks, report_progress)
         page = write_design_study(study, args.output)
     _show(study, args.rank_by, terminal)
     terminal.result(_document(study))
@@ -62,11 +62,11 @@ def _show(study: DesignStudy, measure: str, terminal: Terminal) -> None:
 def _document(study: DesignStudy) -> dict[str, object]:
     """The study as JSON: the three orders, each with values and intervals."""
     return {
-        "scenario": study.question.scenario.name,
-        "object": study.question.object_name,
-        "speed_m_s": study.question.speed,
-        "draws": study.question.draws,
-        "seed": study.question.seed,
+        "scenario": study.conditions.scenario.name,
+        "object": study.conditions.object_name,
+        "speed_m_s": study.conditions.speed,
+        "draws": study.conditions.draws,
+        "seed": study.conditions.seed,
         "places": dict(study.places),
         "failed": dict(study.failed),
         "ranked": {

@@ -23,7 +23,7 @@ from impact_rs_sim.damping_of_restitution import restitution_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.problem import ImpactProblem, check_physics
 from impact_rs_sim.model import Model
-from impact_rs_sim.physics import ArmPhysics, Physics
+from impact_rs_sim.physics import SHARP_WIDTH_RAD_S, ArmPhysics, Physics
 from impact_rs_sim.robots.robot import Array, joined_units
 from impact_rs_sim.robots.robot_model import STANDARD_GRAVITY
 from impact_rs_sim.scene import ArmState, BodyState, Scene
@@ -81,8 +81,8 @@ class ExportedScene:
         """A scene with the effects of a model.
 
         Raises:
-            InputError: The model does not fit the arms, there is no such motor inertia, an arm has no compliant pad,
-                or a body is physically inconsistent.
+            InputError: The model does not fit the arms, there is no such motor inertia, an arm is a tree or has no
+                compliant pad, or a body is physically inconsistent.
         """
         physics = model.apply(scene.physics)
         check_physics(physics)
@@ -91,6 +91,7 @@ class ExportedScene:
                 "exported worlds have one object: leave neighbours out", file=scene.scenario.name, key="neighbours"
             )
         problem = ImpactProblem.at_nominal_impact(replace(scene, physics=physics), motor_inertia)
+        scene.scenario.check_chains("an exported world")
         for name, arm in physics.arms.items():
             if pads == "compliant" and arm.pad_stiffness is None:
                 raise InputError(
@@ -187,7 +188,6 @@ class ExportedScene:
         efforts = joined_units(unit.effort for unit in units)
         inertia = self.motor_inertia[name]
         coulomb, viscous = self.friction(name)
-        friction = arm.friction
         unheld = {
             ExportedQuantity.MOTOR_INERTIA: (
                 inertia.any(),
@@ -204,26 +204,7 @@ class ExportedScene:
         for quantity, (there, values) in unheld.items():
             if there and quantity not in held:
                 yield f"{name}: {quantity.value}, {values}"
-        if friction.stribeck.any():
-            yield (
-                f"{name}: Stribeck friction, {_list(friction.stribeck)} {efforts} above Coulomb friction at rest, gone "
-                f"at {_list(friction.stribeck_velocity)} {joined_units(u.velocity for u in units)}"
-            )
-        if friction.asymmetry is not None:
-            yield f"{name}: asymmetry of friction, {_list(friction.asymmetry)} {efforts} more forward and less backward"
-        if friction.load is not None:
-            yield f"{name}: friction that grows with the load, {_list(friction.load)} of the transmitted torque"
-        for shaft in friction.shafts:
-            yield (
-                f"{name}: friction of shafts that turn with the {'sum' if shaft.ratio > 0.0 else 'difference'} of two "
-                f"joints, {_list(shaft.coulomb)} {efforts} and {_list(shaft.viscous)} "
-                f"{joined_units(u.damping for u in units)}"
-            )
-        if friction.sigmoid is not None:
-            yield (
-                f"{name}: course of the identified friction (Gaz et al. 2019) near rest, and its asymmetry; half the "
-                "height of its sigmoid counts as Coulomb friction"
-            )
+        yield from _friction_left_out(name, arm)
         if arm.pad_stiffness is not None and (self.pads == "rigid" or ExportedQuantity.PAD_COMPLIANCE not in held):
             why = "; the pads of this file are rigid (--pads rigid)" if ExportedQuantity.PAD_COMPLIANCE in held else ""
             yield f"{name}: stiffness and damping of the pad, {arm.pad_stiffness:g} N/m, {arm.pad_damping:g} N s/m{why}"
@@ -234,6 +215,9 @@ class ExportedScene:
         ):
             if value:
                 yield f"{name}: {what}, {value:g} {unit}"
+        if arm.tool_spring is not None:
+            compliance = _list(np.diag(arm.tool_spring.compliance))
+            yield f"{name}: compliance of the tool, {compliance} m/N and rad/(N m), diagonal of its matrix at E"
         if not arm.readings.exact:
             yield f"{name}: sensor models, {arm.readings.in_words}"
         for load in arm.loads:
@@ -298,3 +282,32 @@ def _named(law: object) -> str:
     if name is None or numbers is None:
         return repr(law)
     return f"{name} with " + ", ".join(f"{key} = {value:g}" for key, value in numbers.items())
+
+
+def _friction_left_out(name: str, arm: ArmPhysics) -> Iterator[str]:
+    """Friction of an arm beyond Coulomb and viscous friction, which no format holds."""
+    friction, units = arm.friction, arm.facts.units
+    efforts, velocities = joined_units(unit.effort for unit in units), joined_units(unit.velocity for unit in units)
+    if friction.stribeck.any():
+        yield (
+            f"{name}: Stribeck friction, {_list(friction.stribeck)} {efforts} above Coulomb friction at rest, gone "
+            f"at {_list(friction.stribeck_velocity)} {velocities}"
+        )
+    widths = np.broadcast_to(friction.smoothing, friction.coulomb.shape)
+    if np.any(widths > SHARP_WIDTH_RAD_S):
+        yield f"{name}: width of dry friction at a reversal, {_list(widths)} {velocities}"
+    if friction.asymmetry is not None:
+        yield f"{name}: asymmetry of friction, {_list(friction.asymmetry)} {efforts} more forward and less backward"
+    if friction.load is not None:
+        yield f"{name}: friction that grows with the load, {_list(friction.load)} of the transmitted torque"
+    for shaft in friction.shafts:
+        yield (
+            f"{name}: friction of shafts that turn with the {'sum' if shaft.ratio > 0.0 else 'difference'} of two "
+            f"joints, {_list(shaft.coulomb)} {efforts} and {_list(shaft.viscous)} "
+            f"{joined_units(u.damping for u in units)}"
+        )
+    if friction.sigmoid is not None:
+        yield (
+            f"{name}: course of the identified friction (Gaz et al. 2019) near rest, and its asymmetry; half the "
+            "height of its sigmoid counts as Coulomb friction"
+        )

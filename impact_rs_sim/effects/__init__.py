@@ -41,6 +41,7 @@ from impact_rs_sim.effects.motor import (
     JOINT_SUM_FRICTION,
     LOAD_DEPENDENT_FRICTION,
     MOTOR_INERTIA_SCALE,
+    REVERSAL_WIDTH,
     STIFF_CONTROL,
     STRIBECK_FRICTION,
     VISCOUS_FRICTION,
@@ -97,6 +98,7 @@ BUILT_IN: tuple[Effect, ...] = (
     STIFF_CONTROL,
     NEIGHBOUR_MASS,
     OBJECT_FRICTION,
+    REVERSAL_WIDTH,
 )
 
 

@@ -25,7 +25,6 @@ import numpy as np
 from impact_rs_sim.effects.changed_bodies import check_bodies, differ
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.recent import Recent
 from impact_rs_sim.robots.robot import Array, JointType
 
 if TYPE_CHECKING:
@@ -245,12 +244,7 @@ class Effect(ABC):
 
     def spelled(self, joints: Joints) -> list[tuple[str, list[Parameter]]]:
         """Every parameter by name, joint by joint; a search asks thousands of times."""
-        parameters = self.parameters
-        kept, found = _SPELLED.of(
-            (id(parameters), joints), lambda: (parameters, [(one.name, one.scalars(joints)) for one in parameters])
-        )
-        del kept  # as long as it is known, no other object has its identity
-        return found
+        return _spelled(self.parameters, joints)
 
     def apply_vector(self, physics: Physics, vector: Array) -> Physics:
         """As :meth:`apply`, with all scalars in one vector ordered as :meth:`scalars`.
@@ -388,7 +382,10 @@ class SceneEffect(LawEffect):
         return changed
 
 
-_SPELLED = Recent[tuple[tuple[Parameter, ...], list[tuple[str, list[Parameter]]]]](MAX_SPELLED)
+@functools.lru_cache(MAX_SPELLED)
+def _spelled(parameters: tuple[Parameter, ...], joints: Joints) -> list[tuple[str, list[Parameter]]]:
+    """Parameters by name, joint by joint."""
+    return [(one.name, one.scalars(joints)) for one in parameters]
 
 
 def number(values: Values, name: str) -> float:

@@ -47,7 +47,7 @@ class InertialBody(NamedTuple):
 def check_bodies(before: Physics, after: Physics, effect: str) -> None:
     """Refuse a change that makes a body physically inconsistent.
 
-    The last link includes everything mounted on it, because the dynamics depend on the sum. A body that was
+    The link with the flange includes everything mounted on it, because the dynamics depend on the sum. A body that was
     inconsistent before the change is not attributed to the effect.
 
     Args:
@@ -61,9 +61,8 @@ def check_bodies(before: Physics, after: Physics, effect: str) -> None:
     for name, arm in after.arms.items():
         was = before.arms[name]
         if arm.facts is not was.facts or arm.end_effector is not was.end_effector:
-            *others, last = zip(was.facts.links, arm.facts.links, strict=True)
-            for number, (link, changed) in enumerate(others, start=1):
-                if (changed.mass, changed.inertia) != (link.mass, link.inertia):
+            for number, (link, changed) in enumerate(zip(was.facts.links, arm.facts.links, strict=True), start=1):
+                if number != arm.facts.flange_link and (changed.mass, changed.inertia) != (link.mass, link.inertia):
                     _check(partial(_link, name, number, link), _link(name, number, changed), effect)
             _check(partial(_last_link, name, was), _last_link(name, arm), effect)
         if arm.motor_inertia_reduced is not was.motor_inertia_reduced:
@@ -133,9 +132,9 @@ def _link(name: str, number: int, link: Link) -> InertialBody:
 
 
 def _last_link(name: str, arm: ArmPhysics) -> InertialBody:
-    """The last link with its end effector."""
+    """The link with the flange, with its end effector."""
     inertia = mounted_inertia(arm.facts, arm.end_effector)
-    return InertialBody(f"link {arm.facts.joint_count} of arm {name!r}", inertia.mass, inertia.inertia)
+    return InertialBody(f"link {arm.facts.flange_link} of arm {name!r}", inertia.mass, inertia.inertia)
 
 
 def _object(body: ObjectPhysics, name: str = "the object") -> InertialBody:

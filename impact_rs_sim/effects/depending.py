@@ -181,7 +181,7 @@ class Depending(Effect):
 
         Args:
             values: Scalars of the effect.
-            joints: Of an arm.
+            joints: Joints of an arm.
         """
         shapes = self._shapes(joints)
         own = [np.zeros(int((~shapes).sum())) if change else values[~shapes] for change in self.terms.changes]

@@ -23,7 +23,7 @@ class EachArm(Effect):
     """An effect of arms with parameters of its own for every arm.
 
     Args:
-        effect: What it does to one arm.
+        effect: The effect on one arm.
         joints: Joints by arm; parameters come arm by arm, in this order.
     """
 

@@ -64,6 +64,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.memory import Memory, lag_along
 from impact_rs_sim.physics import ContactCondition, ContactLaw, Load, LoadState, ObjectLoad, Physics
 from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.rotations import AXES
 from impact_rs_sim.schema import Schema, load, omitted
 
 Value = float | Array
@@ -90,7 +91,6 @@ _BINARY: dict[type[ast.operator], Callable[[Value, Value], Value]] = {
     ast.Div: operator.truediv,
     ast.Pow: operator.pow,
 }
-AXES = ("x", "y", "z")
 SYMBOLS = {
     "t": "s",  # since the start of the trial
     **dict.fromkeys(AXES, "m"),  # of frame E in A
@@ -162,7 +162,7 @@ class Formula:
         """Value of the formula.
 
         Args:
-            values: Of its symbols: numbers, or arrays of samples in the order of time.
+            values: Values of its symbols: numbers, or arrays of samples in the order of time.
             memory: State of its lags; not needed for samples along time.
 
         Raises:
@@ -251,7 +251,7 @@ class FormulaParameter(Schema):
     lower: float = Field(description="smallest value that makes sense")
     upper: float = Field(description="largest value that makes sense")
     scale: float = Field(gt=0.0, description="a noticeable change")
-    meaning: str = Field("", description="what it is")
+    meaning: str = Field("", description="meaning of the parameter")
     shape: bool = omitted(False, description="whether it changes nothing while the others are nominal, as a threshold")
     grid: tuple[float, ...] = omitted((), description="values of a shape from which a fit starts")
 
@@ -266,7 +266,7 @@ class FormulaSpec(Schema):
     """One effect written as formulas."""
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", description="name of the effect, lower case with underscores")
-    sentence: str = Field(description="what it is, in one sentence")
+    sentence: str = Field(description="the effect in one sentence")
     joint_torque: dict[str, str] = Field({}, description="torque on a link, formula per joint (joint1 ...) [N m]")
     motor_torque: dict[str, str] = Field({}, description="torque on a motor, formula per joint (joint1 ...) [N m]")
     end_effector_force: dict[str, str] = Field({}, description="formula per axis (x, y, z) [N]")
@@ -278,7 +278,7 @@ class FormulaSpec(Schema):
     support_tangential: str = omitted("", description="force against the object's sliding on the support [N]")
     contact: dict[str, str] = Field(
         {},
-        description="of a single impact: formula per coefficient (restitution, tangential_restitution, friction) [-]",
+        description="formula per coefficient of a single impact (restitution, tangential_restitution, friction) [-]",
     )
     parameters: dict[str, FormulaParameter] = Field(min_length=1, description="named numbers")
     valid: dict[str, tuple[float, float]] = omitted(

@@ -19,6 +19,15 @@ joint that turns about its z, the mass, m z and the moment about y can be moved 
 direct calculation of minimum inertial parameters, eq. 21). Fitted are therefore the base parameters of a link: its
 centre of mass across the axis (:data:`LINK_COM`) and the moment of inertia about the axis (:data:`LINK_INERTIA`), or
 else its mass with a fixed centre (:data:`LINK_MASS`), which changes the same combinations with fewer numbers.
+
+No model of an arm is exact: masses of screws, cables and grease, simplified shapes. :data:`LINK_ERRORS` deforms every
+link, x' = c + d + (1 + E)(x - c) with E symmetric, and changes its density by 1 + s:
+
+    m' = (1 + s) m,    c' = c + d,    S' = (1 + s) (1 + E) S (1 + E)    (second moments about the centre)
+
+which changes all ten inertial parameters of a link, and leaves a body for any s > -1 (the congruence of Rucker and
+Wensing 2022, IEEE RA-L 7(2)). A search does not look for it: it says how far the links of a model may be wrong
+(``link_deviation`` of the robot), so that what predicts no better than that is not taken for a load.
 """
 
 from __future__ import annotations
@@ -37,6 +46,7 @@ from impact_rs_sim.robots.robot import Array, Link
 from impact_rs_sim.robots.robot_model import mounted_inertia
 
 MAX_REMOVABLE_MOMENT_SHARE = 0.99  # share of a link's moment of inertia about its axis; the rest may be a rod [-]
+MAX_LINK_DEVIATIONS = 3.0  # standard deviations, as of any calibration; worse links are named themselves
 MIN_MASS_KG = 1e-6  # for a nearly cancelled mass the centre of mass goes to infinity
 
 
@@ -52,7 +62,7 @@ class PayloadEffect(ArmEffect):
         """
         lower, upper = super().bounds(physics)
         for arm in physics.arms.values():
-            lower[0] = max(lower[0], -(arm.facts.links[-1].mass + arm.end_effector.mass))
+            lower[0] = max(lower[0], -mounted_inertia(arm.facts, arm.end_effector).mass)
             reach = _reach(arm)
             for position, parameter in enumerate(self.parameters[1:], start=1):
                 if not parameter.firm and reach > 0.0:
@@ -62,7 +72,7 @@ class PayloadEffect(ArmEffect):
 
 def _reach(arm: ArmPhysics) -> float:
     """Length of the tool plus the longest link [m]."""
-    positions = [joint.xyz for joint in arm.facts.joints[1:]] + [arm.facts.flange.xyz]
+    positions = [arm.facts.joints[number].xyz for number in arm.facts.path[1:]] + [arm.facts.flange.xyz]
     return arm.end_effector.length + max(float(np.linalg.norm(position)) for position in positions)
 
 
@@ -132,9 +142,14 @@ def _with_links(arm: ArmPhysics, links: Sequence[Link]) -> ArmPhysics:
     return replace(arm, facts=arm.facts.model_copy(update={"links": tuple(links)}))
 
 
+def _of_links(arm: ArmPhysics, values: Array) -> list[float]:
+    """Values per joint ``(n,)`` for every link; a joint that follows another has its value."""
+    return [float(values[coordinate]) for coordinate in arm.facts.coordinates]
+
+
 def _link_mass(arm: ArmPhysics, values: Values) -> ArmPhysics:
     """Effect law: a link of the same shape and another density."""
-    pairs = zip(arm.facts.links, values["scale"].tolist(), strict=True)
+    pairs = zip(arm.facts.links, _of_links(arm, values["scale"]), strict=True)
     return _with_links(
         arm,
         [
@@ -147,7 +162,8 @@ def _link_mass(arm: ArmPhysics, values: Values) -> ArmPhysics:
 
 
 def _link_com(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    positions = zip(arm.facts.links, values["com_x"].tolist(), values["com_y"].tolist(), strict=True)
+    shifts = (_of_links(arm, values[name]) for name in ("com_x", "com_y"))
+    positions = zip(arm.facts.links, *shifts, strict=True)
     return _with_links(
         arm,
         [link.model_copy(update={"com": (link.com[0] + x, link.com[1] + y, link.com[2])}) for link, x, y in positions],
@@ -155,7 +171,7 @@ def _link_com(arm: ArmPhysics, values: Values) -> ArmPhysics:
 
 
 def _link_inertia(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    pairs = zip(arm.facts.links, values["inertia"].tolist(), strict=True)
+    pairs = zip(arm.facts.links, _of_links(arm, values["inertia"]), strict=True)
     return _with_links(
         arm,
         [
@@ -184,10 +200,12 @@ class LinkInertiaEffect(ArmEffect):
     """Moments of inertia of the links about their joint axes."""
 
     def bounds(self, physics: Physics) -> tuple[Array, Array]:
-        """See :meth:`Effect.bounds`; only part of the least moment of inertia among the arms is removable."""
+        """See :meth:`Effect.bounds`; only part of the least moment of inertia that a joint moves is removable."""
         lower, upper = super().bounds(physics)
-        moments = [[link.inertia[5] for link in arm.facts.links] for arm in physics.arms.values()]
-        return np.maximum(lower, -MAX_REMOVABLE_MOMENT_SHARE * np.min(moments, axis=0)), upper
+        for arm in physics.arms.values():
+            for link, coordinate in zip(arm.facts.links, arm.facts.coordinates, strict=True):
+                lower[coordinate] = max(lower[coordinate], -MAX_REMOVABLE_MOMENT_SHARE * link.inertia[5])
+        return lower, upper
 
 
 LINK_MASS = ArmEffect(
@@ -233,3 +251,48 @@ LINK_INERTIA = LinkInertiaEffect(
     law=_link_inertia,
     calibrates=True,
 )
+
+
+def _link_errors(arm: ArmPhysics, values: Values) -> ArmPhysics:
+    changes = arm.facts.link_deviation * np.array([values[one.name] for one in LINK_ERRORS.parameters]).T  # (n, 10)
+    return _with_links(
+        arm,
+        [
+            _deformed(link, changes[coordinate])
+            for link, coordinate in zip(arm.facts.links, arm.facts.coordinates, strict=True)
+        ],
+    )
+
+
+def _deformed(link: Link, change: Array) -> Link:
+    """A link with density, shift over its radius of gyration and strain (xx, yy, zz, xy, xz, yz) changed, ``(10,)``."""
+    if link.mass <= 0.0 or not np.any(change):
+        return link
+    moments, density = second_moments(link.inertia_matrix), 1.0 + change[0]
+    xx, yy, zz, xy, xz, yz = change[4:]
+    strain = IDENTITY + np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    radius = math.sqrt(max(float(moments.trace()), 0.0) / link.mass)
+    (ixx, ixy, ixz), (_, iyy, iyz), (_, _, izz) = inertia_of(density * strain @ moments @ strain).tolist()
+    x, y, z = np.add(link.com, radius * change[1:4]).tolist()
+    inertia = (ixx, ixy, ixz, iyy, iyz, izz)
+    return link.model_copy(update={"mass": density * link.mass, "com": (x, y, z), "inertia": inertia})
+
+
+def _in_deviations(name: str, meaning: str) -> Parameter:
+    end = MAX_LINK_DEVIATIONS
+    return Parameter(name, "-", 0.0, -end, end, 1.0, f"{meaning}, over link_deviation", True, firm=True, prior=1.0)
+
+
+LINK_ERRORS = ArmEffect(
+    name="link_errors",
+    acts_on="link inertia",
+    sentence="Density, centre of mass and shape of the links are a little different from the model.",
+    parameters=(
+        _in_deviations("density", "change of the density"),
+        *(_in_deviations(f"shift_{axis}", f"shift along {axis} over the radius of gyration") for axis in "xyz"),
+        *(_in_deviations(f"strain_{axes}", f"strain along {axes}") for axes in ("xx", "yy", "zz", "xy", "xz", "yz")),
+    ),
+    law=_link_errors,
+    calibrates=True,
+)
+LINK_EFFECTS = (LINK_MASS, LINK_COM, LINK_INERTIA)  # which name such errors

@@ -10,9 +10,15 @@ Friction is stated as the desired torque feels it (tau_fric of paper eq. EOM_mot
   Control 134) measured it on an industrial arm, with its dependence on temperature; servo models have it as the
   load-dependent term (Duclusaud et al. 2025, ICRA: BAM, models M3 to M6). Where |tau_J| hardly varies along a motion
   it is Coulomb friction, and where the motion reverses with the torque a gain of it. The same motion with and without
-  a load separates them: only this friction grows.
+  a load separates them: only this friction grows. A load drives a joint back with (1 - k) of its torque, so that from
+  k = 1 on the gear locks itself, as a worm does: a joint that moves both ways has less.
 * ``-a |sign(dtheta)|``: friction that differs by direction, F_c + a forward and F_c - a backward, as of screws and of
   belts under tension. In motion it equals an offset of the torque, which is still there under closed brakes.
+* The direction is no jump where a joint reverses: lubricated teeth and bearings yield before they slide, and friction
+  turns over a range of velocities, ``s = tanh(dtheta / v_r)`` (Andersson, Söderberg and Björklund 2007, Tribology
+  International 40). A width per joint is added to the v_r of the model, which is sharp against the speeds of a motion,
+  so that only wider reversals are searched for. It changes all dry friction of the joint, whichever effects that
+  consists of, and nothing without any.
 * Joints under stiff control resist an impact with more than their inertia (Wang, Dehio and Kheddar 2022,
   arXiv:2202.12646, who count them as locked). A joint of inertia M under stiffness K and damping D, pushed for T by a
   force of the shape of half a sine, moves to first order in K and D as one without control of the inertia
@@ -113,7 +119,17 @@ LOAD_DEPENDENT_FRICTION = ArmEffect(
         "friction or a gain of the torque, and the same motion with another load separates them."
     ),
     parameters=(
-        Parameter("coefficient", "-", 0.0, 0.0, 0.5, 0.01, "friction torque over transmitted torque", per_joint=True),
+        Parameter(
+            "coefficient",
+            "-",
+            0.0,
+            0.0,
+            1.0,
+            0.01,
+            "friction torque over transmitted torque",
+            per_joint=True,
+            firm=True,
+        ),
     ),
     law=Added("friction.load", ("coefficient",), per_joint=True),
     lasting=True,
@@ -144,6 +160,27 @@ ASYMMETRIC_FRICTION = ArmEffect(
     law=Added("friction.asymmetry", ("difference",), per_joint=True),
     calibration="read the torque with the brakes on and the drives idle: an offset remains, friction does not",
     drawn=False,
+)
+
+REVERSAL_WIDTH = ArmEffect(
+    name="joint_reversal_width",
+    acts_on="motor side",
+    sentence="The dry friction of a joint turns over a wider range of velocities where the joint reverses.",
+    parameters=(
+        Parameter(
+            "width",
+            "rad/s",
+            0.0,
+            0.0,
+            0.1,
+            0.005,
+            "velocity at which dry friction has turned by 76 %, beyond that of the model",
+            per_joint=True,
+        ),
+    ),
+    law=Added("friction.smoothing", ("width",), per_joint=True),
+    calibrates=True,
+    calibration="move every joint slowly there and back, at a tenth of its usual speed",
 )
 
 SHAFT_FRICTION = (

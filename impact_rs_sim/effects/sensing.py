@@ -14,9 +14,9 @@ import numpy as np
 from impact_rs_sim.effects.base import SINGLE_IMPACT, ArmEffect, Parameter, SceneEffect, Values
 from impact_rs_sim.effects.quantity_laws import Added, Multiplied
 from impact_rs_sim.physics import ArmPhysics, Physics
+from impact_rs_sim.rotations import AXES
 
 SENSING = "sensing"
-AXES = ("x", "y", "z")
 CONTACT_PHASES = ("contact",)
 # Ranges of encoders are firm: a zero 6 degrees off and a gear ratio 10 % off are seen by eye; zeros of industrial arms
 # are known to some mrad.

@@ -51,9 +51,9 @@ from impact_rs_sim.plant.bullet_world import BulletWorld
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.scene import ArmState, BodyState
 
-_STEP = 1e-7  # s
-_SETTLED = 1e-20  # (m/s)^2, Bullet's solver stops where no row changes by more
-_DISC = np.array([0.5, 0.0, 0.0, 0.5, 0.0, 1.0])  # a thin disc about the joint axis, in the order of Link.inertia
+_STEP_S = 1e-7  # Coriolis forces and the motion within it drop out
+_SETTLED_M2_S2 = 1e-20  # Bullet's solver stops where no row changes by more
+_DISC_INERTIA = np.array([0.5, 0.0, 0.0, 0.5, 0.0, 1.0])  # thin, about the joint axis; order of Link.inertia
 _FAR = BodyState(np.array([0.0, 0.0, 1e3]), np.eye(3), np.zeros(6))
 
 
@@ -82,7 +82,7 @@ class BulletEngine(Engine):
     name = "bullet"
     tolerance = 1e-2  # m/s; most answers are below 1e-4
 
-    _GOAL = 1e-5  # m/s, residual that ends the iteration
+    _GOAL_M_S = 1e-5  # residual that ends the iteration
     _EFFORTS = (
         _Effort(solver_iterations=200, steps=16, patience=5, damping=1.0, accepted=1e-4),
         _Effort(solver_iterations=1000, steps=60, patience=15, damping=0.5, accepted=np.inf),
@@ -147,7 +147,7 @@ class BulletEngine(Engine):
         missing = system.inertia - run.inertia
         count, stalled = 0, 0
         inertial, extra = np.zeros(run.start.size), np.zeros((len(terms.contacts), 3))
-        while best.error > self._GOAL and stalled < effort.patience and count < effort.steps:
+        while best.error > self._GOAL_M_S and stalled < effort.patience and count < effort.steps:
             count += 1
             answer, impulses = run.judge(world, inertial, extra)
             stalled = 0 if answer.error < 0.9 * best.error else stalled + 1
@@ -196,8 +196,8 @@ class _Run:
 
 
 @dataclass(frozen=True)
-class _Place:
-    """Where a contact partner stands in the world: its body there, and what it was moved by, ``(3,)`` [m]."""
+class _Partner:
+    """A contact partner in the world: its body there, and its shift from the scene, ``(3,)`` [m]."""
 
     body: int
     shift: Array
@@ -209,25 +209,27 @@ class _World:
     def __init__(self, bullet: BulletWorld) -> None:
         self.bullet = bullet
         self._models = bullet.physics.robot_models()
-        self._places: dict[str, _Place] = {}
+        self._partners: dict[str, _Partner] = {}
 
     @classmethod
     def load(cls, physics: Physics, motor_inertia: Mapping[str, Array]) -> _World:
         """The world of a scene, with these rotors."""
+        physics.object.check_free("the engine bullet")
         arms = {}
         for name, arm in physics.arms.items():
+            arm.facts.check_chain("the engine bullet", f"robots.{name}")
             links = tuple(
-                link.model_copy(update={"inertia": tuple(np.add(link.inertia, rotor * _DISC).tolist())})
+                link.model_copy(update={"inertia": tuple(np.add(link.inertia, rotor * _DISC_INERTIA).tolist())})
                 for link, rotor in zip(arm.facts.links, motor_inertia[name], strict=True)
             )
             arms[name] = replace(arm, facts=arm.facts.model_copy(update={"links": links}))
         bullet = BulletWorld.load(
             replace(physics, arms=arms),
-            time_step=_STEP,
+            time_step=_STEP_S,
             gravity=False,
             compliant_pads=False,
             iterations=BulletEngine._EFFORTS[0].solver_iterations,
-            residual_threshold=_SETTLED,
+            residual_threshold=_SETTLED_M2_S2,
             contact_erp=0.0,
             small_steps=False,
         )
@@ -260,7 +262,7 @@ class _World:
                 body, origin = self.bullet.arms[name], self.bullet.physics.arms[name].base.translation
             _, rotation = client.getBasePositionAndOrientation(body)
             client.resetBasePositionAndOrientation(body, (origin + shift).tolist(), rotation)
-            self._places[name] = _Place(body, shift)
+            self._partners[name] = _Partner(body, shift)
 
     def place(self, problem: ImpactProblem, velocity: Array) -> None:
         """Set all configurations, and the velocity u, ``(nv,)``."""
@@ -278,7 +280,7 @@ class _World:
         start[object_] += np.linalg.solve(inertia[object_, object_], push[object_])
         self.place(problem, start)
         for name in problem.arms:
-            self.bullet.apply_torque(name, push[system.columns[name]] / _STEP)
+            self.bullet.apply_torque(name, push[system.columns[name]] / _STEP_S)
         self.bullet.step()
         arms = [self.bullet.arm_state(name).velocity for name in problem.arms]
         return np.concatenate((*arms, self.bullet.object_state().twist))
@@ -286,14 +288,14 @@ class _World:
     def contacts(self) -> list[ContactPoint]:
         """Bullet's contact points, moved back to where they belong."""
         physics = self.bullet.physics
-        names = {place.body: name for name, place in self._places.items()}
+        names = {place.body: name for name, place in self._partners.items()}
         contacts = []
         for point in self._points():
             first = point[1] == self.bullet.object
             name = names[point[2] if first else point[1]]
             on_object, on_partner = np.array([point[5], point[6]] if first else [point[6], point[5]])
             normal = (1.0 if first else -1.0) * np.array(point[7])
-            gap = float(normal @ (on_object - on_partner + self._places[name].shift))
+            gap = float(normal @ (on_object - on_partner + self._partners[name].shift))
             friction = physics.support_friction if name == SUPPORT else physics.pad_friction
             contacts.append(ContactPoint(name, on_object, normal, gap, friction))
         return contacts
@@ -301,7 +303,7 @@ class _World:
     def impulses(self, contacts: Sequence[ContactPoint]) -> Array:
         """Impulses on the object at the points of an earlier step, in their order, ``(m, 3)`` [N s]."""
         impulses = np.zeros((len(contacts), 3))
-        partners = [self._places[contact.partner].body for contact in contacts]
+        partners = [self._partners[contact.partner].body for contact in contacts]
         positions = np.array([contact.position for contact in contacts])
         for point in self._points():
             first = point[1] == self.bullet.object
@@ -316,7 +318,7 @@ class _World:
         return [point for point in self.bullet.client.getContactPoints() if self.bullet.object in point[1:3]]
 
     def _impulse(self, point: tuple) -> Array:
-        sign = _STEP if point[1] == self.bullet.object else -_STEP  # Bullet's impulses act on its first body
+        sign = _STEP_S if point[1] == self.bullet.object else -_STEP_S  # Bullet's impulses act on its first body
         directions = np.array((point[7], point[11], point[13]))
         return np.asarray(sign * (np.array((point[9], point[10], point[12])) @ directions))
 

@@ -64,7 +64,7 @@ class ContactPoint:
     """A point where the object touches a partner.
 
     Attributes:
-        partner: Name of the arm, ``support``, or an object before ``body``.
+        partner: Name of the pad (of an arm or a hand), ``support``, or an object before ``body``.
         position: Point on the object in A, ``(3,)`` [m].
         normal: Unit normal from the partner into the object, in A, ``(3,)``.
         gap: Distance from the partner's surface along the normal, negative in penetration [m].
@@ -90,7 +90,7 @@ class ContactPair:
     """An object and a partner that it may touch.
 
     Attributes:
-        partner: Name of the arm, ``support``, or an object before ``body``.
+        partner: Name of the pad (of an arm or a hand), ``support``, or an object before ``body``.
         box: The partner.
         object: The object.
         separation: Distance along the direction that separates them best, negative: overlap [m].
@@ -121,12 +121,13 @@ def contact_pairs(
     Args:
         physics: Shapes of all bodies.
         state: State of the object.
-        placements: Of frame E in A by arm.
+        placements: Pose of frame E in A by pad, :func:`impact_rs_sim.scene.pad_placements`.
         neighbours: States of its neighbours.
     """
     partners = {}
+    pads = physics.pads
     for name, placement in placements.items():
-        end_effector = physics.arms[name].end_effector
+        end_effector = pads[name].end_effector
         pad = placement * end_effector.pad_placement
         half = np.array(end_effector.pad_size) / 2.0
         partners[name] = ConvexBody(pad.translation, pad.rotation, half, end_effector.shape)

@@ -15,7 +15,7 @@ name                                  unit      quantity
 ``ARM.link_inertia``                  -         factor on M(q): masses and moments of all links
 ``ARM.position.1`` ...                rad       joint positions q
 ``ARM.velocity.1`` ...                rad/s     ante-impact joint velocities
-``ARM.contact_point.x`` ``.y``        m         shift of the contact points along the pad, axes of frame E
+``PAD.contact_point.x`` ``.y``        m         shift of the contact points along the pad, axes of frame E
 ``pad_friction`` ``support_friction``  -        Coulomb coefficients
 ``restitution``                       -         Newton restitution
 ====================================  ========  ==============================================================
@@ -71,14 +71,14 @@ from impact_rs_sim.impact_map.laws import (
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, check_problem
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_sim.rotations import AXES
+from impact_rs_sim.scene import ArmState, BodyState, pad_placements
 
 COMPLIANCES = (COMPLIANCE, 1e-5)  # rho of the derivatives; the second where Newton's method fails with the first
-STEP = 1e-4  # of a difference, in units of the parameter's scale: both errors are near 1e-8 of a derivative
-LENGTH_SCALE = 0.1  # m, of pads and objects
-LARGEST_SHIFT = 5e-3  # m; a contact point that a step moves further is another corner
-REACH = 2.0 * GAP_TOLERANCE  # within which a contact point is found again after a step
-AXES = "xyz"
+RELATIVE_STEP = 1e-4  # of a difference, in units of the parameter's scale: both errors are near 1e-8 of a derivative
+LENGTH_SCALE_M = 0.1  # of pads and objects
+MAX_SHIFT_M = 5e-3  # a contact point that a step moves further is another corner
+MAX_GAP_AFTER_STEP_M = 2.0 * GAP_TOLERANCE  # within which a contact point is found again after a step
 OF_OBJECT = {
     "inertia": "kg m^2",
     "com_offset": "m",
@@ -88,6 +88,7 @@ OF_OBJECT = {
     "angular_velocity": "rad/s",
 }
 OF_PLACE = ("position", "rotation")  # all that a fixed object has
+OF_VELOCITY = ("velocity", "angular_velocity")  # quantities without a parameter where an object is guided
 OF_JOINTS = {"motor_inertia": "inertia", "position": "position", "velocity": "velocity"}  # and the unit of each
 
 
@@ -100,10 +101,12 @@ class MapParameter:
 
 
 def parameters_of(problem: ImpactProblem) -> tuple[MapParameter, ...]:
-    """All parameters of a problem; a fixed object has a pose alone."""
+    """All parameters of a problem; a fixed object has a pose alone, a guided one no parameters of its velocity."""
     fixed = problem.physics.object.fixed
     found = [] if fixed else [MapParameter("object.mass", "kg")]
-    of_object = {kind: unit for kind, unit in OF_OBJECT.items() if kind in OF_PLACE or not fixed}
+    guided = problem.physics.object.freedom is not None
+    held = {*OF_OBJECT} - {*OF_PLACE} if fixed else {*OF_VELOCITY} if guided else set()
+    of_object = {kind: unit for kind, unit in OF_OBJECT.items() if kind not in held}
     found += [MapParameter(f"object.{kind}.{axis}", unit) for kind, unit in of_object.items() for axis in AXES]
     for name in problem.arms:
         found += [
@@ -112,7 +115,8 @@ def parameters_of(problem: ImpactProblem) -> tuple[MapParameter, ...]:
             for joint, units in enumerate(problem.physics.arms[name].facts.units, start=1)
         ]
         found.append(MapParameter(f"{name}.link_inertia", "-"))
-        found += [MapParameter(f"{name}.contact_point.{axis}", "m") for axis in "xy"]
+        pads = [pad for pad, own in problem.physics.pads.items() if own.arm == name]
+        found += [MapParameter(f"{pad}.contact_point.{axis}", "m") for pad in pads for axis in "xy"]
     found += [MapParameter(name, "-") for name in ("pad_friction", "support_friction", "restitution")]
     return tuple(found)
 
@@ -124,7 +128,7 @@ class Changed:
     Attributes:
         problem: The problem with the changes that it can represent.
         link_inertia: Change of the factor on M(q) by arm [-].
-        contact_point: Shift of the contact points along x and y of frame E by arm, ``(2,)`` [m].
+        contact_point: Shift of the contact points along x and y of frame E by pad, ``(2,)`` [m].
     """
 
     problem: ImpactProblem
@@ -156,16 +160,19 @@ class Changed:
             tolerance: Largest gap [m].
         """
         if found is None:
-            placements = {name: models[name].placement(arm.position) for name, arm in self.problem.arms.items()}
-            found = contact_pairs(self.problem.physics, self.problem.object, placements, self.problem.beside)
-        shifts = {
-            name: models[name].placement(self.problem.arms[name].position).rotation[:, :2] @ along
-            for name, along in self.contact_point.items()
-        }
+            found = self._pairs(models)
+        placements = pad_placements(self.problem.physics, models, self.problem.arms) if self.contact_point else {}
+        shifts = {name: placements[name].rotation[:, :2] @ along for name, along in self.contact_point.items()}
         return [
             replace(point, position=point.position + shifts[point.partner]) if point.partner in shifts else point
             for point in find_contacts(self.problem.physics, found, tolerance)
         ]
+
+    def _pairs(self, models: Mapping[str, RobotModel]) -> list[ContactPair]:
+        """Contact pairs by geometry."""
+        problem = self.problem
+        placements = pad_placements(problem.physics, models, problem.arms)
+        return contact_pairs(problem.physics, problem.object, placements, problem.beside)
 
     def terms(
         self, models: Mapping[str, RobotModel], found: Sequence[ContactPair] | None = None
@@ -175,11 +182,10 @@ class Changed:
         return system, ContactTerms.of(system, self.contacts(models, found), self.problem.restitution)
 
     def touching_terms(self, models: Mapping[str, RobotModel], pads: Collection[str]) -> tuple[System, ContactTerms]:
-        """The same with the pads of some arms moved along the normal until they touch."""
-        placements = {name: models[name].placement(arm.position) for name, arm in self.problem.arms.items()}
+        """The same with some pads moved along the normal until they touch."""
         system, found = self.system(models), []
         positions = dict(system.end_effector_position)
-        for pair in contact_pairs(self.problem.physics, self.problem.object, placements, self.problem.beside):
+        for pair in self._pairs(models):
             if pair.partner in pads and pair.body == OBJECT:
                 step = pair.separation * pair.normal
                 positions[pair.partner] = positions[pair.partner] + step
@@ -216,14 +222,17 @@ def change(problem: ImpactProblem, amounts: Mapping[str, float]) -> Changed:
     )
     arms, motors, factors, points = {}, {}, {}, {}
     for name, state in problem.arms.items():
+        motor = problem.motor_inertia[name]
         joints = {
-            kind: np.array([amounts.get(f"{name}.{kind}.{joint + 1}", 0.0) for joint in range(state.position.size)])
+            kind: np.array([amounts.get(f"{name}.{kind}.{joint + 1}", 0.0) for joint in range(motor.size)])
             for kind in OF_JOINTS
         }
-        arms[name] = ArmState(state.position + joints["position"], state.velocity + joints["velocity"])
-        motors[name] = problem.motor_inertia[name] + joints["motor_inertia"]
+        moved = (_behind(joints["position"], state.position), _behind(joints["velocity"], state.velocity))
+        arms[name] = ArmState(*moved)
+        motors[name] = motor + joints["motor_inertia"]
         if factor := amounts.get(f"{name}.link_inertia", 0.0):
             factors[name] = factor
+    for name in physics.pads:
         along = np.array([amounts.get(f"{name}.contact_point.{axis}", 0.0) for axis in "xy"])
         if np.any(along):
             points[name] = along
@@ -241,6 +250,11 @@ def change(problem: ImpactProblem, amounts: Mapping[str, float]) -> Changed:
         restitution=problem.restitution + amounts.get("restitution", 0.0),
     )
     return Changed(changed, factors, points)
+
+
+def _behind(change: Array, values: Array) -> Array:
+    """Values changed by ``change`` at their end: the joints, which stand behind a floating base."""
+    return values + np.concatenate((np.zeros(values.size - change.size), change))
 
 
 @dataclass(frozen=True)
@@ -281,17 +295,18 @@ class Derivatives:
 def velocity_names(problem: ImpactProblem) -> tuple[str, ...]:
     """Names of all predicted velocities.
 
-    ``ARM.joint_velocity.1`` ... [rad/s] of every arm, ``ARM.velocity.x`` ... [m/s] and ``ARM.angular_velocity.x`` ...
-    [rad/s] of frame E of every arm, and the same two of ``object``.
+    ``ARM.joint_velocity.1`` ... [rad/s] of every arm (with a floating base before them its twist in its own axes,
+    ``ARM.base_vx`` ...), ``ARM.velocity.x`` ... [m/s] and ``ARM.angular_velocity.x`` ... [rad/s] of frame E of every
+    pad, and the same two of ``object``.
     """
     joints = [
-        f"{name}.joint_velocity.{joint + 1}"
-        for name, state in problem.arms.items()
-        for joint in range(state.position.size)
+        f"{name}.{column.replace('joint', 'joint_velocity.')}"
+        for name in problem.arms
+        for column, _ in problem.physics.arms[name].facts.velocity_columns
     ]
     twists = [
         f"{body}.{kind}.{axis}"
-        for body in (*problem.arms, "object")
+        for body in (*problem.physics.pads, "object")
         for kind in ("velocity", "angular_velocity")
         for axis in AXES
     ]
@@ -337,7 +352,8 @@ def differentiate(
     opening = np.sum(terms.normals * (terms.jacobian @ terms.before).reshape(-1, 3), axis=1)
     point = _Point(problem, models, contacts, impulses, after, opening <= 0.0, compliance * terms.mobility)
     parameters = parameters_of(problem)
-    partial = [_differences(point, one.name, STEP * _scale_of(one.name, problem, system)) for one in parameters]
+    steps = {one.name: RELATIVE_STEP * _scale_of(one.name, problem, system) for one in parameters}
+    partial = [_differences(point, name, step) for name, step in steps.items()]
     jacobian = np.array([rate.velocities for rate in partial]).T
     states: tuple[str, ...] = ()
     margin = np.inf
@@ -411,9 +427,9 @@ def _terms_at(point: _Point, name: str, amount: float) -> _Terms:
     """The terms with one parameter changed."""
     changed = change(point.problem, {name: amount})
     system = changed.system(point.models)
-    contacts, smooth = _found_again(point.contacts, changed.contacts(point.models, tolerance=REACH))
+    contacts, smooth = _found_again(point.contacts, changed.contacts(point.models, tolerance=MAX_GAP_AFTER_STEP_M))
     jacobian, yields = system.jacobian(contacts), point.yields
-    if not system.fixed:
+    if system.free:
         yields *= point.problem.physics.object.mass / changed.problem.physics.object.mass
     normals = np.array([contact.normal for contact in contacts]).reshape(-1, 3)
     pairs = zip((contact.normal for contact in point.contacts), normals, strict=True)
@@ -439,8 +455,8 @@ def _found_again(contacts: Sequence[ContactPoint], found: Sequence[ContactPoint]
         others = [other for other in found if (other.body, other.partner) == (contact.body, contact.partner)]
         shifts = [float(np.linalg.norm(other.position - contact.position)) for other in others]
         least = min(shifts, default=np.inf)
-        smooth = smooth and least <= LARGEST_SHIFT
-        moved.append(others[shifts.index(least)] if least <= LARGEST_SHIFT else contact)
+        smooth = smooth and least <= MAX_SHIFT_M
+        moved.append(others[shifts.index(least)] if least <= MAX_SHIFT_M else contact)
     return moved, smooth
 
 
@@ -460,7 +476,7 @@ def _scale_of(name: str, problem: ImpactProblem, system: System) -> float:
     if owner == "object" and kind == "inertia":
         return float(problem.physics.object.inertia[AXES.index(which)])
     if kind == "motor_inertia":
-        joint = system.columns[owner].start + int(which) - 1
+        joint = system.columns[owner].stop - problem.motor_inertia[owner].size + int(which) - 1
         return float(system.inertia[joint, joint])
     lengths = kind == "com_offset" or (owner == "object" and kind == "position")
-    return LENGTH_SCALE if lengths else 1.0
+    return LENGTH_SCALE_M if lengths else 1.0

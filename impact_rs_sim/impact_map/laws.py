@@ -6,7 +6,11 @@ the twist of the object at its geometric centre (then of its neighbours), ``u = 
 
     H = blockdiag(M_1 + B_1, ..., M_k + B_k, M_object),      H (u^+ - u^-) = J_c^T L
 
-with the laws of :mod:`impact_rs_sim.impact_map.problem` for the impulses L. Every engine shares these terms.
+with the laws of :mod:`impact_rs_sim.impact_map.problem` for the impulses L. Every engine shares these terms. Two hands
+of one robot share its block: their rows are J_left and J_right times its v, and J_left (M + B)^-1 J_right^T is the
+mobility between them, the velocity of one hand per impulse on the other.
+An object on a hinge or slide has a twist S dz, with one velocity dz in place of six: its block is S^T M_object S, its
+columns of J_c are multiplied by S, and the impulses of the bearing, which do no work, are not unknowns.
 
 **Residuals** are computed from the solution alone, by the same code for every engine. With the closing velocity
 min(J_n u^-, 0) before the impact, w = J_n u^+ + e min(J_n u^-, 0) and, per point, the inverse mass g = tr(G_ii) / 3
@@ -64,15 +68,19 @@ class System:
     """Inertia and kinematics at the moment of impact.
 
     Attributes:
-        columns: Where each arm's joints, and under its name (``object``) the twist of each object, stand in u.
+        columns: Where the velocities of each pad's arm, and under its name (``object``) the twist of each object,
+            stand in u.
         inertia: H, ``(nv, nv)`` [kg m^2, kg m, kg]; a fixed object has unit inertia there, which no impulse moves.
         link_inertia: H with B = 0, ``(nv, nv)``.
         velocity: u^-, ``(nv,)`` [rad/s, m/s].
-        end_effector_position: Origin of frame E in A by arm, ``(3,)`` [m].
-        end_effector_jacobian: Jacobian of frame E in E[A] by arm, ``(6, n)``.
+        end_effector_position: Origin of frame E in A by pad, ``(3,)`` [m].
+        end_effector_jacobian: Jacobian of frame E in E[A] by pad, ``(6, n)``.
         object_position: Geometric centre of the object in A, ``(3,)`` [m].
         fixed: Whether the object is fixed: no contact point then has columns of it in J_c.
         neighbour_position: Geometric centres of its neighbours likewise, by name.
+        hands: Pads of further hands, which have the velocities of their arms.
+        freedom: Twist of the object per velocity that its hinge or slide leaves it, axes of A, ``(6, d)``: u has these
+            velocities, and H their inertia; None: it is free, or fixed.
     """
 
     columns: Mapping[str, slice]
@@ -84,6 +92,13 @@ class System:
     object_position: Array
     fixed: bool = False
     neighbour_position: Mapping[str, Array] = field(default_factory=dict)
+    hands: tuple[str, ...] = ()
+    freedom: Array | None = None
+
+    @property
+    def free(self) -> bool:
+        """Whether nothing holds the object."""
+        return not self.fixed and self.freedom is None
 
     @property
     def kinetic_energy(self) -> float:
@@ -98,22 +113,29 @@ class System:
         middles = {OBJECT: self.object_position, **self.neighbour_position}
         for name, middle in () if self.fixed else middles.items():
             own = [row for row, contact in enumerate(contacts) if contact.body == name]
-            jacobian[own, :, self.columns[name]] = point_maps(positions[own] - middle)
+            jacobian[own, :, self.columns[name]] = self._maps(name, positions[own] - middle)
             other = [row for row, contact in enumerate(contacts) if contact.partner == name]
             there = np.array([contacts[row].partner_position for row in other]).reshape(-1, 3)
-            jacobian[other, :, self.columns[name]] = -point_maps(there - middle)
-        for name, of_arm in self.end_effector_jacobian.items():
+            jacobian[other, :, self.columns[name]] = -self._maps(name, there - middle)
+        for name, of_pad in self.end_effector_jacobian.items():
             rows = [row for row, contact in enumerate(contacts) if contact.partner == name]
             levers = np.array([contacts[row].partner_position for row in rows]).reshape(-1, 3)
             levers -= self.end_effector_position[name]
-            jacobian[rows, :, self.columns[name]] = -point_maps(levers) @ of_arm
+            jacobian[rows, :, self.columns[name]] = -point_maps(levers) @ of_pad
         return jacobian.reshape(3 * len(contacts), size)
 
+    def _maps(self, name: str, levers: Array) -> Array:
+        """Velocities of points at ``levers`` from an object's middle per its velocities in u, ``(m, 3, d)``."""
+        maps = point_maps(levers)
+        return maps if self.freedom is None or name != OBJECT else np.asarray(maps @ self.freedom)
+
     def split(self, velocity: Array) -> tuple[dict[str, Array], dict[str, Array], Array]:
-        """Joint velocity by arm, twist of frame E by arm, and twist of the object, out of u ``(nv,)``."""
-        joints = {name: velocity[self.columns[name]] for name in self.end_effector_jacobian}
-        twists = {name: self.end_effector_jacobian[name] @ dq for name, dq in joints.items()}
-        return joints, twists, velocity[self.columns[OBJECT]]
+        """Joint velocity by arm, twist of frame E by pad, and twist of the object, out of u ``(nv,)``."""
+        of_pads = {name: velocity[self.columns[name]] for name in self.end_effector_jacobian}
+        twists = {name: self.end_effector_jacobian[name] @ dq for name, dq in of_pads.items()}
+        joints = {name: dq for name, dq in of_pads.items() if name not in self.hands}
+        own = velocity[self.columns[OBJECT]]
+        return joints, twists, own if self.freedom is None else self.freedom @ own
 
     def neighbour_twists(self, velocity: Array) -> dict[str, Array]:
         """Twists of the neighbours of the object by name, out of u ``(nv,)``."""
@@ -134,12 +156,14 @@ def build_system(problem: ImpactProblem, models: Mapping[str, RobotModel]) -> Sy
     columns: dict[str, slice] = {}
     start = 0
     for name, state in problem.arms.items():
-        columns[name] = slice(start, start + state.position.size)
-        start += state.position.size
+        columns[name] = slice(start, start + state.velocity.size)
+        start += state.velocity.size
     bodies = problem.bodies
+    freedom = problem.physics.object.freedom_at(problem.object.rotation)
     for name in bodies:
-        columns[name] = slice(start, start + 6)
-        start += 6
+        size = 6 if freedom is None or name != OBJECT else freedom.shape[1]
+        columns[name] = slice(start, start + size)
+        start += size
     link_inertia = np.zeros((start, start))
     velocity = np.zeros(start)
     motor = np.zeros(start)
@@ -147,13 +171,20 @@ def build_system(problem: ImpactProblem, models: Mapping[str, RobotModel]) -> Sy
     for name, state in problem.arms.items():
         where = columns[name]
         link_inertia[where, where] = models[name].mass_matrix(state.position)
-        motor[where] = problem.motor_inertia[name]
+        motor[where] = models[name].facts.columns_of(problem.motor_inertia[name])
         velocity[where] = state.velocity
-        jacobians[name] = models[name].jacobian(state.position)
-        positions[name] = models[name].placement(state.position).translation.copy()
+    for name, pad in problem.physics.pads.items():
+        model, q = models[pad.arm], problem.arms[pad.arm].position
+        columns[name] = columns[pad.arm]
+        jacobians[name] = model.jacobian(q, pad.hand)
+        positions[name] = model.placement(q, pad.hand).translation
     for name, (object_, body) in bodies.items():
-        link_inertia[columns[name], columns[name]] = _object_inertia(object_, body)
-        velocity[columns[name]] = body.twist
+        own, twist = _object_inertia(object_, body), body.twist
+        if freedom is not None and name == OBJECT:
+            own = freedom.T @ own @ freedom
+            twist = np.asarray(np.linalg.lstsq(freedom, twist, rcond=None)[0], dtype=np.float64)
+        link_inertia[columns[name], columns[name]] = own
+        velocity[columns[name]] = twist
     return System(
         columns=columns,
         inertia=link_inertia + np.diag(motor),
@@ -164,6 +195,8 @@ def build_system(problem: ImpactProblem, models: Mapping[str, RobotModel]) -> Sy
         object_position=problem.object.position,
         fixed=problem.physics.object.fixed,
         neighbour_position={name: body.position for name, (_, body) in bodies.items() if name != OBJECT},
+        hands=tuple(name for name, pad in problem.physics.pads.items() if pad.hand),
+        freedom=freedom,
     )
 
 
@@ -193,7 +226,7 @@ class ContactTerms:
         friction: Coulomb coefficients, ``(m,)`` [-].
         rebound: e min(J_n u^-, 0): a point that opens before the impact has no restitution, ``(m,)`` [m/s].
         inverse_mass: Mean over the directions of a point of its J_c H^-1 J_c^T, ``(m,)`` [1/kg].
-        mobility: 1 / m of the object, or mean of ``inverse_mass`` where it is fixed [1/kg].
+        mobility: 1 / m of the object, or mean of ``inverse_mass`` where it is fixed or guided [1/kg].
     """
 
     contacts: Sequence[ContactPoint]
@@ -233,7 +266,7 @@ class ContactTerms:
             rebound=restitution * np.minimum(approach, 0.0),
             inverse_mass=inverse_mass,
             mobility=float(
-                inverse_mass.mean() if system.fixed and len(contacts) else 1.0 / system.inertia[first, first]
+                inverse_mass.mean() if not system.free and len(contacts) else 1.0 / system.inertia[first, first]
             ),
         )
 

@@ -5,7 +5,7 @@ The laws of :mod:`impact_rs_sim.impact_map.problem` are solved by the compiled m
 :mod:`impact_rs_sim.impact_map.solve`, at all impacts of a table in one call. One impact is looked at by itself, so its
 contact points have more laws than the points of a push that goes on (:mod:`impact_rs_sim.impact_map.contact_laws`).
 
-What differs from a planned impact is where the contact points come from. Poses are measured to a millimetre or so, and
+The contact points have another source than in a planned impact. Poses are measured to a millimetre or so, and
 bodies that touch seem to overlap or to stay apart; so the nearest points of two bodies are taken for touching, whatever
 their distance, and all points with them that are no more than a tolerance further off.
 
@@ -37,7 +37,7 @@ from impact_rs_sim.physics import ArmPhysics, ContactCondition, Physics
 from impact_rs_sim.recent import Recent
 from impact_rs_sim.robots.robot import Array, RobotFacts
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_sim.scene import ArmState, BodyState, pad_placements
 from impact_rs_sim.shapes import BOX, ConvexShape
 from impact_rs_sim.twist_readings import TwistReadings
 
@@ -107,7 +107,9 @@ class MeasuredImpacts:
 
     def __init__(self, impacts: Sequence[MeasuredImpact], physics: Sequence[Physics]) -> None:
         self._impacts = tuple(impacts)
-        self._names = tuple(impacts[0].arms)
+        physics[0].object.check_free("a table of impacts")
+        self._pads = {name: pad for name, pad in physics[0].pads.items() if pad.arm in impacts[0].arms}
+        self._names = tuple(self._pads)
         bodies = [impact.object for impact in impacts]
         self._body = (
             np.array([body.position for body in bodies]),
@@ -144,7 +146,7 @@ class MeasuredImpacts:
         on_partner = self._position - self._gap[:, None] * self._normal
         for number, name in enumerate(self._names):
             _, jacobian, place, _ = self._kinematics(name, physics)
-            velocity = np.array([impact.arms[name].velocity for impact in self._impacts])
+            velocity = np.array([impact.arms[self._pads[name].arm].velocity for impact in self._impacts])
             of_frame = np.einsum("nij,nj->ni", jacobian, velocity)[self._owner]
             there = of_frame[:, :3] + np.cross(of_frame[:, 3:], on_partner - place[self._owner])
             moving = np.where((self._partner == number)[:, None], moving - there, moving)
@@ -152,18 +154,18 @@ class MeasuredImpacts:
         return -opening, np.linalg.norm(moving - opening[:, None] * self._normal, axis=1)
 
     def _kinematics(self, name: str, physics: Sequence[Physics]) -> tuple[Array, ...]:
-        """M, J, and origin and axes of frame E of one arm at all impacts; kept for some sets of links."""
-        distinct = {id(one): one for one in physics}
-        key = (name, *(_links_of(one.arms[name]) for one in distinct.values()))
+        """M, J, and origin and axes of frame E of one pad at all impacts; kept for some sets of links."""
+        distinct, (arm, hand, _) = {id(one): one for one in physics}, self._pads[name]
+        key = (name, *(_links_of(one.arms[arm]) for one in distinct.values()))
 
         def made() -> tuple[list[RobotFacts], tuple[Array, ...]]:
-            models = {number: _model_of(one, name) for number, one in distinct.items()}
+            models = {number: _model_of(one, arm) for number, one in distinct.items()}
             found = [
                 tuple(np.array(part) for part in (inertia, jacobian, place.translation, place.rotation))
                 for impact, one in zip(self._impacts, physics, strict=True)
-                for inertia, jacobian, place in [models[id(one)].at_impact(impact.arms[name].position)]
+                for inertia, jacobian, place in [models[id(one)].at_impact(impact.arms[arm].position, hand)]
             ]
-            facts = [one.arms[name].facts for one in distinct.values()]  # alive, for the key has their ids
+            facts = [one.arms[arm].facts for one in distinct.values()]  # alive, for the key has their ids
             return facts, tuple(np.array(parts) for parts in zip(*found, strict=True))
 
         return self._arms.of(key, made)[1]
@@ -201,12 +203,15 @@ class MeasuredImpacts:
         arms = []
         for name in self._names:
             inertia, jacobian, place, axes = self._kinematics(name, physics)
-            states = [impact.arms[name] for impact in self._impacts]
-            position = np.array([state.position for state in states])
-            free = np.full(position.shape[1], np.finfo(float).max)
-            motor = np.array([one.arms[name].motor_inertia_reduced for one in physics])
+            arm = self._pads[name].arm
+            states = [impact.arms[arm] for impact in self._impacts]
             velocity = np.array([state.velocity for state in states])
-            no_pad = (np.zeros(3), np.eye(3), np.ones(3))  # contact points are given
+            position = np.zeros_like(velocity)  # limits are no part of a measured impact
+            free = np.full(velocity.shape[1], np.finfo(float).max)
+            motor = np.array([one.arms[arm].motor_inertia_reduced for one in physics])
+            of_base = np.zeros((len(motor), velocity.shape[1] - motor.shape[1]))  # no motor drives a base that floats
+            motor = np.hstack((of_base, motor))
+            no_pad = (np.zeros(3), np.eye(3), np.ones(3), None, self._names.index(arm))  # contact points are given
             arms.append((position, velocity, motor, -free, free, free, inertia, jacobian, place, axes, *no_pad))
         objects = [one.object for one in physics]
         body = (
@@ -260,7 +265,7 @@ def _model_of(physics: Physics, name: str) -> RobotModel:
 
 def _links_of(arm: ArmPhysics) -> tuple[object, ...]:
     """Everything that the kinematics and the link inertia of an arm depend on."""
-    return id(arm.facts), arm.end_effector, arm.base.homogeneous.tobytes()
+    return id(arm.facts), arm.end_effector, *arm.hands.items(), arm.base.homogeneous.tobytes()
 
 
 def restitution_of(physics: Physics) -> float:
@@ -352,7 +357,7 @@ def points_of_scene(
     Raises:
         Infeasible: No pad is near the object.
     """
-    placements = {name: models[name].placement(state.position) for name, state in arms.items()}
+    placements = pad_placements(physics, models, arms)
     found: list[ContactPoint] = []
     nearest = np.inf
     for pair in contact_pairs(physics, body, placements):

@@ -21,13 +21,14 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from impact_rs_sim.errors import Infeasible, InputError
-from impact_rs_sim.impact_map.contacts import OBJECT, SUPPORT, ContactPair, contact_pairs
+from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, OBJECT, SUPPORT, ContactPair, contact_pairs
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, RESTITUTION_LAWS, ObjectPhysics, Physics
-from impact_rs_sim.robots.robot import Array, joined_units
-from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.scene import ArmState, BodyState, Scene, standing
+from impact_rs_sim.robots.robot import BASE_COLUMNS, BASE_POSE_SIZE, Array, joined_units
+from impact_rs_sim.robots.robot_model import MAX_QUATERNION_ERROR, RobotModel
+from impact_rs_sim.scene import ArmState, BodyState, Scene, pad_placements, standing
 
 
 @dataclass(frozen=True)
@@ -91,18 +92,32 @@ class ImpactProblem:
 def _touched(scene: Scene) -> BodyState:
     """The object, moved to where it touches round pads, the edge of tilted ones, or pads that are elsewhere."""
     physics, object_ = scene.physics, scene.object
-    pads = [arm.end_effector for arm in physics.arms.values()]
-    curved = any(not pad.shape.is_box for pad in pads)
+    pads = [pad.end_effector for pad in physics.pads.values()]
+    curved = any(not pad.shape.is_box for pad in pads) or len(pads) > len(physics.arms)
     if not curved and not any(any((*pad.pad_tilt, *pad.pad_offset)) for pad in pads):
         return object_
     gaps_too = curved or any(any(pad.pad_offset) for pad in pads)
-    placements = {name: physics.robot_model(name).placement(state.position) for name, state in scene.arms.items()}
+    placements = pad_placements(physics, physics.robot_models(), scene.arms)
     depths = [
         (-pair.separation if gaps_too else max(-pair.separation, 0.0)) * pair.normal
         for pair in contact_pairs(physics, object_, placements)
         if pair.partner != SUPPORT
     ]
-    return replace(object_, position=object_.position + np.mean(depths, axis=0))
+    moved = replace(object_, position=object_.position + np.mean(depths, axis=0))
+    if len(pads) > len(physics.arms):
+        _check_hands_touch(physics, moved, placements)
+    return moved
+
+
+def _check_hands_touch(physics: Physics, object_: BodyState, placements: Mapping[str, pin.SE3]) -> None:
+    """Refuse a robot whose hands do not meet the object at once."""
+    for pair in contact_pairs(physics, object_, placements):
+        if pair.partner != SUPPORT and not abs(pair.separation) <= GAP_TOLERANCE:
+            raise Infeasible(
+                f"the pads of a robot with several hands hit at once, and {pair.partner!r} is "
+                f"{1e3 * pair.separation:.3g} mm from the object, accepted are {1e3 * GAP_TOLERANCE:.3g} mm; expected "
+                "other joint positions, another size of the object, or fewer hands"
+            )
 
 
 class ContactImpulse(NamedTuple):
@@ -110,7 +125,7 @@ class ContactImpulse(NamedTuple):
 
     Attributes:
         body_a: ``object``, or name of a neighbour.
-        body_b: Name of the arm, ``support``, or an object before ``body_a``.
+        body_b: Name of the pad (of an arm or a hand), ``support``, or an object before ``body_a``.
         position: Contact point on the object in A, ``(3,)`` [m].
         normal: Unit normal on the object, pointing from ``body_b`` into the object, in A, ``(3,)``.
         impulse: Impulse on the object, in A, ``(3,)`` [N s].
@@ -167,8 +182,8 @@ class ImpactResult:
     """Result of an engine.
 
     Attributes:
-        joint_velocity: Post-impact joint velocity by arm, ``(n,)`` [rad/s].
-        end_effector_twist: Post-impact twist of frame E by arm, in E[A], ``(6,)`` [m/s, rad/s].
+        joint_velocity: Post-impact v by arm, ``(nv,)``: joint velocities, behind the twist of a floating base [rad/s].
+        end_effector_twist: Post-impact twist of frame E by pad (arm or hand), in E[A], ``(6,)`` [m/s, rad/s].
         object_twist: Post-impact twist of the object at its geometric centre, axes of A, ``(6,)`` [m/s, rad/s].
         contacts: Contact points with their impulses.
         residual: Distance of the solution from the laws.
@@ -202,6 +217,7 @@ class EnergyGain(ImpactMapError):
     """A solution obeys its laws and has more kinetic energy than the state before the impact."""
 
 
+GUIDE_SLACK = 1e-9  # m/s or rad/s; a twist that its hinge or slide forbids, from rounding
 LIMIT_SLACK = 1e-9  # rad or m; a configuration on its limit passes
 PENETRATION_TOLERANCE = 1e-3  # m, deepest accepted overlap of pad and object, or object and support
 
@@ -235,8 +251,7 @@ def check_problem(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
         _check_body(name, physical, body)
     if models is None:
         models = physics.robot_models()
-    placements = {name: models[name].placement(state.position) for name, state in problem.arms.items()}
-    found = contact_pairs(physics, problem.object, placements, problem.beside)
+    found = contact_pairs(physics, problem.object, pad_placements(physics, models, problem.arms), problem.beside)
     for pair in found:
         depth = -pair.separation
         if depth > PENETRATION_TOLERANCE:
@@ -255,6 +270,15 @@ def _check_body(name: str, physical: ObjectPhysics, body: BodyState) -> None:
     _vector(body.twist, 6, f"{name}.twist", "m/s and rad/s")
     if physical.fixed and np.any(body.twist):
         raise InputError("a fixed object does not move: expected zeros [m/s, rad/s]", key=f"{name}.twist")
+    if (freedom := physical.freedom_at(body.rotation)) is not None:
+        along = freedom @ np.linalg.lstsq(freedom, body.twist, rcond=None)[0]
+        if not np.allclose(along, body.twist, atol=GUIDE_SLACK):
+            raise InputError(
+                f"its hinge or slide leaves a multiple of {freedom[:, 0].tolist()} [m/s, rad/s]; the nearest is "
+                f"{along.tolist()}",
+                key=f"{name}.twist",
+                value=body.twist.tolist(),
+            )
     rotation = np.asarray(body.rotation)
     if rotation.shape != (3, 3) or not np.all(np.isfinite(rotation)):
         raise InputError("expected a finite 3 x 3 rotation matrix [-]", key=f"{name}.rotation")
@@ -273,6 +297,8 @@ def _vector(values: Array, length: int, key: str, unit: str) -> None:
 def _check_arm(problem: ImpactProblem, name: str, state: ArmState) -> None:
     facts = problem.physics.arms[name].facts
     limits, units = facts.limits, facts.units
+    if facts.floating_base is not None:
+        state = _check_base(name, state, len(units))
     for key, values, quantity in (
         (f"arms.{name}.position", state.position, "position"),
         (f"arms.{name}.velocity", state.velocity, "velocity"),
@@ -305,6 +331,17 @@ def _check_arm(problem: ImpactProblem, name: str, state: ArmState) -> None:
             )
 
 
+def _check_base(name: str, state: ArmState, count: int) -> ArmState:
+    """The joints alone of a robot whose base floats; its state must have pose and twist of the base in front."""
+    where = f"arms.{name}"
+    _vector(state.position, BASE_POSE_SIZE + count, f"{where}.position", "m, - and rad: pose of the base, then joints")
+    _vector(state.velocity, len(BASE_COLUMNS) + count, f"{where}.velocity", "m/s and rad/s: base, then joints")
+    length = float(np.linalg.norm(state.position[3:BASE_POSE_SIZE]))
+    if abs(length - 1.0) > MAX_QUATERNION_ERROR:
+        raise InputError("expected a unit quaternion x, y, z, w of the base [-]", key=f"{where}.position", value=length)
+    return ArmState(state.position[BASE_POSE_SIZE:], state.velocity[len(BASE_COLUMNS) :])
+
+
 def _check_restitution(problem: ImpactProblem) -> None:
     if problem.restitution_law not in RESTITUTION_LAWS:
         raise InputError(
@@ -318,11 +355,12 @@ def check_physics(physics: Physics) -> None:
     """Refuse an impossible object or friction.
 
     Raises:
-        InputError: Mass, size or moment of inertia that is not positive, a fixed object on a support, or friction that
-            is negative.
+        InputError: Mass, size or moment of inertia that is not positive, a fixed or guided object on a support, or
+            friction that is negative.
     """
-    if physics.object.fixed and physics.support_height is not None:
-        raise InputError("a fixed object rests on no support: expected None", key="support_height")
+    held = physics.object.fixed or physics.object.freedom is not None
+    if held and physics.support_height is not None:
+        raise InputError("an object that is fixed or guided rests on no support: expected None", key="support_height")
     for name, object_ in ((OBJECT, physics.object), *((one.name, one.body) for one in physics.neighbours)):
         if not object_.mass > 0.0:
             raise InputError(
@@ -352,7 +390,6 @@ def kinetic_energy(problem: ImpactProblem, result: ImpactResult | None = None) -
             energy += 0.5 * float(physical.mass * linear @ linear + physical.inertia @ np.square(angular))
     for name, arm in problem.arms.items():
         dq = arm.velocity if result is None else result.joint_velocity[name]
-        inertia = problem.physics.robot_model(name).mass_matrix(arm.position)
-        inertia = inertia + np.diag(problem.motor_inertia[name])
+        inertia = problem.physics.robot_model(name).inertia(arm.position, problem.motor_inertia[name])
         energy += 0.5 * float(dq @ inertia @ dq)
     return energy

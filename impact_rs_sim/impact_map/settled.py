@@ -31,8 +31,8 @@ Where the first impact leaves the faces closed already, the two maps agree.
 * Points of a face are redundant, and one of them may pull, L_n + A < 0, where the whole face pushes.
 * The support takes part as in the first impact: what presses the object down while pads align is answered at once, with
   friction in proportion. Friction under the object's weight is finite, and no impulse.
-* A pad aligns as a whole if all of its face is within ``REACH`` of the object; of a pad that comes with an edge or a
-  corner only that lasts, as a hinge or a ball joint.
+* A pad aligns as a whole if all of its face is within ``MAX_CLOSING_GAP_M`` of the object; if a pad comes with an
+  edge or a corner, only that contact lasts, as a hinge or a ball joint.
 """
 
 from __future__ import annotations
@@ -63,10 +63,10 @@ from impact_rs_sim.impact_map.problem import (
 from impact_rs_sim.impact_map.solve import ExactEngine, result_of
 from impact_rs_sim.robots.robot import Array
 
-REACH = 0.01  # m; points of a pad's face that are nearer than this close: a pad of 0.1 m that is tilted by 0.1 rad
+MAX_CLOSING_GAP_M = 0.01  # of points of a pad's face that close: a pad of 0.1 m that is tilted by 0.1 rad
 
-_RANK = 1e-9  # singular values below this share of the largest are taken as 0
-_NOTHING = 1e-6  # m/s, impulse of a pad times the inverse mass of its points: below it a pad does not press
+_MIN_SINGULAR_VALUE_RATIO = 1e-9  # singular values below this share of the largest are taken as 0
+_MIN_PRESSING_SPEED_M_S = 1e-6  # impulse of a pad times the inverse mass of its points: below it a pad does not press
 
 
 def settle(problem: ImpactProblem) -> ImpactResult:
@@ -88,7 +88,7 @@ def settle(problem: ImpactProblem) -> ImpactResult:
     touching = [pair for pair in check_problem(problem, models) if pair.separation <= GAP_TOLERANCE]
     system = build_system(problem, models)
     facing = [pair for pair in touching if pair.partner != SUPPORT]
-    found = {_name(pair): find_contacts(problem.physics, [pair], REACH) for pair in facing}
+    found = {_name(pair): find_contacts(problem.physics, [pair], MAX_CLOSING_GAP_M) for pair in facing}
     faces = {name: points for name, points in found.items() if points}
     support = find_contacts(problem.physics, [pair for pair in touching if pair.partner == SUPPORT])
     settled = close_contacts(system, faces, support)
@@ -155,7 +155,7 @@ def close_contacts(
         iterations += settled.iterations
         normal, _ = terms.split(settled.impulses)
         pressing = {name: np.sum(normal[where]) * np.mean(terms.inverse_mass[where]) for name, where in rows.items()}
-        pressed = tuple(name for name in lasting if pressing[name] > _NOTHING)
+        pressed = tuple(name for name in lasting if pressing[name] > _MIN_PRESSING_SPEED_M_S)
         if pressed == lasting:
             return replace(settled, iterations=iterations)
         lasting = pressed
@@ -185,7 +185,7 @@ def _keep_aligned(system: System, terms: ContactTerms, rows: Mapping[str, slice]
     moving = reduced.before + response @ impulses.ravel()
     velocity = basis @ moving
     missing = system.inertia @ (velocity - system.velocity) - terms.jacobian.T @ impulses.ravel()
-    aligning = centring @ np.linalg.lstsq(turning.T, missing, rcond=_RANK)[0]  # A
+    aligning = centring @ np.linalg.lstsq(turning.T, missing, rcond=_MIN_SINGULAR_VALUE_RATIO)[0]  # A
     left = np.linalg.solve(system.inertia, missing - normal.T @ aligning)
     laws = reduced.residual(impulses, moving)
     turned = float(np.max(np.abs(turning @ velocity), initial=0.0))
@@ -202,4 +202,4 @@ def _free(rows: Array) -> Array:
     if not len(rows):
         return np.eye(rows.shape[1])
     _, values, motions = np.linalg.svd(rows)
-    return np.asarray(motions[int(np.sum(values > _RANK * np.max(values))) :].T)
+    return np.asarray(motions[int(np.sum(values > _MIN_SINGULAR_VALUE_RATIO * np.max(values))) :].T)

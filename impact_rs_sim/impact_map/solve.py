@@ -28,7 +28,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -66,8 +66,9 @@ from impact_rs_sim.impact_map.problem import (
     check_problem,
 )
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot import Array, EndEffector
 from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.scene import ArmState
 
 ENERGY_TOLERANCE = 1e-9  # of the kinetic energy before the impact, for rounding
 SOLVED, REFUSED = 0, 1  # status of a solved problem, and of one with invalid data
@@ -236,12 +237,12 @@ class Compiled(NamedTuple):
     Attributes:
         status: ``SOLVED``, ``REFUSED``, or another number where Newton's method did not converge, ``(N,)``.
         velocity: u^+, ``(N, nv)`` [rad/s, m/s]; nan where the data are invalid.
-        twists: Twists of frame E of every arm in E[A] after the impact, ``(N, 6 k)`` [m/s, rad/s].
+        twists: Twists of frame E of every pad in E[A] after the impact, ``(N, 6 k)`` [m/s, rad/s].
         residual: In the order of :class:`~impact_rs_sim.impact_map.problem.Residual`, ``(N, 4)`` [m/s].
         energy: Kinetic energy before the impact, and what the impact adds, ``(N, 2)`` [J].
         steps: Steps of the solver, ``(N,)``.
         first: Index of the first contact point, ``(N + 1,)``.
-        partner: Index of the arm at every point; the number of arms stands for the support, the numbers beyond it for
+        partner: Index of the pad at every point; the number of pads stands for the support, the numbers beyond it for
             the objects, ``(M,)``.
         state: Index into ``STATES``, ``(M,)``.
         position: Positions on the object in A, ``(M, 3)`` [m].
@@ -275,21 +276,22 @@ class CompiledMap:
         models: Rigid-body models by arm.
 
     Raises:
-        InputError: The object or a friction is impossible.
+        InputError: The object or a friction is impossible, or the object has a hinge or slide.
     """
 
     def __init__(self, physics: Physics, models: Mapping[str, RobotModel]) -> None:
         check_physics(physics)
+        physics.object.check_free("the compiled map")
         self.physics = physics
         self.models = models
-        self._limits, self._pads = {}, {}
-        for name, arm in physics.arms.items():
-            model, pad = models[name], arm.end_effector.pad_placement
+        self._limits = {}
+        self._pads = {name: _pad_fields(pad.end_effector) for name, pad in physics.pads.items()}
+        self._hands = {name: pad for name, pad in physics.pads.items() if pad.hand}
+        for name in physics.arms:
+            model = models[name]
             low, high = model.position_min - LIMIT_SLACK, model.position_max + LIMIT_SLACK
             free = np.full(model.joint_count, np.finfo(float).max)
             self._limits[name] = {False: (low, high, model.velocity_max + LIMIT_SLACK), True: (-free, free, free)}
-            half = np.array(arm.end_effector.pad_size) / 2.0
-            self._pads[name] = (np.array(pad.translation), np.array(pad.rotation), half, arm.end_effector.shape.kernel)
         support = support_box(physics)
         self._support = None if support is None else np.concatenate((support.centre, support.half))
 
@@ -302,16 +304,18 @@ class CompiledMap:
         """
         if problem.restitution_law != "newton" or not 0.0 <= problem.restitution <= 1.0:
             return None
-        if problem.arms.keys() != self._pads.keys() or problem.motor_inertia.keys() != self._pads.keys():
+        if problem.arms.keys() != self._limits.keys() or problem.motor_inertia.keys() != self._limits.keys():
             return None
-        arms = []
+        arms: list[tuple[Any, ...]] = []
         for name, state in problem.arms.items():
             model, motor = self.models[name], problem.motor_inertia[name]
-            if not state.position.shape == state.velocity.shape == motor.shape == (model.joint_count,):
+            if not model.takes(state.position, state.velocity, motor):
                 return None
             inertia, jacobian, place = model.at_impact(state.position)
-            moving = (state.position, state.velocity, motor, *self._limits[name][problem.measured])
+            joints, motor = (model.facts.columns_of(own) for own in (model.facts.joints_of(state.position), motor))
+            moving = (joints, state.velocity, motor, *self._limits[name][problem.measured])
             arms.append((*moving, inertia, jacobian, place.translation, place.rotation, *self._pads[name]))
+            arms += self._hands_of(name, state, (*moving, inertia), len(arms) - 1)
         objects = []
         for physical, body in problem.bodies.values():
             if body.position.shape != (3,) or body.rotation.shape != (3, 3) or body.twist.shape != (6,):
@@ -321,11 +325,21 @@ class CompiledMap:
         contact: tuple[float, ...] = (self.physics.pad_friction, self.physics.support_friction, problem.restitution)
         if len(objects) > 1:
             contact = (*contact, self.physics.object_friction)
-        given = None if points is None else self._given(points, tuple(problem.arms), problem.restitution)
+        given = None if points is None else self._given(points, tuple(self._pads), problem.restitution)
         first, *others = objects
         return Compiled(
             *_kernel.solve_impacts(1, arms, first, contact, self._support, RULES, points=given, neighbours=others)
         )
+
+    def _hands_of(self, arm: str, state: ArmState, shared: tuple[Any, ...], carrier: int) -> list[tuple[Any, ...]]:
+        """Further hands of an arm as the kernel takes them: they have its velocities and inertia."""
+        found = []
+        for name, pad in self._hands.items():
+            if pad.arm == arm:
+                place = self.models[arm].placement(state.position, pad.hand)
+                jacobian = self.models[arm].jacobian(state.position, pad.hand)
+                found.append((*shared, jacobian, place.translation, place.rotation, *self._pads[name], carrier))
+        return found
 
     def _given(self, points: Sequence[ContactPoint], names: tuple[str, ...], restitution: float) -> Points:
         """Contact points as the kernel takes them."""
@@ -336,6 +350,12 @@ class CompiledMap:
         law[:, 1] = restitution
         position, normal = (np.array([getattr(point, name) for point in points]) for name in ("position", "normal"))
         return [0, len(points)], partner, position, normal, np.array([point.gap for point in points]), law
+
+
+def _pad_fields(end_effector: EndEffector) -> tuple[Any, ...]:
+    """Middle, axes, half extents and shape of a pad in E, as the kernel takes them."""
+    pad, half = end_effector.pad_placement, np.array(end_effector.pad_size) / 2.0
+    return np.array(pad.translation), np.array(pad.rotation), half, end_effector.shape.kernel
 
 
 class ExactEngine(Engine):
@@ -355,7 +375,8 @@ class ExactEngine(Engine):
 
     def solve(self, problem: ImpactProblem, points: Sequence[ContactPoint] | None = None) -> ImpactResult:
         """See :meth:`Engine.solve`; ``points`` stand in the place of the points where bodies touch (Newton's law)."""
-        if problem.restitution_law == "poisson":
+        guided = problem.physics.object.freedom is not None and points is None
+        if problem.restitution_law == "poisson" or guided:
             return super().solve(problem)
         start = time.perf_counter()
         if self._compiled is None or problem.physics is not self._compiled.physics:
@@ -371,20 +392,24 @@ class ExactEngine(Engine):
         return _result(problem, found, residual, start)
 
     def _solve(self, problem: ImpactProblem, system: System, pairs: Sequence[ContactPair]) -> Solution:
-        """Poisson's law."""
-        return solve_poisson(ContactTerms.of(system, find_contacts(problem.physics, pairs), problem.restitution))
+        """Poisson's law, or Newton's of an object on a hinge or slide."""
+        terms = ContactTerms.of(system, find_contacts(problem.physics, pairs), problem.restitution)
+        if problem.restitution_law == "poisson":
+            return solve_poisson(terms)
+        impulses, steps = solve_contacts(terms)
+        return Solution(terms, impulses, terms.before + terms.response @ impulses.ravel(), steps)
 
 
 def _result(problem: ImpactProblem, found: Compiled, residual: Residual, start: float) -> ImpactResult:
     """The result of one problem from its compiled solution."""
     velocity, twists = found.velocity[0], found.twists[0]
-    joints, of_frames, column = {}, {}, 0
-    for number, (name, state) in enumerate(problem.arms.items()):
-        joints[name] = velocity[column : column + state.position.size]
-        of_frames[name] = twists[6 * number : 6 * number + 6]
-        column += state.position.size
-    bodies = list(problem.bodies)
-    partners = (*joints, SUPPORT, *bodies)
+    joints, column = {}, 0
+    for name, state in problem.arms.items():
+        joints[name] = velocity[column : column + state.velocity.size]
+        column += state.velocity.size
+    pads, bodies = list(problem.physics.pads), list(problem.bodies)
+    of_frames = dict(zip(pads, twists.reshape(-1, 6), strict=True))
+    partners = (*pads, SUPPORT, *bodies)
     numbers = found.body.tolist(), found.partner.tolist()
     points = zip(*numbers, found.position, found.normal, found.impulse, found.gap.tolist(), strict=True)
     after = dict(zip(bodies, velocity[column:].reshape(-1, 6), strict=True))

@@ -28,19 +28,13 @@ import numpy as np
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.contacts import SUPPORT
-from impact_rs_sim.impact_map.derivatives import (
-    AXES,
-    all_velocities,
-    change,
-    differentiate,
-    parameters_of,
-    velocity_names,
-)
+from impact_rs_sim.impact_map.derivatives import all_velocities, change, differentiate, parameters_of, velocity_names
 from impact_rs_sim.impact_map.laws import solve_contacts, states
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, check_problem
 from impact_rs_sim.numbers import CONFIDENCE_LEVEL, NORMAL_95
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.rotations import AXES
 from impact_rs_sim.scenarios.scenario import Uncertainties
 
 SWITCHES = 0.02  # share of draws in other contact states from which the linear interval is not taken
@@ -137,8 +131,8 @@ def sources_of(problem: ImpactProblem, stated: Uncertainties) -> tuple[Uncertain
         return [{name: sigma} for name in names]
 
     parts: dict[str, list[Mapping[str, float]]] = {name: [] for name in SOURCES}
-    for name, state in problem.arms.items():
-        joints = range(1, state.position.size + 1)
+    for name in problem.arms:
+        joints = range(1, problem.motor_inertia[name].size + 1)
         parts["motor_inertia"] += [
             {f"{name}.motor_inertia.{joint}": stated.motor_inertia * float(problem.motor_inertia[name][joint - 1])}
             for joint in joints
@@ -146,6 +140,7 @@ def sources_of(problem: ImpactProblem, stated: Uncertainties) -> tuple[Uncertain
         parts["link_inertia"] += [{f"{name}.link_inertia": stated.link_inertia}]
         parts["joint_position"] += apart([f"{name}.position.{joint}" for joint in joints], stated.joint_position)
         parts["joint_velocity"] += apart([f"{name}.velocity.{joint}" for joint in joints], stated.joint_velocity)
+    for name in physics.pads:
         parts["contact_point"] += apart([f"{name}.contact_point.{axis}" for axis in "xy"], stated.contact_point)
     moments = {f"object.inertia.{axis}": float(value) for axis, value in zip(AXES, object_.inertia, strict=True)}
     scaled = {"object.mass": object_.mass} | moments
@@ -273,8 +268,8 @@ def interval_of_draws(
 
 
 def touching_pads(problem: ImpactProblem, models: Mapping[str, RobotModel]) -> frozenset[str]:
-    """Arms whose pads touch where nothing is changed."""
-    return frozenset({contact.partner for contact in change(problem, {}).contacts(models)} & problem.arms.keys())
+    """Pads that touch where nothing is changed."""
+    return frozenset({one.partner for one in change(problem, {}).contacts(models)} & problem.physics.pads.keys())
 
 
 def answer_of(

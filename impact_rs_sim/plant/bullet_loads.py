@@ -13,12 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from impact_rs_sim.effects.formula import AXES, MIN_SLIDING_SPEED_M_S
+from impact_rs_sim.effects.formula import MIN_SLIDING_SPEED_M_S
 from impact_rs_sim.memory import Memory
 from impact_rs_sim.physics import LoadState, Physics
 from impact_rs_sim.plant.bullet_world import BulletWorld
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.rotations import AXES
 from impact_rs_sim.scene import ArmState
 
 Scene = dict[str, float]
@@ -31,7 +32,7 @@ class LoadedPair:
     Attributes:
         force: Normal force on the object [N].
         penetration: Mean over the contact points, weighted with their forces [m].
-        place: Of the force, in A, ``(3,)`` [m].
+        place: Position of the force, in A, ``(3,)`` [m].
         normal: Into the object, ``(3,)``.
         velocity: Relative velocity of the object to the partner at that point, ``(3,)`` [m/s].
     """
@@ -111,7 +112,7 @@ class BulletLoads:
             time: Since the start of the trial [s].
             links: Joint states by arm.
             torques: tau_J by arm, ``(n,)`` [N m].
-            memory: Of the loads in this simulation.
+            memory: Memory of the loads in this simulation.
         """
         scene, place = self.scene(time, None, links), self._world.object_state().position
         support = self._touching[None]

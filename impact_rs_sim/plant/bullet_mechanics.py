@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 
 from impact_rs_sim.drive import Drive, DriveStart
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.memory import Memory
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant.bullet_loads import BulletLoads
@@ -50,6 +51,12 @@ class BulletMechanics(Mechanics):
     @classmethod
     def load(cls, physics: Physics, period: float, may_sleep: bool = True) -> Self:
         """See :meth:`Mechanics.load`; without ``may_sleep`` an object at rest is simulated as well."""
+        for name, arm in physics.arms.items():
+            if arm.tool_spring is not None:
+                raise InputError(
+                    "the simulator bullet has rigid tools; expected no compliance, or --plant twin",
+                    key=f"robots.{name}.end_effector.compliance",
+                )
         world = BulletWorld.load(
             physics,
             time_step=period,

@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from impact_rs_sim.effects.formula import MIN_SLIDING_SPEED_M_S
 from impact_rs_sim.errors import NotABody
 from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.plant.pad_shear import ContactBody, PadContacts, PadShear
@@ -64,7 +65,6 @@ FACE_CONTACT_POINTS = 4  # Bullet keeps four points of a face contact; each gets
 SUPPORT_DAMPING_RATIO = 0.5  # of the object on a compliant support
 MAX_BULLET_STEPS = 8  # Bullet steps per step of a world
 MARGIN_M = 1e-4  # radius at the rims of a cylinder and around a hull
-MIN_SLIDING_SPEED_M_S = 2e-3  # below, sliding stops within a few steps, so its direction does not matter
 
 
 class BulletWorld:
@@ -398,7 +398,7 @@ def mass_matrices(facts: RobotFacts, end_effector: EndEffector, positions: Array
 
     Args:
         facts: Kinematics, inertials and limits.
-        end_effector: What is on its flange.
+        end_effector: End effector on its flange.
         positions: Joint positions, ``(k, n)`` [rad].
     """
     client = _connected()

@@ -32,7 +32,7 @@ def mesh_address(name: str, urdf: Path, packages: Iterable[Path] = ()) -> str | 
     above the URDF, for sources that are not installed; where it is found, the address becomes that of the file.
 
     Args:
-        name: What the URDF says: a path, or an address.
+        name: Path or address in the URDF.
         urdf: The URDF.
         packages: Folders that are packages or hold some.
     """

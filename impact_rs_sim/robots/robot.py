@@ -3,6 +3,17 @@
 
 A joint rotates about the z axis of its frame (``revolute``) or translates along it (``prismatic``). Values per joint
 have the units of its coordinate, :data:`UNITS`; docstrings say rad, N m, kg m^2 for a prismatic joint's m, N, kg.
+
+An arm is a chain: every joint stands on the link of the joint before. A **tree** has joints that stand on other links
+(two arms on a torso), joints that follow others (fingers; URDF's ``mimic``), or a base that nothing holds (a humanoid,
+a drone). The joints that follow no other have its n coordinates, in the order of the file. With a floating base
+configuration and velocity have its pose and its twist in front, in Pinocchio's convention:
+
+    q = (x, y, z, qx, qy, qz, qw, q_1 ... q_n),      v = (v_base, omega_base, dq_1 ... dq_n)
+
+with the position of the base in A, the quaternion from its axes to those of A, and its twist in its own axes.
+
+A tree may hit with several pads at once: one on the flange, and one on each of its further ``hands``.
 """
 
 from __future__ import annotations
@@ -57,6 +68,11 @@ UNITS: dict[JointType, JointUnits] = {
 }
 
 
+BASE = "base"  # name of the base where robot facts name links
+BASE_COLUMNS = (*(f"base_v{axis}" for axis in "xyz"), *(f"base_w{axis}" for axis in "xyz"))  # of a floating base
+BASE_POSE_SIZE = 7  # position and quaternion of a floating base, in front of the joints
+
+
 def joined_units(units: Iterable[str]) -> str:
     """Text of the units of several joints, ``rad or m`` for example."""
     return " or ".join(dict.fromkeys(units))
@@ -66,12 +82,25 @@ Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Share3 = tuple[Share, Share, Share]
 
 
+class Mimic(Schema):
+    """The joint that another one follows: ``q = ratio q_followed + offset``."""
+
+    joint: str = Field(description="name of the joint that it follows, which stands before it and follows no other")
+    ratio: float = Field(1.0, description="its motion per motion of that joint [-, m/rad or rad/m]")
+    offset: float = Field(0.0, description="its position where that joint is at 0 [rad], prismatic [m]")
+
+
 class JointOrigin(Schema):
-    """Placement of a joint in the previous link, and its type: rotation about its own +z, or translation along it."""
+    """Placement of a joint in the link that carries it, and its type: rotation about its own +z, or translation."""
 
     type: JointType = omitted("revolute", description="revolute: turns about +z; prismatic: slides along +z")
     xyz: Vector3 = Field(description="origin of the joint in the previous link [m]")
     rpy: Vector3 = Field(description="roll, pitch, yaw of the joint in the previous link [rad]")
+    name: str = omitted("", description="name of the joint in its source file")
+    parent: str = omitted(
+        "", description="name of the link that carries it in place of the previous one, or base: the robot is a tree"
+    )
+    mimic: Mimic | None = omitted(None, description="joint that it follows; absent: it moves by itself")
 
     @property
     def units(self) -> JointUnits:
@@ -84,11 +113,23 @@ class Flange(Schema):
 
     xyz: Vector3 = Field(description="origin of the flange in the last link [m]")
     rpy: Vector3 = omitted((0.0, 0.0, 0.0), description="roll, pitch, yaw of the flange in the last link [rad]")
+    link: str = omitted("", description="name of the link that has the flange in place of the last one, or base")
 
     @property
     def rotation(self) -> Array:
         """Axes of the flange in the last link, ``(3, 3)``."""
         return np.asarray(pin.rpy.rpyToMatrix(*self.rpy))
+
+
+class Hand(Flange):
+    """A further flange of a tree; its pad and the pad of the first flange hit at once."""
+
+    name: str = Field(min_length=1, description="name of the hand in scenarios, results and tables")
+
+    @property
+    def placement(self) -> pin.SE3:
+        """Placement of the flange in its link."""
+        return pin.SE3(self.rotation, np.array(self.xyz))
 
 
 class Mesh(Schema):
@@ -100,7 +141,7 @@ class Mesh(Schema):
     scale: Vector3 = Field((1.0, 1.0, 1.0), description="scale along the axes of the mesh [-]")
 
 
-class Link(Schema):
+class Inertial(Schema):
     """Inertial parameters of one link, in the axes of the link frame."""
 
     mass: Annotated[float, Field(gt=0.0, description="mass of the link [kg]")]
@@ -108,14 +149,19 @@ class Link(Schema):
     inertia: tuple[float, float, float, float, float, float] = Field(
         description="ixx, ixy, ixz, iyy, iyz, izz about the centre of mass [kg m^2]"
     )
-    meshes: tuple[Mesh, ...] = omitted((), description="what viewers show; none: a simple shape")
-    name: str = omitted("", description="name of the link in its source file, for messages")
 
     @property
     def inertia_matrix(self) -> Array:
         """Inertia about the centre of mass, ``(3, 3)`` [kg m^2]."""
         ixx, ixy, ixz, iyy, iyz, izz = self.inertia
         return np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+
+
+class Link(Inertial):
+    """One link of the robot: its inertial parameters, and what viewers show."""
+
+    meshes: tuple[Mesh, ...] = omitted((), description="what viewers show; none: a simple shape")
+    name: str = omitted("", description="name of the link in its source file, for messages and keys that name links")
 
 
 class Limits(Schema):
@@ -167,12 +213,26 @@ class RobotFacts(Schema):
     """Public facts about an arm (``config/robots/*.yaml``)."""
 
     source: str = Field(description="where the numbers come from")
-    joints: tuple[JointOrigin, ...] = Field(min_length=1, description="joint origins")
+    joints: tuple[JointOrigin, ...] = Field(description="joint origins; in a tree depth first, each branch to its end")
     flange: Flange = Field(description="flange on the last link")
-    limits: Limits = Field(description="hardware limits")
-    links: tuple[Link, ...] = Field(min_length=1, description="link inertials")
+    hands: tuple[Hand, ...] = Field(
+        (),
+        exclude_if=lambda value: value == (),
+        repr=False,
+        description="further flanges with pads, the other hand of two arms on a torso; they make the robot a tree",
+    )
+    limits: Limits = Field(description="hardware limits, of the joints that follow no other")
+    links: tuple[Link, ...] = Field(description="link inertials, one per joint")
+    link_deviation: Annotated[float, Field(gt=0.0, lt=0.3)] = omitted(
+        0.1,
+        description="how exact the links are: standard deviation of their densities, shapes and centres of mass (over "
+        "the radius of gyration), which a load has to exceed; 0.1 for CAD and unknown sources, 0.03 if identified [-]",
+    )
+    floating_base: Inertial | None = omitted(
+        None, description="inertial of a base that nothing holds (humanoid, drone); absent: the base is fixed"
+    )
     base_meshes: tuple[Mesh, ...] = omitted((), description="what viewers show of the base; none: a simple shape")
-    colours: Colours = omitted(Colours(), description="of the simple shapes in viewers")
+    colours: Colours = omitted(Colours(), description="colours of the simple shapes in viewers")
     friction: SigmoidFriction | None = Field(None, description="identified joint friction")
     reflected_rotor_inertia_other_source_kg_m2: PositiveVector | None = Field(
         None, description="reflected rotor inertia per joint from another source [kg m^2], prismatic [kg]"
@@ -194,12 +254,52 @@ class RobotFacts(Schema):
     )
 
     @model_validator(mode="after")
+    def _one_tree(self) -> Self:
+        """Refuse joints and a flange on links that are not there, and branches that are not in depth-first order."""
+        if not self.joints and self.floating_base is None:
+            raise ValueError("joints is empty, expected at least one, or floating_base: the base moves")
+        if len(self.links) != len(self.joints):
+            raise ValueError(f"links has {len(self.links)} entries, expected one per joint ({len(self.joints)})")
+        branch = [0]  # the links from the base to the last joint
+        for number, (joint, parent) in enumerate(zip(self.joints, self.parents, strict=True), start=1):
+            key = f"joints.{number - 1}"
+            if parent not in branch:
+                raise ValueError(
+                    f"{key}.parent: {joint.parent!r} is no link that can carry it: branches stand one after the other, "
+                    f"each to its end; before it: {self._names_of_links(number - 1)}"
+                )
+            branch = [*branch[: branch.index(parent) + 1], number]
+            leaders = [one.name for one in self.joints[: number - 1] if one.mimic is None and one.name]
+            if joint.mimic is not None and leaders.count(joint.mimic.joint) != 1:
+                raise ValueError(
+                    f"{key}.mimic.joint: {joint.mimic.joint!r} is no joint before it that moves by itself; there are: "
+                    f"{', '.join(leaders) or 'none with a name'}"
+                )
+        if self.flange_link < 0:
+            known = self._names_of_links(len(self.links))
+            raise ValueError(f"flange.link: {self.flange.link!r} is no link, or several; there are: {known}")
+        if not self.flange_link and self.floating_base is None:
+            raise ValueError("flange.link: the base is fixed, expected a link that moves, or floating_base")
+        return self
+
+    @model_validator(mode="after")
+    def _hands_on_links(self) -> Self:
+        """Refuse hands on links that are not there or do not move, and two hands of one name."""
+        for number, hand in enumerate(self.hands):
+            known = self._names_of_links(len(self.links))
+            if (link := self.link_of(hand)) < 0 or (not link and self.floating_base is None):
+                raise ValueError(f"hands.{number}.link: {hand.link!r} is no link that moves; there are: {known}")
+            if hand.name in [other.name for other in self.hands[:number]]:
+                raise ValueError(f"hands.{number}.name: another hand is called {hand.name!r}")
+        return self
+
+    def _names_of_links(self, count: int) -> str:
+        return ", ".join((BASE, *(link.name for link in self.links[:count] if link.name)))
+
+    @model_validator(mode="after")
     def _same_length_everywhere(self) -> Self:
-        count = len(self.joints)
-        lengths = {
-            "links": len(self.links),
-            **{f"limits.{name}": len(getattr(self.limits, name)) for name in Limits.model_fields},
-        }
+        count = self.joint_count
+        lengths = {f"limits.{name}": len(getattr(self.limits, name)) for name in Limits.model_fields}
         for name in ("external_torque_Nm", "velocity_jump_rad_s"):
             if self.reflexes is not None and (values := getattr(self.reflexes, name)) is not None:
                 lengths[f"reflexes.{name}"] = len(values)
@@ -209,19 +309,122 @@ class RobotFacts(Schema):
         return self
 
     @property
+    def moving(self) -> tuple[JointOrigin, ...]:
+        """The joints that follow no other, in order: those with a coordinate."""
+        return tuple(joint for joint in self.joints if joint.mimic is None)
+
+    @property
     def joint_count(self) -> int:
-        """Number of joints."""
-        return len(self.joints)
+        """Number n of joints with a coordinate."""
+        return len(self.moving)
 
     @property
     def joint_types(self) -> tuple[JointType, ...]:
-        """Type of every joint, base to tip."""
-        return tuple(joint.type for joint in self.joints)
+        """Type of every joint with a coordinate, in order."""
+        return tuple(joint.type for joint in self.moving)
 
     @property
     def units(self) -> tuple[JointUnits, ...]:
-        """Units of the values of every joint, base to tip."""
-        return tuple(joint.units for joint in self.joints)
+        """Units of the values of every joint with a coordinate, in order."""
+        return tuple(joint.units for joint in self.moving)
+
+    @property
+    def coordinates(self) -> tuple[int, ...]:
+        """Which coordinate moves each joint, from 0."""
+        names = [joint.name for joint in self.moving]
+        own = iter(range(len(names)))
+        return tuple(next(own) if one.mimic is None else names.index(one.mimic.joint) for one in self.joints)
+
+    @property
+    def reduction(self) -> tuple[Array, Array]:
+        """G and q_0: velocities of a floating base and of all N joints are G v, positions of the joints G q + q_0.
+
+        G is ``(base + N, base + n)`` with an identity for the base, q_0 ``(base + N,)``.
+        """
+        base = self.base_size
+        matrix = np.eye(base + len(self.joints), base + self.joint_count)
+        offset = np.zeros(len(matrix))
+        for row, (joint, coordinate) in enumerate(zip(self.joints, self.coordinates, strict=True), start=base):
+            mimic = joint.mimic or Mimic(joint=joint.name)
+            matrix[row, base:] = 0.0
+            matrix[row, base + coordinate], offset[row] = mimic.ratio, mimic.offset
+        return matrix, offset
+
+    @property
+    def parents(self) -> tuple[int, ...]:
+        """Number of the link that carries each joint; 0: the base, -1: there is none of that name."""
+        return tuple(self._link(joint.parent, number) for number, joint in enumerate(self.joints))
+
+    @property
+    def flange_link(self) -> int:
+        """Number of the link that has the flange; 0: the base."""
+        return self.link_of(self.flange)
+
+    def link_of(self, flange: Flange) -> int:
+        """Number of the link that has a flange; 0: the base, -1: no link has the name."""
+        return self._link(flange.link, len(self.links))
+
+    def _link(self, name: str, absent: int) -> int:
+        """Number of a link, ``absent`` without a name; -1: there is none, or there are several."""
+        if name in ("", BASE):
+            return absent if not name else 0
+        found = [number for number, link in enumerate(self.links, start=1) if link.name == name]
+        return found[0] if len(found) == 1 else -1
+
+    @property
+    def path(self) -> tuple[int, ...]:
+        """Numbers of the joints from base to flange, from 0."""
+        found, link, parents = [], self.flange_link, self.parents
+        while link > 0:
+            found.append(link - 1)
+            link = parents[link - 1]
+        return tuple(reversed(found))
+
+    @property
+    def is_chain(self) -> bool:
+        """Whether it is a serial arm on a fixed base, which simulators and controllers take."""
+        if self.floating_base is not None or self.hands:
+            return False
+        return self.path == tuple(range(self.joint_count)) == self.coordinates
+
+    @property
+    def base_size(self) -> int:
+        """Components of the velocity of the base: 6 of a floating one, else 0."""
+        return 0 if self.floating_base is None else len(BASE_COLUMNS)
+
+    @property
+    def velocity_columns(self) -> tuple[tuple[str, str], ...]:
+        """Name and unit of every component of v: the twist of a floating base, then ``joint1`` ..."""
+        base = tuple((name, "m/s" if "_v" in name else "rad/s") for name in BASE_COLUMNS[: self.base_size])
+        return (*base, *((f"joint{number}", unit.velocity) for number, unit in enumerate(self.units, start=1)))
+
+    def columns_of(self, values: Array) -> Array:
+        """Values per joint ``(n,)``, motor inertia for example, per component of v: 0 of a floating base."""
+        return values if self.floating_base is None else np.concatenate((np.zeros(self.base_size), values))
+
+    def joints_of(self, position: Array) -> Array:
+        """Positions of the joints ``(n,)`` in q, behind the pose of a floating base."""
+        return position if self.floating_base is None else position[BASE_POSE_SIZE:]
+
+    def check_chain(self, what: str, key: str, file: str | None = None) -> None:
+        """Refuse a tree where only serial arms are computed.
+
+        Args:
+            what: What takes serial arms alone.
+            key: Where the robot is named.
+            file: In which scenario.
+
+        Raises:
+            InputError: It is a tree, or its base floats.
+        """
+        if not self.is_chain:
+            raise InputError(
+                f"{what} takes serial arms on a fixed base, and the facts of this robot ({self.source}) have "
+                "parent, mimic, hands or floating_base; impact-rs map and tables of impacts take it, and impact-rs "
+                "robot import makes a serial arm of it without --move, --hand and --floating",
+                key=key,
+                file=file,
+            )
 
 
 @functools.lru_cache(maxsize=16)

@@ -8,15 +8,19 @@ the child link. With a rotation R_i that maps z to a_i, the frame of that link i
     c'_i = R_i^T c_i                            I'_i = R_i^T I_i R_i
 
 so that kinematics and dynamics are exactly those of the URDF. R_i is the smallest such rotation, and the identity where
-the axis is z. Pinocchio reads placements and inertias, and merges fixed links.
+the axis is z; i-1 is the link that carries joint i. Pinocchio reads placements and inertias, and merges fixed links.
+
+Joints beside the path from base to tip (fingers, a second arm, a head) stand still while the robot hits, unless the
+user lets them move; a joint that mimics another one moves where that one does.
 """
 
 from __future__ import annotations
 
+import fnmatch
 import json
 import math
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -25,9 +29,23 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 import pinocchio as pin
 
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.robots.mesh_files import FILE, PACKAGE, mesh_address, mesh_path
-from impact_rs_sim.robots.robot import UNITS, Array, Flange, JointOrigin, JointType, Limits, Link, Mesh, RobotFacts
+from impact_rs_sim.robots.robot import (
+    BASE,
+    UNITS,
+    Array,
+    Flange,
+    Hand,
+    Inertial,
+    JointOrigin,
+    JointType,
+    Limits,
+    Link,
+    Mesh,
+    Mimic,
+    RobotFacts,
+)
 from impact_rs_sim.robots.urdf_chain import MOVABLE_JOINT_TYPES, Chain, UrdfTree, child_of
 from impact_rs_sim.robots.urdf_repairs import Limits as GivenLimits
 from impact_rs_sim.robots.urdf_repairs import about_centre, given_limits, locked_joints, suspected_steiner_ratio
@@ -41,6 +59,7 @@ NOT_IN_URDF_NOTE = (
 )
 # Over the largest moment [-]; rounding of a URDF puts a principal moment of a flat body below 0
 NEGATIVE_MOMENT_TOLERANCE = 1e-6
+_FoundMesh = tuple[str, pin.SE3, list[float]]  # address, placement at the joint and scale
 INERTIA_ATTRIBUTES = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
@@ -69,8 +88,11 @@ def import_urdf(
     lock: Sequence[str] = (),
     measured: Callable[[Sequence[str]], GivenLimits] = lambda _: {},
     packages: Sequence[Path] = (),
+    move: Sequence[str] = (),
+    floating: bool = False,
+    hands: Sequence[str] = (),
 ) -> ImportedRobot:
-    """Facts of the arm from link ``base`` to link ``tip`` of a URDF.
+    """Facts of the robot that hits with link ``tip`` of a URDF and is mounted with link ``base``.
 
     Args:
         file: The URDF; its meshes need not be there, those that are not found are noted.
@@ -82,54 +104,95 @@ def import_urdf(
         lock: Positions at which joints are locked (:func:`~impact_rs_sim.robots.urdf_repairs.locked_joints`).
         measured: Limits that a recording shows, for the joints of the chain, in place of those that are missing or 0.
         packages: Where packages of its meshes are (:func:`~impact_rs_sim.robots.mesh_files.mesh_address`).
+        move: Names of joints beside the path that move as well; ``*`` matches any text.
+        floating: Whether nothing holds the base.
+        hands: Links whose frames are further flanges; a hand has the name of its link.
 
     Raises:
         InputError: The file is no URDF, has no such chain, or lacks a number that is needed.
     """
     tree = UrdfTree(file)
-    held = _locked(tree, lock)
-    chain = tree.chain(base, tip)
+    positions = _given_positions(tree, lock)
+    notes = [*tree.notes, *_held_notes(tree, positions)]
+    _hold(tree, positions)
+    still = _still_joints(tree, tree.chain(base, tip, floating), move, positions)
+    _hold(tree, still)
+    chain = tree.chain(base, tip, floating)
     _check_inertials(tree, chain)
-    notes = [*tree.notes, *held, *_recentred_inertias(tree, chain, inertia_at)]
-    chain = tree.chain(base, tip)
-    names = [joint.get("name", "") for joint in chain.joints]
+    notes += [*_still_note(tree, still), *_recentred_inertias(tree, chain, inertia_at)]
+    chain = tree.chain(base, tip, floating)
+    moving = [joint for joint in chain.joints if tree.mimic(joint) is None]
+    names = [joint.get("name", "") for joint in moving]
     given, shown = given_limits(limits, names, file), measured(names)
-    try:
-        model = pin.buildModelFromXML(chain.urdf)
-    except ValueError as error:
-        raise InputError(f"Pinocchio does not read it: {error}", file=file) from None
-    joints, links, rows = [], [], []
-    before = np.eye(3)
+    model = _model(chain, floating)
     meshes = _meshes(tree, chain, model, packages, notes)
-    for index, joint in enumerate(chain.joints, start=1):
-        turn = frame_of_axis(np.array(_axis(tree, joint)))
-        placement, body = model.jointPlacements[index], model.inertias[index]
-        link = joint.find("child")
-        if body.mass <= 0.0:
-            raise InputError(
-                "expected an <inertial> with a mass > 0 [kg], in it or in a link that is fixed to it",
-                file=file,
-                key=f"link {'' if link is None else link.get('link')}",
-            )
-        origin = _placement(before.T @ placement.translation, before.T @ placement.rotation @ turn)
-        joints.append(JointOrigin.model_validate({"type": _type(joint), **origin}))
-        links.append(_link(body, turn, meshes.get(index, []), child_of(joint)))
-        rows.append(_limits(tree, joint, given, shown, notes))
-        before = turn
-    frame = model.frames[model.getFrameId(chain.tip, pin.FrameType.BODY)].placement
-    flange = Flange.model_validate(_placement(before.T @ frame.translation, before.T @ frame.rotation))
-    columns = [tuple(column) for column in zip(*rows, strict=True)]
+    joints, links, (flange, *others) = _bodies(tree, chain, model, meshes, hands)
+    rows = [_limits(tree, joint, given, shown, notes) for joint in moving]
+    columns = [tuple(row[place] for row in rows) for place in range(len(Limits.model_fields))]
+    of_base = meshes.get(int(floating), [])
     facts = RobotFacts(
         source=source or f"imported from {file.name}",
         joints=tuple(joints),
         flange=flange,
+        hands=tuple(Hand(name=name, **dict(other)) for name, other in zip(hands, others, strict=True)),
         limits=Limits(**dict(zip(Limits.model_fields, columns, strict=True))),
         links=tuple(links),
-        base_meshes=tuple(_mesh(one, np.eye(3)) for one in meshes.get(0, [])),
+        floating_base=_body(tree, model.inertias[1], np.eye(3), chain.base) if floating else None,
+        base_meshes=tuple(_mesh(one, np.eye(3)) for one in of_base),
         joint_torque_loop=False,
     )
-    joint_names = tuple(joint.get("name", "") for joint in chain.joints)
-    return ImportedRobot(facts, joint_names, (*_notes(chain), *notes, *_missing_meshes(facts), NOT_IN_URDF_NOTE))
+    return ImportedRobot(facts, tuple(names), (*_notes(chain), *notes, *_missing_meshes(facts), NOT_IN_URDF_NOTE))
+
+
+def _model(chain: Chain, floating: bool) -> pin.Model:
+    """The kept part of the URDF, whose joints all move by themselves."""
+    try:
+        return pin.buildModelFromXML(chain.urdf, *([pin.JointModelFreeFlyer()] if floating else []))
+    except ValueError as error:
+        raise InputError(f"Pinocchio does not read it: {error}", file=chain.file) from None
+
+
+def _bodies(
+    tree: UrdfTree, chain: Chain, model: pin.Model, meshes: Mapping[int, list[_FoundMesh]], hands: Sequence[str]
+) -> tuple[list[JointOrigin], list[Link], list[Flange]]:
+    """Joints, links, and the flanges at tip and hands, in the frames of robot facts."""
+    joints: list[JointOrigin] = []
+    links: list[Link] = []
+    names = [joint.get("name", "") for joint in chain.joints]
+    of_pinocchio = [model.getJointId(name) for name in names]
+    numbers = {own: number for number, own in enumerate(of_pinocchio, start=1)}  # others are the base
+    turns = [np.eye(3), *(frame_of_axis(np.array(_axis(tree, joint))) for joint in chain.joints)]
+    simple = not any(tree.mimic(joint) for joint in chain.joints) and not chain.beside
+    flanges: list[Flange] = []
+    for number, (joint, own) in enumerate(zip(chain.joints, of_pinocchio, strict=True), start=1):
+        carrier = numbers.get(model.parents[own], 0)
+        placement, turn, before = model.jointPlacements[own], turns[number], turns[carrier]
+        origin: dict[str, object] = {"type": _type(joint)}
+        origin |= _placement(before.T @ placement.translation, before.T @ placement.rotation @ turn)
+        if not simple:
+            origin["name"] = joint.get("name", "")
+        if carrier != number - 1:
+            origin["parent"] = links[carrier - 1].name if carrier else BASE
+        if (mimic := tree.mimic(joint)) is not None:
+            origin["mimic"] = dict(zip(Mimic.model_fields, mimic, strict=True))
+        joints.append(JointOrigin.model_validate(origin))
+        name = f"moving_{BASE}" if child_of(joint) == BASE else child_of(joint)  # robot facts call the base so
+        links.append(_link(tree, model.inertias[own], turn, meshes.get(own, []), name))
+    for name in (chain.tip, *hands):
+        if not model.existFrame(name, pin.FrameType.BODY):
+            raise InputError(
+                f"no link {name!r} among the kept ones{did_you_mean(name, tree.links)}; expected one that --move "
+                "lets move",
+                file=chain.file,
+                key="--hand",
+            )
+        frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
+        carrier = numbers.get(frame.parentJoint, 0)
+        before = turns[carrier]
+        placed = _placement(before.T @ frame.placement.translation, before.T @ frame.placement.rotation)
+        link = "" if carrier == len(links) else links[carrier - 1].name if carrier else BASE
+        flanges.append(Flange.model_validate({**placed, "link": link}))
+    return joints, links, flanges
 
 
 def frame_of_axis(axis: Array) -> Array:
@@ -150,7 +213,7 @@ def facts_text(robot: ImportedRobot, title: str) -> str:
     """The YAML file of the facts, with comments on what a URDF does not hold.
 
     Args:
-        robot: What was imported.
+        robot: The imported robot.
         title: First comment line.
     """
     facts, limits = robot.facts, robot.facts.limits
@@ -168,22 +231,52 @@ def facts_text(robot: ImportedRobot, title: str) -> str:
         "joint_torque_loop: false   # ASSUMED, a URDF does not say; true where joints have torque sensors",
         "joints:   # origin of joint i in link i-1 [m], roll-pitch-yaw [rad]; every axis is +z",
     ]
+    names = iter(robot.joints)
     lines += [
-        f"  - {{{TYPE_ENTRY[origin.type]}xyz: {_row(origin.xyz)}, rpy: {_row(origin.rpy)}}}  # {name}"
-        for origin, name in zip(facts.joints, robot.joints, strict=True)
+        f"  - {{{TYPE_ENTRY[origin.type]}xyz: {_row(origin.xyz)}, rpy: {_row(origin.rpy)}{_place_in_tree(origin)}}}"
+        f"  # {origin.name if origin.mimic else next(names)}"
+        for origin in facts.joints
     ]
-    rpy = f", rpy: {_row(facts.flange.rpy)}" if any(facts.flange.rpy) else ""
-    lines += [f"flange: {{xyz: {_row(facts.flange.xyz)}{rpy}}}", "limits:"]
+    lines.append(f"flange: {{{_flange_text(facts.flange)}}}")
+    if facts.hands:
+        lines.append("hands:    # further flanges with pads, which may hit at once")
+        lines += [f"  - {{name: {_text(hand.name)}, {_flange_text(hand)}}}" for hand in facts.hands]
+    lines.append("limits:")
     lines += [f"  {name}: {_row(getattr(limits, name))}" for name in Limits.model_fields]
     lines.append("links:    # mass [kg], com [m], inertia [ixx, ixy, ixz, iyy, iyz, izz] [kg m^2]")
-    lines += [
-        f"  - {{name: {json.dumps(link.name, ensure_ascii=False)}, mass: {_number(link.mass)}, com: {_row(link.com)}, "
-        f"inertia: {_row(link.inertia)}{_shown(link.meshes)}}}"
-        for link in facts.links
-    ]
+    lines += [f"  - {_link_row(link)}" for link in facts.links]
+    if facts.floating_base is not None:
+        lines.append(f"floating_base: {{{_body_text(facts.floating_base)}}}")
     if facts.base_meshes:
         lines.append(f"base_meshes: {_mesh_rows(facts.base_meshes)}")
     return "\n".join(lines) + "\n"
+
+
+def _flange_text(flange: Flange) -> str:
+    """Keys of a flange."""
+    rpy = f", rpy: {_row(flange.rpy)}" if any(flange.rpy) else ""
+    return f"xyz: {_row(flange.xyz)}{rpy}" + (f", link: {_text(flange.link)}" if flange.link else "")
+
+
+def _place_in_tree(joint: JointOrigin) -> str:
+    """Keys of a joint of a tree."""
+    found = [f"{key}: {_text(getattr(joint, key))}" for key in ("name", "parent") if getattr(joint, key)]
+    if (mimic := joint.mimic) is not None:
+        numbers = f"ratio: {_number(mimic.ratio)}, offset: {_number(mimic.offset)}"
+        found.append(f"mimic: {{joint: {_text(mimic.joint)}, {numbers}}}")
+    return "".join(f", {one}" for one in found)
+
+
+def _link_row(link: Link) -> str:
+    return f"{{name: {_text(link.name)}, {_body_text(link)}{_shown(link.meshes)}}}"
+
+
+def _body_text(body: Inertial) -> str:
+    return f"mass: {_number(body.mass)}, com: {_row(body.com)}, inertia: {_row(body.inertia)}"
+
+
+def _text(name: str) -> str:
+    return json.dumps(name, ensure_ascii=False)
 
 
 def _shown(meshes: Sequence[Mesh]) -> str:
@@ -318,12 +411,60 @@ def _limits(
     return lower, upper, most[0], most[1]
 
 
-def _locked(tree: UrdfTree, texts: Sequence[str]) -> list[str]:
-    """Joints locked at positions given by the user; notes on them."""
-    moving = {joint.get("name", ""): joint for joint in tree.above.values() if joint.get("type") in MOVABLE_JOINT_TYPES}
-    notes = []
-    for name, position in locked_joints(texts, list(moving), tree.file).items():
-        joint, origin = moving[name], moving[name].find("origin")
+def _movable(tree: UrdfTree) -> dict[str, Xml.Element]:
+    """Joints that turn or slide, by name."""
+    return {joint.get("name", ""): joint for joint in tree.above.values() if joint.get("type") in MOVABLE_JOINT_TYPES}
+
+
+def _given_positions(tree: UrdfTree, lock: Sequence[str]) -> dict[str, float]:
+    """Positions of joints that the user locks, and of those that follow them [rad, m]."""
+    movable = _movable(tree)
+    given = locked_joints(lock, list(movable), tree.file)
+    for name, joint in movable.items():
+        if name not in given and (mimic := tree.mimic(joint)) is not None and mimic[0] in given:
+            given[name] = mimic[1] * given[mimic[0]] + mimic[2]
+    return given
+
+
+def _still_joints(tree: UrdfTree, chain: Chain, move: Sequence[str], given: Mapping[str, float]) -> dict[str, float]:
+    """Positions of joints beside the path that the user does not let move, while the robot hits [rad, m].
+
+    They stand at 0, or at the limit nearest to it; a joint that follows one of them, where that one puts it.
+    """
+    known = {joint.get("name", ""): joint for joint in chain.joints}
+    beside = [joint.get("name", "") for joint in chain.beside]
+    let = set()
+    for pattern in move:
+        matching = fnmatch.filter(beside, pattern)
+        if not matching:
+            near = did_you_mean(pattern, beside)
+            said = f"no joint {pattern!r} moves beside the path to the tip and with the robot{near}; those that do: "
+            raise InputError(f"{said}{', '.join(beside) or 'none'}", file=tree.file, key="--move")
+        let |= {name for name in matching if tree.mimic(known[name]) is None}
+    by_themselves = {name for name in known if name not in beside and tree.mimic(known[name]) is None} | let
+    still = {}
+    for name, joint in known.items():
+        leader, ratio, offset = tree.mimic(joint) or (name, 1.0, 0.0)
+        if leader not in by_themselves:
+            still[name] = ratio * given.get(leader, _rest(tree, leader)) + offset
+    return still
+
+
+def _rest(tree: UrdfTree, name: str) -> float:
+    """Position of a joint nearest to 0 within its limits [rad, m]."""
+    joint = _movable(tree).get(name)
+    limit = None if joint is None or joint.get("type") == "continuous" else joint.find("limit")
+    if limit is None:
+        return 0.0
+    (lower,), (upper,) = (tree.numbers(limit, end, 1, "0", f"joint {name}: limit {end}") for end in ("lower", "upper"))
+    return min(max(0.0, lower), upper) if lower < upper else 0.0
+
+
+def _hold(tree: UrdfTree, positions: Mapping[str, float]) -> None:
+    """Fix joints at positions [rad, m]."""
+    movable = _movable(tree)
+    for name, position in positions.items():
+        joint, origin = movable[name], movable[name].find("origin")
         turn = pin.rpy.rpyToMatrix(*tree.numbers(origin, "rpy", 3, "0 0 0", f"joint {name}: origin rpy"))
         axis, shift = _axis(tree, joint), np.zeros(3)
         if _type(joint) == "prismatic":
@@ -334,9 +475,22 @@ def _locked(tree: UrdfTree, texts: Sequence[str]) -> list[str]:
         origin = Xml.SubElement(joint, "origin") if origin is None else origin
         for attribute, values in placed.items():
             origin.set(attribute, " ".join(repr(value) for value in values))
-        notes.append(f"Joint {name} is held at {position:g} {UNITS[_type(joint)].position}, as given.")
         joint.set("type", "fixed")
-    return notes
+
+
+def _held_notes(tree: UrdfTree, positions: Mapping[str, float]) -> Iterable[str]:
+    movable = _movable(tree)
+    for name, at in positions.items():
+        yield f"Joint {name} is held at {at:g} {UNITS[_type(movable[name])].position}, as given."
+
+
+def _still_note(tree: UrdfTree, still: Mapping[str, float]) -> Iterable[str]:
+    if still:
+        places = ", ".join(f"{name} at {at:g}" for name, at in still.items())
+        yield (
+            f"Joints beside the path to the tip, which stand still while the robot hits [rad, m]: {places}. "
+            "--lock JOINT=PLACE holds one elsewhere, --move JOINT lets it move."
+        )
 
 
 def _recentred_inertias(tree: UrdfTree, chain: Chain, inertia_at: str) -> list[str]:
@@ -388,9 +542,9 @@ def _placement(translation: Array, rotation: Array) -> dict[str, tuple[float, ..
 
 def _meshes(
     tree: UrdfTree, chain: Chain, model: pin.Model, packages: Sequence[Path], notes: list[str]
-) -> dict[int, list[tuple[str, pin.SE3, list[float]]]]:
+) -> dict[int, list[_FoundMesh]]:
     """Address, placement at the joint and scale of every mesh, by number of the joint; 0: base; others are noted."""
-    found: dict[int, list[tuple[str, pin.SE3, list[float]]]] = {}
+    found: dict[int, list[_FoundMesh]] = {}
     for link in Xml.fromstring(chain.urdf).findall("link"):
         name = link.get("name", "")
         frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
@@ -424,17 +578,25 @@ def _missing_meshes(facts: RobotFacts) -> Iterable[str]:
             yield f"Meshes that are not there, in whose place viewers draw simple shapes: {', '.join(found)}; {remedy}."
 
 
-def _mesh(found: tuple[str, pin.SE3, list[float]], turn: Array) -> Mesh:
+def _mesh(found: _FoundMesh, turn: Array) -> Mesh:
     file, placement, scale = found
     placed = _placement(turn.T @ placement.translation, turn.T @ placement.rotation)
     return Mesh.model_validate({"file": file, "scale": scale, **placed})
 
 
-def _link(body: pin.Inertia, turn: Array, meshes: Iterable[tuple[str, pin.SE3, list[float]]], name: str) -> Link:
-    inertia = turn.T @ body.inertia @ turn
-    entries = _clean(inertia[np.triu_indices(3)])
+def _body(tree: UrdfTree, body: pin.Inertia, turn: Array, name: str) -> Inertial:
+    """A body of Pinocchio in a frame turned by ``turn``."""
+    if body.mass <= 0.0:
+        said = "expected an <inertial> with a mass > 0 [kg], in it or in a link that is fixed to it"
+        raise InputError(said, file=tree.file, key=f"link {name}")
+    entries = _clean((turn.T @ body.inertia @ turn)[np.triu_indices(3)])
+    return Inertial(mass=float(body.mass), com=_clean(turn.T @ body.lever), inertia=entries)
+
+
+def _link(tree: UrdfTree, body: pin.Inertia, turn: Array, meshes: Iterable[_FoundMesh], name: str) -> Link:
+    """A link with its meshes; arguments as :func:`_body`."""
     shown = tuple(_mesh(one, turn) for one in meshes)
-    return Link(mass=float(body.mass), com=_clean(turn.T @ body.lever), inertia=entries, meshes=shown, name=name)
+    return Link(**dict(_body(tree, body, turn, name)), meshes=shown, name=name)
 
 
 def _clean(values: Iterable[float]) -> tuple[float, ...]:
@@ -461,6 +623,6 @@ def _notes(chain: Chain) -> Iterable[str]:
         yield f"Links that are fixed to the chain and part of its links here: {', '.join(chain.merged)}."
     if chain.left_out:
         left = ", ".join(chain.left_out)
-        yield f"Links beyond the flange are left out; a scenario's end_effector says what is there: {left}."
+        yield f"Links beyond the flange are left out; describe them as end_effector of a scenario: {left}."
     if chain.dynamics:
         yield f"Damping and friction of the URDF are left out (a simulator's, as a rule): {', '.join(chain.dynamics)}."

@@ -5,6 +5,13 @@
 
 M, h and J come from here. The Jacobian is geometric, of frame E, written in E[A]: origin at E, axes of the inertial
 frame A; rows 0..2 are linear, rows 3..5 angular. Units per joint are those of :data:`impact_rs_sim.robots.robot.UNITS`.
+
+Of a tree, columns stand for the components of v (:mod:`impact_rs_sim.robots.robot`): Pinocchio's free flyer in front
+where the base floats. Joints that follow others reduce M and J: with the positions of all joints G q + q_0,
+
+    M = G^T M_all G,    J = J_all G,    h = G^T h_all
+
+(Pinocchio's own mimic joints do so as well, but 4.1 returns another M where a joint follows one that carries it.)
 """
 
 from __future__ import annotations
@@ -12,6 +19,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 import pinocchio as pin
@@ -20,15 +28,18 @@ import scipy
 from impact_rs_sim._kernel import Chain
 from impact_rs_sim.errors import UnreachablePose
 from impact_rs_sim.recent import Recent
-from impact_rs_sim.robots.robot import Array, EndEffector, RobotFacts
+from impact_rs_sim.robots.robot import BASE_POSE_SIZE, Array, EndEffector, RobotFacts
 from impact_rs_sim.robots.urdf import write_urdf
 
 TIP = "end_effector"
 GRAVITY_M_S2 = 9.81
 STANDARD_GRAVITY = (0.0, 0.0, -GRAVITY_M_S2)  # m/s^2, z up
+MAX_QUATERNION_ERROR = 1e-6  # of the length of a base's orientation, which states have to rounding [-]
 MAX_IK_RESTARTS = 30  # of inverse kinematics, where the guess leads nowhere
 MAX_IK_NEWTON_STEPS = 30  # of inverse kinematics; from a guess within a radian it takes six to ten
 MAX_IK_STEP = 0.5  # of any joint in one Newton step [rad or m]
+MAX_IK_RESIDUAL = 1e-9  # of a pose that is reached [m, rad]
+NO_HANDS: Mapping[str, EndEffector] = MappingProxyType({})
 
 
 _SKELETONS: Recent[tuple[object, pin.Model]] = Recent(64)
@@ -63,8 +74,9 @@ class RobotModel:
     Args:
         facts: Kinematics, inertials and limits.
         end_effector: Mass, inertia and pad.
-        base: Placement of the arm's base in A.
+        base: Placement of the arm's base in A; of a floating base the one it has in :meth:`position_of`.
         gravity: Acceleration of gravity in A, ``(3,)`` [m/s^2].
+        hands: End effectors of further hands of a tree, by name of the hand in the facts.
     """
 
     def __init__(
@@ -73,31 +85,57 @@ class RobotModel:
         end_effector: EndEffector,
         base: pin.SE3 | None = None,
         gravity: Array | tuple[float, float, float] = STANDARD_GRAVITY,
+        hands: Mapping[str, EndEffector] = NO_HANDS,
     ) -> None:
         self.facts = facts
         self.end_effector = end_effector
         self.base = pin.SE3.Identity() if base is None else base
         model = _built(facts, end_effector)
-        model.jointPlacements[1] = self.base * model.jointPlacements[1]
+        self._frame = model.getFrameId(TIP)
+        self._frames = {"": self._frame, **{name: _mount_hand(model, facts, name, hands[name]) for name in hands}}
+        if facts.floating_base is None:
+            for joint, parent in enumerate(model.parents):
+                if joint and not parent:
+                    model.jointPlacements[joint] = self.base * model.jointPlacements[joint]
         model.gravity.linear = np.asarray(gravity, dtype=float)
         self.pinocchio = model
         self.data = model.createData()
-        self.joint_count = model.nq
-        self._frame = model.getFrameId(TIP)
+        self.joint_count = facts.base_size + facts.joint_count
+        pose = BASE_POSE_SIZE if facts.base_size else 0
+        self._shapes = ((pose + facts.joint_count,), (self.joint_count,), (facts.joint_count,))
+        follows = any(joint.mimic is not None for joint in facts.joints)
+        self._reduction = facts.reduction if follows else None
         self._zero = np.zeros(model.nv)
-        self.position_min = np.array(facts.limits.position_min_rad)
-        self.position_max = np.array(facts.limits.position_max_rad)
-        self.velocity_max = np.array(facts.limits.velocity_rad_s)
-        self.torque_max = np.array(facts.limits.torque_Nm)
+        free, limits = np.full(facts.base_size, np.inf), facts.limits
+        self.position_min = np.concatenate((-free, limits.position_min_rad))
+        self.position_max = np.concatenate((free, limits.position_max_rad))
+        self.velocity_max = np.concatenate((free, limits.velocity_rad_s))
+        self.torque_max = np.array(limits.torque_Nm)
 
     @property
     def urdf(self) -> str:
         """The arm on a base at the origin."""
         return write_urdf(self.facts, self.end_effector)
 
+    def position_of(self, joints: Array) -> Array:
+        """q of joints ``(n,)``: a floating base is where :attr:`base` says."""
+        return np.concatenate((pin.SE3ToXYZQUAT(self.base), joints)) if self.facts.base_size else np.array(joints)
+
+    def takes(self, position: Array, velocity: Array, motor_inertia: Array) -> bool:
+        """Whether q, v and B are of this robot: their sizes, and the quaternion of a floating base."""
+        if (position.shape, velocity.shape, motor_inertia.shape) != self._shapes:
+            return False
+        length = 1.0 if self.facts.floating_base is None else float(np.linalg.norm(position[3:BASE_POSE_SIZE]))
+        return abs(length - 1.0) <= MAX_QUATERNION_ERROR
+
     @functools.cached_property
     def chain(self) -> Chain:
-        """Compiled model of the arm for simulations."""
+        """Compiled model of the arm for simulations.
+
+        Raises:
+            InputError: The robot is a tree.
+        """
+        self.facts.check_chain("the simulator", "robot")
         model, tip = self.pinocchio, self.pinocchio.frames[self._frame].placement
         inertias = list(model.inertias)[1:]
         return Chain(
@@ -112,7 +150,7 @@ class RobotModel:
         )
 
     def terms(self, q: Array, dq: Array) -> RigidTerms:
-        """All terms at joint positions ``q`` ``(n,)`` [rad] and velocities ``dq`` ``(n,)`` [rad/s]."""
+        """All terms of a chain at joint positions ``q`` ``(n,)`` [rad] and velocities ``dq`` ``(n,)`` [rad/s]."""
         model, data, frame = self.pinocchio, self.data, self._frame
         pin.computeAllTerms(model, data, q, dq)
         jacobian = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED).reshape(6, self.joint_count)
@@ -131,70 +169,93 @@ class RobotModel:
 
     def mass_matrix(self, q: Array) -> Array:
         """M(q), ``(n, n)`` [kg m^2], a copy."""
-        return symmetric(pin.crba(self.pinocchio, self.data, q))
+        return self._reduced(symmetric(pin.crba(self.pinocchio, self.data, self._all(q))))
 
     def gravity_torque(self, q: Array) -> Array:
         """g(q), ``(n,)`` [N m], a copy."""
-        return np.array(pin.computeGeneralizedGravity(self.pinocchio, self.data, q))
+        return self._reduced(np.array(pin.computeGeneralizedGravity(self.pinocchio, self.data, self._all(q))))
 
-    def jacobian(self, q: Array) -> Array:
-        """J(q) of frame E in E[A], ``(6, n)``."""
-        jacobian = pin.computeFrameJacobian(self.pinocchio, self.data, q, self._frame, pin.LOCAL_WORLD_ALIGNED)
-        return np.array(jacobian).reshape(6, self.joint_count)  # of one joint Pinocchio makes a vector
+    def jacobian(self, q: Array, hand: str = "") -> Array:
+        """J(q) of frame E of the flange, or of a hand by name, in E[A], ``(6, n)``."""
+        model, frame = self.pinocchio, self._frames[hand]
+        jacobian = pin.computeFrameJacobian(model, self.data, self._all(q), frame, pin.LOCAL_WORLD_ALIGNED)
+        return self._of_columns(np.array(jacobian))
 
-    def placement(self, q: Array) -> pin.SE3:
-        """Placement of frame E in A."""
-        pin.framesForwardKinematics(self.pinocchio, self.data, q)
-        return self.data.oMf[self._frame].copy()
+    def placement(self, q: Array, hand: str = "") -> pin.SE3:
+        """Placement of frame E of the flange, or of a hand by name, in A."""
+        pin.framesForwardKinematics(self.pinocchio, self.data, self._all(q))
+        return self.data.oMf[self._frames[hand]].copy()
 
-    def at_impact(self, q: Array) -> tuple[Array, Array, pin.SE3]:
-        """Terms of an impact at q, from one pass over the chain.
+    def at_impact(self, q: Array, hand: str = "") -> tuple[Array, Array, pin.SE3]:
+        """Terms of an impact at q, from one pass over the chain; E is on the flange, or on a hand by name.
 
         Returns:
             M(q), of which only the upper triangle counts, ``(n, n)`` [kg m^2]; J(q) of frame E in E[A], ``(6, n)``; and
             the placement of E in A. M and the placement are overwritten by the next call.
         """
-        model, data = self.pinocchio, self.data
-        pin.crba(model, data, q, pin.Convention.WORLD)  # leaves placements and Jacobian of the joints behind
-        placement = pin.updateFramePlacement(model, data, self._frame)
-        jacobian = pin.getFrameJacobian(model, data, self._frame, pin.LOCAL_WORLD_ALIGNED)
-        return data.M, jacobian.reshape(6, self.joint_count), placement
+        model, data, frame = self.pinocchio, self.data, self._frames[hand]
+        pin.crba(model, data, self._all(q), pin.Convention.WORLD)  # leaves placements and Jacobian of the joints behind
+        placement = pin.updateFramePlacement(model, data, frame)
+        jacobian = self._of_columns(pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED))
+        return data.M if self._reduction is None else self._reduced(symmetric(data.M)), jacobian, placement
+
+    def _all(self, q: Array) -> Array:
+        """Configuration of all joints, with those that follow others."""
+        if self._reduction is None:
+            return q
+        matrix, offset = self._reduction
+        joints = matrix @ self.facts.columns_of(self.facts.joints_of(q)) + offset
+        return np.concatenate((q[: q.size - self.facts.joint_count], joints[self.facts.base_size :]))
+
+    def _reduced(self, of_all: Array) -> Array:
+        """G^T X G of a matrix of all joints, G^T x of a vector."""
+        if self._reduction is None:
+            return of_all
+        matrix = self._reduction[0]
+        return np.asarray(matrix.T @ of_all if of_all.ndim == 1 else matrix.T @ of_all @ matrix)
+
+    def _of_columns(self, jacobian: Array) -> Array:
+        """J G; of one joint Pinocchio makes a vector."""
+        whole = jacobian.reshape(6, self.pinocchio.nv)
+        return whole if self._reduction is None else np.asarray(whole @ self._reduction[0])
 
     def link_placements(self, q: Array) -> dict[str, pin.SE3]:
         """Placement in A of every link, by its name in the URDF."""
-        pin.framesForwardKinematics(self.pinocchio, self.data, q)
+        pin.framesForwardKinematics(self.pinocchio, self.data, self._all(q))
         frames = {
             frame.name: self.data.oMf[index].copy()
             for index, frame in enumerate(self.pinocchio.frames)
             if frame.type == pin.FrameType.BODY and frame.name != "universe"
         }
-        return {**frames, "base": self.base}
+        return frames if self.facts.base_size else {**frames, "base": self.base}
 
     def inverse_dynamics(self, q: Array, dq: Array, ddq: Array) -> Array:
         """M ddq + h, ``(n,)`` [N m], a copy."""
-        return np.array(pin.rnea(self.pinocchio, self.data, q, dq, ddq))
+        if self._reduction is not None:
+            dq, ddq = (self._reduction[0] @ rate for rate in (dq, ddq))
+        return self._reduced(np.array(pin.rnea(self.pinocchio, self.data, self._all(q), dq, ddq)))
 
     def inverse_kinematics(
         self,
         target: pin.SE3,
         held: Mapping[int, float],
         guess: Array,
-        tolerance: float = 1e-9,
         further_starts: int = MAX_IK_RESTARTS,
+        hands: Mapping[str, pin.SE3] = MappingProxyType({}),
     ) -> Array:
         """Joint positions that reach ``target`` with frame E while some joints are held.
 
-        Newton's method for six free joints; outside the limits, without convergence, or for another number of joints,
-        bounded least squares. If the guess fails, other starts are tried, and the solution nearest to the guess is
-        returned.
+        Newton's method for six free joints and one pad; outside the limits, without convergence, for another number of
+        joints or for several hands, bounded least squares. If the guess fails, other starts are tried, and the solution
+        nearest to the guess is returned.
 
         Args:
             target: Wanted placement of E in A.
             held: Positions of the joints of the posture task, which resolve the redundancy, by number from 0 [rad]
                 (paper sec. Reference generation).
             guess: Where to start, ``(n,)`` [rad].
-            tolerance: Largest accepted residual [m, rad].
             further_starts: Number of other starts if the guess fails.
+            hands: Wanted placements of further hands at the same time, by name.
 
         Raises:
             UnreachablePose: The pose cannot be reached within the joint limits.
@@ -211,29 +272,32 @@ class RobotModel:
         q = np.array(guess, dtype=float)
         q[list(held)] = list(held.values())
 
-        if free.size == 6 and (found := self._newton(target, q.copy(), free)) is not None:
+        if free.size == 6 and not hands and (found := self._newton(target, q.copy(), free)) is not None:
             return found
         inside = np.clip(q, lower + 1e-6, upper - 1e-6)[free]
         bounds = (lower[free], upper[free])
 
         def error(angles: Array) -> Array:
             q[free] = angles
-            return _pose_error(target, self.placement(q))
+            of_hands = (_pose_error(wanted, self.placement(q, hand)) for hand, wanted in hands.items())
+            return np.concatenate((_pose_error(target, self.placement(q)), *of_hands))
 
         best = _least(error, inside, bounds)
-        if np.max(np.abs(best.fun)) > tolerance:
+        if np.max(np.abs(best.fun)) > MAX_IK_RESIDUAL:
             rng = np.random.default_rng(0)
             others = [_least(error, rng.uniform(*bounds), bounds) for _ in range(further_starts)]
-            reached = [found for found in others if np.max(np.abs(found.fun)) <= tolerance]
+            reached = [found for found in others if np.max(np.abs(found.fun)) <= MAX_IK_RESIDUAL]
             best = min(reached, key=lambda found: float(np.linalg.norm(found.x - inside)), default=None) or min(
                 [best, *others], key=lambda found: float(found.cost)
             )
-        if np.max(np.abs(best.fun)) > tolerance:
+        if np.max(np.abs(best.fun)) > MAX_IK_RESIDUAL:
             units = self.facts.units
             held_at = "".join(f", joint {joint + 1} at {at:.4g} {units[joint].position}" for joint, at in held.items())
+            places = [np.round(one.translation, 4).tolist() for one in (target, *hands.values())]
+            off, turned = np.linalg.norm(best.fun.reshape(-1, 2, 3), axis=2).max(axis=0)
             raise UnreachablePose(
-                f"E cannot be at {np.round(target.translation, 4).tolist()} m{held_at}: the nearest pose is "
-                f"{np.linalg.norm(best.fun[:3]):.3g} m and {np.linalg.norm(best.fun[3:]):.3g} rad off"
+                f"E cannot be at {' and '.join(map(str, places))} m{held_at}: the nearest pose is {off:.3g} m and "
+                f"{turned:.3g} rad off"
             )
         q[free] = best.x
         return q
@@ -257,6 +321,10 @@ class RobotModel:
             q[free] += step * min(1.0, MAX_IK_STEP / float(np.abs(step).max()))
         return None
 
+    def inertia(self, q: Array, motor_inertia: Array) -> Array:
+        """M(q) + B with the diagonal ``(n,)`` of B, ``(nv, nv)`` [kg m^2]."""
+        return self.mass_matrix(q) + np.diag(self.facts.columns_of(motor_inertia))
+
     def mobility(self, q: Array, direction: Array, motor_inertia: Array) -> float:
         """Velocity of E along ``direction`` per impulse there: ``n^T J (M + B)^-1 J^T n`` [1/kg].
 
@@ -266,8 +334,7 @@ class RobotModel:
             motor_inertia: Diagonal of B, ``(n,)`` [kg m^2].
         """
         row = np.asarray(direction) @ self.jacobian(q)[:3]
-        inertia = self.mass_matrix(q) + np.diag(motor_inertia)
-        return float(row @ np.linalg.solve(inertia, row))
+        return float(row @ np.linalg.solve(self.inertia(q, motor_inertia), row))
 
     def effective_mass(self, q: Array, direction: Array, motor_inertia: Array) -> float:
         """Effective mass along ``direction`` at E, the inverse of :meth:`mobility` [kg]; arguments as there."""
@@ -280,8 +347,10 @@ def symmetric(upper: Array) -> Array:
 
 
 def mounted_inertia(facts: RobotFacts, end_effector: EndEffector) -> pin.Inertia:
-    """Inertia of the last link with its end effector, in frame E."""
-    model, link = _skeleton(facts, end_effector), facts.links[-1]
+    """Inertia of the link with the flange and its end effector, in frame E."""
+    model, carrier = _skeleton(facts, end_effector), facts.flange_link
+    link = facts.links[carrier - 1] if carrier else facts.floating_base
+    assert link is not None  # a flange on a base that is fixed is refused
     tip = model.frames[model.getFrameId(TIP)].placement
     bare = _inertia(link.mass, np.array(link.com), link.inertia_matrix)
     return tip.actInv(bare) + _inertia(end_effector.mass, end_effector.com, end_effector.inertia)
@@ -290,11 +359,23 @@ def mounted_inertia(facts: RobotFacts, end_effector: EndEffector) -> pin.Inertia
 def _built(facts: RobotFacts, end_effector: EndEffector) -> pin.Model:
     """The arm on a base at the origin."""
     model = _skeleton(facts, end_effector).copy()
-    for index, link in enumerate(facts.links, start=1):
+    bodies = facts.links if facts.floating_base is None else (facts.floating_base, *facts.links)
+    for index, link in enumerate(bodies, start=1):
         model.inertias[index] = _inertia(link.mass, np.array(link.com), link.inertia_matrix)
+    tip = model.frames[model.getFrameId(TIP)]
     mounted = _inertia(end_effector.mass, end_effector.com, end_effector.inertia)
-    model.inertias[model.njoints - 1] += model.frames[model.getFrameId(TIP)].placement.act(mounted)
+    model.inertias[tip.parentJoint] += tip.placement.act(mounted)
     return model
+
+
+def _mount_hand(model: pin.Model, facts: RobotFacts, name: str, tool: EndEffector) -> int:
+    """Add the end effector of a further hand to its link; the number of its frame E."""
+    (hand,) = [one for one in facts.hands if one.name == name]
+    carrier = model.njoints - 1 - len(facts.joints) + facts.link_of(hand)
+    placement = hand.placement * tool.mount
+    model.inertias[carrier] += placement.act(_inertia(tool.mass, tool.com, tool.inertia))
+    frame = pin.Frame(f"hand {name}", carrier, 0, placement, pin.FrameType.OP_FRAME)
+    return int(model.addFrame(frame, False))
 
 
 def _skeleton(facts: RobotFacts, end_effector: EndEffector) -> pin.Model:
@@ -304,12 +385,34 @@ def _skeleton(facts: RobotFacts, end_effector: EndEffector) -> pin.Model:
     identity of the objects: hashing all numbers would take longer than building the model.
     """
     parts = facts.joints, facts.flange, facts.limits
-    place = end_effector.mount_numbers
+    place = (*end_effector.mount_numbers, facts.base_size)
     kept, skeleton = _SKELETONS.of(
-        (*map(id, parts), *place), lambda: (parts, pin.buildModelFromXML(write_urdf(facts, end_effector)))
+        (*map(id, parts), *place),
+        lambda: (
+            parts,
+            pin.buildModelFromXML(write_urdf(facts, end_effector)) if facts.is_chain else _tree(facts, end_effector),
+        ),
     )
     del kept  # as long as it is known, no other object has its identity
     return skeleton
+
+
+def _tree(facts: RobotFacts, end_effector: EndEffector) -> pin.Model:
+    """Kinematic model of a tree on a base at the origin, joints in the order of the facts."""
+    model = pin.Model()
+    if facts.floating_base is not None:
+        model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
+    first = model.njoints - 1  # Pinocchio's number of the base
+    model.addBodyFrame("base", first, pin.SE3.Identity(), 0)
+    for number, (origin, parent) in enumerate(zip(facts.joints, facts.parents, strict=True), start=1):
+        kind = pin.JointModelPZ() if origin.type == "prismatic" else pin.JointModelRZ()
+        placement = pin.SE3(pin.rpy.rpyToMatrix(*origin.rpy), np.array(origin.xyz))
+        joint = model.addJoint(first + parent, kind, placement, f"joint{number}")
+        model.addBodyFrame(f"link{number}", joint, pin.SE3.Identity(), 0)
+    flange = pin.SE3(facts.flange.rotation, np.array(facts.flange.xyz))
+    tip = pin.Frame(TIP, first + facts.flange_link, 0, flange * end_effector.mount, pin.FrameType.BODY)
+    model.addFrame(tip, False)
+    return model
 
 
 def _inertia(mass: float, com: Array, inertia: Array) -> pin.Inertia:

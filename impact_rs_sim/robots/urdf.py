@@ -100,7 +100,11 @@ def write_urdf(
         name: Robot name of the URDF.
         prefix: Prefix of every name of a link and of a joint, where several arms are in one URDF.
         meshes: Show the meshes of the facts, where they have some; a viewer finds them, a physics engine need not.
+
+    Raises:
+        InputError: The robot is a tree.
     """
+    facts.check_chain("the URDF that simulators and viewers load", f"robots.{prefix.removesuffix('_') or name}")
     robot = Xml.Element("robot", name=name)
     base = Xml.SubElement(robot, "link", name=f"{prefix}base")
     _inertial(base, *_FIXED_LINK_INERTIAL)

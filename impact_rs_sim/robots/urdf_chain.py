@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serial chain from base to tip of a URDF: moving joints, merged fixed links, and omitted links.
+"""Chain from base to tip of a URDF, with its side branches: moving joints, merged fixed links, and omitted links.
 
-A URDF is a tree of links. An arm is the path from its base to its tip. Side branches fixed to this path are merged into
-it; links beyond the tip are omitted: they are the end effector of a scenario. No joint is locked silently: a moving
-joint in a side branch is refused unless the user gives its position.
+A URDF is a tree of links. An arm is the path from its base to its tip, with the branches that hang on its moving links,
+and on a base that floats. Links fixed to others are merged into them; links beyond the tip are omitted: they are the
+end effector of a scenario. Joints stand in depth-first order, the path before side branches.
 """
 
 from __future__ import annotations
@@ -39,13 +39,14 @@ UNIQUE_ELEMENTS = {  # elements that may stand once in an element; of two a read
 
 @dataclass(frozen=True)
 class Chain:
-    """The chain from base to tip.
+    """The chain from base to tip, with its side branches.
 
     Attributes:
         file: The URDF.
         base: Link that the arm is mounted with.
         tip: Link that the flange is the frame of.
-        joints: Joints that move, base to tip, as in the file.
+        joints: Joints that move, as in the file: depth first, along the path before side branches.
+        beside: Those of them in side branches.
         merged: Links with mass that are fixed to a moving link, on the path or in a side branch.
         left_out: Links beyond the tip.
         dynamics: Joints that the file says damping or friction of.
@@ -56,6 +57,7 @@ class Chain:
     base: str
     tip: str
     joints: tuple[Xml.Element, ...]
+    beside: tuple[Xml.Element, ...]
     merged: tuple[str, ...]
     left_out: tuple[str, ...]
     dynamics: tuple[str, ...]
@@ -115,34 +117,61 @@ class UrdfTree:
         if astray:
             self._fail(f"expected one tree of links; these hang on each other in a ring: {', '.join(astray)}")
 
-    def chain(self, base: str | None = None, tip: str | None = None) -> Chain:
-        """The path from ``base`` (default: the root) to ``tip`` (default: the only one).
+    def chain(self, base: str | None = None, tip: str | None = None, floating: bool = False) -> Chain:
+        """The path from ``base`` (default: the root) to ``tip`` (default: the only one), with its side branches.
+
+        Args:
+            base: Its first link.
+            tip: Its last link.
+            floating: Whether the base moves freely: then branches on it count, and no joint need move.
 
         Raises:
-            InputError: No such path, several tips, or a joint that is neither revolute nor prismatic, or mimics
-                another.
+            InputError: No such path, several tips, or a joint that is neither revolute nor prismatic.
         """
         start = self.root if base is None else self._link(base, "--base")
         end = self._only_tip(start) if tip is None else self._link(tip, "--tip")
         path = self._path(start, end)
-        joints = tuple(joint for joint in path if joint.get("type") != "fixed")
+        moved = path if floating else path[next((i for i, one in enumerate(path) if _moves(one)), len(path)) :]
+        if not moved and not floating:
+            self._fail(f"no joint moves between {start!r} and {end!r}; expected at least one that turns or slides")
+        carriers = [child_of(joint) for joint in moved[:-1]]
+        if floating:
+            carriers = [start, *carriers]
+        beside = [joint for carrier in carriers for joint in self._side_branches(carrier, path)]
+        kept = list(self._depth_first(start, [*path, *beside], path))
+        joints = tuple(joint for joint in kept if _moves(joint))
         for joint in joints:
             self._check(joint)
-        if not joints:
-            self._fail(f"no joint moves between {start!r} and {end!r}; expected at least one that turns or slides")
-        moved = path[path.index(joints[0]) :]
-        beside = [joint for carrier in moved[:-1] for joint in self._side_branches(child_of(carrier), path)]
-        fixed = (child_of(joint) for joint in (*moved, *beside) if joint.get("type") == "fixed")
+        fixed = (child_of(joint) for joint in (*moved, *beside) if not _moves(joint))
         return Chain(
             file=self.file,
             base=start,
             tip=end,
             joints=joints,
+            beside=tuple(joint for joint in joints if joint in beside),
             merged=tuple(link for link in fixed if self.links[link].find("inertial") is not None),
-            left_out=tuple(self._everything_below(end)),
+            left_out=() if floating and start == end else tuple(self._everything_below(end)),
             dynamics=tuple(_name(joint) for joint in joints if _has_losses(joint)),
-            urdf=self._pruned(start, [*path, *beside]),
+            urdf=self._pruned(start, kept),
         )
+
+    def mimic(self, joint: Xml.Element) -> tuple[str, float, float] | None:
+        """The joint that a joint follows in the end, ratio and offset; None: it moves by itself.
+
+        Raises:
+            InputError: It follows a joint that is not there, or joints follow each other.
+        """
+        ratio, offset, name, passed = 1.0, 0.0, _name(joint), [_name(joint)]
+        joints = {_name(one): one for one in self.above.values()}
+        while (element := joints[name].find("mimic")) is not None:
+            key = f"joint {passed[0]}: mimic"
+            (own,) = self.numbers(element, "multiplier", 1, "1", f"{key} multiplier")
+            (shift,) = self.numbers(element, "offset", 1, "0", f"{key} offset")
+            ratio, offset, name = ratio * own, offset + ratio * shift, element.get("joint", "")
+            if name not in joints or name in passed:
+                self._fail(f"it follows {name!r}, expected another joint that moves by itself in the end", key)
+            passed.append(name)
+        return None if len(passed) == 1 else (name, ratio, offset)
 
     def numbers(
         self, element: Xml.Element | None, attribute: str, count: int, default: str | None, key: str
@@ -153,8 +182,8 @@ class UrdfTree:
             element: Where it is; None: the element is absent.
             attribute: Its name.
             count: How many numbers there must be.
-            default: What stands for an absent attribute; None: it must be there.
-            key: What an error names.
+            default: Value of an absent attribute; None: it must be there.
+            key: Key in an error.
 
         Raises:
             InputError: It is absent, or holds something else than so many finite numbers.
@@ -236,23 +265,23 @@ class UrdfTree:
         key = f"joint {_name(joint)}"
         kind = joint.get("type")
         if kind not in MOVABLE_JOINT_TYPES:
-            self._fail(f"this joint of the chain is {kind}; expected one of {', '.join(MOVABLE_JOINT_TYPES)}", key)
-        if joint.find("mimic") is not None:
-            self._fail("this joint of the chain mimics another; expected joints that move by themselves", key)
+            free = f", or --base {child_of(joint)} --floating" if kind == "floating" else ""
+            known = ", ".join(MOVABLE_JOINT_TYPES)
+            self._fail(f"this joint of the chain is {kind}; expected one of {known}{free}", key)
 
     def _side_branches(self, link: str, path: list[Xml.Element]) -> Iterator[Xml.Element]:
-        """Fixed joints of the side branches of ``link``."""
+        """Joints of the side branches of ``link``."""
         for joint in self.below[link]:
-            if joint in path:
-                continue
-            if joint.get("type") != "fixed":
-                self._fail(
-                    f"this {joint.get('type')} joint moves beside the chain, on link {link!r}; expected fixed, another "
-                    f"--tip, or --lock {_name(joint)}=0, the place in which it was held [rad or m]",
-                    f"joint {_name(joint)}",
-                )
+            if joint not in path:
+                yield joint
+                yield from self._side_branches(child_of(joint), path)
+
+    def _depth_first(self, link: str, kept: list[Xml.Element], path: list[Xml.Element]) -> Iterator[Xml.Element]:
+        """Joints below ``link`` branch by branch: first along the path, last those that follow another."""
+        own = [joint for joint in self.below[link] if joint in kept]
+        for joint in sorted(own, key=lambda one: (one not in path, one.find("mimic") is not None)):
             yield joint
-            yield from self._side_branches(child_of(joint), path)
+            yield from self._depth_first(child_of(joint), kept, path)
 
     def _everything_below(self, link: str) -> Iterator[str]:
         for joint in self.below[link]:
@@ -298,6 +327,10 @@ def _parse(file: Path) -> Xml.Element:
 
 def _name(element: Xml.Element) -> str:
     return element.get("name", "")
+
+
+def _moves(joint: Xml.Element) -> bool:
+    return joint.get("type") != "fixed"
 
 
 def _parent(joint: Xml.Element) -> str | None:

@@ -105,11 +105,11 @@ def suspected_steiner_ratio(mass: float, centre: Array, inertia: Array, axis: Ar
     """Ratio of moment and Steiner term (m r^2 or m d^2) if the inertia looks as if about the joint; else None.
 
     Args:
-        mass: Of the link [kg].
-        centre: Of mass, from the joint, ``(3,)`` [m].
+        mass: Mass of the link [kg].
+        centre: Centre of mass, from the joint, ``(3,)`` [m].
         inertia: As the URDF has it, ``(3, 3)`` [kg m^2].
-        axis: Of the joint, ``(3,)``.
-        length: Of the arm along its joints [m].
+        axis: Axis of the joint, ``(3,)``.
+        length: Length of the arm along its joints [m].
     """
     distance = float(np.linalg.norm(np.cross(axis, centre)))
     if distance < max(MIN_LONG_LINK_RATIO * length, 1e-9) or mass <= 0.0:
@@ -129,10 +129,10 @@ def about_centre(mass: float, centre: Array, inertia: Array, axis: Array) -> Arr
     Steiner term about the joint axis is subtracted from every moment.
 
     Args:
-        mass: Of the link [kg].
-        centre: Of mass, from the joint, ``(3,)`` [m].
+        mass: Mass of the link [kg].
+        centre: Centre of mass, from the joint, ``(3,)`` [m].
         inertia: About the joint, ``(3, 3)`` [kg m^2].
-        axis: Of the joint, ``(3,)``.
+        axis: Axis of the joint, ``(3,)``.
     """
     square = float(centre @ centre)
     moved = inertia - mass * (square * np.eye(3) - np.outer(centre, centre))

@@ -33,16 +33,16 @@ MAX_PRODUCT_SHARE = 0.01  # of a product of inertia over the trace [-]; more: th
 
 @dataclass(frozen=True)
 class ObjectMesh:
-    """What a mesh says about an object.
+    """Geometry and inertia of an object from its mesh.
 
     Attributes:
-        corners: Of the hull, from the middle of its bounding box, ``(k, 3)`` [m].
+        corners: Corners of the hull, from the middle of its bounding box, ``(k, 3)`` [m].
         size: Extents, ``(3,)`` [m].
         com: Centre of mass from that middle, ``(3,)`` [m].
         moments: Moments of inertia about the centre of mass over the mass, ``(3,)`` [m^2].
-        volume: Of the mesh itself [m^3].
+        volume: Volume of the mesh itself [m^3].
         hull_excess: Volume of the hull over that of the mesh, less 1 [-].
-        middle: Of the bounding box in the axes of the file, ``(3,)`` [m].
+        middle: Middle of the bounding box in the axes of the file, ``(3,)`` [m].
     """
 
     corners: Array

@@ -23,11 +23,13 @@ from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.files import is_file
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robots.bodies import is_physically_consistent
-from impact_rs_sim.robots.robot import Array, EndEffector, Reflexes, RobotFacts, load_facts
+from impact_rs_sim.robots.robot import Array, EndEffector, Inertial, Reflexes, RobotFacts, load_facts
 from impact_rs_sim.robots.robot_model import STANDARD_GRAVITY, RobotModel
+from impact_rs_sim.robots.tool_spring import ToolSpring, about, is_a_spring
 from impact_rs_sim.scenarios.friction_compensation import FrictionCompensation
 from impact_rs_sim.scenarios.object_mesh import read_object_mesh
 from impact_rs_sim.schema import (
+    Matrix6,
     Name,
     NonNegativeVector,
     PositiveVector,
@@ -35,6 +37,7 @@ from impact_rs_sim.schema import (
     Schema,
     Vector,
     Vector3,
+    Vector6,
     load,
     load_mapping,
     omitted,
@@ -45,7 +48,7 @@ from impact_rs_sim.shapes import ConvexShape, check_extents, hull_of
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
 
-AXES = {"x": 0, "y": 1, "z": 2}
+AXIS_NUMBERS = {"x": 0, "y": 1, "z": 2}
 CORNER_TOLERANCE_M = 1e-6  # of the corners of a hull and its size
 UNIT_TOLERANCE = 1e-6  # of the length of a unit vector [-]
 # Half width of the 95 % interval of a motor inertia that is assumed, relative: from none to three times the number.
@@ -88,6 +91,43 @@ class Pad(Schema):
         return self
 
 
+class ToolCompliance(Schema):
+    """Spring and damper between flange and pad, as of a force sensor, a flexure or a slender tool."""
+
+    diagonal: Vector6 | None = omitted(
+        None,
+        description="displacement along x, y, z of frame E per force, and rotation about them per moment, through "
+        "centre [m/N, rad/(N m)]; 0: rigid there",
+    )
+    matrix: Matrix6 | None = omitted(
+        None,
+        description="in place of diagonal: compliance matrix, six rows of six, from force and moment to displacement "
+        "and rotation, symmetric and positive semidefinite [m/N, 1/N, rad/(N m)]",
+    )
+    centre: Vector3 = omitted(
+        (0.0, 0.0, 0.0),
+        description="point in frame E through which forces cause no rotation: the middle of a force sensor or beam [m]",
+    )
+    lag: NonNegative = omitted(0.0, description="damping over stiffness, 2 zeta / omega of a mass on the spring [s]")
+
+    @model_validator(mode="after")
+    def _a_spring(self) -> Self:
+        if (self.diagonal is None) == (self.matrix is None):
+            raise ValueError("expected one of both: diagonal (6 numbers) or matrix (six rows of six)")
+        if not is_a_spring(self._given):
+            key = "diagonal: an entry is" if self.matrix is None else "matrix: not symmetric, or an eigenvalue"
+            raise ValueError(f"{key} below 0; a spring stores energy only, so that no work can be drawn from it")
+        return self
+
+    @property
+    def _given(self) -> Array:
+        return np.diag(self.diagonal) if self.diagonal is not None else np.array(self.matrix)
+
+    def build(self) -> ToolSpring | None:
+        """The spring about the origin of E; None where all is rigid."""
+        return ToolSpring.of(about(self._given, np.array(self.centre)), self.lag)
+
+
 class EndEffectorSpec(Schema):
     """Rigid end effector on the flange; its frame E lies in the middle of the pad's outer face, +z outwards."""
 
@@ -97,12 +137,16 @@ class EndEffectorSpec(Schema):
     length: Positive = Field(description="distance from the flange to the pad's outer face, along the flange axis [m]")
     mount_yaw: float = Field(0.0, description="rotation of the pad about the flange axis [rad]")
     mount_offset: tuple[float, float] = omitted(
-        (0.0, 0.0), description="middle of the pad's face beside the flange axis, along x and y of the flange [m]"
+        (0.0, 0.0),
+        description="offset of the pad's middle from the flange axis, along x and y of the flange [m]",
     )
     mount_tilt: tuple[float, float] = omitted(
         (0.0, 0.0), description="roll and pitch of the pad on the flange, before mount_yaw, as rpy in a URDF [rad]"
     )
     pad: Pad = Field(description="the pad")
+    compliance: ToolCompliance | None = omitted(
+        None, description="spring and damper between flange and pad, in the twin; absent: the tool is rigid"
+    )
 
     @field_validator("inertia")
     @classmethod
@@ -110,6 +154,11 @@ class EndEffectorSpec(Schema):
         if not is_physically_consistent(1.0, np.diag(inertia)):
             raise ValueError("no rigid body has these moments; expected none larger than the sum of the other two")
         return inertia
+
+    @property
+    def tool_spring(self) -> ToolSpring | None:
+        """Spring and damper between flange and pad; None: the tool is rigid."""
+        return None if self.compliance is None else self.compliance.build()
 
     def build(self) -> EndEffector:
         """The rigid body for the URDF."""
@@ -187,6 +236,39 @@ class DriveSettings(Schema):
 POSE_KEYS = ("position", "pad_normal", "pad_up", "joint_guess")
 
 
+def guided_object(what: str, key: str, file: str | None = None) -> InputError:
+    """The refusal of an object on a hinge or slide by ``what``, which takes free and fixed ones."""
+    return InputError(
+        f"{what} takes objects that are free or fixed, and this one has a hinge or slide; impact-rs map takes it",
+        key=key,
+        file=file,
+    )
+
+
+def _is_unit(vector: Array | tuple[float, ...]) -> bool:
+    """Whether a vector has length 1 up to rounding."""
+    return bool(abs(np.linalg.norm(vector) - 1.0) <= UNIT_TOLERANCE)
+
+
+def _check_unit(name: str, vector: tuple[float, ...]) -> None:
+    """Refuse a direction of another length than 1."""
+    if not _is_unit(vector):
+        raise ValueError(f"{name} must be a unit vector")
+
+
+def _check_axes(normal: Array, up: Array) -> None:
+    """Refuse a pad without axes."""
+    if not (_is_unit(normal) and _is_unit(up)):
+        raise ValueError("pad_normal and pad_up must be unit vectors")
+    if abs(normal @ up) > UNIT_TOLERANCE:
+        raise ValueError("pad_normal and pad_up must be perpendicular")
+
+
+def _placement_of(position: Vector3, normal: Vector3, up: Vector3) -> pin.SE3:
+    """Placement of a frame E by its origin, the direction out of its pad and its y axis."""
+    return pin.SE3(np.column_stack((np.cross(up, normal), up, normal)), np.array(position))
+
+
 class ImpactPose(Schema):
     """Configuration of the arm at the impact: the pose of frame E, or the position of every joint."""
 
@@ -205,9 +287,8 @@ class ImpactPose(Schema):
     @property
     def placement(self) -> pin.SE3:
         """Placement of E in the inertial frame at impact, where it is given as a pose."""
-        normal = np.array(self.pad_normal)
-        up = np.array(self.pad_up)
-        return pin.SE3(np.column_stack((np.cross(up, normal), up, normal)), np.array(self.position))
+        assert self.position is not None and self.pad_normal is not None and self.pad_up is not None
+        return _placement_of(self.position, self.pad_normal, self.pad_up)
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Self:
@@ -224,14 +305,36 @@ class ImpactPose(Schema):
 
     @model_validator(mode="after")
     def _orthonormal(self) -> Self:
-        if self.joint_position is not None:
-            return self
-        normal, up = np.array(self.pad_normal), np.array(self.pad_up)
-        if abs(np.linalg.norm(normal) - 1.0) > 1e-6 or abs(np.linalg.norm(up) - 1.0) > 1e-6:
-            raise ValueError("pad_normal and pad_up must be unit vectors")
-        if abs(normal @ up) > 1e-6:
-            raise ValueError("pad_normal and pad_up must be perpendicular")
+        if self.joint_position is None:
+            _check_axes(np.array(self.pad_normal), np.array(self.pad_up))
         return self
+
+
+class HandPose(Schema):
+    """Pose of the pad of a further hand at the impact."""
+
+    position: Vector3 = Field(description="origin of its frame E at impact [m]")
+    pad_normal: Vector3 = Field(description="direction out of its pad at impact, unit vector")
+    pad_up: Vector3 = Field(description="direction of its y axis at impact, unit vector")
+
+    @model_validator(mode="after")
+    def _orthonormal(self) -> Self:
+        _check_axes(np.array(self.pad_normal), np.array(self.pad_up))
+        return self
+
+    @property
+    def placement(self) -> pin.SE3:
+        """Placement of its frame E in the inertial frame at impact."""
+        return _placement_of(self.position, self.pad_normal, self.pad_up)
+
+
+class HandSpec(Schema):
+    """A further hand of a robot, which hits at once."""
+
+    end_effector: EndEffectorSpec = Field(description="end effector on its flange")
+    impact: HandPose | None = omitted(
+        None, description="pose of its pad at the impact; absent where impact.joint_position says where it is"
+    )
 
 
 class Robot(Schema):
@@ -241,10 +344,13 @@ class Robot(Schema):
         description="robot in config/robots, or path of a YAML file from the scenario's folder. That file has these "
         "keys"
     )
-    base: Base = Field(description="mounting of the arm")
+    base: Base = Field(description="mounting of the arm, or pose of a floating base at the impact")
     end_effector: EndEffectorSpec = Field(description="end effector")
     drive: DriveSettings = Field(description="motor side")
     impact: ImpactPose = Field(description="pose at impact")
+    hands: dict[Name, HandSpec] = omitted(
+        {}, description="further hands of the facts, which hit the object at the same moment, by name"
+    )
     reflexes: Reflexes | None = omitted(
         None,
         description="reflex thresholds of the robot in these trials, in place of reflexes in its facts, with the same "
@@ -259,6 +365,11 @@ class Robot(Schema):
             found = count if values is None else len(values)
             if found != count:
                 raise ValueError(f"drive.{name} has {found} entries, expected one per joint ({count})")
+        if self.robot_facts.floating_base is not None and self.impact.joint_position is None:
+            raise ValueError(
+                "impact: a base that floats reaches any pose; expected joint_position, and the pose of the base at "
+                "the impact in base"
+            )
         key = "joint_guess" if self.impact.joint_position is None else "joint_position"
         if len(getattr(self.impact, key)) != count:
             raise ValueError(f"impact.{key} must have one entry per joint ({count}) [rad], prismatic [m]")
@@ -273,12 +384,29 @@ class Robot(Schema):
         return self
 
     @model_validator(mode="after")
+    def _hands_of_its_facts(self) -> Self:
+        known = [hand.name for hand in self.robot_facts.hands]
+        for name, hand in self.hands.items():
+            if name not in known:
+                raise ValueError(
+                    f"hands.{name}: {self.facts_name} has no such hand; it has: {', '.join(known) or 'none'}; "
+                    "impact-rs robot import --hand LINK writes one"
+                )
+            if hand.impact is None and self.impact.joint_position is None:
+                raise ValueError(f"hands.{name}.impact: missing; expected the pose of its pad, as impact has it")
+            if hand.impact is not None and self.impact.joint_position is not None:
+                raise ValueError(f"hands.{name}.impact: joint_position says where the hand is: leave it out")
+        return self
+
+    @model_validator(mode="after")
     def _facts_of_a_robot_that_can_be(self) -> Self:
         """Refuse physically inconsistent inertias; ``robot check`` reads such facts and reports the errors."""
-        for number, link in enumerate(self.robot_facts.links):
+        base = self.robot_facts.floating_base
+        bodies: dict[str, Inertial] = {f"links.{number}": link for number, link in enumerate(self.robot_facts.links)}
+        for key, link in (bodies if base is None else bodies | {"floating_base": base}).items():
             least = float(np.linalg.eigvalsh(link.inertia_matrix)[0])
             if least < 0.0:
-                place = f"{self.facts_name}: links.{number}.inertia"
+                place = f"{self.facts_name}: {key}.inertia"
                 raise ValueError(f"{place} has the principal moment {least:.3g}, expected none below 0 [kg m^2]")
         limits = self.robot_facts.limits
         for number, (low, high) in enumerate(zip(limits.position_min_rad, limits.position_max_rad, strict=True)):
@@ -300,7 +428,7 @@ class Robot(Schema):
         if self.impact.joint_position is None:
             return self.impact.placement
         model = RobotModel(self.robot_facts, self.end_effector.build(), self.base.placement)
-        return model.placement(np.array(self.impact.joint_position))
+        return model.placement(model.position_of(np.array(self.impact.joint_position)))
 
     @property
     def assumed(self) -> tuple[str, ...]:
@@ -313,8 +441,20 @@ class Robot(Schema):
         return self.facts if isinstance(self.facts, str) else self.facts.source
 
 
+class Hinge(Schema):
+    """An axis in the world that an object turns about, as a door does."""
+
+    axis: Vector3 = Field(description="direction of the hinge in the axes of the object, unit vector")
+    point: Vector3 = Field(description="a point on it from the geometric centre, in the axes of the object [m]")
+
+    @model_validator(mode="after")
+    def _along_a_unit_vector(self) -> Self:
+        _check_unit("axis", self.axis)
+        return self
+
+
 class ObjectSpec(Schema):
-    """A rigid convex object, free or fixed to the world."""
+    """A rigid convex object: free, on a hinge or a slide, or fixed to the world."""
 
     label: str = Field(description="name for tables and figures")
     fixed: bool = omitted(
@@ -343,6 +483,12 @@ class ObjectSpec(Schema):
     rpy: Vector3 = omitted(
         (0.0, 0.0, 0.0),
         description="roll, pitch, yaw of the object at rest, as in a URDF; pitch pi/2: a cylinder lies [rad]",
+    )
+    hinge: Hinge | None = omitted(None, description="axis that it turns about, as a door; absent: it is free")
+    slide: Vector3 | None = omitted(
+        None,
+        description="unit vector in the axes of the object that it slides along without turning, as a drawer; absent: "
+        "it is free",
     )
     inertia: PositiveVector3 | None = omitted(
         None,
@@ -387,6 +533,23 @@ class ObjectSpec(Schema):
             raise ValueError("nothing moves a fixed object: leave com_offset and inertia out")
         return self
 
+    @model_validator(mode="after")
+    def _guided_in_one_way(self) -> Self:
+        ways = {"fixed": self.fixed, "hinge": self.hinge is not None, "slide": self.slide is not None}
+        if len(given := [name for name, is_given in ways.items() if is_given]) > 1:
+            raise ValueError(f"{given[1]} stands beside {given[0]}, expected one of them: either says how it may move")
+        if self.slide is not None:
+            _check_unit("slide", self.slide)
+        return self
+
+    @property
+    def freedom(self) -> Array | None:
+        """Twist of its centre in its own axes per velocity of hinge or slide, ``(6, 1)``; None: there is neither."""
+        if self.hinge is not None:
+            axis = np.array(self.hinge.axis)
+            return np.concatenate((np.cross(self.hinge.point, axis), axis))[:, None]
+        return None if self.slide is None else np.array([*self.slide, 0.0, 0.0, 0.0])[:, None]
+
     @property
     def form(self) -> ConvexShape:
         """Its shape for the geometry."""
@@ -422,8 +585,9 @@ class NeighbourSpec(ObjectSpec):
     def _free_in_a_direction(self) -> Self:
         if self.fixed:
             raise ValueError("fixed neighbours are not supported: a fixed object is the one that is hit")
-        if abs(np.hypot(*self.direction) - 1.0) > UNIT_TOLERANCE:
-            raise ValueError("direction must be a unit vector")
+        if self.freedom is not None:
+            raise ValueError("neighbours on a hinge or slide are not supported: leave hinge and slide out")
+        _check_unit("direction", self.direction)
         return self
 
 
@@ -444,7 +608,7 @@ class Contact(Schema):
     )
     restitution_law: Literal["newton", "poisson"] = omitted(
         "newton",
-        description="newton: of velocities, may gain energy with friction; poisson: of impulses",
+        description="newton: ratio of velocities, may gain energy with friction; poisson: ratio of impulses",
     )
     object_friction: Positive = omitted(0.4, description="friction between object and neighbour [-]")
 
@@ -459,6 +623,9 @@ class CaseRobot(Schema):
     )
     joint_1_velocity: float | None = Field(
         None, description="velocity of joint 1 at impact [rad/s], prismatic [m/s]; absent: least-norm joint velocity"
+    )
+    hands: dict[str, Vector3] = omitted(
+        {}, description="velocity of frame E of each further hand just before impact, by name [m/s]"
     )
     posture: dict[str, float] = omitted(
         {},
@@ -711,6 +878,21 @@ class Scenario(Schema):
                 if beyond := [joint + 1 for joint in robot.held if joint >= count]:
                     place = f"cases.{case_name}.robots.{name}.posture"
                     raise ValueError(f"{place} names joint_{beyond[0]}, but the arm has {count} joints")
+                if set(robot.hands) != set(self.robots[name].hands):
+                    place = f"cases.{case_name}.robots.{name}.hands"
+                    raise ValueError(
+                        f"{place} names {sorted(robot.hands)}, expected a velocity of each hand of the robot [m/s]: "
+                        f"{sorted(self.robots[name].hands)}"
+                    )
+        return self
+
+    @model_validator(mode="after")
+    def _hands_with_names_of_their_own(self) -> Self:
+        taken = {"object", "support", *self.robots, *self.neighbours}
+        for name, robot in self.robots.items():
+            if twice := taken & set(robot.hands):
+                raise ValueError(f"robots.{name}.hands.{min(twice)}: another body has this name")
+            taken |= set(robot.hands)
         return self
 
     @model_validator(mode="after")
@@ -721,6 +903,8 @@ class Scenario(Schema):
             raise ValueError(f"neighbours.{min(taken)}: another body has this name")
         if fixed := [name for name, one in self.objects.items() if one.fixed]:
             raise ValueError(f"objects.{fixed[0]} is fixed and hits no neighbour: leave neighbours out")
+        if guided := [name for name, one in self.objects.items() if one.freedom is not None]:
+            raise ValueError(f"objects.{guided[0]} is on a hinge or slide and hits no neighbour: leave neighbours out")
         return self
 
     @model_validator(mode="after")
@@ -742,6 +926,9 @@ class Scenario(Schema):
     def _several_arms_need_an_object_between_them(self) -> Self:
         if len(self.robots) > 1 and self.object_position is None:
             raise ValueError("with several arms, object_position must say where the object stands [m]")
+        for name, robot in self.robots.items():
+            if robot.hands and robot.impact.joint_position is None and self.object_position is None:
+                raise ValueError(f"object_position: missing; it says where the hands of {name} meet the object [m]")
         return self
 
     @model_validator(mode="after")
@@ -761,9 +948,11 @@ class Scenario(Schema):
                     )
         return self
 
-    def impact_placement(self, robot: str, object_name: str) -> pin.SE3:
-        """Placement of an arm's frame E in the inertial frame when its pad touches an object."""
-        placement = self.robots[robot].impact_placement
+    def impact_placement(self, robot: str, object_name: str, hand: str = "") -> pin.SE3:
+        """Placement of frame E of an arm, or of its ``hand``, in the inertial frame when its pad touches an object."""
+        pose = self.robots[robot].hands[hand].impact if hand else self.robots[robot]
+        assert pose is not None  # of a hand without one joints are given
+        placement = pose.placement if isinstance(pose, HandPose) else pose.impact_placement
         if self.object_position is not None:
             normal = placement.rotation[:, 2]
             centre = np.append(self.object_position, placement.translation[2])
@@ -824,7 +1013,19 @@ class Scenario(Schema):
     @property
     def axis_index(self) -> int:
         """0, 1 or 2 for x, y, z."""
-        return AXES[self.axis]
+        return AXIS_NUMBERS[self.axis]
+
+    def check_chains(self, what: str) -> None:
+        """Refuse trees, and objects on hinges and slides, for ``what`` takes serial arms and free or fixed objects.
+
+        Raises:
+            InputError: A robot is a tree, or its base floats; or an object has a hinge or a slide.
+        """
+        for name, robot in self.robots.items():
+            robot.robot_facts.check_chain(what, f"robots.{name}", self.name)
+        for name, one in self.objects.items():
+            if one.freedom is not None:
+                raise guided_object(what, f"objects.{name}", self.name)
 
     def object(self, name: str) -> ObjectSpec:
         """The object ``name``."""

@@ -84,6 +84,8 @@ def _kind(field: FieldInfo) -> str:
         of = "names" if get_origin(entry) is Literal else {str: "texts", int: "whole numbers"}.get(entry, "numbers")
         if isinstance(entry, type) and issubclass(entry, Schema):
             return "sections"
+        if get_origin(entry) is tuple and Ellipsis not in entries:
+            return f"{len(entries)} rows of {len(get_args(entry))} numbers"
         return of if Ellipsis in entries else f"{len(entries)} {of}"
     if get_origin(kind) is dict or (isinstance(kind, type) and issubclass(kind, Schema)):
         return "section"

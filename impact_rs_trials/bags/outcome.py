@@ -29,7 +29,7 @@ MAX_TORQUE_VIOLATION_S = 0.05  # the impact of a healthy grab takes 6 ms, with u
 MAX_UNSOLVED_S = 0.05  # without a solution of the QP
 COMMANDED_LIMIT_FACTOR = 1.001  # of the limit; separates a command at its limit from one beyond it
 MEASURED_LIMIT_FACTOR = 1.05  # of the limit; noise and the ringing of its spring take a joint at its limit so far
-MAX_TILT_RAD = np.radians(20.0)  # of the object from upright; healthy ones turn by 2 degrees
+MAX_TILT_IN_TRIAL_RAD = np.radians(20.0)  # of the object from upright; healthy ones turn by 2 degrees
 PERIOD_ROUNDING_S = 1e-9  # of a sum of periods
 
 
@@ -292,9 +292,9 @@ def _tipped(seen: Poses, about_axis: bool) -> Iterator[_Finding]:
     if about_axis:
         lean = np.arccos(np.clip(vertical[:, 2], -1.0, 1.0))
         tilt = np.abs(lean - lean[0])
-    rows = np.flatnonzero(tilt > MAX_TILT_RAD)
+    rows = np.flatnonzero(tilt > MAX_TILT_IN_TRIAL_RAD)
     if rows.size * np.median(np.diff(seen.time)) > MAX_VIOLATION_S + PERIOD_ROUNDING_S:
-        since, worst, limit = float(seen.time[rows[0]]), np.degrees(tilt.max()), np.degrees(MAX_TILT_RAD)
+        since, worst, limit = float(seen.time[rows[0]]), np.degrees(tilt.max()), np.degrees(MAX_TILT_IN_TRIAL_RAD)
         yield _Finding(
             "TIPPED", since, f"the object leaned by {worst:.0f} degrees against {limit:.0f} degrees from {since:.3f} s"
         )

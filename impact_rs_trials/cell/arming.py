@@ -184,7 +184,7 @@ def start_complaint(plan: TrialPlan, states: ArmStates, tolerance: float) -> str
 
     Args:
         plan: The trial.
-        states: Of the arms.
+        states: States of the arms.
         tolerance: How far a joint may be away [rad].
     """
     for name, own in plan.arms.items():
@@ -208,7 +208,7 @@ def distance_from_scenario(plan: TrialPlan, pose: TrackedPose) -> str:
 
     Args:
         plan: The trial.
-        pose: Of the object, in ``world``.
+        pose: Pose of the object, in ``world``.
     """
     nominal = pin.SE3(plan.scene.object.rotation, plan.scene.object.position)
     there = nominal.actInv(pin.XYZQUATToSE3(pose_values(pose.pose)))

@@ -260,7 +260,7 @@ class StandIn:
         profile: The driver.
         reflexes: Thresholds of the robot's own reflexes, by arm.
         clock: Its clock.
-        seed: Of noise and scatter.
+        seed: Seed of noise and scatter.
 
     Attributes:
         error: Report of the driver after the robot has stopped itself; empty: it has not.
@@ -407,7 +407,7 @@ def rehearse(
         profile: The driver.
         reflexes: Thresholds of the robot's own reflexes, by arm.
         given: Values of all parameters of ``cell`` and ``watchdog``.
-        seed: Of noise and scatter.
+        seed: Seed of noise and scatter.
         say: Called with a line about the present step.
     """
     found = Checklist(profile.name, blocking=profile.blocking)

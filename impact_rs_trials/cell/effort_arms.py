@@ -42,7 +42,7 @@ class EffortArms:
         states: States of the robot.
         motor_inertia: B that the torque loop leaves, ``(n,)`` [kg m^2], by arm.
         adds_gravity: Whether the robot compensates gravity itself.
-        rate: Of a torque, at most [N m/s].
+        rate: Largest rate of a torque [N m/s].
         send: Sends an arm's effort controller its torques.
 
     Attributes:
@@ -153,7 +153,7 @@ def arms_of(
     Args:
         plan: The trial.
         parameter: Value of a parameter of the node.
-        clock: Of the robot.
+        clock: Clock of the robot.
         send: Sends an arm's effort controller its torques.
 
     Raises:

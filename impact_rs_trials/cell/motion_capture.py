@@ -17,7 +17,7 @@ import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.rotations import quaternion_of
+from impact_rs_sim.rotations import MAX_NORM_ERROR, quaternion_of
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import Frame, pose_values
 from impact_rs_trials.bags.types import typestore
@@ -26,7 +26,6 @@ MOCAP = "/mocap/object_pose"
 WORLD = "world"
 COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
 TrackedPose = Any  # ``geometry_msgs/PoseStamped`` of rosbags
-MAX_NORM_ERROR = 0.01  # of a quaternion; a tracker that lost the object sends zeros or NaN
 
 
 class TrackerPoses:

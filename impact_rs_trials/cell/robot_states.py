@@ -148,7 +148,7 @@ class RobotStates:
         joints: The robot's names of the joints, by arm.
         period: Between two states [s].
         timeout: A state that is older is not usable [s].
-        clock: Of the robot.
+        clock: Clock of the robot.
 
     Attributes:
         models, joints, period, clock: As above.

@@ -9,13 +9,17 @@ SI units of joints are listed in :data:`impact_rs_sim.robots.robot.UNITS`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+
+from impact_rs_sim.robots.robot import Array
 
 RAD_PER_DEG = np.pi / 180.0
 
 FACTORS: dict[str, dict[str, float]] = {  # by SI unit, which is the first of its units
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    "m": {"m": 1.0, "mm": 1e-3},
+    "m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2},
     "m/s": {"m/s": 1.0, "mm/s": 1e-3},
     "m/s^2": {"m/s^2": 1.0, "g": 9.80665},
     "rad": {"rad": 1.0, "mrad": 1e-3, "deg": RAD_PER_DEG},
@@ -53,6 +57,11 @@ UNITS: dict[str, dict[str, float]] = {  # of signals, by quantity
 }
 _OTHERS = ("", "1", "sec", "v", "nm", "rad/s^2", "mrad/s^2", "deg/s^2", "mm/s^2")  # in a line of units, never converted
 _IGNORED = str.maketrans("", "", " ^*[]()")
+
+
+def factors_of(quantity: str, unit: str | Sequence[str]) -> Array:
+    """Factors to SI of the unit of all joints, ``(1,)``, or of the unit of each, ``(n,)``."""
+    return np.array([UNITS[quantity][one] for one in ([unit] if isinstance(unit, str) else unit)])
 
 
 def si_unit(quantity: str, unit: str, unit_quantity: str) -> str:

@@ -30,6 +30,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.rotations import MAX_NORM_ERROR
 from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.scene import BodyState, resting_pose
 from impact_rs_trials.recordings.checks.clock_offset import OBJECT_SIGNALS, on_one_clock, shifted_to_impact
@@ -65,11 +66,10 @@ from impact_rs_trials.recordings.readers.clock import (
     gaps_in_words,
     grid_from,
 )
-from impact_rs_trials.recordings.readers.guesses import MAX_NORM_ERROR
 from impact_rs_trials.recordings.readers.series import Names, Series
 from impact_rs_trials.recordings.readers.sources import read_series
 from impact_rs_trials.recordings.recording import TooShort, check_arm
-from impact_rs_trials.recordings.remarks import Amount, Remark
+from impact_rs_trials.recordings.remarks import remark
 from impact_rs_trials.runs import NONE, ArmSignals, Run, Signals
 from impact_rs_trials.since import MIN_WALL_CLOCK_S
 from impact_rs_trials.workers import Map
@@ -210,6 +210,10 @@ class Laboratory:
                 found[arm] = read_series(run.path, mapping, own, set(needed) & set(own), names)
         return found
 
+    def without_faults(self, arm: str, series: ArmSeries, hit: bool) -> tuple[ArmSeries, list[str]]:
+        """One arm without outliers and frozen samples, and warnings about the removed ones."""
+        return without_faults(series, self.mappings[arm], self.models[arm], hit)
+
     @contextmanager
     def errors_of(self, arm: str) -> Iterator[None]:
         """Prefix errors raised inside with the arm's name if there are several arms."""
@@ -332,8 +336,8 @@ def read_run(laboratory: Laboratory, run: RunRow) -> Run:
         with laboratory.errors_of(arm):
             for name, one in own.items():
                 _check(path, name, one)
-            arms[arm], left_out = _without_faults(laboratory, run, arm, own)
-            faults += [f"{laboratory.label(arm)}{remark}" for remark in left_out]
+            arms[arm], left_out = laboratory.without_faults(arm, own, run.hit)
+            faults += [f"{laboratory.label(arm)}{said}" for said in left_out]
             if any(arms[arm][name].time.size < MIN_RUN_SAMPLES for name in REQUIRED):
                 raise TooShort("; ".join(faults), file=path)
     remarks += faults
@@ -406,11 +410,6 @@ def _in_scene(
     )
 
 
-def _without_faults(laboratory: Laboratory, run: RunRow, arm: str, series: ArmSeries) -> tuple[ArmSeries, list[str]]:
-    """One arm without outliers and frozen samples, and warnings about the removed ones."""
-    return without_faults(series, laboratory.mappings[arm], laboratory.models[arm], run.hit)
-
-
 def _needed(laboratory: Laboratory, run: RunRow) -> list[SignalName]:
     """Required signals of a run: the joints' signals, and further signals of the mappings."""
     promised = {name for mapping in laboratory.mappings.values() for name in mapping.signals}
@@ -428,35 +427,24 @@ def _arm_of(
 ) -> ArmSignals:
     """One arm on the grid of the run; warnings are appended to the remarks."""
     mapping, path = laboratory.mappings[arm], run.path
-    own = {name: _on_grid(series[name], grid) for name in ARM_SIGNALS if name in series}
+    joints = ArmSignals(**{name: _on_grid(series[name], grid) for name in ARM_SIGNALS if name in series})
     time, none = grid - grid[0], np.zeros((0, len(mapping.joints)))
     with laboratory.errors_of(arm):
-        joints = ArmSignals(own["position"], own["velocity"], own["torque"])
         check_arm(path, time, joints, mapping, MAX_IMPACT_SHARE if run.hit else 0.0)
         remedy = "wrong sign or unit, or without the gravity torque?"
-        check_gravity_torque(path, "torque", laboratory.models[arm], own["position"], own["torque"], remedy)
+        check_gravity_torque(path, "torque", laboratory.models[arm], joints.position, joints.torque, remedy)
         doubts = arm_warnings(time, joints, mapping, laboratory.models[arm], run.hit)
-        remarks += [Remark(laboratory.label(arm), doubt) for doubt in doubts]
+        remarks += [remark("{}{}", laboratory.label(arm), doubt) for doubt in doubts]
         command_time, command = _part(series.get("command"), grid, none)
         if command_time.size:
-            command = _with_gravity(laboratory, path, arm, time, own["position"], command_time, command)
+            command = _with_gravity(laboratory, path, arm, time, joints.position, command_time, command)
         else:
             remarks.append(
                 f"{laboratory.label(arm)}no command was recorded: the joint torque has to drive the replay, which "
                 "hides gears and motors"
             )
     wrench_time, wrench = _part(series.get("wrench"), grid, np.zeros((0, 6)))
-    return ArmSignals(
-        position=own["position"],
-        velocity=own["velocity"],
-        torque=own["torque"],
-        motor_position=own.get("motor_position", none),
-        motor_velocity=own.get("motor_velocity", none),
-        command_time=command_time,
-        command=command,
-        wrench_time=wrench_time,
-        wrench=wrench,
-    )
+    return replace(joints, command_time=command_time, command=command, wrench_time=wrench_time, wrench=wrench)
 
 
 # ---- stamps and gaps ------------------------------------------------------------------------------------------------
@@ -497,10 +485,9 @@ def with_object(path: Path, series: ArmSeries, remarks: list[str]) -> ArmSeries:
             file=path,
         )
     if not np.all(seen):
-        share = Amount(int(np.sum(~seen)), "d"), " of ", Amount(seen.size, "d")
-        remarks.append(Remark(f"{pose.place}: the object is not seen in ", *share, " samples"))
-    log = None if pose.log is None else pose.log[seen]
-    series["object_pose"] = replace(pose, time=pose.time[seen], values=pose.values[seen], log=log)
+        words = "{}: the object is not seen in {:d} of {:d} samples"
+        remarks.append(remark(words, pose.place, int(np.sum(~seen)), seen.size))
+    series["object_pose"] = pose.in_rows(seen)
     return series
 
 
@@ -527,7 +514,7 @@ def on_clock_of_joints(
     for arm, own in arms.items():
         with laboratory.errors_of(arm):
             arms[arm] = on_one_clock(run.path, own, laboratory.mappings[arm], laboratory.models[arm])
-    remarks += dict.fromkeys(remark for own in arms.values() for one in own.values() for remark in one.remarks)
+    remarks += dict.fromkeys(said for own in arms.values() for one in own.values() for said in one.remarks)
     if run.hit:
         arms[laboratory.tracker] = with_object(run.path, arms[laboratory.tracker], remarks)
         _start_in_the_impact(laboratory, run, arms, remarks)
@@ -542,7 +529,7 @@ def _start_in_the_impact(laboratory: Laboratory, run: RunRow, arms: dict[str, Ar
         return
     pose = arms[tracker]["object_pose"]
     moved = shifted_to_impact(run.path, pose, arms[tracker]["position"], f"signals.{name}.clock")
-    remarks += [remark for remark in moved.remarks if remark not in pose.remarks]
+    remarks += [said for said in moved.remarks if said not in pose.remarks]
     arms[tracker] = {**arms[tracker], "object_pose": moved}
 
 
@@ -597,12 +584,11 @@ def _pieces(
         found = gaps(one.time, max(MIN_REPORTED_GAP_S, periods))
         if not found:
             continue
-        remark = f"{one.place}: {'gaps' if len(found) > 1 else 'a gap'} of {gaps_in_words(found, start)}"
+        remarks.append(f"{one.place}: {'gaps' if len(found) > 1 else 'a gap'} of {gaps_in_words(found, start)}")
         if one is not pose:
             cuts += [
                 gap for gap in found if gap.length > MAX_INTERPOLATED_GAP_S and gap.end > start and gap.start < end
             ]
-        remarks.append(remark)
     if end - start < MIN_PIECE_S:
         raise TooShort(f"it lasts {end - start:.3f} s, at least {MIN_PIECE_S} s are needed", file=run.path)
     for own in arms.values():
@@ -701,16 +687,11 @@ def _warn_of_rates(
     beside = np.abs(raw - grid[0] - period * np.rint((raw - grid[0]) / period)) / period
     worst = float(np.percentile(beside, 99.0))
     if worst > MAX_JITTER_PERIODS:
-        remarks.append(
-            Remark(
-                f"{position.place}: stamps lie up to ",
-                Amount(100.0 * worst, ".0f"),
-                " % of a period beside an even grid; the samples are interpolated onto it",
-            )
-        )
+        words = "{}: stamps lie up to {:.0f} % of a period beside an even grid; the samples are interpolated onto it"
+        remarks.append(remark(words, position.place, 100.0 * worst))
     if 1.0 / period < MIN_JOINT_RATE_HZ:
-        rate = Amount(1.0 / period, ".0f")
-        remarks.append(Remark("joints at ", rate, " Hz: the jump of an impact is seen, its force is not"))
+        words = "joints at {:.0f} Hz: the jump of an impact is seen, its force is not"
+        remarks.append(remark(words, 1.0 / period))
 
 
 def _warn_of_pose_rate(pose: Series | None, remarks: list[str]) -> None:
@@ -718,13 +699,10 @@ def _warn_of_pose_rate(pose: Series | None, remarks: list[str]) -> None:
     if pose is not None and pose.time.size > 1:
         rate = 1.0 / float(np.median(np.diff(pose.time)))
         if rate < MIN_POSE_RATE_HZ:
-            remarks.append(
-                Remark(
-                    "object pose at ",
-                    Amount(rate, ".0f"),
-                    " Hz: where the object goes is seen, its velocity right after the impact is not",
-                )
+            words = (
+                "object pose at {:.0f} Hz: where the object goes is seen, its velocity right after the impact is not"
             )
+            remarks.append(remark(words, rate))
 
 
 # ---- torques --------------------------------------------------------------------------------------------------------
@@ -756,7 +734,7 @@ def touches_of(task: tuple[Laboratory, RunRow]) -> list[PadOnFace]:
     try:
         arms = laboratory.series(run, wanted, wanted[:2])
         seen = with_object(run.path, arms[laboratory.tracker], []).get("object_pose")
-        whole = {arm: _without_faults(laboratory, run, arm, own)[0] for arm, own in arms.items()}
+        whole = {arm: laboratory.without_faults(arm, own, run.hit)[0] for arm, own in arms.items()}
         found = [_touch(laboratory, run, arm, own, seen) for arm, own in whole.items()]
     except InputError as error:
         logger.debug("%s: not used to place the motion capture: %s", run.name, error)
@@ -836,5 +814,5 @@ def _check_object(
     touching = check_touch(run.path, laboratory.models[arm], run.object, size, at, pose[during])
     slow = object_time.size > 1 and float(np.median(np.diff(object_time))) > 1.0 / MIN_POSE_RATE_HZ
     return (
-        remarks if slow else [*remarks, *(Remark(laboratory.label(arm), remark) for remark in touching)]
+        remarks if slow else [*remarks, *(remark("{}{}", laboratory.label(arm), one) for one in touching)]
     )  # a slow tracker does not see where they meet

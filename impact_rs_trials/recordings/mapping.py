@@ -14,15 +14,17 @@ from pathlib import Path
 from typing import Annotated, Literal, Self, get_args
 
 import numpy as np
+import pinocchio as pin
 from pydantic import Field, model_validator
 
 from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.files import is_file
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robots.robot import Array, EndEffector, RobotFacts, load_facts
+from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.schema import NonNegativeVector, PositiveVector, Schema, Vector3, load
-from impact_rs_trials.recordings.file_units import CURRENTS, SLIDES, TURNS, UNITS
-from impact_rs_trials.recordings.servo import Servo
+from impact_rs_trials.recordings.file_units import CURRENTS, SLIDES, TURNS, UNITS, factors_of
+from impact_rs_trials.recordings.servo import Servo, ServoLaw
 
 QUANTITY = {  # quantity of each signal
     "position": "position",
@@ -65,6 +67,7 @@ WIDTH: dict[SignalName, int] = {
     "wrench": 6,
     "acceleration": 3,
 }
+IN_A_PLANE = 2  # columns of object_position that a camera sees: along its image, and up
 TorqueMeaning = Literal["whole", "without_gravity", "external", "target"]
 JOINT_SIGNALS: tuple[SignalName, ...] = tuple(name for name in get_args(SignalName) if name not in WIDTH)
 
@@ -105,7 +108,11 @@ class SignalSource(Schema):
         None,
         description="column of a table; {joint} stands for 1, 2, ..., without it a cell holds all numbers of a sample",
     )
-    columns: tuple[str, ...] | None = Field(None, description="columns of a table one by one, in order")
+    columns: tuple[str, ...] | None = Field(
+        None,
+        description="columns of a table one by one, in order; of object_position also two, along and up in a vertical "
+        "plane",
+    )
     entries: tuple[Annotated[int, Field(ge=1)], ...] | None = Field(
         None,
         description="selected numbers of a cell, array sample or message without names, from 1, for example to omit a "
@@ -114,7 +121,7 @@ class SignalSource(Schema):
     time_column: StampNames | None = Field(
         None, description="column of this signal's own time, or two as in time.column; absent: as in the mapping"
     )
-    array: str | None = Field(None, description="array of an NPZ, HDF5 or MAT file, samples x joints")
+    array: str | None = Field(None, description="array of an NPZ, HDF5, MAT or PyTorch file, samples x joints")
     time_array: StampNames | None = Field(
         None, description="array of this signal's own time, or two as in time.array; absent: as in the mapping"
     )
@@ -129,7 +136,9 @@ class SignalSource(Schema):
         description="unit of the numbers in the file; a list with one per joint if some joints turn and some slide"
     )
     factor: float | tuple[float, ...] = Field(
-        1.0, description="further factor of the numbers, for example -1; for joints also a list of each [-]"
+        1.0,
+        description="further factor of the numbers, for example -1; for joints and two columns of object_position "
+        "also a list of each [-]",
     )
     offset: float | tuple[float, ...] = Field(
         0.0,
@@ -150,9 +159,11 @@ class TimeSource(Schema):
         "header", description="timestamp of a message: its header's or the log time"
     )
     column: StampNames = Field("time", description="column of a table; or two, whole seconds and nanoseconds")
-    array: StampNames = Field("time", description="array of an NPZ, HDF5 or MAT file; or two, as columns")
-    unit: Literal["s", "ms", "us", "ns", "date"] = Field(
-        "s", description="unit of the timestamps except in bags; date: 2026-11-25 12:00:00.5, a zone may follow"
+    array: StampNames = Field("time", description="array of an NPZ, HDF5, MAT or PyTorch file; or two, as columns")
+    unit: Literal["s", "ms", "us", "ns", "date", "frames"] = Field(
+        "s",
+        description="unit of the timestamps except in bags; date: 2026-11-25 12:00:00.5, a zone may follow; frames: "
+        "the column of a table numbers the frames of a camera, over rate",
     )
     rate: Annotated[float | None, Field(gt=0.0)] = Field(
         None, description="sampling rate of files without timestamps [Hz]; absent: they have timestamps"
@@ -240,16 +251,11 @@ class Mapping(Schema):
 
     @model_validator(mode="after")
     def _pairs_are_seconds(self) -> Self:
-        pairs: list[tuple[str, StampNames | None]] = [
-            ("time.column", self.time.column),
-            ("time.array", self.time.array),
-        ]
+        named: dict[str, StampNames | None] = {"time.column": self.time.column, "time.array": self.time.array}
         for name, source in self.signals.items():
-            pairs += [
-                (f"signals.{name}.time_column", source.time_column),
-                (f"signals.{name}.time_array", source.time_array),
-            ]
-        for key, names in pairs:
+            own = {"time_column": source.time_column, "time_array": source.time_array}
+            named |= {f"signals.{name}.{key}": names for key, names in own.items()}
+        for key, names in named.items():
             if not isinstance(names, str | None) and self.time.unit != "s":
                 raise ValueError(f"{key} names whole seconds and nanoseconds, expected time.unit: s")
         return self
@@ -262,24 +268,28 @@ class Mapping(Schema):
             raise ValueError("joints is missing; expected the names of the joints, base to tip")
         self._has_joint_signals()
         for name, source in self.signals.items():
-            units = UNITS[QUANTITY[name]]
-            wanted = self.width(name)
+            units, wanted, of_joints = UNITS[QUANTITY[name]], self.width(name), name in JOINT_SIGNALS
             for unit in source.units:
                 if unit not in units:
                     raise ValueError(f"signals.{name}.unit is {unit!r}, expected one of: {', '.join(units)}")
-            if not isinstance(source.unit, str) and (name not in JOINT_SIGNALS or len(source.unit) != wanted):
-                expected = f"one or {wanted}, one per joint" if name in JOINT_SIGNALS else "one"
-                raise ValueError(f"signals.{name}.unit lists {len(source.unit)} units, expected {expected}")
-            for key, own in (("factor", source.factor), ("offset", source.offset)):
-                if not isinstance(own, float) and (name not in JOINT_SIGNALS or len(own) != wanted):
-                    expected = f"one or {wanted}, one per joint" if name in JOINT_SIGNALS else "one"
-                    raise ValueError(f"signals.{name}.{key} lists {len(own)} numbers, expected {expected}")
-            if name not in JOINT_SIGNALS and source.offset != 0.0:
+            for key, what in (("unit", "units"), ("factor", "numbers"), ("offset", "numbers")):
+                own = getattr(source, key)
+                planar = (
+                    name == "object_position"
+                    and key == "factor"
+                    and isinstance(own, tuple)
+                    and len(own) == len(source.columns or ())
+                )
+                if isinstance(own, tuple) and not planar and (not of_joints or len(own) != wanted):
+                    expected = f"one or {wanted}, one per joint" if of_joints else "one"
+                    raise ValueError(f"signals.{name}.{key} lists {len(own)} {what}, expected {expected}")
+            if not of_joints and source.offset != 0.0:
                 raise ValueError(f"signals.{name}.offset is {source.offset:g}, expected none: it is for joints")
-            if source.columns is not None and len(source.columns) != wanted:
-                raise ValueError(f"signals.{name}.columns names {len(source.columns)}, expected {wanted}")
-            if source.entries is not None and len(source.entries) != wanted:
-                raise ValueError(f"signals.{name}.entries lists {len(source.entries)} numbers, expected {wanted}")
+            for key, what in (("columns", "columns"), ("entries", "numbers")):
+                own = getattr(source, key)
+                planar = name == "object_position" and key == "columns" and len(own or ()) == IN_A_PLANE
+                if own is not None and len(own) != wanted and not planar:
+                    raise ValueError(f"signals.{name}.{key} lists {len(own)} {what}, expected {wanted}")
             several = (
                 source.array is not None or source.field is not None or "{joint}" not in (source.column or "{joint}")
             )
@@ -292,10 +302,11 @@ class Mapping(Schema):
             if source.columns is not None and source.column is not None:
                 raise ValueError(f"signals.{name} has both column and columns, expected one of them")
         self._object_is_described_once()
-        for key in ("motor_inertia", "torque_constant"):
-            own = getattr(self, key)
-            if own is not None and len(own) != len(self.joints):
-                raise ValueError(f"{key} has {len(own)} entries, expected {len(self.joints)}")
+        for holder, before in ((self, ""), (self.servo, "servo.")):
+            for key in ("motor_inertia", "torque_constant", "kp", "kd", "torque_max"):
+                own = getattr(holder, key, None)
+                if own is not None and len(own) != len(self.joints):
+                    raise ValueError(f"{before}{key} has {len(own)} entries, expected {len(self.joints)}")
         self._currents_have_constants()
         return self
 
@@ -316,10 +327,6 @@ class Mapping(Schema):
             raise ValueError("servo needs signals.q_desired, the desired positions")
         if self.torque_measured_at != "motor":
             raise ValueError("servo gives the torque of motors: expected torque_measured_at: motor")
-        for key in ("kp", "kd", "torque_max"):
-            own = getattr(self.servo, key)
-            if own is not None and len(own) != len(self.joints):
-                raise ValueError(f"servo.{key} has {len(own)} entries, expected {len(self.joints)}")
 
     def _currents_have_constants(self) -> None:
         currents = [name for name, source in self.signals.items() if any(unit in CURRENTS for unit in source.units)]
@@ -372,11 +379,12 @@ class Mapping(Schema):
         """Facts of the robot.
 
         Raises:
-            InputError: Unknown robot, a different number of joints, or an impossible unit of a joint.
+            InputError: Unknown robot, a tree, a different number of joints, or an impossible unit of a joint.
         """
         if self.robot == NO_ROBOT:
             raise InputError("an object alone was tracked; expected a robot", key="robot", value=self.robot)
         facts = load_facts(self.robot)
+        facts.check_chain("a recording", "robot")
         if facts.joint_count != len(self.joints):
             raise InputError(f"{self.robot} has {facts.joint_count} joints, the mapping names {len(self.joints)}")
         for name in self.signals:
@@ -390,6 +398,20 @@ class Mapping(Schema):
                         value=unit,
                     )
         return facts
+
+    @property
+    def base(self) -> pin.SE3:
+        """Placement of the robot's base in the world, at its origin."""
+        return pin.SE3(pin.rpy.rpyToMatrix(*self.base_rpy), np.zeros(3))
+
+    def robot_model(self) -> RobotModel:
+        """Nominal rigid-body model of the recorded arm with its load."""
+        return RobotModel(self.facts, self.end_effector.build(), self.base)
+
+    @property
+    def servo_law(self) -> ServoLaw | None:
+        """Law of the servos; None: there are no servos."""
+        return None if self.servo is None else ServoLaw.of(self.servo, np.array(self.facts.limits.torque_Nm))
 
     def unit(self, signal: SignalName, joint: int) -> str:
         """Unit of a joint's numbers in the file."""
@@ -407,10 +429,9 @@ class Mapping(Schema):
     def _of_unit(self, signal: SignalName) -> Array:
         """Factor from the unit of a signal to SI, ``()`` or ``(n,)``."""
         source = self.signals[signal]
-        factors = [UNITS[QUANTITY[signal]][unit] for unit in source.units]
         constant = self.torque_constant if source.units[0] in CURRENTS else None
-        of_unit = np.asarray(factors if len(factors) > 1 else factors[0])
-        return of_unit * np.asarray(1.0 if constant is None else constant)
+        of_unit = factors_of(QUANTITY[signal], source.unit)
+        return (of_unit if of_unit.size > 1 else of_unit[0]) * np.asarray(1.0 if constant is None else constant)
 
     def to_si(self, signal: SignalName, values: Array) -> Array:
         """Numbers of a table or array in SI units; quaternions end up in the order x y z w.
@@ -424,6 +445,8 @@ class Mapping(Schema):
             values = np.hstack((values[:, :-4], values[:, -3:], values[:, -4:-3]))
         if signal == "object_pose":
             return np.hstack((values[:, :3] * factor, values[:, 3:]))
+        if signal == "object_position" and values.shape[1] == IN_A_PLANE:
+            return np.insert(values * factor, 1, 0.0, axis=1)
         return values * factor + self.offset(signal)
 
 

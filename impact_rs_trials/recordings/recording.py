@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import ArmPhysics, JointFriction, ObjectPhysics, Physics
@@ -20,12 +19,7 @@ from impact_rs_sim.robots.robot import Array, joined_units
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.bags.topics import TRIAL_INFO
 from impact_rs_trials.recordings.checks.clock_offset import on_one_clock
-from impact_rs_trials.recordings.checks.faults import (
-    MAX_LIMIT_FACTOR,
-    MAX_OUTLIER_SHARE,
-    MAX_POSITION_EXCESS,
-    without_faults,
-)
+from impact_rs_trials.recordings.checks.faults import MAX_OUTLIER_SHARE, beyond_data_sheet, without_faults
 from impact_rs_trials.recordings.checks.joint_checks import arm_warnings
 from impact_rs_trials.recordings.checks.lost_rows import without_lost_rows
 from impact_rs_trials.recordings.checks.sampling_times import timestamp_warning
@@ -40,7 +34,6 @@ from impact_rs_trials.recordings.readers.run_finder import BAG_SUFFIXES, FILE_SU
 from impact_rs_trials.recordings.readers.series import MAX_BRIDGED_PERIODS, Series
 from impact_rs_trials.recordings.readers.sources import read_series
 from impact_rs_trials.recordings.relations import PLAUSIBLE_FACTORS, pooled
-from impact_rs_trials.recordings.servo import ServoLaw
 from impact_rs_trials.runs import ArmSignals, Run, Signals
 
 logger = logging.getLogger(__name__)
@@ -127,7 +120,7 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
     if "velocity" not in mapping.signals:
         recorded["velocity"] = recorded["position"].derivative()
     gaps_said = _checked_times(path, recorded, needed, mapping)
-    model = _model(mapping)
+    model = mapping.robot_model()
     recorded = on_one_clock(path, recorded, mapping, model)
     series, remarks = without_faults(recorded, mapping, model)
     if mapping.servo is not None:
@@ -186,11 +179,6 @@ def _checked_times(
     return [f"{', '.join(places)}: {said}" for said, places in gaps_of.items()]
 
 
-def servo_law(mapping: Mapping) -> ServoLaw | None:
-    """Law of the servos of a mapping; None: it has none."""
-    return None if mapping.servo is None else ServoLaw.of(mapping.servo, np.array(mapping.facts.limits.torque_Nm))
-
-
 def with_servo_torque(
     path: Path, series: dict[SignalName, Series], mapping: Mapping
 ) -> tuple[dict[SignalName, Series], list[str]]:
@@ -204,7 +192,7 @@ def with_servo_torque(
     Raises:
         InputError: A servo is saturated most of the time.
     """
-    law = servo_law(mapping)
+    law = mapping.servo_law
     assert law is not None
     position, wanted = series["position"], series["q_desired"]
     time, q, dq = position.time, position.values, series["velocity"].at(position.time)
@@ -244,12 +232,6 @@ def _unmeasured(path: Path, torque: Series, mapping: Mapping) -> list[str]:
     ]
 
 
-def _model(mapping: Mapping) -> RobotModel:
-    """Rigid-body model of the recorded arm."""
-    base = pin.SE3(pin.rpy.rpyToMatrix(*mapping.base_rpy), np.zeros(3))
-    return RobotModel(mapping.facts, mapping.end_effector.build(), base)
-
-
 def nominal_physics(mapping: Mapping, position: Array, model: RobotModel) -> Physics:
     """Nominal physics of a recorded arm: rigid, frictionless, with the mounted mass of the mapping.
 
@@ -265,7 +247,7 @@ def nominal_physics(mapping: Mapping, position: Array, model: RobotModel) -> Phy
     places = [model.placement(q).translation for q in position[:: max(1, len(position) // 50)]]
     arm = ArmPhysics(
         facts=facts,
-        base=pin.SE3(pin.rpy.rpyToMatrix(*mapping.base_rpy), np.zeros(3)),
+        base=mapping.base,
         end_effector=mapping.end_effector.build(),
         motor_inertia_rotor=inertia,
         motor_inertia_reduced=inertia,
@@ -369,13 +351,12 @@ def check_limits(
     """
     limits = mapping.facts.limits
     if name == "position":
-        low, high = np.array(limits.position_min_rad), np.array(limits.position_max_rad)
-        wrong, quantity = (values < low - MAX_POSITION_EXCESS) | (values > high + MAX_POSITION_EXCESS), "position"
-        expected = [f"{least:.3g} ... {most:.3g}" for least, most in zip(low, high, strict=True)]
+        ends = zip(limits.position_min_rad, limits.position_max_rad, strict=True)
+        expected, quantity = [f"{least:.3g} ... {most:.3g}" for least, most in ends], "position"
     else:
         most, quantity = (limits.velocity_rad_s, "velocity") if name == "velocity" else (limits.torque_Nm, "effort")
-        wrong = np.abs(values) > MAX_LIMIT_FACTOR * np.array(most)
         expected = [f"at most {limit:.3g}" for limit in most]
+    wrong = beyond_data_sheet(name, values, mapping.facts)
     wrong &= wrong.mean(axis=0) > briefly
     if not np.any(wrong):
         return
@@ -404,8 +385,7 @@ def check_velocity(path: Path, time: Array, position: Array, velocity: Array, ma
         InputError: They are not, by a factor of two and more.
     """
     derived = np.gradient(position, time, axis=0)
-    most = MAX_LIMIT_FACTOR * np.array(mapping.facts.limits.velocity_rad_s)
-    apart = (np.abs(derived) > most) | (np.abs(velocity) > most)
+    apart = np.any([beyond_data_sheet("velocity", one, mapping.facts) for one in (derived, velocity)], axis=0)
     apart &= apart.mean(axis=0) <= MAX_OUTLIER_SHARE  # single samples say nothing of a unit
     derived, velocity = np.where(apart, 0.0, derived), np.where(apart, 0.0, velocity)
     if not np.any(derived):

@@ -166,6 +166,11 @@ def fit_with_lag(
 # ---- motions --------------------------------------------------------------------------------------------------------
 
 
+def evenly(count: int, most: int) -> NDArray[np.signedinteger]:
+    """Indices of at most ``most`` of ``count`` samples, evenly taken."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
+
+
 def averaged(time: Array, values: Array) -> tuple[Array, Array]:
     """Moving averages over some hundredths of a second, ``(k,)`` and ``(k, c)``."""
     period = float(np.median(np.diff(time)))

@@ -2,14 +2,17 @@
 """Remarks about reading runs, with their numbers, so that one remark about many runs is printed once.
 
 A text alone hides that two remarks are of one kind: "is 1.07 times the derivative" and "is 1.08 times the derivative".
-A :class:`Remark` keeps its numbers apart from its words, and :func:`merged` prints the range of every number.
+A :class:`Remark` keeps its numbers apart from its words, and :func:`merged` prints the range of every number:
+
+    remark("{}: stamps moved by {:+.6g} s", place, offset)
 """
 
 from __future__ import annotations
 
 import statistics
+import string
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 MAX_NAMED_RUNS = 3  # of more runs only the number is printed
 
@@ -58,6 +61,23 @@ class Remark(str):
     def __reduce__(self) -> tuple[type[Remark], tuple[str | Amount, ...]]:
         """Pickle by the parts."""
         return Remark, self.parts
+
+
+def remark(template: str, *values: Any) -> Remark:
+    """A remark from a template as of :meth:`str.format`.
+
+    Args:
+        template: Its words; ``{}`` stands for a text or another remark, ``{:.3g}`` for a number with its format, and
+            ``{!r:.3g}`` for a number that is a remedy (:attr:`Amount.remedy`).
+        values: Texts and numbers in that order.
+    """
+    parts: list[str | Amount] = []
+    following = iter(values)
+    for words, name, digits, kind in string.Formatter().parse(template):
+        parts.append(words)
+        if name is not None:
+            parts.append(Amount(next(following), digits, kind == "r") if digits else next(following))
+    return Remark(*parts)
 
 
 def joined(separator: str, remarks: Sequence[str]) -> Remark:

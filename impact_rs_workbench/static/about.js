@@ -3,7 +3,7 @@
 // Explanations: the first two lines of a step, the right column, and the manual.
 
 import {LEADS, TERMS, TERMS_OF} from './explain.js';
-import {$, h, note, Questions} from './tools.js';
+import {$, h, LatestRequest, note} from './tools.js';
 
 // ---- the first two lines of a step, or of a tab -------------------------------------------------------------------
 
@@ -51,14 +51,14 @@ export function showAbout({title, text, equation, units, page, command, facts = 
 
 // ---- the manual ---------------------------------------------------------------------------------------------------
 
-const questions = new Questions();
+const requests = new LatestRequest();
 
 /** @param {string} name of a page, with an anchor or without */
 async function openManual(name) {
   const [page, anchor] = name.split('#'), article = $('manual-page');
   const dialog = /** @type {HTMLDialogElement} */ ($('manual'));
   try {
-    const {html} = await questions.begin().ask(`/manual/${page}`);
+    const {html} = await requests.begin().ask(`/manual/${page}`);
     article.innerHTML = html;
     for (const image of article.querySelectorAll('img')) image.src = `/manual/${image.getAttribute('src')}`;
     for (const link of article.querySelectorAll('a[href]')) {

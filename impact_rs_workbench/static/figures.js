@@ -2,7 +2,7 @@
 // @ts-check
 // Figures of the reports in the colours and widths of the page.
 
-import {h, load, Questions} from './tools.js';
+import {h, LatestRequest, load} from './tools.js';
 
 /** @typedef {import('./types.d.ts').Plot} Plot */
 /** @typedef {import('./types.d.ts').Figure} Figure */
@@ -67,13 +67,13 @@ const widths = new ResizeObserver((changes) => {
   }
 });
 
-/** @type {WeakMap<Plot, Questions>} of every place of a figure */
-const questions = new WeakMap();
+/** @type {WeakMap<Plot, LatestRequest>} of every place of a figure */
+const requests = new WeakMap();
 
 /** @param {Plot} node */
 function begin(node) {
-  if (!questions.has(node)) questions.set(node, new Questions());
-  return questions.get(node).begin();
+  if (!requests.has(node)) requests.set(node, new LatestRequest());
+  return requests.get(node).begin();
 }
 
 /** Empties a place; a figure that still waits for the library does not come either. @param {Plot} node */

@@ -4,8 +4,9 @@
 
 import {showAbout} from './about.js';
 import {replyArea} from './jobs.js';
-import {ask, fill, h, labelled, messageArea, plain, query, Questions, refill, slug, state, stem, unit,
-  withUnit} from './tools.js';
+import {
+  ask, fill, h, labelled, LatestRequest, messageArea, plain, query, refill, slug, state, stem, unit, withUnit,
+} from './tools.js';
 
 /** @typedef {import('./types.d.ts').Field} Field */
 /** @typedef {import('./types.d.ts').Option} Choice */
@@ -184,12 +185,12 @@ export function commandForm(command, label, {offers = [], first = 'scenario', su
   const fields = Object.fromEntries(FORMS[command].fields.map((field) =>
     [field.name, {field, ...controlOf(field, `${prefix}-${field.name}`, offers.includes(field.name))}]));
   const message = messageArea(), run = h('button', {class: 'primary', type: 'submit'}, label);
-  const typed = new Set(), all = Object.values(fields), questions = new Questions();
+  const typed = new Set(), all = Object.values(fields), requests = new LatestRequest();
   let before = null; // content of the form, as JSON
   const value = (name) => fields[name].value();
   const body = () => ready() ? {command, ...Object.fromEntries(all.map((one) => [one.field.name, one.value()]))} : null;
   const check = async () => {
-    const turn = questions.begin();
+    const turn = requests.begin();
     await turn.pause(TYPING);
     const content = body();
     if (!content) { message.show(); run.disabled = true; return; }
@@ -265,11 +266,11 @@ export function commandForm(command, label, {offers = [], first = 'scenario', su
  * @param {(found: any, only: Only, form: CommandForm) => void} options.offer is given what the chosen scenario has
  */
 export function scenarioForm(command, label, {offer, ...options}) {
-  const questions = new Questions();
+  const requests = new LatestRequest();
   const form = commandForm(command, label, {...options, ready: () => made.found});
   let asked = false;
   const choose = async (only = {}) => {
-    const turn = questions.begin();
+    const turn = requests.begin();
     made.found = null;
     form.refresh();
     try {

@@ -3,7 +3,7 @@
 // Jobs: the drawer at the lower edge, their questions, replies beside the buttons that started them, and their output.
 
 import {refresh} from './navigation.js';
-import {$, ask, button, h, inFolder, Questions, refill, seconds, state} from './tools.js';
+import {$, ask, button, h, inFolder, LatestRequest, refill, seconds, state} from './tools.js';
 
 /** @typedef {import('./types.d.ts').Job} Job */
 
@@ -66,14 +66,14 @@ const replies = new Map();
 
 /** The reply to a click, beside the button: the state of the job that it started, or why there is none. */
 export function replyArea() {
-  const node = h('output', {class: 'reply'}), questions = new Questions();
+  const node = h('output', {class: 'reply'}), requests = new LatestRequest();
   let answered = null; // number of the job
   const show = (text, kind = '') => { node.className = `reply ${kind}`; node.textContent = inFolder(text); };
   return {
     node,
     /** @param {any} body the filled form of a command */
     async start(body) {
-      const turn = questions.begin();
+      const turn = requests.begin();
       replies.delete(answered);
       show('starting …');
       try {
@@ -113,7 +113,7 @@ export class Printed {
   constructor(command, printed = () => {}) {
     this.words = command.split(' ');
     this.printed = printed;
-    this.questions = new Questions();
+    this.requests = new LatestRequest();
     this.key = null; // of the output that is shown
     this.heading = h('h3', {});
     this.text = h('pre', {class: 'printed', tabindex: 0, 'aria-label': `output of ${command}`});
@@ -129,7 +129,7 @@ export class Printed {
     if (key === this.key) return;
     this.key = key;
     this.printed(job, stateText(job));
-    const turn = this.questions.begin();
+    const turn = this.requests.begin();
     try {
       const {log} = await turn.ask(`/api/jobs/${job.number}/log`);
       this.text.textContent = inFolder(log);
@@ -167,12 +167,12 @@ function showQuestions(jobs) {
 
 // ---- the drawer ---------------------------------------------------------------------------------------------------
 
-/** @type {Map<number, {text: string, questions: Questions}>} outputs that are open, by number of the job */
+/** @type {Map<number, {text: string, requests: LatestRequest}>} outputs that are open, by number of the job */
 const opened = new Map();
 
 async function showOutput(job) {
   const output = opened.get(job);
-  const {log} = await output.questions.begin().ask(`/api/jobs/${job}/log`);
+  const {log} = await output.requests.begin().ask(`/api/jobs/${job}/log`);
   output.text = log || 'no output yet';
   const shown = $('job-list').querySelector(`[data-job="${job}"] pre`);
   if (shown) shown.textContent = output.text;
@@ -190,7 +190,7 @@ function jobRow(job) {
   };
   const look = ({target}) => {
     if (!opened.delete(job.number)) {
-      opened.set(job.number, {text: '', questions: new Questions()});
+      opened.set(job.number, {text: '', requests: new LatestRequest()});
       showOutput(job.number);
     }
     target.closest('li').querySelector('pre').hidden = !opened.has(job.number);

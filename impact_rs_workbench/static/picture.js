@@ -3,7 +3,7 @@
 // Scenes in 3D: the impact of a scenario with an answer of the impact map, and recorded trials. replay.js draws them.
 // It and its library are loaded when they are first needed, after the first numbers.
 
-import {ask, h, load, query, Questions} from './tools.js';
+import {ask, h, LatestRequest, load, query} from './tools.js';
 
 const LIBRARIES = ['/static/three.js', '/static/replay.js'];
 let loading = null;
@@ -31,7 +31,7 @@ export class ImpactScene {
     this.newest = null; // answer of the impact map
     this.drawing = false;
     this.ready = false;
-    this.questions = new Questions();
+    this.requests = new LatestRequest();
   }
 
   /** Asks for a scene before its answer is there. @param {string} scenario @param {string} object */
@@ -46,7 +46,7 @@ export class ImpactScene {
     const key = JSON.stringify([scenario, object]);
     this.newest = moment;
     if (this.key === key) { this.soon(); return; }
-    const turn = this.questions.begin();
+    const turn = this.requests.begin();
     this.key = key;
     this.ready = false;
     if (this.coming?.key !== key) this.ahead(scenario, object);

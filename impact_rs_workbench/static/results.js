@@ -3,7 +3,7 @@
 // Results in the folder of the workbench: lists to choose one from, whole reports, and what a report's own page holds.
 
 import {replayIn} from './picture.js';
-import {fill, h, labelled, mistake, plain, Questions, state} from './tools.js';
+import {fill, h, labelled, LatestRequest, mistake, plain, state} from './tools.js';
 
 /** @typedef {import('./tools.js').Turn} Turn */
 
@@ -33,7 +33,7 @@ export class ResultChooser {
     /** @type {string | null} is shown */
     this.opened = null;
     this.stamp = 0; // time of the last change of the file that is shown
-    this.questions = new Questions();
+    this.requests = new LatestRequest();
     this.select = h('select', {id, onchange: () => this.open()});
     this.label = labelled(label, this.select);
     this.result = h('div', {id: id.replace(/-[a-z]+$/, '-result')});
@@ -50,7 +50,7 @@ export class ResultChooser {
   }
 
   async open() {
-    const value = this.opened = this.select.value, turn = this.questions.begin();
+    const value = this.opened = this.select.value, turn = this.requests.begin();
     this.stamp = state.workspace.stamps[this.file(value)];
     this.result.replaceChildren(reading(value));
     try { await this.show(value, turn, this.result); } catch (error) { this.result.replaceChildren(mistake(error)); }

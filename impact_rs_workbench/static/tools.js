@@ -50,14 +50,14 @@ export async function ask(path, body, options = {}) {
   return data;
 }
 
-/** @typedef {ReturnType<Questions['begin']>} Turn */
+/** @typedef {ReturnType<LatestRequest['begin']>} Turn */
 
 /**
- * The questions of one view: only the newest one is answered. `begin` starts a question and returns its turn. A turn's
+ * The requests of one view: only the newest one is answered. `begin` starts a request and returns its turn. A turn's
  * promises (an answer, an error, a frame, a pause) settle only while it is the newest, so that no late answer is
- * painted. The requests of an earlier turn are aborted.
+ * painted. Fetches of an earlier turn are aborted.
  */
-export class Questions {
+export class LatestRequest {
   /** @type {AbortController | undefined} */
   flight;
 

@@ -125,7 +125,7 @@ def test_additions_that_would_count_twice_or_lose_half_are_refused(laboratory: P
     assert main(["add", "torque_delay", "--from", str(diagnosis)]) == 0
     text = calibration.read_text(encoding="utf-8")
     said = refused("add", "torque_delay", "--from", diagnosis)
-    assert str(calibration) in said and "would count twice what it knows; diagnose the measurements again" in said
+    assert str(calibration) in said and "its faults would be included twice; diagnose the measurements again" in said
     assert calibration.read_text(encoding="utf-8") == text
 
 

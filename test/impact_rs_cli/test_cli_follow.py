@@ -27,7 +27,7 @@ from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.state import save_state
 from impact_rs_cli.commands import follow as follow_command
 from impact_rs_cli.full_diagnosis import FullDiagnosis
-from impact_rs_cli.identify import Lessons
+from impact_rs_cli.identify import HitReports
 from impact_rs_cli.main import main
 from impact_rs_sim.model import load_model
 from impact_rs_sim.progress import VARIABLE
@@ -190,21 +190,21 @@ def test_a_hit_that_arrives_is_followed_at_once_and_kept_in_the_state(
 
 
 def test_the_node_takes_a_few_hits_at_a_time_and_all_in_the_end(table: Path, tmp_path: Path) -> None:
-    def lessons() -> Lessons:
+    def reports() -> HitReports:
         source = hits_options(table, scenario="push")
         follower = Follower(hit_source_of(source, NOMINAL), NOMINAL)
         diagnosis = FullDiagnosis(diagnose_options(source, "nominal"), tmp_path)
-        return Lessons(FollowedHits(source, follower, tmp_path / "state.npz", diagnosis), diagnosis)
+        return HitReports(FollowedHits(source, follower, tmp_path / "state.npz", diagnosis), diagnosis)
 
-    first = lessons()
+    first = reports()
     looks = [first.arrived() for _ in range(7)]
     assert all(1 <= len(look) <= 3 for look in looks)
-    again, later = lessons(), []
+    again, later = reports(), []
     while look := again.arrived():
         later += look
-    lines = [lesson.line.partition(":")[0] for lesson in later]
+    lines = [report.line.partition(":")[0] for report in later]
     assert lines == [f"row {number}" for number in range(21, 43)]  # the state was saved after the tenth hit, twice
-    (change,) = [lesson.document for lesson in later if lesson.topic == "change"]
+    (change,) = [report.document for report in later if report.topic == "change"]
     assert "--since 'row 37'" in change["diagnose"]
 
 

@@ -64,7 +64,7 @@ def test_a_dependence_on_a_covariate_is_in_text_document_and_page(
     diagnosis, report = tmp_path / "diagnosis.json", tmp_path / "report"
     assert main(["diagnose", *table, *only, "-o", str(diagnosis), "--report", str(report)]) == 0
     shown = " ".join(capfd.readouterr().out.split())
-    assert "restitution depends on session: 0." in shown and "What depends on circumstances" in shown
+    assert "restitution depends on session: 0." in shown and "Dependences on circumstances" in shown
     found = read_document(diagnosis)
     (one,) = (entry for entry in found.dependences if entry.found)
     estimates = [one.levels[level]["restitution"].estimate for level in "AB"]

@@ -31,7 +31,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from impact_table_cases import write_csv
 from live_hits import DAMAGES, JOINTS, MOTORS, POSE, Damage, Live, Messages, damaged_messages
-from signal_files import TIME, VALUES, csv_file, hdf5_file, npz_file, parquet_file
+from signal_files import TIME, VALUES, csv_file, hdf5_file, npz_file, parquet_file, torch_file
 
 from impact_rs_cli.main import main
 from impact_rs_sim.effects.formula import load_formulas
@@ -171,6 +171,7 @@ FILES = {
     "arm.urdf": Reader(lambda path: path.write_text(URDF), lambda p: len(import_urdf(p).joints) == 1, text_damage),
     "signals.parquet": Reader(parquet_file, any_numbers, damaged),
     "signals.npz": Reader(npz_file, same_numbers, lambda data: st.one_of(damaged(data), with_a_second_array(data))),
+    "signals.pt": Reader(torch_file, same_numbers, damaged),
     "plain.h5": Reader(hdf5_file, any_numbers, damaged),
     "sealed.h5": Reader(lambda path: hdf5_file(path, "latest", fletcher32=True, chunks=True), same_numbers, damaged),
 }
@@ -394,7 +395,7 @@ def test_a_damaged_trial_is_a_hit_or_refused_with_its_reason_and_the_follower_go
         assert [*hits, *refused] == [name]
         assert all(reason and "\n" not in reason for reason in refused.values())
         # None like a hit that ends early, which was seen once.
-        json.dumps(dict(live.lessons.prediction()), allow_nan=False)
+        json.dumps(dict(live.reports.prediction()), allow_nan=False)
         assert all(np.isfinite(one.estimate) for one in live.follower.followed())
 
     check()

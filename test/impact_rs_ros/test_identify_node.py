@@ -10,20 +10,20 @@ from typing import Any, get_args
 
 import pytest
 
-from impact_rs_analysis.following.lessons import ChangeDiagnosis, PublishedChange, PublishedPrediction, RefusedHit
-from impact_rs_ros.identify_node import TOPICS, Identifier, IdentifyNode, Lesson
+from impact_rs_analysis.following.documents import ChangeDiagnosis, PublishedChange, PublishedPrediction, RefusedHit
+from impact_rs_ros.identify_node import TOPICS, HitReport, Identifier, IdentifyNode
 from impact_rs_ros.message_types import message_type
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.schema import Schema
 
 
-class Lessons:
+class HitReports:
     """Hits that have been followed elsewhere."""
 
-    def __init__(self, *looks: Sequence[Lesson] | Exception) -> None:
+    def __init__(self, *looks: Sequence[HitReport] | Exception) -> None:
         self._looks = list(looks)
 
-    def arrived(self) -> Sequence[Lesson]:
+    def arrived(self) -> Sequence[HitReport]:
         found = self._looks.pop(0) if self._looks else ()
         if isinstance(found, Exception):
             raise found
@@ -46,6 +46,8 @@ class Lessons:
 
 
 class Log:
+    """Keeps its lines."""
+
     def __init__(self) -> None:
         self.lines: list[tuple[str, str]] = []
 
@@ -79,8 +81,8 @@ def test_a_change_is_published_and_warned_of_and_stays_on_diagnostics() -> None:
     cause = {"effect": "object_mass", "share": 1.0, "since": "row 1", "parameters": (), "words": "heavier"}
     text = dict.fromkeys(("instead", "apart", "diagnose"), "") | {"since": "row 1", "words": "since row 1 heavier"}
     numbers = {"since_time": None, "hits": 2, "log10_ratio": 9.0, "false_alarm": 1e5, "again": False}
-    change = Lesson("row 2: off", "change", {"hit": "row 2", "causes": (cause,), **text, **numbers})
-    node = Offline(Lessons([Lesson("row 1: off"), change], []))
+    change = HitReport("row 2: off", "change", {"hit": "row 2", "causes": (cause,), **text, **numbers})
+    node = Offline(HitReports([HitReport("row 1: off"), change], []))
     node.look()
     node.look()
     (changed,), (predicted,) = node.said["change"], node.said["prediction"]  # of the last hit, once
@@ -95,8 +97,8 @@ def test_a_change_is_published_and_warned_of_and_stays_on_diagnostics() -> None:
 
 def test_a_diagnosis_that_has_ended_is_published_and_is_no_hit() -> None:
     document = {"command": "", "file": "", "verdict": "object_mass", "words": ""}
-    ended = Lesson("full diagnosis: CONFIRMED", "diagnosis", document, hit=False)
-    node = Offline(Lessons([Lesson("row 1: off")], [ended]))
+    ended = HitReport("full diagnosis: CONFIRMED", "diagnosis", document, hit=False)
+    node = Offline(HitReports([HitReport("row 1: off")], [ended]))
     node.look()
     node.look()
     assert [message.verdict for message in node.said["diagnosis"]] == ["object_mass"]
@@ -106,7 +108,7 @@ def test_a_diagnosis_that_has_ended_is_published_and_is_no_hit() -> None:
 
 @pytest.mark.parametrize("error", [InputError("no such folder"), ValueError("bytes")])
 def test_hits_that_cannot_be_read_are_a_warning_and_the_next_ones_are_taken(error: Exception) -> None:
-    node = Offline(Lessons(error, [Lesson("row 1: off")]))
+    node = Offline(HitReports(error, [HitReport("row 1: off")]))
     node.look()
     line, _ = node.status()
     assert str(error) in line
@@ -117,8 +119,8 @@ def test_hits_that_cannot_be_read_are_a_warning_and_the_next_ones_are_taken(erro
 
 
 def test_what_gives_no_hit_is_published_warned_of_and_counted() -> None:
-    refused = Lesson("r3: velocity is not finite", "refused", {"hit": "r3", "reason": "nan"}, hit=False)
-    node = Offline(Lessons([refused, Lesson("r4: off")], []))
+    refused = HitReport("r3: velocity is not finite", "refused", {"hit": "r3", "reason": "nan"}, hit=False)
+    node = Offline(HitReports([refused, HitReport("r4: off")], []))
     node.look()
     node.look()
     assert [(message.hit, message.reason) for message in node.said["refused"]] == [("r3", "nan")]

@@ -22,7 +22,7 @@ from robot_bench import PUSH
 from impact_rs_ros import cell_node
 from impact_rs_ros.cell_node import CellNode
 from impact_rs_ros.controller_node import ControllerNode
-from impact_rs_ros.managed import FAILURE, SUCCESS
+from impact_rs_ros.managed import ERROR, FAILURE, SUCCESS
 from impact_rs_ros.plant_node import PlantNode
 from impact_rs_ros.process import NodeProgram
 from impact_rs_ros.recorder_node import RecorderNode
@@ -112,6 +112,21 @@ def test_configure_reads_the_scenario_and_a_wrong_one_leaves_the_node_unconfigur
     assert program.node.trigger_configure() == SUCCESS
 
 
+def test_an_error_in_a_transition_leaves_the_node_unconfigured_and_it_can_be_used_again(
+    made: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Kills: a node that is active for ROS, and refuses every trial because it is not."""
+    program = made("controller")
+    program.start()
+    with monkeypatch.context() as changed:
+        changed.setattr(program, "break_off", lambda why: 1 // 0)
+        assert program.node.trigger_deactivate() == ERROR
+    assert program.node._state_machine.current_state[0] == State.PRIMARY_STATE_UNCONFIGURED
+    assert not program.active
+    program.node.start()
+    assert program.active
+
+
 @pytest.mark.parametrize("autostart", [True, False])
 def test_a_node_activates_itself_unless_autostart_is_false(
     made: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch, autostart: bool
@@ -144,6 +159,29 @@ def test_an_inactive_node_refuses_a_trial_and_says_how_to_activate_it(
     answer = program._on_configure(configuration(PUSH, tmp_path / "bag"), ConfigureTrial.Response())
     assert not answer.success
     assert answer.message == f"/{kind} is not active: ros2 lifecycle set /{kind} activate"
+
+
+def test_a_repeated_request_gets_the_answer_of_the_first_whether_it_was_accepted_or_refused(
+    made: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Kills: a refusal that is worked out again, while the next trial's request waits behind it."""
+    program, begun = made("recorder"), []
+    program.start()
+    begin = program.begin_trial
+    monkeypatch.setattr(program, "begin_trial", lambda *request: (begun.append(request), begin(*request)))
+    request = configuration(PUSH, attempt=7)
+    request.bag_path = ""
+    first, second = (program._on_configure(request, ConfigureTrial.Response()) for _ in range(2))
+    assert (first.success, "ConfigureTrial.bag_path is empty" in first.message) == (False, True)
+    assert second == first
+    assert len(begun) == 1
+
+    monkeypatch.setattr(program, "begin_trial", lambda _, response: setattr(response, "ros_time", True))
+    request.attempt = 8
+    first, second = (program._on_configure(request, ConfigureTrial.Response()) for _ in range(2))
+    assert first.success
+    assert first.ros_time
+    assert second == first
 
 
 def test_a_controller_that_is_deactivated_in_a_trial_ends_it_and_says_so(made: Callable[[str], Any]) -> None:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 from rclpy.qos import (
@@ -20,10 +21,12 @@ from rclpy.qos import (
 
 from impact_rs_ros import process
 from impact_rs_ros.impact_map_node import ImpactMapNode
-from impact_rs_ros.middleware import CHOICES, LOCALHOST, PROFILE, RANGE, discovery, set_middleware
+from impact_rs_ros.middleware import CHOICES, LOCALHOST, NETWORK, PROFILE, RANGE, discovery, set_middleware
 from impact_rs_ros.names import SHARED, full_namespace, on_network, within
+from impact_rs_ros.node_parameters import defaults_of
 from impact_rs_ros.qos import AWAITED, EVENT, LATCHED, RECORD, STREAM, WATCH, offered
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.paths import config_directory
 from impact_rs_trials.bags import topics
 
 TELL = """
@@ -52,11 +55,22 @@ def test_a_node_listens_on_the_loopback_alone_and_shares_no_memory(domain_ids: C
 
 
 @pytest.mark.parametrize("name", CHOICES)
-def test_who_has_chosen_anything_keeps_it_and_nothing_is_added(name: str) -> None:
+def test_who_has_chosen_anything_keeps_it_and_gets_no_restriction(name: str) -> None:
     chosen = {name: LOCALHOST if name == RANGE else "own"}
     environment = dict(chosen)
     set_middleware(environment)
-    assert environment == chosen
+    added = {} if "PROFILES" in name else {PROFILE: str(config_directory() / NETWORK)}
+    assert environment == chosen | added
+
+
+def test_on_a_network_a_lost_packet_is_repaired_while_the_trial_still_waits() -> None:
+    """By the heartbeat of its writer; the profile restricts nothing. Kills: the 3 s of Fast DDS."""
+    root = ElementTree.parse(config_directory() / NETWORK).getroot()
+    (only,) = root
+    seconds, nanoseconds = (int(part.text or "") for part in only.iterfind(".//{*}heartbeatPeriod/*"))
+    assert only.tag.endswith("data_writer")
+    assert only.get("is_default_profile") == "true"
+    assert 5.0 * (seconds + 1e-9 * nanoseconds) < defaults_of("experiment")["progress_timeout"]
 
 
 def test_a_variable_that_is_empty_chooses_nothing() -> None:

@@ -145,22 +145,37 @@ def test_former_name_of_an_engine_is_accepted() -> None:
     ],
 )
 def test_a_node_does_not_start_with_such_a_value(
-    node: type[NodeProgram],
-    argument: str,
-    domain_ids: Callable[[], int],
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
+    node: type[NodeProgram], argument: str, refusal: Callable[[type[NodeProgram], list[str]], str]
 ) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_ids()))
-    monkeypatch.setattr(process.signal, "signal", lambda *_: None)
-    monkeypatch.setattr(process.os, "sched_setscheduler", lambda *_: None)
-    monkeypatch.setattr(process.sys, "argv", [node.kind, "--ros-args", "-p", argument])
-    with pytest.raises(SystemExit) as ended:
-        process.run(node)
-    assert ended.value.code == 2
-    output = capfd.readouterr().err
-    assert "parameter refused: " in output
-    assert argument.partition(":=")[0] in output
+    assert argument.partition(":=")[0] in refusal(node, ["--ros-args", "-p", argument])
+
+
+def test_a_node_does_not_pass_over_words_that_ros_does_not_read(
+    refusal: Callable[[type[NodeProgram], list[str]], str],
+) -> None:
+    """Kills: ``-p scenario:=grab`` without ``--ros-args``, with which the node ran its default."""
+    assert "parameter refused: -p: expected --ros-args first" in refusal(PlantNode, ["-p", "scenario:=grab"])
+
+
+@pytest.fixture
+def refusal(
+    domain_ids: Callable[[], int], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> Callable[[type[NodeProgram], list[str]], str]:
+    """What a node logs that is started with these words, and refuses them."""
+
+    def refused(node: type[NodeProgram], words: list[str]) -> str:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_ids()))
+        monkeypatch.setattr(process.signal, "signal", lambda *_: None)
+        monkeypatch.setattr(process.os, "sched_setscheduler", lambda *_: None)
+        monkeypatch.setattr(process.sys, "argv", [node.kind, *words])
+        with pytest.raises(SystemExit) as ended:
+            process.run(node)
+        assert ended.value.code == 2
+        output = capfd.readouterr().err
+        assert "parameter refused: " in output
+        return output
+
+    return refused
 
 
 @pytest.mark.parametrize(

@@ -103,7 +103,7 @@ def test_compiled_drive_has_the_friction_of_its_docstring(arm_of_scene, uneven, 
     """Kills a transmitted torque without its damper, a shaft that acts on one joint alone, and a joint off by one."""
     shared = ShaftFriction(shafts[:6], 0.5 * shafts[1:], -0.7), ShaftFriction(shafts[1:], 0.1 * shafts[:6], 1.0)
     friction = JointFriction(
-        np.full(7, 0.4), np.full(7, 0.2), np.full(7, 0.3), np.full(7, 0.05), None, 0.005, uneven, load, shared
+        *np.outer((0.4, 0.2, 0.3, 0.05), np.ones(7)), None, np.linspace(0.005, 0.1, 7), uneven, load, shared
     )
     arm = replace(arm_of_scene, friction=friction)
     drive = Drive(arm, PERIOD)

@@ -481,8 +481,8 @@ def test_a_flexible_base_is_still_where_nothing_pushes_it(juice: TrialPlan) -> N
 @pytest.mark.parametrize("name", OUTSIDE)
 def test_a_larger_outside_effect_changes_a_trial_more(juice: TrialPlan, name: str) -> None:
     """Seen where the arm is after it was driven into the object by the same torques."""
-    short = juice.scene.scenario.timing.model_copy(update={"duration": 0.5, "nominal_impact": 0.3, "approach": 0.3,
-                                                          "window_after": 0.1})  # fmt: skip
+    earlier = {"duration": 0.5, "nominal_impact": 0.3, "approach": 0.3, "window_after": 0.1}
+    short = juice.scene.scenario.timing.model_copy(update=earlier)
     scenario = juice.scene.scenario.model_copy(update={"timing": short})
     arm = juice.scene.arms["arm"]
     model = juice.scene.models["arm"]

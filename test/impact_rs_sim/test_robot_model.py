@@ -180,7 +180,10 @@ def test_a_number_per_joint_is_wanted() -> None:
 
 
 FRICTION = JointFriction(
-    *np.random.default_rng(5).uniform(0.1, 0.6, (3, 7)), np.full(7, 0.06), ARM.facts.friction, smoothing=0.01
+    *np.random.default_rng(5).uniform(0.1, 0.6, (3, 7)),
+    np.full(7, 0.06),
+    ARM.facts.friction,
+    smoothing=np.linspace(0.004, 0.02, 7),
 )
 
 

@@ -87,10 +87,12 @@ def test_a_pose_that_is_out_of_reach_is_told_with_its_keys_and_by_how_far() -> N
 
 def test_an_unreachable_velocity_is_refused_with_the_amount_missed() -> None:
     """Two joints that slide along x and y, asked to move along z as well."""
-    slides = SimpleNamespace(jacobian=lambda q: np.eye(6)[:, :2], joint_count=2)
-    np.testing.assert_allclose(_impact_velocity(slides, np.zeros(2), np.array([0.3, -0.4, 0.0]), None), [0.3, -0.4])
+    slides = SimpleNamespace(jacobian=lambda q, hand: np.eye(6)[:, :2], joint_count=2)
+    np.testing.assert_allclose(
+        _impact_velocity(slides, np.zeros(2), {"": np.array([0.3, -0.4, 0.0])}, None), [0.3, -0.4]
+    )
     with pytest.raises(InputError, match=r"beyond these joints: the nearest velocity is off by 0\.5"):
-        _impact_velocity(slides, np.zeros(2), np.array([0.3, -0.4, 0.5]), None)
+        _impact_velocity(slides, np.zeros(2), {"": np.array([0.3, -0.4, 0.5])}, None)
 
 
 @pytest.mark.parametrize("thing", PUSH.objects)

@@ -21,7 +21,7 @@ from impact_rs_sim.plant.bullet_world import BulletWorld
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_sim.scene import ArmState, BodyState, Scene
-from impact_rs_sim.shapes import SPHERE, ConvexShape
+from impact_rs_sim.shapes import SPHERE, ConvexShape, hull_of
 
 R = 0.05  # m, radius of the balls
 BALL = ObjectPhysics(0.8, np.full(3, 2.0 * R), np.full(3, 0.4 * 0.8 * R * R), np.zeros(3), SPHERE)
@@ -84,6 +84,30 @@ def test_one_ball_hits_another_off_its_centre_with_friction(restitution: float) 
     spin = np.cross(R * normal, rubbed * sliding)
     np.testing.assert_allclose(found.object_twist[3:], -spin / BALL.inertia[0], atol=1e-9)
     np.testing.assert_allclose(found.neighbour_twists["other"][3:], -spin / BALL.inertia[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.7, 1.0])
+@pytest.mark.parametrize("slope", [0.2, 0.6])
+def test_a_ball_that_falls_on_a_wedge_drives_it_aside(slope: float, restitution: float) -> None:
+    """J = (1 + e) V cos a / (1/m + sin^2 a / M), smooth; kills a wedge that sinks or turns, and one that is a box."""
+    reach, mass, speed = 0.1, 1.5, 2.0  # m, half of its base; kg; m/s
+    height, normal = 1.5 * reach * np.tan(slope), np.array([np.sin(slope), 0.0, np.cos(slope)])
+    ends = ((-1.0, -1.0), (1.0, -1.0), (-0.5, 1.0))  # of the profile, in half extents: it descends along x
+    half = np.array([reach, reach, height / 2.0])
+    corners = tuple((x * half[0], y * half[1], z * half[2]) for x, z in ends for y in (-1.0, 1.0))
+    offset = np.array([-reach / 6.0, 0.0, -height / 6.0])
+    wedge = ObjectPhysics(mass, 2.0 * half, np.full(3, mass * reach**2 / 3.0), offset, hull_of(corners))
+    ball = Neighbour("ball", BALL, np.zeros(3), np.eye(3))
+    physics = scene({}, object=wedge, neighbours=(ball,), support_height=0.0, support_friction=0.0)
+    middle = np.array([0.0, 0.0, height / 2.0])
+    face = np.array([0.0, 0.0, 2.0 / 3.0 * height])  # where the ball meets it
+    falls = BodyState(face + R * normal, np.eye(3), np.array([0.0, 0.0, -speed, 0.0, 0.0, 0.0]))
+    start = BodyState(middle, np.eye(3), np.zeros(6))
+    found = compute_impact_map(ImpactProblem(physics, {}, start, {}, restitution, neighbours=(falls,)))
+    impulse = (1.0 + restitution) * speed * np.cos(slope) / (1.0 / BALL.mass + np.sin(slope) ** 2 / mass)
+    np.testing.assert_allclose(found.object_twist, [-impulse * np.sin(slope) / mass, 0, 0, 0, 0, 0], atol=1e-9)
+    after = impulse / BALL.mass * normal - [0.0, 0.0, speed]
+    np.testing.assert_allclose(found.neighbour_twists["ball"], [*after, 0.0, 0.0, 0.0], atol=1e-9)
 
 
 def test_a_rail_that_hits_two_boxes_in_a_row_hits_one_of_their_mass() -> None:

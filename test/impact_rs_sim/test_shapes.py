@@ -243,5 +243,7 @@ def test_a_hull_that_is_none_is_refused() -> None:
     ):
         with pytest.raises(ValueError, match=words):
             _kernel.Shape("hull", corners, wrong)
+    with pytest.raises(ValueError, match="one or more"):  # its furthest corner would lie beyond them
+        _kernel.Shape("hull", corners[:0], [])
     with pytest.raises(ValueError, match="kind"):
         _kernel.Shape("torus")

@@ -59,11 +59,11 @@ def thrown(rng: np.random.Generator, kind: str) -> tuple[ObjectPhysics, BodyStat
     return ObjectPhysics(mass, size, inertia, com, shape), BodyState(np.array([0.0, 0.0, height]), rotation, twist)
 
 
-def form_of(thing: ObjectPhysics, name: str) -> tuple[str, str]:
+def form_of(body: ObjectPhysics, name: str) -> tuple[str, str]:
     """Geom of a body, and its asset."""
-    half, kind = thing.size / 2.0, thing.shape.kind
+    half, kind = body.size / 2.0, body.shape.kind
     if kind == "hull":
-        asset = f'<mesh name="{name}" vertex="{text(np.array(thing.shape.corners))}"/>'
+        asset = f'<mesh name="{name}" vertex="{text(np.array(body.shape.corners))}"/>'
         return f'type="mesh" mesh="{name}"', asset
     extents = {"sphere": half[:1], "capsule": [half[0], half[2] - half[0]], "cylinder": [half[0], half[2]]}.get(
         kind, half
@@ -71,13 +71,13 @@ def form_of(thing: ObjectPhysics, name: str) -> tuple[str, str]:
     return f'type="{kind}" size="{text(np.array(extents))}"', ""
 
 
-def body_xml(thing: ObjectPhysics, state: BodyState, name: str) -> tuple[str, str]:
+def body_xml(body: ObjectPhysics, state: BodyState, name: str) -> tuple[str, str]:
     """A free body with its geom, and its asset."""
-    form, asset = form_of(thing, name)
+    form, asset = form_of(body, name)
     x, y, z, w = pin.Quaternion(state.rotation).coeffs()
     return (
         f'<body name="{name}" pos="{text(state.position)}" quat="{text(np.array([w, x, y, z]))}"><freejoint/>'
-        f'<inertial pos="{text(thing.com_offset)}" mass="{thing.mass}" diaginertia="{text(thing.inertia)}"/>'
+        f'<inertial pos="{text(body.com_offset)}" mass="{body.mass}" diaginertia="{text(body.inertia)}"/>'
         f'<geom name="{name}" {form}/></body>'
     ), asset
 
@@ -114,13 +114,13 @@ def test_a_thrown_body_lands_as_in_mujoco(kind: str, friction: float) -> None:
     """20 problems each; kills a contact point beside the lowest one, and a centre of mass taken for the middle."""
     rng, compared = np.random.default_rng(9), 0
     for _ in range(20):
-        thing, state = thrown(rng, kind)
-        physics = scene({}, object=thing, support_height=0.0, support_size=(18.0, 18.0), support_friction=friction)
+        body, state = thrown(rng, kind)
+        physics = scene({}, object=body, support_height=0.0, support_size=(18.0, 18.0), support_friction=friction)
         found = compute_impact_map(ImpactProblem(physics, {}, state, {}))
         assert len(found.contacts) >= 1
         if len(found.contacts) > 1:  # nearly level: points within 1 mm take part in the map, one in MuJoCo's step
             continue
-        (expected,), _ = of_mujoco({"thing": (thing, state)}, ("table", "thing"), friction, table=True)
+        (expected,), _ = of_mujoco({"body": (body, state)}, ("table", "body"), friction, table=True)
         np.testing.assert_allclose(found.object_twist, expected, atol=0.02)
         compared += 1
     assert compared >= 12
@@ -128,7 +128,7 @@ def test_a_thrown_body_lands_as_in_mujoco(kind: str, friction: float) -> None:
 
 def meeting(rng: np.random.Generator, first: str, second: str) -> dict[str, tuple[ObjectPhysics, BodyState]]:
     """Two bodies that touch and come closer."""
-    thing, state = thrown(rng, first)
+    body, state = thrown(rng, first)
     other, beside = thrown(rng, second)
     way = rng.normal(size=3)
     way /= np.linalg.norm(way)
@@ -137,19 +137,19 @@ def meeting(rng: np.random.Generator, first: str, second: str) -> dict[str, tupl
     for _ in range(20):  # along the normal until they touch
         one, two = (
             ConvexBody(own.position, own.rotation, body.size / 2.0, body.shape)
-            for body, own in ((thing, state), (other, beside))
+            for body, own in ((body, state), (other, beside))
         )
         apart, normal, *_ = _kernel.meet(one.parts, two.parts, ALIGNED)
         beside = replace(beside, position=beside.position - apart * normal)
-    return {"object": (thing, state), "other": (other, beside)}
+    return {"object": (body, state), "other": (other, beside)}
 
 
 def apart(bodies: dict[str, tuple[ObjectPhysics, BodyState]], normal: Array) -> float:
     """Separation along a direction from the first to the second [m]."""
-    (thing, state), (other, beside) = bodies.values()
+    (body, state), (other, beside) = bodies.values()
     reaches = (
         body.shape.support(body.size, own.rotation.T @ way)
-        for body, own, way in ((thing, state, normal), (other, beside, -normal))
+        for body, own, way in ((body, state, normal), (other, beside, -normal))
     )
     return float(normal @ (beside.position - state.position) - sum(reaches))
 
@@ -165,9 +165,9 @@ def test_two_thrown_bodies_hit_each_other_as_in_mujoco(first: str, second: str) 
     rng, compared = np.random.default_rng(4), 0
     for _ in range(15):
         bodies = meeting(rng, first, second)
-        (thing, state), (other, beside) = bodies.values()
+        (body, state), (other, beside) = bodies.values()
         place = Neighbour("other", other, np.zeros(3), np.eye(3))
-        physics = scene({}, object=thing, neighbours=(place,))
+        physics = scene({}, object=body, neighbours=(place,))
         found = compute_impact_map(ImpactProblem(physics, {}, state, {}, neighbours=(beside,)))
         if len(found.contacts) != 1 or np.linalg.norm(found.contacts[0].impulse) < 0.1:
             continue

@@ -252,6 +252,8 @@ class Magnet(Load):
 
 @dataclass(frozen=True)
 class Broken(Load):
+    """A load whose Python class fails."""
+
     def joint_torque(self, state: LoadState) -> Array | None:
         raise InputError("no magnet")
 

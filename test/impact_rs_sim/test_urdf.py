@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robots.link_shapes import Shape, link_shapes
 from impact_rs_sim.robots.mesh_files import mesh_address, mesh_path
 from impact_rs_sim.robots.robot import Flange, RobotFacts, load_facts
@@ -83,6 +84,7 @@ def test_a_prefix_names_links_and_joints() -> None:
 
 @pytest.fixture(autouse=True)
 def no_packages(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("IMPACT_RS_CONFIG", str(config_directory()))  # in an installed tree found by the other variable
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
 
 

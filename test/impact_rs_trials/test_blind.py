@@ -12,7 +12,7 @@ from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.plant.unmodelled import OUTSIDE
 from impact_rs_sim.scenarios.scenario import scenario_path
-from impact_rs_trials.blind import RUNS, SIZES, TRUTH, draw, draw_outside, draw_truth, hide, make, specs, tasks
+from impact_rs_trials.blind import RUNS, SIZES, TRUTH, Secret, draw, draw_outside, draw_truth, hide, make, specs, tasks
 
 
 @pytest.mark.parametrize("name", sorted(library()))
@@ -95,6 +95,8 @@ def test_outside_effects_have_one_to_four_times_a_noticeable_size() -> None:
         (lambda: draw_truth(0, "pair", "object_mass+object_mass", None), "expected two effects"),
         (lambda: draw_truth(0, "single", "object_mass+restitution", None), "expected one effect"),
         (lambda: draw_truth(0, "pair", "object_mass+gravity", None), "no effect 'gravity'"),
+        (lambda: Secret.drawn(0, effect="neighbour_mass"), "no object has neighbours"),
+        (lambda: Secret.drawn(0, effect="object_friction"), "push_two_boxes"),
         (lambda: draw_outside(0, "gravity", None), "no outside effect 'gravity'"),
         (lambda: tasks(Path("."), 0, "huge", [], None, 0.0), "no size 'huge'"),
     ],
@@ -137,6 +139,18 @@ def test_a_scenario_with_other_objects_is_recorded_with_its_own() -> None:
     """Kills a campaign of a wall that looks for the boxes of push."""
     found = [(spec.scene.object_name, spec.scene.case_name, repeats) for spec, repeats in specs("small", ["hit_wall"])]
     assert found == [("wall", "case_1", 3), ("wall", "case_2", 3)]
+
+
+def test_both_arms_of_a_grab_hide_the_effect() -> None:
+    """Kills a draw for one arm, whose other arm stays nominal."""
+    secret = Secret.drawn(7, effect="joint_coulomb_friction", scenarios=["grab_cylinder"])
+    conditions = specs("small", ["grab_cylinder"])
+    assert len(conditions) == 4
+    for spec, _ in conditions:
+        arms = hide(spec.scene.physics, list(secret.hidden)).arms
+        assert set(arms) == {"left", "right"}
+        for arm in arms.values():
+            np.testing.assert_array_equal(arm.friction.coulomb, secret.hidden[0].values)
 
 
 def test_a_centre_of_mass_is_hidden_inside_every_box_of_the_campaign(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ import pytest
 
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_trials.campaign import Manifest, Trial, TrialReport, make_manifest, run_campaign
-from impact_rs_trials.workers import MEMORY_LIMIT, SchedulerLost, Workforce, as_they_end, client_of, workers
+from impact_rs_trials.workers import MEMORY_LIMIT, SchedulerLost, Workforce, as_they_end, client_of, on_threads, workers
 
 if TYPE_CHECKING:
     from distributed import LocalCluster
@@ -187,6 +187,51 @@ def test_processes_start_when_there_is_work_to_share_and_errors_come_back_with_t
         assert list(map_tasks(abs, [-3, -1, -2])) == [3, 1, 2]
     trace = full_traceback(caught.value)
     assert caught.value.key == "a.b" and "in breaks_in_the_worker" in trace and "ZeroDivisionError" in trace
+
+
+def test_a_declared_task_runs_on_as_many_threads_of_this_process_as_there_are_jobs() -> None:
+    """Each of two tasks waits until the other runs as well; results come in the order of the items."""
+    both = threading.Barrier(2, timeout=60.0)
+    threads = set()
+
+    @on_threads
+    def meets_the_other(value: int) -> int:
+        threads.add(threading.get_ident())
+        both.wait()
+        return -value
+
+    with workers(Workforce(2)) as map_tasks:
+        assert list(map_tasks(meets_the_other, range(8))) == [0, -1, -2, -3, -4, -5, -6, -7]
+    assert len(threads) == 2 and threading.get_ident() not in threads
+    assert not [thread for thread in threading.enumerate() if thread.ident in threads]
+
+
+def test_after_an_error_of_a_declared_task_no_other_begins() -> None:
+    begun = []
+
+    @on_threads
+    def breaks_at_first(value: int) -> int:
+        begun.append(value)
+        if value == 0:
+            raise InputError("expected another value", key="a", value=value)
+        threading.Event().wait(0.05)
+        return value
+
+    with workers(Workforce(2)) as map_tasks, pytest.raises(InputError, match="expected another value"):
+        list(map_tasks(breaks_at_first, range(100)))
+    assert begun[0] == 0 and len(begun) < 50
+
+
+def test_a_declared_task_goes_to_the_workers_of_a_scheduler() -> None:
+    with cluster(1) as running, workers(Workforce(scheduler=running.scheduler_address)) as map_tasks:
+        assert list(map_tasks(_name_of_worker, [0])) == [0]
+
+
+@on_threads
+def _name_of_worker(_: int) -> object:
+    from distributed import get_worker
+
+    return get_worker().name  # an error where no worker runs this
 
 
 def _of_a_module_that_workers_do_not_know(value: int) -> int:

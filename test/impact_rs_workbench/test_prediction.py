@@ -9,7 +9,7 @@ import pytest
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_workbench.prediction import (
-    Question,
+    MapQuery,
     answer,
     drawn,
     map_arguments,
@@ -22,9 +22,9 @@ from impact_rs_workbench.prediction import (
 PUSH = load_scenario("push")
 
 
-def question(**values: object) -> Question:
+def question(**values: object) -> MapQuery:
     content = {"scenario": "push", "object": "cat_food", "case": "case_2", "moving": True} | values
-    return Question.model_validate(content)
+    return MapQuery.model_validate(content)
 
 
 def after(**values: float) -> float:

@@ -19,7 +19,7 @@ from starlette.testclient import TestClient
 from impact_rs_cli.main import main
 from impact_rs_trials.store import Folder, owned
 from impact_rs_workbench import prediction
-from impact_rs_workbench.prediction import Question
+from impact_rs_workbench.prediction import MapQuery
 from impact_rs_workbench.server import Workbench, application
 
 PORT, TOKEN = 8123, "the-key-of-the-tests"
@@ -124,7 +124,7 @@ def test_reports_are_sandboxed_and_other_kinds_of_files_not_shown(client: TestCl
 def test_a_figure_gives_way_to_a_slider_that_has_moved_meanwhile(
     workbench: Workbench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    question = Question.model_validate(QUESTION | {"moving": True})
+    question = MapQuery.model_validate(QUESTION | {"moving": True})
     whole = prediction.sweep
 
     def moved(*given: Any) -> Iterator[prediction.SweepPoint]:
@@ -141,7 +141,7 @@ def test_a_figure_gives_way_to_a_slider_that_has_moved_meanwhile(
 def test_a_prediction_gives_way_to_a_slider_and_to_no_other_window(
     workbench: Workbench, monkeypatch: pytest.MonkeyPatch, moving: bool
 ) -> None:
-    question = Question.model_validate(QUESTION)
+    question = MapQuery.model_validate(QUESTION)
     answer = prediction.answer
 
     def meanwhile(*given: Any) -> Any:

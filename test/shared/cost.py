@@ -99,16 +99,17 @@ class Costs:
         outcome = yield
         if call.when == "teardown":
             used = processor_time() - self._began[0] - (shared_seconds - self._began[1])
-            outcome.get_result().user_properties.append((KEY, used, item.get_closest_marker("slow") is not None))
+            outcome.get_result().user_properties.append((KEY, (used, item.get_closest_marker("slow") is not None)))
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Collect."""
-        for name, *values in report.user_properties if report.when == "teardown" else ():
+        for name, value in report.user_properties if report.when == "teardown" else ():
             if name == TRIAL:
-                self.trial = values[0]
+                self.trial = value
             if name == KEY:
-                self.seconds[report.nodeid] += values[0]
-                if values[1]:
+                used, slow = value
+                self.seconds[report.nodeid] += used
+                if slow:
                     self.slow.add(report.nodeid)
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:

@@ -17,7 +17,7 @@ from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
 from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.hits import BagHitSource
 from impact_rs_cli.full_diagnosis import FullDiagnosis
-from impact_rs_cli.identify import Lessons
+from impact_rs_cli.identify import HitReports
 from impact_rs_sim.model import load_model
 from impact_rs_trials.bags import checksums, topics
 from impact_rs_trials.bags.types import typestore
@@ -105,7 +105,7 @@ class Live:
         self._custom = {key: value for key, value in custom.items() if key != checksums.NAME}
         self.follower = Follower(BagHitSource(folder, NOMINAL, ReplayCache(map)), NOMINAL, ["object_mass"], learnt=4)
         diagnosis = FullDiagnosis({}, folder)
-        self.lessons = Lessons(FollowedHits(hits_options(folder), self.follower, None, None), diagnosis)
+        self.reports = HitReports(FollowedHits(hits_options(folder), self.follower, None, None), diagnosis)
 
     def add(self, change: Callable[[Messages], Messages]) -> str:
         """Record the trial once more, changed; gives its name."""
@@ -136,10 +136,10 @@ class Live:
         """Names of new hits, and reasons of what was refused, until nothing waits any more."""
         hits: list[str] = []
         refused: dict[str, str] = {}
-        while found := self.lessons.arrived():
-            for lesson in found:
-                if lesson.topic == "refused":
-                    refused[lesson.document["hit"]] = lesson.document["reason"]
-                elif lesson.hit:
-                    hits.append(lesson.line.split(":")[0])
+        while found := self.reports.arrived():
+            for report in found:
+                if report.topic == "refused":
+                    refused[report.document["hit"]] = report.document["reason"]
+                elif report.hit:
+                    hits.append(report.line.split(":")[0])
         return hits, refused

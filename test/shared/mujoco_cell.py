@@ -336,8 +336,10 @@ def friction_law(friction: JointFriction) -> Callable[[Array, Array], Array] | N
     """
     terms: list[Callable[[Array, Array], Array]] = []
 
-    def direction(velocity: Array) -> Array:
-        return np.asarray(np.tanh(velocity / friction.smoothing))
+    widths = np.zeros(friction.coulomb.size) + friction.smoothing
+
+    def direction(velocity: Array, width: Array = widths) -> Array:
+        return np.asarray(np.tanh(velocity / width))
 
     if np.any(friction.coulomb) or np.any(friction.stribeck):
 
@@ -360,7 +362,7 @@ def friction_law(friction: JointFriction) -> Callable[[Array, Array], Array] | N
 
         def shared(velocity: Array, transmitted: Array, own: ShaftFriction = shafts, turns: Array = turns) -> Array:
             speed = turns @ velocity
-            return np.asarray(-turns.T @ (own.coulomb * direction(speed) + own.viscous * speed))
+            return np.asarray(-turns.T @ (own.coulomb * direction(speed, widths[:-1]) + own.viscous * speed))
 
         terms.append(shared)
     if friction.sigmoid is not None:

@@ -27,7 +27,7 @@ from impact_rs_analysis.investigation.rounds import Round, RoundDecision
 from impact_rs_analysis.investigation.settings import Settings, begin
 from impact_rs_analysis.limits.poses import PlacedLimit
 from impact_rs_analysis.limits.speed import SpeedLimit
-from impact_rs_analysis.measure.design_study import MEASURES, Design, DesignQuestion, DesignStudy, Estimate
+from impact_rs_analysis.measure.design_study import MEASURES, Design, DesignConditions, DesignStudy, Estimate
 from impact_rs_analysis.measure.paper import study_paper
 from impact_rs_analysis.report.comparison import write_comparison
 from impact_rs_analysis.report.design_page import write_design_study
@@ -106,8 +106,8 @@ def design_study(folder: Path) -> Path:
     designs = tuple(
         Design(robot, 1, (0.0,), "rotor", "wide", dict.fromkeys(MEASURES, own)) for robot in ("franka_fer", "ur5e")
     )
-    question = DesignQuestion(load_scenario("push"), "cat_food")
-    return write_design_study(DesignStudy(question, designs, {"ur10e/1": "out of reach"}, {}), folder)
+    conditions = DesignConditions(load_scenario("push"), "cat_food")
+    return write_design_study(DesignStudy(conditions, designs, {"ur10e/1": "out of reach"}, {}), folder)
 
 
 def discovery(folder: Path) -> Path:

@@ -42,6 +42,7 @@ class Servos:
         delay: From the stamp of a command until it acts [s].
         offset: Reading less position of the encoders; servos see the readings [rad].
         gravity: Whether something else holds the links' weight, as a controller's gravity torque does.
+        width: Velocity w at which dry friction ``F_c tanh(dq / w)`` has turned [rad/s]; 0: it sticks, as MuJoCo's does.
     """
 
     coulomb: Sequence[float] = NOTHING
@@ -51,6 +52,7 @@ class Servos:
     delay: float = 0.0
     offset: Sequence[float] = NOTHING
     gravity: bool = False
+    width: Sequence[float] = NOTHING
 
 
 def desired(time: np.ndarray | float) -> np.ndarray:
@@ -63,10 +65,17 @@ def desired(time: np.ndarray | float) -> np.ndarray:
 
 def servo_log(servos: Servos, seconds: float = 29.0, seed: int = 0) -> Columns:
     """Time, position, velocity, desired position and, for checks alone, the true torque of the motors."""
+    size, width = np.array(servos.coulomb), np.array(servos.width)
     parts = [
-        JOINT.format(n=joint + 1, **{name: getattr(servos, name)[joint] for name in ("armature", "viscous", "coulomb")})
+        JOINT.format(
+            n=joint + 1,
+            armature=servos.armature[joint],
+            viscous=servos.viscous[joint],
+            coulomb=0.0 if width[joint] else size[joint],
+        )
         for joint in range(2)
     ]
+    turning = size * (width > 0.0), np.where(width > 0.0, width, 1.0)
     held = 'gravcomp="1"' if servos.gravity else ""
     drives = "".join(f'<motor joint="joint{joint}"/>' for joint in (1, 2))
     model = mujoco.MjModel.from_xml_string(
@@ -85,6 +94,7 @@ def servo_log(servos: Servos, seconds: float = 29.0, seed: int = 0) -> Columns:
         seen = data.qpos + offset
         torque = kp * (wanted[number] - seen) - kd * data.qvel
         data.ctrl[:] = gain * torque
+        data.qfrc_applied[:] = -turning[0] * np.tanh(data.qvel / turning[1])
         if number % every == 0:
             rows.append(np.concatenate(([time], seen, data.qvel, desired(time), data.ctrl)))
         mujoco.mj_step(model, data)

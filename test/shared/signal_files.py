@@ -3,6 +3,12 @@
 
 from __future__ import annotations
 
+import io
+import pickle
+import sys
+import types
+import zipfile
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -44,4 +50,53 @@ def hdf5_file(
     with pytest.importorskip("h5py").File(path, "w", libver=libver) as file:
         for name in names:
             file.create_dataset(name, data={"time": TIME, "position": VALUES}[name], **options)
+    return path
+
+
+class _Stored:
+    """Numbers of a tensor, which a pickle names by their key."""
+
+    def __init__(self, key: str, values: np.ndarray) -> None:
+        self.key, self.values = key, values
+
+
+def torch_file(path: Path, **changes: np.ndarray) -> Path:
+    """The same as tensors of ``torch.save``, written without PyTorch: its modules are stand-ins while pickling."""
+
+    def rebuilt(*_: object) -> None:
+        raise AssertionError("is named by the pickle, and never called")
+
+    rebuilt.__module__, rebuilt.__qualname__ = "torch._utils", "_rebuild_tensor_v2"
+    kinds = {"float32": "FloatStorage", "float64": "DoubleStorage", "int64": "LongStorage"}
+    storages = {kind: type(kind, (), {"__module__": "torch"}) for kind in kinds.values()}
+    stand_ins = {"torch": types.SimpleNamespace(**storages), "torch._utils": types.SimpleNamespace()}
+    stand_ins["torch._utils"]._rebuild_tensor_v2 = rebuilt
+
+    class Tensor:
+        def __init__(self, key: str, values: np.ndarray) -> None:
+            self.stored = _Stored(key, np.ascontiguousarray(values))
+
+        def __reduce__(self) -> tuple[object, ...]:
+            values = self.stored.values
+            steps = tuple(step // values.itemsize for step in values.strides)
+            return rebuilt, (self.stored, 0, values.shape, steps, False, OrderedDict())
+
+    class Pickler(pickle.Pickler):
+        def persistent_id(self, one: object) -> object:
+            if not isinstance(one, _Stored):
+                return None
+            return "storage", storages[kinds[str(one.values.dtype)]], one.key, "cpu", one.values.size
+
+    tensors = {"time": TIME, "position": VALUES, **changes}
+    named = {name: Tensor(str(key), values) for key, (name, values) in enumerate(tensors.items())}
+    content = io.BytesIO()
+    with pytest.MonkeyPatch.context() as patch:
+        for name, module in stand_ins.items():
+            patch.setitem(sys.modules, name, module)
+        Pickler(content, 2).dump(named)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("log/data.pkl", content.getvalue())
+        archive.writestr("log/byteorder", "little")
+        for key, values in enumerate(tensors.values()):
+            archive.writestr(f"log/data/{key}", np.ascontiguousarray(values).tobytes())
     return path

@@ -17,7 +17,7 @@ from fake_graph import FakeGraph, fake_graph
 from playwright.sync_api import Page, expect, sync_playwright
 from processes import Running, running, until
 
-from impact_rs_analysis.following.lessons import PublishedChange, PublishedPrediction, RefusedHit
+from impact_rs_analysis.following.documents import PublishedChange, PublishedPrediction, RefusedHit
 from impact_rs_ros.identify_node import TOPICS
 from impact_rs_ros.message_types import filled
 from impact_rs_ros.spectator import FOLLOWED

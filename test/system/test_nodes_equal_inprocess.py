@@ -19,16 +19,23 @@ from impact_rs_trials.campaign import Manifest, make_manifest, run_one
 
 TOLERANCE = 1e-9
 SKIPPED = {topics.DIAGNOSTICS}
+OBJECTS = {
+    "hit_ball": "solid",
+    "push_two_boxes": "box",
+    "push_bottle": "bottle",
+    "hit_wall": "wall",
+    "grab_cylinder": "can",
+}
 
 
 @pytest.fixture(
     scope="module",
-    params=["push", *(pytest.param(name, marks=pytest.mark.slow) for name in ("grab", "hit_ball", "push_two_boxes"))],
+    params=["push", *(pytest.param(name, marks=pytest.mark.slow) for name in ("grab", *OBJECTS))],
 )
 def manifest(request: pytest.FixtureRequest, short: str) -> Manifest:
     """One arm, then two: the nodes meet new topics between them. The push has every phase and is short."""
     scenario = short if request.param == "push" else request.param
-    object_name = {"hit_ball": "solid", "push_two_boxes": "box"}.get(scenario, "cat_food")
+    object_name = OBJECTS.get(scenario, "cat_food")
     return make_manifest(scenario, [object_name], ["2"], [1.1], trials=1, seed=3)
 
 

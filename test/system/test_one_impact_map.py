@@ -20,7 +20,7 @@ from impact_rs_ros.graph import Graph
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map, predict_impact
 from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_sim.scene import Scene
-from impact_rs_workbench.prediction import Question, answer
+from impact_rs_workbench.prediction import MapQuery, answer
 
 # The engine on Bullet is 0.7 mm/s off the exact velocity of this object: the largest of all shipped problems.
 OBJECT, CASE, MOTORS = "juice", "case_1", "rotor"
@@ -58,7 +58,7 @@ def test_command_line_predicts_the_same_velocities(capfd: pytest.CaptureFixture)
 
 
 def test_workbench_predicts_the_same_velocities() -> None:
-    question = Question(scenario="grab", object=OBJECT, case=CASE, motor_inertia=MOTORS, moving=True)
+    question = MapQuery(scenario="grab", object=OBJECT, case=CASE, motor_inertia=MOTORS, moving=True)
     rows = answer(SCENE.scenario, question)["rows"]
     speeds = {(row["body"], row["axis"]): row["after"] for row in rows}
     bodies = {**EXACT.end_effector_twist, "object": EXACT.object_twist}

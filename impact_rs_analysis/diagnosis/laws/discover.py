@@ -46,11 +46,11 @@ from impact_rs_analysis.diagnosis.verdicts.residuals import residual_unit, rests
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.evidence.visited import Range, measured_ranges
 from impact_rs_sim.effects import Effect
-from impact_rs_sim.effects.formula import AXES
 from impact_rs_sim.impact_map.contact_laws import laws_of as laws_at
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.rotations import AXES
 
 LAW_POINTS = 41  # at which a law is evaluated over the range of its quantity
 MIN_LAW_DIFFERENCE = 0.3  # of the largest force in the range; a larger difference separates two laws

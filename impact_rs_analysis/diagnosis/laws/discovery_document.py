@@ -59,8 +59,8 @@ class LawDocument(Schema):
     """One law with its evidence."""
 
     name: str = Field(description="name, for add")
-    sentence: str = Field(description="what it is")
-    place: str = Field(description="what it acts on, with its unit")
+    sentence: str = Field(description="the law in one sentence")
+    place: str = Field(description="torque, force or coefficient that it adds to, with its unit")
     formula: str = Field(description="the law")
     curved: bool = Field(False, description="whether it is a free curve, whose parameters are its values at knots")
     parameters: dict[str, NumberDocument] = Field(description="estimates by name")

@@ -21,7 +21,6 @@ from pydantic import Field
 from impact_rs_analysis.evidence.visited import Range
 from impact_rs_sim.effects.dimensions import check_units
 from impact_rs_sim.effects.formula import (
-    AXES,
     COEFFICIENTS,
     PLACES,
     Coefficient,
@@ -33,6 +32,7 @@ from impact_rs_sim.effects.formula import (
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.rotations import AXES
 from impact_rs_sim.schema import Schema, load
 
 GRAMMAR_FILE = "grammar.yaml"
@@ -64,7 +64,7 @@ class QuantityShape(Schema):
 
 
 class Quantity(Schema):
-    """What a law depends on."""
+    """Quantity on which a law depends."""
 
     formula: str = Field(
         description="in symbols of formulas; {joint} is the joint of the place, {before} the one before"
@@ -112,7 +112,7 @@ class Form(Schema):
 
 
 class Place(Schema):
-    """What a law acts on."""
+    """Load or coefficient to which a law adds."""
 
     formula: str = Field(description="key of a formula effect")
     each: Literal["joint", "pair", "opposed", "axis", "vector", "once"] | Coefficient = Field(
@@ -151,7 +151,7 @@ class Law:
         profile: The force over the quantity ``u``, before its sign.
         needs: Signal of free motion that shows it; empty: none.
         starts: Values of its shape parameters by name.
-        words: What it acts on, in a sentence.
+        words: Its place, in a sentence.
         unit: Unit of the force or torque.
         noticeable: Amplitude at which it matters, in the unit.
         opposes: Whether the formula is minus the profile.

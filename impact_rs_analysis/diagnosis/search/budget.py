@@ -77,6 +77,12 @@ class Budget:
         found.left_out = self.left_out
         return found
 
+    def without_limit(self) -> Budget:
+        """For what is reported: it may take any time, unless the user stops it; what it leaves out is listed here."""
+        found = Budget(clock=self.clock, stop=self.stop)
+        found.left_out = self.left_out
+        return found
+
     def add(self, *left_out: str) -> None:
         """Note what a part of the work did not try."""
         self.left_out.update(dict.fromkeys(left_out))

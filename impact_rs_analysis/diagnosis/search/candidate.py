@@ -549,8 +549,8 @@ class Problem:
         spread = np.square(alone - alone.mean(axis=0)).sum(axis=0)
         return np.asarray(np.sqrt((count - 1) / count * spread))
 
-    def half_widths(self, change: Array, null: NullDistribution, confidence: float = 0.95) -> Array:
-        """Half widths of intervals in parameter scales, ``(p,)``.
+    def half_widths(self, change: Array, null: NullDistribution) -> Array:
+        """Half widths of 95 % intervals in parameter scales, ``(p,)``.
 
         The prior shrinks parameters that the data do not determine to nominal. For true parameters that scatter about
         nominal with the prior's covariance S, this bias has the covariance A^-1 P S P A^-1, with the total information
@@ -560,11 +560,10 @@ class Problem:
         clusters: float | Array = sum(bool(np.any(jacobian)) for jacobian in self.candidate.jacobians)
         return combined_half_width(
             noise,
-            scipy.stats.t.ppf(0.5 + confidence / 2.0, freedom),
+            scipy.stats.t.ppf(0.975, freedom),
             jackknife,
             np.minimum(clusters, freedom + 1.0) if null.by_blocks else clusters,
             systematic,
-            confidence,
         )
 
     def p_by_interval(self, change: Array, null: NullDistribution, index: int) -> float:

@@ -13,7 +13,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import cached_property, reduce
 from itertools import combinations, product
 from types import MappingProxyType
 
@@ -48,6 +48,7 @@ from impact_rs_analysis.diagnosis.thresholds import (
 )
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_sim.effects import Effect
+from impact_rs_sim.effects.link import LINK_ERRORS
 from impact_rs_sim.robots.robot import Array
 
 MIN_SECANT_RATIO = 1.5  # features that a secant changes over those of the slope at nominal: another contact mode
@@ -426,7 +427,10 @@ class Search:
             and not self.has_lack_of_fit
         ):
             linear = [entry for entry in linear if exceeds_relevance_limit(entry)]
-        return self._best(linear[:SHORTLIST_SIZE], chosen)
+        shortlist, others = linear[:SHORTLIST_SIZE], linear[SHORTLIST_SIZE:]
+        if chosen is None and others:  # the first effect may act far from nominal, where linear fits mislead
+            shortlist.append(min(others, key=lambda entry: p_values["+".join(entry.candidate.names)]))
+        return self._best(shortlist, chosen)
 
     def _pair_at_once(self, chosen: Fit | None) -> Fit | None:
         """Two effects that lower the error only together, as restitution and its decrease with speed; None: no pair.
@@ -491,6 +495,16 @@ class Search:
             found = replay_and_refit(nelder_mead(found))
         return self._kept(found)
 
+    def finished(self, fitted: Fit) -> Fit:
+        """A fit that is reported, continued where the processor time had ended it.
+
+        Away from the optimum, the error does not rise towards the ends of an interval.
+        """
+        if fitted.converged:
+            return fitted
+        evidence = replace(fitted.evidence, budget=self._budget.without_limit())
+        return self._kept(gauss_newton(replace(fitted, evidence=evidence)))
+
     def _kept(self, fitted: Fit) -> Fit:
         self.ended[fitted.candidate.names] = fitted.candidate
         return fitted
@@ -538,7 +552,7 @@ class Search:
             self._report_progress(found[-1])
         if not found:
             return None
-        found = sorted(found, key=lambda proposal: proposal.score)[:SHORTLIST_SIZE]
+        found.sort(key=lambda proposal: proposal.score)
         top = found[0].score
         for number, proposal in enumerate(found):
             if proposal.out_of_time:
@@ -624,6 +638,30 @@ class Search:
             chosen, rivals = extended, self.rivals(extended)
         return chosen, rivals
 
+    def explained_by_links(self, chosen: Fit, name: str) -> bool:
+        """Whether errors of the links within their uncertainty predict as well in place of a chosen load (linear fit).
+
+        A load on the last link changes the same inertial parameters as errors of the links do, and no single effect on
+        these has as many numbers as a body. For recordings, whose torque is linear in them.
+        """
+        effect = next(one for one in chosen.candidate.effects if one.name == name)
+        if self.source.recording is None or effect.acts_on != LINK_ERRORS.acts_on or not effect.may_change:
+            return False
+        swapped = None if self._links is None else self._in_place_of(chosen, name, self._links)
+        return swapped is not None and tied(chosen, swapped)
+
+    @cached_property
+    def _links(self) -> Candidate | None:
+        """Errors of the links, linearised; None if they cannot be simulated."""
+        return self._linearised(Candidate.of((LINK_ERRORS,), self.source))
+
+    def _in_place_of(self, chosen: Fit, name: str, start: Candidate) -> Fit | None:
+        """Linear fit of another effect in the place of a chosen one; None if it cannot be simulated."""
+        others = self._others(chosen, name)
+        swapped = replace(others, offsets=tuple(np.zeros(o.shape) for o in start.offsets)).beside(start)
+        moved = evaluate_at(replace(swapped, origin=chosen.candidate.origin), swapped.point, chosen.evidence)
+        return None if moved is None else Fit.of(moved, chosen.evidence)
+
     def rivals(self, chosen: Fit, count: int = 3, hopeless: float = MAX_ERROR_RATIO) -> list[Rival]:
         """Alternatives to every chosen effect, fitted together with the other chosen ones.
 
@@ -634,16 +672,13 @@ class Search:
         """
         found = []
         for name in chosen.candidate.names:
-            others = self._others(chosen, name)
-            proposals = []
-            for other, single in self.singles.items():
-                if other in chosen.candidate.names or other in self.ruled_out:
-                    continue
-                start = self._start(other)
-                swapped = replace(others, offsets=tuple(np.zeros(o.shape) for o in single.offsets)).beside(start)
-                moved = evaluate_at(replace(swapped, origin=chosen.candidate.origin), swapped.point, chosen.evidence)
-                if moved is not None:
-                    proposals.append(Fit.of(moved, chosen.evidence))
+            proposals = [
+                swapped
+                for other in self.singles
+                if other not in chosen.candidate.names
+                and other not in self.ruled_out
+                and (swapped := self._in_place_of(chosen, name, self._start(other))) is not None
+            ]
             if self.source.recording is not None:  # whose predictions are cheap
                 proposals = self._with_shapes(proposals)
             for linear in sorted(proposals, key=lambda entry: entry.score)[:count]:

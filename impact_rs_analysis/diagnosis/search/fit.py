@@ -18,6 +18,7 @@ from impact_rs_analysis.diagnosis.search.null_distribution import NullDistributi
 from impact_rs_analysis.diagnosis.thresholds import MIN_GAIN_SHARE, MIN_GAIN_SHARE_OF_JOINT
 from impact_rs_analysis.evidence.cluster import Cluster, size_of
 from impact_rs_analysis.evidence.source import Source
+from impact_rs_sim.progress import SEARCH
 from impact_rs_sim.robots.robot import Array
 
 # Gauss-Newton steps
@@ -40,10 +41,6 @@ VALLEY_FTOL, VALLEY_MAX_EVALUATIONS = 1e-6, 200  # of SciPy's trust-region metho
 SIMPLEX_EDGE = 0.3  # parameter scales, of the first simplex
 SIMPLEX_EVALUATIONS = 25  # for each parameter, at most
 UNSIMULATED_ERROR = 1e100  # stands for inf, whose differences are nan
-# Intervals by profile likelihood
-MAX_INTERVAL_DOUBLINGS = 8  # of the half width
-MIN_RISE_RATIO = 0.5  # actual over linear rise of the squares at an end of the interval; below, the end moves out
-MAX_RISE_RATIO = 2.0  # likewise; above, the other parameters are fitted again at the end
 
 
 @dataclass(frozen=True)
@@ -321,83 +318,16 @@ class Fit:
 
     @cached_property
     def half_widths(self) -> Array:
-        """Half widths of the 95 % intervals in parameter scales, ``(p,)``."""
-        return self.widths(0.95)
+        """Half widths of the 95 % intervals in parameter scales, ``(p,)``, with the uncertainty of the calibrations."""
+        clock = 0.95 * self.evidence.source.clock  # half width of a uniform distribution
+        unsure = np.array([clock if scalar.unit == "s" else 0.0 for scalar in self.candidate.scalars])
+        moved = scipy.stats.norm.ppf(0.975) * self.problem.moved_by_calibrations()
+        return np.asarray(np.sqrt(self.half_widths_of_noise**2 + moved**2 + (unsure / self.candidate.scale) ** 2))
 
     @cached_property
     def half_widths_of_noise(self) -> Array:
         """Half widths if clocks and calibrations are exact, in parameter scales, ``(p,)``."""
         return self.problem.half_widths(self.change, self.evidence.null)
-
-    def widths(self, confidence: float) -> Array:
-        """Half widths of intervals in parameter scales, ``(p,)``, with the uncertainty of clocks and calibrations."""
-        clock = confidence * self.evidence.source.clock  # half width of a uniform distribution
-        unsure = np.array([clock if scalar.unit == "s" else 0.0 for scalar in self.candidate.scalars])
-        own = self.problem.half_widths(self.change, self.evidence.null, confidence)
-        moved = scipy.stats.norm.ppf(0.5 + confidence / 2.0) * self.problem.moved_by_calibrations()
-        return np.asarray(np.sqrt(own**2 + moved**2 + (unsure / self.candidate.scale) ** 2))
-
-    @cached_property
-    def interval(self) -> tuple[Array, Array]:
-        """Ends of the 95 % intervals of all parameters, see :meth:`interval_of`."""
-        return self.interval_of(range(self.candidate.point.size))
-
-    def interval_of(self, parameters: Sequence[int]) -> tuple[Array, Array]:
-        """Ends of 95 % intervals in units of the parameters, ``(k,)`` each, with the half widths of :meth:`widths`.
-
-        Profile likelihood, corrected by simulation: where features are nonlinear (a box tips, a contact slips), the
-        sensitivities at the estimate do not hold at the end of the interval. Each end is simulated with the other
-        parameters moved along the profile of the linear model, and moves out until the sum of squares rises as much as
-        in the linear model. Where it rises much more, the valley is curved, as for the length of a cable and the
-        position of its end, and the other parameters are fitted again there. Bounds of physics cut intervals off; the
-        range of a search does not.
-
-        Args:
-            parameters: Indices of the parameters.
-        """
-        candidate, inverse = self.with_room, np.linalg.inv(self.problem.total)
-        half, least = self.half_widths, self._squares_at([self.estimate])[0]
-        if not np.isfinite(least):
-            least = 0.0  # there is no reference: the ends stay at their linear values
-        rise = half**2 / np.diag(inverse)
-        ends = {}
-        for side in (-1.0, 1.0):
-            reach, left = half.copy(), list(parameters)
-            for _ in range(MAX_INTERVAL_DOUBLINGS):
-                steps = [side * reach[i] * inverse[:, i] / inverse[i, i] * candidate.scale for i in left]
-                points = [np.clip(self.estimate + step, candidate.lower, candidate.upper) for step in steps]
-                rises = self._squares_at(points) - least
-                for number, (i, point) in enumerate(zip(left, points, strict=True)):
-                    if rises[number] > MAX_RISE_RATIO * rise[i] and candidate.curved(i):
-                        rises[number] = min(rises[number], self._squares_beside(i, point) - least)
-                left = [
-                    i
-                    for i, point, there in zip(left, points, rises, strict=True)
-                    if there < MIN_RISE_RATIO * rise[i] and candidate.lower[i] < point[i] < candidate.upper[i]
-                ]
-                if not left:
-                    break
-                reach[left] *= 2.0
-            ends[side] = np.clip(self.estimate + side * reach * candidate.scale, candidate.lower, candidate.upper)
-        own = list(parameters)
-        return np.minimum(ends[-1.0], self.estimate)[own], np.maximum(ends[1.0], self.estimate)[own]
-
-    def _squares_beside(self, index: int, point: Array) -> float:
-        """Profile of the sum of squares at one parameter value: others fitted by sensitivities at the estimate."""
-        wide, count = self.with_room, [item.count for item in self.evidence.clusters]
-        held = np.arange(point.size) == index
-        lower, upper = np.where(held, point, wide.lower), np.where(held, point, wide.upper)
-        candidate, found = replace(wide, lower=lower, upper=upper), np.inf
-        for _ in range(MAX_STEPS_OF_TRIALS):
-            there = evaluate_at(candidate, point, self.evidence)
-            if there is None:
-                break
-            fitted = Fit.of(there, self.evidence)
-            squares = sum(n * float(rest @ rest) for n, rest in zip(count, fitted.at_point.residuals, strict=True))
-            if squares > (1.0 - MIN_RELATIVE_DECREASE) * found:
-                return min(squares, found)
-            found, point = squares, fitted.estimate
-        return found
 
     @property
     def with_room(self) -> Candidate:
@@ -410,19 +340,6 @@ class Fit:
                 break
             candidate = wider
         return candidate
-
-    def _squares_at(self, points: Sequence[Array]) -> Array:
-        """Sums of squared scaled residuals at other parameters, ``(k,)``; infinite where they cannot be simulated."""
-        candidate, evidence, count = self.candidate, self.evidence, len(self.evidence.numbers)
-        wanted = [(n, added) for added in (candidate.origin, *map(candidate.split, points)) for n in evidence.numbers]
-        found = evidence.source.predict(wanted, "ends of intervals")
-        sums = []
-        for start in range(count, len(found), count):
-            pairs = zip(evidence.clusters, found[:count], found[start : start + count], strict=True)
-            rests = [None if a is None or b is None else item.mean - (b - a) / item.sigma for item, a, b in pairs]
-            whole = zip(evidence.clusters, rests, strict=True)
-            sums.append(sum(np.inf if rest is None else item.count * float(rest @ rest) for item, rest in whole))
-        return np.array(sums)
 
     @property
     def misfit(self) -> float:
@@ -757,9 +674,7 @@ def evaluate_at(candidate: Candidate, point: Array, evidence: Evidence) -> Candi
 
     One run of a condition represents its repeats; :func:`replay_and_refit` replays every run.
     """
-    changes = evidence.source.differences(
-        evidence.numbers, candidate.origin, candidate.split(point), "fit of the shortlist"
-    )
+    changes = evidence.source.differences(evidence.numbers, candidate.origin, candidate.split(point), SEARCH)
     if any(change is None for change in changes):
         return None
     offsets = tuple(np.asarray(change) / item.sigma for change, item in zip(changes, evidence.clusters, strict=True))

@@ -34,6 +34,7 @@ from impact_rs_analysis.diagnosis.thresholds import MIN_CLUSTERS, MIN_CLUSTERS_O
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects import Effect
+from impact_rs_sim.progress import HOLD_OUT
 from impact_rs_sim.robots.robot import Array
 
 
@@ -147,7 +148,7 @@ def hold_out(
     tasks = list(zip(folds, searched, strict=True))
     limit = budget.remaining / len(folds)
     task = partial(_predicted, effects, chosen, dict(known), limit, budget)
-    results = source.spread(task, tasks, "hold-out")
+    results = source.spread(task, tasks, HOLD_OUT)
     for fold, (found, added, left, left_out) in zip(folds, results, strict=True):
         names.append(found)
         fitted.append(added)

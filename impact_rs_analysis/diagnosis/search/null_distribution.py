@@ -47,6 +47,7 @@ of a signal, which no flip changes.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property, lru_cache, reduce
@@ -56,6 +57,7 @@ import scipy
 from numpy.typing import NDArray
 
 from impact_rs_analysis.diagnosis.thresholds import (
+    MAX_CALIBRATION_ERROR,
     MIN_BLOCKS,
     MIN_DEGREES_OF_FREEDOM,
     NULL_DRAWS,
@@ -133,10 +135,6 @@ class NullDistribution(ABC):
             scores.append(item.count * item.own_discrepancy @ jacobian)
         factor = np.concatenate([*shared.values(), *scores]) @ inverse
         return np.asarray(factor.T @ factor)
-
-    def quantile(self, confidence: float = 0.95) -> float:
-        """Quantile of Student's t: half width of an interval in standard errors of :meth:`covariance`."""
-        return float(scipy.stats.t.ppf(0.5 + confidence / 2.0, max(self.freedom, 1)))
 
     def freedoms(self, jacobians: Sequence[Array], inverse: Array) -> Array:
         """Degrees of freedom of the standard errors of :meth:`covariance`, ``(p,)``."""
@@ -348,16 +346,23 @@ class _Rows:
         return member
 
 
-def _scaled_to_noise(layouts: Sequence[_Rows], means: Sequence[Array]) -> list[Array]:
+def _scaled_to_noise(layouts: Sequence[_Rows], means: Sequence[Array], largest: float = math.inf) -> list[Array]:
     """Mean rows of every layout, ``(means, F, p)``, with discrepancy and calibrations scaled to the size of noise.
 
     All rows are exchangeable then. A calibration is one amplitude for the clusters of all layouts.
+
+    Args:
+        layouts: Their rows.
+        means: Of residuals, or of sensitivities.
+        largest: Of an amplitude that a calibration explains, in its standard deviations; the rest stays in the rows.
     """
     found = [own.scaled(rows) for own, rows in zip(layouts, means, strict=True)]
     basis, sizes = _calibrations(layouts)
     if sizes.size:
         stacked = np.concatenate([rows.reshape(-1, rows.shape[-1]) for rows in found])
-        stacked -= (basis * (1.0 - 1.0 / np.sqrt(1.0 + np.square(sizes)))) @ (basis.T @ stacked)
+        deviations = np.sqrt(1.0 + np.square(sizes))[:, None]
+        explained = np.clip(basis.T @ stacked, -largest * deviations, largest * deviations)
+        stacked -= basis @ ((1.0 - 1.0 / deviations) * explained)
         ends = np.cumsum([rows.shape[0] * rows.shape[1] for rows in found])[:-1]
         found = [part.reshape(rows.shape) for part, rows in zip(np.split(stacked, ends), found, strict=True)]
     return [rows * own.noise[:, None] for own, rows in zip(layouts, found, strict=True)]
@@ -422,7 +427,8 @@ class RotationNull(NullDistribution):
         for number, item in enumerate(self.clusters):
             numbers.setdefault(item.layout, []).append(number)
         layouts = _with_donors([_Rows(chosen, self.clusters, means) for chosen in numbers.values()])
-        scaled = _scaled_to_noise(layouts, [own.rows[: own.means, :, None] for own in layouts])
+        means = [own.rows[: own.means, :, None] for own in layouts]
+        scaled = _scaled_to_noise(layouts, means, MAX_CALIBRATION_ERROR)
         for own, rows in zip(layouts, scaled, strict=True):
             own.rows[: own.means] = rows[:, :, 0]
         return layouts
@@ -592,9 +598,8 @@ def combined_half_width(
     jackknife: Array,
     clusters: float | Array,
     discrepancy: Array,
-    confidence: float = 0.95,
 ) -> Array:
-    """Half widths of intervals, ``(p,)``.
+    """Half widths of 95 % intervals, ``(p,)``.
 
     The larger of two estimates, from the noise and from the jackknife over clusters, each with its own quantile; model
     discrepancy is added in quadrature.
@@ -605,8 +610,6 @@ def combined_half_width(
         jackknife: Jackknife standard errors over clusters, ``(p,)``.
         clusters: Number of clusters that depend on the parameter, for each or for all.
         discrepancy: Standard errors from model discrepancy, ``(p,)``.
-        confidence: Confidence level of the intervals.
     """
-    tail = 0.5 + confidence / 2.0
-    own = np.maximum(quantile * noise, scipy.stats.t.ppf(tail, np.maximum(np.asarray(clusters) - 1, 1)) * jackknife)
-    return np.asarray(np.hypot(own, scipy.stats.norm.ppf(tail) * discrepancy))
+    own = np.maximum(quantile * noise, scipy.stats.t.ppf(0.975, np.maximum(np.asarray(clusters) - 1, 1)) * jackknife)
+    return np.asarray(np.hypot(own, scipy.stats.norm.ppf(0.975) * discrepancy))

@@ -49,14 +49,6 @@ def noticeable(fitted: Fit, first: int = 0) -> bool:
     return bool(np.any((distance > fitted.evidence.source.least_change)[first:] & own[first:]))
 
 
-def is_relevant(fitted: Fit, name: str) -> bool:
-    """Whether an effect changes a signal beyond its relevance limit, or is noticeable in a recording."""
-    source = fitted.evidence.source
-    if not source.repeated and source.least_change > 0.0:
-        return noticeable(fitted)
-    return exceeds_relevance_limit(fitted, fitted.candidate.part(name))
-
-
 def sizes_of(fitted: Fit, name: str) -> list[SizeDocument]:
     """Largest changes of signals by one effect of a fit, sorted by their ratio to the relevance limit."""
     largest: dict[tuple[str, str], SizeDocument] = {}

@@ -4,15 +4,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_rs_analysis.diagnosis.document import EffectDocument, EstimateDocument
-from impact_rs_analysis.diagnosis.search.effect_selection import changed_features, tied_errors
+from impact_rs_analysis.diagnosis.search.effect_selection import Rival, changed_features, tied_errors
 from impact_rs_analysis.diagnosis.search.fit import Evidence, Fit
-from impact_rs_analysis.diagnosis.search.relevance import is_relevant, sizes_of
+from impact_rs_analysis.diagnosis.search.intervals import intervals_of
+from impact_rs_analysis.diagnosis.search.relevance import exceeds_relevance_limit, sizes_of
 from impact_rs_analysis.diagnosis.thresholds import MAX_HALF_WIDTH, SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.verdict import (
     AT_BOUND,
@@ -31,6 +33,8 @@ from impact_rs_sim.robots.robot import Array
 
 SIZE_UNKNOWN = "predicts unseen data, but its interval holds the value at which it does nothing: more conditions decide"
 
+Ends = tuple[Array, Array]  # of intervals, (k,) each in the units of an effect's k parameters
+
 NOT_MEASURED = {
     "motor side": "no motor-side signal was measured",
     "actuation": "no commanded torque was measured",
@@ -43,9 +47,12 @@ NOT_MEASURED = {
 def effect_documents(found: Findings, known: dict[str, Effect]) -> list[EffectDocument]:
     """Documents of all effects: chosen ones, then the others by leave-one-out error, then those not measured."""
     search = found.search
-    others = [_other_document(found, known[name]) for name in search.singles if name not in found.names]
+    fits = {name: _fitted(found, name) for name in (*found.names, *(n for n in search.singles if n not in found.names))}
+    ends = _ends(found, fits)
+    chosen = [_chosen_document(found, known[name], ends[name]) for name in found.names]
+    others = [_other_document(found, known[name], fits[name], ends[name]) for name in fits if name not in found.names]
     others.sort(key=lambda report: report.held_out_error_after or 0.0)
-    reports = [*(_chosen_document(found, known[name]) for name in found.names), *others]
+    reports = [*chosen, *others]
     for name in sorted(search.unmeasured):
         effect = known[name]
         why = NOT_MEASURED.get(effect.acts_on, "no measured signal depends on it")
@@ -65,7 +72,7 @@ def effect_documents(found: Findings, known: dict[str, Effect]) -> list[EffectDo
     return reports
 
 
-def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
+def _chosen_document(found: Findings, effect: Effect, ends: Ends) -> EffectDocument:
     chosen, evidence = found.chosen, found.evidence
     assert chosen is not None
     name = effect.name
@@ -74,60 +81,64 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
     own = np.array([not scalar.shape for scalar in chosen.candidate.scalars[part]])
     bound, shape = chosen.held_at_bound[part][own], chosen.held_at_bound[part][~own]
     places = any(scalar.joint is not None or scalar.arm for scalar in chosen.candidate.scalars[part])
+    parameters = _estimates(found, chosen, name, ends)
+    shapes = {scalar.name for scalar in chosen.candidate.scalars[part] if scalar.shape}
     if evidence.null.shortage is not None:
         verdict, reason = TOO_FEW, evidence.null.shortage
-    elif np.all(undetermined(chosen)[part][own]):
-        verdict, reason = UNIDENTIFIABLE, "the data do not determine it: its interval is too wide"
     elif np.all(bound) or (np.any(bound) and not places) or np.any(shape):
         verdict, reason = AT_BOUND, "the best value lies at a bound: another effect may be missing"
-    elif not is_relevant(chosen, name):
+    elif not any(parameters[key].excludes_nominal for key in parameters.keys() - shapes):
+        verdict, reason = UNIDENTIFIABLE, SIZE_UNKNOWN
+    elif not exceeds_relevance_limit(chosen, part):
         size = sizes_of(chosen, name)[0]
         verdict = SMALL
         reason = f"at most {size.value:.2g} {size.unit} of the {size.signal}; relevance limit {size.floor:.2g}"
     elif rivals:
         verdict = DiagnosisVerdict(Kind.CONFUSABLE, tuple(sorted(rivals)))
         reason = "other effects predict unseen data as well"
+    elif rivals := _alike_at_joints([one.verdict for one in parameters.values()]):
+        verdict = DiagnosisVerdict(Kind.CONFUSABLE, rivals)
+        reason = "at no joint it predicts unseen data better than these"
     else:
         verdict, reason = CONFIRMED, "predicts unseen data, and no other effect does as well"
-    parameters = _estimates(found, chosen, name)
-    if verdict == CONFIRMED and (alike := _alike_at_joints([one.verdict for one in parameters.values()])):
-        rivals = alike
-        verdict = DiagnosisVerdict(Kind.CONFUSABLE, alike)
-        reason = "at no joint it predicts unseen data better than these"
-    if verdict == CONFIRMED or rivals:
-        shapes = {scalar.name for scalar in chosen.candidate.scalars[part] if scalar.shape}
-        if not any(parameters[key].excludes_nominal for key in parameters.keys() - shapes):
-            verdict, reason = UNIDENTIFIABLE, SIZE_UNKNOWN
     searched = () if found.hold_out is None else found.hold_out.found
-    return EffectDocument(
-        name=effect.shown_name,
-        sentence=effect.sentence,
+    return _document(
+        found,
+        effect,
+        chosen,
         verdict=verdict,
         reason=reason,
         rivals=rivals,
         parameters=parameters,
         held_out_error_before=_error(found, None),
-        held_out_error_after=_error(found, chosen),
-        held_out_error_alone=_error(found, found.chosen if found.names == (name,) else found.search.alone(name)),
         held_out_error_others=_error_without(found, name),
-        p_value=reported_p(found.adjusted[name]),
-        p_value_alone=reported_p(found.p_values[name]),
         sizes=tuple(sizes_of(chosen, name)),
         chosen_in_folds=sum(name in names for names in searched) if searched else None,
     )
 
 
-def _other_document(found: Findings, effect: Effect) -> EffectDocument:
-    """Document of an unchosen effect: fitted in place of its chosen rival, or else added to the chosen ones."""
-    search, evidence, name = found.search, found.evidence, effect.name
+def _as_rival(found: Findings, name: str) -> Rival | None:
+    """The rival by which an unchosen effect is reported: the best tied one, or else the best; None: it is no rival."""
     own = [rival for rival in found.rivals if rival.name == name]
     tied = [rival for rival in own if rival.tied]
-    best = min(tied or own, key=lambda rival: rival.fit.score, default=None)
-    fitted = search.beside(found.chosen, name) if best is None else best.fit
+    return min(tied or own, key=lambda rival: rival.fit.score, default=None)
+
+
+def _fitted(found: Findings, name: str) -> Fit:
+    """The reported fit of an effect: with the other chosen ones, in place of its chosen rival, or else beside them."""
+    if found.chosen is not None and name in found.names:
+        return found.chosen
+    best = _as_rival(found, name)
+    return found.search.beside(found.chosen, name) if best is None else best.fit
+
+
+def _other_document(found: Findings, effect: Effect, fitted: Fit, ends: Ends) -> EffectDocument:
+    """Document of an unchosen effect."""
+    search, evidence, name = found.search, found.evidence, effect.name
+    best = _as_rival(found, name)
     part = fitted.candidate.part(name)
     shown = np.array([not scalar.shape for scalar in fitted.candidate.scalars[part]])
-    p = found.adjusted.get(name, 1.0)
-    rivals = found.shown(dict.fromkeys(rival.instead_of for rival in tied))
+    rivals = found.shown(dict.fromkeys(one.instead_of for one in found.rivals if one.name == name and one.tied))
     if evidence.null.shortage is not None:
         verdict, reason = TOO_FEW, evidence.null.shortage
     elif evidence.source.impossible:
@@ -137,7 +148,7 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
     elif rivals:
         verdict = DiagnosisVerdict(Kind.CONFUSABLE, tuple(sorted(rivals)))
         reason = "predicts unseen data as well in place of the chosen effect"
-    elif p < SIGNIFICANCE_LEVEL and best is None:
+    elif found.adjusted.get(name, 1.0) < SIGNIFICANCE_LEVEL and best is None:
         size = sizes_of(fitted, name)
         verdict, reason = NO_IMPROVEMENT, "significant, but it hardly lowers the held-out error"
         if not excludes_nominal(fitted, name):
@@ -150,20 +161,31 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
         if name in search.ruled_out:
             reason = "free motion shows no sign of it, so it was not fitted in contact"
     before = _error(found, found.chosen)
-    return EffectDocument(
-        name=effect.shown_name,
-        sentence=effect.sentence,
+    return _document(
+        found,
+        effect,
+        fitted,
         verdict=verdict,
         reason=reason,
         rivals=rivals,
-        parameters=_estimates(found, fitted, name),
+        parameters=_estimates(found, fitted, name, ends),
         held_out_error_before=before,
+        held_out_error_others=before if best is None else _error_without(found, best.instead_of),
+        sizes=tuple(sizes_of(fitted, name)) if verdict != NO_IMPROVEMENT else (),
+    )
+
+
+def _document(found: Findings, effect: Effect, fitted: Fit, **own: Any) -> EffectDocument:
+    """Document of an effect with what chosen and other effects have in common."""
+    name = effect.name
+    return EffectDocument(
+        name=effect.shown_name,
+        sentence=effect.sentence,
         held_out_error_after=_error(found, fitted),
         held_out_error_alone=_error(found, found.chosen if found.names == (name,) else found.search.alone(name)),
-        held_out_error_others=before if best is None else _error_without(found, best.instead_of),
-        p_value=reported_p(p),
+        p_value=reported_p(found.adjusted.get(name, 1.0)),
         p_value_alone=reported_p(found.p_values.get(name, 1.0)),
-        sizes=tuple(sizes_of(fitted, name)) if verdict != NO_IMPROVEMENT else (),
+        **own,
     )
 
 
@@ -182,11 +204,10 @@ def _error_without(found: Findings, name: str) -> float | None:
     return None if fitted is None else _error(found, fitted)
 
 
-def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDocument]:
+def _estimates(found: Findings, fitted: Fit, name: str, ends: Ends) -> dict[str, EstimateDocument]:
     """Estimates of one effect with intervals, clipped to the bounds of the parameters."""
     candidate = fitted.candidate
     part = candidate.part(name)
-    ends = _ends(found, fitted, part)
     result = {}
     for index in range(part.start, part.stop):
         scalar = candidate.scalars[index]
@@ -217,13 +238,23 @@ def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDoc
     return result
 
 
-def _ends(found: Findings, fitted: Fit, part: slice) -> tuple[Array, Array]:
-    """Ends of the 95 % intervals of one effect, ``(k,)`` each; simulated where its signals may be nonlinear."""
-    if fitted is found.chosen:
-        return fitted.interval[0][part], fitted.interval[1][part]
+def _ends(found: Findings, fits: Mapping[str, Fit]) -> dict[str, Ends]:
+    """Ends of the 95 % intervals of every effect; simulated where its signals may be nonlinear, all at once."""
     source = found.search.source
-    if source.of_motion and source.repeated and not _seen_in_free_motion(fitted, part):
-        return fitted.interval_of(range(part.start, part.stop))
+    parts = {name: fitted.candidate.part(name) for name, fitted in fits.items()}
+    simulated = [
+        name
+        for name, fitted in fits.items()
+        if fitted is found.chosen
+        or (source.of_motion and source.repeated and not _seen_in_free_motion(fitted, parts[name]))
+    ]
+    wanted = [(fits[name], range(parts[name].start, parts[name].stop)) for name in simulated]
+    ends = dict(zip(simulated, intervals_of(wanted), strict=True))
+    return {name: ends[name] if name in ends else _linear_ends(fitted, parts[name]) for name, fitted in fits.items()}
+
+
+def _linear_ends(fitted: Fit, part: slice) -> Ends:
+    """Ends of the 95 % intervals of one effect by its sensitivities."""
     candidate, half = fitted.with_room, fitted.half_widths * fitted.candidate.scale
     low, high = fitted.estimate - half, fitted.estimate + half
     return np.maximum(low, candidate.lower)[part], np.minimum(high, candidate.upper)[part]

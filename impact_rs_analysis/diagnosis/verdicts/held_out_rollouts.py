@@ -33,7 +33,9 @@ from impact_rs_sim.robots.robot import Array
 
 
 def held_out_rollouts(source: Source, found: HoldOut | None) -> HeldOutRollouts | None:
-    """Rollouts of every fold without and with the effects that were fitted to the others; None without a motion.
+    """Rollouts of every fold without and with the effects that were fitted to the others.
+
+    None without a motion, and where the effects change none, such as effects of contact alone.
 
     Args:
         source: Measurements with the model's predictions.
@@ -53,6 +55,8 @@ def held_out_rollouts(source: Source, found: HoldOut | None) -> HeldOutRollouts 
     row = _row_compared(before, after, [motion for motion, _ in parts])
     change = _changes(before, after, row)
     moved = change[change != 0.0]
+    if not moved.size:
+        return None
     # Not by permutation where rollouts tie: only those tie that diverge, and 8,192 permutations take a second.
     p_value = float(scipy.stats.wilcoxon(moved, method="exact").pvalue) if moved.size >= MIN_STARTS_APART else None
     return HeldOutRollouts(

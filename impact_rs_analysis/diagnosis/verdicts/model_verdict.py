@@ -15,7 +15,7 @@ from impact_rs_analysis.diagnosis.document import LackOfFit, explained
 from impact_rs_analysis.diagnosis.search.effect_selection import Rival, Search
 from impact_rs_analysis.diagnosis.search.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.search.hold_out import HoldOut
-from impact_rs_analysis.diagnosis.search.relevance import is_relevant
+from impact_rs_analysis.diagnosis.search.relevance import exceeds_relevance_limit
 from impact_rs_analysis.diagnosis.thresholds import MIN_EXPLAINED_SHARE, MIN_REPORTED_P, SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, NONE, NOTHING, SMALL, TOO_FEW, DiagnosisVerdict, Kind
 from impact_rs_analysis.diagnosis.verdicts.residuals import (
@@ -26,6 +26,7 @@ from impact_rs_analysis.diagnosis.verdicts.residuals import (
     rests_of,
     stated_signals,
 )
+from impact_rs_sim.effects.link import LINK_EFFECTS
 from impact_rs_sim.robots.robot import Array
 
 
@@ -89,8 +90,11 @@ class Findings:
         return shown_names(self.search, names)
 
     def tied_with(self, name: str) -> tuple[str, ...]:
-        """Effects that predict as well in place of a chosen one."""
-        return tuple(dict.fromkeys(one.name for one in self.rivals if one.instead_of == name and one.tied))
+        """Effects that predict as well in place of a chosen one, alone or as errors of the links together."""
+        found = [one.name for one in self.rivals if one.instead_of == name and one.tied]
+        if self.chosen is not None and self.search.explained_by_links(self.chosen, name):
+            found += [one.name for one in LINK_EFFECTS if one.name not in self.names]
+        return tuple(dict.fromkeys(found))
 
 
 def shown_names(search: Search, names: Iterable[str]) -> tuple[str, ...]:
@@ -114,7 +118,7 @@ def excludes_nominal(fitted: Fit, name: str) -> bool:
 def without_uncertain_effects(search: Search, chosen: Fit) -> Fit | None:
     """The chosen effects without those that are neither relevant nor off nominal by their interval; or None."""
     for name in chosen.candidate.names:
-        if is_relevant(chosen, name) or excludes_nominal(chosen, name):
+        if exceeds_relevance_limit(chosen, chosen.candidate.part(name)) or excludes_nominal(chosen, name):
             continue
         if len(chosen.candidate.names) == 1:
             return None
@@ -240,7 +244,7 @@ def _on_model(found: Findings, stated: set[tuple[str, str]], p_value: float | No
             if found.share_left < 1.0 - MIN_EXPLAINED_SHARE
             else NONE
         )
-    if tested and not any(is_relevant(chosen, name) for name in found.names):
+    if tested and not any(exceeds_relevance_limit(chosen, part) for _, part in chosen.candidate.parts):
         return SMALL
     return DiagnosisVerdict(Kind.NAMED, found.shown(found.names))
 

@@ -34,7 +34,7 @@ def summary_of(document: DiagnosisDocument) -> str:
 
 
 def not_tried(budget: BudgetDocument) -> str:
-    """What was not tried because the processor time was spent; empty: all was tried."""
+    """Steps left out because the processor time was spent; empty: nothing was left out."""
     if not budget.left_out:
         return ""
     what = ", ".join(budget.left_out)
@@ -161,7 +161,7 @@ def _span(values: Sequence[float], unit: str) -> str:
 
 
 def _circumstances(document: DiagnosisDocument) -> list[str]:
-    """What depends on covariates, or that nothing does, and which covariates go together."""
+    """Dependences on covariates, and covariates that are correlated."""
     found = [one for one in document.dependences if one.found]
     said = [_dependence(one, document) for one in found]
     if found and found[0].held_out_error_before is not None and found[0].held_out_error_after is not None:

@@ -11,8 +11,9 @@ where its filtered velocity does: it is that of the unfiltered velocity at the r
 low-pass twice, as the recorded torque does. (The sign of the velocity below 3 Hz made the inertia of a motor 3 to 4 %
 too large in swings of up to 1.5 Hz.) A joint that rests at a reversal has the friction that holds it (Karnopp 1985, J.
 Dyn. Sys. Meas. Control 107), which is not modelled: the inertia of a motor is 1 to 2.6 % too large in the same swings,
-0.1 % with the true friction. Noise of the velocity has no part in it: the expectation of the sign under that noise
-changes the inertia by less than 0.2 %.
+0.1 % with the true friction. A wider reversal does not describe such rest (1.1 and 2.6 % without, 1.1 and 2.7 % with a
+free width). Noise of the velocity has no part in it: the expectation of the sign under that noise changes the inertia
+by less than 0.2 %.
 
 Where the motors have encoders of their own (theta), B and friction act on the motion of the motors, and the deflection
 of the transmission is a second signal without its mean, which is an offset of the encoders:
@@ -209,7 +210,7 @@ class Motion:
         """Friction without its viscous part, low-passed once, ``(k, n)`` [N m].
 
         Args:
-            friction: Of the joints.
+            friction: Friction of the joints.
             velocity: Low-passed velocity of the motors on the grid [rad/s].
             carried: Torque of the transmissions on the grid [N m].
         """

@@ -15,7 +15,7 @@ from impact_rs_sim.impact_map.contacts import SUPPORT, contact_pairs
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_sim.scene import ArmState, BodyState, pad_placements, pad_twists
 
 MAX_ALIGNING_TILT_RAD = 0.2  # a pad tilted further is meant to hit with an edge
 WRIST_CORRECTIONS = 3  # Newton iterations; each squares the remaining angle
@@ -43,13 +43,12 @@ def obliqueness(run: MeasuredRun) -> float:
 def obliqueness_of(physics: Physics, states: Mapping[str, ArmState], box: BodyState) -> float:
     """As :func:`obliqueness`, for pads in a given ante-impact state."""
     models = physics.robot_models()
-    placements = {name: models[name].placement(state.position) for name, state in states.items()}
+    placements, twists = pad_placements(physics, models, states), pad_twists(physics, models, states)
     angles = []
     for meeting in contact_pairs(physics, box, placements):
         if meeting.partner == SUPPORT:
             continue
-        state, model = states[meeting.partner], models[meeting.partner]
-        velocity = model.jacobian(state.position)[:3] @ state.velocity
+        velocity = twists[meeting.partner][:3]
         face = _nearest_face(box, meeting.normal)
         for direction in (placements[meeting.partner].rotation[:, 2], velocity / np.linalg.norm(velocity)):
             angles.append(float(np.arctan2(np.linalg.norm(np.cross(direction, face)), direction @ face)))
@@ -84,7 +83,7 @@ def problem_of(run: MeasuredRun, physics: Physics, motor_inertia: str = "reduced
     box = run.setup.windows[-1].object
     models = physics.robot_models()
     arms = {name: _face_on_face(state, models[name], box) for name, state in ante_impact_state(run).items()}
-    placements = {name: models[name].placement(state.position) for name, state in arms.items()}
+    placements = pad_placements(physics, models, arms)
     shifts = [
         -meeting.separation * meeting.normal
         for meeting in contact_pairs(physics, box, placements)

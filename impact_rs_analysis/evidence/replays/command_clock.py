@@ -17,7 +17,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.recordings.experiment import Experiment
 from impact_rs_trials.recordings.laboratory import read_laboratory
-from impact_rs_trials.recordings.remarks import Amount, Remark, merged
+from impact_rs_trials.recordings.remarks import merged, remark
 from impact_rs_trials.runs import ArmSignals, Run
 from impact_rs_trials.workers import Map
 
@@ -53,7 +53,7 @@ def read_runs_of_scenes(directory: Path, experiments: Sequence[Experiment], map_
     """
     read = [read_laboratory(directory, experiment, map_tasks) for experiment in experiments]
     runs, skipped = ([item for part in parts for item in part] for parts in zip(*read, strict=True))
-    remarks = [(run.name, remark) for run in runs for remark in run.remarks]
+    remarks = [(run.name, one) for run in runs for one in run.remarks]
     estimates = {arm: command_offset(runs, arm) for arm in runs[0].signals.arms}
     offsets = {arm: offset for arm, (offset, _) in estimates.items()}
     runs = [run.commands_later(offsets) for run in runs]
@@ -68,8 +68,9 @@ def read_runs_of_scenes(directory: Path, experiments: Sequence[Experiment], map_
         )
         remarks.append(("", said))
     measured = list(map_tasks(measured_or_why_not, runs))
+    dropped = "{:d} of {:d} windows of free motion touch a gap, and are dropped from all such runs"
     remarks += [
-        (run.name, Remark(*_share(run), " windows of free motion touch a gap, and are dropped from all such runs"))
+        (run.name, remark(dropped, len(run.lost), run.free))
         for run in measured
         if isinstance(run, MeasuredRun) and run.lost
     ]
@@ -120,7 +121,7 @@ def command_offset(runs: Sequence[Run], name: str) -> tuple[float, float]:
     way.
 
     Args:
-        runs: Of one laboratory.
+        runs: Runs of one laboratory.
         name: Name of the arm.
     """
     chosen = [run for run in runs if run.commanded and not run.hit] or [run for run in runs if run.commanded]
@@ -136,12 +137,12 @@ def command_offset(runs: Sequence[Run], name: str) -> tuple[float, float]:
         return 0.0, 0.0
     slopes, rests = [], []
     for table in tables:
-        balance, slope, beside = table[:, 0], table[:, 1], table[:, 2:]
-        design = np.column_stack((np.ones(len(table)), beside))
+        balance, slope, regressors = table[:, 0], table[:, 1], table[:, 2:]
+        design = np.column_stack((np.ones(len(table)), regressors))
         basis = np.linalg.qr(design / np.maximum(np.linalg.norm(design, axis=0), 1e-12))[0]
         slopes.append(slope - basis @ (basis.T @ slope))
         rests.append(balance - basis @ (basis.T @ balance))
-    # Weights: joints with less noise count more.
+    # Weights: the inverse noise of each joint.
     weights = [1.0 / max(float(np.std(rest)), 1e-9) for rest in rests]
     a = np.concatenate([weight * slope for weight, slope in zip(weights, slopes, strict=True)])
     b = np.concatenate([weight * rest for weight, rest in zip(weights, rests, strict=True)])
@@ -150,10 +151,10 @@ def command_offset(runs: Sequence[Run], name: str) -> tuple[float, float]:
     # The time at which the torque loop takes a command within its period is unknown: uniform, half a period either way.
     error = math.hypot(error, chosen[0].drive_period / math.sqrt(12.0))
     largest = MAX_OFFSET_PERIODS * chosen[0].period
-    believed = largest**2 / 3.0  # variance of a uniform distribution
+    prior_variance = largest**2 / 3.0  # of a uniform distribution
     if abs(offset) > largest:
-        return 0.0, math.sqrt(believed)
-    share = believed / (believed + error**2)
+        return 0.0, math.sqrt(prior_variance)
+    share = prior_variance / (prior_variance + error**2)
     return float(np.clip(share * offset, -largest, largest)), math.sqrt(share) * error
 
 
@@ -194,8 +195,3 @@ def _window_terms(run: Run, name: str, arm: ArmSignals, start: float) -> tuple[A
 def _held_mean(sent: Array, values: Array, start: float, end: float) -> Array:
     """Mean over a window of zero-order-hold commands, ``(n,)`` [N m]."""
     return np.asarray(held_means(sent, values, np.array([start, end]))[0])
-
-
-def _share(run: MeasuredRun) -> tuple[Amount, str, Amount]:
-    """Number of windows of free motion dropped for gaps, and of all."""
-    return Amount(len(run.lost), "d"), " of ", Amount(run.free, "d")

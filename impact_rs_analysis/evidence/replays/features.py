@@ -26,6 +26,7 @@ from impact_rs_control.detection import separable_wrench
 from impact_rs_sim.physics import ArmPhysics
 from impact_rs_sim.robots.robot import UNITS, Array, JointType
 from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.rotations import AXES
 from impact_rs_trials.runs import ArmSignals, Poses, Signals
 
 BIN_EDGE_S = 0.006  # averaged at each end of a bin for its momentum change
@@ -42,7 +43,6 @@ OBJECT_WINDOWS_S = ((0.006, 0.040), (0.040, 0.100))
 PUSH_EDGES_S = (0.10, 0.175, 0.25, 0.325, 0.395)  # edges of the bins in which both bodies move together
 DYNAMICS_STRIDE = 5  # samples from one evaluation of gravity and Coriolis torque to the next, in free motion
 SLOPE_WINDOW_S = 0.009  # of the slope of the joint torque, without motor measurement
-AXES = ("x", "y", "z")
 
 
 @functools.cache

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from impact_rs_analysis.evidence.replays.features import LOSS_WINDOW_S, onset_level, onsets_of
-from impact_rs_analysis.evidence.replays.replay import BEFORE_IMPACT_S
+from impact_rs_analysis.evidence.replays.replay import WINDOW_BEFORE_IMPACT_S
 from impact_rs_control.detection import ImpactDetector
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array
@@ -42,7 +42,7 @@ def impacts_of(run: Run) -> dict[str, tuple[float, float]]:
         row = first_rise(force, np.linalg.norm(velocity, axis=1), run.period)
         begin, level = math.nan, None
         if row is not None:
-            first = max(0, row - round((BEFORE_IMPACT_S + 0.01) / run.period))
+            first = max(0, row - round((WINDOW_BEFORE_IMPACT_S + 0.01) / run.period))
             rows = slice(first, row + round(LOSS_WINDOW_S / run.period))
             level = onset_level(time[rows], velocity[rows])
             begin = math.nan if level is None else float(onsets_of(time[rows], velocity[None, rows], level)[0])

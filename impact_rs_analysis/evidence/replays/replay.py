@@ -40,8 +40,8 @@ FREE_WINDOW_S = 0.1  # length of a window of free motion
 FREE_WINDOWS_WITH_IMPACT = 4  # per run
 FREE_WINDOWS_WITHOUT_IMPACT = 12  # per run
 MIN_MOVING_SPEED_SHARE = 0.05  # of the largest joint speed; a slower arm rests
-BEFORE_IMPACT_S = 0.02  # from the begin of the window about the impact to the impact
-AFTER_IMPACT_S = 0.4  # from the impact to the end of that window
+WINDOW_BEFORE_IMPACT_S = 0.02  # from the begin of the window about the impact to the impact
+WINDOW_AFTER_IMPACT_S = 0.4  # from the impact to the end of that window
 START_FIT_HALF_WIDTH_S = 0.008  # of the local fit for the start; ends before the impact begins
 RESTING_POSE_SAMPLES = 25  # averaged for the pose of the object before the impact
 MAX_HISTORY_SAMPLES = 60  # before the start, for formulas with memory; from the begin of the run
@@ -110,19 +110,19 @@ def windows_of(run: Run, impacts: dict[str, float]) -> list[Window]:
     box = run.object
     found = []
     if impacts:
-        box = _resting(run.signals, run.object, min(impacts.values()) - BEFORE_IMPACT_S)
+        box = _resting(run.signals, run.object, min(impacts.values()) - WINDOW_BEFORE_IMPACT_S)
     for number, start in enumerate(free_starts(run, impacts)):
         if recorded(run, start):
             found.append(_window(run, start, start + FREE_WINDOW_S, box, number))
     if impacts:
         first = min(impacts.values())
-        end = min(first + AFTER_IMPACT_S, float(time[-1]))
-        if run.within_gap(first - BEFORE_IMPACT_S - START_FIT_HALF_WIDTH_S, end):
+        end = min(first + WINDOW_AFTER_IMPACT_S, float(time[-1]))
+        if run.within_gap(first - WINDOW_BEFORE_IMPACT_S - START_FIT_HALF_WIDTH_S, end):
             raise InputError(
                 "a gap lies in the window about the impact, which begins "
-                f"{BEFORE_IMPACT_S + START_FIT_HALF_WIDTH_S:g} s before it"
+                f"{WINDOW_BEFORE_IMPACT_S + START_FIT_HALF_WIDTH_S:g} s before it"
             )
-        found.append(_window(run, first - BEFORE_IMPACT_S, end, box, None))
+        found.append(_window(run, first - WINDOW_BEFORE_IMPACT_S, end, box, None))
     return found
 
 
@@ -140,7 +140,7 @@ def free_starts(run: Run, impacts: dict[str, float]) -> list[float]:
     speed = np.max([np.abs(arm.velocity).max(axis=1) for arm in run.signals.arms.values()], axis=0)
     last = float(time[-1]) - START_FIT_HALF_WIDTH_S
     if impacts:
-        last = min(impacts.values()) - BEFORE_IMPACT_S
+        last = min(impacts.values()) - WINDOW_BEFORE_IMPACT_S
     before = time <= last
     moving = np.nonzero(before & (speed > MIN_MOVING_SPEED_SHARE * speed[before].max()))[0]
     begin = max(float(time[moving[0]]), float(time[0]) + START_FIT_HALF_WIDTH_S)

@@ -7,6 +7,7 @@ The key is the start of the replay, the model and the added effects, on which al
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
@@ -20,10 +21,12 @@ from impact_rs_sim.errors import NotABody
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import Array
-from impact_rs_trials.workers import Map
+from impact_rs_trials.workers import Map, on_threads
 
 MIN_BATCH, MAX_BATCH = 4, 32  # replays per task, 30 to 300 ms of work: a task has an overhead of milliseconds
 MIN_BATCHES = 16  # so that workers finish at about the same time
+
+_one_at_a_time = threading.Lock()  # rigid-body models, which features share, are not thread-safe
 
 Progress = Callable[[str, int, int], None]
 Key = tuple[str, str, Added]  # digests of start and model, and the effects: all that a replay depends on
@@ -73,6 +76,7 @@ def run_replay(task: Replay) -> Array | None:
     return run_batch([task])[0]
 
 
+@on_threads
 def run_batch(tasks: Sequence[Replay]) -> list[Array | None]:
     """Features of replays of one run; None if an expected impact is missing.
 
@@ -93,7 +97,9 @@ def run_batch(tasks: Sequence[Replay]) -> list[Array | None]:
     if not physics:
         return found
     simulations = setup.replayed_all(list(physics.values()))
-    for number, values in zip(physics, setup.features_of_all(simulations), strict=True):
+    with _one_at_a_time:
+        features = setup.features_of_all(simulations)
+    for number, values in zip(physics, features, strict=True):
         blown_up = values is not None and not np.isfinite(values).all()
         found[number] = None if blown_up and tasks[number].added else values
     return found

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from impact_rs_analysis.evidence.replays.replay import AFTER_IMPACT_S
+from impact_rs_analysis.evidence.replays.replay import WINDOW_AFTER_IMPACT_S
 from impact_rs_control.closed_loop import RobotCell, run_closed_loop, without_garbage_collection
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.physics import Physics
@@ -38,7 +38,7 @@ def observed_until(plan: TrialPlan) -> float:
     """End of the last window of a trial [s], where its simulation may stop."""
     scenario = plan.scene.scenario
     if scenario.excursion is None:
-        return scenario.timing.nominal_impact + AFTER_IMPACT_S + LATE_IMPACT_MARGIN_S
+        return scenario.timing.nominal_impact + WINDOW_AFTER_IMPACT_S + LATE_IMPACT_MARGIN_S
     case = scenario.cases[plan.scene.case_name]
     return max(scenario.excursion_end(robot) for robot in case.robots.values()) + LATE_IMPACT_MARGIN_S
 

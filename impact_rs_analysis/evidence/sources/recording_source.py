@@ -41,6 +41,7 @@ from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track, track_of_motion
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.actuation import TORQUE_GAIN
+from impact_rs_sim.effects.link import LINK_ERRORS
 from impact_rs_sim.effects.sensing import (
     COMMAND_CLOCK_OFFSET,
     MOTOR_ENCODER_OFFSET,
@@ -63,7 +64,7 @@ from impact_rs_sim.recent import Recent
 from impact_rs_sim.robots.robot import Array, joined_units
 from impact_rs_trials.recordings.file_units import CURRENTS
 from impact_rs_trials.recordings.mapping import Mapping
-from impact_rs_trials.recordings.recording import ARM, TooShort, servo_law
+from impact_rs_trials.recordings.recording import ARM, TooShort
 from impact_rs_trials.recordings.remarks import merged
 from impact_rs_trials.recordings.servo import ServoLaw
 from impact_rs_trials.runs import Run
@@ -216,7 +217,7 @@ class RecordingSource(Source):
         self.recordings, self.mapping, self.model = tuple(recordings), mapping, model
         self._minus = tuple(minus)
         self.left_out = tuple(left_out)
-        self._known = model.known_effects
+        self._known = model.known_effects | {LINK_ERRORS.name: LINK_ERRORS}
         self.motions, self.physics = tuple(motions), physics
         at_motor = mapping.torque_measured_at == "motor"
         self.balance = TorqueBalance(list(motions), at_motor)
@@ -279,7 +280,7 @@ class RecordingSource(Source):
                 those to subtract.
         """
         short = list(left_out)
-        law = servo_law(mapping)
+        law = mapping.servo_law
         recordings, motions = _prepared(recordings, mapping.low_pass, law, short)
         physics = model.apply(_physics_of(recordings))
         if minus:
@@ -521,7 +522,7 @@ class RecordingSource(Source):
                         begin=float(own[low]),
                         end=float(own[high - 1]),
                         with_motor=self.mapping.torque_measured_at == "motor",
-                        servo=servo_law(self.mapping),
+                        servo=self.mapping.servo_law,
                         q_desired=run.signals.arms[ARM].q_desired,
                         dq_desired=run.signals.arms[ARM].dq_desired,
                     )

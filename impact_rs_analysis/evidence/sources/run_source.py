@@ -19,7 +19,7 @@ from impact_rs_analysis.evidence.replays.ante_impact import obliqueness
 from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs
 from impact_rs_analysis.evidence.replays.replay_cache import Replay, ReplayCache
 from impact_rs_analysis.evidence.replays.tracker_start import tracker_start
-from impact_rs_analysis.evidence.rollouts import MAX_STARTS, FreeMotion, free_of_contact, without
+from impact_rs_analysis.evidence.rollouts import MAX_ROLLOUT_STARTS, FreeMotion, free_of_contact, without
 from impact_rs_analysis.evidence.source import Identity, Item, Made, Source, with_per_arm_parameters
 from impact_rs_analysis.evidence.tracks import Track, tracks_of_runs
 from impact_rs_sim.effects import Effect
@@ -307,7 +307,7 @@ class ReplaySource(Source):
         runs = [run for turn in turns for run in turn if run is not None and run.signals.time.size]
         worlds: dict[int, Physics] = {}
         found = []
-        for run in runs[:MAX_STARTS]:
+        for run in runs[:MAX_ROLLOUT_STARTS]:
             if id(run.setup.physics) not in worlds:
                 worlds[id(run.setup.physics)] = self.model.apply(run.setup.physics)
             motions = free_of_contact(run, run.impacts, worlds[id(run.setup.physics)], run.setup.windows[0].age)

@@ -140,7 +140,7 @@ SIZE_TEXT_WITHOUT_REPEATS = (
 
 @dataclass(frozen=True)
 class _Comparison:
-    """What is compared with what, and how.
+    """Measurements, model and rules of a comparison.
 
     Attributes:
         table: The measurements.
@@ -733,7 +733,7 @@ class ImpactTableSource(Source):
         The state of a free body is its twist and the place of its contact, in contact axes.
 
         Args:
-            rest: What a model leaves of ``measured``, ``(rows, nv)``; the smoother, the lower is the limit.
+            rest: Residual of a model, ``(rows, nv)``; the smoother, the lower is the limit.
 
         Returns:
             None with too few rows, or with arms, whose states have too many coordinates.

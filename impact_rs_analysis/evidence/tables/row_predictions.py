@@ -20,7 +20,7 @@ from impact_rs_sim.recent import Recent
 from impact_rs_sim.robots.robot import Array
 
 MAX_ALTERED = 1024  # physics with effects that were tried last
-MAX_KEPT_BYTES = 48_000_000  # predictions of the whole table, with effects that were tried last
+MAX_PREDICTIONS_BYTES = 48_000_000  # predictions of the whole table, with effects that were tried last
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ class RowPredictions:
 
 def most_kept(entries: TableEntries, share: int = 1) -> int:
     """Number of predictions of the whole table that are kept, in one of some shares of the memory."""
-    return max(1, MAX_KEPT_BYTES // share // entries.worth.nbytes)
+    return max(1, MAX_PREDICTIONS_BYTES // share // entries.worth.nbytes)
 
 
 def _inputs_of_the_map(physics: Physics) -> bytes:

@@ -81,9 +81,8 @@ class TableEntries:
         found = []
         for name in self.table.rows[0].impact.arms:
             label = arm_label(name, self.table.arms)
-            for joint, units in enumerate(self.table.rows[0].physics.arms[name].facts.units, start=1):
-                index = f"{label}joint{joint}"
-                found.append(Feature("impact", JOINT_VELOCITY_AFTER, index, 0, units.velocity, 0.0, name))
+            for column, unit in self.table.rows[0].physics.arms[name].facts.velocity_columns:
+                found.append(Feature("impact", JOINT_VELOCITY_AFTER, f"{label}{column}", 0, unit, 0.0, name))
         names = AXES if self.table.arms else CONTACT_AXES
         found += [Feature("impact", VELOCITY_AFTER, axis, 0, "m/s", 0.0) for axis in names]
         found += [Feature("impact", ANGULAR_VELOCITY_AFTER, axis, 0, "rad/s", 0.0) for axis in names]

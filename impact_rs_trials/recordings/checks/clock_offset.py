@@ -31,7 +31,7 @@ from impact_rs_trials.recordings.checks.plausibility import gravity_torques
 from impact_rs_trials.recordings.mapping import Mapping, SignalName
 from impact_rs_trials.recordings.readers.series import Series
 from impact_rs_trials.recordings.relations import cross_correlation, fit
-from impact_rs_trials.recordings.remarks import Amount, Remark
+from impact_rs_trials.recordings.remarks import remark
 
 FOUND_BY: dict[SignalName, str] = {
     "velocity": "the derivative of the positions",
@@ -210,8 +210,8 @@ def clocks_apart(pose: Series, position: Series, jumps: Sequence[JointJump], pat
 
 def shifted(series: Series, offset: float, error: float, found_by: str) -> Series:
     """A signal with its timestamps shifted by an offset [s], and a warning about it."""
-    moved = "stamps moved by ", Amount(offset, "+.6g"), " s (+- ", Amount(1e3 * error, ".2g"), " ms)"
-    said = Remark(f"{series.place}: clock of its own; ", *moved, f", by {found_by}")
+    words = "{}: clock of its own; stamps moved by {:+.6g} s (+- {:.2g} ms), by {}"
+    said = remark(words, series.place, offset, 1e3 * error, found_by)
     return replace(series, time=series.time + offset, remarks=(*series.remarks, said))
 
 

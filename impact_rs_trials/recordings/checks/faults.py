@@ -34,13 +34,13 @@ from collections.abc import Mapping as AbstractMapping
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot import Array, RobotFacts
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.recordings.checks.joint_jumps import impact_time
 from impact_rs_trials.recordings.mapping import Mapping, SignalName
 from impact_rs_trials.recordings.readers.series import Series
 from impact_rs_trials.recordings.relations import MIN_SPEED_SHARE, PLAUSIBLE_FACTORS, pooled
-from impact_rs_trials.recordings.remarks import Amount, Remark
+from impact_rs_trials.recordings.remarks import remark
 
 Mask = NDArray[np.bool_]
 
@@ -112,6 +112,22 @@ def _impact(position: Series, velocity: Series, mapping: Mapping) -> float:
     return impact_time(kept, _without(velocity, alone))
 
 
+def beyond_data_sheet(name: SignalName, values: Array, facts: RobotFacts) -> Mask:
+    """Mask of the samples beyond the data sheet's position, velocity or torque, ``(k, n)``.
+
+    Args:
+        name: Position, velocity or torque of joints or motors.
+        values: SI, ``(k, n)``.
+        facts: Has the limits.
+    """
+    limits = facts.limits
+    if name.endswith("position"):
+        low, high = np.array(limits.position_min_rad), np.array(limits.position_max_rad)
+        return np.asarray((values < low - MAX_POSITION_EXCESS) | (values > high + MAX_POSITION_EXCESS))
+    most = limits.torque_Nm if name == "torque" else limits.velocity_rad_s
+    return np.asarray(np.abs(values) > MAX_LIMIT_FACTOR * np.array(most))
+
+
 # ---- outliers -------------------------------------------------------------------------------------------------------
 
 
@@ -126,20 +142,12 @@ def outliers(name: SignalName, series: Series, mapping: Mapping, impact: float |
     """
     values, time = series.values, series.time
     limits = mapping.facts.limits
-    fastest = MAX_LIMIT_FACTOR * np.array(limits.velocity_rad_s)
     if name.endswith("position"):
-        floor = np.maximum(fastest * float(np.median(np.diff(time))), MIN_OUTLIER_SIGMA * _resolution(values))
-        low, high = (
-            np.array(limits.position_min_rad) - MAX_POSITION_EXCESS,
-            np.array(limits.position_max_rad) + MAX_POSITION_EXCESS,
-        )
-        beyond = (values < low) | (values > high)
+        floor = MAX_LIMIT_FACTOR * np.array(limits.velocity_rad_s) * float(np.median(np.diff(time)))
     else:
-        most = np.array(limits.torque_Nm if name == "torque" else limits.velocity_rad_s)
-        floor, beyond = (
-            np.maximum(MIN_OUTLIER_SHARE * most, MIN_OUTLIER_SIGMA * _resolution(values)),
-            np.abs(values) > MAX_LIMIT_FACTOR * most,
-        )
+        floor = MIN_OUTLIER_SHARE * np.array(limits.torque_Nm if name == "torque" else limits.velocity_rad_s)
+    floor = np.maximum(floor, MIN_OUTLIER_SIGMA * _resolution(values))
+    beyond = beyond_data_sheet(name, values, mapping.facts)
     if impact is not None and not name.endswith("position"):
         beyond[(time >= impact - BEFORE_IMPACT_S) & (time <= impact + AFTER_IMPACT_S)] = False
     if name.startswith("motor"):  # the data sheet has no limits for them
@@ -311,14 +319,13 @@ def _remarks(series: Series, wrong: Mask, kind: str, mapping: Mapping, name: Sig
         start = series.time[rows] - series.time[0]
         units = mapping.facts.units[joint]
         unit = units.position if name.endswith("position") else units.effort if name == "torque" else units.velocity
-        value = Amount(float(series.values[rows[0], joint]), ".4g")
-        share = Remark(Amount(rows.size, "d"), " of ", Amount(series.time.size, "d"), " samples")
-        begin, end = (Amount(float(start[row]), ".3f") for row in (0, -1))
-        where = f"{series.place}: joint {joint + 1}: "
+        where, value = f"{series.place}: joint {joint + 1}", float(series.values[rows[0], joint])
+        share = remark("{:d} of {:d} samples", rows.size, series.time.size)
         if kind == "outlier":
-            what = " is an outlier, first " if rows.size == 1 else " are outliers, first "
-            remarks.append(Remark(where, share, what, value, f" {unit} at t = ", begin, " s: left out"))
+            what = "is an outlier" if rows.size == 1 else "are outliers"
+            words = "{}: {} {}, first {:.4g} {} at t = {:.3f} s: left out"
+            remarks.append(remark(words, where, share, what, value, unit, start[0]))
         else:
-            within = Remark(f" {unit} within t = ", begin, " ... ", end, " s (")
-            remarks.append(Remark(where, "frozen at ", value, within, share, "): left out"))
+            words = "{}: frozen at {:.4g} {} within t = {:.3f} ... {:.3f} s ({}): left out"
+            remarks.append(remark(words, where, value, unit, start[0], start[-1], share))
     return remarks

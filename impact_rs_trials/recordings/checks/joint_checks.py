@@ -41,14 +41,14 @@ from impact_rs_trials.recordings.relations import (
     averaged,
     correlation,
     dry_friction,
+    evenly,
     fit,
     fit_with_lag,
     held_out_misfit,
     moves,
     odd_blocks,
 )
-from impact_rs_trials.recordings.remarks import Amount, Remark, joined
-from impact_rs_trials.recordings.servo import ServoLaw
+from impact_rs_trials.recordings.remarks import Remark, joined, remark
 from impact_rs_trials.runs import ArmSignals
 
 MIN_REPORTED_LAG = (0.005, 1.0)  # s, and sampling periods
@@ -71,7 +71,7 @@ def arm_warnings(time: Array, arm: ArmSignals, mapping: Mapping, model: RobotMod
         model: Nominal arm, for its gravity torque.
         contact: Whether contacts push the arm, so that torques show neither gravity nor friction.
     """
-    rows = np.unique(np.linspace(0, time.size - 1, GRAVITY_SAMPLES).astype(int))
+    rows = evenly(time.size, GRAVITY_SAMPLES)
     gravity, derived = gravity_torques(model, arm.position[rows]), np.gradient(arm.position, time, axis=0)
     moving = moves(derived, mapping.facts)
     motion, means = AveragedMotion.of(time, arm.position), averaged(time, arm.velocity)[1]
@@ -88,35 +88,27 @@ def arm_warnings(time: Array, arm: ArmSignals, mapping: Mapping, model: RobotMod
         if moving[joint] and together >= MIN_CORRELATION:
             ratio, error = float(late.factor[joint]), float(late.standard_error[joint])
             if abs(ratio - 1.0) > max(MAX_FACTOR_ERROR, MIN_REPORTED_SIGMA * error):
-                speeds[joint] = Remark(
-                    "is ",
-                    Amount(ratio),
-                    " times the derivative of its position (+- ",
-                    Amount(error, ".1g"),
-                    "), expected 1",
-                )
+                words = "is {:.3g} times the derivative of its position (+- {:.1g}), expected 1"
+                speeds[joint] = remark(words, ratio, error)
                 factors["velocity"][joint] = _remedy(ratio)
             lags.append((float(lag[joint]), float(lag_error[joint])))
         elif moving[joint]:
-            mixed.append(Remark(f"of joint {joint + 1} (correlation ", Amount(together, ".2f"), ")"))
+            mixed.append(remark("of joint {} (correlation {:.2f})", str(joint + 1), together))
         if contact or not np.ptp(arm.torque[:, joint]):  # not measured
             continue
         if heavy and (ratio_of_gravity := _ratio(arm.torque[rows, joint], own)) is not None:
-            torques[joint] = Remark("is ", Amount(ratio_of_gravity, ".2g"), " times the gravity torque, expected 1")
+            torques[joint] = remark("is {:.2g} times the gravity torque, expected 1", ratio_of_gravity)
             factors["torque"][joint] = _remedy(ratio_of_gravity)
         driving = factors["velocity"][joint] * arm.velocity[rows, joint]
         against = correlation(arm.torque[rows, joint] - own, driving)
         if moving[joint] and not heavy and against < MAX_CORRELATION_DRIVING:
-            torques[joint] = Remark(
-                "points against its motion (correlation ", Amount(against, ".2f"), "), as if friction drove it"
-            )
+            torques[joint] = remark("points against its motion (correlation {:.2f}), as if friction drove it", against)
             factors["torque"][joint] = -1.0
     load = _load(model, arm, rows, gravity, torques) if torques else None
-    is_not = " is not the derivative of its position: columns of other joints?"
-    remark = Remark("velocity ", joined(", ", mixed), is_not)
+    is_not = "velocity {} is not the derivative of its position: columns of other joints?"
     period = float(np.median(np.diff(time)))
     return [
-        *([remark] if mixed and "velocity" in mapping.signals else []),
+        *([remark(is_not, joined(", ", mixed))] if mixed and "velocity" in mapping.signals else []),
         *_remarks("velocity", speeds, factors["velocity"], mapping),
         *(_remarks("torque", torques, factors["torque"], mapping) if load is None else [load]),
         *(_lag_of_velocity(lags, period, mapping) if "velocity" in mapping.signals else []),
@@ -125,7 +117,9 @@ def arm_warnings(time: Array, arm: ArmSignals, mapping: Mapping, model: RobotMod
     ]
 
 
-def _load(model: RobotModel, arm: ArmSignals, rows: Array, gravity: Array, doubted: dict[int, str]) -> Remark | None:
+def _load(
+    model: RobotModel, arm: ArmSignals, rows: NDArray[np.signedinteger], gravity: Array, doubted: dict[int, str]
+) -> Remark | None:
     """Warning about a load that explains torques better than factors of the doubted joints; None: it does not.
 
     Both are judged by cross-validation over blocks of the poses.
@@ -144,11 +138,11 @@ def _load(model: RobotModel, arm: ArmSignals, rows: Array, gravity: Array, doubt
     if mass <= 0.0 or left["load"] >= left["factors"]:
         return None
     rms = {what: float(np.sqrt(squares / beyond.size)) for what, squares in left.items()}
-    return Remark(
-        "torques hold ", Amount(mass, ".2g"), " kg more at the end effector than the mapping says: a load and its "
-        "place predict them better (", Amount(rms["load"], ".2g"), " N m rms left) than factors of joints "
-        f"{', '.join(str(joint + 1) for joint in doubted)} do (", Amount(rms["factors"], ".2g"), " N m). "
-        "Remedy in the mapping: end_effector, if it is known; diagnose finds it, if it is not",
+    return remark(
+        "torques hold {:.2g} kg more at the end effector than the mapping says: a load and its place predict them "
+        "better ({:.2g} N m rms left) than factors of joints {} do ({:.2g} N m). Remedy in the mapping: end_effector, "
+        "if it is known; diagnose finds it, if it is not",
+        mass, rms["load"], ", ".join(str(joint + 1) for joint in doubted), rms["factors"],
     )  # fmt: skip
 
 
@@ -189,11 +183,11 @@ def _lag_of_torque(
     inside = np.flatnonzero((at > at[0] + most) & (at < at[-1] - most))
     if inside.size < MIN_LAG_SAMPLES:
         return []
-    rows = inside[np.unique(np.linspace(0, inside.size - 1, MAX_TORQUE_SAMPLES).astype(int))]
+    rows = inside[evenly(inside.size, MAX_TORQUE_SAMPLES)]
     rigid = np.array([model.inverse_dynamics(q[row], dq[row], ddq[row]) for row in rows])
     period = float(np.median(np.diff(time)))
     tried = np.arange(-MAX_LAG_S, most, max(0.5 * period, 1e-3))
-    law = None if mapping.servo is None else ServoLaw.of(mapping.servo, np.array(mapping.facts.limits.torque_Nm))
+    law = mapping.servo_law
     late: list[Array] = []
     if law is not None:
         target, rate = (averaged(time, one)[1] for one in (arm.q_desired, arm.dq_desired))
@@ -225,20 +219,21 @@ def _lag_of_torque(
 
 def _late_commands(lag: float, error: float, mapping: Mapping) -> str:
     """The time from the stamps of commands until servos act on them, with its remedy."""
-    size = Amount(1e3 * abs(lag), ".0f"), " ms (+- ", Amount(1e3 * error, ".1g"), " ms) "
-    how = "after" if lag > 0.0 else "before"
-    why = f"{how} their stamps, by the torque that the motion takes. Remedy in the mapping: signals.q_desired.delay: "
-    delay = Amount(mapping.signals["q_desired"].delay + lag, ".4g", remedy=True)
-    return Remark("commands act ", *size, why, delay, ", or diagnose, which names it actuation_delay")
+    return remark(
+        "commands act {:.0f} ms (+- {:.1g} ms) {} their stamps, by the torque that the motion takes. Remedy in the "
+        "mapping: signals.q_desired.delay: {!r:.4g}, or diagnose, which names it actuation_delay",
+        1e3 * abs(lag), 1e3 * error, "after" if lag > 0.0 else "before", mapping.signals["q_desired"].delay + lag,
+    )  # fmt: skip
 
 
 def _late(what: str, reference: str, lag: float, error: float, name: SignalName, mapping: Mapping) -> str:
     """A lag with its remedy."""
-    delay = mapping.signals[name].delay - lag
-    how = "behind" if lag > 0.0 else "ahead of"
-    size = Amount(1e3 * abs(lag), ".0f"), " ms (+- ", Amount(1e3 * error, ".1g"), f" ms) {how} {reference}"
-    why = f": low-passed, or columns of different age? Remedy in the mapping: signals.{name}.delay: "
-    return Remark(f"{what} are ", *size, why, Amount(delay, ".4g", remedy=True))
+    return remark(
+        "{} are {:.0f} ms (+- {:.1g} ms) {} {}: low-passed, or columns of different age? Remedy in the mapping: "
+        "signals.{}.delay: {!r:.4g}",
+        what, 1e3 * abs(lag), 1e3 * error, "behind" if lag > 0.0 else "ahead of", reference,
+        name, mapping.signals[name].delay - lag,
+    )  # fmt: skip
 
 
 def _repeats(time: Array, arm: ArmSignals) -> list[str]:
@@ -247,7 +242,7 @@ def _repeats(time: Array, arm: ArmSignals) -> list[str]:
     for name in ("position", "velocity", "torque"):
         if (text := _repeated(time, getattr(arm, name))) is not None:
             found.setdefault(text, []).append(name)
-    return [Remark(f"{', '.join(names)} of all joints ", text) for text, names in found.items()]
+    return [remark("{} of all joints {}", ", ".join(names), text) for text, names in found.items()]
 
 
 def _repeated(time: Array, values: Array) -> str | None:
@@ -264,11 +259,11 @@ def _repeated(time: Array, values: Array) -> str | None:
     if repeated < MAX_REPEATED_SHARE * time.size:
         return None
     each = float(np.mean(lasts[missed]))
-    return Remark(
-        "stay the same in ", Amount(100.0 * repeated / time.size, ".0f"), " % of the samples while the arm moves: "
-        "every number stands ", Amount(each, ".2g"), " times, as if measured at ", Amount(1.0 / period / each),
-        " Hz and written at ", Amount(1.0 / period), " Hz. Remedy: of equal rows keep the first, or low_pass: ",
-        Amount(0.25 / period / each, ".2g", remedy=True), " in the mapping",
+    return remark(
+        "stay the same in {:.0f} % of the samples while the arm moves: every number stands {:.2g} times, as if "
+        "measured at {:.3g} Hz and written at {:.3g} Hz. Remedy: of equal rows keep the first, or low_pass: {!r:.2g} "
+        "in the mapping",
+        100.0 * repeated / time.size, each, 1.0 / period / each, 1.0 / period, 0.25 / period / each,
     )  # fmt: skip
 
 
@@ -279,19 +274,14 @@ def _remarks(name: SignalName, doubts: dict[int, str], factors: Array, mapping: 
         return []
     every = factors * np.array(mapping.servo.kp if mapping.servo and gains else mapping.signals[name].factor)
     key = "servo.kp" if gains else f"signals.{name}.factor"
-    numbers = [Remark(Amount(value, remedy=True)) for value in every.tolist()]
-    remedy = numbers[0] if np.all(every == every[0]) else Remark("[", joined(", ", numbers), "]")
-    what = joined("; ", [Remark(f"of joint {joint + 1} ", text) for joint, text in doubts.items()])
+    numbers = [remark("{!r:.3g}", value) for value in every.tolist()]
+    remedy = numbers[0] if np.all(every == every[0]) else remark("[{}]", joined(", ", numbers))
+    what = joined("; ", [remark("of joint {} {}", str(joint + 1), text) for joint, text in doubts.items()])
     why = "wrong sign, unit or joint" + (", or a load that the mapping lacks" if name == "torque" else "")
     if gains and np.any(every <= 0.0):
-        return [
-            Remark(
-                f"{name} ",
-                what,
-                f": {why}? No positive {key} corrects it: late commands, or torques that the controller adds?",
-            )
-        ]
-    return [Remark(f"{name} ", what, f": {why}? Remedy in the mapping: {key}: ", remedy)]
+        words = "{} {}: {}? No positive {} corrects it: late commands, or torques that the controller adds?"
+        return [remark(words, name, what, why, key)]
+    return [remark("{} {}: {}? Remedy in the mapping: {}: {}", name, what, why, key, remedy)]
 
 
 def _ratio(values: Array, expected: Array) -> float | None:

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.recordings.mapping import SignalName
 from impact_rs_trials.recordings.readers.series import MAX_BRIDGED_PERIODS, Series
-from impact_rs_trials.recordings.remarks import Amount, Remark, joined
+from impact_rs_trials.recordings.remarks import joined, remark
 
 SIDE_SAMPLES = 6  # of each polynomial
 ORDER = {"positions": 2, "integrals": 1}  # of a polynomial of positions, or of positions minus the integral of velocity
@@ -137,14 +137,14 @@ def _remark(rows: Array, time: Array, what: str, how: str) -> list[str]:
     if not places.size:
         return []
     each = [
-        Remark("t = ", Amount(float(time[place] - time[0]), ".3f"), " s (", Amount(int(rows[place]), "d"), ")")
+        remark("t = {:.3f} s ({:d})", float(time[place] - time[0]), int(rows[place]))
         for place in places[:MAX_NAMED_PLACES].tolist()
     ]
-    more = Remark(" and ", Amount(places.size - len(each), "d"), " more places") if places.size > len(each) else ""
+    more = remark(" and {:d} more places", places.size - len(each)) if places.size > len(each) else ""
     return [
-        Remark(
-            Amount(int(rows[places].sum()), "d"), f" {what}: at ", joined(", ", each), more, " all joints move on ",
-            f"{how}. Times are corrected by as many periods, and a gap that is longer than the low-pass bridges cuts "
-            "the recording",
+        remark(
+            "{:d} {}: at {}{} all joints move on {}. Times are corrected by as many periods, and a gap that is longer "
+            "than the low-pass bridges cuts the recording",
+            int(rows[places].sum()), what, joined(", ", each), more, how,
         )
     ]  # fmt: skip

@@ -16,8 +16,8 @@ from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.scenarios.scenario import Scenario
-from impact_rs_trials.recordings.relations import SINGLE_GRAVITY_FACTORS, pooled
-from impact_rs_trials.recordings.remarks import Amount, Remark
+from impact_rs_trials.recordings.relations import SINGLE_GRAVITY_FACTORS, evenly, pooled
+from impact_rs_trials.recordings.remarks import remark
 
 FIRST_POSE_S = 0.1  # in which the first pose of the object is taken
 HEIGHT_TOLERANCE_M = 0.05
@@ -55,7 +55,7 @@ def check_gravity_torque(path: Path, name: str, model: RobotModel, position: Arr
     Raises:
         InputError: They do not.
     """
-    rows = np.unique(np.linspace(0, position.shape[0] - 1, GRAVITY_SAMPLES).astype(int))
+    rows = evenly(len(position), GRAVITY_SAMPLES)
     gravity = gravity_torques(model, position[rows])
     if float(np.sum(np.square(gravity))) < noticed(model) ** 2 * rows.size:
         return
@@ -146,14 +146,11 @@ def check_touch(path: Path, model: RobotModel, name: str, size: Array, position:
         if abs(nearest) < MIN_REPORTED_DISTANCE_M:
             return []
         how = "short of" if nearest > 0.0 else "inside"
-        return [
-            Remark(
-                "where they are nearest, the middle of the pad is ",
-                Amount(1e3 * abs(nearest), ".1f"),
-                f" mm {how} {name!r}: motion capture and robot disagree by that much, or their clocks do; or another "
-                "object is hit, or only by an edge",
-            )
-        ]
+        words = (
+            "where they are nearest, the middle of the pad is {:.1f} mm {} {}: motion capture and robot disagree by "
+            "that much, or their clocks do; or another object is hit, or only by an edge"
+        )
+        return [remark(words, 1e3 * abs(nearest), how, repr(name))]
     how = (
         f"never comes nearer to {name!r} than {nearest:.3f} m"
         if nearest > 0.0

@@ -25,7 +25,6 @@ c_j ~ N(0, s_j^2) of usual gears and its estimate c_j +- e_j, the log Bayes fact
 
 from __future__ import annotations
 
-import functools
 import itertools
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -37,6 +36,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.recordings.checks.plausibility import noticed
+from impact_rs_trials.recordings.joint_motion import JointMotion
 from impact_rs_trials.recordings.mapping import TorqueMeaning
 from impact_rs_trials.recordings.relations import (
     DECISIVE_LOG_LIKELIHOOD,
@@ -73,56 +73,32 @@ SIGNALS = ("position", "velocity", "acceleration", "recorded")
 
 
 @dataclass(frozen=True)
-class MotionTorque:
-    """Inverse dynamics of a motion at some of its samples, and the recorded torque; ``(k, n)`` each.
+class MotionTorque(JointMotion):
+    """A motion of the joints, and a torque signal at its samples.
 
     Attributes:
-        position: q [rad].
-        velocity: dq [rad/s].
-        acceleration: ddq [rad/s^2].
-        recorded: Torque signal [N m].
-        model: Nominal arm.
+        recorded: Torque signal, ``(k, n)`` [N m].
         independent: Number of independent samples; moving averages overlap [-].
     """
 
-    position: Array
-    velocity: Array
-    acceleration: Array
     recorded: Array
-    model: RobotModel
     independent: float
 
-    @functools.cached_property
-    def whole(self) -> Array:
-        """M ddq + h, ``(k, n)`` [N m]."""
-        states = zip(self.position, self.velocity, self.acceleration, strict=True)
-        return np.array([self.model.inverse_dynamics(*state) for state in states])
-
-    @functools.cached_property
-    def gravity_torque(self) -> Array:
-        """g, ``(k, n)`` [N m]."""
-        return np.array([self.model.gravity_torque(q) for q in self.position])
-
     @staticmethod
-    def of(
-        time: Array, position: Array, velocity: Array, torque: Array, model: RobotModel, samples: int = READING_SAMPLES
-    ) -> MotionTorque:
-        """Inverse dynamics of signals on the same timestamps, after moving averages.
+    def seen(time: Array, position: Array, velocity: Array, torque: Array, model: RobotModel) -> MotionTorque:
+        """Motion and torque from signals ``(m, n)`` on the same timestamps, after moving averages.
 
         Args:
-            time: Stamps, ``(k,)`` [s].
-            position: q, ``(k, n)`` [rad].
-            velocity: dq, ``(k, n)`` [rad/s].
-            torque: Torque signal, ``(k, n)`` [N m].
+            time: Stamps, ``(m,)`` [s].
+            position: q [rad].
+            velocity: dq [rad/s].
+            torque: Torque signal [N m].
             model: Nominal arm.
-            samples: Number of samples to use.
         """
-        at, q = averaged(time, position)
-        dq, tau = averaged(time, velocity)[1], averaged(time, torque)[1]
-        ddq = np.gradient(dq, at, axis=0)
-        rows = np.unique(np.linspace(0, at.size - 1, samples).astype(int))
-        independent = min(float(rows.size), time.size / max(1, time.size - at.size + 1))
-        return MotionTorque(q[rows], dq[rows], ddq[rows], tau[rows], model, independent)
+        motion = JointMotion.of(time, position, velocity, model, READING_SAMPLES)
+        at, tau = averaged(time, torque)
+        independent = min(float(motion.rows.size), time.size / max(1, time.size - at.size + 1))
+        return MotionTorque(**vars(motion), recorded=tau[motion.rows], independent=independent)
 
     def reading(self, meaning: TorqueMeaning) -> Array:
         """Torque of the model that a signal of this meaning holds, ``(k, n)`` [N m]."""
@@ -324,7 +300,7 @@ def check_includes_gravity(path: Path, time: Array, arm: ArmSignals, model: Robo
     Raises:
         InputError: It holds the inertial torque alone.
     """
-    why = lacks_gravity(MotionTorque.of(time, arm.position, arm.velocity, arm.torque, model))
+    why = lacks_gravity(MotionTorque.seen(time, arm.position, arm.velocity, arm.torque, model))
     if why is not None:
         raise InputError(f"torque {why}. {WHOLE_TORQUE}", file=path, key="signals.torque of the mapping")
 

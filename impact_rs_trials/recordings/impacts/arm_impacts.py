@@ -28,9 +28,10 @@ from impact_rs_trials.recordings.checks.clock_offset import OBJECT_SIGNALS, cloc
 from impact_rs_trials.recordings.checks.joint_jumps import MIN_JUMP_SHARE, JointJump, jump_at, jumps_of
 from impact_rs_trials.recordings.checks.plausibility import check_touch
 from impact_rs_trials.recordings.experiment import RunRow
+from impact_rs_trials.recordings.impacts import impact_columns as col
 from impact_rs_trials.recordings.impacts.contact_onset import onset_of
-from impact_rs_trials.recordings.impacts.impact_columns import SLIDE_DISTANCE, SUPPORT_FRICTION, ColumnGroup
-from impact_rs_trials.recordings.impacts.impact_rows import BY_SLIDING_DISTANCE, ArmInImpact, Impact, NoRow
+from impact_rs_trials.recordings.impacts.impact_columns import ColumnGroup
+from impact_rs_trials.recordings.impacts.impact_rows import BY_SLIDING_DISTANCE, Impact, NoRow
 from impact_rs_trials.recordings.impacts.motion_fits import MAX_REST_SIGMA, FittedMotion, contact_noise, fly, move, rest
 from impact_rs_trials.recordings.laboratory import (
     MIN_POSE_RATE_HZ,
@@ -199,8 +200,8 @@ def refined_by_onset(arms: Mapping[str, ArmSeries], moments: list[Jumps], remark
             onsets = [(one, what) for what, sensor in seen.items() if (one := onset_of(sensor, position, jump.time))]
             if not onsets:
                 continue
-            onset, what = min(onsets, key=lambda one: one[0].error)
-            again = jump_at(position, onset.time, onset.error)
+            (onset, error), what = min(onsets, key=lambda one: one[0][1])
+            again = jump_at(position, onset, error)
             if again is not None:
                 own[arm] = again
                 used.append(what)
@@ -238,7 +239,7 @@ def _with_object(seen: _Seen, jumps: Jumps, between: tuple[float, float]) -> Imp
     outcomes = _slid(seen, time, ante) if between[1] == np.inf else {}
     turn_tracked = True
     if seen.rate < MIN_POSE_RATE_HZ or late.size < MIN_OBJECT_SAMPLES:
-        way = outcomes.get(SLIDE_DISTANCE)
+        way = outcomes.get(col.SLIDE_DISTANCE)
         if way is None:
             return NoRow(
                 run.label,
@@ -252,7 +253,7 @@ def _with_object(seen: _Seen, jumps: Jumps, between: tuple[float, float]) -> Imp
         post_twist, noise = post.at(time)[2], post.noise
         sliding = -float(post.acceleration @ post_twist[:3]) / max(float(np.linalg.norm(post_twist[:3])), 1e-9)
         if law == "sliding" and sliding > 0.0:
-            outcomes = {SUPPORT_FRICTION: sliding / GRAVITY_M_S2, **outcomes}
+            outcomes = {col.SUPPORT_FRICTION: sliding / GRAVITY_M_S2, **outcomes}
     noise = (float(np.hypot(noise[0], ante.noise[0])), float(np.hypot(noise[1], ante.noise[1])))
     before = ante.at(time)[2]
     if float(np.linalg.norm(post_twist[:3] - before[:3])) < MIN_OBJECT_JUMP_SIGMA * noise[0]:
@@ -266,19 +267,10 @@ def _with_object(seen: _Seen, jumps: Jumps, between: tuple[float, float]) -> Imp
         except InputError as error:
             return NoRow(run.label, f"{laboratory.label(arm)}{error.message}")
     tolerance = 2.0 * (ante.scatter[0] + 0.5 * ante.scatter[1] * float(np.max(size)))
-    states = {
-        arm: ArmInImpact(
-            jump.position,
-            jump.before,
-            jump.after,
-            float(np.sqrt(np.mean(jump.noise**2))),
-            tuple(scenario.robots[arm].robot_facts.units),
-        )
-        for arm, jump in jumps.items()
-    }
+    facts = {arm: scenario.robots[arm].robot_facts for arm in jumps}
     return Impact(
         run.label, run.condition, run.object, time - seen.start, position, rotation, before, post_twist, noise,
-        tolerance, law, states, outcomes, turn_tracked, session=run.session,
+        tolerance, law, jumps, facts, outcomes, turn_tracked, session=run.session,
         contact_noise=contact_noise(ante, early.size, float(np.max(size)), turns=True),
     )  # fmt: skip
 
@@ -317,7 +309,7 @@ def _slid(seen: _Seen, time: float, ante: FittedMotion) -> dict[ColumnGroup, flo
     if float(np.max(np.ptp(end, axis=0))) > 4.0 * noise:
         return {}
     way = float(np.linalg.norm((np.mean(end, axis=0) - ante.at(time)[0])[:2]))
-    return {SLIDE_DISTANCE: way} if way > 4.0 * noise else {}
+    return {col.SLIDE_DISTANCE: way} if way > 4.0 * noise else {}
 
 
 def _by_distance(seen: _Seen, time: float, way: float) -> tuple[Array, tuple[float, float], str]:

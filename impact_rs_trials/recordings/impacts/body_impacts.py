@@ -9,8 +9,12 @@ no state before and after:
 
 * too few samples of flight on a side, or several impacts in a row;
 * a body that comes down so slowly that noise decides;
+* a ball of unknown spin: one whose rotation was not tracked, after an impact that has no row;
 * one that lands on an edge or a face: its next corner comes so soon that two impacts look like one;
 * a run that is there twice (the same heights).
+
+A ball whose rotation was not tracked has an assumed spin before its first impact. The impulse m (v+ - v-) acts at the
+lowest point, r = (0, 0, -R) from the centre, so that the next one has w = w- + r x m (v+ - v-) / I.
 """
 
 from __future__ import annotations
@@ -33,6 +37,7 @@ Rows = NDArray[np.signedinteger]
 MIN_FLIGHT_SAMPLES = 5  # on either side of an impact
 MAX_FLIGHT_S = 0.12  # of the used samples; longer flights feel drag
 MAX_DISTURBED = 2  # consecutive disturbed differences, over k; a single impact, on or between samples, disturbs no more
+MAX_CONTACT_S = 0.02  # of a ball on something soft, as paper or a lawn; a box in contact so long lands on two corners
 MAX_DIFFERENCE_S = 0.04  # k h: enough for the noise of trackers, shorter than flights between bounces
 MIN_DISTURBANCE_SIGMA = 4.0  # standard deviations of a second difference, beyond which it is disturbed,
 MIN_DISTURBANCE_G = 0.5  # and at least so much of g
@@ -52,7 +57,7 @@ class TrackedBody:
         position: Of the geometric centre, the middle of its bounding box, ``(k, 3)`` [m].
         rotation: From its axes, ``(k, 3, 3)``.
         gravity: ``(3,)`` [m/s^2].
-        spin: Assumed angular velocity before the impacts, ``(3,)`` [rad/s]; None: the orientation was tracked.
+        spin: Assumed angular velocity before the first impact, ``(3,)`` [rad/s]; None: the orientation was tracked.
     """
 
     run: str
@@ -96,33 +101,42 @@ def _impacts_of(run: TrackedBody, body: Body) -> tuple[list[Impact], list[NoRow]
     off, reach = disturbed_and_reach
     if not off[reach:-reach].any():
         return [], [NoRow(run.run, "nothing is hit")]
-    found: list[Impact] = []
-    left_out: list[NoRow] = []
+    results: list[Impact | NoRow] = []
     flights = _stretches(~off)
-    for (a, b), (c, d) in zip(flights, flights[1:], strict=False):
-        name = run.run if not found and not left_out else f"{run.run}, impact {len(found) + len(left_out) + 1}"
-        if c - b - 1 > MAX_DISTURBED * reach:
-            left_out.append(NoRow(name, "several impacts in a row, or a contact that lasts"))
-            continue
-        # A difference about sample i reaches k samples further; the last of them may lie beyond the impact.
-        before, after = np.arange(a - reach, b + reach), np.arange(c - reach + 1, d + reach + 1)
-        if min(before.size, after.size) < MIN_FLIGHT_SAMPLES:
-            left_out.append(
-                NoRow(
-                    name,
-                    f"too few samples of free flight: {before.size} before, {after.size} after, of "
-                    f"{MIN_FLIGHT_SAMPLES}",
-                )
-            )
-            continue
-        result = _impact(run, item, name, before, after, reach)
-        if isinstance(result, Impact):
-            found.append(result)
-        else:
-            left_out.append(result)
-    if not found and not left_out:
-        left_out.append(NoRow(run.run, "too few samples of free flight on one side of what is hit"))
-    return found, left_out
+    for pair in zip(flights, flights[1:], strict=False):
+        name = f"{run.run}, impact {len(results) + 1}" if results else run.run
+        result = _between(run, item, name, pair, reach)
+        if run.spin is not None and isinstance(result, Impact):
+            if any(isinstance(one, Impact) for one in results) and isinstance(results[-1], NoRow):
+                result = NoRow(name, "the spin of the ball is unknown after an impact without a row")
+            else:
+                run = replace(run, spin=run.spin + _spin_by(result, item))
+        results.append(result)
+    if not results:
+        results.append(NoRow(run.run, "too few samples of free flight on one side of what is hit"))
+    return [one for one in results if isinstance(one, Impact)], [one for one in results if isinstance(one, NoRow)]
+
+
+def _between(
+    run: TrackedBody, item: ObjectPhysics, name: str, flights: tuple[tuple[int, int], tuple[int, int]], reach: int
+) -> Impact | NoRow:
+    """The impact between two neighbouring flights, by their first and last undisturbed sample."""
+    before, after = flights
+    longest = MAX_DISTURBED * reach + (round(MAX_CONTACT_S / float(np.median(np.diff(run.time)))) if item.round else 0)
+    if after[0] - before[1] - 1 > longest:
+        return NoRow(name, "several impacts in a row, or a contact that lasts")
+    # A difference about sample i reaches k samples further; the last of them may lie beyond the impact.
+    ante, post = np.arange(before[0] - reach, before[1] + reach), np.arange(after[0] - reach + 1, after[1] + reach + 1)
+    if min(ante.size, post.size) < MIN_FLIGHT_SAMPLES:
+        said = f"too few samples of free flight: {ante.size} before, {post.size} after, of {MIN_FLIGHT_SAMPLES}"
+        return NoRow(name, said)
+    return _impact(run, item, name, ante, post, reach)
+
+
+def _spin_by(impact: Impact, item: ObjectPhysics) -> Array:
+    """Change of the angular velocity of a ball by an impact, ``(3,)`` [rad/s]."""
+    lever = np.array([0.0, 0.0, -0.5 * item.size[2]])
+    return np.asarray(np.cross(lever, item.mass * (impact.after[:3] - impact.before[:3])) / item.inertia)
 
 
 def disturbed_samples(time: Array, height: Array, gravity: float) -> tuple[NDArray[np.bool_], int] | None:
@@ -163,7 +177,8 @@ def _impact(run: TrackedBody, item: ObjectPhysics, name: str, before: Rows, afte
     period = float(np.median(np.diff(run.time)))
     before, after = _window(run, before, -1), _window(run, after, 1)
     edge = (float(run.time[before[-1]]), float(run.time[after[0]]))
-    if edge[1] - edge[0] > (MAX_DISTURBED + 2.0) * reach * period:
+    lasting = MAX_CONTACT_S if item.round else 0.0
+    if edge[1] - edge[0] > (MAX_DISTURBED + 2.0) * reach * period + lasting:
         return NoRow(name, f"the tracker does not see the impact: {edge[1] - edge[0]:.3f} s without a sample")
     ante, post = (
         fly(run.time[rows], run.position[rows], run.rotation[rows], run.gravity, item.inertia, at)
@@ -190,8 +205,8 @@ def _impact(run: TrackedBody, item: ObjectPhysics, name: str, before: Rows, afte
             name,
             f"comes down at {approach:.2f} m/s, less than {MIN_APPROACH_SIGMA:g} standard deviations of the velocity",
         )
-    if post_twist[2] < twist[2]:
-        return NoRow(name, "goes on downwards faster than it came: not this plane")
+    if post_twist[2] < (-MIN_APPROACH_SIGMA * noise[0] if item.round else twist[2]):
+        return NoRow(name, "goes on downwards: not this plane, or a ball that is let go")
     extent = 0.0 if item.round else float(np.max(item.size))
     return Impact(
         run=name,

@@ -13,8 +13,6 @@ previous one, with a standard deviation of a period over sqrt(12).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from impact_rs_sim.robots.robot import Array
@@ -27,26 +25,16 @@ MIN_RATE_RATIO = 2.0  # of the sensor over the joints, from which the sensor tim
 ONSET_HALF_WIDTH_S = 0.03  # about the time by the joints
 
 
-@dataclass(frozen=True)
-class Onset:
-    """Onset of a contact.
-
-    Attributes:
-        time: [s].
-        error: Its standard deviation [s].
-    """
-
-    time: float
-    error: float
-
-
-def onset_of(sensor: Series, position: Series, near: float) -> Onset | None:
-    """Onset of a contact by a sensor; None: it is not faster than the joints, or does not exceed its scatter.
+def onset_of(sensor: Series, position: Series, near: float) -> tuple[float, float] | None:
+    """Onset of a contact by a sensor, and its standard deviation [s].
 
     Args:
         sensor: Force and moment, ``(k, 6)`` [N, N m], or acceleration, ``(k, 3)`` [m/s^2].
         position: Joint positions, for their rate.
         near: Onset of the contact by the joint positions [s].
+
+    Returns:
+        None: the sensor is not faster than the joints, or does not exceed its scatter.
     """
     if min(sensor.time.size, position.time.size) < MIN_FREE_SAMPLES:
         return None
@@ -64,7 +52,7 @@ def onset_of(sensor: Series, position: Series, near: float) -> Onset | None:
     if not both.size or both[0] == 0:  # it pressed already
         return None
     first = int(about[both[0]])
-    return Onset(0.5 * float(sensor.time[first - 1] + sensor.time[first]), period / np.sqrt(12.0))
+    return 0.5 * float(sensor.time[first - 1] + sensor.time[first]), float(period / np.sqrt(12.0))
 
 
 def _distance(felt: Array, quiet: Array) -> Array:

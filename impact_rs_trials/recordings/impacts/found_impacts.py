@@ -14,27 +14,17 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.recordings.checks.clock_offset import OBJECT_SIGNALS
 from impact_rs_trials.recordings.experiment import Body, Experiment, Plane, RunRow, read_runs
+from impact_rs_trials.recordings.impacts import impact_columns as col
 from impact_rs_trials.recordings.impacts.arm_impacts import impacts_of_run
 from impact_rs_trials.recordings.impacts.body_impacts import TrackedBody, impacts_of_bodies
-from impact_rs_trials.recordings.impacts.impact_columns import (
-    FRICTION,
-    MASS,
-    MESH,
-    MOMENTS,
-    RADIUS,
-    RESTITUTION,
-    SHAPE,
-    SHELL,
-    SIZE,
-    ColumnGroup,
-)
+from impact_rs_trials.recordings.impacts.impact_columns import ColumnGroup
 from impact_rs_trials.recordings.impacts.impact_rows import Impact, NoRow
 from impact_rs_trials.recordings.laboratory import Laboratory, placed, with_object
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.readers.run_finder import find_runs
 from impact_rs_trials.recordings.readers.series import Names
 from impact_rs_trials.recordings.readers.sources import read_series
-from impact_rs_trials.recordings.remarks import Amount, Remark, merged
+from impact_rs_trials.recordings.remarks import merged, remark
 from impact_rs_trials.workers import Map
 
 SPIN = (
@@ -98,7 +88,7 @@ def find_impacts(directory: Path, experiment: Experiment, map_tasks: Map) -> Fou
     remarks: list[tuple[str, str]] = []
     tasks = [(laboratory, run) for run in hits]
     for run, (results, found) in zip(hits, map_tasks(_arm_task, tasks), strict=True):
-        remarks += [(run.label, remark) for remark in found]
+        remarks += [(run.label, one) for one in found]
         impacts += [one for one in results if isinstance(one, Impact)]
         left_out += [one for one in results if isinstance(one, NoRow)]
     said = merged(remarks, len(hits))
@@ -130,7 +120,7 @@ def _of_bodies(directory: Path, experiment: Experiment, body: Body, map_tasks: M
         else:
             run, said = result
             runs.append(run)
-            remarks += [(row.label, remark) for remark in said]
+            remarks += [(row.label, one) for one in said]
     impacts, out = impacts_of_bodies(runs, body)
     by_name = {row.label: row for row in rows}
     named = [_with_condition(impact, by_name) for impact in impacts]
@@ -147,18 +137,18 @@ def _with_condition(impact: Impact, rows: dict[str, RunRow]) -> Impact:
 
 def body_columns(body: Body, plane: Plane) -> dict[str, float | str]:
     """Columns of an impact table with the properties of the body and the assumptions about the contact."""
-    found: list[tuple[ColumnGroup, Sequence[float | str]]] = [(MASS, (body.mass,))]
+    found: list[tuple[ColumnGroup, Sequence[float | str]]] = [(col.MASS, (body.mass,))]
     if body.radius is None or body.inertia is not None:
-        found.append((MOMENTS, body.item.inertia.tolist()))
+        found.append((col.MOMENTS, body.item.inertia.tolist()))
     if body.mesh is not None:
-        found.append((MESH, (body.mesh,)))
+        found.append((col.MESH, (body.mesh,)))
     elif body.shape != "box":
-        found.append((SHAPE, (body.shape,)))
+        found.append((col.SHAPE, (body.shape,)))
     if body.radius is not None:
-        found += [(RADIUS, (body.radius,)), (SHELL, (float(body.shell),))]
+        found += [(col.RADIUS, (body.radius,)), (col.SHELL, (float(body.shell),))]
     if body.size is not None:
-        found.append((SIZE, body.size))
-    found += [(FRICTION, (plane.friction,)), (RESTITUTION, (plane.restitution,))]
+        found.append((col.SIZE, body.size))
+    found += [(col.FRICTION, (plane.friction,)), (col.RESTITUTION, (plane.restitution,))]
     return {header: value for one, own in found for header, value in zip(one.headers, own, strict=True)}
 
 
@@ -211,8 +201,8 @@ def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> tuple[TrackedBody, list
         if farthest > MAX_TRACKED_M:
             raise InputError(f"{pose.place} is up to {farthest:.3g} m from the tracker's origin: wrong unit or column?")
         if not finite.all():
-            share = Amount(int(np.sum(~finite)), "d"), " of ", Amount(finite.size, "d")
-            remarks.append(Remark(f"{pose.place}: ", *share, " samples are no finite numbers: left out"))
+            words = "{}: {:d} of {:d} samples are no finite numbers: left out"
+            remarks.append(remark(words, pose.place, int(np.sum(~finite)), finite.size))
         remarks += _motion_warnings(pose.place, pose.time[finite], pose.values[finite, :3])
         return tracked_body(row.label, pose.time[finite], pose.values[finite], body, plane, spin), remarks
     except InputError as error:
@@ -237,13 +227,9 @@ def _motion_warnings(place: str, time: Array, position: Array) -> list[str]:
     )
     if jumps.size:
         far = np.linalg.norm(position[jumps[0] + 1] - position[jumps[0]])
-        said.append(
-            Remark(
-                f"{place}: jumps by ",
-                Amount(1e3 * float(far)),
-                " mm between two samples at t = ",
-                Amount(float(time[jumps[0]] - time[0]), ".3f"),
-                f" s, {MAX_STEP_RATIO:g} times as fast as before and after: columns, units or a marker that changed?",
-            )
+        words = (
+            "{}: jumps by {:.3g} mm between two samples at t = {:.3f} s, "
+            f"{MAX_STEP_RATIO:g} times as fast as before and after: columns, units or a marker that changed?"
         )
+        said.append(remark(words, place, 1e3 * float(far), float(time[jumps[0]] - time[0])))
     return said

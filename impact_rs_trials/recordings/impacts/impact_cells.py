@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,8 @@ from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.recordings.file_units import FACTORS
 from impact_rs_trials.recordings.impacts.impact_columns import ColumnGroup, Range, name_and_unit, with_unit
 from impact_rs_trials.recordings.readers import table_columns
+
+Absent = TypeVar("Absent", float, None)
 
 MAX_NUMBER = 1e12  # in any unit: larger than any measured number, and its square is finite
 
@@ -48,6 +50,7 @@ class ImpactCells:
         found: Known columns by name.
         others: Headers of unknown columns.
         scale: Factors by name of a column, for variants of the table [-].
+        assumed: Assumptions by which columns were computed, as text.
     """
 
     path: Path
@@ -55,6 +58,7 @@ class ImpactCells:
     found: Mapping[str, FoundColumn]
     others: tuple[str, ...]
     scale: Mapping[str, float] = field(default_factory=dict)
+    assumed: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -111,6 +115,10 @@ class ImpactCells:
         if not column.range.holds(number * column.factor):
             raise self.column_error(row, name, number, f"expected {column.range.words} [{unit}]")
         return number * column.factor
+
+    def value_or(self, row: int, column: ColumnGroup, absent: Absent) -> float | Absent:
+        """The number in a cell; ``absent`` in a table without the column."""
+        return self.value(row, column.first) if column in self else absent
 
     def values(self, row: int, names: Sequence[str]) -> Array:
         """Numbers in several cells, in SI units, ``(k,)``."""

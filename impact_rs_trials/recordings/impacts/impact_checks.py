@@ -36,19 +36,11 @@ import scipy
 
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_trials.recordings.impacts.impact_columns import (
-    AXES,
-    DQ_AFTER,
-    DQ_BEFORE,
-    V_AFTER,
-    V_BEFORE,
-    W_AFTER,
-    W_BEFORE,
-    ColumnGroup,
-    JointColumnGroup,
-    arm_label,
-)
+from impact_rs_sim.rotations import AXES
+from impact_rs_trials.recordings.impacts import impact_columns as col
+from impact_rs_trials.recordings.impacts.impact_columns import ColumnGroup, JointColumnGroup, arm_label
 from impact_rs_trials.recordings.impacts.impact_table import ImpactRow, ImpactTable
+from impact_rs_trials.recordings.relations import evenly
 
 UNIT_FACTORS = (-1.0, np.pi / 180.0, 180.0 / np.pi, 1e-3, 1e3)  # sign, deg for rad, mm for m, and their inverses
 MAX_ROWS = 200  # of a table, evenly taken
@@ -171,25 +163,20 @@ def doubts_of(table: ImpactTable) -> list[str]:
     rows, laws = _looked_at(table)
     if not rows:
         return []
-    before = [
-        np.concatenate([*(arm.velocity for arm in row.impact.arms.values()), row.impact.object.twist]) for row in rows
-    ]
-    after = [row.after for row in rows]
-    scaled = _other_scale(table, rows, np.array(before), np.array(after))
-    broken = np.array([law.broken(b, a) for law, b, a in zip(laws, before, after, strict=True)])
-    whole = _rms([float(np.linalg.norm(law.root @ (a - b))) for law, b, a in zip(laws, before, after, strict=True)])
+    before = np.array(
+        [[*(v for arm in row.impact.arms.values() for v in arm.velocity), *row.impact.object.twist] for row in rows]
+    )
+    after = np.array([row.after for row in rows])
+    scaled = _other_scale(table, rows, before, after)
+    broken = _broken(laws, before, after)
+    whole = _rms([float(np.linalg.norm(law.root @ change)) for law, change in zip(laws, after - before, strict=True)])
     speeds = np.linalg.norm(broken, axis=1)
     size = _rms(speeds)
     if size <= MIN_VIOLATION_SHARE * whole:
         return scaled
     found = []
     for remedy in remedies(table):
-        tried = np.array(
-            [
-                np.linalg.norm(law.broken(remedy.before * b, remedy.after * a))
-                for law, b, a in zip(laws, before, after, strict=True)
-            ]
-        )
+        tried = np.linalg.norm(_broken(laws, remedy.before * before, remedy.after * after), axis=1)
         wrong = speeds > MIN_VIOLATION_SHARE * whole
         if np.any(wrong) and float(np.mean(tried[wrong] < speeds[wrong])) >= MIN_CURED_ROWS_SHARE:
             found.append((_rms(tried), remedy))
@@ -240,9 +227,7 @@ def other_axes(table: ImpactTable) -> list[OtherAxes]:
             true[..., :3] = twists[..., :3] @ rotation
         if any(not np.min(law.normals @ before) < 0.0 for law, (before, _) in zip(laws, true, strict=True)):
             return np.inf
-        return _rms(
-            [float(np.linalg.norm(law.broken(before, after))) for law, (before, after) in zip(laws, true, strict=True)]
-        )
+        return _rms(np.linalg.norm(_broken(laws, true[:, 0], true[:, 1]), axis=1))
 
     here = left(np.eye(3), "spins", 1.0)
     kinds: tuple[tuple[Literal["spins", "twists"], float], ...] = (("spins", 1.0), ("spins", -1.0), ("twists", 1.0))
@@ -260,6 +245,11 @@ def other_axes(table: ImpactTable) -> list[OtherAxes]:
     return [other for other in alike if other.sign > 0.0] or alike
 
 
+def _broken(laws: Sequence[_Laws], before: Array, after: Array) -> Array:
+    """v_1, v_2 and v_3 of the module of every row, ``(k, 3)`` [m/s], from velocities ``(k, nv)``."""
+    return np.array([law.broken(*pair) for law, *pair in zip(laws, before, after, strict=True)])
+
+
 def _turns() -> list[Array]:
     """The 24 turns of a right-handed frame onto its own axes."""
     found = [
@@ -272,7 +262,7 @@ def _turns() -> list[Array]:
 
 def _looked_at(table: ImpactTable) -> tuple[list[ImpactRow], list[_Laws]]:
     """Rows, evenly taken, with the laws of each; empty for a table with too few."""
-    chosen = np.unique(np.linspace(0, len(table.rows) - 1, MAX_ROWS).astype(int)).tolist()
+    chosen = evenly(len(table.rows), MAX_ROWS).tolist()
     if len(chosen) < MIN_ROWS:
         return [], []
     rows = [table.rows[number] for number in chosen]
@@ -293,7 +283,10 @@ def _other_scale(table: ImpactTable, rows: Sequence[ImpactRow], before: Array, a
     place, column = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
     if sizes[place, column] < MIN_UNIT_RATIO:
         return []
-    row, name = rows[int(place) + NEIGHBOUR_ROWS].number, _signals(table, DQ_AFTER, V_AFTER, W_AFTER)[int(column)]
+    row, name = (
+        rows[int(place) + NEIGHBOUR_ROWS].number,
+        _signals(table, col.DQ_AFTER, col.V_AFTER, col.W_AFTER)[int(column)],
+    )
     return [
         f"{name} is {after_jumps[place, column]:.2g} times as large from row {row} on, while nothing changes "
         "before the impacts: another unit?"
@@ -311,8 +304,8 @@ def _jumps_of_size(columns: Array) -> Array:
 
 def _signals(table: ImpactTable, joints: JointColumnGroup, *of_body: ColumnGroup) -> list[str]:
     """Names of the columns of all velocities before or after."""
-    arms = table.rows[0].impact.arms
-    of_arms = [name for arm, own in arms.items() for name in joints.names(arm_label(arm, arms), own.velocity.size)]
+    arms = table.rows[0].physics.arms
+    of_arms = [name for arm, own in arms.items() for name in joints.names(arm_label(arm, arms), own.facts)]
     return [*of_arms, *(name for one in of_body for name in one.names)]
 
 
@@ -335,8 +328,8 @@ def _in_words(broken: Array, whole: float) -> str:
 def remedies(table: ImpactTable) -> Iterator[Remedy]:
     """Factors of single signals, the simplest first."""
     sides = {
-        "before": _signals(table, DQ_BEFORE, V_BEFORE, W_BEFORE),
-        "after": _signals(table, DQ_AFTER, V_AFTER, W_AFTER),
+        "before": _signals(table, col.DQ_BEFORE, col.V_BEFORE, col.W_BEFORE),
+        "after": _signals(table, col.DQ_AFTER, col.V_AFTER, col.W_AFTER),
     }
     count = len(sides["before"])
     linear, angular = ([*range(first, first + 3)] for first in (count - 6, count - 3))

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 
 from impact_rs_sim.impact_map import measured
-from impact_rs_sim.robots.robot import UNITS, JointUnits
+from impact_rs_sim.robots.robot import UNITS, RobotFacts
+from impact_rs_sim.rotations import AXES
 
-AXES = "xyz"
 MAX_CONTACT_POINTS = 8  # of a row
 
 
@@ -59,6 +59,10 @@ class ColumnGroup:
     range: Range = ANY
     instead_of: str = ""
 
+    def of_arm(self, label: str) -> ColumnGroup:
+        """The columns of an arm with a label (:func:`arm_label`)."""
+        return replace(self, names=tuple(label + name for name in self.names))
+
     @property
     def first(self) -> str:
         """The only name, or the first one."""
@@ -77,7 +81,7 @@ class ColumnGroup:
 
 @dataclass(frozen=True)
 class JointColumnGroup:
-    """Columns of one quantity of all joints of an arm.
+    """Columns of one quantity: of the base where it floats, then of all joints of an arm.
 
     Attributes:
         pattern: Name with ``{}`` for the number of the joint.
@@ -85,6 +89,7 @@ class JointColumnGroup:
         meaning: What they are, for the documentation.
         needed: Which tables need them, for the documentation.
         range: Which numbers they may hold.
+        of_base: Columns of the base.
     """
 
     pattern: str
@@ -92,24 +97,23 @@ class JointColumnGroup:
     meaning: str
     needed: str = ""
     range: Range = ANY
+    of_base: tuple[ColumnGroup, ...] = ()
 
-    def names(self, label: str, count: int) -> tuple[str, ...]:
-        """Names for an arm.
+    def names(self, label: str, facts: RobotFacts) -> tuple[str, ...]:
+        """Names for an arm; arguments as :meth:`of_arm`."""
+        return tuple(name for one in self.of_arm(label, facts) for name in one.names)
 
-        Args:
-            label: As :func:`arm_label`.
-            count: Number of its joints.
-        """
-        return tuple(label + self.pattern.format(joint) for joint in range(1, count + 1))
-
-    def of_arm(self, label: str, units: Sequence[JointUnits]) -> Iterator[ColumnGroup]:
-        """A column for each joint of an arm, whose units may differ.
+    def of_arm(self, label: str, facts: RobotFacts) -> Iterator[ColumnGroup]:
+        """The columns of a floating base, and a column for each joint of an arm, whose units may differ.
 
         Args:
             label: As :func:`arm_label`.
-            units: Units of its joints.
+            facts: Its joints, and whether its base floats.
         """
-        for name, unit in zip(self.names(label, len(units)), units, strict=True):
+        if facts.floating_base is not None:
+            yield from (one.of_arm(label) for one in self.of_base)
+        for joint, unit in enumerate(facts.units, start=1):
+            name = label + self.pattern.format(joint)
             yield ColumnGroup((name,), getattr(unit, self.quantity), self.meaning, range=self.range)
 
 
@@ -130,8 +134,8 @@ def name_and_unit(header: str) -> tuple[str, str]:
 
 
 def is_joint_column(name: str) -> bool:
-    """Whether a name belongs to a joint of some arm."""
-    return JOINT_NAME.fullmatch(name) is not None
+    """Whether a name belongs to a joint of some arm, or to its base where that floats."""
+    return JOINT_NAME.fullmatch(name) is not None or name.rpartition(".")[2] in BASE_NAMES
 
 
 def _vector(stem: str, tail: str = "") -> tuple[str, ...]:
@@ -182,6 +186,23 @@ SUPPORT_FRICTION = ColumnGroup(
     range=POSITIVE,
     instead_of=V_AFTER.first,
 )
+DROP_HEIGHT = ColumnGroup(
+    ("drop_height",),
+    "m",
+    "of a ball that bounces straight, in place of velocities: height of its lowest point above the plane from which it "
+    "falls",
+    f"in place of `{V_BEFORE.first}` ...",
+    POSITIVE,
+)
+FLIGHT_BEFORE = ColumnGroup(
+    ("flight_before",), "s", "likewise: time since the bounce before", f"in place of `{V_BEFORE.first}` ...", POSITIVE
+)
+REBOUND_HEIGHT = ColumnGroup(
+    ("rebound_height",), "m", "likewise: height to which it rises", f"in place of `{V_AFTER.first}` ...", NOT_NEGATIVE
+)
+FLIGHT_AFTER = ColumnGroup(
+    ("flight_after",), "s", "likewise: time to the next bounce", f"in place of `{V_AFTER.first}` ...", NOT_NEGATIVE
+)
 MASS = ColumnGroup(("mass",), "kg", "mass; absent for an object: the scenario's", "free body", POSITIVE)
 MOMENTS = ColumnGroup(
     ("ixx", "iyy", "izz"),
@@ -231,11 +252,45 @@ FRICTION = ColumnGroup(
 RESTITUTION = ColumnGroup(
     (measured.RESTITUTION,), "-", "assumed Newton restitution; absent: 0, or the scenario's", range=SHARE
 )
-Q = JointColumnGroup(
-    "q{}", "position", "joint positions; with several arms `left.q1` ..., by the names of the scenario", "arm"
+BASE_POSITION = ColumnGroup(
+    _vector("base_"), "m", "position in A of a robot's base that floats (`floating_base`)", "floating base"
 )
-DQ_BEFORE = JointColumnGroup("dq{}_before", "velocity", "joint velocities before", "arm")
-DQ_AFTER = JointColumnGroup("dq{}_after", "velocity", "joint velocities after; absent: the object alone is compared")
+BASE_ORIENTATION = ColumnGroup(
+    ("base_qx", "base_qy", "base_qz", "base_qw"),
+    "-",
+    "its orientation: unit quaternion from its own axes to A",
+    "floating base",
+)
+OF_BASE_BEFORE = (
+    ColumnGroup(
+        _vector("base_v", "_before"),
+        "m/s",
+        "its velocity before, in its own axes, as in a ROS odometry message",
+        "floating base",
+    ),
+    ColumnGroup(_vector("base_w", "_before"), "rad/s", "its angular velocity before, in its own axes", "floating base"),
+)
+OF_BASE_AFTER = (
+    ColumnGroup(_vector("base_v", "_after"), "m/s", "its velocity after, in its own axes", "with `dq1_after`"),
+    ColumnGroup(
+        _vector("base_w", "_after"), "rad/s", "its angular velocity after, in its own axes", "with `dq1_after`"
+    ),
+)
+Q = JointColumnGroup(
+    "q{}",
+    "position",
+    "joint positions, in the order of the robot's file without joints that follow others; with several arms "
+    "`left.q1` ..., by the names of the scenario",
+    "arm",
+    of_base=(BASE_POSITION, BASE_ORIENTATION),
+)
+DQ_BEFORE = JointColumnGroup("dq{}_before", "velocity", "joint velocities before", "arm", of_base=OF_BASE_BEFORE)
+DQ_AFTER = JointColumnGroup(
+    "dq{}_after",
+    "velocity",
+    "joint velocities after; absent: the object alone is compared",
+    of_base=OF_BASE_AFTER,
+)
 MOTOR_INERTIA = JointColumnGroup(
     "B{}",
     "inertia",
@@ -258,10 +313,14 @@ V_NOISE = ColumnGroup(
     range=NOT_NEGATIVE,
 )
 W_NOISE = ColumnGroup(("w_noise",), "rad/s", "likewise, of angular velocity", range=NOT_NEGATIVE)
-DQ_NOISE = ColumnGroup(("dq_noise",), "rad/s", "likewise, of joint velocity", range=NOT_NEGATIVE)
+DQ_NOISE = ColumnGroup(
+    ("dq_noise",), "rad/s", "likewise, of joint velocity, and of the twist of a floating base", range=NOT_NEGATIVE
+)
 DISTANCE_NOISE = ColumnGroup(
     ("distance_noise",), "m", "likewise, of a distance", range=NOT_NEGATIVE, instead_of=V_AFTER.first
 )
+HEIGHT_NOISE = ColumnGroup(("height_noise",), "m", "likewise, of the heights of a bouncing ball", range=NOT_NEGATIVE)
+FLIGHT_NOISE = ColumnGroup(("flight_noise",), "s", "likewise, of the times between its bounces", range=NOT_NEGATIVE)
 V_NOISE_AXES = ColumnGroup(
     _vector("v_noise_"),
     "m/s",
@@ -285,17 +344,20 @@ N_NOISE = ColumnGroup(
 )
 
 DISTANCES = (SLIDE_DISTANCE, FLIGHT_DISTANCE)
+FLIGHTS_BEFORE, FLIGHTS_AFTER = (DROP_HEIGHT, FLIGHT_BEFORE), (REBOUND_HEIGHT, FLIGHT_AFTER)
 CONTACT_NOISE = (P_NOISE, N_NOISE)
 COLUMNS: tuple[ColumnGroup, ...] = (
     POSITION, ORIENTATION, V_BEFORE, V_AFTER, W_BEFORE, W_AFTER, *DISTANCES, FALL_HEIGHT, SUPPORT_FRICTION,
-    MASS, MOMENTS, SHAPE, MESH, SIZE, RADIUS, SHELL, *POINTS, NORMAL, FRICTION, RESTITUTION, OBJECT, CONDITION, TIME,
-    TOLERANCE, V_NOISE, W_NOISE, DQ_NOISE, DISTANCE_NOISE, V_NOISE_AXES, W_NOISE_AXES, *CONTACT_NOISE,
+    *FLIGHTS_BEFORE, *FLIGHTS_AFTER, MASS, MOMENTS, SHAPE, MESH, SIZE, RADIUS, SHELL, *POINTS, NORMAL, FRICTION,
+    RESTITUTION, OBJECT, CONDITION, TIME, TOLERANCE, V_NOISE, W_NOISE, DQ_NOISE, DISTANCE_NOISE, HEIGHT_NOISE,
+    FLIGHT_NOISE, V_NOISE_AXES, W_NOISE_AXES, *CONTACT_NOISE,
 )  # fmt: skip
 JOINT_COLUMNS = (Q, DQ_BEFORE, DQ_AFTER, MOTOR_INERTIA)
 
 _STEMS, _TAILS = (
     "|".join(dict.fromkeys(columns.pattern.split("{}")[part] for columns in JOINT_COLUMNS)) for part in (0, 1)
 )
+BASE_NAMES = frozenset(name for joints in JOINT_COLUMNS for one in joints.of_base for name in one.names)
 JOINT_NAME = re.compile(rf"(?:.+\.)?(?:{_STEMS})[0-9]+(?:{_TAILS})")  # of any arm
 
 # Written by impact-rs impacts, so that a row can be found again; not read.
@@ -313,9 +375,11 @@ def documentation() -> str:
             rows.append((", ".join(f"`{name}`" for name in one.names), one.unit, one.needed, one.meaning))
         if one == RESTITUTION:
             for joints in JOINT_COLUMNS:
-                first, second = joints.names("", 2)
+                first, second = (joints.pattern.format(joint) for joint in (1, 2))
                 unit = getattr(UNITS["revolute"], joints.quantity)
                 rows.append((f"`{first}`, `{second}` ...", unit, joints.needed, joints.meaning))
+            for base in (one for joints in JOINT_COLUMNS for one in joints.of_base):
+                rows.append((", ".join(f"`{name}`" for name in base.names), base.unit, base.needed, base.meaning))
     lines = [("Column", "Unit", "Needed", "Meaning"), ("---",) * 4, *rows]
     text = "\n".join("|" + "|".join(f" {cell} " if cell else " " for cell in line) + "|" for line in lines)
     return text.replace("| --- | --- | --- | --- |", "|---|---|---|---|").replace("kg m^2", "kg m²")

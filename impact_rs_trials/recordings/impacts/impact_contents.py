@@ -10,34 +10,12 @@ from pathlib import Path
 
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_trials.recordings.impacts import impact_columns as col
+from impact_rs_trials.recordings.impacts.dropped_balls import with_velocities
 from impact_rs_trials.recordings.impacts.impact_cells import ImpactCells, read_cells
 from impact_rs_trials.recordings.impacts.impact_columns import (
-    COLUMNS,
-    DISTANCES,
-    DQ_AFTER,
-    DQ_BEFORE,
-    FALL_HEIGHT,
-    FLIGHT_DISTANCE,
-    JOINT_COLUMNS,
-    MASS,
-    MESH,
-    MOMENTS,
-    MOTOR_INERTIA,
-    ORIENTATION,
-    POINTS,
-    POSITION,
-    RADIUS,
-    SHAPE,
-    SHELL,
-    SIZE,
-    SLIDE_DISTANCE,
-    V_AFTER,
-    V_BEFORE,
-    W_AFTER,
-    W_BEFORE,
     ColumnGroup,
     JointColumnGroup,
-    Q,
     arm_label,
     is_joint_column,
     name_and_unit,
@@ -75,11 +53,11 @@ class TableContents:
         return cls(
             scenario,
             questions,
-            ball=RADIUS in cells,
-            shaped=any(one in cells for one in (SIZE, RADIUS, MESH)),
-            joints=any(one in cells for one in _of_joints(scenario, DQ_AFTER)),
-            centre=V_AFTER in cells or not any(one in cells for one in DISTANCES),
-            turning=W_AFTER in cells,
+            ball=col.RADIUS in cells,
+            shaped=any(one in cells for one in (col.SIZE, col.RADIUS, col.MESH)),
+            joints=any(one in cells for one in _of_joints(scenario, col.DQ_AFTER)),
+            centre=col.V_AFTER in cells or not any(one in cells for one in col.DISTANCES),
+            turning=col.W_AFTER in cells,
         )
 
     @property
@@ -88,13 +66,9 @@ class TableContents:
         return () if self.scenario is None else tuple(self.scenario.robots)
 
     def names(self, columns: JointColumnGroup, arm: str) -> tuple[str, ...]:
-        """Columns of the joints of an arm, by name."""
-        return columns.names(arm_label(arm, self.arms), self.joint_count(arm))
-
-    def joint_count(self, arm: str) -> int:
-        """Number of joints of an arm."""
+        """Names of the columns of an arm: its floating base, then its joints."""
         assert self.scenario is not None
-        return self.scenario.robots[arm].robot_facts.joint_count
+        return columns.names(arm_label(arm, self.arms), self.scenario.robots[arm].robot_facts)
 
 
 def read_with_contents(
@@ -108,15 +82,13 @@ def read_with_contents(
     if scenario is not None and scenario.neighbours:
         said = f"scenario {scenario.name!r} has neighbours, whose poses no table has: {', '.join(scenario.neighbours)}"
         raise InputError(f"{said}; take trials (diagnose DIRECTORY), or a scenario without neighbours", file=path)
-    known = [*COLUMNS, *(one for columns in JOINT_COLUMNS for one in _of_joints(scenario, columns))]
-    cells = read_cells(path, known)
+    known = [*col.COLUMNS, *(one for columns in col.JOINT_COLUMNS for one in _of_joints(scenario, columns))]
+    cells = with_velocities(read_cells(path, known))
     declared = _declared(cells, covariates)
     _check_others(cells, known, scenario, declared)
     contents = TableContents.of(cells, scenario, questions)
-    _check_ball(cells, contents)
-    _check_shape(cells, contents)
-    if not contents.centre:
-        _check_distances(cells, contents)
+    for contradiction in _contradictions(cells, contents):
+        raise InputError(contradiction, file=path)
     _check_needed(cells, contents)
     return cells, contents, declared
 
@@ -125,7 +97,7 @@ def unread(cells: ImpactCells, contents: TableContents, covariates: dict[str, st
     """Headers of the columns that are not used."""
     others = [header for header in cells.others if header not in covariates.values()]
     if contents.centre:
-        others += [cells.header(one) for one in COLUMNS if one in cells and one.instead_of == V_AFTER.first]
+        others += [cells.header(one) for one in col.COLUMNS if one in cells and one.instead_of == col.V_AFTER.first]
     return tuple(others)
 
 
@@ -133,7 +105,7 @@ def _of_joints(scenario: Scenario | None, columns: JointColumnGroup) -> Iterator
     """Columns of all joints of all arms."""
     robots = {} if scenario is None else scenario.robots
     for arm, robot in robots.items():
-        yield from columns.of_arm(arm_label(arm, robots), robot.robot_facts.units)
+        yield from columns.of_arm(arm_label(arm, robots), robot.robot_facts)
 
 
 def _declared(cells: ImpactCells, covariates: Sequence[str]) -> dict[str, str]:
@@ -159,7 +131,7 @@ def _check_others(
         raise InputError(f"column {joints[0]!r} {said}", file=cells.path)
     if joints and scenario is not None:
         counts = ", ".join(f"{arm} has {robot.robot_facts.joint_count}" for arm, robot in scenario.robots.items())
-        said = f"column {joints[0]!r} is of no joint of scenario {scenario.name!r} ({counts})"
+        said = f"column {joints[0]!r} is of no joint and no floating base of scenario {scenario.name!r} ({counts})"
         raise InputError(said, file=cells.path)
     free = {name: one.unit for one in known for name in one.names if name not in cells}
     for header in undeclared:
@@ -170,18 +142,22 @@ def _check_others(
 
 def _check_needed(cells: ImpactCells, contents: TableContents) -> None:
     """Refuse a table that lacks a column."""
+    if contents.scenario is None and not any(name in cells for name in (*col.V_BEFORE.names, *col.POSITION.names)):
+        ways = " or ".join(repr(one.header) for one in col.FLIGHTS_BEFORE)
+        said = f"no velocity before the impacts: expected {col.V_BEFORE.header!r} ..., or of a ball that falls straight"
+        raise InputError(f"{said} {ways}; {_there(cells)}", file=cells.path)
     for one in _needed(cells, contents):
         for name, wanted in zip(one.names, one.headers, strict=True):
             if name not in cells:
                 near = did_you_mean(wanted, cells.others)
                 raise InputError(f"no column {wanted!r}{near}; {_there(cells)}", file=cells.path)
-    if SHAPE in cells and SIZE not in cells:
-        raise InputError(f"column {SHAPE.first!r} without {SIZE.header!r} ...: its extents", file=cells.path)
-    if contents.scenario is None and not (contents.shaped or POINTS[0] in cells):
-        said = f"expected its size ({SIZE.header!r} ...) or contact points ({POINTS[0].header!r} ...)"
+    if col.SHAPE in cells and col.SIZE not in cells:
+        raise InputError(f"column {col.SHAPE.first!r} without {col.SIZE.header!r} ...: its extents", file=cells.path)
+    if contents.scenario is None and not (contents.shaped or col.POINTS[0] in cells):
+        said = f"expected its size ({col.SIZE.header!r} ...) or contact points ({col.POINTS[0].header!r} ...)"
         raise InputError(f"nothing says where the body touches; {said}; {_there(cells)}", file=cells.path)
-    if contents.scenario is None and not (contents.shaped or MOMENTS in cells):
-        said = f"expected principal moments ({MOMENTS.header!r} ...) or its size ({SIZE.header!r} ...)"
+    if contents.scenario is None and not (contents.shaped or col.MOMENTS in cells):
+        said = f"expected principal moments ({col.MOMENTS.header!r} ...) or its size ({col.SIZE.header!r} ...)"
         raise InputError(f"nothing says how hard the body is to turn; {said}; {_there(cells)}", file=cells.path)
 
 
@@ -191,57 +167,48 @@ def _there(cells: ImpactCells) -> str:
 
 def _needed(cells: ImpactCells, contents: TableContents) -> Iterator[ColumnGroup]:
     """Columns that a table must have."""
-    yield from () if contents.ball else (POSITION, ORIENTATION)
-    yield from (V_BEFORE, W_BEFORE)
+    yield from () if contents.ball else (col.POSITION, col.ORIENTATION)
+    yield from (col.V_BEFORE, col.W_BEFORE)
     if contents.centre and not contents.questions:
-        yield V_AFTER
-    joints = [Q, DQ_BEFORE, *([DQ_AFTER] if contents.joints and not contents.questions else [])]
-    if any(one in cells for one in _of_joints(contents.scenario, MOTOR_INERTIA)):
-        joints.append(MOTOR_INERTIA)
+        yield col.V_AFTER
+    joints = [col.Q, col.DQ_BEFORE, *([col.DQ_AFTER] if contents.joints and not contents.questions else [])]
+    if any(one in cells for one in _of_joints(contents.scenario, col.MOTOR_INERTIA)):
+        joints.append(col.MOTOR_INERTIA)
     for columns in joints:
         yield from _of_joints(contents.scenario, columns)
     if contents.scenario is None:
-        yield MASS
-    after = (V_AFTER, W_AFTER) if contents.questions else ()
-    yield from (one for one in COLUMNS if one in cells and one not in after)  # all components, or none
+        yield col.MASS
+    after = (col.V_AFTER, col.W_AFTER) if contents.questions else ()
+    yield from (one for one in col.COLUMNS if one in cells and one not in after)  # all components, or none
 
 
-def _check_distances(cells: ImpactCells, contents: TableContents) -> None:
-    """Refuse a table with a distance that no law predicts from a velocity."""
-    if SLIDE_DISTANCE in cells and contents.scenario is None:
+def _contradictions(cells: ImpactCells, contents: TableContents) -> Iterator[str]:
+    """Columns that a table cannot have, or not without or beside another, in words."""
+    header, scenario = cells.header, contents.scenario
+    shaped = "" if scenario is None else f"scenario {scenario.name!r} has the shape of its objects"
+    if contents.ball and scenario is not None:
+        yield f"column {header(col.RADIUS)!r} is of a free ball; {shaped}"
+    if col.SHELL in cells and not contents.ball:
+        yield f"column {header(col.SHELL)!r} without {col.RADIUS.header!r}: it is of balls"
+    for one in (col.SHAPE, col.MESH, col.SIZE, col.POINTS[0]):
+        if contents.ball and one in cells:
+            both = f"columns {header(col.RADIUS)!r} and {header(one)!r}"
+            yield f"{both}: expected one of them; a ball touches below its centre"
+    for one in (col.SHAPE, col.MESH):
+        if scenario is not None and one in cells:
+            yield f"column {header(one)!r} is of a free body; {shaped}"
+    if not contents.centre:
+        yield from _contradictions_of_distances(cells, contents)
+
+
+def _contradictions_of_distances(cells: ImpactCells, contents: TableContents) -> Iterator[str]:
+    """Columns that no law predicts a distance with, in words."""
+    header = cells.header
+    if col.SLIDE_DISTANCE in cells and contents.scenario is None:
         said = "a free body has no support on which it slides; flight_distance and fall_height say how far it flew"
-        raise InputError(f"column {cells.header(SLIDE_DISTANCE)!r}: {said}", file=cells.path)
-    if FLIGHT_DISTANCE in cells and FALL_HEIGHT not in cells:
-        said = f"without {FALL_HEIGHT.header!r}: how far the centre fell"
-        raise InputError(f"column {cells.header(FLIGHT_DISTANCE)!r} {said}", file=cells.path)
+        yield f"column {header(col.SLIDE_DISTANCE)!r}: {said}"
+    if col.FLIGHT_DISTANCE in cells and col.FALL_HEIGHT not in cells:
+        yield f"column {header(col.FLIGHT_DISTANCE)!r} without {col.FALL_HEIGHT.header!r}: how far the centre fell"
     if contents.turning:
-        first = next(cells.header(one) for one in DISTANCES if one in cells)
-        said = f"stands in place of velocities after; leave out {', '.join(W_AFTER.names)}"
-        raise InputError(f"column {first!r} {said}", file=cells.path)
-
-
-def _check_shape(cells: ImpactCells, contents: TableContents) -> None:
-    """Refuse a second shape of an object of a scenario."""
-    if contents.scenario is None:
-        return
-    for one in (SHAPE, MESH):
-        if one in cells:
-            said = f"is of a free body; scenario {contents.scenario.name!r} has the shape of its objects"
-            raise InputError(f"column {cells.header(one)!r} {said}", file=cells.path)
-
-
-def _check_ball(cells: ImpactCells, contents: TableContents) -> None:
-    """Refuse a ball with another shape."""
-    if not contents.ball:
-        if SHELL in cells:
-            said = f"column {cells.header(SHELL)!r} without {RADIUS.header!r}: it is of balls"
-            raise InputError(said, file=cells.path)
-        return
-    radius = cells.header(RADIUS)
-    if contents.scenario is not None:
-        said = f"is of a free ball; scenario {contents.scenario.name!r} has the shape of its objects"
-        raise InputError(f"column {radius!r} {said}", file=cells.path)
-    for other in (SHAPE, MESH, SIZE, POINTS[0]):
-        if other in cells:
-            said = f"columns {radius!r} and {cells.header(other)!r}: expected one of them"
-            raise InputError(f"{said}; a ball touches below its centre", file=cells.path)
+        first = next(header(one) for one in col.DISTANCES if one in cells)
+        yield f"column {first!r} stands in place of velocities after; leave out {', '.join(col.W_AFTER.names)}"

@@ -12,33 +12,10 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE
-from impact_rs_sim.robots.robot import Array, JointUnits
-from impact_rs_trials.recordings.impacts.impact_columns import (
-    CONDITION,
-    CONTACT_NOISE,
-    DISTANCE_NOISE,
-    DQ_AFTER,
-    DQ_BEFORE,
-    DQ_NOISE,
-    IMPACT_TIME,
-    LAW,
-    OBJECT,
-    ORIENTATION,
-    POSITION,
-    RUN,
-    SESSION,
-    SLIDE_DISTANCE,
-    TOLERANCE,
-    V_AFTER,
-    V_BEFORE,
-    V_NOISE,
-    W_AFTER,
-    W_BEFORE,
-    W_NOISE,
-    ColumnGroup,
-    Q,
-    arm_label,
-)
+from impact_rs_sim.robots.robot import Array, RobotFacts
+from impact_rs_trials.recordings.checks.joint_jumps import JointJump
+from impact_rs_trials.recordings.impacts import impact_columns as col
+from impact_rs_trials.recordings.impacts.impact_columns import ColumnGroup, arm_label
 
 TABLE_DIGITS = 9  # significant ones
 BY_SLIDING_DISTANCE = "sliding distance"  # law after the impact: the velocity follows from the displacement to rest
@@ -54,25 +31,6 @@ class NoRow:
 
     name: str
     reason: str
-
-
-@dataclass(frozen=True)
-class ArmInImpact:
-    """One arm in an impact.
-
-    Attributes:
-        position: q, ``(n,)`` [rad].
-        before: dq just before, ``(n,)`` [rad/s].
-        after: dq just after, ``(n,)`` [rad/s].
-        noise: Standard deviation of the change of dq, rms over the joints [rad/s].
-        units: Units of every joint.
-    """
-
-    position: Array
-    before: Array
-    after: Array
-    noise: float
-    units: tuple[JointUnits, ...]
 
 
 @dataclass(frozen=True)
@@ -93,7 +51,8 @@ class Impact:
         tolerance: Uncertainty of the pose at the corners [m].
         contact_noise: Standard deviations of the contact position [m] and its normal [rad], by the pose.
         model: Fitted law after the impact.
-        arms: Arms by name; empty: a free body.
+        arms: Jumps of the joint velocities by arm; empty: a free body.
+        facts: Joints of every arm.
         outcomes: Later measurements by column: friction of the support [-], distance [m].
         turn_tracked: Whether angular velocities after were measured; if not, they are unknown, and a free body's
             angular velocity before is assumed.
@@ -110,7 +69,8 @@ class Impact:
     noise: tuple[float, float]
     tolerance: float
     model: str
-    arms: Mapping[str, ArmInImpact] = field(default_factory=dict)
+    arms: Mapping[str, JointJump] = field(default_factory=dict)
+    facts: Mapping[str, RobotFacts] = field(default_factory=dict)
     outcomes: Mapping[ColumnGroup, float] = field(default_factory=dict)
     turn_tracked: bool = True
     session: str = ""
@@ -119,7 +79,7 @@ class Impact:
     @property
     def distance_noise(self) -> float:
         """Standard deviation of a slide distance D, with v^2 = 2 mu g D and the noise of v [m]."""
-        distance = self.outcomes[SLIDE_DISTANCE]
+        distance = self.outcomes[col.SLIDE_DISTANCE]
         return self.noise[0] * 2.0 * distance / max(float(np.linalg.norm(self.after[:3])), 1e-9)
 
 
@@ -133,13 +93,12 @@ def table_text(impacts: Sequence[Impact], constants: Mapping[str, float | str]) 
         impacts: At least one, all of the same arms.
         constants: Further columns with one value by header, for example ``mass [kg]``.
     """
-    form = _Form(
-        turned=all(impact.turn_tracked for impact in impacts),
-        by_distance=all(impact.model == BY_SLIDING_DISTANCE for impact in impacts),
-        sessions=any(impact.session for impact in impacts),
-        conditions=any(impact.condition not in ("", impact.session) for impact in impacts),
-    )
-    rows = [_cells(impact, form, constants) for impact in impacts]
+    by_distance = all(impact.model == BY_SLIDING_DISTANCE for impact in impacts)
+    left_out = {col.V_AFTER, col.V_NOISE} if by_distance else {col.DISTANCE_NOISE}
+    left_out |= set() if all(impact.turn_tracked for impact in impacts) else {col.W_AFTER, col.W_NOISE}
+    left_out |= set() if any(impact.session for impact in impacts) else {col.SESSION}
+    left_out |= set() if any(impact.condition not in ("", impact.session) for impact in impacts) else {col.CONDITION}
+    rows = [_cells(impact, left_out, constants) for impact in impacts]
     text = io.StringIO()
     writer = csv.DictWriter(text, list(dict.fromkeys(header for row in rows for header in row)), lineterminator="\n")
     writer.writeheader()
@@ -147,69 +106,46 @@ def table_text(impacts: Sequence[Impact], constants: Mapping[str, float | str]) 
     return text.getvalue()
 
 
-@dataclass(frozen=True)
-class _Form:
-    """Common properties of all rows of a table.
-
-    Attributes:
-        turned: Whether angular velocities after were measured.
-        by_distance: Whether the slide distance replaces velocities after.
-        sessions: Whether some run has a session.
-        conditions: Whether conditions differ from sessions.
-    """
-
-    turned: bool
-    by_distance: bool
-    sessions: bool
-    conditions: bool
-
-
-def _cells(impact: Impact, form: _Form, constants: Mapping[str, float | str]) -> dict[str, str]:
+def _cells(impact: Impact, left_out: set[ColumnGroup], constants: Mapping[str, float | str]) -> dict[str, str]:
     """Cells of one row by header, in the order of the table."""
     cells: dict[str, str] = {}
 
     def put(columns: ColumnGroup, *values: float | str) -> None:
-        texts = (value if isinstance(value, str) else _short(value) for value in values)
-        cells.update(zip(columns.headers, texts, strict=True))
+        if columns not in left_out:
+            cells.update(zip(columns.headers, map(_short, values), strict=True))
 
-    put(RUN, impact.run)
-    if form.sessions:
-        put(SESSION, impact.session)
-    if form.conditions:
-        put(CONDITION, impact.condition)
-    put(IMPACT_TIME, impact.time)
+    put(col.RUN, impact.run)
+    put(col.SESSION, impact.session)
+    put(col.CONDITION, impact.condition)
+    put(col.IMPACT_TIME, impact.time)
     if impact.object_name:
-        put(OBJECT, impact.object_name)
-    put(POSITION, *impact.position)
-    put(ORIENTATION, *pin.Quaternion(impact.rotation).coeffs())
-    put(V_BEFORE, *impact.before[:3])
-    put(W_BEFORE, *impact.before[3:])
-    if not form.by_distance:
-        put(V_AFTER, *impact.after[:3])
-    if form.turned:
-        put(W_AFTER, *impact.after[3:])
+        put(col.OBJECT, impact.object_name)
+    put(col.POSITION, *impact.position)
+    put(col.ORIENTATION, *pin.Quaternion(impact.rotation).coeffs())
+    put(col.V_BEFORE, *impact.before[:3])
+    put(col.W_BEFORE, *impact.before[3:])
+    put(col.V_AFTER, *impact.after[:3])
+    put(col.W_AFTER, *impact.after[3:])
     for name, arm in impact.arms.items():
         label = arm_label(name, impact.arms)
-        for joints, values in ((Q, arm.position), (DQ_BEFORE, arm.before), (DQ_AFTER, arm.after)):
-            for column, value in zip(joints.of_arm(label, arm.units), values, strict=True):
+        for joints, values in ((col.Q, arm.position), (col.DQ_BEFORE, arm.before), (col.DQ_AFTER, arm.after)):
+            for column, value in zip(joints.of_arm(label, impact.facts[name]), values, strict=True):
                 put(column, value)
-    if form.by_distance:
-        put(DISTANCE_NOISE, impact.distance_noise)
-    else:
-        put(V_NOISE, impact.noise[0])
-    if form.turned:
-        put(W_NOISE, impact.noise[1])
+    if col.SLIDE_DISTANCE in impact.outcomes:
+        put(col.DISTANCE_NOISE, impact.distance_noise)
+    put(col.V_NOISE, impact.noise[0])
+    put(col.W_NOISE, impact.noise[1])
     if impact.arms:
-        put(DQ_NOISE, float(np.sqrt(np.mean([arm.noise**2 for arm in impact.arms.values()]))))
-    for column, noise in zip(CONTACT_NOISE, impact.contact_noise, strict=True):
+        put(col.DQ_NOISE, float(np.sqrt(np.mean([np.mean(arm.noise**2) for arm in impact.arms.values()]))))
+    for column, noise in zip(col.CONTACT_NOISE, impact.contact_noise, strict=True):
         put(column, noise)
-    put(TOLERANCE, max(impact.tolerance, GAP_TOLERANCE))
-    cells |= {header: value if isinstance(value, str) else _short(value) for header, value in constants.items()}
-    put(LAW, impact.model)
+    put(col.TOLERANCE, max(impact.tolerance, GAP_TOLERANCE))
+    cells |= {header: _short(value) for header, value in constants.items()}
+    put(col.LAW, impact.model)
     for column, value in impact.outcomes.items():
         put(column, value)
     return cells
 
 
-def _short(number: float) -> str:
-    return f"{number:.{TABLE_DIGITS}g}"
+def _short(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:.{TABLE_DIGITS}g}"

@@ -34,55 +34,17 @@ from impact_rs_sim.impact_map.measured import (
     points_that_touch,
 )
 from impact_rs_sim.physics import ObjectPhysics, Physics
-from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot import BASE_POSE_SIZE, Array
 from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.rotations import AXES
 from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.shapes import check_extents
 from impact_rs_trials.recordings.free_bodies import ROUND_AXES, body_of_mesh, body_of_shape
+from impact_rs_trials.recordings.impacts import impact_columns as col
 from impact_rs_trials.recordings.impacts.distances import Distance
 from impact_rs_trials.recordings.impacts.impact_cells import ImpactCells, name_of_row
-from impact_rs_trials.recordings.impacts.impact_columns import (
-    AXES,
-    CONDITION,
-    CONTACT_NOISE,
-    DISTANCE_NOISE,
-    DISTANCES,
-    DQ_AFTER,
-    DQ_BEFORE,
-    DQ_NOISE,
-    FALL_HEIGHT,
-    FLIGHT_DISTANCE,
-    FRICTION,
-    MASS,
-    MESH,
-    MOMENTS,
-    MOTOR_INERTIA,
-    NORMAL,
-    OBJECT,
-    ORIENTATION,
-    POINTS,
-    POSITION,
-    RADIUS,
-    RESTITUTION,
-    SHAPE,
-    SHELL,
-    SIZE,
-    SUPPORT_FRICTION,
-    TIME,
-    TOLERANCE,
-    V_AFTER,
-    V_BEFORE,
-    V_NOISE,
-    V_NOISE_AXES,
-    W_AFTER,
-    W_BEFORE,
-    W_NOISE,
-    W_NOISE_AXES,
-    ColumnGroup,
-    Q,
-    name_and_unit,
-)
+from impact_rs_trials.recordings.impacts.impact_columns import ColumnGroup, arm_label, name_and_unit
 from impact_rs_trials.recordings.impacts.impact_contents import TableContents, read_with_contents, unread
 from impact_rs_trials.recordings.impacts.unsure_scene import nominal_values, with_value
 from impact_rs_trials.since import measured_since
@@ -91,11 +53,13 @@ SUFFIXES = (".csv", ".parquet")
 ASSUMED_FRICTION = 0.3  # of a free body on a plane, where a table says nothing; dry solids lie around it
 MAX_LENGTH_ERROR = 1e-3  # of a unit quaternion or normal; what remains is rounding
 MAX_MOMENT_EXCESS_SHARE = 1e-3  # of a moment of inertia over the sum of the others; rounding
+UNIT_QUATERNION = "expected a unit quaternion: length 1"
 UP = np.array([0.0, 0.0, 1.0])
 MAX_TOLERANCE_FACTOR = 4.0  # points between a quarter of a tolerance and so many may touch or not
-OF_BODY = (MASS, MOMENTS, SIZE, RADIUS)  # columns that may be unsure
+OF_BODY = (col.MASS, col.MOMENTS, col.SIZE, col.RADIUS)  # columns that may be unsure
 BODY_UNITS = {name: one.unit for one in OF_BODY for name in one.names}
-OF_AXES = {V_NOISE: V_NOISE_AXES, W_NOISE: W_NOISE_AXES}  # noise columns that may stand in the place of one
+# Noise columns by axis that may stand in the place of one.
+OF_AXES = {col.V_NOISE: col.V_NOISE_AXES, col.W_NOISE: col.W_NOISE_AXES}
 ALONE = "; without these columns the other signals are compared alone"
 UNSEEN_GEOMETRY = {  # what else may be unsure, 0 in a table: its unit
     "offset_x": "m",  # of the tracked point from the centre, along the body's own axes
@@ -117,7 +81,7 @@ class ImpactRow:
         object_name: Name of the object; empty: a free body.
         physics: Nominal physics; rows with the same nominal physics share one.
         impact: State just before, and contact points.
-        after: Measured u^+, joint velocities of every arm and then the twist of the centre, ``(nv,)`` [rad/s, m/s].
+        after: Measured u^+, v of every arm and then the twist of the centre, ``(nv,)`` [rad/s, m/s].
         wider: The impact with the contact points within ``MAX_TOLERANCE_FACTOR`` tolerances; None: they are the same.
         narrower: The impact with the contact points within a tolerance over ``MAX_TOLERANCE_FACTOR`` (no pose is known
             better than ``GAP_TOLERANCE``); None: they are the same.
@@ -279,7 +243,7 @@ def _digest(path: Path) -> str:
 
 def _with_meshes(digest: str, cells: ImpactCells) -> str:
     """Digest of a table and of the files of its meshes."""
-    names = {cells.text(row, MESH.first) for row in range(len(cells))}
+    names = {cells.text(row, col.MESH.first) for row in range(len(cells))}
     files = [cells.path.parent / name for name in sorted(names) if name]
     whole = "".join(hashlib.sha256(one.read_bytes()).hexdigest() for one in files if is_file(one))
     return hashlib.sha256(f"{digest}{whole}".encode()).hexdigest() if whole else digest
@@ -335,7 +299,7 @@ class _Reader:
         known += [own for own in UNSEEN_GEOMETRY if not (self.contents.arms and own.startswith("tilt"))]
         if not self.contents.turning:
             known = [own for own in known if not own.startswith("offset")]
-        known += [SUPPORT_FRICTION.first] if self._scales(SUPPORT_FRICTION.first) else []
+        known += [col.SUPPORT_FRICTION.first] if self._scales(col.SUPPORT_FRICTION.first) else []
         scenario = self.contents.scenario
         of_scene = {} if scenario is None else nominal_values(scenario)
         known += [own for own in of_scene if own not in known]
@@ -350,11 +314,11 @@ class _Reader:
         if not self._scales(name):
             return of_scene[name]
         values = [self.cells.value(row, name) for row in range(len(self.cells)) if self.cells.text(row, name)]
-        return float(np.mean(values)), BODY_UNITS.get(name, SUPPORT_FRICTION.unit)
+        return float(np.mean(values)), BODY_UNITS.get(name, col.SUPPORT_FRICTION.unit)
 
     def _scales(self, name: str) -> bool:
         """Whether an uncertain quantity is a column, whose rows keep their ratios."""
-        of_support = name == SUPPORT_FRICTION.first and not self.contents.centre
+        of_support = name == col.SUPPORT_FRICTION.first and not self.contents.centre
         return name in self.cells and (name in BODY_UNITS or of_support)
 
     def with_geometry(self, name: str, value: float, assumed: float) -> _Reader:
@@ -376,13 +340,13 @@ class _Reader:
 
     def _growing_with(self, name: str) -> set[str]:
         """Columns that have one scale with an uncertain one: equal extents of the round bodies of the table."""
-        kinds = {self.cells.text(row, SHAPE.first) for row in range(len(self.cells))}
+        kinds = {self.cells.text(row, col.SHAPE.first) for row in range(len(self.cells))}
         equal = [{f"size_{axis}" for axis in ROUND_AXES.get(kind, "")} for kind in kinds]
         return {name}.union(*(extents for extents in equal if name in extents))
 
     def _tolerance(self, row: int) -> float:
         """Largest extra distance of a touching point of a row beyond the nearest one [m]."""
-        return self.cells.value(row, TOLERANCE.first) if TOLERANCE in self.cells else self.tolerance
+        return self.cells.value_or(row, col.TOLERANCE, self.tolerance)
 
     def _after(self, row: int, names: Sequence[str], measured: bool) -> Array:
         """Velocities after the impact; nan if not measured, or to be predicted."""
@@ -393,23 +357,20 @@ class _Reader:
         """One impact without its circumstances."""
         cells, contents = self.cells, self.contents
         body = BodyState(
-            position=cells.values(row, POSITION.names) if POSITION in cells else np.zeros(3),
-            rotation=self._rotation(row) if ORIENTATION in cells else np.eye(3),
-            twist=cells.values(row, [*V_BEFORE.names, *W_BEFORE.names]),
+            position=cells.values(row, col.POSITION.names) if col.POSITION in cells else np.zeros(3),
+            rotation=self._rotation(row) if col.ORIENTATION in cells else np.eye(3),
+            twist=cells.values(row, [*col.V_BEFORE.names, *col.W_BEFORE.names]),
         )
-        moving = self._after(row, V_AFTER.names, contents.centre)
-        turning = self._after(row, W_AFTER.names, contents.turning)
+        moving = self._after(row, col.V_AFTER.names, contents.centre)
+        turning = self._after(row, col.W_AFTER.names, contents.turning)
         if any(lever := [self.geometry.get(f"offset_{axis}", 0.0) for axis in AXES]):
             # v of the centre = v of the tracked point - omega x lever
             off = body.rotation @ lever
             moved = np.concatenate((body.twist[:3] - np.cross(body.twist[3:], off), body.twist[3:]))
             body = BodyState(body.position - off, body.rotation, moved)
             moving = moving - np.cross(turning, off)
-        arms = {
-            arm: ArmState(cells.values(row, contents.names(Q, arm)), cells.values(row, contents.names(DQ_BEFORE, arm)))
-            for arm in contents.arms
-        }
-        of_joints = [self._after(row, contents.names(DQ_AFTER, arm), contents.joints) for arm in arms]
+        arms = {arm: self._arm(row, arm) for arm in contents.arms}
+        of_joints = [self._after(row, contents.names(col.DQ_AFTER, arm), contents.joints) for arm in arms]
         object_name = self._object(row)
         physics, models = self._assumption(row, object_name)
         impact, narrower, wider = self._contacts(row, arms, body, physics, models)
@@ -421,24 +382,33 @@ class _Reader:
             )  # fmt: skip
         return ImpactRow(
             number=row + 1,
-            condition=cells.text(row, CONDITION.first),
+            condition=cells.text(row, col.CONDITION.first),
             object_name=object_name,
             physics=physics,
             impact=impact,
             after=np.concatenate((*of_joints, moving, turning)),
             wider=None if len(wider.points) == len(impact.points) else wider,
             narrower=None if len(narrower.points) == len(impact.points) else narrower,
-            time=cells.value(row, TIME.first) if TIME in cells else None,
+            time=cells.value_or(row, col.TIME, None),
             distance=self._distance(row, physics),
             contact_noise=self._contact_noise(row),
         )
+
+    def _arm(self, row: int, arm: str) -> ArmState:
+        """State of an arm before the impact."""
+        position, velocity = (self.cells.values(row, self.contents.names(one, arm)) for one in (col.Q, col.DQ_BEFORE))
+        assert self.contents.scenario is not None
+        if self.contents.scenario.robots[arm].robot_facts.floating_base is not None:
+            orientation = col.BASE_ORIENTATION.of_arm(arm_label(arm, self.contents.arms))
+            position[3:BASE_POSE_SIZE] = self._unit_vector(row, orientation, UNIT_QUATERNION)
+        return ArmState(position, velocity)
 
     def _contacts(
         self, row: int, arms: dict[str, ArmState], body: BodyState, physics: Physics, models: dict[str, RobotModel]
     ) -> tuple[MeasuredImpact, MeasuredImpact, MeasuredImpact]:
         """An impact with its contact points by the tolerance, by a smaller one, and by a larger one."""
         normal, given = self._tilted(self._normal(row)), self._given_points(row)
-        on_pad = {next(iter(arms)): (given, normal)} if given and len(arms) == 1 else None
+        on_pad = {next(iter(arms)): (given, normal)} if given and len(physics.pads) == 1 else None
         upwards = UP if normal is None else normal
 
         def with_points(tolerance: float) -> MeasuredImpact:
@@ -463,16 +433,16 @@ class _Reader:
         cells = self.cells
         if self.contents.centre or self.contents.questions:
             return None
-        given = [one for one in DISTANCES if cells.text(row, one.first)]
+        given = [one for one in col.DISTANCES if cells.text(row, one.first)]
         if len(given) != 1:
-            names = " and ".join(repr(cells.header(one)) for one in DISTANCES if one in cells)
+            names = " and ".join(repr(cells.header(one)) for one in col.DISTANCES if one in cells)
             raise cells.error(row, f"column {names}", None, "expected one distance in every row [m]")
         (column,), friction, fall = given, None, None
-        noise = cells.value(row, DISTANCE_NOISE.first) if DISTANCE_NOISE in cells else None
-        if column == FLIGHT_DISTANCE:
-            fall = cells.value(row, FALL_HEIGHT.first)
-        elif cells.text(row, SUPPORT_FRICTION.first):
-            friction = cells.value(row, SUPPORT_FRICTION.first)
+        noise = cells.value_or(row, col.DISTANCE_NOISE, None)
+        if column == col.FLIGHT_DISTANCE:
+            fall = cells.value(row, col.FALL_HEIGHT.first)
+        elif cells.text(row, col.SUPPORT_FRICTION.first):
+            friction = cells.value(row, col.SUPPORT_FRICTION.first)
         elif not physics.support_friction > 0.0:
             said = "an object slides on without end; expected > 0 [-]"
             raise cells.error(row, "support.friction of the scenario", 0.0, said)
@@ -480,16 +450,18 @@ class _Reader:
 
     def _contact_noise(self, row: int) -> tuple[float, float]:
         """Standard deviations of position [m] and normal [rad] of the contact points of a row; 0: unknown."""
-        position, normal = (self.cells.value(row, one.first) if one in self.cells else 0.0 for one in CONTACT_NOISE)
+        position, normal = (self.cells.value_or(row, one, 0.0) for one in col.CONTACT_NOISE)
         return position, normal
 
     def _rotation(self, row: int) -> Array:
-        x, y, z, w = self._unit_vector(row, ORIENTATION, "expected a unit quaternion: length 1")
+        x, y, z, w = self._unit_vector(row, col.ORIENTATION, UNIT_QUATERNION)
         return np.asarray(pin.Quaternion(w, x, y, z).toRotationMatrix())
 
     def _normal(self, row: int) -> Array | None:
         """Normal of the contact; None: not measured."""
-        return self._unit_vector(row, NORMAL, "expected a unit normal: length 1") if NORMAL in self.cells else None
+        return (
+            self._unit_vector(row, col.NORMAL, "expected a unit normal: length 1") if col.NORMAL in self.cells else None
+        )
 
     def _unit_vector(self, row: int, columns: ColumnGroup, expected: str) -> Array:
         """Numbers of some columns, whose length is 1 up to rounding."""
@@ -511,12 +483,12 @@ class _Reader:
         cells = self.cells
         found = [
             cells.values(row, point.names)
-            for point in POINTS
+            for point in col.POINTS
             if point in cells and any(cells.text(row, name) for name in point.names)
         ]
         if not found and self.contents.scenario is None and not self.contents.shaped:
-            said = f"no contact point; expected at least one [m], or columns {SIZE.header!r} ... for the geometry"
-            raise cells.error(row, f"columns {', '.join(map(repr, POINTS[0].names))}", None, said)
+            said = f"no contact point; expected at least one [m], or columns {col.SIZE.header!r} ... for the geometry"
+            raise cells.error(row, f"columns {', '.join(map(repr, col.POINTS[0].names))}", None, said)
         return found
 
     def _object(self, row: int) -> str:
@@ -525,31 +497,31 @@ class _Reader:
         if scenario is None:
             return ""
         known = scenario.objects
-        name = self.cells.text(row, OBJECT.first)
+        name = self.cells.text(row, col.OBJECT.first)
         if not name and len(known) == 1:
             return next(iter(known))
         if name not in known:
             said = f"expected an object of scenario {scenario.name!r}{did_you_mean(name, known)}"
-            raise self.cells.error(row, f"column {OBJECT.first!r}", name, f"{said}; known: {', '.join(known)}")
+            raise self.cells.error(row, f"column {col.OBJECT.first!r}", name, f"{said}; known: {', '.join(known)}")
         return name
 
     def _assumption(self, row: int, object_name: str) -> tuple[Physics, dict[str, RobotModel]]:
         """Physics of a row before any effect, shared between rows with equal assumptions."""
         cells, contents = self.cells, self.contents
-        assumed = (*OF_BODY, SHELL, FRICTION, RESTITUTION)
+        assumed = (*OF_BODY, col.SHELL, col.FRICTION, col.RESTITUTION)
         own = {name: cells.value(row, name) for one in assumed if one in cells for name in one.names}
-        moments = [own[name] for name in MOMENTS.names if name in own]
+        moments = [own[name] for name in col.MOMENTS.names if name in own]
         if moments and max(moments) > (1.0 + MAX_MOMENT_EXCESS_SHARE) * (sum(moments) - max(moments)):
             raise cells.error(
-                row, f"columns {', '.join(map(repr, MOMENTS.names))}", moments,
+                row, f"columns {', '.join(map(repr, col.MOMENTS.names))}", moments,
                 "no body has these principal moments; expected none larger than the sum of the other two [kg m^2]",
             )  # fmt: skip
         motors = {
             arm: tuple(cells.values(row, names).tolist())
             for arm in contents.arms
-            if (names := contents.names(MOTOR_INERTIA, arm))[0] in cells
+            if (names := contents.names(col.MOTOR_INERTIA, arm)) and names[0] in cells
         }
-        kind, mesh = cells.text(row, SHAPE.first), cells.text(row, MESH.first)
+        kind, mesh = cells.text(row, col.SHAPE.first), cells.text(row, col.MESH.first)
         key = (object_name, kind, mesh, *own.items(), *motors.items())
         if key not in self.physics:
             free = contents.scenario is None
@@ -565,45 +537,48 @@ class _Reader:
             object=replace(body, inertia=_moments(own, body.inertia)),
             support_height=None,
             support_size=(np.inf, np.inf),
-            support_friction=own.get(FRICTION.first, ASSUMED_FRICTION),
+            support_friction=own.get(col.FRICTION.first, ASSUMED_FRICTION),
             pad_friction=0.0,
-            restitution=own.get(RESTITUTION.first, 0.0),
+            restitution=own.get(col.RESTITUTION.first, 0.0),
         )
 
     def _free_body(self, row: int, own: Mapping[str, float]) -> ObjectPhysics:
         """A free body of an even density by shape, mesh or radius; without any of these one known by its moments."""
-        cells, mass = self.cells, own[MASS.first]
-        size = [own[name] for name in SIZE.names] if SIZE.first in own else None
-        kind, mesh = cells.text(row, SHAPE.first), cells.text(row, MESH.first)
-        if RADIUS.first in own:
-            return body_of_shape("sphere", mass, [2.0 * own[RADIUS.first]] * 3, bool(own.get(SHELL.first)))
+        cells, mass = self.cells, own[col.MASS.first]
+        size = [own[name] for name in col.SIZE.names] if col.SIZE.first in own else None
+        kind, mesh = cells.text(row, col.SHAPE.first), cells.text(row, col.MESH.first)
+        if col.RADIUS.first in own:
+            return body_of_shape("sphere", mass, [2.0 * own[col.RADIUS.first]] * 3, bool(own.get(col.SHELL.first)))
         if kind and mesh:
-            raise cells.column_error(row, SHAPE.first, kind, f"and {MESH.first} = {mesh!r}: expected one of them")
+            raise cells.column_error(
+                row, col.SHAPE.first, kind, f"and {col.MESH.first} = {mesh!r}: expected one of them"
+            )
         if mesh:
             try:
                 return body_of_mesh(cells.path.parent / mesh, mass, size)
             except InputError as error:
-                raise cells.column_error(row, MESH.first, mesh, error.message) from None
-        if size is None and MESH in cells:
+                raise cells.column_error(row, col.MESH.first, mesh, error.message) from None
+        if size is None and col.MESH in cells:
             raise cells.column_error(
-                row, MESH.first, None, f"this cell is empty; expected a file, or {SIZE.header!r} ..."
+                row, col.MESH.first, None, f"this cell is empty; expected a file, or {col.SIZE.header!r} ..."
             )
         try:
             return body_of_shape(kind or "box", mass, size or [0.0] * 3)
         except ValueError as error:
-            raise cells.column_error(row, SHAPE.first, kind, str(error)) from None
+            raise cells.column_error(row, col.SHAPE.first, kind, str(error)) from None
 
     def _of_scene(self, object_name: str, own: Mapping[str, float], motors: Mapping[str, tuple[float, ...]]) -> Physics:
         """A scenario with the values of the table."""
         assert self.contents.scenario is not None
         physics = Physics.nominal(self.contents.scenario, object_name)
         body = physics.object
-        if body.fixed and own.keys() & {*MASS.names, *MOMENTS.names}:
+        body.check_free("a table of impacts")
+        if body.fixed and own.keys() & {*col.MASS.names, *col.MOMENTS.names}:
             raise InputError(f"object {object_name!r} is fixed and has neither mass nor moments: leave these out")
-        mass = own.get(MASS.first, body.mass)
-        size = np.array([own.get(name, value) for name, value in zip(SIZE.names, body.size, strict=True)])
+        mass = own.get(col.MASS.first, body.mass)
+        size = np.array([own.get(name, value) for name, value in zip(col.SIZE.names, body.size, strict=True)])
         inertia = body.inertia if body.fixed else body.inertia * mass / body.mass
-        if SIZE.first in own:
+        if col.SIZE.first in own:
             inertia = self._moments_of_size(object_name, body, mass, size)
         arms = {
             name: replace(arm, motor_inertia_reduced=np.array(motors[name])) if name in motors else arm
@@ -613,8 +588,8 @@ class _Reader:
             physics,
             arms=arms,
             object=replace(body, mass=mass, size=size, inertia=_moments(own, inertia)),
-            pad_friction=own.get(FRICTION.first, physics.pad_friction),
-            restitution=own.get(RESTITUTION.first, physics.restitution),
+            pad_friction=own.get(col.FRICTION.first, physics.pad_friction),
+            restitution=own.get(col.RESTITUTION.first, physics.restitution),
         )
 
     @staticmethod
@@ -625,16 +600,16 @@ class _Reader:
         try:
             check_extents(body.shape.kind, size.tolist())
         except ValueError as error:
-            raise InputError(f"object {object_name!r}: {error}", key=SIZE.header) from None
+            raise InputError(f"object {object_name!r}: {error}", key=col.SIZE.header) from None
         return body.inertia if body.fixed else body.shape.moments(mass, size)
 
     @property
     def _noise_columns(self) -> dict[ColumnGroup, str]:
         """Noise columns of the signals measured after the impact, with the names of these."""
         contents = self.contents
-        wanted = {V_NOISE: "v*_after"} if contents.centre else {DISTANCE_NOISE: "distances"}
-        wanted |= {W_NOISE: "w*_after"} if contents.turning else {}
-        return wanted | ({DQ_NOISE: "dq*_after"} if contents.joints else {})
+        wanted = {col.V_NOISE: "v*_after"} if contents.centre else {col.DISTANCE_NOISE: "distances"}
+        wanted |= {col.W_NOISE: "w*_after"} if contents.turning else {}
+        return wanted | ({col.DQ_NOISE: "dq*_after"} if contents.joints else {})
 
     def _states_noise(self, *columns: ColumnGroup) -> bool:
         """Whether a table has one of some noise columns, or its columns by axis."""
@@ -646,11 +621,11 @@ class _Reader:
         Signals without a noise column in a table with others have 0: unknown.
         """
         wanted = self._noise_columns
-        if not self._states_noise(*wanted, *CONTACT_NOISE) or self.contents.questions:
+        if not self._states_noise(*wanted, *col.CONTACT_NOISE) or self.contents.questions:
             return None
         found = []
         for row, impact in enumerate(rows):
-            signals = ((DQ_NOISE, impact.after.size - 6), (V_NOISE, 3), (W_NOISE, 3))
+            signals = ((col.DQ_NOISE, impact.after.size - 6), (col.V_NOISE, 3), (col.W_NOISE, 3))
             parts = [
                 self._noise_of(row, column, count) if column in wanted else np.full(count, np.nan)
                 for column, count in signals
@@ -663,21 +638,21 @@ class _Reader:
         axes = OF_AXES.get(column, column)
         if axes in self.cells and axes != column:
             return self.cells.values(row, axes.names)
-        return np.full(count, self.cells.value(row, column.first) if column in self.cells else 0.0)
+        return np.full(count, self.cells.value_or(row, column, 0.0))
 
     def _assumed(self) -> tuple[str, ...]:
         """Assumptions for missing columns, as text."""
         wanted = self._noise_columns
-        some = self._states_noise(*wanted, *CONTACT_NOISE)
-        unknown = tuple(
+        some = self._states_noise(*wanted, *col.CONTACT_NOISE)
+        unknown = self.cells.assumed + tuple(
             f"no column '{column.first}', though other noise is stated: how much of the residual of {signals} is noise "
-            f"is not known{'' if column == DISTANCE_NOISE else ALONE}"
+            f"is not known{'' if column == col.DISTANCE_NOISE else ALONE}"
             for column, signals in wanted.items()
             if some and not self._states_noise(column)
         )
         if self.contents.scenario is not None:
             return unknown
-        taken = {FRICTION: ASSUMED_FRICTION, RESTITUTION: 0.0}
+        taken = {col.FRICTION: ASSUMED_FRICTION, col.RESTITUTION: 0.0}
         return unknown + tuple(
             f"no column {column.header!r}: {value:g} is assumed, and estimates are relative to that"
             for column, value in taken.items()
@@ -687,4 +662,4 @@ class _Reader:
 
 def _moments(own: Mapping[str, float], shape: Array) -> Array:
     """Principal moments of a row, or of its shape, ``(3,)`` [kg m^2]."""
-    return np.array([own[name] for name in MOMENTS.names]) if MOMENTS.first in own else shape
+    return np.array([own[name] for name in col.MOMENTS.names]) if col.MOMENTS.first in own else shape

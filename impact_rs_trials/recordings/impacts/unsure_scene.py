@@ -23,9 +23,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from impact_rs_sim.impact_map.measured import SUPPORT_FRICTION
+from impact_rs_sim.rotations import AXES
 from impact_rs_sim.scenarios.scenario import Robot, Scenario
 
-AXES = "xyz"
 _OF_TOOL: dict[str, str] = {"tool_mass": "kg", "tool_length": "m", "pad_x": "m", "pad_y": "m"}
 _OFFSET = re.compile(r"(?:joint(?P<joint>[0-9]+)|flange)_(?P<axis>[xyz])")
 
@@ -94,5 +94,6 @@ def _moved(robot: Robot, name: str, value: float) -> Robot:
     if offset["joint"] is None:
         return robot.model_copy(update={"facts": facts.model_copy(update={"flange": shifted(facts.flange)})})
     joints = list(facts.joints)
-    joints[int(offset["joint"]) - 1] = shifted(joints[int(offset["joint"]) - 1])
+    number = facts.coordinates.index(int(offset["joint"]) - 1)
+    joints[number] = shifted(joints[number])
     return robot.model_copy(update={"facts": facts.model_copy(update={"joints": tuple(joints)})})

@@ -7,9 +7,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-import pinocchio as pin
-
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import RobotFacts
 from impact_rs_sim.robots.robot_model import RobotModel
@@ -29,6 +26,7 @@ from impact_rs_trials.recordings.mapping import NO_ROBOT, Mapping, MountedEndEff
 from impact_rs_trials.recordings.readers.run_finder import find_runs
 from impact_rs_trials.recordings.readers.sources import read_series
 from impact_rs_trials.recordings.recording import read_recordings
+from impact_rs_trials.recordings.relations import evenly
 
 MAX_RUNS_WITH_CLOCK = 5  # whose clocks are compared
 MAX_RUNS_COMPARED = 10  # with the first
@@ -165,8 +163,8 @@ class DescribedRuns:
     def compare(self, mapping: Mapping, rows: Sequence[FoundRun], facts: RobotFacts) -> None:
         """Compare units and signs of further runs with the first, the source of the description."""
         first, *others = rows
-        numbers = np.unique(np.linspace(0, len(others) - 1, min(MAX_RUNS_COMPARED, len(others))).astype(int))
-        model = RobotModel(facts, MountedEndEffector().build(), pin.SE3.Identity())
+        numbers = evenly(len(others), MAX_RUNS_COMPARED)
+        model = RobotModel(facts, MountedEndEffector().build())
         apart = 0
         for row in (others[number] for number in numbers):
             try:

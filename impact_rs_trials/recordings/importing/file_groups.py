@@ -18,7 +18,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from impact_rs_sim.errors import InputError
@@ -26,8 +26,6 @@ from impact_rs_trials.recordings.importing.candidates import guess_of
 from impact_rs_trials.recordings.readers.run_finder import name_of, natural_key
 
 NUMBER = re.compile(r"\d+")
-
-
 WORD = re.compile(r"[^\W_]+")  # of a name, between what separates words
 SEPARATORS = "_-. "
 RUN = "{run}"
@@ -81,7 +79,9 @@ def group_files(files: Sequence[Path]) -> FileGroups:
     if _are_runs(by_folder):
         return _grouped(root, {file: (file.name, "") for file in files})
     if numbered := _numbered_objects(files):
-        return _with_numbered_objects(root, numbered)
+        groups = _grouped(root, {file: (kind, "") for file, (kind, _) in numbered.items()})
+        runs = ((run, numbered[file][1]) for by_run in groups.kinds.values() for run, file in by_run.items())
+        return replace(groups, objects={run: number for run, number in runs if number})
     shapes: dict[str, list[Path]] = {}
     for file in files:
         shapes.setdefault(_shape(file.name), []).append(file)
@@ -167,19 +167,6 @@ def _numbered_objects(files: Sequence[Path]) -> dict[Path, tuple[str, str]]:
         kinds = [_split(file.name, place, place)[0].replace(RUN, OBJECT) for file in alike]
         found |= {file: (kind, number) for file, kind, number in zip(alike, kinds, numbers, strict=True)}
     return found
-
-
-def _with_numbered_objects(root: Path, named: Mapping[Path, tuple[str, str]]) -> FileGroups:
-    """Files by kind and folder, from the kind and object of every file."""
-    kinds: dict[str, dict[str, Path]] = {}
-    objects: dict[str, str] = {}
-    for file, (kind, number) in named.items():
-        run = str(file.parent.relative_to(root))
-        kinds.setdefault(kind, {})[run] = file
-        if number:
-            objects[run] = number
-    runs = sorted({run for by_run in kinds.values() for run in by_run}, key=natural_key)
-    return FileGroups(root, kinds, tuple(runs), True, objects)
 
 
 def _with_runs(shapes: Sequence[Sequence[Path]]) -> Iterator[tuple[Path, tuple[str, str]]]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_trials.recordings.relations import evenly
 
 MAX_SAMPLES = 400
 MIN_TRAVEL_M = 0.02  # rms, of a point whose motion is compared
@@ -33,7 +34,7 @@ class FlangePath:
     @classmethod
     def of(cls, time: Array, q: Array, model: RobotModel) -> FlangePath:
         """The path at joint positions ``(k, n)`` [rad, m]."""
-        rows = np.unique(np.linspace(0, time.size - 1, min(MAX_SAMPLES, time.size)).astype(int))
+        rows = evenly(time.size, MAX_SAMPLES)
         places = [model.placement(one) for one in q[rows]]
         return cls(
             time[rows], np.array([one.translation for one in places]), np.array([one.rotation for one in places])

@@ -26,7 +26,6 @@ less the next one's, and a margin below log(100) (Jeffreys 1961) is not decisive
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterable, Sequence
 from collections.abc import Mapping as AbstractMapping
 from dataclasses import dataclass, field
@@ -38,16 +37,15 @@ from numpy.typing import NDArray
 from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robots.robot import Array, RobotFacts
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_trials.recordings.file_units import SLIDES, TURNS
+from impact_rs_trials.recordings.file_units import TURNS, factors_of
+from impact_rs_trials.recordings.joint_motion import JointMotion, unit_of_joints
 from impact_rs_trials.recordings.relations import (
     DECISIVE_LOG_ODDS,
     MIN_CORRELATION,
     MIN_CORRELATION_OF_COLUMNS,
     SAME_UNIT_FACTORS,
     TORQUE_UNIT_FACTORS,
-    AveragedMotion,
     LinearRelation,
-    averaged,
     dry_friction,
     effective_samples,
     fit,
@@ -57,7 +55,6 @@ from impact_rs_trials.recordings.relations import (
 Role = Literal["position", "velocity", "torque", "current", "other", "copy", "none"]
 
 NAME_LOG_ODDS = float(np.log(20.0))  # log odds of a role that a name hints at: names are right in 20 of 21 files
-COMPARED_SAMPLES = 400  # of a motion and a stream
 LOG_TORQUE_FACTOR_SIGMA = 0.35  # standard deviation of log a: factors of rough models and loads
 MAX_CONSTANT_RATIO = 30.0  # of the torque constants of one arm
 INVERSE_TORQUE_CONSTANTS = (1e-2, 1e2)  # current over torque: from large geared joints to the smallest servos [A/(N m)]
@@ -66,6 +63,7 @@ MAX_GEAR_RATIO = 300.0  # of harmonic drives; the log of a ratio is uniform up t
 MIN_TORQUE_NM = 0.3  # of the largest robot's scale, about its mean and rms, from which a motion shows a joint's torque
 MAX_OUTSIDE_SHARE = 0.01  # of the positions beyond the limits, as outliers
 MAX_EXCESS_SHARE = 0.05  # of a joint's range, by which positions may exceed it
+MIN_OPPOSITE_SHARE = 0.25  # of the range of a torque on the smaller side of zero, from which it has both signs
 MAIN_TRAVEL_SHARE, MIN_TRAVEL_SHARE = 0.5, 0.2  # of the farthest travel of a joint, from which others show a relation
 PRIOR: dict[str, float] = {  # of units and roles
     "rad": 0.8, "deg": 0.19, "mrad": 0.01, "rad/s": 0.8, "deg/s": 0.19, "mrad/s": 0.01,
@@ -154,65 +152,6 @@ def choose(hypotheses: Iterable[RoleHypothesis], least: float = 0.0) -> RoleChoi
     return RoleChoice(best, following, best.log_posterior - last)
 
 
-@dataclass(frozen=True)
-class JointMotion:
-    """Motion of the joints at some of its samples, after moving averages, ``(k, n)`` each.
-
-    Attributes:
-        time: Stamps of the recording, ``(m,)`` [s].
-        rows: Indices of the averaged samples, ``(k,)``.
-        moments: Their times, ``(k,)`` [s].
-        position: q [rad, m].
-        derivative: dq/dt of the positions [rad/s, m/s].
-        velocity: dq, measured or else the derivative [rad/s, m/s].
-        acceleration: ddq, the derivative of the velocity [rad/s^2, m/s^2].
-        model: Nominal arm.
-    """
-
-    time: Array
-    rows: NDArray[np.signedinteger]
-    moments: Array
-    position: Array
-    derivative: Array
-    velocity: Array
-    acceleration: Array
-    model: RobotModel
-
-    @staticmethod
-    def of(time: Array, position: Array, velocity: Array | None, model: RobotModel) -> JointMotion:
-        """Motion from signals ``(m, n)`` at common timestamps [s]; without a velocity it is the derivative."""
-        motion = AveragedMotion.of(time, position)
-        rows = np.unique(np.linspace(0, motion.time.size - 1, COMPARED_SAMPLES).astype(int))
-        dq = motion.velocity if velocity is None else averaged(time, velocity)[1]
-        ddq = np.gradient(dq, motion.time, axis=0)
-        q, derivative = motion.position[rows], motion.velocity[rows]
-        return JointMotion(time, rows, motion.time[rows], q, derivative, dq[rows], ddq[rows], model)
-
-    @property
-    def facts(self) -> RobotFacts:
-        """The robot."""
-        return self.model.facts
-
-    @functools.cached_property
-    def gravity_torque(self) -> Array:
-        """g, ``(k, n)`` [N m, N]."""
-        return np.array([self.model.gravity_torque(q) for q in self.position])
-
-    @functools.cached_property
-    def whole(self) -> Array:
-        """M ddq + h, ``(k, n)`` [N m, N]."""
-        states = zip(self.position, self.velocity, self.acceleration, strict=True)
-        return np.array([self.model.inverse_dynamics(*state) for state in states])
-
-    def sampled(self, time: Array, values: Array) -> Array:
-        """Another stream ``(m, c)`` on the same timestamps, averaged, at these samples."""
-        return averaged(time, values)[1][self.rows]
-
-    def units(self, turns: str, slide: str) -> list[str]:
-        """Unit of every joint."""
-        return [slide if kind == "prismatic" else turns for kind in self.facts.joint_types]
-
-
 # ---- roles ----------------------------------------------------------------------------------------------------------
 
 
@@ -224,21 +163,18 @@ def positions(raw: Array, facts: RobotFacts) -> list[RoleHypothesis]:
     """
     low, high = np.array(facts.limits.position_min_rad), np.array(facts.limits.position_max_rad)
     margin = MAX_EXCESS_SHARE * (high - low)
-    slides = [kind == "prismatic" for kind in facts.joint_types]
     span = ", ".join(f"{one:.3g} ... {other:.3g}" for one, other in zip(raw.min(axis=0), raw.max(axis=0), strict=True))
     found: list[RoleHypothesis] = []
     tried: list[str] = []
     for turns, slide in (("rad", "m"), ("deg", "mm"), ("mrad", "mm")):
-        units = [slide if sliding else turns for sliding in slides]
-        factor = np.array([{**TURNS["position"], **SLIDES["position"]}[unit] for unit in units])
+        unit = unit_of_joints(facts, turns, slide)
+        factor = factors_of("position", unit)
         inside = np.mean((raw * factor >= low - margin) & (raw * factor <= high + margin), axis=0)
         if np.all(inside > 1.0 - MAX_OUTSIDE_SHARE):
             said = f"the joints reach {span}, which lies within their limits in {turns}"
             said += f" and not in {' or '.join(tried)}" if tried else ""
-            density = float(np.sum(np.log(factor)))
-            found.append(
-                RoleHypothesis("position", common(units), said, density, np.log(PRIOR[turns]), {"factor_": factor})
-            )
+            density = float(np.sum(np.log(np.broadcast_to(factor, low.shape))))
+            found.append(RoleHypothesis("position", unit, said, density, np.log(PRIOR[turns])))
         elif not found:
             tried.append(turns)
     return found
@@ -269,7 +205,7 @@ def velocities(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
         prior = float(np.log(PRIOR[turns])) + _signs_prior(signs[shown])
         further = {} if np.all(signs > 0.0) else {"factor": signs_of(signs)}
         remarks = _contradictions(shown, plain)
-        unit = common(motion.units(turns, slide))
+        unit = motion.unit(turns, slide)
         found.append(RoleHypothesis("velocity", unit, said, _copied(relation, shown), prior, further, remarks))
     usual = float(np.median(plain.factor[shown]))
     relation = fit(usual * motion.derivative, y, independent=samples, bounds=SAME_UNIT_FACTORS)
@@ -303,6 +239,23 @@ def copies(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
     return _ordered(found)
 
 
+def is_magnitude(motion: JointMotion, y: Array) -> bool:
+    """Whether no joint of a stream ever changes its sign although the torque of some joint does, by more than friction.
+
+    A register of currents without sign holds such numbers: a joint that gravity does not load, as a vertical first
+    axis, is accelerated and braked by torques of both signs.
+
+    Args:
+        motion: Of the joints.
+        y: The stream, :meth:`JointMotion.sampled`, ``(k, n)``.
+    """
+    needed, used = motion.whole, np.ptp(y, axis=0) > 0.0
+    both = np.minimum(np.max(needed, axis=0), -np.min(needed, axis=0)) > MIN_OPPOSITE_SHARE * np.ptp(needed, axis=0)
+    reverses = np.minimum(np.max(motion.velocity, axis=0), -np.min(motion.velocity, axis=0)) > 0.0
+    one_sided = np.all(y >= 0.0) or np.all(y <= 0.0)
+    return bool(one_sided and used.sum() > 1 and np.any(used & both & reverses))
+
+
 @OUTLIERS
 def motor_positions(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
     """Units of motor angles, which equal joint angles up to gear ratio and deflection, the likeliest first.
@@ -333,7 +286,7 @@ def motor_positions(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
         said += "" if direct else f", with gear ratios {spread(ratio[shown])}"
         keys = {} if direct else {"factor": [float(f"{1.0 / one:.6g}") for one in ratio]}
         prior = float(np.log(PRIOR[turns])) - (0.0 if direct else float(np.log(MAX_GEAR_RATIO)))
-        found.append(RoleHypothesis("position", common(motion.units(turns, slide)), said, 0.0, prior, keys))
+        found.append(RoleHypothesis("position", motion.unit(turns, slide), said, 0.0, prior, keys))
     return _ordered(found)
 
 
@@ -369,7 +322,7 @@ def torques(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
         size = np.log(np.abs(relation.factor)) / LOG_TORQUE_FACTOR_SIGMA
         density = -0.5 * np.square(size) - np.log(LOG_TORQUE_FACTOR_SIGMA * np.sqrt(2.0 * np.pi))
         prior = float(np.log(PRIOR[turns])) + _signs_prior(signs[heavy])
-        unit = common(motion.units(turns, slide))
+        unit = motion.unit(turns, slide)
         found.append(RoleHypothesis("torque", unit, said, _gains(relation, shown, density), prior, further))
     gravity_shown = heavy & (np.std(motion.gravity_torque, axis=0) > np.std(needed - motion.gravity_torque, axis=0))
     # Inertia shows no torque constant, because the motors' own inertia is unknown.
@@ -479,8 +432,3 @@ def spread(values: Array) -> str:
 def signs_of(signs: Array) -> Any:
     """One sign if all are equal, else a list."""
     return float(signs[0]) if np.all(signs == signs[0]) else [float(sign) for sign in signs]
-
-
-def common(units: list[str]) -> Any:
-    """One unit if all are equal, else a list."""
-    return units[0] if len(set(units)) == 1 else units

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError
@@ -18,7 +17,6 @@ from impact_rs_trials.recordings.checks.clock_offset import OBJECT_SIGNALS, Cloc
 from impact_rs_trials.recordings.checks.joint_checks import arm_warnings
 from impact_rs_trials.recordings.checks.joint_jumps import MIN_JUMP_SHARE, jumps_of
 from impact_rs_trials.recordings.importing.hypotheses import (
-    JointMotion,
     Role,
     RoleChoice,
     choose,
@@ -26,6 +24,7 @@ from impact_rs_trials.recordings.importing.hypotheses import (
     torques,
     velocities,
 )
+from impact_rs_trials.recordings.joint_motion import JointMotion
 from impact_rs_trials.recordings.mapping import REQUIRED, Mapping, SignalName
 from impact_rs_trials.recordings.readers.series import Names, Series
 from impact_rs_trials.recordings.readers.sources import read_series
@@ -66,10 +65,10 @@ def mapping_warning(path: Path, mapping: Mapping, names: Names, model: RobotMode
         but = f" but in {place.best.unit}" if place else ""
         return f"its positions do not lie within the limits of the joints{but}"
     motion = JointMotion.of(time, q, dq, model)
-    speed = choose(velocities(motion, motion.sampled(time, dq))) if "velocity" in mapping.signals else None
+    speed = choose(velocities(motion, motion.sampled(dq))) if "velocity" in mapping.signals else None
     if speed is not None and _contradicts(speed, "velocity"):
         return f"the velocities are {speed.best.evidence}"
-    torque = choose(torques(motion, motion.sampled(time, tau)))
+    torque = choose(torques(motion, motion.sampled(tau)))
     if torque is not None and _contradicts(torque, "torque"):
         return f"as described its torques are {torque.best.evidence}"
     return None
@@ -130,8 +129,7 @@ def impact_warnings(read: AbstractMapping[SignalName, Series], mapping: Mapping)
     if "velocity" not in signals:
         signals["velocity"] = read["position"].derivative().values
     arm = ArmSignals(signals["position"], signals["velocity"], signals["torque"])
-    model = RobotModel(mapping.facts, mapping.end_effector.build(), pin.SE3.Identity())
-    return arm_warnings(time, arm, mapping, model, contact=True)
+    return arm_warnings(time, arm, mapping, mapping.robot_model(), contact=True)
 
 
 def clocks_of(path: Path, mapping: Mapping, names: Names) -> ClocksApart | None:

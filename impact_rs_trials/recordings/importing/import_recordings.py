@@ -47,6 +47,7 @@ from impact_rs_trials.recordings.importing.recorded_files import (
     open_recorded,
     refuse_several,
 )
+from impact_rs_trials.recordings.importing.table_layout import NoTable
 from impact_rs_trials.recordings.mapping import NO_ROBOT, Mapping, TableLayout
 from impact_rs_trials.recordings.readers.guesses import STAMP, steps_back
 from impact_rs_trials.recordings.readers.lerobot import INFO, data_set_of
@@ -57,6 +58,13 @@ NOMINAL = (
     "{info}: a LeRobot data set. Timestamps are frame numbers over {fps:g} Hz, not times of measurement: velocities "
     "err by as much as the frames were irregular. It does not say the unit of its positions: some recorders write "
     "percent of the calibrated range of each joint in place of degrees"
+)
+
+
+NOTHING_TRACKED = (
+    "neither joints nor the pose of an object; expected columns of joints (--robot says which robot), or x, y, z and a "
+    "quaternion; of a ball x, y, z, or two coordinates of which one falls freely. A table of impacts needs no import: "
+    " impact-rs compare --impacts (columns: docs/files.md)"
 )
 
 
@@ -122,10 +130,21 @@ class _Importer:
     def __init__(self, groups: FileGroups, output: Path, options: ImportOptions) -> None:
         self._groups, self._output, self._options = groups, output, options
         self._notes = Notes()
-        self._parts = [
-            open_recorded(pattern, next(iter(files.values())), groups.spread, self._notes)
-            for pattern, files in groups.kinds.items()
-        ]
+        self._parts = self._opened()
+
+    def _opened(self) -> list[RecordedFile]:
+        """A file of every kind; texts without numbers, as a log of events, are left out where others have some."""
+        parts: list[RecordedFile] = []
+        empty: list[NoTable] = []
+        for pattern, files in self._groups.kinds.items():
+            try:
+                parts.append(open_recorded(pattern, next(iter(files.values())), self._groups.spread, self._notes))
+            except NoTable as error:
+                empty.append(error)
+        if not parts:
+            raise empty[0]
+        self._notes.remarks += [f"left out: {error}" for error in empty]
+        return parts
 
     def draft(self) -> ImportDraft:
         """All files."""
@@ -141,10 +160,7 @@ class _Importer:
         tracked = ObjectSections(files, joints.flange)
         pose_part = tracked.describe(part, facts is not None, signals)
         if facts is None and pose_part is None:
-            raise InputError(
-                "neither joints nor the pose of an object; expected columns of joints (--robot says which robot), or "
-                "x, y, z and a quaternion", file=self._parts[0].path,
-            )  # fmt: skip
+            raise InputError(NOTHING_TRACKED, file=self._parts[0].path)
         if facts is None and pose_part is not None:
             refuse_several(pose_part, self._groups, "objects without a robot", "object")
         clock = self._time(part if facts is not None else pose_part or part)
@@ -215,6 +231,8 @@ class _Importer:
         keys = part.clock_keys(self._options.rate)
         if self._options.rate is not None:
             self._notes.say("time.rate", f"{self._options.rate:g}", "given with --rate")
+            if "column" in keys:
+                self._notes.say("time.column", keys["column"], "frame numbers, with gaps where frames are missing")
         elif part.on_log:
             self._notes.say("time", flow(keys), f"of the positions: {NO_HEADER}")
         elif part.clock is not None:

@@ -36,7 +36,7 @@ body:
   # mass: 0.37
   # size: [0.1, 0.1, 0.1]     # of a box, or of shape: cylinder; or mesh: part.stl
   # radius: 0.02              # of a ball; shell: true if it is hollow
-  # spin: [0, 0, 0]           # of a ball whose rotation was not tracked, before it hits [rad/s]
+  # spin: [0, 0, 0]           # of a ball whose rotation was not tracked, before it first hits [rad/s]
   # place: {position: [0, 0, 0], rpy: [0, 0, 0]}   # its centre and axes in the tracked frame
 plane: {height: 0.0, normal: [0, 0, 1]}   # ASSUMED: where the plane is in the tracker's world
 """

@@ -18,29 +18,32 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.recordings.checks.torque_readings import MotionTorque, is_computed, is_external, lacks_gravity
-from impact_rs_trials.recordings.file_units import TURNS, UNITS
+from impact_rs_trials.recordings.file_units import TURNS, factors_of
 from impact_rs_trials.recordings.importing.hypotheses import (
     NAME_LOG_ODDS,
     OUTLIERS,
-    JointMotion,
+    Role,
     RoleChoice,
     RoleHypothesis,
     choose,
-    common,
     copies,
     driven_joints,
+    is_magnitude,
     motor_positions,
     positions,
     torques,
     velocities,
 )
+from impact_rs_trials.recordings.importing.import_texts import PossibleReading
 from impact_rs_trials.recordings.importing.joint_streams import JointStream
+from impact_rs_trials.recordings.joint_motion import JointMotion, unit_of_joints
 from impact_rs_trials.recordings.mapping import TorqueMeaning
 from impact_rs_trials.recordings.readers.guesses import holds_a_turn
 from impact_rs_trials.recordings.relations import (
@@ -52,6 +55,10 @@ from impact_rs_trials.recordings.relations import (
 )
 
 MAX_TRACKING_MISFIT_SHARE = 0.1  # of the squares of a motion about its mean, which its command and a lag leave
+MAGNITUDE = (
+    "never changes its sign, although joints reverse whose torque has both signs: magnitudes, as of a current register "
+    "without sign, are no torque"
+)
 MAX_LOG_POSTERIOR_LOSS = 20.0  # below the best, of motions whose torques are compared
 
 
@@ -70,6 +77,11 @@ class Reading:
     choice: RoleChoice
     computed: bool = False
     meaning: TorqueMeaning = "whole"
+
+    @staticmethod
+    def of(stream: JointStream, role: Role, unit: Any, evidence: str, margin: float) -> Reading:
+        """A stream in a role without a likelihood: by evidence of another kind, or by its name (margin 0)."""
+        return Reading(stream, RoleChoice(RoleHypothesis(role, unit, evidence, 0.0), None, margin))
 
     @property
     def best(self) -> RoleHypothesis:
@@ -94,10 +106,8 @@ class Reading:
     @property
     def factor(self) -> Array:
         """Factor from its numbers to SI units, of all joints or ``(n,)``; of currents to amperes."""
-        units = [self.best.unit] if isinstance(self.best.unit, str) else self.best.unit
         quantity = "torque" if self.best.role == "current" else self.best.role
-        factor = np.array([UNITS[quantity][unit] for unit in units])
-        return np.asarray(factor * np.asarray(self.best.further.get("factor", 1.0)))
+        return factors_of(quantity, self.best.unit) * np.asarray(self.best.further.get("factor", 1.0))
 
     @property
     def values(self) -> Array:
@@ -105,31 +115,18 @@ class Reading:
         return np.asarray(self.stream.series.values * self.factor)
 
 
-@dataclass(frozen=True)
-class Alternative:
-    """An alternative stream and unit of a signal.
-
-    Attributes:
-        stream: The stream.
-        hypothesis: Its hypothesis.
-        log_posterior: Of the whole assignment for positions; else the prior by names, for each stream of one role is as
-            likely in another role.
-    """
-
-    stream: JointStream
-    hypothesis: RoleHypothesis
-    log_posterior: float
-
-
-def alternatives(readings: Iterable[tuple[Reading, float]]) -> tuple[Alternative, ...]:
-    """Readings with their log posteriors and the next hypothesis of each; the first stays first, then by likelihood."""
+def alternatives(readings: Iterable[tuple[Reading, float]]) -> tuple[PossibleReading, ...]:
+    """Readings with their log posteriors, and the next hypothesis of each: first the chosen one, then by likelihood."""
     (first, most), *others = readings
-    every = [Alternative(first.stream, first.best, most)]
-    further = [Alternative(one.stream, one.best, total) for one, total in others]
+    following = [(one.stream, one.best, most - total) for one, total in others]
     for one, total in ((first, most), *others):
         if one.choice.next is not None:
-            further.append(Alternative(one.stream, one.choice.next, total - one.choice.margin))
-    return (*every, *sorted(further, key=lambda one: one.log_posterior, reverse=True))
+            following.append((one.stream, one.choice.next, most - total + one.choice.margin))
+    following.sort(key=lambda each: each[2])
+    return tuple(
+        PossibleReading(stream.label, dict(stream.candidate.source), own.unit, float(behind), own.evidence)
+        for stream, own, behind in ((first.stream, first.best, 0.0), *following)
+    )
 
 
 @dataclass(frozen=True)
@@ -140,7 +137,7 @@ class Assignment:
         position: The positions.
         velocity: The velocities; None: derivatives of the positions.
         torques: Streams that fit a torque, the chosen one first.
-        copies: Repeated part of the motion by label of further streams.
+        no_torques: Why further streams are no torques, by label: copies of the motion, magnitudes.
         alternatives: Alternatives by signal, the chosen one first.
         beside: Log likelihood of a further pair of positions and velocities as a command, and of its lead.
         tracked: That pair, if one of both follows the other.
@@ -149,8 +146,8 @@ class Assignment:
     position: Reading
     velocity: Reading | None
     torques: tuple[Reading, ...]
-    copies: dict[str, str]
-    alternatives: Mapping[str, tuple[Alternative, ...]] = field(default_factory=dict)
+    no_torques: dict[str, str]
+    alternatives: Mapping[str, tuple[PossibleReading, ...]] = field(default_factory=dict)
     beside: float = 0.0
     tracked: Assignment | None = None
 
@@ -158,6 +155,19 @@ class Assignment:
     def time(self) -> Array:
         """Timestamps of the positions, ``(k,)`` [s]."""
         return self.position.stream.series.time
+
+    @property
+    def streams(self) -> list[JointStream]:
+        """Streams of positions and velocities."""
+        return [one.stream for one in (self.position, self.velocity) if one is not None]
+
+    def motion(self, model: RobotModel) -> JointMotion:
+        """The motion, with velocities where these were recorded."""
+        return JointMotion.of(self.time, self.position.values, None if self.velocity is None else self.speeds, model)
+
+    def with_torque(self, torque: Array, model: RobotModel) -> MotionTorque:
+        """The motion, and a torque at its timestamps, ``(k, n)`` [N m]."""
+        return MotionTorque.seen(self.time, self.position.values, self.speeds, torque, model)
 
     @property
     def log_posterior(self) -> float:
@@ -240,14 +250,17 @@ class JointSearch:
 
     def motors(self, found: Assignment) -> Reading | None:
         """Angles of the motors, if a stream with such a name follows the positions; None: no stream does."""
-        taken = [one.stream for one in (found.position, found.velocity, *found.torques[:1]) if one is not None]
         motion = JointMotion.of(found.time, found.position.values, found.speeds, self.model)
-        for stream in self.streams:
-            if stream.is_of_motors and not any(stream.stands_apart(other) for other in taken):
+        for stream in self.free_of([*found.streams, *(one.stream for one in found.torques[:1])]):
+            if stream.is_of_motors:
                 choice = choose(motor_positions(motion, self._sampled(motion, stream)), -np.inf)
                 if choice is not None:
                     return Reading(stream, choice)
         return None
+
+    def free_of(self, taken: Sequence[JointStream]) -> list[JointStream]:
+        """Streams that may belong to the joints of others, and share no column with them."""
+        return [one for one in self.streams if not any(one.stands_apart(other) for other in taken)]
 
     def velocities_at_other_rates(self) -> Iterator[tuple[JointStream, JointStream, float]]:
         """Positions, streams proportional to their derivative with one positive factor, and the factor."""
@@ -266,15 +279,14 @@ class JointSearch:
         time = motion.time
         key = id(stream), hash(time.tobytes())
         if key not in self._averages:
-            self._averages[key] = motion.sampled(time, stream.series.at(time))
+            self._averages[key] = motion.sampled(stream.series.at(time))
         return self._averages[key]
 
     def _velocities(self, place: Reading, motion: JointMotion) -> list[Reading]:
         """Streams that are the derivative of the positions, by their names, and then by likelihood."""
-        free = [stream for stream in self.streams if not stream.stands_apart(place.stream)]
         found = [
             Reading(stream, choice)
-            for stream in free
+            for stream in self.free_of([place.stream])
             if (choice := choose(velocities(motion, self._sampled(motion, stream)))) is not None
             and choice.best.role == "velocity"
             and choice.best.log_posterior > DECISIVE_LOG_ODDS
@@ -284,19 +296,19 @@ class JointSearch:
     @OUTLIERS
     def _with_torques(self, found: Assignment) -> Assignment:
         """With the streams that fit the torque of a motion, or else by name."""
-        time, q, dq = found.time, found.position.values, found.speeds
-        motion = JointMotion.of(time, q, None if found.velocity is None else dq, self.model)
-        taken = [found.position.stream, *([] if found.velocity is None else [found.velocity.stream])]
-        free = [one for one in self.streams if not any(one.stands_apart(other) for other in taken)]
+        motion, free = found.motion(self.model), self.free_of(found.streams)
         cut = found.position.stream.is_cut  # of another robot, perhaps, for which the torque must speak
-        fitting, weightless, repeated = [], [], {}
+        fitting, weightless, no_torques = [], [], {}
         for stream in free:
-            raw = stream.series.at(time)
-            y = motion.sampled(time, raw)
+            raw = stream.series.at(found.time)
+            y = motion.sampled(raw)
             copy, torque = choose(copies(motion, y)), choose(torques(motion, y))
             least = DECISIVE_LOG_ODDS if torque is None else max(DECISIVE_LOG_ODDS, torque.best.log_posterior)
             if copy is not None and copy.best.log_posterior > least:
-                repeated[stream.label] = copy.best.evidence
+                no_torques[stream.label] = copy.best.evidence
+                continue
+            if is_magnitude(motion, y):
+                no_torques[stream.label] = MAGNITUDE
                 continue
             if (lacking := self._without_gravity(stream, found)) is not None:
                 weightless.append(lacking)
@@ -305,31 +317,26 @@ class JointSearch:
                 continue
             if cut and not torque.sure:
                 continue
-            computed = self._is_computed(MotionTorque.of(time, q, dq, raw, self.model), torque.best)
+            computed = self._is_computed(found.with_torque(raw, self.model), torque.best)
             fitting.append(Reading(stream, _named(stream, torque, motion, y), computed))
         fitting = _exclusive(fitting or weightless)
         if all(one.computed for one in fitting) and not cut:  # a controller's target is no measurement, a current is
-            named = [one for one in free if _is_named(one) and one.label not in repeated]
+            named = [one for one in free if _is_named(one) and one.label not in no_torques]
             named = [
                 one for one in named if not fitting or one.log_prior("current") > max(one.log_prior("torque"), 0.0)
             ]
             fitting += [self._by_name(one, found, motion) for one in named]
             fitting.sort(key=lambda one: one.rank, reverse=True)
-        return replace(found, torques=tuple(fitting), copies=repeated)
+        return replace(found, torques=tuple(fitting), no_torques=no_torques)
 
     @OUTLIERS
     def _without_gravity(self, stream: JointStream, found: Assignment) -> Reading | None:
         """A stream in N m or mN m that is a torque without gravity; None: no evidence."""
         raw = stream.series.at(found.time)
-        for unit in ("N m", "mN m"):
-            seen = MotionTorque.of(
-                found.time, found.position.values, found.speeds, TURNS["torque"][unit] * raw, self.model
-            )
-            if (why := lacks_gravity(seen)) is not None:
-                slides = {"N m": "N", "mN m": "mN"}[unit]
-                units = common([slides if kind == "prismatic" else unit for kind in self.model.facts.joint_types])
-                hypothesis = RoleHypothesis("torque", units, why, 0.0)
-                return Reading(stream, RoleChoice(hypothesis, None, np.inf), meaning="without_gravity")
+        for unit, slide in {"N m": "N", "mN m": "mN"}.items():
+            if (why := lacks_gravity(found.with_torque(TURNS["torque"][unit] * raw, self.model))) is not None:
+                units = unit_of_joints(self.model.facts, unit, slide)
+                return replace(Reading.of(stream, "torque", units, why, np.inf), meaning="without_gravity")
         return None
 
     def _is_computed(self, seen: MotionTorque, hypothesis: RoleHypothesis) -> bool:
@@ -341,10 +348,10 @@ class JointSearch:
         """A torque or a current that only its name shows."""
         raw = stream.series.at(found.time)
         if stream.log_prior("current") > stream.log_prior("torque"):
-            for one in torques(motion, motion.sampled(found.time, raw)):
+            for one in torques(motion, motion.sampled(raw)):
                 if one.role == "current":
                     return Reading(stream, RoleChoice(one, None, 0.0))
-        seen = MotionTorque.of(found.time, found.position.values, found.speeds, raw, self.model)
+        seen = found.with_torque(raw, self.model)
         said = "the motion takes too little torque to show it"
         if np.any(driven_joints(seen.whole, seen.model)):
             most, left = (
@@ -356,13 +363,11 @@ class JointSearch:
                 f"gravity and inertia of the arm take {most[joint]:.3g} N m rms in joint {joint + 1}, from which the "
                 f"signal is {left[joint]:.3g} N m away: another robot, other joints or another quantity?"
             )
-        unit = common(motion.units("N m", "N"))
+        unit = motion.unit("N m", "N")
         if (external := is_external(seen, stream.is_external)) is not None:
-            hypothesis = RoleHypothesis("torque", unit, external.evidence, 0.0)
-            return Reading(stream, RoleChoice(hypothesis, None, external.margin), meaning="external")
-        return Reading(
-            stream, RoleChoice(RoleHypothesis("torque", unit, f"nothing but its name: {said}", 0.0), None, 0.0)
-        )
+            reading = Reading.of(stream, "torque", unit, external.evidence, external.margin)
+            return replace(reading, meaning="external")
+        return Reading.of(stream, "torque", unit, f"nothing but its name: {said}", 0.0)
 
 
 def _with_shared_torque(found: Assignment, tried: Sequence[Assignment]) -> Assignment:

@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array, RobotFacts
@@ -22,7 +21,7 @@ from impact_rs_trials.recordings.checks.torque_readings import (
     motor_inertia_in,
     order_of_joints,
 )
-from impact_rs_trials.recordings.file_units import UNITS
+from impact_rs_trials.recordings.file_units import factors_of
 from impact_rs_trials.recordings.importing.candidates import (
     MAX_GRIPPER_NUMBERS,
     PART_OF_ARM,
@@ -32,10 +31,10 @@ from impact_rs_trials.recordings.importing.candidates import (
     vector_width,
 )
 from impact_rs_trials.recordings.importing.flange_path import FlangePath
-from impact_rs_trials.recordings.importing.hypotheses import RoleChoice, RoleHypothesis, spread
+from impact_rs_trials.recordings.importing.hypotheses import spread
 from impact_rs_trials.recordings.importing.import_texts import PossibleReading, flow
 from impact_rs_trials.recordings.importing.joint_search import (
-    Alternative,
+    MAGNITUDE,
     Assignment,
     JointSearch,
     Reading,
@@ -98,7 +97,7 @@ class JointSections:
 
     def describe(self, robot: str, facts: RobotFacts) -> tuple[RecordedFile, dict[str, Any], dict[str, dict[str, Any]]]:
         """File of the positions, keys of the mapping except its signals, and the signals."""
-        model = RobotModel(facts, MountedEndEffector().build(), pin.SE3.Identity())
+        model = RobotModel(facts, MountedEndEffector().build())
         for part in self._parts:
             part.candidates = of_side(part.candidates, facts)
             self._refused |= read_streams(part, robot, facts.joint_count, self._rate)
@@ -110,6 +109,9 @@ class JointSections:
             search = JointSearch([stream.in_order(order) for stream in search.streams], model)
             found = self._assignment(search, robot)
         self.flange = FlangePath.of(found.time, found.position.values, model)
+        self._notes.remarks += [
+            f"{label} is left out: it {why}" for label, why in found.no_torques.items() if why == MAGNITUDE
+        ]
         servo = None if self._is_measured(found, model) else find_servo(search, self._motions(search))
         if servo is not None:
             self._notes.remarks += [
@@ -177,7 +179,7 @@ class JointSections:
         """A torque in N m, also of currents, and its motion."""
         constant = np.array(one.best.further.get("torque_constant", 1.0))
         torque = one.stream.series.at(found.time) * one.factor * constant
-        return MotionTorque.of(found.time, found.position.values, found.speeds, torque, model)
+        return found.with_torque(torque, model)
 
     def _moved_by(self, servo: FoundServo, search: JointSearch) -> Assignment:
         """The motion of servos, with its only reading."""
@@ -192,8 +194,8 @@ class JointSections:
         self, servo: FoundServo, search: JointSearch, signals: dict[str, dict[str, Any]], part: RecordedFile
     ) -> dict[str, Any]:
         """Add the desired positions of servos to the signals; further keys of the mapping."""
-        choice = RoleChoice(RoleHypothesis("position", servo.unit, servo.evidence, 0.0), None, servo.margin)
-        signals["q_desired"] = self._joint_signal(Reading(servo.stream, choice), "q_desired", part)
+        target = Reading.of(servo.stream, "position", servo.unit, servo.evidence, servo.margin)
+        signals["q_desired"] = self._joint_signal(target, "q_desired", part)
         self._notes.say("torque_measured_at", "motor", "no torque was recorded: servos give that of their motors")
         if servo.margin < 0.0:
             self._notes.remarks.append(DECLARED.format(label=servo.stream.label, odds=servo.margin))
@@ -226,13 +228,13 @@ class JointSections:
         """Refuse a recording without a torque that a mapping could take."""
         path = self._part_of(found.position.stream).path
         if not found.torques:
-            copies = [f"{label} {copied}" for label, copied in found.copies.items()]
-            repeated = f" ({'; '.join(copies)})" if copies else ""
+            others = [f"{label} {why}" for label, why in found.no_torques.items()]
+            not_these = f" ({'; '.join(others)})" if others else ""
             seen = "; ".join(stream.label for stream in search.streams)
             raise InputError(
                 f"nothing goes with the torque that gravity and inertia of {robot} take in this motion, and a mapping "
                 f"needs torques or currents, or desired positions of servos that make it; signals as wide as its "
-                f"joints: {seen}{repeated}. Another --robot, or a "
+                f"joints: {seen}{not_these}. Another --robot, or a "
                 "mapping by hand (docs/files.md)",
                 file=path,
             )
@@ -242,18 +244,13 @@ class JointSections:
         one, model = found.position.stream, search.model
         if one.is_cut or one.candidate.joints or PART_OF_ARM.search(one.candidate.label):
             return None
-        time, q, dq = found.time, found.position.values, found.speeds
+        tried = list(named_servo_torques(search, found)) if not found.torques else []
         for torque in found.torques[:MAX_SHOWN_SIGNALS]:
-            constant, raw = torque.best.further.get("torque_constant"), torque.stream.series.at(time)
-            if constant is not None and explains_most(MotionTorque.of(time, q, dq, raw * np.array(constant), model)):
-                continue  # currents; else a torque in a wrong order, of which no unit fits
-            units = [torque.best.unit] if isinstance(torque.best.unit, str) else torque.best.unit
-            factor = np.array([UNITS["torque"][unit] for unit in units])
-            if (ordered := order_of_joints(MotionTorque.of(time, q, dq, factor * raw, model))) is not None:
-                order, self._order_shown = ordered
-                return order
-        for torque_of_servos in () if found.torques else named_servo_torques(search, found):
-            if (ordered := order_of_joints(MotionTorque.of(time, q, dq, torque_of_servos, model))) is not None:
+            constant, raw = torque.best.further.get("torque_constant"), torque.stream.series.at(found.time)
+            if constant is None or not explains_most(found.with_torque(raw * np.array(constant), model)):
+                tried.append(factors_of("torque", torque.best.unit) * raw)  # no currents, but perhaps in a wrong order
+        for one_torque in tried:
+            if (ordered := order_of_joints(found.with_torque(one_torque, model))) is not None:
                 order, self._order_shown = ordered
                 return order
         return None
@@ -361,11 +358,10 @@ class JointSections:
         part: RecordedFile, currents: bool,
     ) -> dict[str, Any]:  # fmt: skip
         """Add the commanded torque of a bag to the signals; further keys of the mapping."""
-        taken = [one.stream for one in (found.position, found.velocity, found.torques[0]) if one is not None]
-        free = [one for one in search.streams if not any(one.stands_apart(other) for other in taken)]
+        free = search.free_of([*found.streams, found.torques[0].stream])
         asked = [one for one in free if one.candidate.guess == "command" and self._part_of(one).is_bag]
-        copied = [one for one in asked if one.label in found.copies]
-        self._notes.remarks += [f"{one.label} is left out: it {found.copies[one.label]}" for one in copied]
+        copied = [one for one in asked if one.label in found.no_torques]
+        self._notes.remarks += [f"{one.label} is left out: it {found.no_torques[one.label]}" for one in copied]
         commands = [one for one in asked if one not in copied]
         if commands and currents:
             why = "nothing but currents was measured beside it"
@@ -399,15 +395,14 @@ class JointSections:
             return {}
         included, both = alone <= lifted, f"{100.0 * alone:.0f} % of the measured torque away from it as it is"
         said = f"{both}, {100.0 * lifted:.0f} % with the gravity torque added (rms)"
-        command = Reading(one, RoleChoice(RoleHypothesis("torque", "N m", said, 0.0), None, np.inf))
-        signals["command"] = self._joint_signal(command, "command", part)
+        signals["command"] = self._joint_signal(Reading.of(one, "torque", "N m", said, np.inf), "command", part)
         sure = max(alone, lifted) > MIN_GRAVITY_RMS_RATIO * min(alone, lifted)
         said = f"it is nearer to the measured torque {'as it is' if included else 'with the gravity torque added'}"
         self._notes.say("command_includes_gravity", str(included).lower(), said, sure)
         return {"command_includes_gravity": included}
 
     def _joint_signal(
-        self, one: Reading, name: str, main: RecordedFile, others: Sequence[Alternative] = (), alike: str = ""
+        self, one: Reading, name: str, main: RecordedFile, others: Sequence[PossibleReading] = (), alike: str = ""
     ) -> dict[str, Any]:
         """Section of a signal of the joints, added to the notes, with the layout of its file if it is not the main one.
 
@@ -423,10 +418,10 @@ class JointSections:
         if one.stream.is_cut:
             shown += "; what stands beside the joints is left out, as a gripper"
             self._notes.remarks.append(f"signals.{name}: of {candidate.label} numbers are taken for the joints")
-        rival = next((other for other in others if other.stream is not one.stream), None)
-        margin = np.inf if rival is None else others[0].log_posterior - rival.log_posterior
+        rival = next((other for other in others if other.stream != one.stream.label), None)
+        margin = np.inf if rival is None else rival.behind
         if rival is not None and margin < DECISIVE_LOG_ODDS:
-            shown += f"; next: {rival.stream.label}, log odds {margin:.2g}"
+            shown += f"; next: {rival.stream}, log odds {margin:.2g}"
         shown += "" if candidate.stamped else f"; {NO_HEADER}"
         self._notes.say(
             f"signals.{name}", candidate.label, shown, not one.stream.is_cut and bool(margin > DECISIVE_LOG_ODDS)
@@ -435,13 +430,7 @@ class JointSections:
         sure = one.choice.sure and not alike and not one.computed and best.role != "current"
         self._notes.say(f"signals.{name}.unit", flow(best.unit), said, sure)
         self._notes.remarks += best.remarks
-        self.readings[name] = tuple(
-            PossibleReading(
-                other.stream.label, dict(other.stream.candidate.source), other.hypothesis.unit,
-                float(others[0].log_posterior - other.log_posterior), other.hypothesis.evidence,
-            )
-            for other in others
-        )  # fmt: skip
+        self.readings[name] = tuple(others)
         further = {key: value for key, value in best.further.items() if key == "factor"}
         source = {**source_in(part, candidate.source, self._groups), "unit": best.unit, **further}
         return source | part.own_layout(main)

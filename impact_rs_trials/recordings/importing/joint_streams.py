@@ -12,7 +12,8 @@ from impact_rs_trials.recordings.readers.series import Series
 
 # Properties suggested by a name, in addition to the signal (candidates.guess_of).
 COMMANDED = re.compile(
-    r"des|ref|target|goal|action|cmd|cmp|command|comput|set_?point|(^|_)d(_|\d|$)|filt|err", re.IGNORECASE
+    r"des|ref|target|goal|action|cmd|cmp|command|comput|set_?point|(^|_)(d|control|ctrl)([_.\d]|$)|filt|err",
+    re.IGNORECASE,
 )
 MEASURED = re.compile(r"meas|actual|(^|_)act(_|\d|$)", re.IGNORECASE)
 OF_MOTOR = re.compile(r"motor|rotor|(^|_)theta", re.IGNORECASE)

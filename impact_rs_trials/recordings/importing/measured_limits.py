@@ -17,7 +17,6 @@ from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.urdf_repairs import Limits
 from impact_rs_trials.recordings.importing.candidates import SignalCandidate, candidates_of, single_candidates
 from impact_rs_trials.recordings.importing.table_layout import find_layout
-from impact_rs_trials.recordings.mapping import TableLayout
 from impact_rs_trials.recordings.readers.run_finder import TABLE_SUFFIXES
 from impact_rs_trials.recordings.readers.table_columns import Columns, read_columns
 
@@ -38,7 +37,7 @@ def measured_limits(path: Path, joints: Sequence[str]) -> Limits:
     if path.suffix not in TABLE_SUFFIXES:
         expected = f"expected a table ({', '.join(TABLE_SUFFIXES)}) of positions, velocities and efforts of the joints"
         raise InputError(expected, file=path, key="--measured")
-    layout = TableLayout() if path.suffix in (".parquet", ".npy") else find_layout(path).layout
+    layout = find_layout(path).value
     table = read_columns(path, layout)
     found: dict[tuple[str, str], tuple[float, ...]] = {}
     single = single_candidates(table.cells, "column") if len(joints) == 1 else []

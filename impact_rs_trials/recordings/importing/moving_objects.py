@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.importing.file_groups import OBJECT, RUN, WORD, FileGroups, run_name
@@ -12,23 +12,8 @@ from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.readers.series import Names
 
 
-@dataclass(frozen=True)
-class MovingObjects:
-    """Per-object files treated as one object: in each run, the file of the object that moves.
-
-    Attributes:
-        pattern: Name of their kind, with ``{object}`` for the object.
-        groups: All files, with the merged kind.
-        objects: Names of the objects that move in some run.
-    """
-
-    pattern: str
-    groups: FileGroups
-    objects: tuple[str, ...]
-
-
-def moving_objects(groups: FileGroups, kind: str, mapping: Mapping) -> MovingObjects | None:
-    """The object of every run.
+def moving_objects(groups: FileGroups, kind: str, mapping: Mapping) -> tuple[FileGroups, str, list[str]] | None:
+    """Files of several objects as one kind, which has in every run the file of the object that moves.
 
     Args:
         groups: Files by kind and run.
@@ -36,7 +21,8 @@ def moving_objects(groups: FileGroups, kind: str, mapping: Mapping) -> MovingObj
         mapping: Locates the position in them.
 
     Returns:
-        None: no other kind differs from this one in one word and holds a position in every run.
+        All files with the merged kind; its name, with ``{object}`` for the object; and the objects that move in some
+        run. None: no other kind differs from this one in one word and holds a position in every run.
     """
     for word in WORD.finditer(kind):
         if word[0] in (RUN.strip("{}"), OBJECT.strip("{}"), kind.rpartition(".")[2]):
@@ -58,7 +44,7 @@ def moving_objects(groups: FileGroups, kind: str, mapping: Mapping) -> MovingObj
         kinds[pattern] = {run: groups.kinds[named[name]][run] for run, name in chosen.items()}
         moved = [name for run, name in chosen.items() if usable[name][run] > MIN_OBJECT_DISPLACEMENT_M]
         merged = replace(groups, kinds=kinds, objects={**groups.objects, **chosen})
-        return MovingObjects(pattern, merged, tuple(dict.fromkeys(moved)))
+        return merged, pattern, list(dict.fromkeys(moved))
     return None
 
 

@@ -18,8 +18,8 @@ from impact_rs_trials.recordings.importing.import_texts import flow
 from impact_rs_trials.recordings.importing.joint_streams import COMMANDED
 from impact_rs_trials.recordings.importing.moving_objects import moving_objects
 from impact_rs_trials.recordings.importing.recorded_files import ImportedFiles, RecordedFile, axes_of, source_in
-from impact_rs_trials.recordings.mapping import NO_ROBOT, SignalName, SignalSource
-from impact_rs_trials.recordings.readers.guesses import Guess, pose_of, quaternion_order, unit_of_length
+from impact_rs_trials.recordings.mapping import IN_A_PLANE, NO_ROBOT, SignalName, SignalSource
+from impact_rs_trials.recordings.readers.guesses import Guess, fall_in, pose_of, quaternion_order, unit_of_length
 from impact_rs_trials.recordings.readers.sources import open_file
 from impact_rs_trials.recordings.readers.transforms import are_transforms
 
@@ -101,30 +101,37 @@ class ObjectSections:
         found = moving_objects(self.groups, part.pattern, mapping)
         if found is None:
             return
-        self.groups = found.groups
+        self.groups, pattern, objects = found
         for section in sections.values():
-            section["file"] = found.pattern
-        self._notes.say(
-            f"{OBJECT} of {found.pattern}", flow(list(found.objects)), "in every run the object that moves most"
-        )
+            section["file"] = pattern
+        self._notes.say(f"{OBJECT} of {pattern}", flow(objects), "in every run the object that moves most")
 
     def _ball(self, signals: dict[str, dict[str, Any]]) -> RecordedFile | None:
         """Add positions of an object without tracked orientation, such as a ball, to the signals."""
         for part in self._parts:
             names = [name for name, cells in part.columns.items() if vector_width(cells) == 1]
-            for columns in axes_of(names)[0]:
+            places, _, planes = axes_of(names)
+            for columns in (*places, *planes):
                 file = open_file(
                     part.path, part.raw_mapping(NO_ROBOT, (), self._rate), part.names, ("object_position",)
                 )
-                place = file.series("object_position", SignalSource(unit="m", columns=tuple(columns))).values
-                length = unit_of_length(place)
-                self._notes.say("signals.object_position", ", ".join(columns), length.evidence)
+                track = file.series("object_position", SignalSource(unit="m", columns=tuple(columns)))
+                if len(columns) == IN_A_PLANE:
+                    falling = fall_in(track.time, track.values[:, [0, 2]])
+                    if falling is None:
+                        continue
+                    up, length = falling
+                    columns = [columns[1 - up], columns[up]]
+                else:
+                    length = unit_of_length(track.values)
+                self._notes.say("signals.object_position", ", ".join(columns), length.evidence, length.sure)
                 self._notes.remarks.append(
                     "no column is its orientation: enough for a ball only, with its spin (body.spin)"
                 )
                 signals["object_position"] = {
                     **source_in(part, {"columns": columns}, self.groups),
                     "unit": length.value,
+                    **length.further,
                 }
                 return part
         return None

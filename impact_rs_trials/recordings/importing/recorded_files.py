@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_sim.rotations import AXES
 from impact_rs_trials.recordings.file_units import UNITS
 from impact_rs_trials.recordings.importing.candidates import (
     SignalCandidate,
@@ -30,11 +31,11 @@ from impact_rs_trials.recordings.importing.import_texts import Notes, flow
 from impact_rs_trials.recordings.importing.joint_search import JointSearch
 from impact_rs_trials.recordings.importing.joint_streams import JointStream
 from impact_rs_trials.recordings.importing.table_layout import find_layout
-from impact_rs_trials.recordings.mapping import NO_ROBOT, Mapping, SignalSource, TableLayout
+from impact_rs_trials.recordings.mapping import IN_A_PLANE, NO_ROBOT, Mapping, SignalSource, TableLayout
 from impact_rs_trials.recordings.readers.array_file import ArrayFile
 from impact_rs_trials.recordings.readers.bag_file import read_topics
 from impact_rs_trials.recordings.readers.clock_steps import without_steps_back
-from impact_rs_trials.recordings.readers.guesses import Guess, clock_of, other_units, steps_back
+from impact_rs_trials.recordings.readers.guesses import FRAME, Guess, clock_of, other_units, steps_back
 from impact_rs_trials.recordings.readers.inner_runs import RUN, run_column_of, run_groups_of, runs_of
 from impact_rs_trials.recordings.readers.run_finder import ARRAY_SUFFIXES, BAG_SUFFIXES, is_bag_folder
 from impact_rs_trials.recordings.readers.series import Names
@@ -43,7 +44,6 @@ from impact_rs_trials.recordings.readers.table_columns import read_columns, read
 from impact_rs_trials.recordings.relations import DECISIVE_LOG_ODDS
 
 MAX_SHOWN_GROUPS = 3  # in a message
-AXES = ("x", "y", "z")
 QUATERNION = (("x", "y", "z", "w"), ("w", "x", "y", "z"))
 RAW_UNITS = {"position": "rad", "velocity": "rad/s", "torque": "N m"}
 
@@ -90,9 +90,10 @@ class RecordedFile:
         return self.path.suffix in ARRAY_SUFFIXES
 
     def clock_keys(self, rate: float | None) -> dict[str, Any]:
-        """Section ``time`` of a self."""
+        """Section ``time`` of a mapping."""
         if rate is not None:
-            return {"rate": rate}
+            frames = {} if self.is_array_file else frames_in(self.columns)
+            return {**frames, "rate": rate}
         if not self.columns:
             return {"stamp": "log"} if self.on_log else {}
         if self.clock is None:
@@ -160,14 +161,13 @@ def open_recorded(pattern: str, path: Path, spread: bool, notes: Notes) -> Recor
     Raises:
         InputError: It cannot be read.
     """
-    layout = TableLayout()
     if is_bag_folder(path) or path.suffix in BAG_SUFFIXES:
-        return RecordedFile(pattern, path, layout, {}, candidates_of(path), None)
+        return RecordedFile(pattern, path, TableLayout(), {}, candidates_of(path), None)
     if path.suffix in ARRAY_SUFFIXES:
         return _of_arrays(pattern, path, spread, notes)
-    if path.suffix not in (".parquet", ".npy"):
-        found = find_layout(path)
-        layout = found.layout
+    found = find_layout(path)
+    layout = found.value
+    if found.evidence:
         notes.say(f"table ({path.name})", flow(layout.model_dump(exclude_defaults=True)), found.evidence)
     columns = read_columns(path, layout).cells
     run, column = "", None if spread else run_column_of(columns)
@@ -294,8 +294,21 @@ def _add_windows(part: RecordedFile, count: int) -> None:
         part.candidates.append(SignalCandidate(f"{own[0]} … {own[-1]}", {"columns": own}, False, "", count))
 
 
-def axes_of(names: Sequence[str]) -> tuple[list[list[str]], list[list[str]]]:
-    """Columns of places (x, y, z) and of quaternions, by what stands before or behind the letter."""
+def frames_in(columns: AbstractMapping[str, Any]) -> dict[str, Any]:
+    """Keys of a clock by a column of frame numbers of a camera, which may have gaps; empty: there is no such column."""
+    for name, cells in columns.items():
+        if FRAME.search(name):
+            try:
+                steps = np.diff(np.asarray(cells, dtype=float))
+            except (ValueError, TypeError):
+                continue
+            if steps.size and np.all(steps > 0.0):
+                return {"column": name, "unit": "frames"}
+    return {}
+
+
+def axes_of(names: Sequence[str]) -> tuple[list[list[str]], list[list[str]], list[list[str]]]:
+    """Columns of places (x, y, z), of quaternions and of places in a plane, by what stands around the letter."""
     groups: dict[tuple[str, str], dict[str, str]] = {}
     for name in names:
         for found in re.finditer(r"(?i)(?<![a-z])q?([xyzw])(?![a-z])|([xyzw])$", name):
@@ -303,7 +316,7 @@ def axes_of(names: Sequence[str]) -> tuple[list[list[str]], list[list[str]]]:
             groups.setdefault((name[: found.start()], name[found.end() :]), {}).setdefault(
                 ("q" if found[0].lower().startswith("q") else "") + letter, name
             )
-    places, turns = [], []
+    places, turns, planes = [], [], []
     for own in groups.values():
         plain = {letter: own[letter] for letter in own if not letter.startswith("q")}
         quaternion = {letter[-1]: own[letter] for letter in own if letter.startswith("q")}
@@ -311,10 +324,12 @@ def axes_of(names: Sequence[str]) -> tuple[list[list[str]], list[list[str]]]:
             quaternion = plain
         elif set("xyz") <= set(plain):
             places.append([plain[axis] for axis in AXES])
+        elif len(plain) == IN_A_PLANE and "w" not in plain:
+            planes.append([plain[axis] for axis in AXES if axis in plain])
         if set(quaternion) == set("xyzw"):
             first = min(quaternion, key=lambda letter: list(names).index(quaternion[letter]))
             turns.append([quaternion[letter] for letter in QUATERNION[first == "w"]])
-    return places, turns
+    return places, turns, planes
 
 
 def source_in(part: RecordedFile, source: AbstractMapping[str, Any], groups: FileGroups) -> dict[str, Any]:

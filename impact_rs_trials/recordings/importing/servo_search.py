@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rs_sim.robots.robot import Array
-from impact_rs_trials.recordings.file_units import TURNS
+from impact_rs_trials.recordings.file_units import factors_of
 from impact_rs_trials.recordings.importing.candidates import Q_DESIRED
 from impact_rs_trials.recordings.importing.hypotheses import (
     MAIN_TRAVEL_SHARE,
@@ -33,14 +33,13 @@ from impact_rs_trials.recordings.importing.hypotheses import (
     OUTLIERS,
     PRIOR,
     PROBABILITY_OF_BROKEN_ORDER,
-    JointMotion,
-    common,
     driven_joints,
     spread,
     travels,
 )
 from impact_rs_trials.recordings.importing.joint_search import Assignment, JointSearch
 from impact_rs_trials.recordings.importing.joint_streams import COMMANDED, JointStream
+from impact_rs_trials.recordings.joint_motion import JointMotion
 from impact_rs_trials.recordings.mapping import TorqueMeaning
 from impact_rs_trials.recordings.relations import DECISIVE_LOG_ODDS, dry_friction, effective_samples, fit
 from impact_rs_trials.recordings.servo import Damps
@@ -50,6 +49,7 @@ DERIVATIVE = re.compile(r"(^|[^a-z])(k_?d|d_?gains?|gains?_?d|dampings?)([^a-z]|
 LOG_GAIN_RANGE = float(np.log(1e4))  # of the gain of a joint that is unknown
 MIN_GRAVITY_SHARE = 0.3  # of the torque of inertia, from which gravity shows the gain of a joint
 MAX_TARGET_EXCESS_SHARE = 0.5  # of the range of a joint, by which a target may pass its end to push there
+UNITS_OF_TARGETS = {"rad": "m", "deg": "m", "mrad": "mm"}  # of joints that turn, and that slide
 MIN_SERVO_SAMPLES = 5.0  # independent ones; fewer show no relation
 
 
@@ -174,25 +174,20 @@ def find_servo(search: JointSearch, motions: Sequence[Assignment]) -> FoundServo
 @OUTLIERS
 def _servos_of(search: JointSearch, found: Assignment, kp: Array | None, kd: Array | None) -> Iterator[FoundServo]:
     """Servos that may drive one motion."""
-    time, facts = found.time, search.model.facts
-    speeds = None if found.velocity is None else found.speeds
-    motion = JointMotion.of(time, found.position.values, speeds, search.model)
-    taken = [found.position.stream, *([] if found.velocity is None else [found.velocity.stream])]
+    motion = found.motion(search.model)
     needed: dict[TorqueMeaning, Array] = {
         "whole": motion.whole,
         "without_gravity": motion.whole - motion.gravity_torque,
     }
     weight = driven_joints(motion.gravity_torque - motion.gravity_torque.mean(axis=0), search.model)
-    for stream in search.streams:
-        if any(stream.stands_apart(other) for other in taken) or not np.ptp(stream.series.values, axis=0).all():
+    for stream in search.free_of(found.streams):
+        if not np.ptp(stream.series.values, axis=0).all():
             continue
-        y = motion.sampled(time, stream.series.at(time))
+        y = motion.sampled(stream.series.at(found.time))
         named = NAME_LOG_ODDS if COMMANDED.search(f"{stream.file} {stream.column_text}") else 0.0
         named -= NAME_LOG_ODDS if stream.candidate.guess in ("velocity", "torque") else 0.0
-        for unit in ("rad", "deg", "mrad"):
-            slides = [kind == "prismatic" for kind in facts.joint_types]
-            factor = np.where(slides, 1e-3 if unit == "mrad" else 1.0, TURNS["position"][unit])
-            error = factor * y - motion.position
+        for unit, slide in UNITS_OF_TARGETS.items():
+            error = factors_of("position", motion.unit(unit, slide)) * y - motion.position
             if not _follows(motion, error):
                 continue
             for meaning, torque in needed.items():
@@ -239,7 +234,6 @@ def _servo(
     meaning, torque = needed
     kp, kd = gains
     estimate, shown = _estimated_gains(motion, error, torque)
-    units = {"rad": ("rad", "m"), "deg": ("deg", "m"), "mrad": ("mrad", "mm")}[unit]
     said = f"q_desired - q in {unit} drives the motion"
     if meaning == "without_gravity":
         said += " without its gravity torque, which the controller adds"
@@ -254,7 +248,7 @@ def _servo(
     return FoundServo(
         motion=found,
         stream=stream,
-        unit=common(motion.units(*units)),
+        unit=motion.unit(unit, UNITS_OF_TARGETS[unit]),
         kp=estimate if kp is None else kp,
         kd=kd if kp is not None else None,
         damps=damps,

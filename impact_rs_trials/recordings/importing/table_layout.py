@@ -2,12 +2,12 @@
 """Lines of names and rows of a text table, found from the text.
 
 Rows begin at the first of several consecutive lines with equally many cells that hold numbers (or vectors, dates,
-additional words). The names are in the line above with as many cells, or one line higher if units lie between.
+additional words). The names are in the nearest line above with as many cells; units and remarks may lie between.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from impact_rs_sim.errors import InputError
@@ -15,33 +15,25 @@ from impact_rs_trials.recordings.file_units import is_unit
 from impact_rs_trials.recordings.importing.candidates import numbers_in
 from impact_rs_trials.recordings.mapping import TableLayout
 from impact_rs_trials.recordings.readers.csv_rows import decimal_sign, read_lines, separator_of, split_line
+from impact_rs_trials.recordings.readers.guesses import Guess
 
 MAX_HEADER_LINES = 60  # before the first row of numbers
 MIN_TABLE_ROWS = 3  # consecutive lines of numbers that make a table
 MIN_NUMERIC_SHARE = 0.5  # of the cells of a row
 
 
-@dataclass(frozen=True)
-class FoundLayout:
-    """A layout, with its evidence.
-
-    Attributes:
-        layout: Line of the names and first row.
-        evidence: Evidence in words.
-        skipped: Lines above the names.
-    """
-
-    layout: TableLayout
-    evidence: str
-    skipped: int = 0
+class NoTable(InputError):
+    """A text without a table of numbers."""
 
 
-def find_layout(path: Path) -> FoundLayout:
-    """Find the lines of names and rows of a text table.
+def find_layout(path: Path) -> Guess:
+    """The :class:`~impact_rs_trials.recordings.mapping.TableLayout` of a table; the default one of a binary file.
 
     Raises:
-        InputError: No table begins in its first lines.
+        NoTable: No table begins in its first lines.
     """
+    if path.suffix in (".parquet", ".npy"):
+        return Guess(TableLayout(), "")
     lines = [(number, line) for number, line in read_lines(path)[:MAX_HEADER_LINES] if line.strip()]
     texts = dict(lines)
     point = decimal_sign([line for _, line in lines])
@@ -55,11 +47,11 @@ def find_layout(path: Path) -> FoundLayout:
             if point == ".":
                 return found
             said = f"{found.evidence}; numbers have a decimal comma"
-            return replace(found, layout=found.layout.model_copy(update={"decimal": point}), evidence=said)
-    raise InputError(f"no table of numbers begins in its first {MAX_HEADER_LINES} lines", file=path)
+            return replace(found, value=found.value.model_copy(update={"decimal": point}), evidence=said)
+    raise NoTable(f"no table of numbers begins in its first {MAX_HEADER_LINES} lines", file=path)
 
 
-def _named(cells: dict[int, list[str]], first: int, remarks: set[int]) -> FoundLayout:
+def _named(cells: dict[int, list[str]], first: int, comments: set[int]) -> Guess:
     """The layout of a table whose numbers begin in a line."""
     width = len(cells[first])
     above = [number for number in cells if number < first]
@@ -67,18 +59,20 @@ def _named(cells: dict[int, list[str]], first: int, remarks: set[int]) -> FoundL
         units, above = above[-1], above[:-1]
     else:
         units = None
-    names = above[-1] if above and len(cells[above[-1]]) == width and not _is_row(cells[above[-1]]) else None
+    between = [number for number in above if len(cells[number]) == width and not _is_row(cells[number])]
+    names = between[-1] if between else None  # a remark may stand below the names
     if names is None:
         layout = TableLayout(header=0, first=first if first > 1 else None)
-        return FoundLayout(layout, f"no line of {width} names stands above the numbers in line {first}", len(above))
+        return Guess(layout, f"no line of {width} names stands above the numbers in line {first}")
     said = f"line {names} has {width} names, as many as the rows have cells"
     if units is not None:
         said += f"; units stand in line {units}"
     if len(above) > 1:
-        said += f"; what stands above is skipped ({len(above) - 1} line{'s' if len(above) > 2 else ''})"
-    plain = names not in remarks and set(above[:-1]) <= remarks and units is None
-    layout = TableLayout() if plain else TableLayout(header=names, first=None if units is None else first)
-    return FoundLayout(layout, said, len(above) - 1)
+        said += f"; what else stands above is skipped ({len(above) - 1} line{'s' if len(above) > 2 else ''})"
+    next_line = above[-1] == names and units is None
+    plain = names not in comments and set(above[:-1]) <= comments and next_line
+    layout = TableLayout() if plain else TableLayout(header=names, first=None if next_line else first)
+    return Guess(layout, said)
 
 
 def _is_row(cells: list[str]) -> bool:

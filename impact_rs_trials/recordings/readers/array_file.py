@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""NPZ, HDF5 and MAT files: an array per signal, samples x joints, and one or several arrays of timestamps.
+"""NPZ, HDF5, MAT and PyTorch files: an array per signal, samples x joints, and one or several arrays of timestamps.
 
 MATLAB writes vectors as matrices, structures as ``data.q`` (here ``data/q``), and since version 7.3 an HDF5 file in
 which every array is transposed.
@@ -23,6 +23,7 @@ from impact_rs_trials.recordings.readers.clock import seconds_of, seconds_of_pai
 from impact_rs_trials.recordings.readers.mat_file import read_mat
 from impact_rs_trials.recordings.readers.read_once import once
 from impact_rs_trials.recordings.readers.series import MissingSignal, Names, Series
+from impact_rs_trials.recordings.readers.torch_file import read_torch
 from impact_rs_trials.recordings.readers.transforms import are_transforms, poses_of
 
 UNSEALED = (
@@ -35,10 +36,10 @@ REAL = "iuf"  # kinds of NumPy types that are real numbers: neither complex numb
 
 
 class ArrayFile:
-    """One NPZ, HDF5 or MAT file.
+    """One NPZ, HDF5, MAT or PyTorch file.
 
     Attributes:
-        unsealed: Arrays without checksums; arrays of an NPZ file always have one.
+        unsealed: Arrays without checksums; arrays of an NPZ or PyTorch file always have one.
 
     Args:
         path: The file.
@@ -174,6 +175,8 @@ def _read(path: Path, within: set[str] | None = None) -> tuple[dict[str, Array],
     """Arrays by name, and the names without checksums; HDF5 arrays not in ``within`` are not loaded (left empty)."""
     if path.suffix == ".npz":
         return _read_npz(path), frozenset()
+    if path.suffix == ".pt":
+        return read_torch(path), frozenset()
     if path.suffix in HDF5:
         return _read_hdf5(path, within)
     with path.open("rb") as file:

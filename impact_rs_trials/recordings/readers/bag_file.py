@@ -35,7 +35,7 @@ from impact_rs_trials.recordings.readers.mcap_messages import McapMessages, is_w
 from impact_rs_trials.recordings.readers.read_once import once
 from impact_rs_trials.recordings.readers.run_finder import ROS1_SUFFIX
 from impact_rs_trials.recordings.readers.series import MissingSignal, Names, Series
-from impact_rs_trials.recordings.remarks import Amount, Remark
+from impact_rs_trials.recordings.remarks import remark
 
 MAX_STAMP_DRIFT_S = 0.002  # between log and header timestamps without a warning
 EXPECTED_LOG_DELAY_S = (-0.005, 0.05)  # behind the joint states; outside of this range comes a warning
@@ -309,15 +309,9 @@ class BagFile:
         if name == "position" and not stamped:
             raise InputError(f"{topic}: messages have no header: set time.stamp to log in the mapping", file=self._path)
         if clock == "header" and (source.stamp == "log" or not stamped):
-            shift, remark = self._log_after_stamp()
-            return log - shift, (
-                Remark(
-                    f"{topic}: log time, less ",
-                    Amount(1e3 * shift, ".1f"),
-                    " ms to be on the stamps' clock",
-                    remark,
-                ),
-            )
+            shift, drifts = self._log_after_stamp()
+            words = "{}: log time, less {:.1f} ms to be on the stamps' clock{}"
+            return log - shift, (remark(words, topic, 1e3 * shift, drifts),)
         if not stamped:
             raise InputError(f"{topic}: messages have no header, but signals.{name}.stamp asks for it", file=self._path)
         stamps = _stamps(headers)
@@ -331,14 +325,11 @@ class BagFile:
             return stamps, ()
         late = float(np.median(log - stamps)) - self._log_after_stamp()[0]
         if name in WIDTH and not EXPECTED_LOG_DELAY_S[0] < late < EXPECTED_LOG_DELAY_S[1]:
-            return stamps, (
-                Remark(
-                    f"{topic}: logged ",
-                    Amount(1e3 * late, "+.1f"),
-                    " ms after joint states of the same stamp: a slow "
-                    f"tracker, or another clock? signals.{name}.delay corrects it",
-                ),
+            words = (
+                "{}: logged {:+.1f} ms after joint states of the same stamp: a slow tracker, or another clock? "
+                "signals.{}.delay corrects it"
             )
+            return stamps, (remark(words, topic, 1e3 * late, name),)
         return stamps, ()
 
     def _log_after_stamp(self) -> tuple[float, str]:
@@ -352,9 +343,8 @@ class BagFile:
             later = log - _stamps([message.header for message in recorded.messages])
             tenth = max(1, later.size // 10)
             drift = float(np.median(later[-tenth:]) - np.median(later[:tenth]))
-            drifts = Remark(" (which drifts by ", Amount(1e3 * drift, ".1f"), " ms during the run)")
-            remark = drifts if abs(drift) > MAX_STAMP_DRIFT_S else ""
-            self._shift = float(np.median(later)), remark
+            said = remark(" (which drifts by {:.1f} ms during the run)", 1e3 * drift)
+            self._shift = float(np.median(later)), said if abs(drift) > MAX_STAMP_DRIFT_S else ""
         return self._shift
 
     # ---- numbers ----------------------------------------------------------------------------------------------------

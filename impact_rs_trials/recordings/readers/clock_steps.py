@@ -10,7 +10,7 @@ import numpy as np
 
 from impact_rs_trials.recordings.mapping import SignalName
 from impact_rs_trials.recordings.readers.series import Series
-from impact_rs_trials.recordings.remarks import Amount, Remark
+from impact_rs_trials.recordings.remarks import remark
 
 MAX_STEPS_BACK = 10  # of a clock that was set; with more, rows are not in order
 PAUSE_S = 1.0  # in the place of a step back; longer than any gap that is bridged
@@ -38,10 +38,8 @@ def without_steps_back(
         part = np.searchsorted(rows[name], np.arange(one.time.size), side="right")
         found[name] = replace(one, time=one.time + offsets[part])
     moments = zip(back.tolist(), (found["position"].time[own - 1] - time[0]).tolist(), strict=True)
-    return found, [
-        Remark(
-            "the clock was set back by ", Amount(size, ".4g"), " s at t = ", Amount(at, ".3f"), " s: the recording is "
-            f"cut there, and times after it count from {PAUSE_S:g} s later",
-        )
-        for size, at in moments
-    ]  # fmt: skip
+    words = (
+        "the clock was set back by {:.4g} s at t = {:.3f} s: the recording is cut there, and times after it count from "
+        f"{PAUSE_S:g} s later"
+    )
+    return found, [remark(words, size, at) for size, at in moments]

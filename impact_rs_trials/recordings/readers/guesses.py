@@ -19,6 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rs_sim.robots.robot import Array, RobotFacts
+from impact_rs_sim.robots.robot_model import GRAVITY_M_S2
+from impact_rs_sim.rotations import MAX_NORM_ERROR
 from impact_rs_trials.recordings.file_units import UNITS
 from impact_rs_trials.recordings.readers.clock import seconds_of
 from impact_rs_trials.recordings.readers.clock_steps import MAX_STEPS_BACK
@@ -33,14 +35,18 @@ from impact_rs_trials.recordings.relations import (
 from impact_rs_trials.since import MIN_WALL_CLOCK_S
 
 STAMP = re.compile(r"(^|[^a-z])(t|time|times|timestamp|stamp|sec|secs|nsec)([^a-z]|$)|time|stamp", re.IGNORECASE)
+FRAME = re.compile(r"(^|[^a-z])frames?([^a-z]|$)|frame_?(nr|no|num|number|index|id)([^a-z]|$)", re.IGNORECASE)
 NANOSECONDS = re.compile(r"nano|n_?sec|(^|[^a-z])ns([^a-z]|$)", re.IGNORECASE)
 STAMP_UNITS = ("s", "ms", "us", "ns")
 RATES_HZ = (1.0, 1e5)  # of a recording: lowest and highest
 MIN_RANGE_SHARE = 1e-3  # of a joint's range, travelled by a joint that moves; encoders and sag make less
 MAX_SHOWN_STEPS = 3  # backwards in time, in a message
 OUTLIERS = np.errstate(over="ignore", invalid="ignore")  # may be of any size; what they spoil fits nothing
-MAX_NORM_ERROR = 0.02  # of a quaternion of length 1
 MIN_TURN = 0.1  # travelled by two numbers of the quaternion of a body that turns
+FALL_HALF_WIDTH_S = 0.04  # of second differences, in which a fall bends a track by 16 mm
+MAX_FALL_RATIO = 1.3  # ratio of the largest to the smallest of alike second differences
+MIN_FALLING_SHARE = 0.2  # of the samples; noise about 0 has at most an eighth of its samples so near to each other
+MAX_SCALE_ERROR = 0.05  # relative, of a ruler in a picture
 MAX_DISTANCE_M = 20.0  # of an object; a position beyond it is in millimetres
 
 
@@ -130,7 +136,9 @@ def _whole(cells: Sequence[str] | NDArray[Any]) -> NDArray[np.int64] | None:
 
 
 def _clock(name: str, cells: Sequence[str] | NDArray[Any], steps_back: int) -> Guess | None:
-    """A column of timestamps that steps back ``steps_back`` times at most; None: not a clock."""
+    """A column of timestamps that steps back ``steps_back`` times at most; None: not a clock, as numbers of frames."""
+    if FRAME.search(name):
+        return None
     if isinstance(cells, list) and cells and all(DATE.fullmatch(cell.strip()) for cell in cells):
         return Guess(name, "holds dates", further={"unit": "date"})
     try:
@@ -230,6 +238,59 @@ def unit_of_length(place: Array) -> Guess:
     largest = float(np.nanmax(np.abs(place)))
     unit = "mm" if largest > MAX_DISTANCE_M else "m"
     return Guess(unit, f"up to {largest:.3g} from the origin, which is a position near a robot in {unit}")
+
+
+def fall_in(time: Array, place: Array) -> tuple[int, Guess] | None:
+    """Which of two coordinates falls freely, and unit and factors by its acceleration; None: neither does.
+
+    The second differences of a flight are alike; those of a bounce and of a ball that rests or is held are not.
+
+    Args:
+        time: Stamps, ``(k,)`` [s].
+        place: Along the image and up, or down, in any order and unit, ``(k, 2)``.
+    """
+    reach = max(1, round(FALL_HALF_WIDTH_S / float(np.median(np.diff(time)))))
+    if len(time) < 4 * reach:
+        return None
+    first, last = time[reach:-reach] - time[: -2 * reach], time[2 * reach :] - time[reach:-reach]
+    slopes = [
+        (late - early) / span[:, None]
+        for early, late, span in (
+            (place[: -2 * reach], place[reach:-reach], first), (place[reach:-reach], place[2 * reach :], last)
+        )
+    ]  # fmt: skip
+    bent = 2.0 * (slopes[1] - slopes[0]) / (first + last)[:, None]
+    ways = [(*_densest(sign * bent[:, axis]), sign, axis) for axis in (0, 1) for sign in (-1.0, 1.0)]
+    share, size, sign, up = max(ways)
+    if share < MIN_FALLING_SHARE:
+        return None
+    fall = sign * size
+    unit = next((one for one, size in UNITS["length"].items() if _near(abs(fall) * size)), None)
+    scale = UNITS["length"].get(unit or "", GRAVITY_M_S2 / abs(fall))
+    said = f"it falls by {abs(fall):.4g} per s^2{' towards larger numbers' if fall > 0.0 else ''}"
+    if unit is not None and fall < 0.0:
+        return up, Guess(unit, f"{said}: {unit}")
+    factor = 1.0 if unit is not None else float(f"{scale:.4g}")
+    further = {"factor": [factor, -factor if fall > 0.0 else factor]}
+    if unit is not None:
+        return up, Guess(unit, f"{said}: {unit}", True, further)
+    return up, Guess("m", f"{said}, which is g with this scale; a measured scale is better", False, further)
+
+
+def _densest(values: Array) -> tuple[float, float]:
+    """Largest share of positive values within a factor of ``MAX_FALL_RATIO`` of each other, and their median."""
+    logs = np.sort(np.log(values[values > 0.0]))
+    if not logs.size:
+        return 0.0, 0.0
+    ends = np.searchsorted(logs, logs + np.log(MAX_FALL_RATIO), side="right")
+    first = int(np.argmax(ends - np.arange(logs.size)))
+    found = logs[first : ends[first]]
+    return found.size / values.size, float(np.exp(np.median(found)))
+
+
+def _near(fall: float) -> bool:
+    """Whether an acceleration is that of free fall, within the error of a scale in a picture."""
+    return abs(fall / GRAVITY_M_S2 - 1.0) < MAX_SCALE_ERROR
 
 
 def holds_a_turn(raw: Array) -> bool:

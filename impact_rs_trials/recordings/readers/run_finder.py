@@ -30,9 +30,10 @@ ROS1_SUFFIX = ".bag"
 BAG_SUFFIXES = (".db3", ".mcap", ROS1_SUFFIX)
 NOTE_SUFFIXES = (".txt", ".dat")  # of tables that are read where they are named; others of a folder may be notes
 TABLE_SUFFIXES = (".csv", ".tsv", ".parquet", ".npy", *NOTE_SUFFIXES)
-ARRAY_SUFFIXES = (".npz", ".h5", ".hdf5", ".mat")
+TORCH_SUFFIX = ".pt"  # as notes: in a folder it may hold the weights of a network
+ARRAY_SUFFIXES = (".npz", ".h5", ".hdf5", ".mat", TORCH_SUFFIX)
 FILE_SUFFIXES = (*BAG_SUFFIXES, *TABLE_SUFFIXES, *ARRAY_SUFFIXES)
-SEARCHED_SUFFIXES = tuple(suffix for suffix in FILE_SUFFIXES if suffix not in NOTE_SUFFIXES)
+SEARCHED_SUFFIXES = tuple(suffix for suffix in FILE_SUFFIXES if suffix not in (*NOTE_SUFFIXES, TORCH_SUFFIX))
 PLACEHOLDERS = ("run", "object", "arm")  # of names of files in a mapping
 
 

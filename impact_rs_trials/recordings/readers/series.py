@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array
-from impact_rs_trials.recordings.remarks import Amount, Remark
+from impact_rs_trials.recordings.remarks import remark
 
 MAX_BRIDGED_PERIODS = 5.0  # between two samples, beyond which nothing is interpolated or differentiated
 MAX_HELD_CHANGE = 0.25  # of the usual number of rows for which a value is held, or one row
@@ -82,11 +83,11 @@ class Series:
         since, long = np.arange(self.time.size) - np.repeat(starts, spans), np.repeat(spans, spans)
         kept = (since == 0) | ((since % usual == 0) & (long > 2 * usual))
         share, period = 100.0 * np.mean(~kept), float(np.median(np.diff(self.time[kept])))
-        said = Remark(
-            f"{self.place}: ", Amount(float(share), ".3g"), f" % of the rows repeat the values of the row before, held "
-            f"for {usual} rows: sampled at ", Amount(1.0 / max(period, 1e-9), ".4g"), " Hz, the first of each is kept",
-        )  # fmt: skip
-        return replace(self.in_rows(kept), remarks=(*self.remarks, said))
+        words = (
+            "{}: {:.3g} % of the rows repeat the values of the row before, held for {} rows: sampled at {:.4g} Hz, the "
+            "first of each is kept"
+        )
+        return self.in_rows(kept).said(words, share, str(usual), 1.0 / max(period, 1e-9))
 
     def filled(self) -> Series:
         """Rows of the fullest column; numbers that other columns lack there are interpolated in their own column.
@@ -108,26 +109,28 @@ class Series:
             kept &= ~blank | (near & (at >= time[0]) & (at <= time[-1]))
             values[blank, column] = np.interp(at[blank], time, self.values[has, column])
         share = 100.0 * float(np.mean(~numbers))
-        said = Remark(
-            f"{self.place}: ", Amount(share, ".3g"), " % of the cells are blank or no number where others of their row "
-            "are: interpolated in their column",
-        )  # fmt: skip
-        return replace(replace(own, values=values).in_rows(kept), remarks=(*self.remarks, said))
+        words = (
+            "{}: {:.3g} % of the cells are blank or no number where others of their row are: interpolated in their "
+            "column"
+        )
+        return replace(own, values=values).in_rows(kept).said(words, share)
 
     def in_rows(self, kept: NDArray[np.bool_]) -> Series:
         """The series in the rows of a mask, ``(k,)``."""
         log = None if self.log is None else self.log[kept]
         return replace(self, time=self.time[kept], values=self.values[kept], log=log)
 
+    def said(self, template: str, *values: Any) -> Series:
+        """The series with a further warning, a template that begins with its place (:mod:`remarks`)."""
+        return replace(self, remarks=(*self.remarks, remark(template, self.place, *values)))
+
     def without_repeats(self) -> Series:
         """Without the samples that repeat the previous timestamp, with a warning about their number."""
         kept = np.diff(self.time, prepend=-np.inf) != 0.0
         if kept.all():
             return self
-        repeats = int(np.sum(~kept))
-        share = Amount(repeats, "d"), " of ", Amount(kept.size, "d")
-        said = Remark(f"{self.place}: ", *share, " samples have the stamp of the one before; the first is kept")
-        return replace(self.in_rows(kept), remarks=(*self.remarks, said))
+        words = "{}: {:d} of {:d} samples have the stamp of the one before; the first is kept"
+        return self.in_rows(kept).said(words, int(np.sum(~kept)), kept.size)
 
     def derivative(self) -> Series:
         """Rate of change, by central differences over :data:`DIFFERENCE_S` or two sampling periods, ``(k, c)``."""
@@ -144,8 +147,8 @@ class Series:
         )
         with np.errstate(divide="ignore", invalid="ignore"):  # of stamps that repeat, which are refused elsewhere
             rate = (self.values[after] - self.values[before]) / (self.time[after] - self.time[before])[:, None]
-        said = f"{self.place}: velocities are its derivative, by differences over {2e3 * half * period:.3g} ms"
-        return replace(self, place=f"derivative of {self.place}", values=rate, remarks=(*self.remarks, said))
+        how = f"velocities are its derivative, by differences over {2e3 * half * period:.3g} ms"
+        return replace(self.said("{}: {}", how), place=f"derivative of {self.place}", values=rate)
 
     def on(self, time: Array) -> Array:
         """A command at other timestamps, ``(m, c)``: held until the next one if these are rare, else as :meth:`at`.

@@ -94,7 +94,7 @@ class TableFile:
     def _seconds(self, source: SignalSource, name: SignalName, samples: int) -> Array:
         """Stamps of a signal [s]."""
         clock = self._mapping.time
-        if clock.rate is not None:
+        if clock.rate is not None and clock.unit != "frames":
             return np.asarray(np.arange(samples) / clock.rate)
         named = source.time_column or clock.column
         key = "time.column" if source.time_column is None else f"signals.{name}.time_column"
@@ -113,6 +113,10 @@ class TableFile:
                 said = f"column {column!r} holds numbers, expected their unit: s, ms, us or ns"
                 raise InputError(said, file=self._path, key="time.unit", value=clock.unit)
             return seconds_of(np.array([self._date(cell, row, column) for row, cell in enumerate(cells)]), 1e-9)
+        if clock.unit == "frames":
+            if clock.rate is None:
+                raise InputError("is missing; expected the frame rate [Hz]", file=self._path, key="time.rate")
+            return seconds_of(self._stamps(column, key), 1.0 / clock.rate)
         return seconds_of(self._stamps(column, key), UNITS["time"][clock.unit])
 
     def _stamps(self, column: str, key: str) -> NDArray[Any]:

@@ -4,7 +4,7 @@
 
 import {commandForm, free} from '../forms.js';
 import {go} from '../navigation.js';
-import {ask, button, commandLine, h, labelled, mistake, note, query, Questions, state} from '../tools.js';
+import {ask, button, commandLine, h, labelled, LatestRequest, mistake, note, query, state} from '../tools.js';
 
 /** @typedef {import('../types.d.ts').Step} Step */
 
@@ -20,8 +20,8 @@ const TYPING = 150; // ms without a key, after which a formula is checked
 /** @implements {Step} */
 class Add {
   constructor() {
-    this.questions = new Questions(); // of the diagnosis
-    this.texts = new Questions(); // of the formula
+    this.requests = new LatestRequest(); // of the diagnosis
+    this.texts = new LatestRequest(); // of the formula
     /** @type {string | null} path of the diagnosed model */
     this.parent = null;
     /** @type {{file: string, effect: string} | null} what is chosen next */
@@ -62,7 +62,7 @@ class Add {
   }
 
   async choose() {
-    const path = this.opened = this.form.value('source'), turn = this.questions.begin();
+    const path = this.opened = this.form.value('source'), turn = this.requests.begin();
     if (!path) return;
     this.stamp = state.workspace.stamps[path];
     this.parent = null; // of the earlier diagnosis

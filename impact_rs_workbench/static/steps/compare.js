@@ -7,7 +7,7 @@ import {draw, floats, plotPlace} from '../figures.js';
 import {runsChoices, runsForm} from '../forms.js';
 import {whenDone} from '../jobs.js';
 import {folderOf, replayOf, ResultChooser, tracksOf, wholeReport} from '../results.js';
-import {h, labelled, note, number, plain, query, Questions, state, unit} from '../tools.js';
+import {h, labelled, LatestRequest, note, number, plain, query, state, unit} from '../tools.js';
 
 /** @typedef {import('../types.d.ts').Step} Step */
 
@@ -16,7 +16,7 @@ const MOST_CELLS = 60; // in the list
 /** @implements {Step} */
 class Compare {
   build() {
-    this.signals = new Questions(); // of a cell of the opened report
+    this.signals = new LatestRequest(); // of a cell of the opened report
     this.form = runsForm('compare', 'Compare');
     this.none = note('No measurements yet: run a campaign first, or practise on one with a hidden effect.');
     this.reports = new ResultChooser('compare-report', 'report', {choices: () => plain(this.files()),

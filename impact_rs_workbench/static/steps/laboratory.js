@@ -8,9 +8,10 @@ import {commandForm, experimentOf, free, takeTable} from '../forms.js';
 import {Printed} from '../jobs.js';
 import {go, Tabbed} from '../navigation.js';
 import {reading} from '../results.js';
-import {ask, button, commandLine, count, fill, h, inFolder, labelled, messageArea, note, number, plain,
-  query, Questions,
-  refill, slug, state, table} from '../tools.js';
+import {
+  ask, button, commandLine, count, fill, h, inFolder, labelled, LatestRequest, messageArea, note, number, plain,
+  query, refill, slug, state, table,
+} from '../tools.js';
 import {compare} from './compare.js';
 import {diagnose} from './diagnose.js';
 import {follow} from './investigate.js';
@@ -109,7 +110,7 @@ class Signal {
     this.page = page;
     this.arm = arm;
     this.name = signal.name;
-    this.questions = new Questions();
+    this.requests = new LatestRequest();
     this.prismatic = pose ? [] : arm.given.slides; // by joint
     const what = pose ? signal.text : `${signal.text}${arm.label}`;
     this.source = h('select', {'data-signal': signal.name}, signal.optional ? new Option('not recorded', '') : '',
@@ -154,7 +155,7 @@ class Signal {
   }
 
   async show() {
-    const turn = this.questions.begin(), {page, arm} = this, source = this.value();
+    const turn = this.requests.begin(), {page, arm} = this, source = this.value();
     if (!source) { this.clear('', 'note'); return; }
     try {
       const seen = await turn.ask('/api/laboratory/preview', {path: page.found.path, scenario: page.scenario.value,
@@ -215,8 +216,8 @@ class Arm {
 /** A folder of recordings, described from lists. @implements {Step} */
 class DescribePart {
   build() {
-    this.questions = new Questions();
-    this.turn = this.questions.begin();
+    this.requests = new LatestRequest();
+    this.turn = this.requests.begin();
     /** @type {string | null} folder that is chosen next */
     this.wanted = null;
     /** @type {string | null} folder whose form is shown */
@@ -255,7 +256,7 @@ class DescribePart {
 
   async look() {
     const folder = this.looked = this.folder.value, name = this.scenario.value,
-      turn = this.turn = this.questions.begin();
+      turn = this.turn = this.requests.begin();
     const lab = () => state.workspace.laboratories.find((one) => one.path === folder);
     says('laboratory/laboratory', `${folder} is shown.`);
     this.offered = null;

@@ -8,7 +8,7 @@ import {onJobs} from '../jobs.js';
 import {go, inSight} from '../navigation.js';
 import {threeD} from '../picture.js';
 import {watch} from '../stream.js';
-import {h, inFolder, labelled, query, Questions, state} from '../tools.js';
+import {h, inFolder, labelled, LatestRequest, query, state} from '../tools.js';
 import {recorded} from './trials.js';
 
 /** @typedef {import('../types.d.ts').Step} Step */
@@ -94,7 +94,7 @@ const SIGNALS = {
 /** @implements {Step} */
 class LivePart {
   build() {
-    this.questions = new Questions();
+    this.requests = new LatestRequest();
     this.samples = new Samples();
     this.watching = this.typed = this.painting = false;
     /** @type {number | null} of the job whose trials are shown when they are done */
@@ -124,7 +124,7 @@ class LivePart {
   /** @param {boolean} is whether nodes are watched */
   async show(is) {
     if (!is) {
-      this.questions.begin();
+      this.requests.begin();
       this.watched?.events.close();
       this.watched = null;
       this.watching = false;
@@ -132,7 +132,7 @@ class LivePart {
     }
     if (this.watching) return;
     this.watching = true;
-    const turn = this.questions.begin(), address = `/api/live?${query({namespace: this.namespace.value.trim()})}`;
+    const turn = this.requests.begin(), address = `/api/live?${query({namespace: this.namespace.value.trim()})}`;
     this.status.className = '';
     this.status.textContent = 'Looking for nodes …';
     this.samples.clear();

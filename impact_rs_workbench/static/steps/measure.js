@@ -7,7 +7,7 @@ import {casesOf, commandForm, free, listed, objectsOf, scenarioForm} from '../fo
 import {onJobs, onWatch} from '../jobs.js';
 import {go, inSight, Tabbed} from '../navigation.js';
 import {ImpactScene} from '../picture.js';
-import {ask, button, count, h, inFolder, Questions, state, stem} from '../tools.js';
+import {ask, button, count, h, inFolder, LatestRequest, state, stem} from '../tools.js';
 import {design} from './design.js';
 import {diagnose} from './diagnose.js';
 import {live, watchable, watchJob} from './live.js';
@@ -30,13 +30,13 @@ class HitScene {
   constructor() {
     this.node = h('div', {class: 'scene', id: 'measure-scene'});
     this.impact = new ImpactScene(this.node);
-    this.questions = new Questions();
+    this.requests = new LatestRequest();
     /** @type {string | null} the question whose answer is drawn */
     this.shown = null;
   }
 
   clear() {
-    this.questions.begin();
+    this.requests.begin();
     this.shown = null;
   }
 
@@ -46,7 +46,7 @@ class HitScene {
     const question = {scenario: form.value('scenario'), object: one('object'), case: one('case')};
     if (!form.found || !question.object || !question.case || JSON.stringify(question) === this.shown) return;
     this.shown = JSON.stringify(question);
-    const turn = this.questions.begin();
+    const turn = this.requests.begin();
     try {
       const {moment} = await turn.ask('/api/impact', question);
       await turn.of(this.impact.draw(question.scenario, question.object, moment));

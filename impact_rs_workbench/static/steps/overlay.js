@@ -5,8 +5,9 @@
 import {colourOf, draw, drawOverlay, floats, LEGEND_BELOW, plotPlace} from '../figures.js';
 import {Tabbed} from '../navigation.js';
 import {folderOf, tracksOf} from '../results.js';
-import {ask, button, count, fill, h, labelled, mistake, note, number, plain, query, Questions, state, table,
-  withUnit} from '../tools.js';
+import {
+  ask, button, count, fill, h, labelled, LatestRequest, mistake, note, number, plain, query, state, table, withUnit,
+} from '../tools.js';
 
 /** @typedef {import('../types.d.ts').Step} Step */
 // Entries with a larger `last` are chosen later.
@@ -173,8 +174,8 @@ const curvesOf = ({plots}) => Object.fromEntries(plots.flatMap(({title, figure: 
 class RunsPart {
   build() {
     this.known = new Known(); // the server's answer for a trial, by its path
-    this.lists = new Questions();
-    this.questions = new Questions();
+    this.lists = new LatestRequest();
+    this.requests = new LatestRequest();
     this.choice = new Choice('runs', () => this.draw());
     this.signal = h('select', {id: 'overlay-signal', onchange: () => this.draw()});
     this.plot = plotPlace('Runs over each other', {id: 'overlay-plot', role: 'figure'});
@@ -198,7 +199,7 @@ class RunsPart {
   }
 
   async draw() {
-    const turn = this.questions.begin(), chosen = this.choice.selected();
+    const turn = this.requests.begin(), chosen = this.choice.selected();
     this.note.textContent = chosen.length ? `Reading ${count(chosen.length, 'run')} …` : '';
     const read = ({key: path}) => this.known.of(path, () => ask(`/api/trial?${query({path})}`));
     try {
@@ -226,7 +227,7 @@ class RunsPart {
 class ModelsPart {
   build() {
     this.known = new Known(); // what a comparison holds, by its path and its time
-    this.questions = new Questions();
+    this.requests = new LatestRequest();
     this.choice = new Choice('models', () => this.draw());
     this.run = h('select', {id: 'overlay-run', onchange: () => this.draw()});
     this.signal = h('select', {id: 'overlay-model-signal', onchange: () => this.draw()});
@@ -249,7 +250,7 @@ class ModelsPart {
   }
 
   async draw() {
-    const turn = this.questions.begin(), chosen = this.choice.selected();
+    const turn = this.requests.begin(), chosen = this.choice.selected();
     /** @param {Entry} entry */
     const read = ({key, stamp}) => this.known.of(`${key}?${stamp}`, () => this.read(key));
     try {
@@ -294,7 +295,7 @@ const estimatesTrace = (rows, name, color, symbol) => ({
 /** The estimates of one parameter, diagnosis after diagnosis. @implements {Step} */
 class EstimatesPart {
   build() {
-    this.questions = new Questions();
+    this.requests = new LatestRequest();
     /** @type {any[] | null} */
     this.found = null;
     this.parameter = h('select', {id: 'overlay-parameter', onchange: () => this.draw()});
@@ -313,7 +314,7 @@ class EstimatesPart {
       this.note.textContent = 'Reading the diagnoses and the times of their trials …';
     }
     try {
-      this.found = await this.questions.begin().ask('/api/estimates');
+      this.found = await this.requests.begin().ask('/api/estimates');
       const many = (name) => this.found.filter((one) => one.parameter === name).length;
       const named = new Set(this.found.filter((one) => one.named).map((one) => one.parameter));
       const names = [...new Set(this.found.map((one) => one.parameter))]

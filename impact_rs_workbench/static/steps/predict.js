@@ -8,8 +8,10 @@ import {darkScheme, draw, erase, legendHeight, LEGEND_BELOW, plotPlace, seen} fr
 import {casesOf, free, listed, modelChoices} from '../forms.js';
 import {inSight, Tabbed} from '../navigation.js';
 import {ImpactScene} from '../picture.js';
-import {ask, button, fill, fixed, h, interval, labelled, messageArea, number, plain, query, Questions, state, stem,
-  table, unit} from '../tools.js';
+import {
+  ask, button, fill, fixed, h, interval, labelled, LatestRequest, messageArea, number, plain, query, state, stem,
+  table, unit,
+} from '../tools.js';
 import {measure} from './measure.js';
 import {PagePart} from './page_part.js';
 
@@ -38,10 +40,10 @@ class ImpactPart {
     this.answer = null;
     /** @type {any} what can be chosen in the scenario; null: it is being asked for */
     this.found = null;
-    this.scenarios = new Questions();
-    this.questions = new Questions(); // of the choices above the sliders
-    this.refinements = new Questions(); // of sliders at rest
-    this.turn = this.questions.begin();
+    this.scenarios = new LatestRequest();
+    this.requests = new LatestRequest(); // of the choices above the sliders
+    this.refinements = new LatestRequest(); // of sliders at rest
+    this.turn = this.requests.begin();
   }
 
   build() {
@@ -119,7 +121,7 @@ class ImpactPart {
     delete this.plot.dataset.shown;
     this.plot.style.minHeight = `${this.plot.offsetHeight}px`; // what is below stays where it is
     erase(this.plot);
-    this.turn = this.questions.begin();
+    this.turn = this.requests.begin();
   }
 
   /** @param {Error} error */

@@ -5,7 +5,7 @@
 import {cursor, draw, plotPlace} from '../figures.js';
 import {replayIn} from '../picture.js';
 import {reading} from '../results.js';
-import {button, fill, h, labelled, mistake, note, query, Questions, refill, state} from '../tools.js';
+import {button, fill, h, labelled, LatestRequest, mistake, note, query, refill, state} from '../tools.js';
 
 /** @typedef {import('../types.d.ts').Step} Step */
 
@@ -16,14 +16,14 @@ export class TrialView {
   /** @param {string} name */
   constructor(name) {
     this.name = name;
-    this.questions = new Questions();
+    this.requests = new LatestRequest();
     this.node = h('div', {id: `${name}-shown`});
   }
 
   /** @param {Trial} trial */
   async open(trial) {
     this.node.replaceChildren(reading(trial.run ?? trial.path));
-    const turn = this.questions.begin();
+    const turn = this.requests.begin();
     try {
       const found = await turn.ask(`/api/${trial.run ? 'run' : 'trial'}?${query(trial)}`);
       const replay = h('div', {id: `${this.name}-replay`});
@@ -51,7 +51,7 @@ export class TrialView {
  */
 class RecordedPart {
   build() {
-    this.lists = new Questions();
+    this.lists = new LatestRequest();
     /** @type {string | undefined} folder that is chosen as soon as it is there */
     this.wanted = undefined;
     this.folder = h('select', {id: 'recorded-campaign', onchange: () => this.list()});

@@ -4,13 +4,19 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
 from impact_table_cases import CUBE_HEADER, cube, cube_rows, write_csv
 
 from impact_rs_analysis.application.loop_steps import compare_measurements
-from impact_rs_analysis.application.measurements import MeasurementKind, MeasurementOptions, open_measurements
+from impact_rs_analysis.application.measurements import (
+    MeasurementKind,
+    MeasurementOptions,
+    open_measurements,
+    read_trials,
+)
 from impact_rs_analysis.application.observer import MAX_SHOWN_FILES, Silent, warn_skipped
 from impact_rs_cli.main import main
 from impact_rs_sim.model import load_model
@@ -69,3 +75,18 @@ def test_bags_that_were_left_out_are_warned_of_and_only_the_first_by_name() -> N
     warn_skipped([(f"/runs/{name}", f"/runs/{name}: cut off") for name in range(MAX_SHOWN_FILES + 2)], listener)
     assert listener.warnings[0] == "left out 0: cut off"
     assert listener.warnings[MAX_SHOWN_FILES:] == ["left out 2 more bags; --json lists all"]
+
+
+def test_few_runs_are_read_without_worker_processes(hidden_campaign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def map_tasks(function: Callable, items: Sequence[Path]) -> Iterator:
+        asked.append(len(items))
+        return map(function, items)
+
+    few = read_trials(hidden_campaign, map_tasks)
+    assert asked == []
+    monkeypatch.setattr("impact_rs_analysis.application.measurements.MIN_PARALLEL_RUNS", len(few.runs))
+    many = read_trials(hidden_campaign, map_tasks)
+    assert asked == [len(few.runs)]
+    assert [run.path for run in many.runs] == [run.path for run in few.runs]

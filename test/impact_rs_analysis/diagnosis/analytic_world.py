@@ -62,6 +62,8 @@ EFFECTS = {
         effect("circling", (parameter("angle"),)),
         effect("slight", (parameter("w"),), ("contact",)),
         effect("nearly_bent", (parameter("x"),), ("contact",)),
+        effect("levelling", (parameter("z"),)),
+        effect("nearly_levelling", (parameter("q"),)),
         effect("more_than_straight", tuple(parameter(f"y{n}") for n in range(6))),
         effect("dry", (parameter("f", lower=0.0), parameter("fade", 1.0, True, 0.01, (0.1, 1.0, 10.0)))),
     )
@@ -132,6 +134,10 @@ def features(cluster: int, added: Added) -> Array:
         elif name == "circling":  # as a pad that an offset moves into the object and out again
             first_half = np.arange(FEATURES) < FEATURES // 2
             result += np.where(first_half, np.sin(first), 1.0 - np.cos(first)) * along(96)
+        elif name == "levelling":  # as a pad off its place, which in one condition soon moves nothing further
+            result += (5.0 * np.tanh(first) if cluster == 0 else first) * along(97)
+        elif name == "nearly_levelling":
+            result += 0.5 * first * along(97) + 0.8 * first * along(98)
         elif name == "slight":  # as a moment that resists tipping, of a box that soon does not tip any more
             result += 0.04 * np.tanh(first / 0.5) * along(93)
         elif name == "misplacing":  # as the offset of an encoder, by which a pad begins inside the object

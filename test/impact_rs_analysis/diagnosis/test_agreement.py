@@ -16,8 +16,10 @@ from impact_rs_analysis.diagnosis.agreement import (
     RelationDocument,
     agreement_of,
     places_in_words,
+    tracking_clusters,
 )
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
+from impact_rs_analysis.diagnosis.search.null_distribution import RotationNull
 from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs, read_runs
 from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.sources.run_source import ReplaySource
@@ -118,6 +120,18 @@ def test_an_object_that_outruns_its_pad_contradicts_the_tracker(runs: Runs) -> N
     """50 mm/s along y, along which it does not move; kills a difference with the velocity of another axis."""
     document = agreement_of(source_of(runs, moved=np.array([0.0, 0.05, 0.0])))
     assert document.against("object and end effector") == ("y",)
+
+
+def test_an_oblique_hit_shares_no_amplitude_of_the_discrepancy_with_a_square_one(runs: Runs) -> None:
+    """It has other patterns, more of them. Kills: clusters of the tracker that share amplitudes by their features."""
+    clusters = [item for item in source_of(runs).clusters if item.contact]
+    oblique, *square = clusters
+    more = np.vstack((oblique.discrepancy_factor, oblique.discrepancy_factor[:2]))
+    own = tracking_clusters([replace(oblique, patterns=more, discrepancy_key=oblique.name), *square])
+    assert [item.discrepancy_group for item in own] == [oblique.name, *(item.discrepancy_group for item in square)]
+    repeated = [replace(item, residuals=np.vstack((item.residuals, item.residuals))) for item in own]
+    p_value = RotationNull(repeated).lack_of_fit([item.mean for item in own])
+    assert p_value is not None and 0.0 < p_value <= 1.0
 
 
 def test_terminal_page_and_file_show_the_same(runs: Runs, tmp_path: Path) -> None:

@@ -2,7 +2,8 @@
 """Friction by load, direction, breakaway and common shaft: planted in recordings in closed form, and found.
 
 The recordings are inverse dynamics of Pinocchio plus friction with a sharp sign, written out here: not the smoothed law
-of the library. Neighbours compete: Coulomb, viscous and Stribeck friction, offset and gain of the torque.
+of the library. Neighbours compete: Coulomb, viscous and Stribeck friction, its width at reversals, offset and
+gain of the torque.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ NEIGHBOURS = (
     "joint_asymmetric_friction",
     "joint_sum_friction",
     "joint_difference_friction",
+    "joint_reversal_width",
 )
 WITH_LOAD = (
     "end_effector_payload",

@@ -48,6 +48,7 @@ from impact_rs_analysis.diagnosis.search.fit import (
     nelder_mead,
     restart_from_afar,
 )
+from impact_rs_analysis.diagnosis.search.intervals import intervals_of
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANCE_LEVEL
 from impact_rs_analysis.evidence.cluster import DISCREPANCY_QUANTILE_RATIO, SHARED_DISCREPANCY_SHARE
 from impact_rs_sim.robots.robot import Array
@@ -58,6 +59,12 @@ CONTACT = ("straight", "bent", "payload")
 
 def searched(source: AnalyticSource, *only: str) -> Search:
     return Search([EFFECTS[name] for name in only or CONTACT], Evidence.of(source))
+
+
+def whole_interval(fitted: Fit) -> tuple[Array, Array]:
+    """Ends of the intervals of all parameters."""
+    [ends] = intervals_of([(fitted, range(fitted.candidate.point.size))])
+    return ends
 
 
 def chosen_of(search: Search, *names: str) -> Fit:
@@ -186,7 +193,7 @@ def test_intervals_are_as_wide_as_the_larger_of_scatters_and_hold_the_truth_as_o
     fits = [Fit.of(*linearised(source, EFFECTS["straight"])) for source in sources]
     coverage, width = of_scatters(12, 5)
     assert 0.975 < coverage < 0.985
-    inside = sum(low[0] <= 2.0 <= high[0] for low, high in (fitted.interval for fitted in fits))
+    inside = sum(low[0] <= 2.0 <= high[0] for low, high in map(whole_interval, fits))
     assert binom.ppf(0.001, 400, coverage) <= inside <= binom.ppf(0.999, 400, coverage) < 400
     error = 1.0 / np.sqrt(3.0 * sum(np.sum(np.square(direction(number, 0))) for number in range(6)))
     assert np.mean([fitted.half_widths[0] for fitted in fits]) == pytest.approx(width * error, rel=0.05)
@@ -395,7 +402,7 @@ def test_a_bound_of_physics_is_not_passed() -> None:
     search = searched(AnalyticSource(10, (("one_sided", (-3.0,)),)), "one_sided")
     fitted = chord_method(search.singles["one_sided"], search.evidence)
     assert fitted.estimate[0] == pytest.approx(0.0, abs=1e-12)
-    assert fitted.interval[0][0] == 0.0
+    assert whole_interval(fitted)[0][0] == 0.0
 
 
 @pytest.mark.parametrize("hidden", [-170.0, 170.0, 700.0])
@@ -409,7 +416,7 @@ def test_the_range_of_a_search_does_not_cut_an_interval_off() -> None:
     """Just below the end of the range it is as long to either side."""
     search = searched(AnalyticSource(10, (("straight", (49.95,)),)), "straight")
     fitted = chord_method(search.singles["straight"], search.evidence)
-    low, high = (float(end[0]) for end in fitted.interval)
+    low, high = (float(end[0]) for end in whole_interval(fitted))
     assert fitted.estimate[0] < fitted.candidate.upper[0] == 50.0 < high
     assert high - fitted.estimate[0] == pytest.approx(fitted.estimate[0] - low, rel=1e-6)
 
@@ -548,6 +555,18 @@ def test_an_effect_in_whose_place_another_predicts_far_better_is_replaced() -> N
         found, rivals = search.exchange(wrong)
         assert set(found.candidate.names) == {"straight", "bent"} and found.score < 0.5 * wrong.score
         assert not any(rival.fit.score < found.score for rival in rivals)
+
+
+def test_an_effect_whose_linear_fit_predicts_badly_is_fitted_if_it_is_the_likeliest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Kills: a shortlist by the errors of linear fits alone."""
+    monkeypatch.setattr(search_module, "SHORTLIST_SIZE", 1)
+    for seed in range(3):
+        search = searched(AnalyticSource(seed, (("levelling", (4.0,)),)), "levelling", "nearly_levelling")
+        assert search.beside(None, "nearly_levelling").score < search.beside(None, "levelling").score
+        monkeypatch.setattr(search, "p_values", lambda _: {"levelling": 1e-6, "nearly_levelling": 1e-4})
+        assert chosen_of(search, "levelling").estimate[0] == pytest.approx(4.0, abs=0.15)
 
 
 def test_an_effect_that_another_one_makes_redundant_is_left_out() -> None:

@@ -22,6 +22,7 @@ from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.tool_spring import ToolSpring
 from impact_rs_trials.runs import NONE, Run
 
 from .conftest import COULOMB, EXCITED, HIT, onset, replayed, residuals, with_arms, with_friction, with_signals
@@ -69,6 +70,20 @@ def scaled(run: MeasuredRun) -> Array:
 
 def test_with_the_right_physics_a_hit_leaves_no_more_than_simulators_differ_by(measured_hit: MeasuredRun) -> None:
     assert rms(scaled(measured_hit)) < 1.0
+
+
+def test_a_replay_has_the_compliance_of_the_tool() -> None:
+    """Kills a spring that neither the replay nor the digest of what is replayed knows."""
+    tool = ToolSpring.of(np.diag([2e-5, 2e-5, 2e-5, 2e-3, 2e-3, 2e-3]), 5e-4)
+    soft = with_arms(HIT.scene.physics, lambda arm: replace(arm, tool_spring=tool))
+    run = simulated(HIT, soft)
+    right, rigid = (
+        np.concatenate([values for (phase, _), values in residuals(run, physics).items() if phase != "free"])
+        for physics in (soft, None)
+    )
+    assert rms(right) < 0.5 and rms(rigid) > 5.0 * rms(right)
+    setup = MeasuredRun.of(run).setup
+    assert setup.digest != replace(setup, physics=soft).digest
 
 
 def test_measured_joint_torque_moves_the_links_as_the_motors_did(hit: Run, free: Run) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
@@ -13,8 +14,11 @@ from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Setup
 from impact_rs_analysis.evidence.replays.replay_cache import MIN_BATCHES, Replay, ReplayCache, run_batch, run_replay
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.scene import ArmState
 from impact_rs_sim.twin import Result, TwinJob, simulate
+from impact_rs_trials.runs import Signals
+from impact_rs_trials.workers import Workforce, workers
 
 NOMINAL = Model(name="nominal")
 
@@ -139,3 +143,38 @@ def test_replays_in_one_batch_are_those_of_each_alone(setup: Setup) -> None:
     tasks = [Replay(setup, NOMINAL, added) for added in ((), (("object_mass", (1.1,)),), (("restitution", (0.2,)),))]
     for together, task in zip(run_batch(tasks), tasks, strict=True):
         np.testing.assert_allclose(together, run_replay(task), rtol=1e-9, atol=1e-12)
+
+
+def test_replays_on_threads_are_to_the_bit_those_of_one(setup: Setup) -> None:
+    setups = [replace(setup, drive_period=setup.drive_period / number) for number in (1, 2)]
+    added = [(("object_mass", (1.0 + 0.01 * number,)),) for number in range(8)]
+    tasks = [Replay(one, NOMINAL, effects) for effects in added for one in setups]
+    with workers(Workforce(4)) as map_tasks:
+        together = ReplayCache(map_tasks)(tasks)
+    for several, alone in zip(together, ReplayCache(map)(tasks), strict=True):
+        np.testing.assert_array_equal(several, alone)
+    assert len({values.tobytes() for values in together if values is not None}) == len(tasks)
+
+
+def test_threads_simulate_at_the_same_time_and_make_features_in_turn(
+    setup: Setup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Features share rigid-body models, whose results the next call overwrites."""
+    both, making, most = threading.Barrier(2, timeout=60.0), [], []
+
+    def simulated(_: Setup, physics: Sequence[Physics]) -> list[list[Signals]]:
+        both.wait()
+        return [[] for _ in physics]
+
+    def features(own: Setup, simulations: Sequence[object]) -> list[np.ndarray]:
+        making.append(1)
+        threading.Event().wait(0.02)
+        most.append(len(making))
+        making.pop()
+        return [np.zeros(len(own.kept)) for _ in simulations]
+
+    monkeypatch.setattr(Setup, "replayed_all", simulated)
+    monkeypatch.setattr(Setup, "features_of_all", features)
+    with workers(Workforce(2)) as map_tasks:
+        ReplayCache(map_tasks)([Replay(setup, NOMINAL)])  # free motion and contact
+    assert most == [1, 1]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from impact_rs_analysis.following.announcement import in_words
-from impact_rs_analysis.following.lessons import Followed
+from impact_rs_analysis.following.documents import Followed
 from impact_rs_analysis.following.proposals import ProposedMeasurement, measurement_words, most_decisive
 from impact_rs_sim.effects import library
 from impact_rs_sim.physics import Physics

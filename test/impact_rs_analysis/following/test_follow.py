@@ -19,9 +19,9 @@ from impact_rs_analysis.evidence.replays.measured_runs import read_trial
 from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.tables.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_analysis.following import change, hits, posterior, proposals, recent_residuals
+from impact_rs_analysis.following.documents import Change, HitDocument
 from impact_rs_analysis.following.follow import Follower, HitsSince
 from impact_rs_analysis.following.hits import BagHitSource, TableHitSource
-from impact_rs_analysis.following.lessons import Change, HitDocument
 from impact_rs_analysis.following.state import restore_state, save_state
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError

@@ -66,7 +66,7 @@ LATER: dict[str, Any] = {"further": ("object_mass",), "renewed": True, "unsure":
         ("Nothing missing, once", state(NOTHING, holds=True, look=("object_mass",), unexplained=True, **LATER)),
         ("A suspicion", state(NOTHING, ("object_mass",), unexplained=True, **LATER)),
         ("An error beyond noise", state(NOTHING, unexplained=True, **LATER)),
-        ("What no effect explains", state(unexplained=True, **LATER)),
+        ("An unexplained residual", state(unexplained=True, **LATER)),
         ("A small effect beside a large one", state(**LATER)),
         ("Estimates that were off", state(renewed=True, unsure=("support_friction",))),
         ("A tie", state(unsure=("support_friction",))),

@@ -14,7 +14,7 @@ import pytest
 from impact_rs_analysis.measure.design_study import (
     MEASURES,
     Design,
-    DesignQuestion,
+    DesignConditions,
     DesignStudy,
     Estimate,
     problems_of,
@@ -27,18 +27,18 @@ from impact_rs_analysis.report.design_page import design_table, write_design_stu
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenarios.scenario import load_scenario
 
-QUESTION = DesignQuestion(load_scenario("push"), "cat_food", pads=("narrow", "bouncy"), draws=8)
+CONDITIONS = DesignConditions(load_scenario("push"), "cat_food", pads=("narrow", "bouncy"), draws=8)
 
 
 @pytest.fixture(scope="module")
 def study() -> DesignStudy:
-    return study_designs(QUESTION, ("franka_fer", "ur5e"), poses=2)
+    return study_designs(CONDITIONS, ("franka_fer", "ur5e"), poses=2)
 
 
 @pytest.fixture(scope="module")
 def fr3() -> DesignStudy:
     """An arm that is not the scenario's, with a torque loop."""
-    return study_designs(QUESTION, ("franka_fr3",), poses=2)
+    return study_designs(CONDITIONS, ("franka_fr3",), poses=2)
 
 
 def of(study: DesignStudy, robot: str, motor_inertia: str, pad: str) -> list[Design]:
@@ -59,8 +59,8 @@ def test_sensitivity_is_the_share_of_the_motors_in_the_effective_mass() -> None:
 
     With ``1 / m = n^T J (M + B)^-1 J^T n``.
     """
-    (stance,), _ = random_poses("franka_fer", QUESTION, 1)
-    motor_inertia, _, problem = next(problems_of(QUESTION, stance))
+    (stance,), _ = random_poses("franka_fer", CONDITIONS, 1)
+    motor_inertia, _, problem = next(problems_of(CONDITIONS, stance))
     assert motor_inertia == "reduced"
     arm = problem.physics.arms["arm"]
     point = replace(arm, end_effector=replace(arm.end_effector, pad_size=(1e-4, 1e-4, 0.02)))
@@ -84,7 +84,7 @@ def test_an_arm_without_torque_loop_has_its_rotors_alone(study: DesignStudy) -> 
 
 
 def test_same_seed_same_study() -> None:
-    few = replace(QUESTION, draws=2)
+    few = replace(CONDITIONS, draws=2)
     first, again = (study_designs(few, ("ur5e",), poses=1).designs for _ in range(2))
     assert first == again
 
@@ -97,7 +97,7 @@ def test_ranks_have_the_range_of_the_draws() -> None:
         return Design("robot", number, (0.0,), "rotor", "wide", dict.fromkeys(MEASURES, own))
 
     designs = (design(1, 9.0, (7.0, 12.0)), design(2, 8.0, (6.0, 10.0)), design(3, 10.0, (8.0, 11.0)))
-    ranked = DesignStudy(QUESTION, designs, {}, {}).ranked("impulse")
+    ranked = DesignStudy(CONDITIONS, designs, {}, {}).ranked("impulse")
     assert [(found.pose, best, worst) for found, best, worst in ranked] == [(3, 1, 2), (1, 1, 2), (2, 3, 3)]
 
 
@@ -112,16 +112,16 @@ def test_designs_share_the_object_of_a_draw(study: DesignStudy, fr3: DesignStudy
 
 def test_a_motor_inertia_is_as_sure_as_it_is_known() -> None:
     """That of the scenario's robot to 10 %, a published one too; one scaled from another arm, none to three times."""
-    stated = QUESTION.scenario.uncertainty.motor_inertia
-    own = replace(QUESTION, scenario=load_scenario("push_ur5e"))
-    for question, robot, motor_inertia, known in (
-        (QUESTION, "franka_fer", "reduced", True),
-        (QUESTION, "franka_fr3", "rotor", True),
-        (QUESTION, "franka_fr3", "reduced", False),
-        (QUESTION, "ur5e", "rotor", False),
+    stated = CONDITIONS.scenario.uncertainty.motor_inertia
+    own = replace(CONDITIONS, scenario=load_scenario("push_ur5e"))
+    for conditions, robot, motor_inertia, known in (
+        (CONDITIONS, "franka_fer", "reduced", True),
+        (CONDITIONS, "franka_fr3", "rotor", True),
+        (CONDITIONS, "franka_fr3", "reduced", False),
+        (CONDITIONS, "ur5e", "rotor", False),
         (own, "ur5e", "rotor", False),
     ):
-        found = uncertainties_of(question, robot, motor_inertia).motor_inertia
+        found = uncertainties_of(conditions, robot, motor_inertia).motor_inertia
         assert found == (stated if known else 2.0)
 
 
@@ -137,8 +137,8 @@ def test_what_is_assumed_makes_intervals_wide_and_none_reaches_below_zero(study:
     for design in (*study.designs, *fr3.designs):
         for one in design.measures.values():
             assert 0.0 < one.low < one.value < one.high
-    motors = next(problems_of(QUESTION, random_poses("franka_fer", QUESTION, 1)[0][0]))[2].motor_inertia["arm"]
-    assert motors.tolist() == list(QUESTION.scenario.robots["arm"].drive.motor_inertia_reduced or ())
+    motors = next(problems_of(CONDITIONS, random_poses("franka_fer", CONDITIONS, 1)[0][0]))[2].motor_inertia["arm"]
+    assert motors.tolist() == list(CONDITIONS.scenario.robots["arm"].drive.motor_inertia_reduced or ())
 
 
 def test_table_holds_every_design_and_the_page_is_written(study: DesignStudy, tmp_path: Path) -> None:
@@ -152,4 +152,4 @@ def test_table_holds_every_design_and_the_page_is_written(study: DesignStudy, tm
 
 def test_a_speed_that_no_pose_reaches_is_an_error() -> None:
     with pytest.raises(InputError, match="lower --speed"):
-        random_poses("ur5e", replace(QUESTION, speed=50.0), 1)
+        random_poses("ur5e", replace(CONDITIONS, speed=50.0), 1)

@@ -71,7 +71,10 @@ def test_effect_at_its_nominal_values_changes_nothing_at_all(name, scenario):
 
 
 CHANGED = {  # what of the physics, or of an arm, an effect is on
-    "friction": tuple(name for name in NAMES if name.endswith("_friction") and "joint" in name),
+    "friction": (
+        "joint_reversal_width",
+        *(name for name in NAMES if name.endswith("_friction") and "joint" in name),
+    ),
     "motor_inertia_reduced": ("motor_inertia_scale", "added_motor_inertia", "stiff_control"),
     "facts": ("link_mass", "link_com", "link_inertia"),
     "contact_laws": (

@@ -10,6 +10,7 @@ from bench import ACROSS, FIRST_MOMENT, GRAVITY, MASS_MATRIX, MOTOR_INERTIA, STI
 
 from impact_rs_sim.effects import library
 from impact_rs_sim.impact_map.measured import MeasuredImpact, points_of_scene, solve_measured
+from impact_rs_sim.physics import JointFriction, ShaftFriction
 from impact_rs_sim.scene import Scene
 
 # ---- actuation: gain times the desired torque, late, and an offset --------------------------------------------------
@@ -79,6 +80,45 @@ def test_stribeck_friction_holds_a_joint_below_the_breakaway_torque():
     assert abs(run(stuck, lambda time: 0.5).position[-1]) < 2e-3
     free = run(bench(), lambda time: 0.5)
     assert free.position[-1] == pytest.approx(0.25 / INERTIA * free.time[-1] ** 2, rel=0.02)
+
+
+@pytest.mark.parametrize("wider", [0.045, 0.145])
+def test_a_joint_pushed_by_half_its_dry_friction_creeps_at_the_width_of_the_reversal(wider):
+    """F_c tanh(v / v_r) = tau: v = v_r atanh(tau / F_c). Kills a width in place of that of the model."""
+    rough = switched_on(bench(), "joint_coulomb_friction", coulomb_joint1=3.0)
+    wide = switched_on(rough, "joint_reversal_width", width_joint1=wider)
+    motion = run(wide, lambda time: 1.5)
+    assert motion.velocity[-1] == pytest.approx((0.005 + wider) * np.arctanh(0.5), rel=1e-3)
+
+
+def test_the_width_of_the_reversal_changes_all_dry_friction_of_its_joint_and_nothing_else():
+    """Breakaway torque, asymmetry, load and shafts turn together; viscous friction has no direction."""
+    n = 3
+    dry = replace(
+        JointFriction.none(n),
+        stribeck=np.full(n, 0.4),
+        asymmetry=np.full(n, 0.1),
+        load=np.full(n, 0.02),
+        shafts=(ShaftFriction(np.full(n - 1, 0.3), np.zeros(n - 1), -1.0),),
+        stribeck_velocity=np.full(n, np.inf),
+    )
+    viscous = replace(JointFriction.none(n), viscous=np.full(n, 0.2))
+    velocity, width = np.array([0.03, -0.06, 0.09]), np.array([0.01, 0.02, 0.04])
+    wide = [replace(one, smoothing=width) for one in (dry, viscous)]
+    s = np.tanh(velocity / width)
+    shaft = 0.3 * np.tanh((velocity[:-1] - velocity[1:]) / width[:-1])
+    expected = -(0.4 + 0.1 * s + 0.02 * 5.0) * s - np.append(shaft, 0.0) + np.append(0.0, shaft)
+    np.testing.assert_allclose(wide[0].torque(velocity, np.full(n, -5.0)), expected, rtol=1e-12)
+    np.testing.assert_array_equal(wide[1].torque(velocity), viscous.torque(velocity))
+
+
+def test_no_load_dependent_friction_locks_a_joint_that_its_load_drives():
+    """A load drives a joint back with (1 - k) of its torque. Kills a range that a fit widens beyond k = 1."""
+    (coefficient,) = library()["joint_load_dependent_friction"].parameters
+    widest = coefficient.widened().widened()
+    most = replace(JointFriction.none(1), load=np.array([widest.upper]))
+    assert widest.upper > 0.5
+    assert abs(most.torque(np.array([-2.0]), np.array([-5.0]))[0]) <= 5.0
 
 
 @pytest.mark.parametrize("scale", [0.5, 2.0])

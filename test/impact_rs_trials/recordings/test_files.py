@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import os
+import pickle
 import warnings
 import zipfile
 from pathlib import Path
@@ -11,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from refusals import refusal
-from signal_files import TIME, VALUES, csv_file, hdf5_file, npz_file, parquet_file
+from signal_files import TIME, VALUES, csv_file, hdf5_file, npz_file, parquet_file, torch_file
 
 from impact_rs_sim.decimals import decimal
 from impact_rs_trials.recordings.mapping import SignalSource, load_mapping
@@ -130,6 +132,38 @@ def test_arrays_hold_real_numbers(tmp_path: Path, changes: dict[str, object], ki
 def test_real_numbers_of_any_kind_are_read(tmp_path: Path, kind: str) -> None:
     values = np.round(10.0 * np.abs(VALUES)).astype(kind)
     np.testing.assert_array_equal(read(npz_file(tmp_path / "a.npz", position=values)).values, values)
+
+
+@pytest.mark.parametrize("kind", ["f4", "f8", "i8"])
+def test_tensors_of_pytorch_are_read_without_it(tmp_path: Path, kind: str) -> None:
+    """Kills one type for all storages."""
+    values = np.round(10.0 * VALUES).astype(kind)
+    np.testing.assert_array_equal(read(torch_file(tmp_path / "a.pt", position=values)).values, values)
+
+
+def test_a_pytorch_file_calls_nothing(tmp_path: Path) -> None:
+    """A pickle can run any command. Kills a search of names in modules."""
+
+    class Command:
+        def __reduce__(self) -> tuple[object, ...]:
+            return os.mkdir, (str(tmp_path / "called"),)
+
+    with zipfile.ZipFile(tmp_path / "a.pt", "w") as archive:
+        archive.writestr("log/data.pkl", pickle.dumps({"position": Command()}))
+    said = refused(tmp_path / "a.pt")
+    assert "mkdir, which is no tensor of real numbers" in said and "numpy.savez" in said
+    assert not (tmp_path / "called").exists()
+
+
+def test_a_tensor_beyond_its_storage_is_refused(tmp_path: Path) -> None:
+    file = torch_file(tmp_path / "a.pt")
+    with zipfile.ZipFile(file) as archive:
+        content = {name: archive.read(name) for name in archive.namelist()}
+    content["log/data/1"] = content["log/data/1"][:-8]
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, data in content.items():
+            archive.writestr(name, data)
+    assert "storage 1 has 167 numbers, expected 168" in refused(file)
 
 
 def test_two_arrays_of_one_name_are_refused(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -12,15 +13,16 @@ from joint_recordings import Columns, swinging
 from impact_rs_sim.robots.robot import load_facts
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.recordings.importing.hypotheses import (
-    JointMotion,
     RoleChoice,
     RoleHypothesis,
     choose,
     copies,
+    is_magnitude,
     positions,
     torques,
     velocities,
 )
+from impact_rs_trials.recordings.joint_motion import JointMotion
 from impact_rs_trials.recordings.mapping import MountedEndEffector
 from impact_rs_trials.recordings.relations import DECISIVE_LOG_ODDS, effective_samples
 
@@ -46,7 +48,7 @@ def motion(own: Columns) -> JointMotion:
 
 def read(own: JointMotion, raw: np.ndarray) -> RoleChoice:
     """The likeliest role of a stream beside a motion."""
-    y = own.sampled(TIME, raw)
+    y = own.sampled(raw)
     choice = choose([*velocities(own, y), *copies(own, y), *torques(own, y)])
     assert choice is not None
     return choice
@@ -63,7 +65,7 @@ def test_the_unit_of_positions_is_the_one_whose_range_they_fill(unit: str, facto
 def test_velocities_are_found_with_unit_and_sign(unit: str, factor: float) -> None:
     own = swing()
     still = JointMotion.of(TIME, own["position"], None, model())
-    found = choose(velocities(still, still.sampled(TIME, factor * own["velocity"])))
+    found = choose(velocities(still, still.sampled(factor * own["velocity"])))
     assert found is not None and found.sure and (found.best.role, found.best.unit) == ("velocity", unit)
     assert found.best.further == ({} if factor > 0.0 else {"factor": -1.0})
 
@@ -72,13 +74,13 @@ def test_a_velocity_at_another_rate_or_of_another_joint_is_none() -> None:
     """Kills a clipped factor that counts as noise, and a joint that refutes all others."""
     own = swing()
     still = JointMotion.of(TIME, own["position"], None, model())
-    half = choose(velocities(still, still.sampled(TIME, 0.25 * own["velocity"])))
+    half = choose(velocities(still, still.sampled(0.25 * own["velocity"])))
     assert (
         half is not None and half.best.role == "other" and half.best.further["rate_"] == pytest.approx(0.25, abs=1e-3)
     )
     mixed = own["velocity"].copy()
     mixed[:, 3] = 0.02 * np.random.default_rng(0).standard_normal(TIME.size)
-    found = choose(velocities(still, still.sampled(TIME, mixed)))
+    found = choose(velocities(still, still.sampled(mixed)))
     assert found is not None and found.best.role == "velocity" and "joints 4 are not the deriv" in found.best.remarks[0]
 
 
@@ -120,16 +122,14 @@ def test_viscous_friction_is_no_velocity() -> None:
     still = JointMotion.of(TIME, own["position"], None, model())
     noise = np.random.default_rng(0).standard_normal(own["velocity"].shape)
     drag = own["velocity"] * [10.0, 9.0, 3.3, 1.8, 3.2, 1.0, 5.0] + 0.5 * noise
-    assert all(
-        one.log_posterior < 0.0 for one in velocities(still, still.sampled(TIME, drag)) if one.role == "velocity"
-    )
+    assert all(one.log_posterior < 0.0 for one in velocities(still, still.sampled(drag)) if one.role == "velocity")
 
 
 def test_a_factor_that_is_fitted_costs_half_the_log_of_the_samples() -> None:
     """Schwarz (1978): noise that a torque explains by chance is unlikelier as a current than as noise."""
     noise = np.random.default_rng(0).standard_normal((TIME.size, 7))
     own = motion(swing())
-    (current,) = [one for one in torques(own, own.sampled(TIME, noise)) if one.role == "current"]
+    (current,) = [one for one in torques(own, own.sampled(noise)) if one.role == "current"]
     assert current.log_likelihood < -10.0
 
 
@@ -154,7 +154,7 @@ def test_unrelated_motions_are_hardly_ever_decisive() -> None:
     for seed in range(1, 41):
         other = swing(seed)
         for raw in (other["velocity"], other["effort"] - other["effort"].mean(axis=0)):
-            y = own.sampled(TIME, raw)
+            y = own.sampled(raw)
             hypotheses = [*velocities(own, y), *copies(own, y), *torques(own, y)]
             wrong += max(one.log_posterior for one in hypotheses if one.role != "other") > DECISIVE_LOG_ODDS
     assert wrong <= 2
@@ -173,3 +173,14 @@ def test_effective_samples_give_the_variance_of_chance_correlations() -> None:
     assert np.median(effective_samples(first, second)) == pytest.approx(1.0 / np.var(chance), rel=0.35)
     white = effective_samples(*noise)
     assert np.median(white) > 250.0
+
+
+def test_magnitudes_of_torques_are_told_from_torques_of_one_sign() -> None:
+    """A register without sign; else an offset, or joints that gravity alone loads. Kills a test of the stream alone."""
+    own = motion(swing())
+    effort, weight = swing()["effort"], np.abs(own.gravity_torque).max(axis=0) + 20.0
+    assert is_magnitude(own, own.sampled(np.abs(effort)))
+    assert not is_magnitude(own, own.sampled(effort))
+    held = dataclasses.replace(own)
+    held.__dict__["whole"] = own.whole + weight + 80.0  # as if every joint held a load on one side
+    assert not is_magnitude(held, held.sampled(effort + weight + 80.0))

@@ -15,6 +15,7 @@ from refusals import refusal
 from ros_messages import message
 from rosbags.rosbag2 import StoragePlugin, Writer
 
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import RobotFacts, load_facts
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.bags import topics
@@ -231,6 +232,27 @@ def test_another_robot_is_not_believed(tmp_path: Path, motion: Columns) -> None:
     said = refusal(iiwa, file, tmp_path)
     assert "no two signals of 7 joints" in said
     assert "--robot" in said
+
+
+def test_magnitudes_of_currents_are_no_torque(tmp_path: Path, motion: Columns) -> None:
+    """A register without sign. Kills factors of any sign per joint, which fit half of such a torque."""
+    columns = [TIME, motion["position"], motion["velocity"], np.abs(motion["effort"])]
+    with pytest.raises(InputError, match="tau1 … tau7 never changes its sign, although joints reverse"):
+        iiwa(write(tmp_path / "log.csv", NAMES, columns), tmp_path)
+
+
+def test_a_log_of_events_beside_the_signals_is_left_out_and_said(tmp_path: Path, motion: Columns) -> None:
+    """Texts without numbers in a folder of tables; alone they are refused."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    write(folder / "joints.csv", NAMES, usual(motion))
+    (folder / "event.csv").write_text("type,event\nEVENT,START\nEVENT,STOP\n")
+    draft = iiwa(folder, tmp_path)
+    assert any("event.csv: no table of numbers" in remark for remark in draft.remarks)
+    check_reading(draft, tmp_path / "lab", folder, motion)
+    (folder / "joints.csv").unlink()
+    with pytest.raises(InputError, match="no table of numbers"):
+        iiwa(folder, tmp_path, "other")
 
 
 def test_a_urdf_is_no_robot_facts_and_the_command_that_makes_them_is_named(tmp_path: Path, motion: Columns) -> None:
@@ -903,7 +925,7 @@ def test_where_a_table_begins_is_found_from_its_lines(
     tmp_path: Path, text: str, header: int | None, first: int | None
 ) -> None:
     (tmp_path / "a.csv").write_text(text)
-    found = find_layout(tmp_path / "a.csv").layout
+    found = find_layout(tmp_path / "a.csv").value
     assert (found.header, found.first) == (header, first)
 
 

@@ -13,6 +13,7 @@ from joint_recordings import Columns, swinging
 from impact_rs_sim.robots.robot import load_facts
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.recordings.importing.candidates import SignalCandidate, guess_of
+from impact_rs_trials.recordings.importing.import_texts import PossibleReading
 from impact_rs_trials.recordings.importing.joint_search import Assignment, JointSearch
 from impact_rs_trials.recordings.importing.joint_streams import JointStream
 from impact_rs_trials.recordings.mapping import MountedEndEffector
@@ -36,6 +37,11 @@ def swing() -> Columns:
 def assigned(**streams: np.ndarray) -> Assignment:
     """The assignment of streams by the stems of their columns, in the order of the file."""
     return searched(**streams)[0]
+
+
+def stem_of(reading: PossibleReading) -> str:
+    """Stem of the columns of a possible reading."""
+    return str(reading.source["columns"][0]).removesuffix("_1")
 
 
 def searched(**streams: np.ndarray) -> tuple[Assignment, JointSearch]:
@@ -65,10 +71,8 @@ def test_of_two_torques_names_say_which_was_measured(names: tuple[str, str], tak
     found = assigned(q=motion["position"], dq=motion["velocity"], **fits)
     assert found.torques[0].stream.series.place == taken
     listed = found.alternatives["torque"]
-    assert {one.stream.series.place for one in listed} == set(names)
-    assert listed[0].log_posterior - listed[1].log_posterior == pytest.approx(
-        6.0 if taken == "tau_meas" else 0.0, abs=3.1
-    )
+    assert {stem_of(one) for one in listed} == set(names)
+    assert listed[1].behind == pytest.approx(6.0 if taken == "tau_meas" else 0.0, abs=3.1)
 
 
 def test_the_pose_of_a_tool_is_no_torque() -> None:
@@ -103,8 +107,8 @@ def test_positions_are_those_whose_velocities_and_torques_fit_best() -> None:
     assert found.position.stream.series.place == "b"
     assert found.velocity is not None and found.velocity.stream.series.place == "c"
     first, *others = found.alternatives["position"]
-    asked = next(one for one in others if one.stream.series.place == "a")
-    assert first.stream.series.place == "b" and first.log_posterior - asked.log_posterior > 20.0
+    asked = next(one for one in others if stem_of(one) == "a")
+    assert stem_of(first) == "b" and asked.behind > 20.0
 
 
 def test_a_position_beside_it_by_a_constant_is_as_likely_and_its_name_decides() -> None:
@@ -113,7 +117,7 @@ def test_a_position_beside_it_by_a_constant_is_as_likely_and_its_name_decides() 
     found = assigned(q_des=motion["position"] + 1e-4, q=motion["position"], dq=motion["velocity"], tau=motion["effort"])
     assert found.position.stream.series.place == "q"
     first, second = found.alternatives["position"][:2]
-    assert second.stream.series.place == "q_des" and 0.0 < first.log_posterior - second.log_posterior < 30.0
+    assert first.behind == 0.0 and stem_of(second) == "q_des" and 0.0 < second.behind < 30.0
 
 
 @pytest.mark.parametrize("gear", [1.0, 80.0])
@@ -155,5 +159,5 @@ def test_a_command_without_noise_is_not_taken_for_the_motion_that_follows_it(ord
     assert found.velocity is not None
     assert (found.position.stream.series.place, found.velocity.stream.series.place) == ("c", "d")
     assert [one.stream.series.place for one in found.torques] == [*torque]
-    listed = {one.stream.series.place: one.log_posterior for one in reversed(found.alternatives["position"])}
-    assert 0.0 < listed["c"] - listed["a"] < 1e3  # both are shown, and the velocities do not decide
+    listed = {stem_of(one): one.behind for one in reversed(found.alternatives["position"])}
+    assert 0.0 < listed["a"] - listed["c"] < 1e3  # both are shown, and the velocities do not decide

@@ -54,7 +54,7 @@ def swing(robot: str, load: float = 0.0, friction: float = FRICTION, speed: floa
 
 
 def seen(robot: str, motion: Columns, torque: np.ndarray) -> MotionTorque:
-    return MotionTorque.of(motion["time"], motion["position"], motion["velocity"], torque, model_of(robot))
+    return MotionTorque.seen(motion["time"], motion["position"], motion["velocity"], torque, model_of(robot))
 
 
 def write(path: Path, motion: Columns, **signals: np.ndarray) -> Path:
@@ -194,7 +194,7 @@ def test_where_gravity_takes_no_torque_nothing_can_lack_it(tmp_path: Path) -> No
     facts = slender_arm(("revolute",) * 3, FLAT)
     model = RobotModel(facts, mapping_of(tmp_path, facts).end_effector.build())
     motion = swinging(model, TIME, 0.2, (np.array([0.2, 0.3, 0.4]), np.array([0.5, 0.6, 0.7])), (0.4, 0.1))
-    found = MotionTorque.of(TIME, motion["position"], motion["velocity"], motion["effort"], model)
+    found = MotionTorque.seen(TIME, motion["position"], motion["velocity"], motion["effort"], model)
     assert lacks_gravity(found) is None
 
 

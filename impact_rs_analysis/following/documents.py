@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Typed documents about hits and changes, for output."""
+"""Documents of hits and changes: messages of the node ``identify`` and ``impact-rs follow --json``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from impact_rs_sim.schema import Schema
 class Predicted(Schema):
     """One predicted number of the next hit."""
 
-    signal: str = Field(description="what it is")
+    signal: str = Field(description="name of the signal")
     index: str = Field(description="joint or axis")
     phase: str = Field(description="phase of the motion")
     bin: int = Field(0, description="time bin within the phase")
