@@ -8,6 +8,7 @@ import argparse
 from impact_rs_analysis.diagnosis.document import read_document
 from impact_rs_analysis.diagnosis.scoring import score as score_diagnosis
 from impact_rs_analysis.diagnosis.scoring import truth_of
+from impact_rs_analysis.evidence.minimum_data import MIN_CLUSTERS
 from impact_rs_analysis.investigation.endings import judged, read_ending
 from impact_rs_cli.arguments import started
 from impact_rs_cli.parser import command_line
@@ -20,6 +21,11 @@ def make(args: argparse.Namespace, terminal: Terminal) -> int:
     """Make a blind campaign."""
     if args.seed < 0:
         raise InputError(f"seed = {args.seed}: expected a whole number >= 0")
+    if (conditions := len(blind.specs(args.size, args.scenarios))) < MIN_CLUSTERS:
+        raise InputError(
+            f"scenarios = {', '.join(args.scenarios)}: {conditions} condition(s), expected at least {MIN_CLUSTERS}, "
+            "because a diagnosis holds one out; add a motion there and back (--scenarios ... excite), or --size full"
+        )
     done = 0
     with output_folder(args.output), started(args) as map_tasks, terminal.progress("trials") as report_progress:
         wanted = (args.kind, args.effect, args.size)

@@ -126,6 +126,7 @@ MISTAKES = {
     "effects torque_ofset": "'torque_offset'",
     "blind make -1 -o {}/new": "-1",
     "blind make 1 -o {}/new --effect frictoin": "'frictoin'",
+    "blind make 1 -o {}/new --scenarios hit_wall": "2 condition(s), expected at least 3",  # a diagnosis holds one out
     "blind score {} --diagnosis D": "no blind campaign",
     "show": "BAG|--live",
     "show {} --no-browser": "metadata.yaml|.mcap",
