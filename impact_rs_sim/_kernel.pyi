@@ -34,7 +34,7 @@ _Body = tuple[Array, Array, Array, Shape | None]
 """Centre in A [m], axes in A, half extents [m], shape (None: a box)."""
 
 def meet(partner: _Body, object: _Body, aligned: float) -> tuple[float, Array, bool, tuple[int, int] | None]:
-    """How two bodies stand to each other; of face directions within ``aligned`` [m] that of the larger face counts.
+    """Separating axis of two bodies; of face normals within ``aligned`` [m] that of the larger face.
 
     Returns:
         Separation along the direction that separates them best (negative: overlap) [m]; unit normal of the contact
@@ -90,7 +90,7 @@ class Terms:
         Args:
             impulses: ``(m, 3)`` [N s].
             after: J_c u^+, ``(3 m,)`` [m/s].
-            least: What every point presses at least [N s].
+            least: Lower bound of every normal impulse [N s].
         """
 
 def solve_impacts(
@@ -136,11 +136,11 @@ def solve_impacts(
     """
 
 class Chain:
-    """Rigid links of one arm in A; what :mod:`impact_rs_sim.robots.robot_model` says of them.
+    """Rigid links of one arm in A (:mod:`impact_rs_sim.robots.robot_model`).
 
     Args:
         rotations: Axes of every joint in the link before, ``(n, 3, 3)``.
-        origins: Place of every joint there, ``(n, 3)`` [m].
+        origins: Position of every joint there, ``(n, 3)`` [m].
         slides: Whether it slides along its z instead of turning about it.
         masses: Of the links, ``(n,)`` [kg].
         coms: Centres of mass in the frames of their joints, ``(n, 3)`` [m].
@@ -237,7 +237,7 @@ class Observer:
         joints: n.
         gain: K_o [1/s].
         period: Control period [s].
-        threshold: What the sudden force has to exceed [N].
+        threshold: Of the sudden force [N].
         forgetting: Share of the sudden force that the slow baseline takes over in a tick [-].
         direction: Of the ante-impact velocity, unit vector in A, ``(3,)``.
     """
@@ -261,7 +261,7 @@ _Phase = tuple[Array, Array, Array, Array]
 these with friction compensation, ``(ticks, 6 + k)`` each; gains k_p of the tasks ``(6 + k,)``."""
 
 class TaskLaw:
-    """Feedback and wanted accelerations of the tasks of one arm; equations in :mod:`impact_rs_control.controller`.
+    """Feedback and desired accelerations of the tasks of one arm; equations in :mod:`impact_rs_control.controller`.
 
     Args:
         motor_inertia: Diagonal of B_theta, ``(n,)`` [kg m^2].
@@ -354,7 +354,7 @@ constants that it takes."""
 _Pad = tuple[Array, Array, Array, float | None, float, float, float, Shape | None]
 
 class TwinArm:
-    """One arm of a :class:`Twin`: what :class:`impact_rs_sim.physics.ArmPhysics` says of it.
+    """One arm of a :class:`Twin`; parameters of :class:`impact_rs_sim.physics.ArmPhysics`.
 
     Args:
         links: The links, with the end effector.

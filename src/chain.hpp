@@ -14,8 +14,8 @@ namespace impact_rs {
 
 struct Joint {
   Matrix rotation;  // axes and
-  Vector origin;    // place [m] in the link before, of the first joint in A
-  bool slides;      // along its z; else it turns about that
+  Vector origin;    // position [m] in the link before, of the first joint in A
+  bool prismatic;      // along its z; else it turns about that
 };
 
 struct Link {
@@ -38,12 +38,12 @@ inline double dot(const Spatial& motion, const Spatial& force) {
 }
 
 // Spatial cross product of two motions.
-inline Spatial carried(const Spatial& by, const Spatial& motion) {
+inline Spatial cross_motion(const Spatial& by, const Spatial& motion) {
   return {cross(by.angular, motion.angular), cross(by.angular, motion.linear) + cross(by.linear, motion.angular)};
 }
 
 // Spatial cross product of a motion and a momentum (or force).
-inline Spatial carried_momentum(const Spatial& by, const Spatial& momentum) {
+inline Spatial cross_force(const Spatial& by, const Spatial& momentum) {
   return {cross(by.angular, momentum.angular) + cross(by.linear, momentum.linear), cross(by.angular, momentum.linear)};
 }
 
@@ -55,27 +55,27 @@ class Chain {
   std::size_t joints() const { return joints_.size(); }
 
   // Axes, bodies and tip at these joint positions; the next four are about them.
-  void place(const double* q);
+  void update_kinematics(const double* q);
 
   // M in the lower triangle of (n, n), row by row, and tau - h.
-  void equations(const double* dq, const double* tau, double* mass, double* driving);
+  void equations(const double* dq, const double* tau, double* mass, double* net_torque);
 
   const Spatial& axis(int joint) const { return axes_[joint]; }  // motion at unit speed, about the origin of A
   const Vector& end() const { return end_; }                     // the tip in A [m]
-  const Matrix& axes_of_last() const { return last_; }           // of the last joint in A
+  const Matrix& last_joint_axes() const { return last_; }           // of the last joint in A
 
   // M dq and C^T dq - g (n), and the twist of the tip about itself (6): linear, then angular.
   void momentum(const double* q, const double* dq, double* momentum, double* known, double* twist);
 
  private:
   // Spatial inertia about the origin.
-  struct Body {
+  struct SpatialInertia {
     double mass;
     Vector moment;   // m c
     Matrix inertia;  // about the origin
   };
 
-  static Spatial times(const Body& body, const Spatial& motion);
+  static Spatial times(const SpatialInertia& body, const Spatial& motion);
 
   std::vector<Joint> joints_;
   std::vector<Link> links_;
@@ -83,7 +83,7 @@ class Chain {
   Vector tip_;
 
   std::vector<Spatial> axes_;  // of the joints: motion at unit speed
-  std::vector<Body> bodies_;
+  std::vector<SpatialInertia> inertias_;
   Vector end_;
   Matrix last_;
   std::vector<Spatial> velocities_, forces_;

@@ -14,16 +14,16 @@ Matrix matrix(const double* values) {
   return found;
 }
 
-Chain chain_of(const Numbers& rotations, const Numbers& origins, const std::vector<bool>& slides, const Numbers& masses,
+Chain chain_of(const Numbers& rotations, const Numbers& origins, const std::vector<bool>& prismatic, const Numbers& masses,
                const Numbers& coms, const Numbers& inertias, const Numbers& gravity, const Numbers& tip) {
-  const auto n = static_cast<py::ssize_t>(slides.size());
-  const double *axes = checked(rotations, 9 * n, "rotations"), *places = checked(origins, 3 * n, "origins"),
+  const auto n = static_cast<py::ssize_t>(prismatic.size());
+  const double *axes = checked(rotations, 9 * n, "rotations"), *origin = checked(origins, 3 * n, "origins"),
                *mass = checked(masses, n, "masses"), *com = checked(coms, 3 * n, "coms"),
                *inertia = checked(inertias, 9 * n, "inertias");
   std::vector<Joint> joints;
   std::vector<Link> links;
   for (py::ssize_t i = 0; i < n; ++i) {
-    joints.push_back({matrix(axes + 9 * i), vector(places + 3 * i), slides[i]});
+    joints.push_back({matrix(axes + 9 * i), vector(origin + 3 * i), prismatic[i]});
     links.push_back({mass[i], vector(com + 3 * i), matrix(inertia + 9 * i)});
   }
   return Chain(std::move(joints), std::move(links), vector(checked(gravity, 3, "gravity")),

@@ -163,18 +163,18 @@ TaskLaw::TaskLaw(std::vector<double> motor_inertia, std::vector<int> posture, Ph
 }
 
 void TaskLaw::decide(int tick, bool after, double gamma, const ArmTick& state, const RigidTerms& terms) {
-  const int n = joints(), t = tasks(), held = t - 6;
+  const int n = joints(), t = tasks(), posture_tasks = t - 6;
   const Phase& phase = phases_[after];
-  const double* position = phase.position.data() + tick * (3 + held);
+  const double* position = phase.position.data() + tick * (3 + posture_tasks);
   const double* velocity = phase.velocity.data() + tick * t;
   const double* acceleration = phase.acceleration.data() + tick * t;
 
   const Matrix axes = transposed(state.columns);
-  Matrix wanted;
-  std::copy_n(orientation_.data() + 9 * tick, 9, wanted.begin());
-  const Vector tilt = axes * rotation_vector(transposed(axes.data()) * wanted);
+  Matrix desired;
+  std::copy_n(orientation_.data() + 9 * tick, 9, desired.begin());
+  const Vector tilt = axes * rotation_vector(transposed(axes.data()) * desired);
   for (int i = 0; i < t; ++i) {
-    const double error = i < 3   ? position[i] - state.place[i]
+    const double error = i < 3   ? position[i] - state.origin[i]
                          : i < 6 ? tilt[i - 3]
                                  : position[i - 3] - state.q[posture_[i - 6]];
     const double moving = i < 6 ? state.twist[i] : state.dq[posture_[i - 6]];
@@ -187,17 +187,17 @@ void TaskLaw::decide(int tick, bool after, double gamma, const ArmTick& state, c
   for (int row = 0; row < 6; ++row)
     for (int i = 0; i < n; ++i) matrix[row * n + i] = terms.jacobian[n * row + i];
   if (after) {
-    push_.assign(n, 0.0);
+    feedforward_.assign(n, 0.0);
     for (int i = 0; i < n; ++i)
-      for (int row = 0; row < 6; ++row) push_[i] += terms.jacobian[n * row + i] * wrench_[6 * tick + row];
+      for (int row = 0; row < 6; ++row) feedforward_[i] += terms.jacobian[n * row + i] * wrench_[6 * tick + row];
     factor_ = inertia;
-    solve(factor_, n, push_.data(), 1);
+    solve(factor_, n, feedforward_.data(), 1);
     for (int row = 0; row < 6; ++row)  // paper eq. a_p_f
-      for (int i = 0; i < n; ++i) targets[row] += terms.jacobian[n * row + i] * push_[i];
+      for (int i = 0; i < n; ++i) targets[row] += terms.jacobian[n * row + i] * feedforward_[i];
     // The same torque moves these joints as well, so posture feedback must not oppose it.
-    for (int k = 0; k < held; ++k) targets[6 + k] += push_[posture_[k]];
+    for (int k = 0; k < posture_tasks; ++k) targets[6 + k] += feedforward_[posture_[k]];
   }
-  for (int row = 0; row < 6; ++row) targets[row] -= state.drift[row];
+  for (int row = 0; row < 6; ++row) targets[row] -= state.bias_acceleration[row];
   for (int k = t; k < rows(); ++k) targets[k] = -idle_rate_ * state.dq[k - t];
 }
 

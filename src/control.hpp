@@ -58,7 +58,7 @@ struct Phase {
 // State of the arm in a tick, besides the terms.
 struct ArmTick {
   const double *q, *dq;                         // (n)
-  const double *drift, *place, *twist;          // dJ/dt dq, origin of E, J dq
+  const double *bias_acceleration, *origin, *twist;          // dJ/dt dq, origin of E, J dq
   const double* columns;                        // axes of E, one after the other
 };
 
@@ -85,7 +85,7 @@ class TaskLaw {
   Phase phases_[2];
   std::vector<double> orientation_, wrench_;  // R_d (ticks, 3, 3) and f_d (ticks, 6)
   double idle_rate_;
-  std::vector<double> factor_, push_;
+  std::vector<double> factor_, feedforward_;
 };
 
 // The quadratic program of a tick, and its minimiser where no limit is near.

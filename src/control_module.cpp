@@ -33,10 +33,10 @@ class ObserverOfPython {
 
 using PhaseOfPython = std::tuple<Numbers, Numbers, Numbers, Numbers>;
 
-Phase phase_of(const PhaseOfPython& given, py::ssize_t ticks, py::ssize_t held) {
+Phase phase_of(const PhaseOfPython& given, py::ssize_t ticks, py::ssize_t posture_tasks) {
   const auto& [position, velocity, acceleration, gains] = given;
-  const py::ssize_t tasks = 6 + held;
-  return {copied(position, ticks * (3 + held), "position"), copied(velocity, ticks * tasks, "velocity"),
+  const py::ssize_t tasks = 6 + posture_tasks;
+  return {copied(position, ticks * (3 + posture_tasks), "position"), copied(velocity, ticks * tasks, "velocity"),
           copied(acceleration, ticks * tasks, "acceleration"), copied(gains, tasks, "gains")};
 }
 
@@ -56,12 +56,12 @@ class TaskLawOfPython {
     if (tick < 0 || tick >= ticks_) throw py::index_error("tick: none of the plan");
     const py::ssize_t n = law_.joints(), rows = law_.rows();
     const Columns inertia(terms.attr("mass_matrix")), axes(terms.attr("rotation"));
-    const Numbers jacobian(terms.attr("jacobian")), drift(terms.attr("drift")), place(terms.attr("position")),
+    const Numbers jacobian(terms.attr("jacobian")), bias_acceleration(terms.attr("drift")), origin(terms.attr("position")),
         twist(terms.attr("twist"));
     const RigidTerms rigid{checked(inertia, n * n, "mass_matrix"), nullptr, checked(jacobian, 6 * n, "jacobian")};
     law_.decide(static_cast<int>(tick), after, gamma,
-                {checked(position, n, "position"), checked(velocity, n, "velocity"), checked(drift, 6, "drift"),
-                 checked(place, 3, "position"), checked(twist, 6, "twist"), checked(axes, 9, "rotation")},
+                {checked(position, n, "position"), checked(velocity, n, "velocity"), checked(bias_acceleration, 6, "drift"),
+                 checked(origin, 3, "position"), checked(twist, 6, "twist"), checked(axes, 9, "rotation")},
                 rigid);
     return py::make_tuple(array(law_.feedback, {law_.tasks()}), array(law_.matrix, {rows, n}),
                           array(law_.targets, {rows}), array(law_.inertia, {n, n}));

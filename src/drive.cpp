@@ -32,15 +32,15 @@ void Drive::sense(const double* q, const double* dq) {
 }
 
 void Drive::step(const double* shaped) {
-  act(shaped);
-  move(period_, period_);
+  update_actuation(shaped);
+  integrate(period_, period_);
 }
 
-void Drive::act(const double* shaped) {
+void Drive::update_actuation(const double* shaped) {
   for (std::size_t i = 0; i < joints(); ++i) actuation[i] = feedback_[i] * transmission[i] + shaped[i];
 }
 
-void Drive::move(double kick, double drift) {
+void Drive::integrate(double velocity_step, double position_step) {
   if (!law_.coulomb.empty()) {
     for (std::size_t i = 0; i < joints(); ++i) friction[i] = law_.torque(i, velocity[i], transmission[i]);
     law_.add_shafts(velocity, friction);
@@ -48,8 +48,8 @@ void Drive::move(double kick, double drift) {
   for (std::size_t i = 0; i < joints(); ++i) {
     double net = actuation[i] - transmission[i];
     if (!law_.coulomb.empty()) net += friction[i];
-    velocity[i] += net * rotor_inverse_[i] * kick;
-    position[i] += velocity[i] * drift;
+    velocity[i] += net * rotor_inverse_[i] * velocity_step;
+    position[i] += velocity[i] * position_step;
   }
 }
 

@@ -49,10 +49,10 @@ class Drive {
   void step(const double* shaped);
 
   // The torque law: `actuation` until it is called again.
-  void act(const double* shaped);
+  void update_actuation(const double* shaped);
 
-  // The motors under their torques for `kick`, then along their velocities for `drift` [s].
-  void move(double kick, double drift);
+  // The motors under their torques for `velocity_step`, then along their velocities for `position_step` [s].
+  void integrate(double velocity_step, double position_step);
 
   std::vector<double> position, velocity;     // of the motors [rad, rad/s]
   std::vector<double> elastic, transmission;  // tau_J, and with the damper [N m]

@@ -11,13 +11,13 @@ namespace impact_rs {
 namespace {
 
 // Ratio of impulses to velocities above which the solver uses the root: from 14 points of one arm on. Boxes have 8,
-// random problems never more. Given points, as a grid on a face, take 1.3 times as long without
-// it for 16 points, 9 times for 64.
-constexpr int MANY = 3;
+// random problems never more. Points given by the caller, as a grid on a face, cost 1.3 times as much without it for 16
+// points, 9 times for 64.
+constexpr int ROOT_RATIO = 3;
 constexpr double ORTHONORMAL = 1e-6;  // of a rotation, as check_problem() of problem.py
-constexpr double STILL[36] = {1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0,   // Jacobian of a free body
-                              0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0,
-                              0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0};
+constexpr double FREE_BODY_JACOBIAN[36] = {1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0,
+                                           0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0,
+                                           0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0};
 
 Matrix matrix(const double* values) {
   Matrix m;
@@ -74,7 +74,7 @@ void point_rows(const double* jacobian, int columns, const Vector& lever, double
 
 }  // namespace
 
-bool Impact::sound(const Arms& arms, const Objects& objects) const {
+bool Impact::is_valid(const Arms& arms, const Objects& objects) const {
   for (const ArmState& arm : arms) {
     if (!within(arm.position, arm.low, arm.high, arm.joints)) return false;
     for (int j = 0; j < arm.joints; ++j)
@@ -91,7 +91,7 @@ bool Impact::sound(const Arms& arms, const Objects& objects) const {
 Impact::Side Impact::object_side(const Objects& objects, int number) const {
   const ObjectState& object = objects[number];
   const int block = static_cast<int>(blocks_.size() - objects.size()) + number;
-  return {STILL, object.fixed() ? 0 : 6, vector(object.position), block};
+  return {FREE_BODY_JACOBIAN, object.fixed() ? 0 : 6, vector(object.position), block};
 }
 
 // Block of H with the velocities of a partner; -1: the support, which has none.
@@ -103,38 +103,39 @@ int Impact::block_of(const Arms& arms, int partner) const {
 
 Impact::Side Impact::partner_side(const Arms& arms, const Objects& objects, int partner) const {
   const int count = static_cast<int>(arms.size());
-  if (partner < count) return {arms[partner].jacobian, arms[partner].joints, places_[partner], block_of(arms, partner)};
-  return partner == count ? Side{STILL, 0, {}, -1} : object_side(objects, partner - count - 1);
+  if (partner < count) return {arms[partner].jacobian, arms[partner].joints, origins_[partner], block_of(arms, partner)};
+  return partner == count ? Side{FREE_BODY_JACOBIAN, 0, {}, -1} : object_side(objects, partner - count - 1);
 }
 
 bool Impact::find_points(const Arms& arms, const Objects& objects, const ContactState& contact) {
   points.clear();
   const int count = static_cast<int>(arms.size());
   const auto body_of = [](const ObjectState& object) {
-    return Body{vector(object.position), matrix(object.axes), vector(object.half), object.form};
+    return ConvexBody{vector(object.position), matrix(object.axes), vector(object.half), object.shape};
   };
-  const auto add = [this, &contact](int partner, const Body& other, int number, const Body& body, double friction) {
-    const Meeting meeting = meet(other, body, rules_.aligned);
-    if (!(-meeting.separation <= rules_.penetration)) return false;
-    if (!(meeting.separation <= rules_.gap)) return true;
-    touches_.clear();
-    touching(other, body, meeting, rules_.gap, touches_);
+  const auto add = [this, &contact](int partner, const ConvexBody& other, int number, const ConvexBody& body,
+                                    double friction) {
+    const SeparatingAxis separating = separating_axis(other, body, rules_.aligned);
+    if (!(-separating.separation <= rules_.penetration)) return false;
+    if (!(separating.separation <= rules_.gap)) return true;
+    manifold_.clear();
+    contact_manifold(other, body, separating, rules_.gap, manifold_);
     const ContactLaw law{friction, *contact.restitution};
-    for (const Touch& touch : touches_)
-      points.push_back({partner, touch.position, meeting.normal, {}, touch.gap, State::open, law, number});
+    for (const ManifoldPoint& candidate : manifold_)
+      points.push_back({partner, candidate.position, separating.normal, {}, candidate.gap, State::open, law, number});
     return true;
   };
   for (int number = 0; number < static_cast<int>(objects.size()); ++number) {
-    const Body body = body_of(objects[number]);
+    const ConvexBody body = body_of(objects[number]);
     for (int partner = 0; partner < count; ++partner) {
       const ArmState& arm = arms[partner];
       const Matrix axes = matrix(arm.axes);
-      const Body pad{places_[partner] + axes * vector(arm.pad_place), axes * matrix(arm.pad_axes), vector(arm.pad_half),
-                     arm.pad_form};
+      const ConvexBody pad{origins_[partner] + axes * vector(arm.pad_centre), axes * matrix(arm.pad_axes),
+                           vector(arm.pad_half), arm.pad_shape};
       if (!add(partner, pad, number, body, *contact.pad_friction)) return false;
     }
     if (contact.support != nullptr) {
-      const Body below{vector(contact.support), IDENTITY, vector(contact.support + 3)};
+      const ConvexBody below{vector(contact.support), IDENTITY, vector(contact.support + 3)};
       if (!add(count, below, number, body, *contact.support_friction)) return false;
     }
     for (int before = 0; before < number; ++before)
@@ -229,8 +230,8 @@ bool Impact::assemble(const Arms& arms, const Objects& objects) {
     double* of_object = object_columns_.data() + 18 * i;
     double* of_partner = arm_columns_.data() + 3 * widest * i;
     std::fill_n(of_object, 18, 0.0);
-    if (own.size > 0) columns(own, point.position - own.place, 1.0, of_object);
-    if (other.size > 0) columns(other, point.position - point.gap * point.normal - other.place, -1.0, of_partner);
+    if (own.size > 0) columns(own, point.position - own.origin, 1.0, of_object);
+    if (other.size > 0) columns(other, point.position - point.gap * point.normal - other.origin, -1.0, of_partner);
     for (int j = 0; j <= i; ++j) {
       const Point& before = point_of(j);
       double sums[9] = {};
@@ -251,8 +252,8 @@ bool Impact::assemble(const Arms& arms, const Objects& objects) {
               sums[3 * k + c2];
     }
   }
-  take_root(arms);
-  terms_.take_inverse_mass();
+  build_root(arms);
+  terms_.compute_inverse_mass();
   terms_.mobility = fixed ? mean(terms_.inverse_mass) : 1.0 / *object.mass;
   relative_velocities(arms, objects, before_twists_.data(), before_.data() + blocks_[count].start,
                       terms_.approach.data());
@@ -263,23 +264,23 @@ bool Impact::assemble(const Arms& arms, const Objects& objects) {
     terms_.host[i] = turns(i) ? turning_[i - points.size()] : -1;
     terms_.friction[i] = turns(i) ? law.rolling_arm / length_ : law.friction;
     terms_.spin[i] = turns(i) ? law.drilling_arm / length_ : 0.0;
-    const Vector coming = vector(terms_.approach.data() + 3 * i);
-    const double opening = dot(point.normal, coming);
-    const Vector along = opening * point.normal;
-    // A point that opens has nothing to give back along the normal; with e J_n u^- > 0 it could close after the impact.
-    const Vector closing = std::min(opening, 0.0) * point.normal;
-    const Vector back = turns(i) ? law.spin_restitution * along
-                                 : law.restitution * closing + law.tangential_restitution * (coming - along);
-    std::copy(back.begin(), back.end(), terms_.rebound.begin() + 3 * i);
+    const Vector approach = vector(terms_.approach.data() + 3 * i);
+    const double normal_velocity = dot(point.normal, approach);
+    const Vector along = normal_velocity * point.normal;
+    // Restitution along the normal acts at closing points only; with e J_n u^- > 0 it could close after the impact.
+    const Vector closing = std::min(normal_velocity, 0.0) * point.normal;
+    const Vector rebound = turns(i) ? law.spin_restitution * along
+                                 : law.restitution * closing + law.tangential_restitution * (approach - along);
+    std::copy(rebound.begin(), rebound.end(), terms_.rebound.begin() + 3 * i);
   }
   return true;
 }
 
 // Y, from the columns of the object and of its partner at every point.
-void Impact::take_root(const Arms& arms) {
+void Impact::build_root(const Arms& arms) {
   const int m = terms_.count, size = 3 * m, stride = m == 0 ? 0 : static_cast<int>(arm_columns_.size()) / m;
   const int velocities = static_cast<int>(before_.size());
-  terms_.rank = size > MANY * velocities && turning_.empty() ? velocities : 0;
+  terms_.rank = size > ROOT_RATIO * velocities && turning_.empty() ? velocities : 0;
   if (terms_.rank == 0) return;
   terms_.root.assign(terms_.rank * size, 0.0);
   const auto put = [this, size](const double* columns, const Block& block, int point) {
@@ -304,8 +305,8 @@ void Impact::relative_velocities(const Arms& arms, const Objects& objects, const
     const double* own = of_objects + 6 * point.body;
     Vector moving = vector(own) + cross(vector(own + 3), point.position - vector(objects[point.body].position));
     if (const double* twist = twist_of_partner(point.partner)) {
-      const Vector place = partner_side(arms, objects, point.partner).place;
-      moving = moving - vector(twist) - cross(vector(twist + 3), point.position - point.gap * point.normal - place);
+      const Vector origin = partner_side(arms, objects, point.partner).origin;
+      moving = moving - vector(twist) - cross(vector(twist + 3), point.position - point.gap * point.normal - origin);
     }
     std::copy(moving.begin(), moving.end(), found);
     found += 3;
@@ -327,13 +328,13 @@ void Impact::impulses_to_momenta(const Arms& arms, const Objects& objects, std::
     const Vector impulse = turns(i) ? Vector{} : given, couple = turns(i) ? length_ * given : Vector{};
     const Side own = object_side(objects, point.body), other = partner_side(arms, objects, point.partner);
     double* body = momenta.data() + blocks_[own.block].start;
-    const Vector moment = cross(point.position - own.place, impulse) + couple;
+    const Vector moment = cross(point.position - own.origin, impulse) + couple;
     for (int k = 0; k < 3 && own.size > 0; ++k) {
       body[k] += impulse[k];
       body[3 + k] += moment[k];
     }
     if (other.size == 0) continue;
-    const Vector at = point.position - point.gap * point.normal - other.place;
+    const Vector at = point.position - point.gap * point.normal - other.origin;
     const Vector turning = cross(at, impulse) + couple;
     double* joints = momenta.data() + blocks_[other.block].start;
     const int n = other.size;
@@ -382,16 +383,17 @@ void Impact::finish(const Arms& arms, const Objects& objects) {
   laws = judge(terms_, impulses_.data(), after_.data());
 }
 
-Status Impact::solve(const Arms& arms, const Objects& objects, const ContactState& contact, const Point* begin, const Point* end, bool resumed) {
-  if (!sound(arms, objects)) return Status::unsound;
-  places_.clear();
-  for (const ArmState& arm : arms) places_.push_back(vector(arm.place));
+Status Impact::solve(const Arms& arms, const Objects& objects, const ContactState& contact, const Point* begin,
+                     const Point* end, bool resumed) {
+  if (!is_valid(arms, objects)) return Status::invalid;
+  origins_.clear();
+  for (const ArmState& arm : arms) origins_.push_back(vector(arm.origin));
   if (begin != nullptr) {
     points.assign(begin, end);
   } else if (!find_points(arms, objects, contact)) {
-    return Status::unsound;
+    return Status::invalid;
   }
-  if (!assemble(arms, objects)) return Status::unsound;
+  if (!assemble(arms, objects)) return Status::invalid;
   solver_.steps = 0;
   bool solved = false;
   if (resumed) {

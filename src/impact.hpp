@@ -29,12 +29,12 @@ struct ArmState {
   const double* fastest;    // largest |dq|, (n)
   const double* inertia;    // M, of which the upper triangle is read, (n, n)
   const double* jacobian;   // of frame E in E[A], (6, n)
-  const double* place;      // origin of E in A, (3)
+  const double* origin;      // origin of E in A, (3)
   const double* axes;       // axes of E in A, (3, 3)
-  const double* pad_place;  // middle of the pad in E, (3)
+  const double* pad_centre;  // middle of the pad in E, (3)
   const double* pad_axes;   // its axes in E, (3, 3)
   const double* pad_half;   // its half extents, (3)
-  Form pad_form;            // its shape
+  Shape pad_shape;            // its shape
   int carrier;              // index of the arm whose velocities it has: its own, but for a further pad of a robot
 };
 
@@ -46,7 +46,7 @@ struct ObjectState {
   const double* half;      // half extents, (3)
   const double* moments;   // principal, about the centre of mass, (3)
   const double* offset;    // of the centre of mass, in its axes, (3)
-  Form form;               // its shape
+  Shape shape;               // its shape
 
   bool fixed() const { return std::isinf(*mass); }
 };
@@ -59,7 +59,7 @@ struct ContactState {
   const double* object_friction;   // between objects, (1)
 };
 
-enum class Status : char { solved, unsound, unsolved };  // unsound: invalid data, reported by Python
+enum class Status : char { solved, invalid, unsolved };  // unsound: invalid data, reported by Python
 
 // The laws of one contact point.
 struct ContactLaw {
@@ -92,7 +92,7 @@ class Impact {
   std::vector<double> velocity;  // u^+, joints of all arms and the twists of the objects
   std::vector<double> twists;    // of frame E of every arm after the impact, (6) each
   std::vector<Point> points;
-  Judged laws;
+  LawResiduals laws;
   double momentum = 0.0;            // |H^-1 (H (u^+ - u^-) - J_c^T L)|
   double energy = 0.0, gain = 0.0;  // kinetic, before and what the impact adds [J]
   int steps = 0;
@@ -106,15 +106,15 @@ class Impact {
   using Arms = std::vector<ArmState>;
   using Objects = std::vector<ObjectState>;
 
-  // One of two bodies that touch: its twist at a place is a Jacobian times its velocities.
+  // One of two bodies in contact: its twist at a point is a Jacobian times its velocities.
   struct Side {
     const double* jacobian;
     int size;  // of its velocities; 0: it does not move
-    Vector place;
+    Vector origin;
     int block;
   };
 
-  bool sound(const Arms& arms, const Objects& objects) const;
+  bool is_valid(const Arms& arms, const Objects& objects) const;
   bool find_points(const Arms& arms, const Objects& objects, const ContactState& contact);
   bool assemble(const Arms& arms, const Objects& objects);
   void add_object(const ObjectState& object, Block& block);
@@ -123,7 +123,7 @@ class Impact {
   int block_of(const Arms& arms, int partner) const;
   const Point& point_of(int contact) const { return points[turns(contact) ? turning_[contact - points.size()] : contact]; }
   bool turns(int contact) const { return contact >= static_cast<int>(points.size()); }
-  void take_root(const Arms& arms);
+  void build_root(const Arms& arms);
   void finish(const Arms& arms, const Objects& objects);
   void impulses_to_momenta(const Arms& arms, const Objects& objects, std::vector<double>& momenta);
   void relative_velocities(const Arms& arms, const Objects& objects, const double* of_arms, const double* of_objects,
@@ -132,8 +132,8 @@ class Impact {
   Rules rules_;
   Solver solver_;
   Terms terms_;
-  std::vector<Touch> touches_;
-  std::vector<Vector> places_;  // origins of E
+  std::vector<ManifoldPoint> manifold_;
+  std::vector<Vector> origins_;  // origins of E
   std::vector<Block> blocks_;
   std::vector<int> turning_;  // points that resist turning; each is one more contact of the terms
   double length_ = 1.0;       // of turnings, see laws.hpp [m]

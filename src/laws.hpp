@@ -17,8 +17,8 @@ constexpr double CONTINUATION[] = {1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7};  // rho,
 
 // A problem at its m contacts; three numbers per contact, in axes of A. A contact is a point, with an impulse and a
 // velocity, or the turning of a point, with a moment and an angular velocity; these are over and times a length, so that
-// all contacts have one unit. Turning is held by the normal impulse of its point alone: |M_n| <= spin L_n about the normal
-// and |M_t| <= friction L_n across it, with both arms over the same length.
+// all contacts have one unit. Turning is resisted by the normal impulse of its point alone: |M_n| <= spin L_n about the
+// normal and |M_t| <= friction L_n across it, with both arms over the same length.
 struct Terms {
   int count = 0;
   std::vector<double> delassus;      // G = J_c H^-1 J_c^T, (3 m, 3 m) [1/kg]
@@ -35,7 +35,7 @@ struct Terms {
   std::vector<double> root;          // Y = L^-1 J_c^T with H = L L^T, so that G = Y^T Y, (rank, 3 m)
 
   void resize(int points);
-  void take_inverse_mass();  // from the Delassus operator
+  void compute_inverse_mass();  // from the Delassus operator
 };
 
 enum class State : char { open, stick, slide };
@@ -57,7 +57,7 @@ PointLaw linearise(const Vector& impulse, const Vector& velocity, const Vector& 
 
 // The same of a turning, with the normal impulse of its point.
 PointLaw linearise_turning(const Vector& moment, const Vector& velocity, const Vector& normal, double friction,
-                           double spin, double inverse_mass, double pressing);
+                           double spin, double inverse_mass, double normal_impulse);
 
 class Solver {
  public:
@@ -81,24 +81,24 @@ class Solver {
 
  private:
   bool continuation(const Terms& terms, std::vector<double>& impulses, double compliance);
-  bool full_steps(const Terms& terms, std::vector<double>& impulses, double yield, double enough, int most);
-  void sweep(const Terms& terms, std::vector<double>& impulses, double yield);
-  bool newton_step(const Terms& terms, double yield);
-  bool step_by_root(const Terms& terms, double yield);
+  bool full_steps(const Terms& terms, std::vector<double>& impulses, double regularisation, double tolerance, int most);
+  void sweep(const Terms& terms, std::vector<double>& impulses, double regularisation);
+  bool newton_step(const Terms& terms, double regularisation);
+  bool step_by_root(const Terms& terms, double regularisation);
   PointLaw law_of(const Terms& terms, const std::vector<double>& impulses, int contact) const;
-  void velocities(const Terms& terms, const std::vector<double>& impulses, double yield);
+  void velocities(const Terms& terms, const std::vector<double>& impulses, double regularisation);
 
   std::vector<PointLaw> laws_;
   std::vector<int> coupled_;
-  std::vector<double> velocity_, step_, matrix_, right_, best_, origin_, kept_, moved_, rest_, work_;
+  std::vector<double> velocity_, step_, matrix_, right_, best_, origin_, kept_, moved_, remainder_, work_;
   std::vector<Matrix> inverses_;
 };
 
-struct Judged {
+struct LawResiduals {
   double penetration = 0.0, complementarity = 0.0, friction = 0.0;  // m/s
 };
 
 // Residuals of the contact laws at impulses and velocities J_c u^+; definitions in laws.py.
-Judged judge(const Terms& terms, const double* impulses, const double* after);
+LawResiduals judge(const Terms& terms, const double* impulses, const double* after);
 
 }  // namespace impact_rs

@@ -39,23 +39,24 @@ class Field {
   bool is_number_ = true;
 };
 
-using BodyOfPython = std::tuple<Numbers, Numbers, Numbers, OptionalForm>;
+using BodyOfPython = std::tuple<Numbers, Numbers, Numbers, OptionalShape>;
 
-Body body_of(const BodyOfPython& given) {
+ConvexBody body_of(const BodyOfPython& given) {
   const auto& [centre, rotation, half, shape] = given;
   Matrix axes;
   const double* values = checked(rotation, 9, "rotation");
   std::copy(values, values + 9, axes.begin());
-  return {vector(checked(centre, 3, "centre")), axes, vector(checked(half, 3, "half")), shape.value_or(Form{})};
+  return {vector(checked(centre, 3, "centre")), axes, vector(checked(half, 3, "half")), shape.value_or(Shape{})};
 }
 
-Form form_of(const std::string& kind, const std::optional<Numbers>& corners,
+Shape shape_of(const std::string& kind, const std::optional<Numbers>& corners,
                        const std::vector<std::vector<int>>& faces) {
   const char* const kinds[] = {"box", "sphere", "capsule", "cylinder", "hull"};
   const auto* found = std::find(kinds, kinds + 5, kind);
   if (found == kinds + 5) throw py::value_error("kind: expected box, sphere, capsule, cylinder or hull");
-  Form shape{static_cast<Kind>(found - kinds), nullptr};
-  if ((shape.kind == Kind::hull) != corners.has_value()) throw py::value_error("corners: a hull has some, nothing else");
+  Shape shape{static_cast<ShapeKind>(found - kinds), nullptr};
+  if ((shape.kind == ShapeKind::hull) != corners.has_value())
+    throw py::value_error("corners: a hull has some, nothing else");
   if (corners) {
     if (corners->size() == 0 || corners->size() % 3 != 0)
       throw py::value_error("corners: expected one or more, three numbers each");
@@ -68,27 +69,27 @@ Form form_of(const std::string& kind, const std::optional<Numbers>& corners,
 
 using EdgesOfPython = std::optional<std::pair<int, int>>;
 
-py::tuple meet_of(const BodyOfPython& partner, const BodyOfPython& object, double aligned) {
-  const Meeting meeting = meet(body_of(partner), body_of(object), aligned);
+py::tuple separating_axis_of(const BodyOfPython& partner, const BodyOfPython& object, double aligned) {
+  const SeparatingAxis separating = separating_axis(body_of(partner), body_of(object), aligned);
   EdgesOfPython edges;
-  if (meeting.edges) edges.emplace(meeting.edges->partner, meeting.edges->object);
-  return py::make_tuple(meeting.separation, Numbers(3, meeting.normal.data()), meeting.on_object, edges);
+  if (separating.edges) edges.emplace(separating.edges->partner, separating.edges->object);
+  return py::make_tuple(separating.separation, Numbers(3, separating.normal.data()), separating.on_object, edges);
 }
 
-py::tuple touching_of(const BodyOfPython& partner, const BodyOfPython& object, const Numbers& normal, bool on_object,
+py::tuple contact_manifold_of(const BodyOfPython& partner, const BodyOfPython& object, const Numbers& normal, bool on_object,
                       const EdgesOfPython& edges, double tolerance) {
-  Meeting meeting{0.0, vector(checked(normal, 3, "normal")), on_object, std::nullopt};
+  SeparatingAxis separating{0.0, vector(checked(normal, 3, "normal")), on_object, std::nullopt};
   if (edges) {
     if (std::min(edges->first, edges->second) < 0 || std::max(edges->first, edges->second) > 2)
       throw py::value_error("edges: expected two axes of boxes, 0 to 2");
-    meeting.edges = Edges{edges->first, edges->second};
+    separating.edges = Edges{edges->first, edges->second};
   }
-  std::vector<Touch> found;
-  touching(body_of(partner), body_of(object), meeting, tolerance, found);
+  std::vector<ManifoldPoint> found;
+  contact_manifold(body_of(partner), body_of(object), separating, tolerance, found);
   std::vector<double> positions, gaps;
-  for (const Touch& touch : found) {
-    positions.insert(positions.end(), touch.position.begin(), touch.position.end());
-    gaps.push_back(touch.gap);
+  for (const ManifoldPoint& candidate : found) {
+    positions.insert(positions.end(), candidate.position.begin(), candidate.position.end());
+    gaps.push_back(candidate.gap);
   }
   const py::ssize_t count = found.size();
   return py::make_tuple(array(positions, {count, 3}), array(gaps, {count}));
@@ -167,7 +168,7 @@ class TermsOfPython {
 
   py::tuple judge(const Numbers& impulses, const Numbers& after, const Numbers& least) {
     press(least);
-    const Judged found = impact_rs::judge(terms_, checked(impulses, 3 * terms_.count, "impulses"),
+    const LawResiduals found = impact_rs::judge(terms_, checked(impulses, 3 * terms_.count, "impulses"),
                                           checked(after, 3 * terms_.count, "after"));
     return py::make_tuple(found.penetration, found.complementarity, found.friction);
   }
@@ -193,13 +194,13 @@ class TermsOfPython {
 struct ArmFields {
   py::ssize_t joints;
   std::vector<Field> fields;
-  OptionalForm shape;  // of what is on the flange
+  OptionalShape shape;  // of what is on the flange
   int carrier;         // index of the arm whose velocities it has
 
   ArmFields(const py::sequence& given, py::ssize_t count, int own) : carrier(own) {
     if (given.size() < 13 || given.size() > 15)
       throw py::value_error("an arm has 13 fields, 14 with a shape, 15 with its carrier");
-    if (given.size() > 13) shape = given[13].cast<OptionalForm>();
+    if (given.size() > 13) shape = given[13].cast<OptionalShape>();
     if (given.size() > 14) carrier = given[14].cast<int>();
     if (carrier < 0 || carrier > own) throw py::value_error("expected the carrier of a pad before it");
     joints = Numbers(py::reinterpret_borrow<py::object>(given[3])).size();  // low: one number per joint
@@ -213,7 +214,7 @@ struct ArmFields {
   ArmState at(py::ssize_t q) const {
     const auto& f = fields;
     return {static_cast<int>(joints), f[0](q), f[1](q), f[2](q),  f[3](q),  f[4](q),  f[5](q), f[6](q),
-            f[7](q),                  f[8](q), f[9](q), f[10](q), f[11](q), f[12](q), shape.value_or(Form{}), carrier};
+            f[7](q),                  f[8](q), f[9](q), f[10](q), f[11](q), f[12](q), shape.value_or(Shape{}), carrier};
   }
 };
 
@@ -238,11 +239,11 @@ std::vector<Point> points_of(const PointsOfPython& given, int arms) {
 
 struct ObjectFields {
   std::vector<Field> fields;
-  OptionalForm shape;
+  OptionalShape shape;
 
   ObjectFields(const py::sequence& given, py::ssize_t count) {
     if (given.size() != 7 && given.size() != 8) throw py::value_error("expected 7 fields of an object, 8 with a shape");
-    if (given.size() == 8) shape = given[7].cast<OptionalForm>();
+    if (given.size() == 8) shape = given[7].cast<OptionalShape>();
     const py::ssize_t sizes[] = {3, 9, 6, 1, 3, 3, 3};
     const char* const names[] = {"object.position", "object.rotation", "object.twist",     "object.mass",
                                  "object.half",     "object.inertia",  "object.com_offset"};
@@ -251,7 +252,7 @@ struct ObjectFields {
 
   ObjectState at(py::ssize_t q) const {
     const auto& o = fields;
-    return {o[0](q), o[1](q), o[2](q), o[3](q), o[4](q), o[5](q), o[6](q), shape.value_or(Form{})};
+    return {o[0](q), o[1](q), o[2](q), o[3](q), o[4](q), o[5](q), o[6](q), shape.value_or(Shape{})};
   }
 };
 
@@ -320,7 +321,7 @@ py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::s
           given ? known.data() + where[q] : nullptr, given ? known.data() + where[q + 1] : nullptr, near.has_value());
       s[q] = static_cast<int>(found);
       n[q] = impact.steps;
-      if (found == Status::unsound) {
+      if (found == Status::invalid) {
         std::fill(u + q * size, u + (q + 1) * size, NAN);
         std::fill(t + q * 6 * k, t + (q + 1) * 6 * k, NAN);
         std::fill(r + 4 * q, r + 4 * q + 4, NAN);
@@ -357,12 +358,12 @@ py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::s
 
 void add_impacts(py::module_& module) {
   module.attr("ACCEPTED") = ACCEPTED;
-  py::class_<Form>(module, "Shape")
-      .def(py::init(&form_of), py::arg("kind"), py::arg("corners") = py::none(),
+  py::class_<Shape>(module, "Shape")
+      .def(py::init(&shape_of), py::arg("kind"), py::arg("corners") = py::none(),
            py::arg("faces") = std::vector<std::vector<int>>{});
-  module.def("meet", &meet_of, py::arg("partner"), py::arg("object"), py::arg("aligned"));
-  module.def("touching", &touching_of, py::arg("partner"), py::arg("object"), py::arg("normal"), py::arg("on_object"),
-             py::arg("edges"), py::arg("tolerance"));
+  module.def("meet", &separating_axis_of, py::arg("partner"), py::arg("object"), py::arg("aligned"));
+  module.def("touching", &contact_manifold_of, py::arg("partner"), py::arg("object"), py::arg("normal"),
+             py::arg("on_object"), py::arg("edges"), py::arg("tolerance"));
   py::class_<TermsOfPython>(module, "Terms")
       .def(py::init<const Numbers&, const Numbers&, const Numbers&, const Numbers&, const Numbers&, const Numbers&,
                     double>(),

@@ -20,9 +20,9 @@ namespace py = pybind11;
 
 using Numbers = py::array_t<double, py::array::c_style | py::array::forcecast>;
 using Columns = py::array_t<double, py::array::f_style | py::array::forcecast>;  // as Pinocchio has M
-using Shape = std::vector<py::ssize_t>;
+using ArrayShape = std::vector<py::ssize_t>;
 
-inline Numbers array(const std::vector<double>& values, Shape shape) {
+inline Numbers array(const std::vector<double>& values, ArrayShape shape) {
   return Numbers(std::move(shape), values.data());
 }
 
@@ -41,10 +41,10 @@ inline std::vector<double> copied(const Numbers& values, py::ssize_t size, const
 
 // A copy that may be written to, in the same shape.
 inline Numbers own(const Numbers& values) {
-  return Numbers(Shape(values.shape(), values.shape() + values.ndim()), values.data());
+  return Numbers(ArrayShape(values.shape(), values.shape() + values.ndim()), values.data());
 }
 
-using OptionalForm = std::optional<Form>;  // of Python; none: a box
+using OptionalShape = std::optional<Shape>;  // of Python; none: a box
 
 class Drive;
 const Drive& drive_of(const py::object& motors);  // of Motors; drive_module.cpp

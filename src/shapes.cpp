@@ -10,59 +10,61 @@ namespace impact_rs {
 
 namespace {
 
-constexpr double OWNS = 1e-12;       // 1 - cosine of the angle of a face and a normal that is its own
-constexpr double ALONG = 1e-6;       // of a direction along an edge or wall over its length
-constexpr double CAP_COSINE = 0.7;   // of normal and axis; a steeper one meets the wall of a cylinder, not its cap
-constexpr double FLAT = 1e-3;        // sine of the tilt of a cap below which eight points stand for its rim
+constexpr double FACE_NORMAL_TOLERANCE = 1e-12;  // 1 - cosine of the angle of a face and a normal that is its own
+constexpr double PARALLEL_TOLERANCE = 1e-6;      // of a direction along an edge or wall over its length
+constexpr double CAP_COSINE = 0.7;               // of normal and axis; above it the normal belongs to the cap of a cylinder, below to its wall
+constexpr double FLAT_CAP_SINE = 1e-3;           // sine of the tilt of a cap below which eight points stand for its rim
 // Points of the rim of a cap, fixed to its body, over its radius.
 constexpr double DIAGONAL = 0.70710678118654752440;
 constexpr double RIM[8][2] = {{1.0, 0.0},  {DIAGONAL, DIAGONAL},   {0.0, 1.0},  {-DIAGONAL, DIAGONAL},
                               {-1.0, 0.0}, {-DIAGONAL, -DIAGONAL}, {0.0, -1.0}, {DIAGONAL, -DIAGONAL}};
-constexpr int MOST_CORNERS = 12;     // of a face of a hull; of more, every second or third one and the furthest stand for all
-constexpr double FACING = 1e-5;      // of the extents of two bodies, between points that face each other
-constexpr double WIDEST_TURN = 0.8;  // rad, over which the normal of a rim on an edge is sought
-constexpr double CROSSED = 0.995;    // cosine, as in boxes.cpp; edges and walls whose normal is nearer to that of a face are of it
-constexpr int SWEEPS = 8;            // of the search for the normal of two rims
-constexpr int TURNS = 8;             // in which the interval is divided to either side
-constexpr int NARROWINGS = 40;       // of the interval by the golden ratio
+constexpr int MAX_FACE_CORNERS = 12;          // of a face of a hull; of a larger one every n-th corner and the furthest
+constexpr double FACING_TOLERANCE = 1e-5;     // of the extents of two bodies, between points that face each other
+constexpr double MAX_ROTATION = 0.8;          // rad, over which the normal of a rim on an edge is sought
+constexpr double SAME_NORMAL_COSINE = 0.995;  // as in boxes.cpp, for edges and walls
+constexpr int SWEEPS = 8;                     // of the search for the normal of two rims
+constexpr int COARSE_STEPS = 8;               // in which the interval is divided to either side
+constexpr int GOLDEN_STEPS = 40;              // of the interval by the golden ratio
 
 Vector unit(const Vector& a) { return (1.0 / norm(a)) * a; }
 
-bool is_round(Kind kind) { return kind == Kind::sphere || kind == Kind::capsule || kind == Kind::cylinder; }
+bool is_round(ShapeKind kind) {
+  return kind == ShapeKind::sphere || kind == ShapeKind::capsule || kind == ShapeKind::cylinder;
+}
 
 // Half the length of the segment inside a sphere, capsule or cylinder [m].
-double core(const Body& body) {
-  switch (body.form.kind) {
-    case Kind::capsule: return body.half[2] - body.half[0];
-    case Kind::cylinder: return body.half[2];
+double core(const ConvexBody& body) {
+  switch (body.shape.kind) {
+    case ShapeKind::capsule: return body.half[2] - body.half[0];
+    case ShapeKind::cylinder: return body.half[2];
     default: return 0.0;
   }
 }
 
-Vector axis_of(const Body& body) { return column(body.rotation, 2); }
+Vector axis_of(const ConvexBody& body) { return column(body.rotation, 2); }
 
 // Part of a direction across the axis of a round body; unit vector, of a direction along the axis any one across it.
-Vector across(const Body& body, const Vector& direction) {
+Vector across(const ConvexBody& body, const Vector& direction) {
   const Vector axis = axis_of(body), radial = direction - dot(direction, axis) * axis;
   const double size = norm(radial);
   return size > 1e-12 * norm(direction) ? (1.0 / size) * radial : column(body.rotation, 0);
 }
 
 struct Corners {
-  std::array<Vector, 64> places;
+  std::array<Vector, 64> points;
   int count = 0;
 
-  void add(const Vector& place) {
-    if (count < static_cast<int>(places.size())) places[count++] = place;
+  void add(const Vector& point) {
+    if (count < static_cast<int>(points.size())) points[count++] = point;
   }
 };
 
-// Rim of the cap that looks along a unit vector: points that are fixed to the body and, where it is tilted, the furthest.
-void add_cap(const Body& body, const Vector& direction, Corners& found) {
+// Rim of the cap on the side of a unit vector: points that are fixed to the body and, where it is tilted, the furthest.
+void add_cap(const ConvexBody& body, const Vector& direction, Corners& found) {
   const Vector local = transposed_times(body.rotation, direction);
   const double radius = body.half[0], height = std::copysign(body.half[2], local[2]);
   const double tilt = std::hypot(local[0], local[1]);
-  const Vector furthest = tilt > FLAT ? Vector{local[0] / tilt, local[1] / tilt, 0.0} : Vector{};
+  const Vector furthest = tilt > FLAT_CAP_SINE ? Vector{local[0] / tilt, local[1] / tilt, 0.0} : Vector{};
   const auto put = [&](double x, double y) {
     found.add(body.centre + body.rotation * Vector{radius * x, radius * y, height});
   };
@@ -71,23 +73,22 @@ void add_cap(const Body& body, const Vector& direction, Corners& found) {
     put(here[0], here[1]);
     const double after = here[0] * furthest[1] - here[1] * furthest[0];
     const double before = furthest[0] * next[1] - furthest[1] * next[0];
-    if (after > FLAT && before > FLAT) put(furthest[0], furthest[1]);
+    if (after > FLAT_CAP_SINE && before > FLAT_CAP_SINE) put(furthest[0], furthest[1]);
   }
 }
 
-int furthest_corner(const Hull& hull, const Vector& local) {
+int support_corner(const Hull& hull, const Vector& local) {
   int corner = 0;
   for (int i = 1; i < static_cast<int>(hull.corners.size()); ++i)
     if (dot(hull.corners[i], local) > dot(hull.corners[corner], local)) corner = i;
   return corner;
 }
 
-// What of a body is furthest along `direction`, or nearly: a point, the ends of a segment, or the corners of a face in
-// order around it.
-void feature(const Body& body, const Vector& direction, Corners& found) {
+// Supporting feature of a body along `direction`: a point, the ends of a segment, or the corners of a face in order.
+void supporting_face(const ConvexBody& body, const Vector& direction, Corners& found) {
   const Vector local = transposed_times(body.rotation, direction);
-  switch (body.form.kind) {
-    case Kind::box: {
+  switch (body.shape.kind) {
+    case ShapeKind::box: {
       int axis = 0;
       for (int i = 1; i < 3; ++i)
         if (std::abs(local[i]) > std::abs(local[axis])) axis = i;
@@ -102,23 +103,23 @@ void feature(const Body& body, const Vector& direction, Corners& found) {
       }
       return;
     }
-    case Kind::sphere: found.add(body.centre + body.half[0] * direction); return;
-    case Kind::capsule:
+    case ShapeKind::sphere: found.add(body.centre + body.half[0] * direction); return;
+    case ShapeKind::capsule:
       for (const double side : {-1.0, 1.0})
         found.add(body.centre + side * core(body) * axis_of(body) + body.half[0] * direction);
       return;
-    case Kind::cylinder:
+    case ShapeKind::cylinder:
       if (std::abs(local[2]) > CAP_COSINE * norm(direction)) return add_cap(body, direction, found);
       for (const double side : {-1.0, 1.0})
         found.add(body.centre + side * body.half[2] * axis_of(body) + body.half[0] * across(body, direction));
       return;
-    case Kind::hull: {
-      const Hull& hull = *body.form.hull;
-      const int corner = furthest_corner(hull, local);  // which the face that looks most along `direction` may lack
+    case ShapeKind::hull: {
+      const Hull& hull = *body.shape.hull;
+      const int corner = support_corner(hull, local);  // the face nearest to `direction` may not contain it
       const Hull::Face* face = &hull.faces[hull.faces_of[corner][0]];
       for (const int other : hull.faces_of[corner])
         if (dot(hull.faces[other].normal, local) > dot(face->normal, local)) face = &hull.faces[other];
-      const int all = static_cast<int>(face->corners.size()), step = (all + MOST_CORNERS - 1) / MOST_CORNERS;
+      const int all = static_cast<int>(face->corners.size()), step = (all + MAX_FACE_CORNERS - 1) / MAX_FACE_CORNERS;
       for (int i = 0; i < all; ++i)
         if (i % step == 0 || face->corners[i] == corner)
           found.add(body.centre + body.rotation * hull.corners[face->corners[i]]);
@@ -128,30 +129,31 @@ void feature(const Body& body, const Vector& direction, Corners& found) {
 }
 
 // The face of a body that a normal belongs to: its extent [m]; negative: there is none.
-double extent_of_face(const Body& body, const Vector& normal) {
+double extent_of_face(const ConvexBody& body, const Vector& normal) {
   const Vector local = transposed_times(body.rotation, normal);
-  if (body.form.kind == Kind::box) {
+  if (body.shape.kind == ShapeKind::box) {
     for (int i = 0; i < 3; ++i)
-      if (std::abs(local[i]) > 1.0 - OWNS) return std::hypot(body.half[(i + 1) % 3], body.half[(i + 2) % 3]);
-  } else if (body.form.kind == Kind::cylinder) {
-    if (std::abs(local[2]) > 1.0 - OWNS) return body.half[0];
-  } else if (body.form.kind == Kind::hull) {
-    for (const Hull::Face& face : body.form.hull->faces)
-      if (dot(face.normal, local) > 1.0 - OWNS) return face.extent;
+      if (std::abs(local[i]) > 1.0 - FACE_NORMAL_TOLERANCE)
+        return std::hypot(body.half[(i + 1) % 3], body.half[(i + 2) % 3]);
+  } else if (body.shape.kind == ShapeKind::cylinder) {
+    if (std::abs(local[2]) > 1.0 - FACE_NORMAL_TOLERANCE) return body.half[0];
+  } else if (body.shape.kind == ShapeKind::hull) {
+    for (const Hull::Face& face : body.shape.hull->faces)
+      if (dot(face.normal, local) > 1.0 - FACE_NORMAL_TOLERANCE) return face.extent;
   }
   return -1.0;
 }
 
-// The ends of what of a body is furthest along `direction`: one point or a segment.
-void furthest(const Body& body, const Vector& direction, Corners& found) {
+// Support points of a body along `direction`: one point or the ends of a segment.
+void support_segment(const ConvexBody& body, const Vector& direction, Corners& found) {
   const Vector local = transposed_times(body.rotation, direction);
-  switch (body.form.kind) {
-    case Kind::box: {
+  switch (body.shape.kind) {
+    case ShapeKind::box: {
       Vector corner;
       int along = -1;
       for (int i = 0; i < 3; ++i) {
         corner[i] = std::copysign(body.half[i], local[i]);
-        if (std::abs(local[i]) < ALONG) along = i;
+        if (std::abs(local[i]) < PARALLEL_TOLERANCE) along = i;
       }
       found.add(body.centre + body.rotation * corner);
       if (along < 0) return;
@@ -159,58 +161,58 @@ void furthest(const Body& body, const Vector& direction, Corners& found) {
       found.add(body.centre + body.rotation * corner);
       return;
     }
-    case Kind::hull: {
-      const Hull& hull = *body.form.hull;
+    case ShapeKind::hull: {
+      const Hull& hull = *body.shape.hull;
       double most = -INFINITY;
       for (const Vector& corner : hull.corners) most = std::max(most, dot(corner, local));
       std::size_t first = 0, last = hull.corners.size() - 1;  // of those that are furthest, or nearly
-      while (dot(hull.corners[first], local) < most - ALONG * norm(body.half)) ++first;
-      while (dot(hull.corners[last], local) < most - ALONG * norm(body.half)) --last;
+      while (dot(hull.corners[first], local) < most - PARALLEL_TOLERANCE * norm(body.half)) ++first;
+      while (dot(hull.corners[last], local) < most - PARALLEL_TOLERANCE * norm(body.half)) --last;
       found.add(body.centre + body.rotation * hull.corners[first]);
       if (last != first) found.add(body.centre + body.rotation * hull.corners[last]);
       return;
     }
-    case Kind::sphere: found.add(body.centre + body.half[0] * direction); return;
+    case ShapeKind::sphere: found.add(body.centre + body.half[0] * direction); return;
     default: {
-      const Vector out = body.form.kind == Kind::capsule ? direction : across(body, direction);
+      const Vector out = body.shape.kind == ShapeKind::capsule ? direction : across(body, direction);
       const Vector middle = body.centre + body.half[0] * out;
       const Vector end = core(body) * axis_of(body);
-      if (local[2] > -ALONG) found.add(middle + end);
-      if (local[2] < ALONG) found.add(middle - end);
+      if (local[2] > -PARALLEL_TOLERANCE) found.add(middle + end);
+      if (local[2] < PARALLEL_TOLERANCE) found.add(middle - end);
     }
   }
 }
 
 double between(double value, double low, double high) { return std::min(std::max(value, low), high); }
 
-Vector place_on(const Corners& segment, double share) {
-  return segment.places[0] + between(share, 0.0, 1.0) * (segment.places[segment.count - 1] - segment.places[0]);
+Vector point_at(const Corners& segment, double share) {
+  return segment.points[0] + between(share, 0.0, 1.0) * (segment.points[segment.count - 1] - segment.points[0]);
 }
 
 // Points of the second segment that are nearest to the first; of parallel ones the ends of what they share.
-void nearest_of(const Corners& partner, const Corners& object, Corners& found) {
-  if (object.count == 1) return found.add(object.places[0]);
-  const Vector a = partner.places[partner.count - 1] - partner.places[0];
-  const Vector b = object.places[object.count - 1] - object.places[0];
-  const Vector apart = object.places[0] - partner.places[0];
+void nearest_points(const Corners& partner, const Corners& object, Corners& found) {
+  if (object.count == 1) return found.add(object.points[0]);
+  const Vector a = partner.points[partner.count - 1] - partner.points[0];
+  const Vector b = object.points[object.count - 1] - object.points[0];
+  const Vector apart = object.points[0] - partner.points[0];
   const double bb = dot(b, b), aa = dot(a, a), ab = dot(a, b), determinant = aa * bb - ab * ab;
-  if (partner.count == 1) return found.add(place_on(object, -dot(apart, b) / bb));
-  if (determinant > ALONG * aa * bb)
-    return found.add(place_on(object, (ab * dot(apart, a) - aa * dot(apart, b)) / determinant));
+  if (partner.count == 1) return found.add(point_at(object, -dot(apart, b) / bb));
+  if (determinant > PARALLEL_TOLERANCE * aa * bb)
+    return found.add(point_at(object, (ab * dot(apart, a) - aa * dot(apart, b)) / determinant));
   const double first = -dot(apart, b) / bb, last = first + ab / bb;
   if (std::max(first, last) < 0.0 || std::min(first, last) > 1.0) return;
-  found.add(place_on(object, std::min(first, last)));
-  found.add(place_on(object, std::max(first, last)));
+  found.add(point_at(object, std::min(first, last)));
+  found.add(point_at(object, std::max(first, last)));
 }
 
 // Part of a polygon, or of a segment or point, within `limit` along `outward`.
 void clip(Corners& polygon, const Vector& outward, double limit) {
   Corners kept;
   for (int i = 0; i < polygon.count; ++i) {
-    const Vector& corner = polygon.places[i];
+    const Vector& corner = polygon.points[i];
     const double here = dot(outward, corner) - limit;
-    if (i > 0 || polygon.count > 2) {  // a segment has no way back
-      const Vector& last = polygon.places[(i + polygon.count - 1) % polygon.count];
+    if (i > 0 || polygon.count > 2) {  // a segment is not closed
+      const Vector& last = polygon.points[(i + polygon.count - 1) % polygon.count];
       const double previous = dot(outward, last) - limit;
       if ((here <= 0.0) != (previous <= 0.0)) kept.add(last + (previous / (previous - here)) * (corner - last));
     }
@@ -220,24 +222,24 @@ void clip(Corners& polygon, const Vector& outward, double limit) {
 }
 
 // Separation along a normal, negative: overlap [m].
-double separation_along(const Body& partner, const Body& object, const Vector& normal) {
+double separation_along(const ConvexBody& partner, const ConvexBody& object, const Vector& normal) {
   return dot(normal, object.centre - partner.centre) - support_of(partner, normal) - support_of(object, -1.0 * normal);
 }
 
 // Direction from a body to a point outside, or from the axis of a round body to a point inside; zero: there is none.
-Vector toward(const Body& body, const Vector& point) {
+Vector direction_to(const ConvexBody& body, const Vector& point) {
   const Vector local = transposed_times(body.rotation, point - body.centre);
   Vector apart{};
-  if (body.form.kind == Kind::box) {
+  if (body.shape.kind == ShapeKind::box) {
     for (int i = 0; i < 3; ++i) apart[i] = local[i] - between(local[i], -body.half[i], body.half[i]);
-  } else if (body.form.kind == Kind::hull) {
+  } else if (body.shape.kind == ShapeKind::hull) {
     // The nearest point lies on a face that sees the point, by Voronoi regions of its edges and corners.
-    const Hull& hull = *body.form.hull;
+    const Hull& hull = *body.shape.hull;
     double least = INFINITY;
     for (const Hull::Face& face : hull.faces) {
       const double height = dot(face.normal, local) - face.offset;
       if (height <= 0.0) continue;
-      Vector place = local - height * face.normal;
+      Vector foot = local - height * face.normal;
       const std::size_t count = face.corners.size();
       bool within = true;
       double nearest = INFINITY;
@@ -245,24 +247,24 @@ Vector toward(const Body& body, const Vector& point) {
       for (std::size_t i = 0; i < count; ++i) {
         const Vector& start = hull.corners[face.corners[i]];
         const Vector side = hull.corners[face.corners[(i + 1) % count]] - start;
-        within = within && dot(cross(face.normal, side), place - start) >= 0.0;
+        within = within && dot(cross(face.normal, side), foot - start) >= 0.0;
         const Vector on = start + between(dot(local - start, side) / dot(side, side), 0.0, 1.0) * side;
         if (const double distance = norm(local - on); distance < nearest) {
           nearest = distance;
           on_edge = on;
         }
       }
-      if (!within) place = on_edge;
-      if (const double distance = norm(local - place); distance < least) {
+      if (!within) foot = on_edge;
+      if (const double distance = norm(local - foot); distance < least) {
         least = distance;
-        apart = local - place;
+        apart = local - foot;
       }
     }
   } else {
     const double length = core(body), radius = std::hypot(local[0], local[1]);
     const double beyond = local[2] - between(local[2], -length, length);
     // Of a cylinder the rim is nearest to points beyond its cap and its wall, the wall to all others.
-    const bool over_cap = body.form.kind == Kind::cylinder && beyond != 0.0;
+    const bool over_cap = body.shape.kind == ShapeKind::cylinder && beyond != 0.0;
     const double share = over_cap ? std::max(radius - body.half[0], 0.0) : radius;
     if (radius > 0.0) apart = {share / radius * local[0], share / radius * local[1], 0.0};
     apart[2] = beyond;
@@ -273,63 +275,65 @@ Vector toward(const Body& body, const Vector& point) {
 
 // The search for the normal along which two bodies are furthest apart.
 struct Search {
-  const Body &partner, &object;
+  const ConvexBody &partner, &object;
   double aligned;
   double separation = -INFINITY, extent = 0.0;
   Vector normal{};
 
-  // A normal that separates better than the best one; of faces as good as each other, the larger one has it.
-  void offer(const Vector& other, double own, double size) {
+  // Keep a normal that separates better than the best one; of equally good faces the larger one.
+  void try_normal(const Vector& other, double own, double size) {
     const bool as_good = size > extent && own > separation - aligned;
     if (!(own > separation + aligned || as_good)) return;
     separation = own;
     normal = other;
     extent = size;
   }
-  void offer(const Vector& other, double size = 0.0) { offer(other, separation_along(partner, object, other), size); }
+  void try_normal(const Vector& other, double size = 0.0) {
+    try_normal(other, separation_along(partner, object, other), size);
+  }
 
-  void offer_faces(const Body& body, double sign) {
+  void try_face_normals(const ConvexBody& body, double sign) {
     const Vector apart = object.centre - partner.centre;
-    if (body.form.kind == Kind::hull) {
+    if (body.shape.kind == ShapeKind::hull) {
       // The other body has its middle inside, so that no face separates by more than the height of that above it.
-      const Body& other = sign > 0.0 ? object : partner;
+      const ConvexBody& other = sign > 0.0 ? object : partner;
       const Vector middle = transposed_times(body.rotation, sign * apart);
-      for (const Hull::Face& face : body.form.hull->faces) {
+      for (const Hull::Face& face : body.shape.hull->faces) {
         const double height = dot(face.normal, middle) - face.offset;
         if (height < separation - aligned) continue;
         const Vector outward = body.rotation * face.normal;
-        offer(sign * outward, height - support_of(other, -1.0 * outward), face.extent);
+        try_normal(sign * outward, height - support_of(other, -1.0 * outward), face.extent);
       }
       return;
     }
-    for (int i = body.form.kind == Kind::cylinder ? 2 : 0; i < 3; ++i) {
+    for (int i = body.shape.kind == ShapeKind::cylinder ? 2 : 0; i < 3; ++i) {
       const Vector axis = column(body.rotation, i);
       const Vector own = (dot(axis, apart) >= 0.0 ? 1.0 : -1.0) * axis;
       const double size =
-          body.form.kind == Kind::cylinder ? body.half[0] : std::hypot(body.half[(i + 1) % 3], body.half[(i + 2) % 3]);
-      offer(own, size);
+          body.shape.kind == ShapeKind::cylinder ? body.half[0] : std::hypot(body.half[(i + 1) % 3], body.half[(i + 2) % 3]);
+      try_normal(own, size);
     }
   }
 
   // Directions of edges of boxes and of walls.
-  void add_edges(const Body& body, Corners& found) const {
-    if (body.form.kind == Kind::box) {
+  void add_edges(const ConvexBody& body, Corners& found) const {
+    if (body.shape.kind == ShapeKind::box) {
       for (int i = 0; i < 3; ++i) found.add(column(body.rotation, i));
     } else if (core(body) > 0.0) {
       found.add(axis_of(body));
     }
   }
 
-  void offer_crossing(const Vector& a, const Vector& b) {
+  void try_edge_pair(const Vector& a, const Vector& b) {
     const Vector across = cross(a, b);
     const double sine = norm(across);
     if (sine < 1e-2) return;
-    offer((dot(across, object.centre - partner.centre) >= 0.0 ? 1.0 : -1.0) / sine * across);
+    try_normal((dot(across, object.centre - partner.centre) >= 0.0 ? 1.0 : -1.0) / sine * across);
   }
 
   // Edges of a hull whose arc on its sphere of normals crosses that of an edge of the other body; `sign` as above.
-  void offer_edges_of_hull(const Body& body, const Body& other, double sign) {
-    const Hull& hull = *body.form.hull;
+  void try_hull_edges(const ConvexBody& body, const ConvexBody& other, double sign) {
+    const Hull& hull = *body.shape.hull;
     const Vector apart = sign * (object.centre - partner.centre), middle = transposed_times(body.rotation, apart);
     const double least = std::min(separation, 0.0);
     const auto sees = [&](int face) { return dot(hull.faces[face].normal, middle) - hull.faces[face].offset > least; };
@@ -347,122 +351,122 @@ struct Search {
         const Vector outward = body.rotation * unit(own);
         if (dot(outward, apart) <= 0.0) continue;
         const double offset = dot(transposed_times(body.rotation, outward), hull.corners[edge.start]);
-        offer(sign * outward, dot(outward, apart) - offset - support_of(other, -1.0 * outward), 0.0);
+        try_normal(sign * outward, dot(outward, apart) - offset - support_of(other, -1.0 * outward), 0.0);
       }
     };
-    if (other.form.kind == Kind::hull) {
-      for (const Hull::Edge& edge : other.form.hull->edges)
-        cross_with(other.rotation * (other.form.hull->corners[edge.end] - other.form.hull->corners[edge.start]));
+    if (other.shape.kind == ShapeKind::hull) {
+      for (const Hull::Edge& edge : other.shape.hull->edges)
+        cross_with(other.rotation * (other.shape.hull->corners[edge.end] - other.shape.hull->corners[edge.start]));
       return;
     }
     Corners edges;
     add_edges(other, edges);
-    for (int i = 0; i < edges.count; ++i) cross_with(edges.places[i]);
+    for (int i = 0; i < edges.count; ++i) cross_with(edges.points[i]);
   }
 
   // Corners of a body, and middles of balls, towards the surface of the other; `sign` is 1 for those of the object.
-  void offer_points(const Body& body, const Body& other, double sign) {
+  void try_vertices(const ConvexBody& body, const ConvexBody& other, double sign) {
     const auto towards = [&](const Vector& point) {
-      const Vector direction = toward(other, point);
-      if (dot(direction, direction) > 0.0) offer(sign * direction);
+      const Vector direction = direction_to(other, point);
+      if (dot(direction, direction) > 0.0) try_normal(sign * direction);
     };
-    const Kind kind = body.form.kind;
-    if (kind == Kind::sphere) towards(body.centre);
-    if (kind == Kind::capsule) {
+    const ShapeKind kind = body.shape.kind;
+    if (kind == ShapeKind::sphere) towards(body.centre);
+    if (kind == ShapeKind::capsule) {
       for (const double side : {-1.0, 1.0}) towards(body.centre + side * core(body) * axis_of(body));
     }
-    if (!is_round(other.form.kind)) return;
-    if (kind == Kind::box) {
+    if (!is_round(other.shape.kind)) return;
+    if (kind == ShapeKind::box) {
       for (int i = 0; i < 8; ++i) {
         const Vector signs{i & 1 ? 1.0 : -1.0, i & 2 ? 1.0 : -1.0, i & 4 ? 1.0 : -1.0}, &half = body.half;
         towards(body.centre + body.rotation * Vector{signs[0] * half[0], signs[1] * half[1], signs[2] * half[2]});
       }
     }
-    if (kind == Kind::hull)
-      for (const Vector& corner : body.form.hull->corners) towards(body.centre + body.rotation * corner);
-    if (kind == Kind::cylinder)
+    if (kind == ShapeKind::hull)
+      for (const Vector& corner : body.shape.hull->corners) towards(body.centre + body.rotation * corner);
+    if (kind == ShapeKind::cylinder)
       for (const double side : {-1.0, 0.0, 1.0}) towards(body.centre + side * body.half[2] * axis_of(body));
   }
 
   // A rim of a body on the edges and walls of the other: the normal is across one, where it separates best.
-  void offer_rims(const Body& other, double sign) {
+  void try_rims(const ConvexBody& other, double sign) {
     Corners edges;
     add_edges(other, edges);
-    if (other.form.kind == Kind::hull) {  // those that end in the corner that is furthest
-      const Hull& hull = *other.form.hull;
-      const int corner = furthest_corner(hull, transposed_times(other.rotation, sign * normal));
+    if (other.shape.kind == ShapeKind::hull) {  // those that end in the corner that is furthest
+      const Hull& hull = *other.shape.hull;
+      const int corner = support_corner(hull, transposed_times(other.rotation, sign * normal));
       for (const Hull::Edge& edge : hull.edges)
         if (edge.start == corner || edge.end == corner)
           edges.add(other.rotation * unit(hull.corners[edge.end] - hull.corners[edge.start]));
     }
-    for (int i = 0; i < edges.count; ++i) offer_across(edges.places[i]);
+    for (int i = 0; i < edges.count; ++i) search_great_circle(edges.points[i]);
   }
 
   // Two rims: the normal is sought along one great circle after another.
-  void offer_two_rims() {
+  void try_two_rims() {
     for (int i = 0; i < SWEEPS; ++i) {
       const Vector first = across(partner, normal);
       const Vector along = unit(cross(normal, std::abs(dot(first, normal)) < 0.9 ? first : axis_of(partner)));
-      offer_across(along);
-      offer_across(unit(cross(normal, along)));
+      search_great_circle(along);
+      search_great_circle(unit(cross(normal, along)));
     }
   }
 
-  void offer_across(const Vector& along) {
+  void search_great_circle(const Vector& along) {
     const Vector start = normal - dot(normal, along) * along;
     if (norm(start) < 1e-3) return;
     const Vector u = unit(start), v = cross(along, u);
     const auto at = [&](double angle) { return std::cos(angle) * u + std::sin(angle) * v; };
     const auto apart = [&](double angle) { return separation_along(partner, object, at(angle)); };
-    const double width = WIDEST_TURN / TURNS;
+    const double width = MAX_ROTATION / COARSE_STEPS;
     double middle = 0.0, most = -INFINITY;
-    for (int i = -TURNS; i <= TURNS; ++i)
+    for (int i = -COARSE_STEPS; i <= COARSE_STEPS; ++i)
       if (const double own = apart(i * width); own > most) {
         most = own;
         middle = i * width;
       }
     const double golden = 0.5 * (std::sqrt(5.0) - 1.0);
     double low = middle - width, high = middle + width;
-    for (int i = 0; i < NARROWINGS; ++i) {
+    for (int i = 0; i < GOLDEN_STEPS; ++i) {
       const double left = high - golden * (high - low), right = low + golden * (high - low);
       (apart(left) > apart(right) ? high : low) = apart(left) > apart(right) ? right : left;
     }
-    offer(at(0.5 * (low + high)));
+    try_normal(at(0.5 * (low + high)));
   }
 };
 
-bool is_face_of(const Body& body, const Vector& normal, double& size) {
+bool is_face_of(const ConvexBody& body, const Vector& normal, double& size) {
   size = extent_of_face(body, normal);
   return size >= 0.0;
 }
 
-// Whether what is furthest of both bodies along a normal faces each other: no normal nearby separates them better.
-bool face_each_other(const Body& partner, const Body& object, const Vector& normal, double separation) {
-  const double rounding = FACING * (norm(partner.half) + norm(object.half));
+// Whether the supporting features of both bodies along a normal face each other: no normal nearby separates them better.
+bool face_each_other(const ConvexBody& partner, const ConvexBody& object, const Vector& normal, double separation) {
+  const double rounding = FACING_TOLERANCE * (norm(partner.half) + norm(object.half));
   double size;
   if (is_face_of(partner, normal, size) || is_face_of(object, -1.0 * normal, size)) {
-    std::vector<Touch> found;
-    touching_convex(partner, object, normal, separation + rounding, found);
+    std::vector<ManifoldPoint> found;
+    contact_manifold_convex(partner, object, normal, separation + rounding, found);
     return !found.empty();
   }
-  Corners there, here, places, back;
-  furthest(partner, normal, there);
-  furthest(object, -1.0 * normal, here);
-  nearest_of(there, here, places);
-  if (places.count == 0) return false;
-  Corners place;
-  place.add(places.places[0]);
-  nearest_of(place, there, back);
-  return norm(places.places[0] - back.places[0] - separation * normal) <= rounding;
+  Corners there, here, nearest, back;
+  support_segment(partner, normal, there);
+  support_segment(object, -1.0 * normal, here);
+  nearest_points(there, here, nearest);
+  if (nearest.count == 0) return false;
+  Corners point;
+  point.add(nearest.points[0]);
+  nearest_points(point, there, back);
+  return norm(nearest.points[0] - back.points[0] - separation * normal) <= rounding;
 }
 
-// Whether the wall of a cylinder or capsule runs over a face of the other body that looks along a normal.
-bool wall_lies_on(const Body& partner, const Body& object, const Vector& normal) {
-  const bool long_one = partner.form.kind != Kind::sphere && object.form.kind != Kind::sphere;
+// Whether the wall of a cylinder or capsule lies on a face of the other body with this normal.
+bool wall_lies_on(const ConvexBody& partner, const ConvexBody& object, const Vector& normal) {
+  const bool long_one = partner.shape.kind != ShapeKind::sphere && object.shape.kind != ShapeKind::sphere;
   double size;
   if (!long_one || !(is_face_of(partner, normal, size) || is_face_of(object, -1.0 * normal, size))) return false;
-  std::vector<Touch> found;
-  touching_convex(partner, object, normal, INFINITY, found);
+  std::vector<ManifoldPoint> found;
+  contact_manifold_convex(partner, object, normal, INFINITY, found);
   return found.size() > 1;
 }
 
@@ -510,48 +514,51 @@ Hull::Hull(std::vector<Vector> points, const std::vector<std::vector<int>>& loop
   }
 }
 
-double support_of(const Body& body, const Vector& normal) {
+double support_of(const ConvexBody& body, const Vector& normal) {
   const Vector local = transposed_times(body.rotation, normal);
   const Vector& half = body.half;
-  switch (body.form.kind) {
-    case Kind::box: return std::abs(local[0]) * half[0] + std::abs(local[1]) * half[1] + std::abs(local[2]) * half[2];
-    case Kind::sphere: return half[0];
-    case Kind::capsule: return half[0] + std::abs(local[2]) * core(body);
-    case Kind::cylinder: return half[0] * std::hypot(local[0], local[1]) + std::abs(local[2]) * half[2];
-    case Kind::hull: break;
+  switch (body.shape.kind) {
+    case ShapeKind::box: return std::abs(local[0]) * half[0] + std::abs(local[1]) * half[1] + std::abs(local[2]) * half[2];
+    case ShapeKind::sphere: return half[0];
+    case ShapeKind::capsule: return half[0] + std::abs(local[2]) * core(body);
+    case ShapeKind::cylinder: return half[0] * std::hypot(local[0], local[1]) + std::abs(local[2]) * half[2];
+    case ShapeKind::hull: break;
   }
   double most = -INFINITY;
-  for (const Vector& corner : body.form.hull->corners) most = std::max(most, dot(local, corner));
+  for (const Vector& corner : body.shape.hull->corners) most = std::max(most, dot(local, corner));
   return most;
 }
 
-Meeting meet_convex(const Body& partner, const Body& object, double aligned) {
+SeparatingAxis separating_axis_convex(const ConvexBody& partner, const ConvexBody& object, double aligned) {
   Search search{partner, object, aligned};
-  const auto has_faces = [](const Body& body) {
-    return body.form.kind != Kind::sphere && body.form.kind != Kind::capsule;
+  const auto has_faces = [](const ConvexBody& body) {
+    return body.shape.kind != ShapeKind::sphere && body.shape.kind != ShapeKind::capsule;
   };
-  if (has_faces(partner)) search.offer_faces(partner, 1.0);
-  if (has_faces(object)) search.offer_faces(object, -1.0);
+  if (has_faces(partner)) search.try_face_normals(partner, 1.0);
+  if (has_faces(object)) search.try_face_normals(object, -1.0);
   const Vector facing = search.normal;
-  if (partner.form.kind == Kind::hull) search.offer_edges_of_hull(partner, object, 1.0);
-  if (object.form.kind == Kind::hull && partner.form.kind != Kind::hull)
-    search.offer_edges_of_hull(object, partner, -1.0);
+  if (partner.shape.kind == ShapeKind::hull) search.try_hull_edges(partner, object, 1.0);
+  if (object.shape.kind == ShapeKind::hull && partner.shape.kind != ShapeKind::hull)
+    search.try_hull_edges(object, partner, -1.0);
   Corners own, others;
   search.add_edges(partner, own);
   search.add_edges(object, others);
   for (int i = 0; i < own.count; ++i)
-    for (int j = 0; j < others.count; ++j) search.offer_crossing(own.places[i], others.places[j]);
-  const auto has_corners = [](const Body& body) { return body.form.kind == Kind::box || body.form.kind == Kind::hull; };
+    for (int j = 0; j < others.count; ++j) search.try_edge_pair(own.points[i], others.points[j]);
+  const auto has_corners = [](const ConvexBody& body) {
+    return body.shape.kind == ShapeKind::box || body.shape.kind == ShapeKind::hull;
+  };
   const bool both = has_corners(partner) && has_corners(object);
-  if (dot(search.normal, facing) > CROSSED && (both || wall_lies_on(partner, object, facing))) search.normal = facing;
-  search.offer_points(object, partner, 1.0);
-  search.offer_points(partner, object, -1.0);
-  if (search.separation == -INFINITY) search.offer({0.0, 0.0, 1.0});  // balls with one centre
-  if (partner.form.kind == Kind::cylinder || object.form.kind == Kind::cylinder) {
+  if (dot(search.normal, facing) > SAME_NORMAL_COSINE && (both || wall_lies_on(partner, object, facing)))
+    search.normal = facing;
+  search.try_vertices(object, partner, 1.0);
+  search.try_vertices(partner, object, -1.0);
+  if (search.separation == -INFINITY) search.try_normal({0.0, 0.0, 1.0});  // balls with one centre
+  if (partner.shape.kind == ShapeKind::cylinder || object.shape.kind == ShapeKind::cylinder) {
     if (!face_each_other(partner, object, search.normal, search.separation)) {
-      if (partner.form.kind == Kind::cylinder) search.offer_rims(object, -1.0);
-      if (object.form.kind == Kind::cylinder) search.offer_rims(partner, 1.0);
-      if (partner.form.kind == object.form.kind) search.offer_two_rims();
+      if (partner.shape.kind == ShapeKind::cylinder) search.try_rims(object, -1.0);
+      if (object.shape.kind == ShapeKind::cylinder) search.try_rims(partner, 1.0);
+      if (partner.shape.kind == object.shape.kind) search.try_two_rims();
     }
   }
   double on_partner, on_object;
@@ -561,40 +568,40 @@ Meeting meet_convex(const Body& partner, const Body& object, double aligned) {
   return {search.separation, search.normal, of_object, std::nullopt};
 }
 
-void touching_convex(const Body& partner, const Body& object, const Vector& normal, double tolerance,
-                     std::vector<Touch>& found) {
+void contact_manifold_convex(const ConvexBody& partner, const ConvexBody& object, const Vector& normal, double tolerance,
+                             std::vector<ManifoldPoint>& found) {
   double of_partner, of_object;
   const bool partner_owns = is_face_of(partner, normal, of_partner);
   const bool on_object = is_face_of(object, -1.0 * normal, of_object) && !(partner_owns && of_partner >= of_object);
   const double separation = separation_along(partner, object, normal);
   if (!partner_owns && !on_object) {
     if (separation > tolerance) return;
-    Corners there, here, places;
-    furthest(partner, normal, there);
-    furthest(object, -1.0 * normal, here);
-    nearest_of(there, here, places);
-    for (int i = 0; i < places.count; ++i) found.push_back({places.places[i], separation});
+    Corners there, here, nearest;
+    support_segment(partner, normal, there);
+    support_segment(object, -1.0 * normal, here);
+    nearest_points(there, here, nearest);
+    for (int i = 0; i < nearest.count; ++i) found.push_back({nearest.points[i], separation});
     return;
   }
   // The reference face owns the normal; what of the other body faces it is clipped to its sides.
-  const Body& reference = on_object ? object : partner;
-  const Body& incident = on_object ? partner : object;
+  const ConvexBody& reference = on_object ? object : partner;
+  const ConvexBody& incident = on_object ? partner : object;
   const Vector outward = on_object ? -1.0 * normal : normal;
   Corners face, polygon;
-  feature(reference, outward, face);
-  feature(incident, -1.0 * outward, polygon);
-  const bool turns_left = dot(cross(face.places[1] - face.places[0], face.places[2] - face.places[1]), outward) > 0.0;
+  supporting_face(reference, outward, face);
+  supporting_face(incident, -1.0 * outward, polygon);
+  const bool turns_left = dot(cross(face.points[1] - face.points[0], face.points[2] - face.points[1]), outward) > 0.0;
   for (int i = 0; i < face.count && polygon.count > 0; ++i) {
-    const Vector& start = face.places[i];
-    const Vector side = face.places[(i + 1) % face.count] - start;
+    const Vector& start = face.points[i];
+    const Vector side = face.points[(i + 1) % face.count] - start;
     const Vector away = unit((turns_left ? 1.0 : -1.0) * cross(side, outward));
     clip(polygon, away, dot(away, start));
   }
   const double level = dot(outward, reference.centre) + support_of(reference, outward);
   for (int i = 0; i < polygon.count; ++i) {
-    const double height = dot(outward, polygon.places[i]) - level;
+    const double height = dot(outward, polygon.points[i]) - level;
     if (height > tolerance) continue;
-    found.push_back({on_object ? polygon.places[i] - height * outward : polygon.places[i], height});
+    found.push_back({on_object ? polygon.points[i] - height * outward : polygon.points[i], height});
   }
 }
 

@@ -4,7 +4,7 @@
 // Along a unit normal n two bodies are s(n) = n . (c_O - c_P) - h_P(n) - h_O(-n) apart, with their support functions h.
 // Their separation is the largest s. It lies where features of the bodies face each other: a face and anything, two edges
 // that cross, a corner and a curved wall, a rim and an edge. Every such normal but the last has a closed form; the last is
-// sought along a great circle, and only where the others leave a gap between the facing features.
+// searched along a great circle, and only where the others leave a gap between the facing features.
 
 #pragma once
 
@@ -37,10 +37,10 @@ struct Hull {
 };
 
 // Largest n . (x - centre) over the points x of a body [m].
-double support_of(const Body& body, const Vector& normal);
+double support_of(const ConvexBody& body, const Vector& normal);
 
-Meeting meet_convex(const Body& partner, const Body& object, double aligned);
-void touching_convex(const Body& partner, const Body& object, const Vector& normal, double tolerance,
-                     std::vector<Touch>& found);
+SeparatingAxis separating_axis_convex(const ConvexBody& partner, const ConvexBody& object, double aligned);
+void contact_manifold_convex(const ConvexBody& partner, const ConvexBody& object, const Vector& normal, double tolerance,
+                             std::vector<ManifoldPoint>& found);
 
 }  // namespace impact_rs

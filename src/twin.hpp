@@ -18,7 +18,7 @@ struct BoxModel {
   Vector half;     // half extents [m]
   Vector inertia;  // principal moments about the centre of mass [kg m^2]
   Vector offset;   // centre of mass from the middle, in axes of the box [m]
-  Form form;       // its shape; half extents are those of its bounding box
+  Shape shape;       // its shape; half extents are those of its bounding box
 };
 
 struct SupportModel {
@@ -38,7 +38,7 @@ struct TwinModel {
   double rolling_arm;   // [m]
   Vector gravity;       // [m/s^2]
   double period;        // of the torque loop [s]
-  int refinement;       // steps in a period in which a pad meets the object
+  int refinement;       // steps in a period in which a pad hits the object
   std::vector<FormulaLoad> formulas;  // on the object, and between it and the support
 };
 
@@ -54,17 +54,17 @@ struct TwinStart {
   std::vector<BoxStart> boxes;  // empty: the arms are alone
 };
 
-// Driving torques of an arm in the order in which they act, (m, n), and the row that acts in every period. The caller's.
-struct Driving {
+// Joint torques of an arm in the order in which they act, (m, n), and the row for every period. Not owned.
+struct TorqueInput {
   const double* torques;
-  const int* acting;
+  const int* row_by_period;
 };
 
-// Ticks and torques of a run that are known beforehand.
-struct Course {
+// Ticks of an open-loop run and its torques.
+struct TorqueTrajectory {
   std::vector<double> time;  // ticks [s]
   int substeps;              // periods of the torque loop from tick to tick
-  std::vector<Driving> arms;
+  std::vector<TorqueInput> arms;
 };
 
 // How well the steps were solved.
@@ -74,13 +74,13 @@ struct TwinReport {
   std::vector<double> failed;  // times of the steps that were not solved [s]
 };
 
-// How the object touched a partner in the last step.
-struct Touching {
-  double force = 0.0;        // normal, on the object; 0: it does not touch [N]
+// Resultant contact force of a partner on the object in the last step, and where it acts.
+struct ContactResultant {
+  double force = 0.0;        // normal, on the object; 0: no contact [N]
   double penetration = 0.0;  // mean over its points, weighted with their forces [m]
   double closing = 0.0, slip = 0.0;  // rate of the penetration, and sliding speed of the object there [m/s]
-  double begin = -1.0;       // time of the first touch; negative: none yet [s]
-  Vector place{}, normal{};  // of the force; into the object
+  double onset = -1.0;       // time of the first contact; negative: none yet [s]
+  Vector position{}, normal{};  // of the force; into the object
   Vector along{};            // direction of sliding, shorter where it is slow
 };
 
@@ -93,18 +93,18 @@ class Twin {
   // Numbers of a state: q, dq, tau_J, theta, dtheta (n each) of every arm; then middle, quaternion x y z w, velocity of
   // the middle and angular velocity of every box. The quaternion has the sign nearer to that of
   // `before` (a state as well), unless that is null.
-  std::size_t row() const;
+  std::size_t state_size() const;
   void state(double* out, const double* before) const;
 
-  // States at all ticks of a course, (ticks, row()).
-  void run(const Course& course, double* out);
+  // States at all ticks of a trajectory, (ticks, row()).
+  void run(const TorqueTrajectory& trajectory, double* out);
 
   // One tick from `time` [s]: `substeps` periods with a desired torque by arm. False: a state is not finite.
   bool tick(double time, int substeps, const std::vector<const double*>& torques);
 
-  // Whether all boxes rest on their support until they are touched.
+  // Whether all boxes rest on their support without a contact with arms.
   bool asleep() const {
-    return !solids_.empty() && std::none_of(solids_.begin(), solids_.end(), [](const Solid& one) { return one.awake; });
+    return !bodies_.empty() && std::none_of(bodies_.begin(), bodies_.end(), [](const RigidBody& one) { return one.awake; });
   }
 
   // Force of the boxes on the pad of an arm in the last step [N].
@@ -114,7 +114,7 @@ class Twin {
 
  private:
   // State of a box: centre of mass, axes, velocities; angular momentum about the centre of mass.
-  struct Solid {
+  struct RigidBody {
     const BoxModel& model;
     bool fixed, awake;
     double mass;  // or what stands in its place [kg]
@@ -122,75 +122,75 @@ class Twin {
     Matrix rotation;
     int offset = 0;  // of its velocities among the unknowns of a step
 
-    explicit Solid(const BoxModel& box);
-    Body body() const { return {centre - rotation * model.offset, rotation, model.half, model.form}; }
+    explicit RigidBody(const BoxModel& box);
+    ConvexBody geometry() const { return {centre - rotation * model.offset, rotation, model.half, model.shape}; }
     Matrix inertia() const;
   };
 
-  // What may touch: a box and an arm, the support, or a box before it.
+  // A contact pair: a box and an arm, the support, or a box before it.
   struct Pair {
     int box, arm, other;  // -1: it is another one
   };
 
-  void place(Solid& solid, const BoxStart& start);
-  bool rests(const Solid& solid);
-  void load(double time);
-  void period(double time);
-  bool look();  // contact points now; whether a pad meets an object faster than a step of a period resolves
-  void look_at_pad(int number);
-  bool look_at_boxes(int number);
-  void look_at_support(int number);
+  void set_state(RigidBody& body, const BoxStart& start);
+  bool in_equilibrium(const RigidBody& body);
+  void update_loads(double time);
+  void advance_period(double time);
+  bool find_contacts();  // whether a pad hits an object faster than a step of a period resolves
+  void find_pad_contacts(int number);
+  bool find_object_contacts(int number);
+  void find_support_contacts(int number);
   void step(double length, double time);
-  void look_around(double time);
-  void push(double time);
-  void touch_step(double kick, double time);
-  void put_arm(const Partner& partner, const TwinArm& arm);
-  void put_box(Solid& solid, const Vector& force, const Vector& moment);
-  void note(std::size_t partner, double time);
-  void prepare(std::size_t partner, double kick);
-  void soften(std::size_t partner);
-  void remember(std::size_t partner);
-  void recall();
+  void update_symbols(double time);
+  void apply_formulas(double time);
+  void contact_step(double velocity_step, double time);
+  void assemble_arm(const Partner& partner, const TwinArm& arm);
+  void assemble_object(RigidBody& body, const Vector& force, const Vector& moment);
+  void record_resultant(std::size_t partner, double time);
+  void set_contact_laws(std::size_t partner, double velocity_step);
+  void set_shear_law(std::size_t partner);
+  void update_shear(std::size_t partner);
+  void warm_start();
   bool any_awake() const;
-  Body table(const Solid& solid) const;
+  ConvexBody support_box(const RigidBody& body) const;
   bool is_finite() const;
 
   const TwinModel& model_;
   TwinReport report_;
   std::vector<TwinArm> arms_;
-  std::vector<Solid> solids_;  // empty: the arms are alone
+  std::vector<RigidBody> bodies_;  // empty: the arms are alone
   std::vector<Pair> pairs_;    // by number: of every box the arms, then the support; then boxes with boxes before them
   double last_;  // length of the step before [s]
   std::int64_t periods_ = 0;  // of the torque loop so far
 
-  // Change of the velocities in the step before and its kick, as a first guess while the partners are the same.
+  // Change of the velocities in the step before and its length, as a first guess while the partners are the same.
   std::vector<double> change_;
   std::vector<int> partners_before_;
-  double kick_before_ = 1.0;
+  double velocity_step_before_ = 1.0;
 
   // Contacts of this step. Partners are numbers of pairs.
-  std::vector<Touch> touches_;
+  std::vector<ManifoldPoint> manifold_;
   std::vector<int> partners_;
   std::vector<std::vector<double>> motions_;  // by pair
   std::vector<Vector> pad_forces_;            // by arm
   std::vector<std::vector<Guess>> guesses_;   // by pair and point, of the step before
   StepSolver solver_;
 
-  // Formulas: how every partner is touched, and force and moment about its centre of mass that act on the object.
-  bool pushes_;
+  // Formulas: contact resultants, and force and moment about its centre of mass that act on the object.
+  bool formulas_act_;
   Memory memory_;                   // of those of the object
-  std::vector<Touching> touching_;  // by pair
+  std::vector<ContactResultant> resultants_;  // by pair
   std::vector<double> symbols_;     // of the object
   Vector force_{}, moment_{};
 
-  // Shear of the pad that is being prepared.
-  struct Softened {
+  // Shear law of a pad in this step.
+  struct PadShear {
     Vector centre{};              // of the load, from the object's centre of mass [m]
     std::vector<double> weights;  // share of the load by point
     double lag = 0.0;             // time constant of the damper [s]
-    bool yields = false;
+    bool compliant = false;
   };
-  std::vector<Softened> softened_;  // by arm
+  std::vector<PadShear> pad_shears_;  // by arm
 };
 
 }  // namespace impact_rs

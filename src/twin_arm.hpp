@@ -26,7 +26,7 @@ struct Pad {
   bool rigid;
   double stiffness, damping;         // of the whole face [N/m, N s/m]
   double shear_compliance, creep;    // [m/N], [m/(s N)]
-  Form form;                         // its shape
+  Shape shape;                         // its shape
 };
 
 // Spring and damper between flange and pad, whose tip has no mass: z + lag dz/dt = B^T w under the wrench w of the
@@ -37,10 +37,10 @@ struct ToolSpring {
 };
 
 // f_0 - k (p - p_impact) on frame E.
-struct Pull {
+struct CartesianSpring {
   Vector force;      // f_0 [N]
   double stiffness;  // k [N/m]
-  Vector place;      // p_impact [m]
+  Vector position;      // p_impact [m]
 };
 
 // Torque on links and motors that Python computes: time, q, dq, and the two torques, added to.
@@ -55,7 +55,7 @@ struct ArmModel {
   bool joint_torque;   // the torques are measured joint torques; there is no motor
   Pad pad;
   ToolSpring tool;
-  std::optional<Pull> pull;
+  std::optional<CartesianSpring> spring;
   std::vector<FormulaLoad> formulas;
   PythonLoad python;
 };
@@ -84,47 +84,47 @@ class TwinArm {
   TwinArm(const ArmModel& model, const ArmStart& start, double period);
 
   int joints() const { return static_cast<int>(q.size()); }
-  Body pad_box() const;  // where the links were placed, displaced by the tool's spring
+  ConvexBody pad_box() const;  // by the last update of the kinematics, displaced by the tool's spring
 
-  // Freedoms of the tool's spring, which are unknowns of a step in contact beside the joint velocities: motion of the pad
-  // at unit speed about the origin of A, and their block of the equations and impulse of a step.
-  int yields() const { return static_cast<int>(model_.tool.motions.size()); }
-  Spatial yielding(int freedom) const;
-  double tool_inertia(double kick, double drift) const;
-  double tool_impulse(int freedom, double kick) const;
+  // Degrees of freedom of the tool's spring, unknowns of a step in contact like the joint velocities: motion of the pad at
+  // unit speed about the origin of A, and their block of the equations and impulse of a step.
+  int tool_freedoms() const { return static_cast<int>(model_.tool.motions.size()); }
+  Spatial tool_motion(int freedom) const;
+  double tool_inertia(double velocity_step, double position_step) const;
+  double tool_impulse(int freedom, double velocity_step) const;
 
-  // Values of the symbols of formulas: those of the arm now, beside those of time, object and contact as they are.
-  void look_around();
+  // Update the symbols of formulas that belong to the arm; those of time, object and contact stay.
+  void update_symbols();
 
-  // What formulas remember of samples before the start, while the symbols of the scene are as they are.
-  void look_back(const std::vector<double>& samples);
+  // Initialise the lags of formulas from samples before the start, at the present symbols of the scene.
+  void initialise_memory(const std::vector<double>& samples);
 
-  // Loads that hold until they are computed again; std::runtime_error where a formula is not finite.
-  void load();
+  // Compute loads, constant until the next call; std::runtime_error where a formula is not finite.
+  void update_loads();
 
-  // A force on the pad's link at a place, over the coming step [N]; after equations().
-  void push(const Vector& place, const Vector& force);
+  // A force on the pad's link at a position in A, over the coming step [N]; after equations().
+  void apply_force(const Vector& position, const Vector& force);
 
   // Desired torque from the begin of a period on (or measured joint torque, which then is that of its end).
-  void desire(const double* torque, std::int64_t period);
+  void set_desired_torque(const double* torque, std::int64_t period);
 
   // Torque law at the begin of a period of the torque loop.
   void command(std::int64_t period);
 
-  // Links in their places; then M (n, n) and the change of momentum per time without contact.
-  void look() { links_.place(q.data()); }
+  // Kinematics at q; then M (n, n) and the generalised force tau - h without contact.
+  void update_kinematics() { links_.update_kinematics(q.data()); }
   void equations();
 
-  // Velocities after `kick` [s] without contact; false where M is not positive definite.
-  bool coast(double kick);
+  // Free motion: velocities after `velocity_step` [s] without contact; false where M is not positive definite.
+  bool free_step(double velocity_step);
 
-  // Motors after a step, links along their velocities, and the spring between them; the tool's spring along its velocities
-  // where the pad is touched.
-  void move(double kick, double drift, bool touched);
+  // Integrate motors (velocities by `velocity_step`, positions by `position_step` [s]) and joint positions, then update the
+  // joint springs; the tool's spring follows its velocities if the pad is in contact.
+  void integrate(double velocity_step, double position_step, bool in_contact);
 
   const Spatial& axis(int joint) const { return links_.axis(joint); }
   const Vector& end() const { return links_.end(); }
-  const Matrix& axes_of_last() const { return links_.axes_of_last(); }
+  const Matrix& last_joint_axes() const { return links_.last_joint_axes(); }
   const Pad& pad() const { return model_.pad; }
   const std::vector<FormulaLoad>& formulas() const { return model_.formulas; }
 
@@ -133,7 +133,7 @@ class TwinArm {
 
   std::vector<double> q, dq;
   std::vector<double> tool, tool_rate;  // z and dz/dt of the tool's spring
-  std::vector<double> mass, driving;  // of equations()
+  std::vector<double> mass, net_torque;  // of equations()
   std::vector<double> symbols;  // of formulas
   Shear shear;
 
@@ -142,14 +142,14 @@ class TwinArm {
   const std::vector<double>& motor_velocity() const { return drive_.velocity; }
 
  private:
-  void deliver(double begin);
+  void delay_commands(double begin);
 
   const ArmModel& model_;
   Memory memory_;
   double period_;
   Chain links_;
   Drive drive_;
-  std::vector<double> wanted_, shaped_, rate_, passed_, on_links_, on_motors_, factor_, acceleration_;
+  std::vector<double> desired_torque_, shaped_, torque_rate_, link_torque_, on_links_, on_motors_, factor_, acceleration_;
   std::vector<double> tool_before_, tool_load_;  // z a step ago; loads of formulas along z
   std::deque<Command> commands_;  // that the delay may still deliver
 };

@@ -14,10 +14,10 @@ struct Projection {
   double stretch;  // derivative across `along`; of a force inside the disc, in every direction
 };
 
-Projection onto_disc(const Vector& wanted, double bound) {
-  const double size = norm(wanted);
-  if (size <= bound) return {wanted, {}, 1.0};
-  const Vector along = (1.0 / size) * wanted;
+Projection onto_disc(const Vector& trial, double bound) {
+  const double size = norm(trial);
+  if (size <= bound) return {trial, {}, 1.0};
+  const Vector along = (1.0 / size) * trial;
   return {bound * along, along, bound / size};
 }
 
@@ -41,48 +41,49 @@ void add_at(const Vector& r, const Matrix& g, Matrix6& z) {
   }
 }
 
-// Normal speed below which a rigid point is stopped: an open one may close, a fifth of an overlap goes in a step.
-double free_speed(const ContactPoint& point, const Span& span) {
-  return (point.gap > 0.0 ? -1.0 : -0.2) * point.gap / span.now;
+// Normal speed that a rigid point is stopped at: an open one may close, a fifth of an overlap is removed in a step.
+double free_speed(const ContactPoint& point, const StepLengths& lengths) {
+  return (point.gap > 0.0 ? -1.0 : -0.2) * point.gap / lengths.now;
 }
 
 }  // namespace
 
-NormalForce normal_force(const ContactPoint& point, const Span& span, double speed) {
+NormalForce normal_force(const ContactPoint& point, const StepLengths& lengths, double speed) {
   if (point.rigid) {
-    const double force = point.stop * (free_speed(point, span) - speed);
-    return force > 0.0 ? NormalForce{force, point.stop} : NormalForce{0.0, 0.0};
+    const double force = point.rigid_damping * (free_speed(point, lengths) - speed);
+    return force > 0.0 ? NormalForce{force, point.rigid_damping} : NormalForce{0.0, 0.0};
   }
-  // Depths a step ago, now and after the step. The spring's force is its work over the way between the first and the
+  // Depths a step before, now and after the step. The spring's force is its work over the travel between the first and the
   // last, so that no energy is lost or made, whenever in the step the contact begins or ends.
-  const double before = span.before * point.speed - point.gap, after = -point.gap - span.now * speed;
+  const double before = lengths.before * point.speed - point.gap, after = -point.gap - lengths.now * speed;
   const double deep_before = std::max(before, 0.0), deep = std::max(-point.gap, 0.0), deep_after = std::max(after, 0.0);
-  const double way = after - before, k = point.stiffness, d = point.damping;
+  const double travel = after - before, k = point.stiffness, d = point.damping;
   double force, slope;
-  if (std::abs(way) > 1e-14) {
-    force = 0.5 * k * (deep_after + deep_before) * ((deep_after - deep_before) / way);
-    slope = (k * deep_after - force) / way;
+  if (std::abs(travel) > 1e-14) {
+    force = 0.5 * k * (deep_after + deep_before) * ((deep_after - deep_before) / travel);
+    slope = (k * deep_after - force) / travel;
   } else {
     force = k * deep_before;
     slope = before > 0.0 ? 0.5 * k : 0.0;
   }
-  force += d * (point.implicit * (deep_after - deep) / span.now +
-                (1.0 - point.implicit) * (deep - deep_before) / span.before);
-  if (after > 0.0) slope += d * point.implicit / span.now;
-  return force > 0.0 ? NormalForce{force, slope * span.now} : NormalForce{0.0, 0.0};
+  force += d * (point.implicit * (deep_after - deep) / lengths.now +
+                (1.0 - point.implicit) * (deep - deep_before) / lengths.before);
+  if (after > 0.0) slope += d * point.implicit / lengths.now;
+  return force > 0.0 ? NormalForce{force, slope * lengths.now} : NormalForce{0.0, 0.0};
 }
 
-double add_contact(const ContactPoint& point, const Span& span, const Vector& angular, const Vector& linear, double held,
-                   double* wrench) {
-  const Vector &r = point.place, &n = point.normal;
+double add_contact(const ContactPoint& point, const StepLengths& lengths, const Vector& angular,
+                   const Vector& linear, double fixed_load, double* wrench) {
+  const Vector &r = point.position, &n = point.normal;
   const Vector u = linear + cross(angular, r);
-  const double speed = dot(n, u), normal = normal_force(point, span, speed).force, load = held < 0.0 ? normal : held;
+  const double speed = dot(n, u), normal = normal_force(point, lengths, speed).force;
+  const double load = fixed_load < 0.0 ? normal : fixed_load;
   if (load <= 0.0 && normal <= 0.0) return 0.0;
-  const Vector wanted = -point.stick * (u + -speed * n) + -1.0 * point.held;
-  const Vector force = normal * n + onto_disc(wanted, point.friction * load).force;
+  const Vector trial = -point.stick_damping * (u + -speed * n) + -1.0 * point.friction_offset;
+  const Vector force = normal * n + onto_disc(trial, point.friction * load).force;
   Vector moment = cross(r, force);
-  if (point.lever > 0.0)
-    moment = moment + onto_disc(-point.turn_stick * (angular + -dot(n, angular) * n), point.lever * load).force;
+  if (point.rolling_arm > 0.0)
+    moment = moment + onto_disc(-point.rolling_damping * (angular + -dot(n, angular) * n), point.rolling_arm * load).force;
   for (int i = 0; i < 3; ++i) {
     wrench[i] += moment[i];
     wrench[3 + i] += force[i];
@@ -90,32 +91,34 @@ double add_contact(const ContactPoint& point, const Span& span, const Vector& an
   return normal;
 }
 
-double add_linear_contact(const ContactPoint& point, const Span& span, const Vector& angular, const Vector& linear,
-                          double held, const Guess& guess, double* wrench, Matrix6& derivative, LinearForce& own) {
-  const Vector &r = point.place, &n = point.normal;
+double add_linear_contact(const ContactPoint& point, const StepLengths& lengths, const Vector& angular,
+                          const Vector& linear, double fixed_load, const Guess& guess, double* wrench,
+                          Matrix6& derivative, LinearForce& own) {
+  const Vector &r = point.position, &n = point.normal;
   const Vector u = linear + cross(angular, r);
   const double speed = dot(n, u);
-  NormalForce normal = normal_force(point, span, speed);
-  const bool coulomb = held < 0.0, assumes = guess.as_before && point.rigid && guess.load >= 0.0;
-  double load = coulomb ? normal.force : held;
+  NormalForce normal = normal_force(point, lengths, speed);
+  const bool coulomb = fixed_load < 0.0, assumes = guess.as_before && point.rigid && guess.normal_force >= 0.0;
+  double load = coulomb ? normal.force : fixed_load;
   if (assumes) {
-    load = guess.load;
-    normal = load > 0.0 ? NormalForce{point.stop * (free_speed(point, span) - speed), point.stop} : NormalForce{0.0, 0.0};
+    load = guess.normal_force;
+    normal = load > 0.0 ? NormalForce{point.rigid_damping * (free_speed(point, lengths) - speed), point.rigid_damping}
+                        : NormalForce{0.0, 0.0};
   }
   own = {{}, u, {}};
   if (load <= 0.0 && normal.force <= 0.0) return 0.0;
 
   const double rho = guess.augmented ? point.augmented : 1.0, bound = point.friction * load;
-  const Vector wanted = -point.stick * (u + -speed * n) + -1.0 * point.held;
-  const Vector sought = rho * wanted + (1.0 - rho) * guess.grip;
-  const double size = norm(sought);
-  Vector along{}, friction = wanted;
-  double across = point.stick;
+  const Vector trial = -point.stick_damping * (u + -speed * n) + -1.0 * point.friction_offset;
+  const Vector augmented_trial = rho * trial + (1.0 - rho) * guess.friction;
+  const double size = norm(augmented_trial);
+  Vector along{}, friction = trial;
+  double across = point.stick_damping;
   if (size > bound) {
-    along = (1.0 / size) * sought;
+    along = (1.0 / size) * augmented_trial;
     const double share = bound / size, kept = share * rho / (1.0 - share * (1.0 - rho));
-    friction = (coulomb ? point.friction * normal.force : bound) * along + kept * (wanted + -dot(along, wanted) * along);
-    across = kept * point.stick;
+    friction = (coulomb ? point.friction * normal.force : bound) * along + kept * (trial + -dot(along, trial) * along);
+    across = kept * point.stick_damping;
   }
   const double grows = coulomb ? point.friction * normal.slope : 0.0;
   for (int i = 0; i < 3; ++i)
@@ -129,9 +132,10 @@ double add_linear_contact(const ContactPoint& point, const Span& span, const Vec
     wrench[i] += moment[i];
     wrench[3 + i] += own.force[i];
   }
-  if (point.lever > 0.0) {
-    const Projection rolling = onto_disc(-point.turn_stick * (angular + -dot(n, angular) * n), point.lever * load);
-    const double turns = rolling.stretch * point.turn_stick, more = coulomb ? point.lever * normal.slope : 0.0;
+  if (point.rolling_arm > 0.0) {
+    const Projection rolling =
+        onto_disc(-point.rolling_damping * (angular + -dot(n, angular) * n), point.rolling_arm * load);
+    const double turns = rolling.stretch * point.rolling_damping, more = coulomb ? point.rolling_arm * normal.slope : 0.0;
     const Vector arm = cross(r, n);  // d speed / d angular velocity
     for (int i = 0; i < 3; ++i) {
       wrench[i] += rolling.force[i];

@@ -12,9 +12,9 @@ namespace impact_rs {
 
 // Symbols of a formula that belong to no joint; q, dq and tau of every joint follow them, all q first.
 enum Symbol : int {
-  of_time, of_place, of_velocity = of_place + 3, of_speed = of_velocity + 3,
-  of_object_place, of_object_velocity = of_object_place + 3, of_object_turning = of_object_velocity + 3,
-  of_object_speed = of_object_turning + 3, of_normal_force, of_penetration, of_closing, of_slip, of_since_contact,
+  of_time, of_position, of_velocity = of_position + 3, of_speed = of_velocity + 3,
+  of_object_position, of_object_velocity = of_object_position + 3, of_object_angular_velocity = of_object_velocity + 3,
+  of_object_speed = of_object_angular_velocity + 3, of_normal_force, of_penetration, of_closing, of_slip, of_since_contact,
   of_support_force, of_support_slip, of_joints
 };
 
@@ -51,7 +51,7 @@ class Formula {
   // `code` is valid for an arm of `joints` joints, else std::invalid_argument.
   Formula(std::vector<int> code, std::vector<double> constants, int joints);
 
-  // Its value for these symbols; NaN where any part of it is not finite. `memory` has a place for each of its lags.
+  // Its value for these symbols; NaN where any part of it is not finite. `memory` has an entry for each of its lags.
   double operator()(const std::vector<double>& symbols, std::vector<Lag>& memory) const;
 
   int lags() const { return lags_; }
@@ -62,7 +62,7 @@ class Formula {
   std::vector<double> constants_;
 };
 
-// What a formula adds to: a torque on a joint, a force or moment along an axis of A, or a force at a surface.
+// Where a formula acts: a torque on a joint, a force or moment along an axis of A, or a force at a surface.
 enum class Acts {
   on_link, on_motor, on_end_effector, on_pad, along_pad, on_object, turning_object, on_support, along_support
 };
@@ -77,7 +77,7 @@ struct FormulaLoad {
   double at(const std::vector<double>& symbols, std::vector<Lag>& memory) const;
 };
 
-// What the lags of formulas remember in one simulation, by formula.
+// States of the lags of formulas in one simulation, by formula.
 using Memory = std::vector<std::vector<Lag>>;
 Memory fresh_memory(const std::vector<FormulaLoad>& formulas);
 

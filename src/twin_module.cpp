@@ -13,17 +13,17 @@ namespace impact_rs {
 namespace {
 
 using Rows = py::array_t<int, py::array::c_style | py::array::forcecast>;
-using PadOfPython = std::tuple<Numbers, Numbers, Numbers, std::optional<double>, double, double, double, OptionalForm>;
+using PadOfPython = std::tuple<Numbers, Numbers, Numbers, std::optional<double>, double, double, double, OptionalShape>;
 using ToolOfPython = std::tuple<Numbers, double>;
 using PullOfPython = std::tuple<Numbers, double, Numbers>;
 using FormulaOfPython = std::tuple<std::string, int, int, std::vector<int>, std::vector<double>>;
-using BoxOfPython = std::tuple<double, Numbers, Numbers, Numbers, OptionalForm>;
+using BoxOfPython = std::tuple<double, Numbers, Numbers, Numbers, OptionalShape>;
 using SupportOfPython = std::tuple<double, double, double, double, double>;
 using ArmStartOfPython = std::tuple<Numbers, Numbers, Numbers, Numbers, Numbers, Numbers, Numbers>;
 using BoxStartOfPython = std::tuple<Numbers, Numbers, Numbers>;
-using DrivingOfPython = std::tuple<Numbers, Rows>;
+using TorqueInputOfPython = std::tuple<Numbers, Rows>;
 using JobOfPython = std::tuple<const TwinModel*, std::vector<ArmStartOfPython>, std::vector<BoxStartOfPython>, Numbers,
-                               int, std::vector<DrivingOfPython>>;
+                               int, std::vector<TorqueInputOfPython>>;
 
 Vector vector_of(const Numbers& values, const char* name) { return vector(checked(values, 3, name)); }
 
@@ -50,7 +50,7 @@ PythonLoad load_of(const py::function& function, std::size_t n) {
 
 ArmModel arm_of(const Chain& links, const py::object& motors, const Numbers& shaping, const Numbers& gain,
                 const Numbers& offset, const Numbers& stiffness, const Numbers& damping, double delay, bool joint_torque,
-                const PadOfPython& pad, const std::optional<ToolOfPython>& tool, const std::optional<PullOfPython>& pull,
+                const PadOfPython& pad, const std::optional<ToolOfPython>& tool, const std::optional<PullOfPython>& spring,
                 const std::vector<FormulaOfPython>& formulas, const std::optional<py::function>& load) {
   const auto n = static_cast<py::ssize_t>(links.joints());
   const auto& [centre, rotation, half, pad_stiffness, pad_damping, shear_compliance, creep, shape] = pad;
@@ -64,7 +64,7 @@ ArmModel arm_of(const Chain& links, const py::object& motors, const Numbers& sha
                delay,
                joint_torque,
                {vector_of(centre, "pad"), matrix_of(rotation, "pad"), vector_of(half, "pad"), !pad_stiffness,
-                pad_stiffness.value_or(0.0), pad_damping, shear_compliance, creep, shape.value_or(Form{})},
+                pad_stiffness.value_or(0.0), pad_damping, shear_compliance, creep, shape.value_or(Shape{})},
                {},
                std::nullopt,
                {},
@@ -76,7 +76,10 @@ ArmModel arm_of(const Chain& links, const py::object& motors, const Numbers& sha
     for (const double* row = motions.data(); row < motions.data() + motions.size(); row += 6)
       arm.tool.motions.push_back({vector(row + 3), vector(row)});
   }
-  if (pull) arm.pull = Pull{vector_of(std::get<0>(*pull), "pull"), std::get<1>(*pull), vector_of(std::get<2>(*pull), "pull")};
+  if (spring) {
+    const auto& [force, k, position] = *spring;
+    arm.spring = CartesianSpring{vector_of(force, "pull"), k, vector_of(position, "pull")};
+  }
   for (const auto& [effect, acts, index, code, constants] : formulas) {
     if (acts < 0 || acts > static_cast<int>(Acts::along_pad)) throw py::value_error("formula: acts on no arm");
     const auto limit = acts <= static_cast<int>(Acts::on_motor) ? n : 3;
@@ -96,7 +99,7 @@ TwinModel model_of(const std::vector<const ArmModel*>& arms, const std::vector<B
                   refinement, {}};
   for (const auto& [mass, half, inertia, offset, shape] : boxes)
     model.boxes.push_back({mass, vector_of(half, "boxes"), vector_of(inertia, "boxes"), vector_of(offset, "boxes"),
-                           shape.value_or(Form{})});
+                           shape.value_or(Shape{})});
   for (const auto& [effect, acts, index, code, constants] : formulas) {
     if (acts < static_cast<int>(Acts::on_object) || acts > static_cast<int>(Acts::along_support))
       throw py::value_error("formula: does not act on the object");
@@ -137,27 +140,28 @@ TwinStart start_of(const TwinModel& model, const std::vector<ArmStartOfPython>& 
   return start;
 }
 
-Course course_of(const TwinModel& model, const Numbers& time, int substeps, const std::vector<DrivingOfPython>& arms) {
+TorqueTrajectory trajectory_of(const TwinModel& model, const Numbers& time, int substeps,
+                               const std::vector<TorqueInputOfPython>& arms) {
   if (time.size() == 0 || substeps < 1) throw py::value_error("time: expected ticks, and periods between them");
   if (arms.size() != model.arms.size()) throw py::value_error("driving: not that of the arms of the model");
-  Course course{copied(time, time.size(), "time"), substeps, {}};
+  TorqueTrajectory trajectory{copied(time, time.size(), "time"), substeps, {}};
   const py::ssize_t periods = (time.size() - 1) * substeps;
   for (std::size_t i = 0; i < arms.size(); ++i) {
-    const auto& [torques, acting] = arms[i];
+    const auto& [torques, row_by_period] = arms[i];
     const auto rows = torques.size() / static_cast<py::ssize_t>(model.arms[i].links.joints());
-    if (acting.size() != periods) throw py::value_error("acting: expected a row for every period");
+    if (row_by_period.size() != periods) throw py::value_error("acting: expected a row for every period");
     for (py::ssize_t k = 0; k < periods; ++k)
-      if (acting.data()[k] < 0 || acting.data()[k] >= rows) throw py::value_error("acting: no such row");
-    course.arms.push_back({torques.data(), acting.data()});
+      if (row_by_period.data()[k] < 0 || row_by_period.data()[k] >= rows) throw py::value_error("acting: no such row");
+    trajectory.arms.push_back({torques.data(), row_by_period.data()});
   }
-  return course;
+  return trajectory;
 }
 
-// A simulation that goes on tick by tick, under torques that depend on where it is.
+// A simulation tick by tick, under torques that may depend on its state.
 class TwinRun {
  public:
   TwinRun(const TwinModel& model, const std::vector<ArmStartOfPython>& arms, const std::vector<BoxStartOfPython>& boxes)
-      : model_(model), twin_(model_, start_of(model_, arms, boxes)), state_(twin_.row()) {
+      : model_(model), twin_(model_, start_of(model_, arms, boxes)), state_(twin_.state_size()) {
     twin_.state(state_.data(), nullptr);
   }
   TwinRun(const TwinRun&) = delete;
@@ -193,7 +197,7 @@ class TwinRun {
   std::vector<double> state_;
 };
 
-// What one job leaves behind.
+// Result of one job.
 struct Outcome {
   Numbers rows;
   double* data;
@@ -202,12 +206,12 @@ struct Outcome {
   std::exception_ptr thrown;
 };
 
-void run_one(const TwinModel& model, const TwinStart& start, const Course& course, Outcome& outcome) {
+void run_one(const TwinModel& model, const TwinStart& start, const TorqueTrajectory& trajectory, Outcome& outcome) {
   try {
     Twin twin(model, start);
-    std::fill_n(outcome.data, course.time.size() * twin.row(), NAN);
+    std::fill_n(outcome.data, trajectory.time.size() * twin.state_size(), NAN);
     try {
-      twin.run(course, outcome.data);
+      twin.run(trajectory, outcome.data);
     } catch (const std::runtime_error& error) {
       outcome.failure = error.what();
     }
@@ -219,11 +223,11 @@ void run_one(const TwinModel& model, const TwinStart& start, const Course& cours
 
 py::list run_twins(const std::vector<JobOfPython>& jobs, int threads) {
   std::vector<TwinStart> starts;
-  std::vector<Course> courses;
+  std::vector<TorqueTrajectory> trajectories;
   std::vector<Outcome> outcomes;
-  for (const auto& [model, arms, boxes, time, substeps, driving] : jobs) {
+  for (const auto& [model, arms, boxes, time, substeps, inputs] : jobs) {
     starts.push_back(start_of(*model, arms, boxes));
-    courses.push_back(course_of(*model, time, substeps, driving));
+    trajectories.push_back(trajectory_of(*model, time, substeps, inputs));
     std::size_t row = BOX_ROW * boxes.size();
     for (const ArmStart& arm : starts.back().arms) row += 5 * arm.position.size();
     Numbers rows({time.size(), static_cast<py::ssize_t>(row)});
@@ -235,7 +239,7 @@ py::list run_twins(const std::vector<JobOfPython>& jobs, int threads) {
     std::atomic<std::size_t> next{0};
     const auto work = [&] {
       for (std::size_t i = next++; i < jobs.size(); i = next++)
-        run_one(*std::get<0>(jobs[i]), starts[i], courses[i], outcomes[i]);
+        run_one(*std::get<0>(jobs[i]), starts[i], trajectories[i], outcomes[i]);
     };
     std::vector<std::thread> pool;
     for (std::size_t i = 1; i < std::min<std::size_t>(std::max(threads, 1), jobs.size()); ++i) pool.emplace_back(work);
@@ -263,7 +267,8 @@ void add_twin(py::module_& module) {
            py::arg("tool"), py::arg("pull"), py::arg("formulas"), py::arg("load"));
   py::class_<TwinModel>(module, "Twin")
       .def(py::init(&model_of), py::arg("arms"), py::arg("boxes"), py::arg("support"), py::arg("pad_friction"),
-           py::arg("box_friction"), py::arg("rolling_arm"), py::arg("gravity"), py::arg("period"), py::arg("refinement"), py::arg("formulas"));
+           py::arg("box_friction"), py::arg("rolling_arm"), py::arg("gravity"), py::arg("period"),
+           py::arg("refinement"), py::arg("formulas"));
   py::class_<TwinRun>(module, "TwinRun")
       .def(py::init<const TwinModel&, const std::vector<ArmStartOfPython>&, const std::vector<BoxStartOfPython>&>(),
            py::arg("model"), py::arg("arms"), py::arg("boxes"))

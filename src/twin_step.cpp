@@ -7,11 +7,11 @@ namespace impact_rs {
 
 namespace {
 
-constexpr int NEWTON_STEPS = 8;   // two are usual
-constexpr int ROUNDS = 60;        // of friction held and let go again
-constexpr int EARLY_ROUNDS = 6;   // of them, for a guess only
-constexpr int CONVEX_STEPS = 60;  // of Newton's method with friction held
-constexpr double HELD_TOLERANCE = 1e-6;  // m/s, of such a guess
+constexpr int NEWTON_STEPS = 8;                 // two are usual
+constexpr int ROUNDS = 60;                      // of fixed and released friction limits
+constexpr int EARLY_ROUNDS = 6;                 // of them, for a guess only
+constexpr int CONVEX_STEPS = 60;                // of Newton's method with fixed friction limits
+constexpr double FIXED_LIMIT_TOLERANCE = 1e-6;  // m/s, of such a guess
 
 }  // namespace
 
@@ -28,7 +28,7 @@ void StepSolver::evaluate(const std::vector<double>& x, bool with_derivative) {
     for (int i = first; i < first + count; ++i) {
       double sum = -impulse[i];
       for (int j = first; j < first + count; ++j) sum += mass[i * n + j] * x[j];
-      rest_[i] = sum;
+      residual_[i] = sum;
     }
   };
   for (const Partner& partner : partners)
@@ -46,22 +46,23 @@ void StepSolver::evaluate(const std::vector<double>& x, bool with_derivative) {
     const Vector angular = vector(twist), linear = vector(twist + 3);
     bool loaded = false;
     for (std::size_t i = partner.first; i < partner.first + partner.count; ++i) {
-      const double held = holds_ ? held_[i] : -1.0;
-      loads_[i] = with_derivative ? add_linear_contact(points[i], span, angular, linear, held, guesses[i], wrench, z, forces_[i])
-                                  : add_contact(points[i], span, angular, linear, held, wrench);
-      loaded = loaded || loads_[i] > 0.0 || held > 0.0;
+      const double fixed_load = limits_fixed_ ? fixed_loads_[i] : -1.0;
+      normal_forces_[i] = with_derivative ? add_linear_contact(points[i], lengths, angular, linear, fixed_load, guesses[i],
+                                                               wrench, z, forces_[i])
+                                          : add_contact(points[i], lengths, angular, linear, fixed_load, wrench);
+      loaded = loaded || normal_forces_[i] > 0.0 || fixed_load > 0.0;
     }
     if (!loaded) continue;
-    for (int i = 0; i < 6 && !fixed; ++i) rest_[o + i] -= kick * wrench[i];
+    for (int i = 0; i < 6 && !fixed; ++i) residual_[o + i] -= velocity_step * wrench[i];
     for (int j = 0; j < partner.joints; ++j) {
       double sum = 0.0;
       for (int i = 0; i < 6; ++i) sum += partner.motions[6 * j + i] * wrench[i];
-      rest_[partner.offset + j] += kick * sum;
+      residual_[partner.offset + j] += velocity_step * sum;
     }
     if (!with_derivative) continue;
     for (int i = 0; i < 6 && !fixed; ++i)
-      for (int j = 0; j < 6; ++j) matrix_[(o + i) * n + o + j] += kick * z[6 * i + j];
-    times_.resize(6 * partner.joints);
+      for (int j = 0; j < 6; ++j) matrix_[(o + i) * n + o + j] += velocity_step * z[6 * i + j];
+    product_.resize(6 * partner.joints);
     for (int j = 0; j < partner.joints; ++j) {
       const double* own = partner.motions + 6 * j;
       for (int i = 0; i < 6; ++i) {
@@ -70,16 +71,16 @@ void StepSolver::evaluate(const std::vector<double>& x, bool with_derivative) {
           right += z[6 * i + l] * own[l];
           left += own[l] * z[6 * l + i];
         }
-        times_[6 * j + i] = kick * right;
+        product_[6 * j + i] = velocity_step * right;
         if (fixed) continue;
-        matrix_[(o + i) * n + partner.offset + j] -= kick * right;
-        matrix_[(partner.offset + j) * n + o + i] -= kick * left;
+        matrix_[(o + i) * n + partner.offset + j] -= velocity_step * right;
+        matrix_[(partner.offset + j) * n + o + i] -= velocity_step * left;
       }
     }
     for (int i = 0; i < partner.joints; ++i)
       for (int j = 0; j < partner.joints; ++j) {
         double sum = 0.0;
-        for (int l = 0; l < 6; ++l) sum += partner.motions[6 * i + l] * times_[6 * j + l];
+        for (int l = 0; l < 6; ++l) sum += partner.motions[6 * i + l] * product_[6 * j + l];
         matrix_[(partner.offset + i) * n + partner.offset + j] += sum;
       }
   }
@@ -87,18 +88,18 @@ void StepSolver::evaluate(const std::vector<double>& x, bool with_derivative) {
 
 double StepSolver::residual() const {
   double sum = 0.0;
-  for (int i = 0; i < size; ++i) sum += rest_[i] * rest_[i] / mass[i * size + i];
+  for (int i = 0; i < size; ++i) sum += residual_[i] * residual_[i] / mass[i * size + i];
   return std::sqrt(sum / object_mass);
 }
 
-// The step that the linear equations ask for; false: they are singular.
+// Newton step by elimination; false: the equations are singular.
 bool StepSolver::newton_step() {
-  step_ = rest_;
+  step_ = residual_;
   ++iterations_;
   return eliminate(matrix_.data(), step_.data(), size);
 }
 
-// Newton's method from `velocity`; that is left where it was where it does not arrive.
+// Newton's method from `velocity`, which is restored if it does not converge.
 bool StepSolver::newton(bool augmented, bool as_before) {
   before_ = velocity;
   for (int k = 0; k < NEWTON_STEPS; ++k) {
@@ -125,9 +126,9 @@ void StepSolver::update_guesses() {
     twist_against(partner, velocity, twist);
     for (std::size_t i = partner.first; i < partner.first + partner.count; ++i) {
       const LinearForce& own = forces_[i];
-      const Vector moved = vector(twist + 3) + cross(vector(twist), points[i].place) - own.velocity;
+      const Vector moved = vector(twist + 3) + cross(vector(twist), points[i].position) - own.velocity;
       const Vector force = own.force - own.derivative * moved;
-      guesses[i].grip = force + -dot(force, points[i].normal) * points[i].normal;
+      guesses[i].friction = force + -dot(force, points[i].normal) * points[i].normal;
     }
   }
 }
@@ -137,20 +138,20 @@ double StepSolver::slope(double fraction) {
   for (int i = 0; i < size; ++i) trial_[i] = velocity[i] - fraction * step_[i];
   evaluate(trial_, false);
   double sum = 0.0;
-  for (int i = 0; i < size; ++i) sum -= step_[i] * rest_[i];
+  for (int i = 0; i < size; ++i) sum -= step_[i] * residual_[i];
   return sum;
 }
 
 // The minimum for friction limited by the normal forces at the present velocities.
-void StepSolver::hold_friction(double tolerance) {
+void StepSolver::fix_friction_limits(double tolerance) {
   for (Guess& guess : guesses) guess.augmented = guess.as_before = false;
-  held_ = loads_;
-  holds_ = true;
+  fixed_loads_ = normal_forces_;
+  limits_fixed_ = true;
   for (int k = 0; k < CONVEX_STEPS; ++k) {
     evaluate(velocity, true);
     if (!(residual() > tolerance) || !newton_step()) break;
     double first = 0.0;
-    for (int i = 0; i < size; ++i) first -= step_[i] * rest_[i];
+    for (int i = 0; i < size; ++i) first -= step_[i] * residual_[i];
     double fraction = 1.0, low = 0.0, high = 1.0, at_low = first, at_high = slope(1.0);
     if (at_high > -1e-3 * first) {  // beyond the minimum along the step: there by regula falsi and halving
       for (int tries = 0; tries < 30; ++tries) {
@@ -163,26 +164,26 @@ void StepSolver::hold_friction(double tolerance) {
     }
     for (int i = 0; i < size; ++i) velocity[i] -= fraction * step_[i];
   }
-  holds_ = false;
+  limits_fixed_ = false;
   evaluate(velocity, true);
   for (std::size_t i = 0; i < points.size(); ++i)
-    guesses[i].grip = forces_[i].force + -dot(forces_[i].force, points[i].normal) * points[i].normal;
+    guesses[i].friction = forces_[i].force + -dot(forces_[i].force, points[i].normal) * points[i].normal;
   evaluate(velocity, false);
 }
 
-// Newton's method, and where it does not arrive, from where friction that is held and let go again leads: that arrives
-// by itself where friction and normal forces depend on each other weakly enough.
+// Newton's method; if it does not converge, again from the solution with fixed friction limits, updated round by round.
+// These rounds converge by themselves where friction and normal forces are weakly coupled.
 Solution StepSolver::solve() {
   iterations_ = 0;
-  rest_.resize(size);
+  residual_.resize(size);
   matrix_.resize(size * size);
   trial_.resize(size);
-  loads_.resize(points.size());
+  normal_forces_.resize(points.size());
   forces_.resize(points.size());
   bool solved = newton(true, true);
   const bool fallback = !solved;
   for (int round = 0; round < ROUNDS && !solved; ++round) {
-    hold_friction(round < EARLY_ROUNDS ? HELD_TOLERANCE : 0.1 * STEP_TOLERANCE);
+    fix_friction_limits(round < EARLY_ROUNDS ? FIXED_LIMIT_TOLERANCE : 0.1 * STEP_TOLERANCE);
     solved = residual() < STEP_TOLERANCE || newton(true, false) || newton(false, false);
   }
   return {residual(), iterations_, fallback, solved};

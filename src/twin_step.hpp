@@ -4,8 +4,8 @@
 //     R(x) = A x - p - h sum S_k^T w_k(S_k x),      A = blockdiag(M_1.., I, m),
 //
 // x the joint velocities of the arms in contact, then angular velocity and velocity of the centre of mass of every object;
-// w_k the wrench of partner k on its object at its twist against it. Newton's method; where it goes round in circles, the
-// limits of friction are held for a while, for which the root is the minimum of a convex function.
+// w_k the wrench of partner k on its object at its twist against it. Newton's method; where it cycles, the
+// friction limits are fixed for some rounds, for which the root is the minimum of a convex function.
 
 #pragma once
 
@@ -37,8 +37,8 @@ class StepSolver {
  public:
   // The problem; filled in by the caller, then solved.
   int size = 0;
-  double kick = 0.0;            // h in R [s]
-  Span span{};                  // of the contact laws
+  double velocity_step = 0.0;            // h in R [s]
+  StepLengths lengths{};                  // of the contact laws
   double object_mass = 0.0;     // turns a residual into a velocity [kg]
   bool fixed = false;           // whether no wrench moves the object
   std::vector<double> mass;     // A, (size, size)
@@ -47,12 +47,12 @@ class StepSolver {
   std::vector<int> objects;     // offsets of their velocities
   std::vector<Partner> partners;
   std::vector<ContactPoint> points;
-  std::vector<Guess> guesses;   // of the points; grips are those of the last step of Newton's method afterwards
+  std::vector<Guess> guesses;   // of the points; friction is that of the last step of Newton's method afterwards
 
   Solution solve();
 
   // Normal force of every point and wrench (6) of every partner at the velocities of the last evaluation.
-  const std::vector<double>& loads() const { return loads_; }
+  const std::vector<double>& normal_forces() const { return normal_forces_; }
   const double* wrench(std::size_t partner) const { return &wrenches_[6 * partner]; }
 
  private:
@@ -61,14 +61,14 @@ class StepSolver {
   double residual() const;
   bool newton(bool augmented, bool as_before);
   void update_guesses();
-  void hold_friction(double tolerance);
+  void fix_friction_limits(double tolerance);
   bool newton_step();
   double slope(double fraction);
 
-  bool holds_ = false;  // whether friction is limited by held_
+  bool limits_fixed_ = false;  // whether friction is limited by fixed_loads_
   int iterations_ = 0;
   std::vector<LinearForce> forces_;
-  std::vector<double> held_, loads_, wrenches_, rest_, matrix_, step_, trial_, before_, times_;
+  std::vector<double> fixed_loads_, normal_forces_, wrenches_, residual_, matrix_, step_, trial_, before_, product_;
 };
 
 }  // namespace impact_rs
