@@ -47,9 +47,9 @@ def answer_table(table: ImpactTable, map_tasks: Map = map) -> Answers:
     chunks = [table.rows[start : start + _ROWS_PER_TASK] for start in range(0, len(table.rows), _ROWS_PER_TASK)]
     after: list[Array] = []
     messages: dict[int, str] = {}
-    for answered, said in map_tasks(_answer, chunks):
+    for answered, messages_of_chunk in map_tasks(_answer, chunks):
         after.extend(answered)
-        messages |= said
+        messages |= messages_of_chunk
     return Answers(np.array(after), messages)
 
 

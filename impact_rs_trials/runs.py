@@ -224,7 +224,7 @@ class Run:
         path: Where it was read from.
         name: Its name in tables.
         condition: Name of the condition, the same for repeats.
-        place: Scenario, object and case or condition.
+        condition_key: Scenario, object and case or condition.
         hit: Whether there is an impact.
         physics: Nominal physics of the scene.
         signals: Signals; joint signals on an even grid.
@@ -241,7 +241,7 @@ class Run:
     path: Path
     name: str
     condition: str
-    place: tuple[str, str, str]
+    condition_key: tuple[str, str, str]
     hit: bool
     physics: Physics
     signals: Signals
@@ -303,7 +303,7 @@ def run_of_trial(spec: TrialSpec, signals: Signals, path: Path) -> Run:
         path=path,
         name=path.name,
         condition=label_of(spec),
-        place=(scene.scenario.name, spec.object, spec.case),
+        condition_key=(scene.scenario.name, spec.object, spec.case),
         hit=scene.scenario.excursion is None,
         physics=scene.physics,
         signals=signals,

@@ -322,8 +322,8 @@ def scenario_text(
     content["cases"] = _cases(content["cases"], facts, pose, speed)
     separate(content, "objects")
     if ("motor_inertia_reduced" if facts.joint_torque_loop else "motor_inertia_rotor") in assumed_numbers(facts):
-        said = "relative; it is assumed: from none to three times the number"
-        content["uncertainty"] = section({"motor_inertia": Noted(ASSUMED_MOTOR_INERTIA, said)})
+        comment = "relative; it is assumed: from none to three times the number"
+        content["uncertainty"] = section({"motor_inertia": Noted(ASSUMED_MOTOR_INERTIA, comment)})
         separate(content, "uncertainty")
     content.yaml_set_start_comment(
         f"Made by impact-rs scenario new for {facts_name}, with pose and drive found and the rest from {kind}:\n"
@@ -501,8 +501,8 @@ def _cases(cases: Mapping[str, Any], facts: RobotFacts, pose: Pose, speed: float
             for arm, wanted in case["robots"].items()
         }
         if arms not in seen:
-            said = f"m/s, {facts.units[0].position}"
-            robots = section({arm: Noted(in_one_line(own), said) for arm, own in arms.items()})
+            comment = f"m/s, {facts.units[0].position}"
+            robots = section({arm: Noted(in_one_line(own), comment) for arm, own in arms.items()})
             made[name] = section({"label": case["label"], "robots": robots})
             seen.append(arms)
     return section(made)

@@ -47,7 +47,7 @@ from impact_rs_trials.recordings.importing.candidates import (
 )
 from impact_rs_trials.recordings.importing.import_recordings import ImportOptions, draft_import
 from impact_rs_trials.recordings.importing.import_texts import PossibleReading
-from impact_rs_trials.recordings.laboratory import MAX_IMPACT_SHARE, Laboratory, placed, read_run
+from impact_rs_trials.recordings.laboratory import MAX_IMPACT_SHARE, Laboratory, read_run, with_tracker_frame
 from impact_rs_trials.recordings.mapping import (
     JOINT_SIGNALS,
     QUANTITY,
@@ -262,7 +262,7 @@ def preview(workspace: Workspace, request: PreviewRequest) -> dict[str, Any]:
     units = [si_unit(quantity, mapping.unit(request.signal, number), quantity) for number in range(len(names))]
     span = float(time[-1])
     return {
-        "place": series.place,
+        "place": series.label,
         "samples": int(time.size),
         "rate": (time.size - 1) / span if span > 0.0 else 0.0,
         "ranges": [
@@ -359,7 +359,7 @@ def describe(workspace: Workspace, description: Description) -> tuple[list[str],
         rows = read_runs(folder, Experiment(scenario=scenario_name, runs=str(table.relative_to(folder))), scenario)
         laboratory = Laboratory.checked(scenario, mappings, motion_capture, lambda arm: {"key": arm})
         first = next((row for row in rows if row.hit), rows[0])
-        remarks = read_run(placed(laboratory, rows, map), first).remarks
+        remarks = read_run(with_tracker_frame(laboratory, rows, map), first).remarks
     written = [workspace.name(folder / name) for name in new]
     return written, tuple(f"{first.name}: {remark}" for remark in remarks)
 

@@ -25,7 +25,7 @@ from impact_rs_analysis.report.comparison import (
     where_part,
     yardstick_of_rest,
 )
-from impact_rs_analysis.report.labels import phase_text, place_text, tag_of
+from impact_rs_analysis.report.labels import location_text, phase_text, tag_of
 from impact_rs_analysis.report.page import number_text, p_text, quantity_text
 from impact_rs_analysis.report.page_names import COMPARISON_DATA, DIAGNOSIS_PAGE, DISCOVERY_PAGE
 from impact_rs_analysis.report.plots import effects_plot
@@ -72,7 +72,7 @@ def comparison(folder: Path) -> dict[str, Any]:
         "cells": [
             {
                 "row": f"{cell.signal} {cell.index}",
-                "column": phase_text(cell.phase) if by_phase else place_text(cell, several),
+                "column": phase_text(cell.phase) if by_phase else location_text(cell, several),
                 "map": "" if by_phase else phase_text(cell.phase),
                 "set": ", ".join(filter(None, (cell.object, cell.case))),
                 "signal": nearest_signal(cell),

@@ -125,7 +125,7 @@ def test_the_cable_of_ones_own_holds_the_box_back_in_proportion_to_its_drag() ->
 def test_bags_of_a_laboratory_are_read_with_the_experiment_file_beside(tmp_path: Path) -> None:
     load("laboratory").main(tmp_path, ["object_mass", "1.15"], [("push", "parcel", "case_2")], repeats=1)
     ((run,), skipped) = read_laboratory(tmp_path, load_experiment(tmp_path / "experiment.yaml"), map)
-    assert (run.place[1], run.condition, skipped) == ("parcel", "parcel/case_2", [])
+    assert (run.condition_key[1], run.condition, skipped) == ("parcel", "parcel/case_2", [])
     assert run.signals.object_position[-1, 1] < run.signals.object_position[0, 1] - 0.1  # m, it is pushed along -y
     assert len(run.remarks) == 1  # that the commands have no stamps
 

@@ -212,8 +212,8 @@ def _summary(decision: Decision, pairs: Sequence[PlannedPair], picked: Counts, i
     sure = [pair for pair in pairs if pair.after >= MIN_DISTINGUISHED_PROBABILITY]
     open_pairs = [pair for pair in pairs if pair.after < MIN_DISTINGUISHED_PROBABILITY]
     if len(pairs) <= MAX_NAMED_PAIRS:
-        said = "; ".join(f"{pair.first} from {pair.second} with {_percent(pair.after)}" for pair in pairs)
-        return f"{trials} distinguish {said}"
+        message = "; ".join(f"{pair.first} from {pair.second} with {_percent(pair.after)}" for pair in pairs)
+        return f"{trials} distinguish {message}"
     listed = ", ".join(
         f"{pair.first} from {pair.second} ({_percent(pair.after)})" for pair in open_pairs[:MAX_NAMED_PAIRS]
     )

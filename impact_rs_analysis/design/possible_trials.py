@@ -34,7 +34,7 @@ class Envelope:
     Attributes:
         speed: Largest approach speed [m/s]; None: that of the fastest case of each scenario.
         force: Largest mean contact force over some milliseconds [N]; None: any.
-        cell: What may run on a real cell; None: every trial that can be planned.
+        cell: Trials allowed on a real cell; None: every trial that can be planned.
     """
 
     speed: float | None = None
@@ -133,7 +133,7 @@ def trials_of(path: str, scenario: Scenario, envelope: Envelope = NO_ENVELOPE) -
 
     Args:
         path: Its name or path.
-        scenario: What is there.
+        scenario: The scenario.
         envelope: Envelope of the cell.
     """
     cases = _cases(scenario, envelope.fastest or max(map(_speed, scenario.cases.values())))

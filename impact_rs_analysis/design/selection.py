@@ -147,7 +147,7 @@ def _fixed(trials: Sequence[ForecastTrial], measured: Mapping[str, int], budget:
     return {own[place].name: each + (number < more) for number, place in enumerate(places)}
 
 
-def most_telling(counts: Discrimination, trials: Sequence[ForecastTrial]) -> tuple[ForecastTrial, float] | None:
+def most_informative(counts: Discrimination, trials: Sequence[ForecastTrial]) -> tuple[ForecastTrial, float] | None:
     """The one further trial with the largest gain in squared distance between two estimated explanations.
 
     Args:

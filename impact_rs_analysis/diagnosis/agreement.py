@@ -121,7 +121,7 @@ class InCommon(Schema):
     @property
     def in_words(self) -> str:
         """One sentence."""
-        where, relations = places_in_words(self.place.split(", ")), " and ".join(f"the {one}" for one in self.relations)
+        where, relations = joints_in_words(self.place.split(", ")), " and ".join(f"the {one}" for one in self.relations)
         if len(self.relations) > 1:
             common = (
                 f"in common: {' or '.join(self.readings)}" if self.readings else "no single reading is in all of them"
@@ -139,7 +139,7 @@ class AgreementDocument(Schema):
     in_common: tuple[InCommon, ...] = Field((), description="joints and axes at which some disagree")
 
     @property
-    def by_place(self) -> dict[str, dict[str, RelationDocument]]:
+    def by_joint(self) -> dict[str, dict[str, RelationDocument]]:
         """Relations by joint or axis, and by name."""
         found: dict[str, dict[str, RelationDocument]] = {}
         for one in self.relations:
@@ -160,7 +160,7 @@ class AgreementDocument(Schema):
         return tuple(one.place for one in self.relations if one.relation == name and not one.agrees)
 
 
-def places_in_words(places: Sequence[str]) -> str:
+def joints_in_words(places: Sequence[str]) -> str:
     """Joints and axes in a few words, as "joints 1 to 4, 7"; those of several arms by their names."""
     numbers = [int(one[1]) for place in places if (one := re.fullmatch(r"joint(\d+)", place))]
     if len(numbers) < max(len(places), 2):
@@ -252,11 +252,11 @@ def _size(clusters: Sequence[Cluster], of: Callable[[Cluster, bool], Array], lim
 
 def _in_common(found: Iterable[RelationDocument]) -> list[InCommon]:
     """Common readings of the relations that disagree, with joints of equal result in one entry."""
-    by_place: dict[str, list[RelationDocument]] = {}
+    by_joint: dict[str, list[RelationDocument]] = {}
     for one in found:
-        by_place.setdefault(one.place, []).append(one)
+        by_joint.setdefault(one.place, []).append(one)
     result: dict[tuple[tuple[str, ...], tuple[str, ...], str], list[str]] = {}
-    for place, own in by_place.items():
+    for place, own in by_joint.items():
         against = [one for one in own if not one.agrees]
         if not against:
             continue
@@ -305,7 +305,7 @@ def slope_clusters(runs: Sequence[MeasuredRun]) -> list[Cluster]:
         if values and features.setdefault(run.condition, tuple(own)) == tuple(own):
             rows.setdefault(run.condition, []).append(np.concatenate(values))
             firsts.setdefault(run.condition, run)
-    named = {name: (firsts[name].place, features[name]) for name in rows}
+    named = {name: (firsts[name].condition_key, features[name]) for name in rows}
     return _clusters({name: np.array(own) for name, own in rows.items()}, named)
 
 

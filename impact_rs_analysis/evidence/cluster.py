@@ -192,7 +192,7 @@ TIMES = "times repeatability"
 
 
 SCALE = "the scale of each signal (half its relevance limit, and the model discrepancy)"
-"""What the size is a multiple of where nothing was repeated."""
+"""Unit of sizes without repeats."""
 
 
 def _present_unit(unit: str) -> str:

@@ -171,7 +171,7 @@ def track_of_run(run: MeasuredRun, model: Model, added: Added = ()) -> Track:
     time = np.concatenate([window.time for window in setup.windows])
     starts = tuple(np.cumsum([0, *(window.time.size for window in setup.windows[:-1])]).tolist())
     measured, predicted = (_windowed_side(run, windows, time, starts) for windows in (run.windowed, replayed))
-    label = run.condition.removeprefix(f"{run.place[0]}/").replace("/", ", ")
+    label = run.condition.removeprefix(f"{run.condition_key[0]}/").replace("/", ", ")
     impact = min(run.impacts.values(), default=None)
     track = Track(label, time, impact, starts, (), setup.physics, measured, predicted)
     return replace(track, curves=tuple(_curves(track, measured, predicted, run.axis)))

@@ -26,7 +26,7 @@ class EverydayQuantity(NamedTuple):
         less: Comparative of a smaller value.
         unit: Unit of a change; ``%``: share of the value before.
         of: Its value, in the unit.
-        own_unit: Unit of the value, in which a change from nothing is said; empty: it has none.
+        own_unit: Unit of the value, of a change from zero; empty: it has none.
     """
 
     noun: str

@@ -87,8 +87,8 @@ class Follower:
         """Process the hits that have arrived since the last call, in time order.
 
         Args:
-            handled: Called after each instant, once the caller has taken all of its documents: what is saved then
-                never knows more than was said.
+            handled: Called after each instant, once the caller has taken all of its documents: a state saved
+                then contains no hit that was not reported.
 
         Raises:
             InputError: The measurements cannot be read, or the model predicts none of the first hits.

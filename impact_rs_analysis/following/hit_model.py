@@ -30,7 +30,7 @@ class Origin:
 
     Attributes:
         point: Point of the linearisation before, ``(p,)``.
-        past: What was believed of all hits before.
+        past: Belief from all hits before.
         numbers: Parameters of the effect.
         old: Their values before, ``(p_e,)``.
     """
@@ -50,9 +50,9 @@ class Hypothesis:
         posterior: State of its parameters.
         log_weight: Logarithm of its probability.
         effect: Effect that changed last; empty: none did.
-        origin: What that change started from; None: none did, or it is older than the window.
+        origin: Belief before that change; None: no change, or one older than the window.
         tried: Statistic at which nothing was found that explains a change; it is looked for again once it has grown.
-        recent: What it left of the last hits.
+        recent: Residuals of the last hits.
     """
 
     point: Array
@@ -69,13 +69,13 @@ class HitModel:
 
     Args:
         hit_source: Predicts hits.
-        candidate: The effects, at what is believed at the start.
+        candidate: The effects, at their values at the start.
         joints: Joints of the arms.
         proportion: Size of the measured system, for ranges and scales.
         mean_time: Mean number of hits to a false alarm, at least.
 
     Attributes:
-        whiten: What whitens the hits of a layout, ``(F, F)``.
+        whiten: Whitening matrix of the hits of a layout, ``(F, F)``.
         active: Parameters that some hit depends on, by number.
         calibration: Calibration of the scores of the effects.
     """

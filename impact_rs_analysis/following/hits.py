@@ -156,11 +156,11 @@ class RowHit(Hit):
 
     Attributes:
         source: Holds the row among others.
-        place: Its position there.
+        index: Its row there.
     """
 
     source: ImpactTableSource
-    place: int
+    index: int
 
 
 class TableHitSource(HitSource):
@@ -218,7 +218,7 @@ class TableHitSource(HitSource):
     def predict(self, hit: Hit, added: Sequence[Added]) -> list[Array | None]:
         """See :meth:`HitSource.predict`."""
         assert isinstance(hit, RowHit)
-        return hit.source.predict_row(hit.place, added)
+        return hit.source.predict_row(hit.index, added)
 
     def unmeasured(self, measured: Sequence[Hit]) -> Iterator[Hit]:
         """See :meth:`HitSource.unmeasured`: the same hits at other speeds."""
@@ -260,9 +260,9 @@ def _at_speed(row: ImpactRow, factor: float) -> ImpactRow:
     return replace(row, impact=replace(impact, arms=arms, object=body), after=factor * row.after)
 
 
-def _hit(own: ImpactTableSource, place: int) -> RowHit:
+def _hit(own: ImpactTableSource, index: int) -> RowHit:
     """One row of a source."""
-    row = own.table.rows[place]
+    row = own.table.rows[index]
     condition = ", ".join(filter(None, (row.object_name, row.condition))) if row.condition else ""
     return RowHit(
         name=name_of_row(row.number),
@@ -272,12 +272,12 @@ def _hit(own: ImpactTableSource, place: int) -> RowHit:
         layout="impacts",
         group=condition,
         features=own.signals,
-        measured=own.measured[place],
-        noise=np.zeros(own.measured.shape[1]) if own.noise is None else own.noise[place],
-        discrepancy=np.diag(own.map_discrepancy_of(place)),
+        measured=own.measured[index],
+        noise=np.zeros(own.measured.shape[1]) if own.noise is None else own.noise[index],
+        discrepancy=np.diag(own.map_discrepancy_of(index)),
         physics=row.physics,
         source=own,
-        place=place,
+        index=index,
     )
 
 

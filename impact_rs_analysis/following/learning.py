@@ -108,7 +108,7 @@ class Learning:
             proportion: Size of the measured system, for ranges and scales.
 
         Returns:
-            What predicts hits, and the standard deviations, in scales, of the parameters that the model states with an
+            Model of the hits, and the standard deviations, in scales, of the parameters that the model states with an
             interval, by number.
         """
         known = [item.name for item in self._believed]

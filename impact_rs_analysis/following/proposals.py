@@ -26,9 +26,9 @@ class HitlessCheck(NamedTuple):
     """A measurement without a hit, which may distinguish causes.
 
     Attributes:
-        words: What to do.
-        unit: Unit of what is read.
-        of: What is read in a scene, in the unit.
+        words: Instruction to the operator.
+        unit: Unit of the reading.
+        of: Expected reading in a scene, in the unit.
         least: Difference that is read for certain, two standard deviations, in the unit.
     """
 
@@ -59,9 +59,9 @@ class ProposedMeasurement:
     """A hit or another measurement, and how well it distinguishes the likeliest cause from each of the others.
 
     Attributes:
-        words: What to do.
+        words: Instruction to the operator.
         distances: Distance of the expected readings, in standard deviations of their difference, by cause.
-        what: What is expected, in words.
+        what: Expected readings, in words.
     """
 
     words: str

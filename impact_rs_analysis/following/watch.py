@@ -91,7 +91,7 @@ class HitWatch:
             last: The last hit of every condition.
 
         Returns:
-            What each hit taught, by its name, and the hits since a change that was found; none: none was.
+            Prediction error of each hit, by its name, and the hits since a detected change; none: no change.
         """
         begun = time.perf_counter()
         errors = self._learnt(fresh)

@@ -30,7 +30,7 @@ class PolicyRule:
     Attributes:
         name: As in the manual.
         applies: Whether it decides, if no rule before it does.
-        decision: What it decides.
+        decision: Its decision.
     """
 
     name: str

@@ -95,7 +95,7 @@ def prediction_error(
     Args:
         source: All trials so far against the model that predicted.
         folder: Folder of the trials of the round.
-        predictions: What was predicted.
+        predictions: The predictions.
         first: All trials so far against the first model; None: that is the one that predicted.
     """
     assert source.runs is not None

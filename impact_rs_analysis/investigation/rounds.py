@@ -168,7 +168,7 @@ class WantedTrials:
     Attributes:
         model: The model that they are planned with.
         done: Rounds so far.
-        document: What is open; None: whether one of the effects of ``show`` is missing.
+        document: The open decision; None: whether one of the effects of ``show`` is missing.
         budget: Trials at most.
         seed: Seed of scatter and noise.
         show: Effects; none: all.

@@ -36,10 +36,10 @@ def _round_lines(here: Round) -> Iterator[str]:
                 what = one.what or f"{campaign.folder}/{one.object}/{one.case}"
                 yield f"    * {one.buys or f'{one.trials} x {what}'}"
     if (prediction := here.prediction) is not None:
-        for said in prediction.impacts:
+        for forecast in prediction.impacts:
             yield (
-                f"* Prediction of {prediction.model.name} for {said.condition}: end effector {said.arm:+.3f} m/s, "
-                f"object {said.object:+.3f} m/s after the impact"
+                f"* Prediction of {prediction.model.name} for {forecast.condition}: "
+                f"end effector {forecast.arm:+.3f} m/s, object {forecast.object:+.3f} m/s after the impact"
             )
     if (checked := here.prediction_error) is not None:
         if checked.error is not None:
@@ -49,10 +49,10 @@ def _round_lines(here: Round) -> Iterator[str]:
                 f"{checked.error:.3g} {checked.unit}{chance}"
             )
         for impact in checked.impacts:
-            said, seen = impact.predicted, impact.object
-            tracked = "" if seen is None else f", object {seen:+.3f} m/s (predicted {said.object:+.3f})"
+            expected, seen = impact.predicted, impact.object
+            tracked = "" if seen is None else f", object {seen:+.3f} m/s (predicted {expected.object:+.3f})"
             yield (
-                f"    * {impact.condition}: measured end effector {impact.arm:+.3f} m/s (predicted {said.arm:+.3f})"
+                f"    * {impact.condition}: measured end effector {impact.arm:+.3f} m/s (predicted {expected.arm:+.3f})"
                 f"{tracked}"
             )
     if (comparison := here.comparison) is not None:

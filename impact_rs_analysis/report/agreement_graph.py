@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from impact_rs_analysis.diagnosis.agreement import AgreementDocument, places_in_words
+from impact_rs_analysis.diagnosis.agreement import AgreementDocument, joints_in_words
 
 NODE_SPACING_PX = 44  # px between nodes
 TOP_MARGIN_PX = 28  # above the first node
@@ -79,7 +79,7 @@ def agreement_graph(document: AgreementDocument) -> AgreementGraph | None:
         for name in one.readings:
             possible.setdefault(name, []).extend(one.place.split(", "))
     against = {name: document.against(name) for name in document.names}
-    said = [
+    sentences = [
         f"{name} ({', '.join(document.readings_of(name))}): "
         + (f"does not hold at {', '.join(places)}" if places else "holds")
         for name, places in against.items()
@@ -87,16 +87,16 @@ def agreement_graph(document: AgreementDocument) -> AgreementGraph | None:
     return AgreementGraph(
         document=document,
         readings=tuple(
-            AgreementNode(name, y, places_in_words(possible.get(name, []))) for name, y in at_reading.items()
+            AgreementNode(name, y, joints_in_words(possible.get(name, []))) for name, y in at_reading.items()
         ),
-        relations=tuple(AgreementNode(name, y, places_in_words(against[name])) for name, y in at_relation.items()),
+        relations=tuple(AgreementNode(name, y, joints_in_words(against[name])) for name, y in at_relation.items()),
         lines=tuple(
             AgreementLine(at_reading[reading], y, not against[name])
             for name, y in at_relation.items()
             for reading in document.readings_of(name)
         ),
         height=2.0 * TOP_MARGIN_PX + (rows - 1) * NODE_SPACING_PX,
-        in_words="; ".join(said),
+        in_words="; ".join(sentences),
     )
 
 

@@ -25,8 +25,8 @@ from impact_rs_analysis.report.labels import (
     RELEVANCE_LIMIT,
     REPEATABILITY,
     SPREAD,
+    location_text,
     phase_text,
-    place_text,
     signal_text,
 )
 from impact_rs_analysis.report.page import (
@@ -45,7 +45,7 @@ MAX_LISTED_PLACES = 8  # rows of the table of worst residuals
 
 
 @dataclass(frozen=True)
-class PlaceRow:
+class ResidualRow:
     """One row of a table.
 
     Attributes:
@@ -74,8 +74,8 @@ class LevelPart:
     title: str
     what: str
     times_noise: float
-    jumps: tuple[PlaceRow, ...]
-    signals: tuple[PlaceRow, ...]
+    jumps: tuple[ResidualRow, ...]
+    signals: tuple[ResidualRow, ...]
     plot: Plot | None
     open: bool
 
@@ -113,7 +113,7 @@ class WherePart:
 
     plots: tuple[Plot, ...]
     yardstick: str
-    places: tuple[PlaceRow, ...]
+    places: tuple[ResidualRow, ...]
 
 
 @dataclass(frozen=True)
@@ -232,7 +232,7 @@ def comparison_in_words(document: ComparisonDocument) -> str:
     if worst is None:
         return f"{text} All residuals are below their relevance limits." if document.where else text
     return (
-        f"{text} Largest in {worst.signal} {worst.index} ({_place(worst)}): "
+        f"{text} Largest in {worst.signal} {worst.index} ({_location(worst)}): "
         f"{quantity_text(worst.error, worst.unit)}, {number_text(worst.times_noise)} × {yardstick}."
     )
 
@@ -251,7 +251,7 @@ def yardstick_of(document: ComparisonDocument) -> str:
     return RELEVANCE_LIMIT if document.noise_floor is None else REPEATABILITY
 
 
-def yardstick_of_places(document: ComparisonDocument) -> str:
+def yardstick_of_residuals(document: ComparisonDocument) -> str:
     """Reference of residuals by place: the larger of :func:`yardstick_of` and relevance limit, where one is set."""
     yardstick = yardstick_of(document)
     limited = yardstick != RELEVANCE_LIMIT and any(cell.floor for cell in document.where)
@@ -267,8 +267,8 @@ def yardstick_of_rest(document: DiagnosisDocument) -> str:
     return NOISE if document.noise_floor else SPREAD
 
 
-def _place(cell: Cell, scenario: bool = False) -> str:
-    return ", ".join(filter(None, (place_text(cell, scenario=scenario), phase_text(cell.phase).lower())))
+def _location(cell: Cell, scenario: bool = False) -> str:
+    return ", ".join(filter(None, (location_text(cell, scenario=scenario), phase_text(cell.phase).lower())))
 
 
 def level_parts(document: ComparisonDocument) -> tuple[LevelPart, ...]:
@@ -284,10 +284,10 @@ def level_parts(document: ComparisonDocument) -> tuple[LevelPart, ...]:
                 what=level.what,
                 times_noise=level.times_noise,
                 jumps=tuple(
-                    PlaceRow(f"{place_text(row, scenario=several)}: {row.signal} {row.index}", row)
+                    ResidualRow(f"{location_text(row, scenario=several)}: {row.signal} {row.index}", row)
                     for row in level.entries
                 ),
-                signals=tuple(PlaceRow(f"{signal_text(row)} {row.index}".rstrip(), row) for row in level.signals),
+                signals=tuple(ResidualRow(f"{signal_text(row)} {row.index}".rstrip(), row) for row in level.signals),
                 plot=Plot(f"level-{name}", signals_plot(by_joint)) if by_joint else None,
                 open=name == list(filled)[-1],
             )
@@ -326,7 +326,7 @@ def where_part(document: ComparisonDocument) -> WherePart:
     """Heat maps, and the worst places as numbers."""
     of_recordings = not on_scale(document)
     several = len({cell.scenario for cell in document.where}) > 1
-    yardstick = yardstick_of_places(document)
+    yardstick = yardstick_of_residuals(document)
     return WherePart(
         plots=tuple(
             Plot(f"where-{number}", drawn, title=title)
@@ -334,7 +334,7 @@ def where_part(document: ComparisonDocument) -> WherePart:
         ),
         yardstick=yardstick,
         places=tuple(
-            PlaceRow(f"{_place(cell, several)}: {cell.signal} {cell.index}", cell)
+            ResidualRow(f"{_location(cell, several)}: {cell.signal} {cell.index}", cell)
             for cell in [cell for cell in document.where if cell.matters][:MAX_LISTED_PLACES]
         ),
     )

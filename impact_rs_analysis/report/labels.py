@@ -52,7 +52,7 @@ def signal_text(row: SignalLevel) -> str:
     return f"{row.arm}, {text[:1].lower()}{text[1:]}" if row.arm else text
 
 
-def place_text(entry: Cell | JumpLevel, scenario: bool = False) -> str:
+def location_text(entry: Cell | JumpLevel, scenario: bool = False) -> str:
     """Object and case of an entry, with the scenario if ``scenario``."""
     parts = [entry.scenario] if scenario else []
     if entry.object not in NO_OBJECT:

@@ -15,7 +15,7 @@ import plotly.graph_objects as go
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, RED, Curve, Figure, Panel
-from impact_rs_analysis.report.labels import Tag, phase_text, place_text, tag_of
+from impact_rs_analysis.report.labels import Tag, location_text, phase_text, tag_of
 from impact_rs_analysis.report.page import quantity_text
 from impact_rs_sim.robots.robot import Array, joined_units
 
@@ -273,7 +273,7 @@ def where_plots(cells: Sequence[Cell], by_phase: bool, yardstick: str) -> list[t
     found = []
     for phase in sorted({cell.phase for cell in cells}, key=_order_of_phase):
         own = [cell for cell in cells if cell.phase == phase]
-        places = [(place_text(cell, several), cell) for cell in own]
+        places = [(location_text(cell, several), cell) for cell in own]
         drawn = _heat_map(own, sorted(places, key=lambda entry: entry[0]), yardstick)
         if drawn is not None:
             found.append((phase_text(phase), drawn))

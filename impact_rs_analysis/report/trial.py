@@ -126,7 +126,7 @@ def run_page(run: Run, beside: Track | None = None, model: str = "") -> TrialPag
         model: Name of the model of that replay.
     """
     track = track_of_recording(run) if beside is None else replace(beside, label=run.name)
-    scenario, object_name, condition = run.place
+    scenario, object_name, condition = run.condition_key
     what = f"{object_name} is hit" if run.hit else "free motion"
     signals = run.signals
     recorded = [f"joints at {1.0 / run.period:.0f} Hz for {number_text(float(signals.time[-1]))} s"]

@@ -18,7 +18,7 @@ from impact_rs_analysis.diagnosis.jump import JOINT_VELOCITY_JUMP
 from impact_rs_analysis.evidence.aligned_bags import check_free, write_aligned
 from impact_rs_analysis.evidence.cluster import SCALE
 from impact_rs_analysis.evidence.tracks import track_of_run
-from impact_rs_analysis.report.comparison import yardstick_of, yardstick_of_places
+from impact_rs_analysis.report.comparison import yardstick_of, yardstick_of_residuals
 from impact_rs_cli.arguments import number, on_local_runs
 from impact_rs_cli.reading import measured, only_trials
 from impact_rs_cli.terminal import Terminal, output_folder
@@ -107,7 +107,7 @@ def _show_agreement(agreement: AgreementDocument, yardstick: str, terminal: Term
     table.add_column("")
     for name in agreement.names:
         table.add_column(name, justify="right")
-    for place, own in agreement.by_place.items():
+    for place, own in agreement.by_joint.items():
         cells = [own.get(name) for name in agreement.names]
         table.add_row(
             place, *("" if one is None else f"{'' if one.agrees else '≠ '}{number(one.times_noise)}" for one in cells)
@@ -151,7 +151,7 @@ def _show_levels(document: ComparisonDocument, terminal: Terminal) -> None:
         table.add_row(name.replace("_", " "), number(level.times_noise), worst)
     terminal.say(table)
     shared = document.source == "impacts" and document.noise_floor is None
-    size = "" if shared else f"; size: times {yardstick_of_places(document)}"
+    size = "" if shared else f"; size: times {yardstick_of_residuals(document)}"
     places = Table(title=escape(f"Where it fails (measured minus model{size})"))
     for heading in ("object", "case", "phase", "signal"):
         places.add_column(heading)

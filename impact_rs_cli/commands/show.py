@@ -105,7 +105,7 @@ def _laboratory_page(args: argparse.Namespace, terminal: Terminal) -> Path:
         path = _output(args, f"{directory.name}_{shown.name}.html")
         beside = None if args.model is None else _beside_model(args, shown, map_tasks, terminal)
     if shown.hit and shown.signals.object_time.size < 2:
-        terminal.warn(f"{shown.name}: the pose of {shown.place[1]} was not recorded, so it is not shown")
+        terminal.warn(f"{shown.name}: the pose of {shown.condition_key[1]} was not recorded, so it is not shown")
     return write_run(shown, path, beside, "" if args.model is None else str(args.model)).resolve()
 
 

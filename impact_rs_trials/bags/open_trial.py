@@ -20,13 +20,12 @@ from impact_rs_trials.bags.cdr import Readable
 from impact_rs_trials.bags.derived import DERIVED, DerivedMessages
 from impact_rs_trials.bags.outcome import ArmRecord, TrialRecord, Verdict, judge
 from impact_rs_trials.bags.reader import ControllerColumns, JointColumns, PoseColumns, columns_of
-from impact_rs_trials.bags.types import typestore
+from impact_rs_trials.bags.types import STAMP_ROUNDING_S, typestore
 from impact_rs_trials.bags.writer import BagWriter
 
 JUDGED = (topics.joint_states, topics.controller_state)  # signals of an arm that reach the end of a trial
 EVERY_TICK = (*JUDGED, topics.joint_command)  # signals of an arm from tick 0 on
 ENDS_EARLY = ("DIVERGED", "LIMIT")  # outcomes for which a plant may stop early
-STAMP_ROUNDING_S = 1e-6  # of timestamps; far less than a period
 _HEADER_STAMP_BYTES = 4  # offset of the timestamp, after the CDR encapsulation
 _SEQUENCE_STAMP_BYTES = 8  # offset of the timestamp, after the length of a sequence
 

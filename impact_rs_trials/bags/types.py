@@ -13,6 +13,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 NS_PER_S = 1_000_000_000  # of ``builtin_interfaces/Time``
+STAMP_ROUNDING_S = 1e-6  # closer timestamps are equal; far less than a period
 
 
 @functools.cache

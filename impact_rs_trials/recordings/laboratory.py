@@ -33,6 +33,7 @@ from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.rotations import MAX_NORM_ERROR
 from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.scene import BodyState, resting_pose
+from impact_rs_trials.bags.types import STAMP_ROUNDING_S
 from impact_rs_trials.recordings.checks.clock_offset import OBJECT_SIGNALS, on_one_clock, shifted_to_impact
 from impact_rs_trials.recordings.checks.faults import without_faults
 from impact_rs_trials.recordings.checks.joint_checks import arm_warnings
@@ -88,7 +89,6 @@ MAX_JITTER_PERIODS = 0.2  # of timestamps about the regular grid, without a warn
 MIN_JOINT_RATE_HZ = 200.0  # without a warning
 MIN_POSE_RATE_HZ = 60.0  # without a warning
 MAX_IMPACT_SHARE = 0.02  # of the samples, in which an impact may take a velocity or torque beyond the data sheet
-STAMP_ROUNDING_S = 1e-6  # closer timestamps are equal
 OUT_OF_REACH_M = 5.0  # distance of the object in free motion
 BEYOND_S = 0.1  # of command and pose that are kept before and after the joint signals
 
@@ -103,14 +103,14 @@ class Laboratory:
         scenario: Robots, objects and support.
         mappings: Where the signals of each arm are.
         motion_capture: Placement of its world.
-        placed: How that was found; None: it was given.
+        tracker_frame: Its estimate from hits; None: it was given.
         friction_noise: Relative standard deviation of the friction of the scenario's support [-].
     """
 
     scenario: Scenario
     mappings: Mapping[str, SignalMapping]
     motion_capture: MotionCapture
-    placed: ContactFrame | None = None
+    tracker_frame: ContactFrame | None = None
     friction_noise: float = FRICTION_SIGMA_SHARE
 
     @classmethod
@@ -229,8 +229,8 @@ class Laboratory:
         """Prefix of a message about an arm; empty with a single arm."""
         return f"arm {arm!r}: " if len(self.mappings) > 1 else ""
 
-    def placed_by(self, touches: Sequence[PadOnFace]) -> Laboratory:
-        """With the world of the motion capture where hits say it is.
+    def with_frame_from(self, touches: Sequence[PadOnFace]) -> Laboratory:
+        """With the frame of the motion capture estimated from hits.
 
         Raises:
             InputError: There is no hit.
@@ -239,7 +239,7 @@ class Laboratory:
         found = contact_frame(touches, np.array(given.position), given.rpy[2])
         x, y, z = (float(number) for number in found.position)
         update = {"position": (x, y, z), "rpy": (*given.rpy[:2], found.yaw)}
-        return replace(self, motion_capture=given.model_copy(update=update), placed=found)
+        return replace(self, motion_capture=given.model_copy(update=update), tracker_frame=found)
 
 
 def _where(mapping: SignalMapping, arm: str, name: SignalName) -> tuple[str | None, ...]:
@@ -268,7 +268,7 @@ def read_laboratory(directory: Path, experiment: Experiment, map_tasks: Map) -> 
     table = read_runs(directory, experiment, laboratory.scenario)
     read: list[Run] = []
     skipped: list[tuple[str, str]] = []
-    laboratory = placed(laboratory, table, map_tasks)
+    laboratory = with_tracker_frame(laboratory, table, map_tasks)
     tasks = [(laboratory, run) for run in table]
     for run, result in zip(table, map_tasks(_try_to_read, tasks), strict=True):
         if isinstance(result, Run):
@@ -297,10 +297,10 @@ def read_one(directory: Path, experiment: Experiment, name: str, map_tasks: Map)
     laboratory = Laboratory.of(experiment)
     table = read_runs(directory, experiment, laboratory.scenario)
     row = run_named(table, directory, name)
-    return read_run(placed(laboratory, table, map_tasks), row)
+    return read_run(with_tracker_frame(laboratory, table, map_tasks), row)
 
 
-def placed(laboratory: Laboratory, table: Sequence[RunRow], map_tasks: Map) -> Laboratory:
+def with_tracker_frame(laboratory: Laboratory, table: Sequence[RunRow], map_tasks: Map) -> Laboratory:
     """The laboratory with the frame of its motion capture, estimated from the hits if the experiment asks for it.
 
     Raises:
@@ -309,7 +309,7 @@ def placed(laboratory: Laboratory, table: Sequence[RunRow], map_tasks: Map) -> L
     if not laboratory.motion_capture.estimate:
         return laboratory
     hits = [(laboratory, run) for run in table if run.hit]
-    return laboratory.placed_by([touch for touches in map_tasks(touches_of, hits) for touch in touches])
+    return laboratory.with_frame_from([touch for touches in map_tasks(touches_of, hits) for touch in touches])
 
 
 def _try_to_read(task: tuple[Laboratory, RunRow]) -> Run | InputError:
@@ -337,7 +337,7 @@ def read_run(laboratory: Laboratory, run: RunRow) -> Run:
             for name, one in own.items():
                 _check(path, name, one)
             arms[arm], left_out = laboratory.without_faults(arm, own, run.hit)
-            faults += [f"{laboratory.label(arm)}{said}" for said in left_out]
+            faults += [f"{laboratory.label(arm)}{warning}" for warning in left_out]
             if any(arms[arm][name].time.size < MIN_RUN_SAMPLES for name in REQUIRED):
                 raise TooShort("; ".join(faults), file=path)
     remarks += faults
@@ -364,8 +364,8 @@ def read_run(laboratory: Laboratory, run: RunRow) -> Run:
     read = {arm: _arm_of(laboratory, run, arm, own, grid, remarks) for arm, own in arms.items()}
     object_time, pose = _part(pose_seen, grid, np.zeros((0, 7)))
     if object_time.size:
-        if laboratory.placed is not None:
-            remarks.append(str(laboratory.placed))
+        if laboratory.tracker_frame is not None:
+            remarks.append(str(laboratory.tracker_frame))
         pose = in_inertial_frame(laboratory.motion_capture, run, pose)
         for arm, joints in read.items():
             with laboratory.errors_of(arm):
@@ -398,7 +398,7 @@ def _in_scene(
         path=row.path,
         name=row.name,
         condition="/".join(part for part in (row.object or "free motion", row.condition) if part),
-        place=(scenario.name, row.object or "none", row.condition),
+        condition_key=(scenario.name, row.object or "none", row.condition),
         hit=row.hit,
         physics=Physics.nominal(scenario, object_name),
         signals=signals,
@@ -433,8 +433,8 @@ def _arm_of(
         check_arm(path, time, joints, mapping, MAX_IMPACT_SHARE if run.hit else 0.0)
         remedy = "wrong sign or unit, or without the gravity torque?"
         check_gravity_torque(path, "torque", laboratory.models[arm], joints.position, joints.torque, remedy)
-        doubts = arm_warnings(time, joints, mapping, laboratory.models[arm], run.hit)
-        remarks += [remark("{}{}", laboratory.label(arm), doubt) for doubt in doubts]
+        warnings = arm_warnings(time, joints, mapping, laboratory.models[arm], run.hit)
+        remarks += [remark("{}{}", laboratory.label(arm), warning) for warning in warnings]
         command_time, command = _part(series.get("command"), grid, none)
         if command_time.size:
             command = _with_gravity(laboratory, path, arm, time, joints.position, command_time, command)
@@ -466,7 +466,7 @@ def with_object(path: Path, series: ArmSeries, remarks: list[str]) -> ArmSeries:
     if position is not None and quaternion is not None:
         if position.time.size != quaternion.time.size or not np.allclose(position.time, quaternion.time):
             raise InputError(
-                f"{position.place} and {quaternion.place} have other time stamps; expected the same", file=path
+                f"{position.label} and {quaternion.label} have other time stamps; expected the same", file=path
             )
         values = np.hstack((position.values, quaternion.values))
         series["object_pose"] = replace(position, values=values)
@@ -476,17 +476,17 @@ def with_object(path: Path, series: ArmSeries, remarks: list[str]) -> ArmSeries:
     norm = np.linalg.norm(pose.values[:, 3:], axis=1)
     seen = ~(np.isnan(pose.values[:, :3]).all(axis=1) | np.isnan(pose.values[:, 3:]).all(axis=1) | (norm == 0.0))
     if not np.any(seen):
-        raise InputError(f"{pose.place}: the object is not seen in any of {seen.size} samples", file=path)
+        raise InputError(f"{pose.label}: the object is not seen in any of {seen.size} samples", file=path)
     lengths = norm[seen & np.isfinite(norm)]
     if np.any(np.abs(lengths - 1.0) > MAX_NORM_ERROR):
         raise InputError(
-            f"{pose.place}: quaternions have lengths of {lengths.min():.3g} ... {lengths.max():.3g}, expected 1: "
+            f"{pose.label}: quaternions have lengths of {lengths.min():.3g} ... {lengths.max():.3g}, expected 1: "
             "columns of something else?",
             file=path,
         )
     if not np.all(seen):
         words = "{}: the object is not seen in {:d} of {:d} samples"
-        remarks.append(remark(words, pose.place, int(np.sum(~seen)), seen.size))
+        remarks.append(remark(words, pose.label, int(np.sum(~seen)), seen.size))
     series["object_pose"] = pose.in_rows(seen)
     return series
 
@@ -514,7 +514,7 @@ def on_clock_of_joints(
     for arm, own in arms.items():
         with laboratory.errors_of(arm):
             arms[arm] = on_one_clock(run.path, own, laboratory.mappings[arm], laboratory.models[arm])
-    remarks += dict.fromkeys(said for own in arms.values() for one in own.values() for said in one.remarks)
+    remarks += dict.fromkeys(warning for own in arms.values() for one in own.values() for warning in one.remarks)
     if run.hit:
         arms[laboratory.tracker] = with_object(run.path, arms[laboratory.tracker], remarks)
         _start_in_the_impact(laboratory, run, arms, remarks)
@@ -529,23 +529,23 @@ def _start_in_the_impact(laboratory: Laboratory, run: RunRow, arms: dict[str, Ar
         return
     pose = arms[tracker]["object_pose"]
     moved = shifted_to_impact(run.path, pose, arms[tracker]["position"], f"signals.{name}.clock")
-    remarks += [said for said in moved.remarks if said not in pose.remarks]
+    remarks += [warning for warning in moved.remarks if warning not in pose.remarks]
     arms[tracker] = {**arms[tracker], "object_pose": moved}
 
 
 def _check(path: Path, name: SignalName, series: Series) -> None:
     """Stamps that increase without a jump, and finite numbers."""
     if name in REQUIRED and series.time.size < MIN_RUN_SAMPLES:
-        raise TooShort(f"{series.place}: {series.time.size} samples, at least {MIN_RUN_SAMPLES} are needed", file=path)
-    check_stamps(path, series.place, series.time)
+        raise TooShort(f"{series.label}: {series.time.size} samples, at least {MIN_RUN_SAMPLES} are needed", file=path)
+    check_stamps(path, series.label, series.time)
     if series.time.size > 1:
         largest = max(MIN_CLOCK_JUMP_S, 5.0 * float(np.median(np.diff(series.time))))
-        check_jumps(path, series.place, series.time, series.log, largest, pauses=name in (*ARM_SIGNALS, "command"))
+        check_jumps(path, series.label, series.time, series.log, largest, pauses=name in (*ARM_SIGNALS, "command"))
     wrong = ~np.isfinite(series.values)
     if np.any(wrong):
         row, column = np.argwhere(wrong)[0]
         raise InputError(
-            f"{series.place}: number {column + 1} is {series.values[row, column]} at t = "
+            f"{series.label}: number {column + 1} is {series.values[row, column]} at t = "
             f"{series.time[row] - series.time[0]:.3f} s ({int(np.sum(wrong.any(axis=1)))} of {wrong.shape[0]} "
             "samples); repair the file, or take the run out of the table",
             file=path,
@@ -557,7 +557,7 @@ def _check_overlap(path: Path, base: Series, series: ArmSeries) -> None:
     for one in series.values():
         if one.time[-1] < base.time[0] or one.time[0] > base.time[-1]:
             raise InputError(
-                f"{one.place} spans {one.time[0]:.3f} ... {one.time[-1]:.3f} s, {base.place} {base.time[0]:.3f} ... "
+                f"{one.label} spans {one.time[0]:.3f} ... {one.time[-1]:.3f} s, {base.label} {base.time[0]:.3f} ... "
                 f"{base.time[-1]:.3f} s: another clock, or another run? In the mapping signals.NAME.delay "
                 "shifts a signal, and signals.NAME.clock: own finds the offset from the motion",
                 file=path,
@@ -584,7 +584,7 @@ def _pieces(
         found = gaps(one.time, max(MIN_REPORTED_GAP_S, periods))
         if not found:
             continue
-        remarks.append(f"{one.place}: {'gaps' if len(found) > 1 else 'a gap'} of {gaps_in_words(found, start)}")
+        remarks.append(f"{one.label}: {'gaps' if len(found) > 1 else 'a gap'} of {gaps_in_words(found, start)}")
         if one is not pose:
             cuts += [
                 gap for gap in found if gap.length > MAX_INTERPOLATED_GAP_S and gap.end > start and gap.start < end
@@ -688,7 +688,7 @@ def _warn_of_rates(
     worst = float(np.percentile(beside, 99.0))
     if worst > MAX_JITTER_PERIODS:
         words = "{}: stamps lie up to {:.0f} % of a period beside an even grid; the samples are interpolated onto it"
-        remarks.append(remark(words, position.place, 100.0 * worst))
+        remarks.append(remark(words, position.label, 100.0 * worst))
     if 1.0 / period < MIN_JOINT_RATE_HZ:
         words = "joints at {:.0f} Hz: the jump of an impact is seen, its force is not"
         remarks.append(remark(words, 1.0 / period))

@@ -60,16 +60,16 @@ SignalName = Literal[
 ]
 NO_ROBOT = "none"  # robot of a mapping whose recordings hold an object alone
 REQUIRED: tuple[SignalName, ...] = ("position", "velocity", "torque")
-WIDTH: dict[SignalName, int] = {
-    "object_pose": 7,
-    "object_position": 3,
-    "object_quaternion": 4,
-    "wrench": 6,
-    "acceleration": 3,
-}
 IN_A_PLANE = 2  # columns of object_position that a camera sees: along its image, and up
+WIDTHS: dict[SignalName, tuple[int, ...]] = {  # numbers per sample, and other numbers of columns
+    "object_pose": (7,),
+    "object_position": (3, IN_A_PLANE),
+    "object_quaternion": (4,),
+    "wrench": (6,),
+    "acceleration": (3,),
+}
 TorqueMeaning = Literal["whole", "without_gravity", "external", "target"]
-JOINT_SIGNALS: tuple[SignalName, ...] = tuple(name for name in get_args(SignalName) if name not in WIDTH)
+JOINT_SIGNALS: tuple[SignalName, ...] = tuple(name for name in get_args(SignalName) if name not in WIDTHS)
 
 
 StampNames = str | tuple[str, str]  # column or array of stamps; or of whole seconds and of nanoseconds beside them
@@ -268,28 +268,23 @@ class Mapping(Schema):
             raise ValueError("joints is missing; expected the names of the joints, base to tip")
         self._has_joint_signals()
         for name, source in self.signals.items():
-            units, wanted, of_joints = UNITS[QUANTITY[name]], self.width(name), name in JOINT_SIGNALS
+            units, widths, of_joints = UNITS[QUANTITY[name]], self._widths(name), name in JOINT_SIGNALS
             for unit in source.units:
                 if unit not in units:
                     raise ValueError(f"signals.{name}.unit is {unit!r}, expected one of: {', '.join(units)}")
+            for key, what, allowed in (("columns", "columns", widths), ("entries", "numbers", widths[:1])):
+                own = getattr(source, key)
+                if own is not None and len(own) not in allowed:
+                    raise ValueError(f"signals.{name}.{key} lists {len(own)} {what}, expected {widths[0]}")
+            per_column = "factor" if name == "object_position" and source.columns is not None else ""
+            wanted = len(source.columns) if source.columns is not None else widths[0]
             for key, what in (("unit", "units"), ("factor", "numbers"), ("offset", "numbers")):
                 own = getattr(source, key)
-                planar = (
-                    name == "object_position"
-                    and key == "factor"
-                    and isinstance(own, tuple)
-                    and len(own) == len(source.columns or ())
-                )
-                if isinstance(own, tuple) and not planar and (not of_joints or len(own) != wanted):
+                if isinstance(own, tuple) and (len(own) != wanted or not (of_joints or key == per_column)):
                     expected = f"one or {wanted}, one per joint" if of_joints else "one"
                     raise ValueError(f"signals.{name}.{key} lists {len(own)} {what}, expected {expected}")
             if not of_joints and source.offset != 0.0:
                 raise ValueError(f"signals.{name}.offset is {source.offset:g}, expected none: it is for joints")
-            for key, what in (("columns", "columns"), ("entries", "numbers")):
-                own = getattr(source, key)
-                planar = name == "object_position" and key == "columns" and len(own or ()) == IN_A_PLANE
-                if own is not None and len(own) != wanted and not planar:
-                    raise ValueError(f"signals.{name}.{key} lists {len(own)} {what}, expected {wanted}")
             several = (
                 source.array is not None or source.field is not None or "{joint}" not in (source.column or "{joint}")
             )
@@ -372,7 +367,10 @@ class Mapping(Schema):
 
     def width(self, signal: SignalName) -> int:
         """Numbers per sample of a signal."""
-        return WIDTH.get(signal, len(self.joints))
+        return self._widths(signal)[0]
+
+    def _widths(self, signal: SignalName) -> tuple[int, ...]:
+        return WIDTHS.get(signal, (len(self.joints),))
 
     @property
     def facts(self) -> RobotFacts:

@@ -104,8 +104,8 @@ def read_long_enough(path: Path, mapping: Mapping) -> tuple[list[Run], list[tupl
                 raise
             left_out.append((str(item), error.message))
     if not runs:
-        said = "; ".join(f"{Path(name).name}: {why}" for name, why in left_out[:MAX_NAMED_RECORDINGS])
-        raise TooShort(f"none of {len(left_out)} recordings is long enough: {said}", file=path)
+        text = "; ".join(f"{Path(name).name}: {why}" for name, why in left_out[:MAX_NAMED_RECORDINGS])
+        raise TooShort(f"none of {len(left_out)} recordings is long enough: {text}", file=path)
     return runs, left_out
 
 
@@ -143,14 +143,14 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
         elif mapping.servo is not None or mapping.signals["torque"].units[0] not in CURRENTS:
             check_includes_gravity(path, time[rows], arm, model)
         nominal = timestamp_warning(time[rows], arm.position)
-        doubts = [*arm_warnings(time[rows], arm, mapping, model), *([] if nominal is None else [nominal])]
-        remarks += [doubt for doubt in doubts if doubt not in remarks]
+        warnings = [*arm_warnings(time[rows], arm, mapping, model), *([] if nominal is None else [nominal])]
+        remarks += [text for text in warnings if text not in remarks]
         found.append(
             Run(
                 path=path,
                 name=path.name,
                 condition="free motion",
-                place=(path.name, "", ""),
+                condition_key=(path.name, "", ""),
                 hit=False,
                 physics=nominal_physics(mapping, arm.position, model),
                 signals=Signals(time[rows], {ARM: arm}),
@@ -171,12 +171,12 @@ def _checked_times(
     for name, one in recorded.items():
         if name not in mapping.signals:  # the velocity, which is made of the position
             continue
-        what = one.place if name == "position" or one.log is not None else f"time of {one.place}"
-        for said in _check_time(path, one.time, what, mapping.low_pass):
-            gaps_of.setdefault(said, []).append(what)
+        what = one.label if name == "position" or one.log is not None else f"time of {one.label}"
+        for text in _check_time(path, one.time, what, mapping.low_pass):
+            gaps_of.setdefault(text, []).append(what)
         if name in needed:
             _check_numbers(path, name, one.time, one.values)
-    return [f"{', '.join(places)}: {said}" for said, places in gaps_of.items()]
+    return [f"{', '.join(places)}: {text}" for text, places in gaps_of.items()]
 
 
 def with_servo_torque(
@@ -201,21 +201,21 @@ def with_servo_torque(
     shares = np.mean(np.abs(law.unlimited(q, dq, target, rate)) > law.torque_max, axis=0)
     remarks = []
     for joint in np.flatnonzero(shares > 0.0):
-        said = (
+        text = (
             f"the servo of joint {joint + 1} is at its largest torque in {100.0 * shares[joint]:.2g} % of the samples"
         )
         if shares[joint] > MAX_SATURATED_SHARE:
             raise InputError(
-                f"{said} ({law.torque_max[joint]:.3g} {mapping.facts.units[joint].effort}): wrong unit of the gain or "
+                f"{text} ({law.torque_max[joint]:.3g} {mapping.facts.units[joint].effort}): wrong unit of the gain or "
                 "of q_desired?",
                 file=path,
                 key="servo.kp of the mapping",
             )
-        remarks.append(f"{said}, which is taken for its torque there (servo.torque_max of the mapping)")
-    torque = Series(f"servo of {wanted.place}", time, law.torque(q, dq, target, rate))
+        remarks.append(f"{text}, which is taken for its torque there (servo.torque_max of the mapping)")
+    torque = Series(f"servo of {wanted.label}", time, law.torque(q, dq, target, rate))
     desired: dict[SignalName, Series] = {
-        "q_desired": Series(wanted.place, time, target),
-        "dq_desired": Series(wanted.place, time, rate),
+        "q_desired": Series(wanted.label, time, target),
+        "dq_desired": Series(wanted.label, time, rate),
     }
     return {**series, **desired, "torque": torque}, remarks
 
@@ -224,7 +224,7 @@ def _unmeasured(path: Path, torque: Series, mapping: Mapping) -> list[str]:
     """Warnings about joints whose torque never changes; their torque balance is omitted."""
     constant = np.ptp(torque.values, axis=0) == 0.0
     if np.all(constant):
-        raise InputError(f"{torque.place} (torque): no joint's torque ever changes: nothing was measured", file=path)
+        raise InputError(f"{torque.label} (torque): no joint's torque ever changes: nothing was measured", file=path)
     return [
         f"torque of joint {joint + 1} is {torque.values[0, joint]:.3g} {mapping.facts.units[joint].effort} in all "
         "samples: it was not measured, and its balance is left out"
@@ -299,8 +299,8 @@ def _check_time(path: Path, time: Array, what: str, low_pass: float) -> list[str
     found = gaps(time, _longest_gap(period, low_pass))
     if not found:
         return []
-    said = gaps_in_words(found, time[0])
-    return [f"gap of {said} (period {period:.4f} s, low-pass {low_pass:g} Hz); the pieces between are used"]
+    text = gaps_in_words(found, time[0])
+    return [f"gap of {text} (period {period:.4f} s, low-pass {low_pass:g} Hz); the pieces between are used"]
 
 
 def check_arm(path: Path, time: Array, arm: ArmSignals, mapping: Mapping, briefly: float = 0.0) -> None:

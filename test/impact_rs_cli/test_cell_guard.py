@@ -277,7 +277,7 @@ def test_bags_of_a_cell_are_read_by_measured_signals_alone(tmp_path: Path, hidde
     assert sorted(map(len, runs.conditions.values())) == [1, 1, 2]
     planned_names = {trial.name for trial in possible_trials(["push", "excite"])}
     assert set(runs.conditions) < planned_names  # a design recognises what was measured
-    assert {"/".join(run.place) for run in runs.runs} == set(runs.conditions)
+    assert {"/".join(run.condition_key) for run in runs.runs} == set(runs.conditions)
     assert all(run.spec is None for run in runs.runs)  # a laboratory's: nothing of controller and plan is known
     table = (tmp_path / "runs" / "runs.csv").read_text().splitlines()
     assert sum(",free motion," in row for row in table) == 1 and sum(",hit," in row for row in table) == 3
@@ -296,7 +296,9 @@ def test_hits_of_every_scenario_are_read_in_their_own_scene(tmp_path: Path, hidd
         assert recorded(plan, tmp_path / "runs" / "round_02" / "push_heavy" / item).outcome == "OK"
     runs = bench(tmp_path, Operator()).measured_runs()
     assert len(runs.runs) == 4 and not runs.skipped
-    masses = {(run.place[0], run.place[1]): run.setup.physics.object.mass for run in runs.runs if run.hit}
+    masses = {
+        (run.condition_key[0], run.condition_key[1]): run.setup.physics.object.mass for run in runs.runs if run.hit
+    }
     assert (
         masses["push_heavy", "juice"] == 2.5 and masses["push", "juice"] == load_scenario("push").objects["juice"].mass
     )
@@ -306,7 +308,7 @@ def test_hits_of_every_scenario_are_read_in_their_own_scene(tmp_path: Path, hidd
 def test_free_motions_alone_are_read_in_their_own_scene(tmp_path: Path, hidden_campaign: Path) -> None:
     shutil.copytree(hidden_campaign / "excite", tmp_path / "runs" / "round_01" / "excite")
     runs = bench(tmp_path, Operator()).measured_runs()
-    assert {run.place[0] for run in runs.runs} == {"excite"} and not any(run.hit for run in runs.runs)
+    assert {run.condition_key[0] for run in runs.runs} == {"excite"} and not any(run.hit for run in runs.runs)
 
 
 def test_a_cell_without_trials_and_an_unknown_mapping_are_refused_in_words(tmp_path: Path) -> None:

@@ -210,32 +210,32 @@ def _with_curve(
     own = fitted.candidate.part(effect.name)
     forces, half = fitted.estimate[own], (fitted.half_widths * fitted.candidate.scale)[own]
     at = np.linspace(min(curve.knots), max(curve.knots), LAW_POINTS)
-    said, band = _band(best, document.laws[0], at)
+    values, band = _band(best, document.laws[0], at)
     points = []
     for knot, force, wide in zip(curve.knots, forces.tolist(), half.tolist(), strict=True):
-        if wide <= float(np.max(np.abs(said))):  # the data do not determine the sign of the others
-            there = float(np.interp(knot, at, said))
+        if wide <= float(np.max(np.abs(values))):  # the data do not determine the sign of the others
+            there = float(np.interp(knot, at, values))
             points.append(PointDocument(at=knot, force=force, ci95=(force - wide, force + wide), law=there))
-    return _with_first(document, _drawn(at, said, band, points, best.unit))
+    return _with_first(document, _drawn(at, values, band, points, best.unit))
 
 
 def _as_curve(curve: Law, found: LawDocument) -> CurveDocument:
     """A discovered free curve, with its knots."""
     at = np.linspace(min(curve.knots), max(curve.knots), LAW_POINTS)
-    said, band = _band(curve, found, at)
+    values, band = _band(curve, found, at)
     points = [
         PointDocument(at=knot, force=value.estimate, ci95=value.ci95, law=value.estimate)
         for knot, value in zip(curve.knots, found.parameters.values(), strict=True)
         if value.ci95 is not None
     ]
-    return _drawn(at, said, band, points, curve.unit)
+    return _drawn(at, values, band, points, curve.unit)
 
 
-def _drawn(at: Array, said: Array, band: Array, points: Sequence[PointDocument], unit: str) -> CurveDocument:
+def _drawn(at: Array, values: Array, band: Array, points: Sequence[PointDocument], unit: str) -> CurveDocument:
     return CurveDocument(
         at=tuple(at.tolist()),
-        law=tuple(said.tolist()),
-        law_ci95=tuple(zip((said - band).tolist(), (said + band).tolist(), strict=True)),
+        law=tuple(values.tolist()),
+        law_ci95=tuple(zip((values - band).tolist(), (values + band).tolist(), strict=True)),
         points=tuple(points),
         unit=unit,
     )
@@ -251,12 +251,12 @@ def _band(law: Law, found: LawDocument, at: Array) -> tuple[Array, Array]:
     """Force of a law and half width of its 95 % band, ``(k,)`` each: changes at interval ends, in quadrature."""
     sign = -1.0 if law.opposes and not law.quantity.vector(AXES[0]) else 1.0
     numbers = {name: value.estimate for name, value in found.parameters.items()}
-    said, squares = sign * law.force(at, numbers), np.zeros_like(at)
+    values, squares = sign * law.force(at, numbers), np.zeros_like(at)
     for name, value in found.parameters.items():
         if value.ci95 is not None:
             low, high = (law.force(at, {**numbers, name: end}) for end in value.ci95)
             squares += np.square((high - low) / 2.0)
-    return said, np.sqrt(squares)
+    return values, np.sqrt(squares)
 
 
 def _curves(

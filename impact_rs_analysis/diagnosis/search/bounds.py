@@ -45,7 +45,7 @@ def read_ranges(texts: Iterable[str], option: str, expected: str) -> dict[str, t
     Args:
         texts: ``NAME=LOW:HIGH``, or YAML files that map names to ``[LOW, HIGH]``.
         option: Option that has them, for messages.
-        expected: What it takes, for messages.
+        expected: Expected values, for messages.
 
     Raises:
         InputError: A text or file cannot be read, or is no range.

@@ -405,7 +405,7 @@ class Search:
 
         Args:
             chosen: The chosen effects.
-            groups: What may be added at once.
+            groups: Effects or groups that may be added at once.
             p_values: Adjusted, of the groups; None: those of all effects and groups that may be accepted.
         """
         p_values = self.p_values(chosen) if p_values is None else p_values

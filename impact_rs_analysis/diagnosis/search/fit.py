@@ -240,7 +240,7 @@ class Fit:
 
     Attributes:
         candidate: Linearised near the estimate.
-        evidence: What it was fitted to.
+        evidence: Data of the fit.
         problem: Its least-squares problem.
         change: From the candidate's point to the estimate, in parameter scales, ``(p,)``.
     """

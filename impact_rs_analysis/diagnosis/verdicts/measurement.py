@@ -52,8 +52,8 @@ def measurement_of(document: DiagnosisDocument) -> str:
     if not document.faults or document.verdict in (NONE, TOO_FEW, IMPOSSIBLE):
         return ""
     found = [effect for effect in document.effects if effect.name in document.faults]
-    said = [f"{'; '.join(clauses_of(effect))} ({effect.name})" for effect in found]
-    return f"The measurement: {'; '.join(said)}."
+    clauses = [f"{'; '.join(clauses_of(effect))} ({effect.name})" for effect in found]
+    return f"The measurement: {'; '.join(clauses)}."
 
 
 def clauses_of(effect: EffectDocument) -> list[str]:

@@ -13,7 +13,7 @@ from impact_rs_analysis.design.discrimination import Discrimination
 from impact_rs_analysis.design.explanations import AS_IS, Decision, Explanation, estimated
 from impact_rs_analysis.design.forecast import forecast_of
 from impact_rs_analysis.design.possible_trials import PossibleTrial, trials_of
-from impact_rs_analysis.design.selection import most_telling
+from impact_rs_analysis.design.selection import most_informative
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, NextExperiment
 from impact_rs_analysis.diagnosis.verdicts.model_verdict import Findings
 from impact_rs_analysis.evidence.replays.measured_runs import Runs
@@ -44,7 +44,7 @@ def next_experiment(found: Findings, known: dict[str, Effect]) -> NextExperiment
     ]
     decision = Decision.between(both, "rivals")
     trials = forecast_of(source.model, _own_trials(source.runs), source.store, runs=source.runs).under(decision)
-    best = most_telling(Discrimination(decision, trials), trials)
+    best = most_informative(Discrimination(decision, trials), trials)
     if best is None:
         return None
     trial, gain = best

@@ -163,25 +163,25 @@ def _span(values: Sequence[float], unit: str) -> str:
 def _circumstances(document: DiagnosisDocument) -> list[str]:
     """Dependences on covariates, and covariates that are correlated."""
     found = [one for one in document.dependences if one.found]
-    said = [_dependence(one, document) for one in found]
+    sentences = [_dependence(one, document) for one in found]
     if found and found[0].held_out_error_before is not None and found[0].held_out_error_after is not None:
         fall = _fall(found[0].held_out_error_before, found[0].held_out_error_after)
-        said[-1] += f"{'. Together: held-out' if len(found) > 1 else '; held-out'} error {fall} {_unit(document)}"
-    said += [
+        sentences[-1] += f"{'. Together: held-out' if len(found) > 1 else '; held-out'} error {fall} {_unit(document)}"
+    sentences += [
         f"{one.effect} may depend on {one.covariate}: {one.reason}" for one in document.dependences if one.suspected
     ]
-    if document.dependences and not said:
+    if document.dependences and not sentences:
         tried = dict.fromkeys(one.covariate for one in document.dependences)
         ways = {one.name: f" ({', '.join(one.ways)})" for one in document.covariates if one.ways}
-        said.append(f"No dependence was found on {' or '.join(name + ways.get(name, '') for name in tried)}")
+        sentences.append(f"No dependence was found on {' or '.join(name + ways.get(name, '') for name in tried)}")
     if still := [one.name for one in document.covariates if not one.tried and not one.why_not]:
-        said.append(f"Measured under too few circumstances to be judged: {', '.join(still)}")
-    said += [f"Not judged: {one.why_not}" for one in document.covariates if one.why_not]
+        sentences.append(f"Measured under too few circumstances to be judged: {', '.join(still)}")
+    sentences += [f"Not judged: {one.why_not}" for one in document.covariates if one.why_not]
     for one in document.covariates:
         if one.goes_with and one.name in {own.covariate for own in found}:
             others = " and ".join(f"{name} (correlation {value:.2f})" for name, value in one.goes_with.items())
-            said.append(f"{one.name} goes with {others}: a dependence on one may be a dependence on the other")
-    return [f"{text}." for text in said]
+            sentences.append(f"{one.name} goes with {others}: a dependence on one may be a dependence on the other")
+    return [f"{text}." for text in sentences]
 
 
 def _dependence(one: DependenceDocument, document: DiagnosisDocument) -> str:
@@ -199,7 +199,7 @@ def _dependence(one: DependenceDocument, document: DiagnosisDocument) -> str:
             (name, f"{_estimate(own)} at the mean of {mean}, {_change(one.per_unit[name])}")
             for name, own in one.at_mean.items()
         ]
-    text = "; ".join(f"{name} {said}" if several else said for name, said in parts)
+    text = "; ".join(f"{name} {sentences}" if several else sentences for name, sentences in parts)
     small = ", which is too small to matter" if one.verdict == SMALL else ""
     rivals = f"; these data cannot distinguish that from {', '.join(one.rivals)}" if one.rivals else ""
     return f"{one.effect} depends on {one.covariate}{small}: {text}{rivals}"
@@ -275,7 +275,7 @@ def _verdict(document: DiagnosisDocument) -> str:
         text = f"Model '{name}' does not predict these {runs}, and no effect in the library explains why{sure}."
         return " ".join(filter(None, [text, suspicion or _lowering(document), error, rest]))
     fall = f"Held-out error: {_fall(before, after)} {unit}{noise_text}."
-    doubts = " ".join(filter(None, [_bounds(document), _open(document), _confusable(document)]))
+    caveats = " ".join(filter(None, [_bounds(document), _open(document), _confusable(document)]))
     text, one = f"Model '{name}' lacks {named}.", "s" if len(document.named) == 1 else ""
     share = 100.0 * min(max(explained(before, after, document.noise_floor), 0.0), 1.0)
     if verdict.kind is Kind.PARTLY:
@@ -293,7 +293,7 @@ def _verdict(document: DiagnosisDocument) -> str:
             more = "at least one more effect, of the measurement or of the physics, is there"
             text = " ".join(filter(None, [text, f"{what} {share:.0f} % of the error beyond noise; {more}."]))
     instead = "" if verdict == NONE else _instead(document)
-    return " ".join(filter(None, [measurement, instead, text, fall, doubts, rest]))
+    return " ".join(filter(None, [measurement, instead, text, fall, caveats, rest]))
 
 
 def _of_physics(document: DiagnosisDocument) -> str:

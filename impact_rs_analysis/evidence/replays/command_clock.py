@@ -61,12 +61,12 @@ def read_runs_of_scenes(directory: Path, experiments: Sequence[Experiment], map_
         if offset == 0.0:
             continue
         whose = f"commands of arm {arm!r}" if len(offsets) > 1 else "commands"
-        said = (
+        warning = (
             f"{whose} act {1e3 * abs(offset):.2f} ms {'after' if offset > 0.0 else 'before'} their stamps, by the "
             "torque balance of free motion; they are shifted by that (below half a sampling period it is an offset of "
             "clocks)"
         )
-        remarks.append(("", said))
+        remarks.append(("", warning))
     measured = list(map_tasks(measured_or_why_not, runs))
     dropped = "{:d} of {:d} windows of free motion touch a gap, and are dropped from all such runs"
     remarks += [

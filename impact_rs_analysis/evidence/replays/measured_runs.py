@@ -369,12 +369,12 @@ class Runs:
         """The runs with the condition names of the planned trials.
 
         Args:
-            specs: What was planned, by the path of each run.
+            specs: Planned trials, by the path of each run.
         """
 
         def named(run: MeasuredRun) -> MeasuredRun:
             spec = specs[run.path]
-            return replace(run, condition=label_of(spec), place=(spec.scenario.name, spec.object, spec.case))
+            return replace(run, condition=label_of(spec), condition_key=(spec.scenario.name, spec.object, spec.case))
 
         late = {label_of(specs[run.path]): named(run) for run in self.late.values()}
         return replace(self, runs=tuple(map(named, self.runs)), late=late)

@@ -317,7 +317,7 @@ class RecordingSource(Source):
 
     @property
     def _relations(self) -> list[VelocityRelation | ServoGains]:
-        """What gives features beyond the samples."""
+        """Relations that give features beyond the samples."""
         return [one for one in (self._relation, self._gains) if one is not None]
 
     @property
@@ -600,7 +600,7 @@ class RecordingSource(Source):
 
     @cached_property
     def _related_recorded(self) -> Array:
-        """What was recorded of :attr:`_related`, ``(K, E)``."""
+        """Recorded values of :attr:`_related`, ``(K, E)``."""
         nothing = np.empty((len(self._stretches), 0))
         return np.hstack([nothing, *(one.recorded for one in self._relations)])
 
@@ -681,18 +681,18 @@ class RecordingSource(Source):
 
 
 def torque_in_words(mapping: Mapping) -> str:
-    """What the torque of recordings is, in one line."""
+    """Source of the torque of recordings, in one line."""
     if (servo := mapping.servo) is not None:
         damping = "" if servo.kd is None else " - kd dq" if servo.damps == "velocity" else " + kd (dq_desired - dq)"
-        said = SERVO_TORQUE.format(law=f"kp (q_desired - q){damping}")
-        said += UNKNOWN_GAIN if servo.gains == "estimated" else ""
-        said += UNKNOWN_DAMPING if servo.kd is None else ""
-        return said + (ADDED_TO_SERVO if mapping.torque_meaning == "without_gravity" else "")
+        text = SERVO_TORQUE.format(law=f"kp (q_desired - q){damping}")
+        text += UNKNOWN_GAIN if servo.gains == "estimated" else ""
+        text += UNKNOWN_DAMPING if servo.kd is None else ""
+        return text + (ADDED_TO_SERVO if mapping.torque_meaning == "without_gravity" else "")
     if mapping.torque_measured_at == "link":
-        said = LINK_TORQUE
+        text = LINK_TORQUE
     else:
-        said = CURRENT_TORQUE if mapping.signals["torque"].units[0] in CURRENTS else MOTOR_TORQUE
-    return said + ADDED[mapping.torque_meaning]
+        text = CURRENT_TORQUE if mapping.signals["torque"].units[0] in CURRENTS else MOTOR_TORQUE
+    return text + ADDED[mapping.torque_meaning]
 
 
 def _feature(phase: str, column: Column) -> Feature:
@@ -709,14 +709,14 @@ def _of_motor_encoders(recordings: Sequence[Run], balance: TorqueBalance, minus:
     used = [f"{joint + 1}" for joint in balance.elastic]
     left = [joint for joint in range(arms[0].position.shape[1]) if joint not in balance.elastic]
     ratios = motor_ratios(arms[0])
-    said = [MOTOR_ENCODERS_REMARK.format(joints=", ".join(used))] if used else []
+    text = [MOTOR_ENCODERS_REMARK.format(joints=", ".join(used))] if used else []
     if left:
         moved = ", ".join(f"joint {joint + 1} {ratios[joint]:.3g} times" for joint in left)
-        said.append(
+        text.append(
             f"motor_position is not used where it shows no deflection of its own (motion over that of the link: {moved}"
             "): expected the position of the motor, divided by the gear ratio (signals.motor_position.factor)"
         )
-    return said
+    return text
 
 
 def _physics_of(runs: Sequence[Run]) -> Physics:

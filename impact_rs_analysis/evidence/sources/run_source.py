@@ -84,7 +84,7 @@ def clusters_of(
         clusters.append(
             Cluster(
                 name=condition,
-                condition_key=first.place,
+                condition_key=first.condition_key,
                 layout=layout,
                 unit=condition,
                 contact=first.hit,

@@ -94,7 +94,7 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.recent import Recent
 from impact_rs_sim.robots.robot import Array
-from impact_rs_trials.recordings.impacts.impact_checks import OtherAxes, doubts_of, other_axes
+from impact_rs_trials.recordings.impacts.impact_checks import OtherAxes, other_axes, warnings_of
 from impact_rs_trials.recordings.impacts.impact_columns import CONDITION, N_NOISE, P_NOISE, V_NOISE, W_NOISE
 from impact_rs_trials.recordings.impacts.impact_table import MAX_TOLERANCE_FACTOR, ImpactTable
 from impact_rs_trials.workers import Map
@@ -632,7 +632,7 @@ class ImpactTableSource(Source):
         return {1: corner, 2: edge}.get(len(row.impact.points), "on a face")
 
     def _remarks(self) -> list[str]:
-        remarks = [*doubts_of(self.table), *self.table.assumed]
+        remarks = [*warnings_of(self.table), *self.table.assumed]
         if not self.entries.map_discrepancy.entries:
             remarks.append(NO_DISCREPANCY_REMARK)
         if not self.repeated:

@@ -58,7 +58,7 @@ class MapDiscrepancy(Schema):
         """Discrepancy of the velocities after an impact in their units, ``(F,)``.
 
         Args:
-            features: What they are.
+            features: The features.
             physics: Arms and object.
             speed: Closing speed [m/s].
             kind: Kind of the hit.

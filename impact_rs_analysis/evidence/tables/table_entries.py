@@ -126,7 +126,7 @@ class TableEntries:
 
     @cached_property
     def noise(self) -> Array | None:
-        """Standard deviations of all entries, of measurement and prediction, ``(rows, n)``; None: said nowhere."""
+        """Standard deviations of all entries, of measurement and prediction, ``(rows, n)``; None: unknown."""
         if self.table.noise is None:
             return None
         found = self.table.noise.copy()

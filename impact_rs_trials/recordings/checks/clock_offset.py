@@ -211,8 +211,8 @@ def clocks_apart(pose: Series, position: Series, jumps: Sequence[JointJump], pat
 def shifted(series: Series, offset: float, error: float, found_by: str) -> Series:
     """A signal with its timestamps shifted by an offset [s], and a warning about it."""
     words = "{}: clock of its own; stamps moved by {:+.6g} s (+- {:.2g} ms), by {}"
-    said = remark(words, series.place, offset, 1e3 * error, found_by)
-    return replace(series, time=series.time + offset, remarks=(*series.remarks, said))
+    warning = remark(words, series.label, offset, 1e3 * error, found_by)
+    return replace(series, time=series.time + offset, remarks=(*series.remarks, warning))
 
 
 def offset_between(expected: Series, measured: Series, path: Path, key: str) -> tuple[float, float]:

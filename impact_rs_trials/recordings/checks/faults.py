@@ -319,7 +319,7 @@ def _remarks(series: Series, wrong: Mask, kind: str, mapping: Mapping, name: Sig
         start = series.time[rows] - series.time[0]
         units = mapping.facts.units[joint]
         unit = units.position if name.endswith("position") else units.effort if name == "torque" else units.velocity
-        where, value = f"{series.place}: joint {joint + 1}", float(series.values[rows[0], joint])
+        where, value = f"{series.label}: joint {joint + 1}", float(series.values[rows[0], joint])
         share = remark("{:d} of {:d} samples", rows.size, series.time.size)
         if kind == "outlier":
             what = "is an outlier" if rows.size == 1 else "are outliers"

@@ -109,8 +109,8 @@ def arm_warnings(time: Array, arm: ArmSignals, mapping: Mapping, model: RobotMod
     period = float(np.median(np.diff(time)))
     return [
         *([remark(is_not, joined(", ", mixed))] if mixed and "velocity" in mapping.signals else []),
-        *_remarks("velocity", speeds, factors["velocity"], mapping),
-        *(_remarks("torque", torques, factors["torque"], mapping) if load is None else [load]),
+        *_with_remedy("velocity", speeds, factors["velocity"], mapping),
+        *(_with_remedy("torque", torques, factors["torque"], mapping) if load is None else [load]),
         *(_lag_of_velocity(lags, period, mapping) if "velocity" in mapping.signals else []),
         *([] if contact or torques or not any(moving) else _lag_of_torque(time, arm, moving, model, mapping)),
         *_repeats(time, arm),
@@ -118,9 +118,9 @@ def arm_warnings(time: Array, arm: ArmSignals, mapping: Mapping, model: RobotMod
 
 
 def _load(
-    model: RobotModel, arm: ArmSignals, rows: NDArray[np.signedinteger], gravity: Array, doubted: dict[int, str]
+    model: RobotModel, arm: ArmSignals, rows: NDArray[np.signedinteger], gravity: Array, flagged: dict[int, str]
 ) -> Remark | None:
-    """Warning about a load that explains torques better than factors of the doubted joints; None: it does not.
+    """Warning about a load that explains torques better than factors of the flagged joints; None: it does not.
 
     Both are judged by cross-validation over blocks of the poses.
     """
@@ -132,7 +132,7 @@ def _load(
     left = {"load": float(load[0]), "factors": 0.0}
     for place, joint in enumerate(joints):
         own = gravity[:, [joint]]
-        factors = held_out_misfit(own, torque[:, [place]], odd) if joint in doubted else np.square(beyond[:, place])
+        factors = held_out_misfit(own, torque[:, [place]], odd) if joint in flagged else np.square(beyond[:, place])
         left["factors"] += float(np.sum(factors))
     mass = float(np.linalg.lstsq(every.reshape(-1, 4), beyond.ravel(), rcond=None)[0][0])
     if mass <= 0.0 or left["load"] >= left["factors"]:
@@ -142,7 +142,7 @@ def _load(
         "torques hold {:.2g} kg more at the end effector than the mapping says: a load and its place predict them "
         "better ({:.2g} N m rms left) than factors of joints {} do ({:.2g} N m). Remedy in the mapping: end_effector, "
         "if it is known; diagnose finds it, if it is not",
-        mass, rms["load"], ", ".join(str(joint + 1) for joint in doubted), rms["factors"],
+        mass, rms["load"], ", ".join(str(joint + 1) for joint in flagged), rms["factors"],
     )  # fmt: skip
 
 
@@ -267,16 +267,16 @@ def _repeated(time: Array, values: Array) -> str | None:
     )  # fmt: skip
 
 
-def _remarks(name: SignalName, doubts: dict[int, str], factors: Array, mapping: Mapping) -> list[str]:
+def _with_remedy(name: SignalName, warnings: dict[int, str], factors: Array, mapping: Mapping) -> list[str]:
     """One warning about a signal, with the correcting factors."""
     gains = name == "torque" and mapping.servo is not None
-    if not doubts or (name not in mapping.signals and not gains):
+    if not warnings or (name not in mapping.signals and not gains):
         return []
     every = factors * np.array(mapping.servo.kp if mapping.servo and gains else mapping.signals[name].factor)
     key = "servo.kp" if gains else f"signals.{name}.factor"
     numbers = [remark("{!r:.3g}", value) for value in every.tolist()]
     remedy = numbers[0] if np.all(every == every[0]) else remark("[{}]", joined(", ", numbers))
-    what = joined("; ", [remark("of joint {} {}", str(joint + 1), text) for joint, text in doubts.items()])
+    what = joined("; ", [remark("of joint {} {}", str(joint + 1), text) for joint, text in warnings.items()])
     why = "wrong sign, unit or joint" + (", or a load that the mapping lacks" if name == "torque" else "")
     if gains and np.any(every <= 0.0):
         words = "{} {}: {}? No positive {} corrects it: late commands, or torques that the controller adds?"

@@ -182,16 +182,16 @@ def meaning_of(seen: MotionTorque, expected: TorqueMeaning, computed: bool = Fal
     tried: tuple[TorqueMeaning, ...] = ("whole", "without_gravity", "external")
     likelihood = {meaning: seen.likelihood(seen.reading(meaning)) for meaning in tried}
     others = {meaning: likelihood[expected] - own for meaning, own in likelihood.items() if meaning != expected}
-    said = f"log likelihood {', '.join(f'{gain:+.0f} over {meaning}' for meaning, gain in others.items())}"
+    evidence = f"log likelihood {', '.join(f'{gain:+.0f} over {meaning}' for meaning, gain in others.items())}"
     margin = min(others.values())
     exact = exactness(seen)
     if exact is None:
-        return MeaningChoice(expected, margin, said)
+        return MeaningChoice(expected, margin, evidence)
     part, share = exact
     follows = f"follows {part} of the model to {100.0 * share:.2g} % without any friction"
     if computed or part == GRAVITY_ALONE:
         return MeaningChoice("target", np.inf, f"{follows}: a controller's own target")
-    return MeaningChoice(expected, 0.0, f"{follows}: of a simulation, or a controller's own target? {said}")
+    return MeaningChoice(expected, 0.0, f"{follows}: of a simulation, or a controller's own target? {evidence}")
 
 
 def exactness(seen: MotionTorque) -> tuple[str, float] | None:
@@ -230,11 +230,11 @@ def is_external(seen: MotionTorque, named: bool) -> MeaningChoice | None:
     rubs = shown > DECISIVE_LOG_LIKELIHOOD and left < MAX_RESIDUAL_RATIO * sizes[0] * np.sqrt(seen.model.joint_count)
     if not named and not rubs:
         return None
-    said = (
+    evidence = (
         f"{sizes[0]:.3g} N m rms where the motion takes {sizes[1]:.3g} N m: the torque of a rigid model is subtracted "
         f"(log likelihood {neither - best:+.0f}), friction is left ({shown:+.0f})"
     )
-    return MeaningChoice("external", neither - best if rubs else 0.0, said)
+    return MeaningChoice("external", neither - best if rubs else 0.0, evidence)
 
 
 def motor_inertia_in(seen: MotionTorque, meaning: TorqueMeaning) -> tuple[float, Array]:

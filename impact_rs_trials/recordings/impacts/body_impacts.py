@@ -128,8 +128,8 @@ def _between(
     # A difference about sample i reaches k samples further; the last of them may lie beyond the impact.
     ante, post = np.arange(before[0] - reach, before[1] + reach), np.arange(after[0] - reach + 1, after[1] + reach + 1)
     if min(ante.size, post.size) < MIN_FLIGHT_SAMPLES:
-        said = f"too few samples of free flight: {ante.size} before, {post.size} after, of {MIN_FLIGHT_SAMPLES}"
-        return NoRow(name, said)
+        message = f"too few samples of free flight: {ante.size} before, {post.size} after, of {MIN_FLIGHT_SAMPLES}"
+        return NoRow(name, message)
     return _impact(run, item, name, ante, post, reach)
 
 

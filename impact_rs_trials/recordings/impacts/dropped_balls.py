@@ -42,8 +42,8 @@ def with_velocities(cells: ImpactCells) -> ImpactCells:
     before, after = (_one_of(cells, columns) for columns in (col.FLIGHTS_BEFORE, col.FLIGHTS_AFTER))
     for one in (col.V_BEFORE, col.V_AFTER):
         if one in cells:
-            said = f"columns {cells.header(given[0])!r} and {cells.header(one)!r}: expected one of them"
-            raise InputError(said, file=cells.path)
+            message = f"columns {cells.header(given[0])!r} and {cells.header(one)!r}: expected one of them"
+            raise InputError(message, file=cells.path)
     if before is None:
         expected = " or ".join(repr(one.header) for one in col.FLIGHTS_BEFORE)
         raise InputError(f"column {cells.header(given[0])!r} without {expected}", file=cells.path)
@@ -63,8 +63,8 @@ def with_velocities(cells: ImpactCells) -> ImpactCells:
         for name, header, value in zip(group.names, group.headers, values, strict=True):
             columns[header] = np.full(len(cells), value)
             found[name] = FoundColumn(header, group.unit, 1.0, group.range)
-    said = ASSUMED_MOTION.format(" and ".join(cells.header(one) for one in given))
-    return replace(cells, columns=columns, found=found, assumed=(said,))
+    message = ASSUMED_MOTION.format(" and ".join(cells.header(one) for one in given))
+    return replace(cells, columns=columns, found=found, assumed=(message,))
 
 
 def _one_of(cells: ImpactCells, columns: tuple[ColumnGroup, ...]) -> ColumnGroup | None:

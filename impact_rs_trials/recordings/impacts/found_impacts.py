@@ -19,7 +19,7 @@ from impact_rs_trials.recordings.impacts.arm_impacts import impacts_of_run
 from impact_rs_trials.recordings.impacts.body_impacts import TrackedBody, impacts_of_bodies
 from impact_rs_trials.recordings.impacts.impact_columns import ColumnGroup
 from impact_rs_trials.recordings.impacts.impact_rows import Impact, NoRow
-from impact_rs_trials.recordings.laboratory import Laboratory, placed, with_object
+from impact_rs_trials.recordings.laboratory import Laboratory, with_object, with_tracker_frame
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.readers.run_finder import find_runs
 from impact_rs_trials.recordings.readers.series import Names
@@ -82,7 +82,7 @@ def find_impacts(directory: Path, experiment: Experiment, map_tasks: Map) -> Fou
     hits = [run for run in table if run.hit]
     if not hits:
         raise InputError("the table of runs names no hit; expected rows with kind hit", file=directory)
-    laboratory = placed(laboratory, table, map_tasks)
+    laboratory = with_tracker_frame(laboratory, table, map_tasks)
     impacts: list[Impact] = []
     left_out: list[NoRow] = []
     remarks: list[tuple[str, str]] = []
@@ -91,10 +91,10 @@ def find_impacts(directory: Path, experiment: Experiment, map_tasks: Map) -> Fou
         remarks += [(run.label, one) for one in found]
         impacts += [one for one in results if isinstance(one, Impact)]
         left_out += [one for one in results if isinstance(one, NoRow)]
-    said = merged(remarks, len(hits))
+    warnings = merged(remarks, len(hits))
     if unknown := sum(not impact.turn_tracked for impact in impacts):
-        said.append(WAYS if unknown == len(impacts) else NO_TURN.format(unknown, len(impacts)))
-    return FoundImpacts(tuple(impacts), tuple(left_out), len(hits), {}, tuple(said))
+        warnings.append(WAYS if unknown == len(impacts) else NO_TURN.format(unknown, len(impacts)))
+    return FoundImpacts(tuple(impacts), tuple(left_out), len(hits), {}, tuple(warnings))
 
 
 def _arm_task(task: tuple[Laboratory, RunRow]) -> tuple[list[Impact | NoRow], tuple[str, ...]]:
@@ -118,9 +118,9 @@ def _of_bodies(directory: Path, experiment: Experiment, body: Body, map_tasks: M
         if isinstance(result, InputError):
             left_out.append(NoRow(row.label, result.message))
         else:
-            run, said = result
+            run, warnings = result
             runs.append(run)
-            remarks += [(row.label, one) for one in said]
+            remarks += [(row.label, one) for one in warnings]
     impacts, out = impacts_of_bodies(runs, body)
     by_name = {row.label: row for row in rows}
     named = [_with_condition(impact, by_name) for impact in impacts]
@@ -180,8 +180,8 @@ def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> tuple[TrackedBody, list
     row, mapping, body, plane = task
     turned = "object_quaternion" in mapping.signals or "object_pose" in mapping.signals
     if not turned and body.spin is None:
-        said = "the orientation of the body was not tracked (object_quaternion), and how it bounces depends on its spin"
-        return InputError(f"{said}; of a ball body.spin says it, [0, 0, 0] for one that was dropped without any")
+        text = "the orientation of the body was not tracked (object_quaternion), and how it bounces depends on its spin"
+        return InputError(f"{text}; of a ball body.spin says it, [0, 0, 0] for one that was dropped without any")
     wanted = [name for name in OBJECT_SIGNALS if name in mapping.signals]
     try:
         read = dict(read_series(row.path, mapping, wanted, wanted, Names(run=row.name)))
@@ -193,17 +193,17 @@ def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> tuple[TrackedBody, list
         remarks += pose.remarks
         finite = np.isfinite(pose.values).all(axis=1)
         if not finite.any():
-            raise InputError(f"{pose.place}: no sample holds finite numbers alone")
+            raise InputError(f"{pose.label}: no sample holds finite numbers alone")
         if np.any(np.diff(pose.time) <= 0.0):
             raise InputError("time stamps stand still or run backwards; time.repeated: keep_first keeps one of each")
         spin = None if turned else np.array(body.spin)
         farthest = float(np.max(np.abs(pose.values[finite, :3]), initial=0.0))
         if farthest > MAX_TRACKED_M:
-            raise InputError(f"{pose.place} is up to {farthest:.3g} m from the tracker's origin: wrong unit or column?")
+            raise InputError(f"{pose.label} is up to {farthest:.3g} m from the tracker's origin: wrong unit or column?")
         if not finite.all():
             words = "{}: {:d} of {:d} samples are no finite numbers: left out"
-            remarks.append(remark(words, pose.place, int(np.sum(~finite)), finite.size))
-        remarks += _motion_warnings(pose.place, pose.time[finite], pose.values[finite, :3])
+            remarks.append(remark(words, pose.label, int(np.sum(~finite)), finite.size))
+        remarks += _motion_warnings(pose.label, pose.time[finite], pose.values[finite, :3])
         return tracked_body(row.label, pose.time[finite], pose.values[finite], body, plane, spin), remarks
     except InputError as error:
         return error
@@ -212,12 +212,12 @@ def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> tuple[TrackedBody, list
 def _motion_warnings(place: str, time: Array, position: Array) -> list[str]:
     """Warnings about impossible motions of a free body: a constant coordinate, or a jump; positions ``(k, 3)`` [m]."""
     moves = np.ptp(position, axis=0) > 0.0
-    said = []
+    warnings = []
     if still := [axis for axis, own in zip("xyz", moves, strict=True) if not own and moves.any()]:
-        said.append(f"{place}: {' and '.join(still)} the same in all samples: {STILL[len(still)]}")
+        warnings.append(f"{place}: {' and '.join(still)} the same in all samples: {STILL[len(still)]}")
     steps = np.linalg.norm(np.diff(position, axis=0), axis=1) / np.diff(time)
     if steps.size <= 2 * NEIGHBOUR_SAMPLES:
-        return said
+        return warnings
     around = np.array(
         [np.roll(steps, shift) for shift in range(-NEIGHBOUR_SAMPLES, NEIGHBOUR_SAMPLES + 1) if abs(shift) > 1]
     ).max(axis=0)
@@ -231,5 +231,5 @@ def _motion_warnings(place: str, time: Array, position: Array) -> list[str]:
             "{}: jumps by {:.3g} mm between two samples at t = {:.3f} s, "
             f"{MAX_STEP_RATIO:g} times as fast as before and after: columns, units or a marker that changed?"
         )
-        said.append(remark(words, place, 1e3 * float(far), float(time[jumps[0]] - time[0])))
-    return said
+        warnings.append(remark(words, place, 1e3 * float(far), float(time[jumps[0]] - time[0])))
+    return warnings

@@ -138,8 +138,8 @@ class ImpactCells:
             levels = [_text(cell) for cell in self.columns[header]]
             for row, level in enumerate(levels):
                 if not level:
-                    said = "this cell is empty; a covariate has a value"
-                    raise self.error(row, f"column {header!r}", None, said)
+                    message = "this cell is empty; a covariate has a value"
+                    raise self.error(row, f"column {header!r}", None, message)
             values: Sequence[float | str] = _numbers(levels) or levels
             for row, value in enumerate(values):
                 if isinstance(value, float) and not np.isfinite(value):
@@ -176,8 +176,8 @@ def read_cells(path: Path, known: Iterable[ColumnGroup]) -> ImpactCells:
     for header in columns:
         name, unit = name_and_unit(header)
         if name in found:
-            said = f"columns {found[name].header!r} and {header!r}: expected one of them"
-            raise InputError(said, file=path)
+            message = f"columns {found[name].header!r} and {header!r}: expected one of them"
+            raise InputError(message, file=path)
         if name in by_name:
             found[name] = _found(path, header, name, unit, by_name[name])
         else:
@@ -194,9 +194,9 @@ def _found(path: Path, header: str, name: str, unit: str, column: ColumnGroup) -
     if not unit and column.unit in ("", "-"):
         return FoundColumn(header, column.unit, 1.0, column.range)
     if unit not in factors:
-        said = f"unit {unit!r}" if "[" in header else "no unit"
+        message = f"unit {unit!r}" if "[" in header else "no unit"
         expected = " or ".join(f"'{with_unit(name, one)}'" for one in factors)
-        raise InputError(f"column {header!r} has {said}; expected {expected}", file=path)
+        raise InputError(f"column {header!r} has {message}; expected {expected}", file=path)
     return FoundColumn(header, unit, factors[unit], column.range)
 
 

@@ -63,7 +63,7 @@ class Remedy:
 
     Attributes:
         columns: Their names.
-        factor: What their numbers are multiplied by [-].
+        factor: Factor of their numbers [-].
         before: The same for every entry of u^-, ``(nv,)`` [-].
         after: Of u^+, ``(nv,)`` [-].
     """
@@ -87,7 +87,7 @@ class OtherAxes:
         of: Angular velocities alone, or also velocities of the centre.
         rotation: R, ``(3, 3)`` [-].
         sign: s; -1: left-handed axes [-].
-        left: What breaks the laws with them, root mean square over the rows [m/s].
+        left: Violation of the laws that remains with them, root mean square over the rows [m/s].
     """
 
     of: Literal["spins", "twists"]
@@ -154,7 +154,7 @@ class _Laws:
         return np.array([momentum, inside, gained])
 
 
-def doubts_of(table: ImpactTable) -> list[str]:
+def warnings_of(table: ImpactTable) -> list[str]:
     """Laws that the numbers of a table break whatever the contact is like, with the most likely mistake.
 
     Args:

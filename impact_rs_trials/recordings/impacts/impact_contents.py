@@ -80,8 +80,8 @@ def read_with_contents(
         InputError: Not a table; a column is missing, has a wrong unit or no meaning; or two columns contradict.
     """
     if scenario is not None and scenario.neighbours:
-        said = f"scenario {scenario.name!r} has neighbours, whose poses no table has: {', '.join(scenario.neighbours)}"
-        raise InputError(f"{said}; take trials (diagnose DIRECTORY), or a scenario without neighbours", file=path)
+        text = f"scenario {scenario.name!r} has neighbours, whose poses no table has: {', '.join(scenario.neighbours)}"
+        raise InputError(f"{text}; take trials (diagnose DIRECTORY), or a scenario without neighbours", file=path)
     known = [*col.COLUMNS, *(one for columns in col.JOINT_COLUMNS for one in _of_joints(scenario, columns))]
     cells = with_velocities(read_cells(path, known))
     declared = _declared(cells, covariates)
@@ -115,8 +115,8 @@ def _declared(cells: ImpactCells, covariates: Sequence[str]) -> dict[str, str]:
         if name in covariates[:place]:
             raise InputError(f"column {name!r} is named twice", file=cells.path, key="--covariates")
         if name not in there:
-            said = f"no column {name!r}{did_you_mean(name, there)}; there are: {', '.join(there)}"
-            raise InputError(said, file=cells.path, key="--covariates")
+            text = f"no column {name!r}{did_you_mean(name, there)}; there are: {', '.join(there)}"
+            raise InputError(text, file=cells.path, key="--covariates")
     return {name: there[name] for name in covariates}
 
 
@@ -127,12 +127,12 @@ def _check_others(
     undeclared = [header for header in cells.others if header not in declared.values()]
     joints = [header for header in undeclared if is_joint_column(name_and_unit(header)[0])]
     if joints and scenario is None:
-        said = "is of an arm; --scenario NAME says which robot, pad and support there were"
-        raise InputError(f"column {joints[0]!r} {said}", file=cells.path)
+        text = "is of an arm; --scenario NAME says which robot, pad and support there were"
+        raise InputError(f"column {joints[0]!r} {text}", file=cells.path)
     if joints and scenario is not None:
         counts = ", ".join(f"{arm} has {robot.robot_facts.joint_count}" for arm, robot in scenario.robots.items())
-        said = f"column {joints[0]!r} is of no joint and no floating base of scenario {scenario.name!r} ({counts})"
-        raise InputError(said, file=cells.path)
+        text = f"column {joints[0]!r} is of no joint and no floating base of scenario {scenario.name!r} ({counts})"
+        raise InputError(text, file=cells.path)
     free = {name: one.unit for one in known for name in one.names if name not in cells}
     for header in undeclared:
         if close := get_close_matches(name_and_unit(header)[0], free, n=1, cutoff=MIN_SIMILARITY):
@@ -144,8 +144,8 @@ def _check_needed(cells: ImpactCells, contents: TableContents) -> None:
     """Refuse a table that lacks a column."""
     if contents.scenario is None and not any(name in cells for name in (*col.V_BEFORE.names, *col.POSITION.names)):
         ways = " or ".join(repr(one.header) for one in col.FLIGHTS_BEFORE)
-        said = f"no velocity before the impacts: expected {col.V_BEFORE.header!r} ..., or of a ball that falls straight"
-        raise InputError(f"{said} {ways}; {_there(cells)}", file=cells.path)
+        text = f"no velocity before the impacts: expected {col.V_BEFORE.header!r} ..., or of a ball that falls straight"
+        raise InputError(f"{text} {ways}; {_there(cells)}", file=cells.path)
     for one in _needed(cells, contents):
         for name, wanted in zip(one.names, one.headers, strict=True):
             if name not in cells:
@@ -154,11 +154,11 @@ def _check_needed(cells: ImpactCells, contents: TableContents) -> None:
     if col.SHAPE in cells and col.SIZE not in cells:
         raise InputError(f"column {col.SHAPE.first!r} without {col.SIZE.header!r} ...: its extents", file=cells.path)
     if contents.scenario is None and not (contents.shaped or col.POINTS[0] in cells):
-        said = f"expected its size ({col.SIZE.header!r} ...) or contact points ({col.POINTS[0].header!r} ...)"
-        raise InputError(f"nothing says where the body touches; {said}; {_there(cells)}", file=cells.path)
+        text = f"expected its size ({col.SIZE.header!r} ...) or contact points ({col.POINTS[0].header!r} ...)"
+        raise InputError(f"nothing says where the body touches; {text}; {_there(cells)}", file=cells.path)
     if contents.scenario is None and not (contents.shaped or col.MOMENTS in cells):
-        said = f"expected principal moments ({col.MOMENTS.header!r} ...) or its size ({col.SIZE.header!r} ...)"
-        raise InputError(f"nothing says how hard the body is to turn; {said}; {_there(cells)}", file=cells.path)
+        text = f"expected principal moments ({col.MOMENTS.header!r} ...) or its size ({col.SIZE.header!r} ...)"
+        raise InputError(f"nothing says how hard the body is to turn; {text}; {_there(cells)}", file=cells.path)
 
 
 def _there(cells: ImpactCells) -> str:
@@ -205,8 +205,8 @@ def _contradictions_of_distances(cells: ImpactCells, contents: TableContents) ->
     """Columns that no law predicts a distance with, in words."""
     header = cells.header
     if col.SLIDE_DISTANCE in cells and contents.scenario is None:
-        said = "a free body has no support on which it slides; flight_distance and fall_height say how far it flew"
-        yield f"column {header(col.SLIDE_DISTANCE)!r}: {said}"
+        text = "a free body has no support on which it slides; flight_distance and fall_height say how far it flew"
+        yield f"column {header(col.SLIDE_DISTANCE)!r}: {text}"
     if col.FLIGHT_DISTANCE in cells and col.FALL_HEIGHT not in cells:
         yield f"column {header(col.FLIGHT_DISTANCE)!r} without {col.FALL_HEIGHT.header!r}: how far the centre fell"
     if contents.turning:

@@ -444,8 +444,8 @@ class _Reader:
         elif cells.text(row, col.SUPPORT_FRICTION.first):
             friction = cells.value(row, col.SUPPORT_FRICTION.first)
         elif not physics.support_friction > 0.0:
-            said = "an object slides on without end; expected > 0 [-]"
-            raise cells.error(row, "support.friction of the scenario", 0.0, said)
+            text = "an object slides on without end; expected > 0 [-]"
+            raise cells.error(row, "support.friction of the scenario", 0.0, text)
         return Distance(cells.value(row, column.first), fall, friction, noise)
 
     def _contact_noise(self, row: int) -> tuple[float, float]:
@@ -487,8 +487,8 @@ class _Reader:
             if point in cells and any(cells.text(row, name) for name in point.names)
         ]
         if not found and self.contents.scenario is None and not self.contents.shaped:
-            said = f"no contact point; expected at least one [m], or columns {col.SIZE.header!r} ... for the geometry"
-            raise cells.error(row, f"columns {', '.join(map(repr, col.POINTS[0].names))}", None, said)
+            text = f"no contact point; expected at least one [m], or columns {col.SIZE.header!r} ... for the geometry"
+            raise cells.error(row, f"columns {', '.join(map(repr, col.POINTS[0].names))}", None, text)
         return found
 
     def _object(self, row: int) -> str:
@@ -501,8 +501,8 @@ class _Reader:
         if not name and len(known) == 1:
             return next(iter(known))
         if name not in known:
-            said = f"expected an object of scenario {scenario.name!r}{did_you_mean(name, known)}"
-            raise self.cells.error(row, f"column {col.OBJECT.first!r}", name, f"{said}; known: {', '.join(known)}")
+            text = f"expected an object of scenario {scenario.name!r}{did_you_mean(name, known)}"
+            raise self.cells.error(row, f"column {col.OBJECT.first!r}", name, f"{text}; known: {', '.join(known)}")
         return name
 
     def _assumption(self, row: int, object_name: str) -> tuple[Physics, dict[str, RobotModel]]:

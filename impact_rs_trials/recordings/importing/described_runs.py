@@ -73,12 +73,12 @@ class DescribedRuns:
                 f"{groups.folder / RUN_TABLE} says what each run is, and is used before the one made here"
             )
         if groups.sessions:
-            self._notes.say(
+            self._notes.add(
                 "session in runs.csv", flow(list(dict.fromkeys(groups.sessions.values()))),
                 "the folders that runs lie in; impacts makes a column of it, for --covariates session",
             )  # fmt: skip
         if has_object and mapping.robot != NO_ROBOT and any(row.hit for row in rows):
-            self._notes.say(
+            self._notes.add(
                 "kind in runs.csv", "hit", f"the object moves by more than {1e3 * MIN_OBJECT_DISPLACEMENT_M:g} mm"
             )
             rows = self._with_objects(rows)
@@ -109,7 +109,7 @@ class DescribedRuns:
         """Rows with the object that was hit."""
         objects = [] if self._scenario is None else list(load_scenario(self._scenario).objects)
         if named := list(dict.fromkeys(row.object for row in rows if row.object)):
-            self._notes.say("object in runs.csv", flow(named), "the names of the files say which")
+            self._notes.add("object in runs.csv", flow(named), "the names of the files say which")
             if objects and not set(named) <= set(objects):
                 self._notes.remarks.append(
                     f"files call the objects {', '.join(named)}, {self._scenario} has {', '.join(objects)}: "
@@ -121,7 +121,7 @@ class DescribedRuns:
         usual = (objects or ["OBJECT"])[0]
         rows = [replace(row, object=one or usual) for row, one in zip(rows, inside, strict=True)]
         if len(objects) != 1:
-            self._notes.say(
+            self._notes.add(
                 "object in runs.csv", flow([row.object for row in rows][:3]), "say which object was hit", False
             )
         return rows
@@ -135,10 +135,10 @@ class DescribedRuns:
         if 2 * len(apart) <= len(seen):
             return False
         middle = sorted(apart, key=lambda one: one.offset)[len(apart) // 2]
-        said = f"{middle.evidence}; so in {len(apart)} of {len(seen)} runs that were looked at"
+        evidence = f"{middle.evidence}; so in {len(apart)} of {len(seen)} runs that were looked at"
         for name in names:
             signals[name]["clock"] = "own"
-            self._notes.say(f"signals.{name}.clock", "own", said)
+            self._notes.add(f"signals.{name}.clock", "own", evidence)
         return True
 
     def check_first(self, mapping: Mapping, rows: Sequence[FoundRun]) -> None:
@@ -168,17 +168,17 @@ class DescribedRuns:
         apart = 0
         for row in (others[number] for number in numbers):
             try:
-                doubt = mapping_warning(self._groups.folder / row.run, mapping, row.names, model)
+                warning = mapping_warning(self._groups.folder / row.run, mapping, row.names, model)
             except InputError as error:
-                doubt = f"the reader refuses it: {error}"
-            if doubt is not None:
+                warning = f"the reader refuses it: {error}"
+            if warning is not None:
                 apart += 1
                 self._notes.remarks.append(
-                    f"{row.run} is not as {first.run}, of which the description was made: {doubt}; describe it by "
+                    f"{row.run} is not as {first.run}, of which the description was made: {warning}; describe it by "
                     "itself, or take it out of runs.csv"
                 )
         if others and not apart:
-            said = (
+            evidence = (
                 f"units and signs of {first.run} hold in {len(numbers)} other{'s' if len(numbers) > 1 else ''} as well"
             )
-            self._notes.say("runs", f"{len(numbers)} of {len(others)} others", said)
+            self._notes.add("runs", f"{len(numbers)} of {len(others)} others", evidence)

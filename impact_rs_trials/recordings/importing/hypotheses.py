@@ -171,10 +171,10 @@ def positions(raw: Array, facts: RobotFacts) -> list[RoleHypothesis]:
         factor = factors_of("position", unit)
         inside = np.mean((raw * factor >= low - margin) & (raw * factor <= high + margin), axis=0)
         if np.all(inside > 1.0 - MAX_OUTSIDE_SHARE):
-            said = f"the joints reach {span}, which lies within their limits in {turns}"
-            said += f" and not in {' or '.join(tried)}" if tried else ""
+            text = f"the joints reach {span}, which lies within their limits in {turns}"
+            text += f" and not in {' or '.join(tried)}" if tried else ""
             density = float(np.sum(np.log(np.broadcast_to(factor, low.shape))))
-            found.append(RoleHypothesis("position", unit, said, density, np.log(PRIOR[turns])))
+            found.append(RoleHypothesis("position", unit, text, density, np.log(PRIOR[turns])))
         elif not found:
             tried.append(turns)
     return found
@@ -196,7 +196,7 @@ def velocities(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
     for turns, slide in (("rad/s", "m/s"), ("deg/s", "mm/s"), ("mrad/s", "mm/s")):
         per_unit = 1.0 / TURNS["velocity"][turns]
         relation = fit(per_unit * motion.derivative, y, independent=samples, bounds=SAME_UNIT_FACTORS)
-        said = (
+        text = (
             f"{spread(plain.factor[shown] / per_unit)} times the derivative of the position in {turns} "
             f"(correlation {spread(plain.correlation[shown])})"
         )
@@ -206,17 +206,17 @@ def velocities(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
         further = {} if np.all(signs > 0.0) else {"factor": signs_of(signs)}
         remarks = _contradictions(shown, plain)
         unit = motion.unit(turns, slide)
-        found.append(RoleHypothesis("velocity", unit, said, _copied(relation, shown), prior, further, remarks))
+        found.append(RoleHypothesis("velocity", unit, text, _copied(relation, shown), prior, further, remarks))
     usual = float(np.median(plain.factor[shown]))
     relation = fit(usual * motion.derivative, y, independent=samples, bounds=SAME_UNIT_FACTORS)
     prior = float(np.log(PRIOR["other"] / np.log(MAX_FACTOR_RATIO)))
-    said = f"{usual:.3g} times the derivative of the position: at another sampling rate?"
-    found.append(RoleHypothesis("other", "", said, _copied(relation, shown), prior, {"rate_": usual}))
+    text = f"{usual:.3g} times the derivative of the position: at another sampling rate?"
+    found.append(RoleHypothesis("other", "", text, _copied(relation, shown), prior, {"rate_": usual}))
     free = fit(motion.derivative, y, independent=samples)
-    said = "a factor of its own times the derivative of every position: friction?"
+    text = "a factor of its own times the derivative of every position: friction?"
     prior = float(np.log(PRIOR["other"]))
     found.append(
-        RoleHypothesis("other", "", said, _gains(free, shown, -float(np.log(2.0 * np.log(MAX_FACTOR_RATIO)))), prior)
+        RoleHypothesis("other", "", text, _gains(free, shown, -float(np.log(2.0 * np.log(MAX_FACTOR_RATIO)))), prior)
     )
     return _ordered(found)
 
@@ -233,9 +233,9 @@ def copies(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
         samples = effective_samples(part, y)
         for unit, factor in TURNS["position"].items():
             relation = fit(part / factor, y, further, samples, SAME_UNIT_FACTORS)
-            said = f"repeats the {what}, in {unit}" if unit != "rad" else f"repeats the {what}"
+            text = f"repeats the {what}, in {unit}" if unit != "rad" else f"repeats the {what}"
             prior = float(np.log(PRIOR["copy"] * PRIOR[unit])) + _signs_prior(np.sign(relation.factor[shown]))
-            found.append(RoleHypothesis("copy", unit, said, _copied(relation, shown), prior))
+            found.append(RoleHypothesis("copy", unit, text, _copied(relation, shown), prior))
     return _ordered(found)
 
 
@@ -282,11 +282,11 @@ def motor_positions(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
         deflection = float(np.max(np.std(apart[:, shown], axis=0)))
         if deflection == 0.0:  # the same signal once more
             continue
-        said = f"follows the positions, {deflection:.3g} rad rms away from them"
-        said += "" if direct else f", with gear ratios {spread(ratio[shown])}"
+        text = f"follows the positions, {deflection:.3g} rad rms away from them"
+        text += "" if direct else f", with gear ratios {spread(ratio[shown])}"
         keys = {} if direct else {"factor": [float(f"{1.0 / one:.6g}") for one in ratio]}
         prior = float(np.log(PRIOR[turns])) - (0.0 if direct else float(np.log(MAX_GEAR_RATIO)))
-        found.append(RoleHypothesis("position", motion.unit(turns, slide), said, 0.0, prior, keys))
+        found.append(RoleHypothesis("position", motion.unit(turns, slide), text, 0.0, prior, keys))
     return _ordered(found)
 
 
@@ -308,11 +308,11 @@ def torques(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
     heavy = shown & (np.abs(free.correlation) > MIN_CORRELATION)
     heavy = heavy if np.any(heavy) else shown
     listed = ", ".join(str(joint + 1) for joint in np.flatnonzero(heavy))
-    said = (
+    text = (
         f"{spread(free.factor[heavy])} times the torque that gravity and inertia of the arm take in joint"
         f"{'s' if np.sum(heavy) > 1 else ''} {listed}"
     )
-    said += "" if np.all(heavy) else "; the others show nothing and are taken like them"
+    text += "" if np.all(heavy) else "; the others show nothing and are taken like them"
     signs = np.where(heavy, np.sign(free.factor), usual_sign(free.factor[heavy]))
     further: dict[str, Any] = {} if np.all(signs > 0.0) else {"factor": signs_of(signs)}
     found = []
@@ -323,7 +323,7 @@ def torques(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
         density = -0.5 * np.square(size) - np.log(LOG_TORQUE_FACTOR_SIGMA * np.sqrt(2.0 * np.pi))
         prior = float(np.log(PRIOR[turns])) + _signs_prior(signs[heavy])
         unit = motion.unit(turns, slide)
-        found.append(RoleHypothesis("torque", unit, said, _gains(relation, shown, density), prior, further))
+        found.append(RoleHypothesis("torque", unit, text, _gains(relation, shown, density), prior, further))
     gravity_shown = heavy & (np.std(motion.gravity_torque, axis=0) > np.std(needed - motion.gravity_torque, axis=0))
     # Inertia shows no torque constant, because the motors' own inertia is unknown.
     gravity_shown = gravity_shown if np.any(gravity_shown) else heavy
@@ -334,7 +334,7 @@ def torques(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
     wrong = relation.factor < 0.0
     constants = np.where(gravity_shown & ~wrong, 1.0 / np.maximum(np.abs(free.factor), 1e-12), 1.0 / usual)
     own = {**({} if sign > 0.0 else {"factor": -1.0}), "torque_constant": [float(f"{one:.3g}") for one in constants]}
-    why = f"{said}: no unit of torque; taken for motor currents, with the constants shown by the gravity torque"
+    why = f"{text}: no unit of torque; taken for motor currents, with the constants shown by the gravity torque"
     # The first joint's constant is anywhere in the range, the others are near it.
     each = float(np.log(np.log(MAX_CONSTANT_RATIO)))
     prior = (
@@ -350,7 +350,7 @@ def torques(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
     gains = _gains(relation, shown, np.where(wrong, -np.inf, -each))
     found.append(RoleHypothesis("current", "A", why, gains, prior, own))
     gains = _gains(free, shown, -float(np.log(2.0 * np.log(MAX_FACTOR_RATIO))))
-    found.append(RoleHypothesis("other", "", f"{said}: in no unit", gains, float(np.log(PRIOR["other"]))))
+    found.append(RoleHypothesis("other", "", f"{text}: in no unit", gains, float(np.log(PRIOR["other"]))))
     return _ordered(found)
 
 
@@ -393,15 +393,15 @@ def _contradictions(moving: NDArray[np.bool_], relation: LinearRelation) -> tupl
     ratio = relation.factor
     related, turned = np.abs(relation.correlation) >= MIN_CORRELATION, np.sign(ratio) != usual_sign(ratio[moving])
     apart, other = np.flatnonzero(moving & ~related), np.flatnonzero(moving & related & turned)
-    said = []
+    text = []
     if apart.size:
-        said.append(f"velocities of joints {_joints(apart)} are not the derivative of their positions: other columns?")
+        text.append(f"velocities of joints {_joints(apart)} are not the derivative of their positions: other columns?")
     if other.size:
-        said.append(
+        text.append(
             f"velocities of joints {_joints(other)} have the opposite sign of the others: their positions or "
             "their velocities are inverted, and nothing here shows which; taken that velocities are"
         )
-    return tuple(said)
+    return tuple(text)
 
 
 def _joints(numbers: NDArray[np.signedinteger]) -> str:

@@ -201,7 +201,7 @@ class _Importer:
                     key="--robot",
                     value=self._options.robot,
                 )
-            self._notes.say("robot", self._options.robot, "given with --robot")
+            self._notes.add("robot", self._options.robot, "given with --robot")
             return self._options.robot
         known = sorted(path.stem for path in (config_directory() / "robots").glob("*.yaml"))
         texts = [text for part in self._parts for text in (part.path.parent.name, part.path.stem)]
@@ -209,14 +209,14 @@ class _Importer:
         words = set().union(*map(_runs_of_words, texts))
         named = [name for name in known if {name.replace("_", ""), name.partition("_")[2].replace("_", "")} & words]
         if len(named) == 1:
-            self._notes.say(
+            self._notes.add(
                 "robot", named[0], "its name stands in the files; assumed, give --robot to be sure", sure=False
             )
             return named[0]
         wide = {one.width for part in self._parts for one in part.candidates if not one.pose and one.guess}
         counts = {name: load_facts(name).joint_count for name in known}
         if not wide & set(counts.values()) and any(poses_in(part, False) for part in self._parts):
-            self._notes.say(
+            self._notes.add(
                 "robot", NO_ROBOT, "no signal is as wide as a robot has joints: an object alone", sure=False
             )
             return NO_ROBOT
@@ -230,13 +230,13 @@ class _Importer:
     def _time(self, part: RecordedFile) -> dict[str, Any]:
         keys = part.clock_keys(self._options.rate)
         if self._options.rate is not None:
-            self._notes.say("time.rate", f"{self._options.rate:g}", "given with --rate")
+            self._notes.add("time.rate", f"{self._options.rate:g}", "given with --rate")
             if "column" in keys:
-                self._notes.say("time.column", keys["column"], "frame numbers, with gaps where frames are missing")
+                self._notes.add("time.column", keys["column"], "frame numbers, with gaps where frames are missing")
         elif part.on_log:
-            self._notes.say("time", flow(keys), f"of the positions: {NO_HEADER}")
+            self._notes.add("time", flow(keys), f"of the positions: {NO_HEADER}")
         elif part.clock is not None:
-            self._notes.say("time", flow(keys), part.clock.evidence, part.clock.sure)
+            self._notes.add("time", flow(keys), part.clock.evidence, part.clock.sure)
             self._notes.remarks += part.clock.remarks
             if (data := data_set_of(part.path)) is not None and data.fps is not None:
                 self._notes.remarks.append(NOMINAL.format(info=INFO, fps=data.fps))
@@ -246,7 +246,7 @@ class _Importer:
                 self._notes.remarks.append("repeated stamps are refused; --dedupe keeps the first sample of each")
         if self._options.dedupe:
             keys["repeated"] = "keep_first"
-            self._notes.say("time.repeated", "keep_first", "given with --dedupe")
+            self._notes.add("time.repeated", "keep_first", "given with --dedupe")
         return keys
 
     def _experiment(self, facts: RobotFacts | None, robot: str) -> str:

@@ -68,7 +68,7 @@ class Notes:
     lines: list[Line] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
 
-    def say(self, key: str, value: str, evidence: str, sure: bool = True) -> None:
+    def add(self, key: str, value: str, evidence: str, sure: bool = True) -> None:
         """Add a key with its evidence."""
         self.lines.append(Line(key, value, evidence, sure))
 
@@ -143,24 +143,24 @@ def mapping_text(content: AbstractMapping[str, Any], lines: Sequence[Line]) -> s
         content: Values by key.
         lines: Evidence by key.
     """
-    said: dict[str, str] = {}
+    comments: dict[str, str] = {}
     for line in lines:
-        said[line.key] = line.evidence if line.sure else f"ASSUMED: {line.evidence}"
+        comments[line.key] = line.evidence if line.sure else f"ASSUMED: {line.evidence}"
     text = [HEAD.rstrip()]
     for key, value in content.items():
         if key == "signals":
             text.append("signals:")
             for name, section in value.items():
-                text.append(f"  {name}:{_remark(said.get(f'signals.{name}'))}")
+                text.append(f"  {name}:{_remark(comments.get(f'signals.{name}'))}")
                 for inner, one in section.items():
-                    text.append(f"    {inner}: {flow(one)}{_remark(said.get(f'signals.{name}.{inner}'))}")
+                    text.append(f"    {inner}: {flow(one)}{_remark(comments.get(f'signals.{name}.{inner}'))}")
         else:
-            text.append(f"{key}: {flow(value)}{_remark(said.get(key) or said.get(f'{key}.rate'))}")
+            text.append(f"{key}: {flow(value)}{_remark(comments.get(key) or comments.get(f'{key}.rate'))}")
     return "\n".join(text) + "\n"
 
 
-def _remark(said: str | None) -> str:
-    return "" if said is None else f"   # {' '.join(said.split())}"
+def _remark(comments: str | None) -> str:
+    return "" if comments is None else f"   # {' '.join(comments.split())}"
 
 
 def runs_text(rows: Sequence[FoundRun], alone: bool) -> str:

@@ -352,14 +352,14 @@ class JointSearch:
                 if one.role == "current":
                     return Reading(stream, RoleChoice(one, None, 0.0))
         seen = found.with_torque(raw, self.model)
-        said = "the motion takes too little torque to show it"
+        evidence = "the motion takes too little torque to show it"
         if np.any(driven_joints(seen.whole, seen.model)):
             most, left = (
                 np.sqrt(np.mean(np.square(seen.whole), axis=0)),
                 np.sqrt(seen.left(seen.whole) / len(seen.whole)),
             )
             joint = int(np.argmax(most))
-            said = (
+            evidence = (
                 f"gravity and inertia of the arm take {most[joint]:.3g} N m rms in joint {joint + 1}, from which the "
                 f"signal is {left[joint]:.3g} N m away: another robot, other joints or another quantity?"
             )
@@ -367,7 +367,7 @@ class JointSearch:
         if (external := is_external(seen, stream.is_external)) is not None:
             reading = Reading.of(stream, "torque", unit, external.evidence, external.margin)
             return replace(reading, meaning="external")
-        return Reading.of(stream, "torque", unit, f"nothing but its name: {said}", 0.0)
+        return Reading.of(stream, "torque", unit, f"nothing but its name: {evidence}", 0.0)
 
 
 def _with_shared_torque(found: Assignment, tried: Sequence[Assignment]) -> Assignment:

@@ -129,7 +129,7 @@ class JointSections:
         refuse_several(part, self._groups, "joints", "robot")
         signals = {"position": self._joint_signal(found.position, "position", part, found.alternatives["position"])}
         if found.velocity is None:
-            self._notes.say(
+            self._notes.add(
                 "signals.velocity", "none", "no signal is the derivative of the positions: velocities are computed"
             )
         else:
@@ -196,7 +196,7 @@ class JointSections:
         """Add the desired positions of servos to the signals; further keys of the mapping."""
         target = Reading.of(servo.stream, "position", servo.unit, servo.evidence, servo.margin)
         signals["q_desired"] = self._joint_signal(target, "q_desired", part)
-        self._notes.say("torque_measured_at", "motor", "no torque was recorded: servos give that of their motors")
+        self._notes.add("torque_measured_at", "motor", "no torque was recorded: servos give that of their motors")
         if servo.margin < 0.0:
             self._notes.remarks.append(DECLARED.format(label=servo.stream.label, odds=servo.margin))
         own: dict[str, Any] = {"kp": [float(f"{one:.4g}") for one in servo.kp]}
@@ -208,20 +208,20 @@ class JointSections:
             if (changing := gains_in(search.streams, pattern)[1]) is not None:
                 self._notes.remarks.append(changing)
         if servo.known:
-            said = "kp is a column of the recording" if servo.kd is None else "kp and kd are columns of the recording"
-            said += "" if servo.kd is None else f"; the torque is nearer to the motion's if kd damps the {servo.damps}"
+            text = "kp is a column of the recording" if servo.kd is None else "kp and kd are columns of the recording"
+            text += "" if servo.kd is None else f"; the torque is nearer to the motion's if kd damps the {servo.damps}"
         else:
             listed = ", ".join(str(joint + 1) for joint in np.flatnonzero(servo.shown))
-            said = f"kp by gravity and inertia of the model in joints {listed}; prefer those of your controller"
+            text = f"kp by gravity and inertia of the model in joints {listed}; prefer those of your controller"
             self._notes.remarks.append(
                 "no gains were recorded: kp was found with the masses of the model, so this log cannot hold masses or "
                 "gains apart, and kd is a part of the viscous friction. Write kp and kd of your controller into servo "
                 "and gains: given, if you know them"
             )
-        self._notes.say("servo", flow(own), said, sure=servo.known)
+        self._notes.add("servo", flow(own), text, sure=servo.known)
         held = "with" if servo.meaning == "whole" else "without"
-        said = f"the error of the servos makes the torque of the motion {held} gravity (log odds {servo.margin:.3g})"
-        self._notes.say("torque_meaning", servo.meaning, said, servo.sure)
+        text = f"the error of the servos makes the torque of the motion {held} gravity (log odds {servo.margin:.3g})"
+        self._notes.add("torque_meaning", servo.meaning, text, servo.sure)
         return {"torque_measured_at": "motor", "torque_meaning": servo.meaning, "servo": own}
 
     def _check_torques(self, found: Assignment, search: JointSearch, robot: str) -> None:
@@ -264,9 +264,9 @@ class JointSections:
 
     def _nothing(self, every: Sequence[JointStream], robot: str, count: int) -> InputError:
         """Error if no signal is the motion of the joints."""
-        said = f"no signal of {_joints_of(count)} can be read"
+        text = f"no signal of {_joints_of(count)} can be read"
         if every:
-            said = (
+            text = (
                 f"no two signals of {_joints_of(count)} are positions within the limits of {robot} and their "
                 f"derivative; signals as wide as that: {'; '.join(one.label for one in every)}"
             )
@@ -275,13 +275,13 @@ class JointSections:
         ]
         if others:
             listed = ", ".join(one.label for one in others[:MAX_SHOWN_SIGNALS])
-            said += f"; signals of other widths: {listed}"
-            said += ", of which a mapping takes joints by entries" * any(one.width > count for one in others)
-        said += "".join(f"; the reader refuses {why}" for why in self._refusals())
+            text += f"; signals of other widths: {listed}"
+            text += ", of which a mapping takes joints by entries" * any(one.width > count for one in others)
+        text += "".join(f"; the reader refuses {why}" for why in self._refusals())
         backwards = [back for part in self._parts if (back := steps_back(part.columns)) is not None]
-        said += "".join(f"; {back}, so another clock was taken" for back in backwards)
+        text += "".join(f"; {back}, so another clock was taken" for back in backwards)
         remedy = "Another --robot, or a mapping by hand" if every else "A mapping by hand"
-        return InputError(f"{said}. {remedy} (docs/files.md)", file=self._parts[0].path)
+        return InputError(f"{text}. {remedy} (docs/files.md)", file=self._parts[0].path)
 
     def _refusals(self) -> list[str]:
         """Signals that the reader refuses, with its reason."""
@@ -321,19 +321,19 @@ class JointSections:
         signals["torque"] = self._joint_signal(best, "torque", part, listed, alike)
         seen = self._seen(best, found, model)
         at_motor = constant is not None or not facts.joint_torque_loop
-        said = "currents are those of motors" if constant is not None else f"joint_torque_loop of {robot} is "
-        said += "" if constant is not None else str(facts.joint_torque_loop).lower()
-        said += self._motors_in(seen, best.meaning, at_motor)
-        self._notes.say("torque_measured_at", "motor" if at_motor else "link", said, sure=constant is not None)
+        text = "currents are those of motors" if constant is not None else f"joint_torque_loop of {robot} is "
+        text += "" if constant is not None else str(facts.joint_torque_loop).lower()
+        text += self._motors_in(seen, best.meaning, at_motor)
+        self._notes.add("torque_measured_at", "motor" if at_motor else "link", text, sure=constant is not None)
         meaning = meaning_of(seen, best.meaning, best.computed and constant is None)
-        self._notes.say("torque_meaning", meaning.best, meaning.evidence, meaning.sure)
+        self._notes.add("torque_meaning", meaning.best, meaning.evidence, meaning.sure)
         if meaning.best in ADDED_BY_THE_MODEL:
             self._notes.remarks.append(f"{best.stream.label} {best.best.evidence}. {ADDED_BY_THE_MODEL[meaning.best]}")
         own: dict[str, Any] = {
             "torque_measured_at": "motor" if at_motor else "link", "torque_meaning": meaning.best
         }  # fmt: skip
         if constant is not None:
-            self._notes.say(
+            self._notes.add(
                 "torque_constant", flow(constant), "by the gravity torque in this recording; prefer a data sheet", False
             )
             own["torque_constant"] = constant
@@ -394,11 +394,11 @@ class JointSections:
         if min(alone, lifted) > MAX_COMMAND_RMS_RATIO:
             return {}
         included, both = alone <= lifted, f"{100.0 * alone:.0f} % of the measured torque away from it as it is"
-        said = f"{both}, {100.0 * lifted:.0f} % with the gravity torque added (rms)"
-        signals["command"] = self._joint_signal(Reading.of(one, "torque", "N m", said, np.inf), "command", part)
+        text = f"{both}, {100.0 * lifted:.0f} % with the gravity torque added (rms)"
+        signals["command"] = self._joint_signal(Reading.of(one, "torque", "N m", text, np.inf), "command", part)
         sure = max(alone, lifted) > MIN_GRAVITY_RMS_RATIO * min(alone, lifted)
-        said = f"it is nearer to the measured torque {'as it is' if included else 'with the gravity torque added'}"
-        self._notes.say("command_includes_gravity", str(included).lower(), said, sure)
+        text = f"it is nearer to the measured torque {'as it is' if included else 'with the gravity torque added'}"
+        self._notes.add("command_includes_gravity", str(included).lower(), text, sure)
         return {"command_includes_gravity": included}
 
     def _joint_signal(
@@ -423,12 +423,12 @@ class JointSections:
         if rival is not None and margin < DECISIVE_LOG_ODDS:
             shown += f"; next: {rival.stream}, log odds {margin:.2g}"
         shown += "" if candidate.stamped else f"; {NO_HEADER}"
-        self._notes.say(
+        self._notes.add(
             f"signals.{name}", candidate.label, shown, not one.stream.is_cut and bool(margin > DECISIVE_LOG_ODDS)
         )
-        said = one.choice.evidence + (f"; so do {alike}: take the one that was measured" if alike else "")
+        text = one.choice.evidence + (f"; so do {alike}: take the one that was measured" if alike else "")
         sure = one.choice.sure and not alike and not one.computed and best.role != "current"
-        self._notes.say(f"signals.{name}.unit", flow(best.unit), said, sure)
+        self._notes.add(f"signals.{name}.unit", flow(best.unit), text, sure)
         self._notes.remarks += best.remarks
         self.readings[name] = tuple(others)
         further = {key: value for key, value in best.further.items() if key == "factor"}
@@ -438,9 +438,9 @@ class JointSections:
     def _joints(self, one: SignalCandidate, count: int) -> tuple[str, ...]:
         joints = joints_of(one.joints, "", False, count)
         if one.joints:
-            self._notes.say("joints", flow(list(joints)), "the recording names them")
+            self._notes.add("joints", flow(list(joints)), "the recording names them")
         else:
-            self._notes.say("joints", flow(list(joints)), self._order_shown, sure=False)
+            self._notes.add("joints", flow(list(joints)), self._order_shown, sure=False)
         return joints
 
     def _part_of(self, stream: JointStream) -> RecordedFile:

@@ -57,8 +57,8 @@ def measured_limits(path: Path, joints: Sequence[str]) -> Limits:
         )
     for (joint, quantity), ends in found.items():
         if quantity == "position" and max(abs(end) for end in ends) > MAX_POSITION_RAD:
-            said = f"joint {joint} is at {ends[0]:g} to {ends[1]:g}: expected rad or m, not degrees or mm"
-            raise InputError(said, file=path, key="--measured")
+            evidence = f"joint {joint} is at {ends[0]:g} to {ends[1]:g}: expected rad or m, not degrees or mm"
+            raise InputError(evidence, file=path, key="--measured")
     return found
 
 

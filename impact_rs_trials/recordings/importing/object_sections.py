@@ -65,7 +65,7 @@ class ObjectSections:
         return None if with_robot else self._ball(signals)
 
     def _is_of_the_tool(self, part: RecordedFile, sections: dict[str, dict[str, Any]]) -> bool:
-        """Whether a pose is fixed on the flange of the robot, so that it is no object's; said in a note."""
+        """Whether a pose is fixed on the flange of the robot, so that it is no object's; a note names it."""
         if self._flange is None:
             return False
         name: SignalName = "object_pose" if "object_pose" in sections else "object_position"
@@ -104,7 +104,7 @@ class ObjectSections:
         self.groups, pattern, objects = found
         for section in sections.values():
             section["file"] = pattern
-        self._notes.say(f"{OBJECT} of {pattern}", flow(objects), "in every run the object that moves most")
+        self._notes.add(f"{OBJECT} of {pattern}", flow(objects), "in every run the object that moves most")
 
     def _ball(self, signals: dict[str, dict[str, Any]]) -> RecordedFile | None:
         """Add positions of an object without tracked orientation, such as a ball, to the signals."""
@@ -124,7 +124,7 @@ class ObjectSections:
                     columns = [columns[1 - up], columns[up]]
                 else:
                     length = unit_of_length(track.values)
-                self._notes.say("signals.object_position", ", ".join(columns), length.evidence, length.sure)
+                self._notes.add("signals.object_position", ", ".join(columns), length.evidence, length.sure)
                 self._notes.remarks.append(
                     "no column is its orientation: enough for a ball only, with its spin (body.spin)"
                 )
@@ -159,9 +159,9 @@ class ObjectSections:
             if matrices:
                 length = unit_of_length(pose)
                 guess = Guess(length.value, length.evidence)
-            said = "holds homogeneous matrices" if matrices else "holds a position and a unit quaternion"
-            self._notes.say("signals.object_pose", label, said)
-            self._notes.say("signals.object_pose.unit", guess.value, guess.evidence, guess.sure)
+            evidence = "holds homogeneous matrices" if matrices else "holds a position and a unit quaternion"
+            self._notes.add("signals.object_pose", label, evidence)
+            self._notes.add("signals.object_pose.unit", guess.value, guess.evidence, guess.sure)
             return {"object_pose": {**source_in(part, place, self.groups), "unit": guess.value, **guess.further}}
         where, turned = numbers("object_position", place), numbers("object_quaternion", quaternion)
         order = None if turned is None else quaternion_order(turned)
@@ -175,8 +175,8 @@ class ObjectSections:
         by_order = (
             "" if named else f"; taken for the position of the body with the orientation {turned_label}, by order alone"
         )
-        self._notes.say("signals.object_position", label, f"{length.evidence}{by_order}", named)
-        self._notes.say("signals.object_quaternion", order.value, order.evidence, order.sure and named)
+        self._notes.add("signals.object_position", label, f"{length.evidence}{by_order}", named)
+        self._notes.add("signals.object_quaternion", order.value, order.evidence, order.sure and named)
         return {
             "object_position": {**source_in(part, place, self.groups), "unit": length.value},
             "object_quaternion": {**source_in(part, quaternion, self.groups), "unit": "-", **further},

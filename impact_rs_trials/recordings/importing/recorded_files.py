@@ -98,8 +98,8 @@ class RecordedFile:
             return {"stamp": "log"} if self.on_log else {}
         if self.clock is None:
             if (back := steps_back(self.columns)) is not None:
-                said = f"{back}; sort the rows by time, or cut the recording there into several"
-                raise InputError(said, file=self.path)
+                evidence = f"{back}; sort the rows by time, or cut the recording there into several"
+                raise InputError(evidence, file=self.path)
             raise InputError(
                 "no column holds time stamps: none increases at a rate of 1 Hz to 100 kHz; --rate says the sampling "
                 "rate of files without stamps",
@@ -168,12 +168,12 @@ def open_recorded(pattern: str, path: Path, spread: bool, notes: Notes) -> Recor
     found = find_layout(path)
     layout = found.value
     if found.evidence:
-        notes.say(f"table ({path.name})", flow(layout.model_dump(exclude_defaults=True)), found.evidence)
+        notes.add(f"table ({path.name})", flow(layout.model_dump(exclude_defaults=True)), found.evidence)
     columns = read_columns(path, layout).cells
     run, column = "", None if spread else run_column_of(columns)
     if column is not None:
         run = runs_of(columns[column])[0]
-        notes.say("run_column", column, "says of every row which of several runs it belongs to")
+        notes.add("run_column", column, "says of every row which of several runs it belongs to")
         columns = read_rows(path, layout, column, run).cells
     part = RecordedFile(pattern, path, layout, columns, candidates_of(path, layout), clock_of(columns))
     return replace(part, run=run, run_column=column)
@@ -190,7 +190,7 @@ def _of_arrays(pattern: str, path: Path, spread: bool, notes: Notes) -> Recorded
             columns = {new: own for name, own in columns.items() if (new := groups.with_placeholder(name))}
             named = [(one, groups.with_placeholder(one.source["array"])) for one in candidates]
             candidates = [replace(one, source={"array": new}, label=new) for one, new in named if new]
-            notes.say("{run}", listed, f"{len(groups.names)} groups hold the same arrays: each is a run")
+            notes.add("{run}", listed, f"{len(groups.names)} groups hold the same arrays: each is a run")
         else:
             notes.remarks.append(
                 f"{path.name}: groups {listed} hold arrays of the same names, and one of them is described; where "
@@ -259,10 +259,10 @@ def settle_clock(part: RecordedFile, model: RobotModel) -> None:
     assert motion.velocity is not None
     rate = 1.0 / float(np.median(np.diff(motion.time)))
     place, speed = motion.position.stream.label, motion.velocity.stream.label
-    said = f"increases; in {unit}, {rate:.4g} Hz, {speed} is the derivative of {place}"
+    evidence = f"increases; in {unit}, {rate:.4g} Hz, {speed} is the derivative of {place}"
     margin = tried[0][0] - tried[1][0] if len(tried) > 1 else np.inf
-    said += "" if margin > DECISIVE_LOG_ODDS else f"; next: {tried[1][1]}, log odds {margin:.2g}"
-    part.clock = replace(clock, evidence=said, sure=bool(margin > DECISIVE_LOG_ODDS), further={"unit": unit})
+    evidence += "" if margin > DECISIVE_LOG_ODDS else f"; next: {tried[1][1]}, log odds {margin:.2g}"
+    part.clock = replace(clock, evidence=evidence, sure=bool(margin > DECISIVE_LOG_ODDS), further={"unit": unit})
     part.streams = streams
 
 
@@ -341,5 +341,5 @@ def refuse_several(part: RecordedFile, groups: FileGroups, what: str, whose: str
     """Files that differ in a word are of objects that a robot hits, and of nothing else."""
     if OBJECT in part.pattern:
         named = ", ".join(sorted(set(groups.objects.values())))
-        said = f"files {part.pattern} hold {what}, of {named}: import the runs of each {whose} by themselves"
-        raise InputError(said, file=part.path)
+        evidence = f"files {part.pattern} hold {what}, of {named}: import the runs of each {whose} by themselves"
+        raise InputError(evidence, file=part.path)

@@ -63,7 +63,7 @@ class FoundServo:
         unit: Their unit.
         kp: Gains by recorded columns or by the gravity torque, ``(n,)`` [N m/rad].
         kd: Recorded gains of the velocity, ``(n,)`` [N m s/rad]; None: unknown.
-        damps: What kd damps.
+        damps: Velocity that kd damps: that of the joint or of the position error.
         known: Whether kp was recorded.
         shown: Joints from whose gravity kp was found, ``(n,)``; all if it was recorded.
         meaning: Whether the servos carry gravity.
@@ -234,14 +234,14 @@ def _servo(
     meaning, torque = needed
     kp, kd = gains
     estimate, shown = _estimated_gains(motion, error, torque)
-    said = f"q_desired - q in {unit} drives the motion"
+    evidence = f"q_desired - q in {unit} drives the motion"
     if meaning == "without_gravity":
-        said += " without its gravity torque, which the controller adds"
+        evidence += " without its gravity torque, which the controller adds"
     if kp is None:
-        said += f", with kp {spread(estimate)} N m/rad by gravity and inertia of the model"
+        evidence += f", with kp {spread(estimate)} N m/rad by gravity and inertia of the model"
     else:
         ratio = estimate[shown] / kp[shown]
-        said += f", with {spread(ratio)} times the recorded gains by gravity and inertia of the model"
+        evidence += f", with {spread(ratio)} times the recorded gains by gravity and inertia of the model"
     damps: Damps = "velocity"
     if kp is not None and kd is not None:
         damps = _damped(motion, error, torque, kp, kd)
@@ -257,7 +257,7 @@ def _servo(
         meaning=meaning,
         log_posterior=found.motion_log_posterior + log_ratio + float(np.log(PRIOR[unit])),
         margin=0.0,
-        evidence=said,
+        evidence=evidence,
     )
 
 

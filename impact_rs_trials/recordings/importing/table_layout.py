@@ -46,8 +46,8 @@ def find_layout(path: Path) -> Guess:
             found = _named(cells, first, {number for number, line in lines if line.startswith("#")})
             if point == ".":
                 return found
-            said = f"{found.evidence}; numbers have a decimal comma"
-            return replace(found, value=found.value.model_copy(update={"decimal": point}), evidence=said)
+            evidence = f"{found.evidence}; numbers have a decimal comma"
+            return replace(found, value=found.value.model_copy(update={"decimal": point}), evidence=evidence)
     raise NoTable(f"no table of numbers begins in its first {MAX_HEADER_LINES} lines", file=path)
 
 
@@ -64,15 +64,15 @@ def _named(cells: dict[int, list[str]], first: int, comments: set[int]) -> Guess
     if names is None:
         layout = TableLayout(header=0, first=first if first > 1 else None)
         return Guess(layout, f"no line of {width} names stands above the numbers in line {first}")
-    said = f"line {names} has {width} names, as many as the rows have cells"
+    evidence = f"line {names} has {width} names, as many as the rows have cells"
     if units is not None:
-        said += f"; units stand in line {units}"
+        evidence += f"; units stand in line {units}"
     if len(above) > 1:
-        said += f"; what else stands above is skipped ({len(above) - 1} line{'s' if len(above) > 2 else ''})"
+        evidence += f"; what else stands above is skipped ({len(above) - 1} line{'s' if len(above) > 2 else ''})"
     next_line = above[-1] == names and units is None
     plain = names not in comments and set(above[:-1]) <= comments and next_line
     layout = TableLayout() if plain else TableLayout(header=names, first=None if next_line else first)
-    return Guess(layout, said)
+    return Guess(layout, evidence)
 
 
 def _is_row(cells: list[str]) -> bool:

@@ -18,7 +18,7 @@ from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.optional_packages import require
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.recordings.file_units import UNITS
-from impact_rs_trials.recordings.mapping import WIDTH, Mapping, SignalName, SignalSource
+from impact_rs_trials.recordings.mapping import WIDTHS, Mapping, SignalName, SignalSource
 from impact_rs_trials.recordings.readers.clock import seconds_of, seconds_of_pair
 from impact_rs_trials.recordings.readers.mat_file import read_mat
 from impact_rs_trials.recordings.readers.read_once import once
@@ -101,8 +101,8 @@ class ArrayFile:
         if name == "object_pose" and are_transforms(values.shape):
             poses = poses_of(values)
             if poses is None:
-                said = f"{place} is {values.shape}, expected matrices of a rotation and a place above 0 0 0 1"
-                raise InputError(said, file=self._path)
+                text = f"{place} is {values.shape}, expected matrices of a rotation and a place above 0 0 0 1"
+                raise InputError(text, file=self._path)
             values = poses
         time = self._time(source, name, values)
         remarks: tuple[str, ...] = (UNSEALED.format(self._path.name),) if self.unsealed else ()
@@ -111,15 +111,15 @@ class ArrayFile:
             whole, values = values.shape[0] if source.entries is not None else width, values.T
             remarks += (f"{place} is joints x samples, and was turned",)
         if values.shape != (time.size, whole):
-            expected = f"{time.size} samples x {width} {'numbers' if name in WIDTH else 'joints'}"
+            expected = f"{time.size} samples x {width} {'numbers' if name in WIDTHS else 'joints'}"
             more = ""
             if values.ndim == 2 and values.shape[0] == time.size and values.shape[1] > width:
                 more = f"; entries in the mapping says which of the {values.shape[1]} numbers"
             raise InputError(f"{place} is {values.shape}, expected {expected}{more}", file=self._path)
         if source.entries is not None:
             if whole < max(source.entries):
-                said = f"{place} has {whole} numbers a sample, expected at least the {max(source.entries)} of entries"
-                raise InputError(said, file=self._path, key=f"signals.{name}.entries")
+                text = f"{place} has {whole} numbers a sample, expected at least the {max(source.entries)} of entries"
+                raise InputError(text, file=self._path, key=f"signals.{name}.entries")
             values = values[:, [entry - 1 for entry in source.entries]]
         return Series(place, time + source.delay, self._mapping.to_si(name, values), remarks=remarks).sampled()
 
@@ -132,8 +132,8 @@ class ArrayFile:
             count = len(values) if source.entries is not None else count
             return np.asarray(np.arange(count) / clock.rate)
         if clock.unit == "date":
-            said = "arrays hold numbers, expected their unit: s, ms, us or ns"
-            raise InputError(said, file=self._path, key="time.unit", value=clock.unit)
+            text = "arrays hold numbers, expected their unit: s, ms, us or ns"
+            raise InputError(text, file=self._path, key="time.unit", value=clock.unit)
         named = source.time_array or clock.array
         key = f"signals.{name}.time_array" if source.time_array else TIME_KEY
         if not isinstance(named, str):
@@ -156,8 +156,8 @@ class ArrayFile:
         name = name.strip("/")
         if name not in self._arrays:
             near, found = did_you_mean(name, self._arrays), ", ".join(self._arrays)
-            said = f"no array {name!r} ({meaning}){near}; found: {found}"
-            raise MissingSignal(said, file=self._path, key=f"{key} of the mapping")
+            text = f"no array {name!r} ({meaning}){near}; found: {found}"
+            raise MissingSignal(text, file=self._path, key=f"{key} of the mapping")
         stored = self._arrays[name]
         if stored.dtype.kind not in REAL:
             raise InputError(f"array {name!r} ({meaning}) holds {stored.dtype}, expected real numbers", file=self._path)
@@ -232,8 +232,8 @@ def _read_hdf5(path: Path, within: set[str] | None = None) -> tuple[dict[str, Ar
     except InputError:
         raise
     except Exception as error:  # a damaged file can fail anywhere inside the library
-        said = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"not a readable HDF5 file ({said})", file=path) from None
+        text = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"not a readable HDF5 file ({text})", file=path) from None
     return arrays, frozenset(unsealed)
 
 

@@ -30,7 +30,7 @@ from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.bags.cdr import stacked
-from impact_rs_trials.recordings.mapping import WIDTH, Mapping, SignalName, SignalSource
+from impact_rs_trials.recordings.mapping import WIDTHS, Mapping, SignalName, SignalSource
 from impact_rs_trials.recordings.readers.mcap_messages import McapMessages, is_without_ros
 from impact_rs_trials.recordings.readers.read_once import once
 from impact_rs_trials.recordings.readers.run_finder import ROS1_SUFFIX
@@ -63,7 +63,7 @@ def unreadable(path: Path, error: Exception) -> InputError:
 
     Args:
         path: The bag.
-        error: What its reader raised.
+        error: Exception of its reader.
     """
     text = str(error).splitlines()[0] if str(error) else ""
     if OTHER_PROFILE in text:
@@ -229,10 +229,10 @@ class BagFile:
         for connection in chosen:
             found = self._messages[connection.topic].logs.size
             if found != connection.msgcount:
-                said = f"{connection.topic}: {found} messages, {connection.msgcount} are counted in the bag's metadata"
+                text = f"{connection.topic}: {found} messages, {connection.msgcount} are counted in the bag's metadata"
                 if not found:
-                    raise InputError(said, file=path)
-                self._lost[connection.topic] = (f"{said}: a part is lost, or the metadata are of another bag",)
+                    raise InputError(text, file=path)
+                self._lost[connection.topic] = (f"{text}: a part is lost, or the metadata are of another bag",)
         self._unread = opened.unread
         self._shift: tuple[float, str] | None = None
 
@@ -324,7 +324,7 @@ class BagFile:
         if "position" not in self._mapping.signals:  # no joint states to be late against
             return stamps, ()
         late = float(np.median(log - stamps)) - self._log_after_stamp()[0]
-        if name in WIDTH and not EXPECTED_LOG_DELAY_S[0] < late < EXPECTED_LOG_DELAY_S[1]:
+        if name in WIDTHS and not EXPECTED_LOG_DELAY_S[0] < late < EXPECTED_LOG_DELAY_S[1]:
             words = (
                 "{}: logged {:+.1f} ms after joint states of the same stamp: a slow tracker, or another clock? "
                 "signals.{}.delay corrects it"
@@ -343,8 +343,8 @@ class BagFile:
             later = log - _stamps([message.header for message in recorded.messages])
             tenth = max(1, later.size // 10)
             drift = float(np.median(later[-tenth:]) - np.median(later[:tenth]))
-            said = remark(" (which drifts by {:.1f} ms during the run)", 1e3 * drift)
-            self._shift = float(np.median(later)), said if abs(drift) > MAX_STAMP_DRIFT_S else ""
+            text = remark(" (which drifts by {:.1f} ms during the run)", 1e3 * drift)
+            self._shift = float(np.median(later)), text if abs(drift) > MAX_STAMP_DRIFT_S else ""
         return self._shift
 
     # ---- numbers ----------------------------------------------------------------------------------------------------
@@ -361,8 +361,8 @@ class BagFile:
         first = self._field(place, recorded.messages[0], source.field, recorded)
         whole = None if entries is None else recorded.size(first)
         if entries is not None and whole is not None and 0 < whole < max(entries):
-            said = f"{place} has {whole} numbers, expected at least the {max(entries)} of entries"
-            raise InputError(said, file=self._path, key=f"signals.{name}.entries of the mapping")
+            text = f"{place} has {whole} numbers, expected at least the {max(entries)} of entries"
+            raise InputError(text, file=self._path, key=f"signals.{name}.entries of the mapping")
         for index, message in enumerate(recorded.messages):
             row = self._field(place, message, source.field, recorded)
             size = recorded.size(row)
@@ -519,8 +519,8 @@ def _check_pages(path: Path) -> None:
         size, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
         size = 65536 if size == 1 else size
         if file.stat().st_size < size * pages:
-            said = f"cut off: {file.stat().st_size} bytes are left of {size * pages}, expected the whole file"
-            raise InputError(said, file=file)
+            text = f"cut off: {file.stat().st_size} bytes are left of {size * pages}, expected the whole file"
+            raise InputError(text, file=file)
 
 
 def _files_beside(path: Path, reader: BagReader) -> tuple[str, ...]:

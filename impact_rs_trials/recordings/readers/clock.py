@@ -130,14 +130,14 @@ def seconds_of_pair(path: Path, place: str, seconds: NDArray[Any], nanoseconds: 
         InputError: The numbers are out of range.
     """
     if seconds.shape != nanoseconds.shape or seconds.ndim != 1:
-        said = f"{place}: {seconds.shape} and {nanoseconds.shape}, expected two numbers a sample"
-        raise InputError(said, file=path)
+        message = f"{place}: {seconds.shape} and {nanoseconds.shape}, expected two numbers a sample"
+        raise InputError(message, file=path)
     for numbers, what, below in ((seconds, "whole seconds", 2**33), (nanoseconds, "nanoseconds", 10**9)):
         wrong = ~((numbers >= 0) & (numbers < below) & (np.mod(numbers, 1) == 0))
         if np.any(wrong):
             row = int(np.argmax(wrong))
-            said = f"{place}: sample {row + 1} has {numbers[row]:.12g} where {what} are expected, 0 ... {below - 1}"
-            raise InputError(f"{said}; the first counts seconds, the second the nanoseconds beside them", file=path)
+            message = f"{place}: sample {row + 1} has {numbers[row]:.12g} where {what} are expected, 0 ... {below - 1}"
+            raise InputError(f"{message}; the first counts seconds, the second the nanoseconds beside them", file=path)
     return seconds_of(seconds.astype(np.int64) * 10**9 + nanoseconds.astype(np.int64), 1e-9)
 
 

@@ -107,11 +107,11 @@ def _cells(path: Path, number: int, line: str, separator: str) -> list[str]:
         (cells,) = csv.reader([line], delimiter=separator, skipinitialspace=True, strict=True)
     except csv.Error as error:
         if "field limit" in str(error):
-            said = f"a cell has more than {csv.field_size_limit()} characters"
+            message = f"a cell has more than {csv.field_size_limit()} characters"
         else:
-            said = (
+            message = (
                 f'quotation marks (") do not pair up in {line[:60]!r}; a quoted cell ends in its line: remove the '
                 "stray mark or the line break, or double a mark that belongs to the cell"
             )
-        raise InputError(said, file=path, key=f"line {number}") from None
+        raise InputError(message, file=path, key=f"line {number}") from None
     return cells

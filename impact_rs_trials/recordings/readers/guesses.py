@@ -117,10 +117,10 @@ def _clock_of_two(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -
             steps = np.diff(seconds * 10**9 + rest)
             usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else np.inf
             if np.all(steps >= 0) and RATES_HZ[0] <= 1e9 / usual <= RATES_HZ[1]:
-                said = f"whole seconds and nanoseconds; together they increase, at {1e9 / usual:.4g} Hz"
+                evidence = f"whole seconds and nanoseconds; together they increase, at {1e9 / usual:.4g} Hz"
                 repeats = int(np.sum(steps == 0))
                 remarks = (f"{repeats} of {rest.size} stamps repeat the one before",) if repeats else ()
-                return Guess([other, name], said, True, {"unit": "s"}, remarks)
+                return Guess([other, name], evidence, True, {"unit": "s"}, remarks)
     return None
 
 
@@ -160,12 +160,12 @@ def _clock(name: str, cells: Sequence[str] | NDArray[Any], steps_back: int) -> G
     unit = (named or units)[0]
     rate = 1.0 / (usual * UNITS["time"][unit])
     backwards = np.count_nonzero(steps < 0.0)
-    said = f"increases{f', {backwards} steps back aside' if backwards else ''}; in {unit} that is {rate:.4g} Hz"
+    evidence = f"increases{f', {backwards} steps back aside' if backwards else ''}; in {unit} that is {rate:.4g} Hz"
     if stamps[0] * UNITS["time"][unit] > MIN_WALL_CLOCK_S:
-        said += f", from {_year(stamps[0] * UNITS['time'][unit])} on"
+        evidence += f", from {_year(stamps[0] * UNITS['time'][unit])} on"
     repeats = int(np.sum(steps == 0.0))
     remarks = (f"{repeats} of {stamps.size} stamps repeat the one before",) if repeats else ()
-    return Guess(name, said, bool(named or len(units) == 1), {"unit": unit}, remarks)
+    return Guess(name, evidence, bool(named or len(units) == 1), {"unit": unit}, remarks)
 
 
 def other_units(clock: Guess, stamps: Array) -> list[str]:
@@ -267,14 +267,14 @@ def fall_in(time: Array, place: Array) -> tuple[int, Guess] | None:
     fall = sign * size
     unit = next((one for one, size in UNITS["length"].items() if _near(abs(fall) * size)), None)
     scale = UNITS["length"].get(unit or "", GRAVITY_M_S2 / abs(fall))
-    said = f"it falls by {abs(fall):.4g} per s^2{' towards larger numbers' if fall > 0.0 else ''}"
+    evidence = f"it falls by {abs(fall):.4g} per s^2{' towards larger numbers' if fall > 0.0 else ''}"
     if unit is not None and fall < 0.0:
-        return up, Guess(unit, f"{said}: {unit}")
+        return up, Guess(unit, f"{evidence}: {unit}")
     factor = 1.0 if unit is not None else float(f"{scale:.4g}")
     further = {"factor": [factor, -factor if fall > 0.0 else factor]}
     if unit is not None:
-        return up, Guess(unit, f"{said}: {unit}", True, further)
-    return up, Guess("m", f"{said}, which is g with this scale; a measured scale is better", False, further)
+        return up, Guess(unit, f"{evidence}: {unit}", True, further)
+    return up, Guess("m", f"{evidence}, which is g with this scale; a measured scale is better", False, further)
 
 
 def _densest(values: Array) -> tuple[float, float]:

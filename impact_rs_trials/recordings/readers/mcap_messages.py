@@ -71,8 +71,8 @@ class McapMessages:
         self._stream = self._path.open("rb")
         summary = self._reader.get_summary()
         if summary is None or not summary.channels:
-            said = "an MCAP file without an index or without a channel; `mcap recover FILE -o NEW.mcap` writes an index"
-            raise InputError(said, file=self._path)
+            text = "an MCAP file without an index or without a channel; `mcap recover FILE -o NEW.mcap` writes an index"
+            raise InputError(text, file=self._path)
         counts = {} if summary.statistics is None else summary.statistics.channel_message_counts
         self.connections = [
             self._connection(channel, summary.schemas.get(channel.schema_id), counts.get(number, 0))
@@ -110,8 +110,8 @@ class McapMessages:
             try:
                 found = decoders[channel.id](message.data)
             except Exception as error:  # a damaged message can fail anywhere inside a library
-                said = f"{channel.topic}: a message is not {channel.message_encoding} ({type(error).__name__}: {error})"
-                raise InputError(said, file=self._path) from None
+                text = f"{channel.topic}: a message is not {channel.message_encoding} ({type(error).__name__}: {error})"
+                raise InputError(text, file=self._path) from None
             yield own[channel.id], message.log_time, found
 
     @cached_property
@@ -135,7 +135,7 @@ class McapMessages:
         )
 
     def _decoder(self, channel: Channel, schema: Schema | None) -> Callable[[bytes], Any]:
-        """What makes messages of the bytes of a channel."""
+        """Decoder of the messages of a channel."""
         kind = channel.message_encoding if schema is None else schema.name
         if channel.message_encoding == "json":
             return lambda data: as_message(json.loads(data), kind)

@@ -190,8 +190,8 @@ def _runs_inside(file: Path, mapping: Mapping) -> list[Path]:
     if mapping.run_column is not None and file.suffix in TABLE_SUFFIXES:
         named = dict.fromkeys(run_names(file, mapping.table, mapping.run_column))
         if strange := [run for run in named if "/" in run or run in ("", ".", "..")]:
-            said = "expected the name of a run in every row, without /"
-            raise InputError(said, file=file, key=f"column {mapping.run_column}", value=strange[0])
+            message = "expected the name of a run in every row, without /"
+            raise InputError(message, file=file, key=f"column {mapping.run_column}", value=strange[0])
         return [file / run for run in named]
     arrays = {source.array for source in mapping.signals.values() if source.array is not None and RUN in source.array}
     if not arrays or file.suffix not in ARRAY_SUFFIXES:

@@ -48,14 +48,14 @@ class Series:
     """One signal.
 
     Attributes:
-        place: Source label for messages: ``topic /joint_states (position)``.
+        label: Source for messages: ``topic /joint_states (position)``.
         time: Timestamps on the clock of the run, ``(k,)`` [s].
         values: SI, ``(k, c)``.
         log: Log times of the bag, ``(k,)`` [s]; None: no second clock.
         remarks: Warnings about reading it.
     """
 
-    place: str
+    label: str
     time: Array
     values: Array
     log: Array | None = None
@@ -87,7 +87,7 @@ class Series:
             "{}: {:.3g} % of the rows repeat the values of the row before, held for {} rows: sampled at {:.4g} Hz, the "
             "first of each is kept"
         )
-        return self.in_rows(kept).said(words, share, str(usual), 1.0 / max(period, 1e-9))
+        return self.in_rows(kept).with_remark(words, share, str(usual), 1.0 / max(period, 1e-9))
 
     def filled(self) -> Series:
         """Rows of the fullest column; numbers that other columns lack there are interpolated in their own column.
@@ -113,16 +113,16 @@ class Series:
             "{}: {:.3g} % of the cells are blank or no number where others of their row are: interpolated in their "
             "column"
         )
-        return replace(own, values=values).in_rows(kept).said(words, share)
+        return replace(own, values=values).in_rows(kept).with_remark(words, share)
 
     def in_rows(self, kept: NDArray[np.bool_]) -> Series:
         """The series in the rows of a mask, ``(k,)``."""
         log = None if self.log is None else self.log[kept]
         return replace(self, time=self.time[kept], values=self.values[kept], log=log)
 
-    def said(self, template: str, *values: Any) -> Series:
-        """The series with a further warning, a template that begins with its place (:mod:`remarks`)."""
-        return replace(self, remarks=(*self.remarks, remark(template, self.place, *values)))
+    def with_remark(self, template: str, *values: Any) -> Series:
+        """The series with a further warning, a template that begins with its label (:mod:`remarks`)."""
+        return replace(self, remarks=(*self.remarks, remark(template, self.label, *values)))
 
     def without_repeats(self) -> Series:
         """Without the samples that repeat the previous timestamp, with a warning about their number."""
@@ -130,7 +130,7 @@ class Series:
         if kept.all():
             return self
         words = "{}: {:d} of {:d} samples have the stamp of the one before; the first is kept"
-        return self.in_rows(kept).said(words, int(np.sum(~kept)), kept.size)
+        return self.in_rows(kept).with_remark(words, int(np.sum(~kept)), kept.size)
 
     def derivative(self) -> Series:
         """Rate of change, by central differences over :data:`DIFFERENCE_S` or two sampling periods, ``(k, c)``."""
@@ -148,7 +148,7 @@ class Series:
         with np.errstate(divide="ignore", invalid="ignore"):  # of stamps that repeat, which are refused elsewhere
             rate = (self.values[after] - self.values[before]) / (self.time[after] - self.time[before])[:, None]
         how = f"velocities are its derivative, by differences over {2e3 * half * period:.3g} ms"
-        return replace(self.said("{}: {}", how), place=f"derivative of {self.place}", values=rate)
+        return replace(self.with_remark("{}: {}", how), label=f"derivative of {self.label}", values=rate)
 
     def on(self, time: Array) -> Array:
         """A command at other timestamps, ``(m, c)``: held until the next one if these are rare, else as :meth:`at`.

@@ -74,7 +74,7 @@ def read_series(
                     raise _needed(missing, name) from None
                 continue
             if series.time.size == 0 and name in needed:
-                raise InputError(f"{series.place} has no sample", file=file)
+                raise InputError(f"{series.label} has no sample", file=file)
             if series.time.size:
                 found[name] = series.without_repeats() if mapping.time.repeated == "keep_first" else series
     if "velocity" in wanted and "velocity" not in sources and "position" in found:

@@ -106,8 +106,8 @@ def run_names(path: Path, layout: TableLayout, column: str) -> list[str]:
     columns = _of_parquet(path, names=[column]) if path.suffix == ".parquet" else read_columns(path, layout)
     if column not in columns.cells:
         found = ", ".join(columns.cells)
-        said = f"no column {column!r}{did_you_mean(column, columns.cells)}; found: {found}"
-        raise InputError(said, file=path, key="run_column of the mapping")
+        message = f"no column {column!r}{did_you_mean(column, columns.cells)}; found: {found}"
+        raise InputError(message, file=path, key="run_column of the mapping")
     return runs_of(columns.cells[column])
 
 
@@ -124,8 +124,8 @@ def _of_text(path: Path, layout: TableLayout, recorded: bool) -> Columns:
     header, remarks = [name.strip() for name in names], []
     if recorded and len(rows) > 1 and len(rows[-1][1]) < len(header) and not path.read_bytes().endswith(b"\n"):
         number, row = rows.pop()
-        said = f"line {number}, the last, is cut off ({len(row)} of {len(header)} numbers): left out"
-        remarks.append(f"{path.name}: {said}")
+        message = f"line {number}, the last, is cut off ({len(row)} of {len(header)} numbers): left out"
+        remarks.append(f"{path.name}: {message}")
     torn = []
     for place, (number, row) in enumerate(rows):
         if len(row) == len(header) + 1 and not row[-1].strip():  # a separator at the end of the line
@@ -134,11 +134,11 @@ def _of_text(path: Path, layout: TableLayout, recorded: bool) -> Columns:
             torn.append(place)
     if torn:
         number, row = rows[torn[0]]
-        said = f"line {number}: {len(row)} {what}, expected {len(header)} as in line {at or rows[0][0]}"
+        message = f"line {number}: {len(row)} {what}, expected {len(header)} as in line {at or rows[0][0]}"
         if not recorded or len(torn) > MAX_TORN_SHARE * len(rows):
-            raise InputError(f"{said}{TRAILING if recorded else ''}", file=path)
+            raise InputError(f"{message}{TRAILING if recorded else ''}", file=path)
         share = f"{len(torn)} of {len(rows)} lines are torn ({100.0 * len(torn) / len(rows):.2g} %)"
-        remarks.append(f"{path.name}: {share}, the first in {said}: left out")
+        remarks.append(f"{path.name}: {share}, the first in {message}: left out")
         rows = [row for place, row in enumerate(rows) if place not in set(torn)]
     lines = tuple(number for number, _ in rows)
     columns = [list(cells) for cells in zip(*(row for _, row in rows), strict=True)] or [[] for _ in header]
@@ -172,8 +172,8 @@ def _of_npy(path: Path) -> Columns:
         raise InputError(f"an array of {array.shape}, expected samples x columns", file=path)
     for name, column in cells.items():
         if column.dtype.kind not in "iuf" or column.ndim != 1:
-            said = f"column {name!r} holds {column.dtype} {column.shape}, expected real numbers, one a sample"
-            raise InputError(said, file=path)
+            message = f"column {name!r} holds {column.dtype} {column.shape}, expected real numbers, one a sample"
+            raise InputError(message, file=path)
     return Columns(cells)
 
 
@@ -199,8 +199,10 @@ def _of_parquet(path: Path, rows: tuple[int, int] | None = None, names: list[str
             try:
                 nanoseconds = column.cast(pyarrow.timestamp("ns")).cast(pyarrow.int64())
             except pyarrow.ArrowInvalid:
-                said = f"column {name!r} has a stamp outside the years 1678 to 2262, which 64 bits of nanoseconds hold"
-                raise InputError(said, file=path) from None
+                message = (
+                    f"column {name!r} has a stamp outside the years 1678 to 2262, which 64 bits of nanoseconds hold"
+                )
+                raise InputError(message, file=path) from None
             cells[name] = nanoseconds.to_numpy(zero_copy_only=False)
             dates.add(name)
         elif pyarrow.types.is_integer(column.type) or pyarrow.types.is_floating(column.type):

@@ -110,8 +110,8 @@ class TableFile:
             return seconds_of(np.asarray(cells), 1e-9)
         if clock.unit == "date":
             if not isinstance(cells, list):
-                said = f"column {column!r} holds numbers, expected their unit: s, ms, us or ns"
-                raise InputError(said, file=self._path, key="time.unit", value=clock.unit)
+                message = f"column {column!r} holds numbers, expected their unit: s, ms, us or ns"
+                raise InputError(message, file=self._path, key="time.unit", value=clock.unit)
             return seconds_of(np.array([self._date(cell, row, column) for row, cell in enumerate(cells)]), 1e-9)
         if clock.unit == "frames":
             if clock.rate is None:
@@ -127,8 +127,8 @@ class TableFile:
             try:
                 return np.array([int(cell) for cell in cells], dtype=np.int64)
             except (ValueError, OverflowError):  # more digits than Python reads, or than 64 bits hold
-                said = f"column {column!r} (time) has a stamp of {len(longest)} digits, expected at most 64 bits"
-                raise InputError(said, file=self._path) from None
+                message = f"column {column!r} (time) has a stamp of {len(longest)} digits, expected at most 64 bits"
+                raise InputError(message, file=self._path) from None
         if isinstance(cells, np.ndarray) and np.issubdtype(cells.dtype, np.integer):
             return cells
         return self._numbers(column, "time", key)
@@ -137,8 +137,8 @@ class TableFile:
         """Nanoseconds from 1970 to a date, UTC without a zone."""
         found = DATE.fullmatch(cell.strip())
         if found is None:
-            said = f"{shortened(cell, 40)!r}, expected a date as 2026-11-25 12:00:00.5 or an instant with its zone"
-            raise self._wrong(said, row, column)
+            message = f"{shortened(cell, 40)!r}, expected a date as 2026-11-25 12:00:00.5 or an instant with its zone"
+            raise self._wrong(message, row, column)
         try:
             year, month, day, hour, minute, second = map(int, found.groups()[:6])
             whole = int(datetime(year, month, day, hour, minute, second, tzinfo=UTC).timestamp())
@@ -170,16 +170,16 @@ class TableFile:
             if entries is not None and parts:
                 whole = whole or max(len(parts), max(entries))
                 if len(parts) != whole:
-                    said = f"{len(parts)} numbers in a cell, expected {whole}"
-                    raise self._wrong(f"{said}, as many in all rows and all that entries names", row, column)
+                    message = f"{len(parts)} numbers in a cell, expected {whole}"
+                    raise self._wrong(f"{message}, as many in all rows and all that entries names", row, column)
                 parts = [parts[entry - 1] for entry in entries]
             if len(parts) not in (0, width):
-                said = (
+                message = (
                     f"{len(parts)} numbers in a cell, expected {width} with blanks between them; where each number has "
                     "a column of its own, {joint} in the name stands for 1, 2, ...; where there are more, entries in "
                     "the mapping says which"
                 )
-                raise self._wrong(said, row, column)
+                raise self._wrong(message, row, column)
             rows[row, : len(parts)] = [self._number(part, row, column) for part in parts]
         return rows
 
@@ -190,8 +190,8 @@ class TableFile:
             remedy = "; table.decimal: ',' in the mapping reads decimal commas" if "," in cell else ""
             raise self._wrong(f"{error}{remedy}", row, column) from None
 
-    def _wrong(self, said: str, row: int, column: str) -> InputError:
+    def _wrong(self, message: str, row: int, column: str) -> InputError:
         """Error in a cell."""
         lines = self._columns.lines
         where = f"line {lines[row]}" if lines else f"row {row + 1}"
-        return InputError(f"not a table of numbers: {said} in column {column!r}", file=self._path, key=where)
+        return InputError(f"not a table of numbers: {message} in column {column!r}", file=self._path, key=where)

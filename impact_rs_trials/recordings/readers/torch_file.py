@@ -52,9 +52,9 @@ def read_torch(path: Path) -> dict[str, NDArray[Any]]:
             raise _Refused(f"it holds {type(content).__name__}, expected a dictionary of tensors")
         return dict(_named(content, "", MAX_NESTED_DICTIONARIES))
     except Exception as error:  # a damaged archive or pickle fails anywhere inside the libraries
-        said = shortened((str(error).splitlines() or [type(error).__name__])[0])  # may hold names that damage made
+        message = shortened((str(error).splitlines() or [type(error).__name__])[0])  # may hold names that damage made
         raise InputError(
-            f"not a readable PyTorch file ({said}); expected arrays in .npz: {REMEDY}", file=path
+            f"not a readable PyTorch file ({message}); expected arrays in .npz: {REMEDY}", file=path
         ) from None
 
 

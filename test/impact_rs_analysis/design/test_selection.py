@@ -9,7 +9,7 @@ import pytest
 
 from impact_rs_analysis.design.discrimination import Discrimination
 from impact_rs_analysis.design.forecast import ForecastTrial
-from impact_rs_analysis.design.selection import MIN_CONDITIONS, MIN_REPEATS, Counts, chosen, most_telling
+from impact_rs_analysis.design.selection import MIN_CONDITIONS, MIN_REPEATS, Counts, chosen, most_informative
 from impact_rs_analysis.diagnosis.thresholds import MIN_CLUSTERS, MIN_DEGREES_OF_FREEDOM
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.experiment_plan import Method
@@ -118,7 +118,7 @@ def test_a_random_choice_depends_on_its_seed_alone() -> None:
 
 def test_the_single_most_informative_trial_is_where_the_rivals_differ() -> None:
     trials = differing_at("at_0700", measured=3)
-    best = most_telling(Discrimination(estimated_pair(), trials), trials)
+    best = most_informative(Discrimination(estimated_pair(), trials), trials)
     assert best is not None
     assert best[0].name == "at_0700"
     assert best[1] == pytest.approx(0.5**2)

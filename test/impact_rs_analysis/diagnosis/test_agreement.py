@@ -15,7 +15,7 @@ from impact_rs_analysis.diagnosis.agreement import (
     AgreementDocument,
     RelationDocument,
     agreement_of,
-    places_in_words,
+    joints_in_words,
     tracking_clusters,
 )
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
@@ -82,7 +82,7 @@ def test_readings_that_are_right_agree(runs: Runs) -> None:
         "velocity of positions",
         "object and end effector",
     )
-    assert list(document.by_place) == [*(f"joint{joint}" for joint in range(1, 8)), "x", "y"]
+    assert list(document.by_joint) == [*(f"joint{joint}" for joint in range(1, 8)), "x", "y"]
 
 
 @pytest.mark.parametrize(
@@ -166,7 +166,7 @@ def test_terminal_page_and_file_show_the_same(runs: Runs, tmp_path: Path) -> Non
 )
 def test_joints_in_a_row_are_a_range(places: list[str], words: str) -> None:
     """Kills a range of two, and a joint that an axis hides."""
-    assert places_in_words(places) == words
+    assert joints_in_words(places) == words
 
 
 def test_no_relation_was_measured() -> None:

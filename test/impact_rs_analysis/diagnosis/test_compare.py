@@ -48,7 +48,7 @@ def _bytes(comparison: ComparisonDocument) -> str:
 @pytest.fixture(scope="module")
 def track(runs: Runs) -> tuple[Track, str]:
     """A push of the juice beside the nominal model, and its condition."""
-    run = next(run for run in runs.runs if run.place[1] == "juice")
+    run = next(run for run in runs.runs if run.condition_key[1] == "juice")
     return track_of_run(run, load_model("nominal")), run.condition
 
 

@@ -20,7 +20,7 @@ from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
 from impact_rs_sim.effects import library
 from impact_rs_sim.model import load_model
-from impact_rs_trials.recordings.impacts.impact_checks import doubts_of, other_axes
+from impact_rs_trials.recordings.impacts.impact_checks import other_axes, warnings_of
 from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 
 NOMINAL = load_model(Path("nominal"))
@@ -72,8 +72,8 @@ def test_each_frame_of_spins_is_found_by_laws_that_hold_for_every_contact(tmp_pa
 
 def test_the_axes_are_said_in_words(tmp_path: Path) -> None:
     table = read_impact_table(balls(tmp_path / "balls.csv", ABOUT_Z))
-    (doubt,) = doubts_of(table)
-    assert doubt.endswith("are left where angular velocities are in axes turned by 90 degrees about z")
+    (warning,) = warnings_of(table)
+    assert warning.endswith("are left where angular velocities are in axes turned by 90 degrees about z")
     table = read_impact_table(balls(tmp_path / "balls.csv", -np.eye(3), walls=True))
     assert other_axes(table)[0].in_words == "angular velocities are in left-handed axes"
 

@@ -20,7 +20,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.map_table import answer_table, write_answers
-from impact_rs_trials.recordings.impacts.impact_checks import doubts_of
+from impact_rs_trials.recordings.impacts.impact_checks import warnings_of
 from impact_rs_trials.recordings.impacts.impact_columns import documentation
 from impact_rs_trials.recordings.impacts.impact_table import ImpactTable, read_impact_table
 from impact_rs_trials.recordings.impacts.unsure_scene import nominal_values, with_value
@@ -402,20 +402,20 @@ BOTH = ("before", "after")
     ],
 )
 def test_a_wrong_sign_or_unit_is_named_with_its_remedy(tmp_path: Path, columns: Sequence[str], factor: float) -> None:
-    (doubt,) = doubts_of(tosses(tmp_path, columns, factor))
-    assert doubt.endswith(f"factor: {1.0 / factor:.4g} for {', '.join(columns)}")
+    (warning,) = warnings_of(tosses(tmp_path, columns, factor))
+    assert warning.endswith(f"factor: {1.0 / factor:.4g} for {', '.join(columns)}")
 
 
 def test_the_sign_of_x_is_named_however_slippery_the_plane_is(tmp_path: Path) -> None:
     for friction in (0.1, 1.0):
         mirrored = tosses(tmp_path, ("x", "vx_before", "vx_after"), friction=friction, restitution=0.0)
-        assert "factor: -1 for vx_before, vx_after" in doubts_of(mirrored)[0]
+        assert "factor: -1 for vx_before, vx_after" in warnings_of(mirrored)[0]
 
 
 @pytest.mark.parametrize("joint", [1, 4])
 def test_the_sign_of_a_joint_is_named(tmp_path: Path, joint: int) -> None:
-    (doubt,) = doubts_of(pushes_with(tmp_path, (f"dq{joint}_after",)))
-    assert f"factor: -1 for dq{joint}_after" in doubt
+    (warning,) = warnings_of(pushes_with(tmp_path, (f"dq{joint}_after",)))
+    assert f"factor: -1 for dq{joint}_after" in warning
 
 
 def test_right_tables_raise_no_doubt_whatever_friction_restitution_and_centre_of_mass(tmp_path: Path) -> None:
@@ -425,8 +425,8 @@ def test_right_tables_raise_no_doubt_whatever_friction_restitution_and_centre_of
         truth = {"friction": rng.uniform(0.0, 1.2), "restitution": rng.uniform(0.0, 0.3)}
         if seed % 2:
             truth["com"] = rng.uniform(-0.02, 0.02, 3)
-        assert doubts_of(tosses(tmp_path, seed=seed, **truth)) == []
-    assert doubts_of(pushes_with(tmp_path)) == []
+        assert warnings_of(tosses(tmp_path, seed=seed, **truth)) == []
+    assert warnings_of(pushes_with(tmp_path)) == []
 
 
 def test_a_doubt_that_no_factor_explains_has_no_remedy(tmp_path: Path) -> None:
@@ -435,8 +435,8 @@ def test_a_doubt_that_no_factor_explains_has_no_remedy(tmp_path: Path) -> None:
     noise = np.random.default_rng(0).standard_normal((40, last - first + 1)) * ([3.0] * 3 + [60.0] * 3)
     for row, values in zip(rows, noise, strict=True):
         row[first : last + 1] = list(values)
-    (doubt,) = doubts_of(read_impact_table(write_csv(tmp_path / "noise.csv", CUBE_HEADER, rows)))
-    assert "no factor" in doubt and "factor: " not in doubt
+    (warning,) = warnings_of(read_impact_table(write_csv(tmp_path / "noise.csv", CUBE_HEADER, rows)))
+    assert "no factor" in warning and "factor: " not in warning
 
 
 def test_an_outcome_in_another_unit_from_a_row_on_is_named(tmp_path: Path) -> None:
@@ -449,12 +449,12 @@ def test_an_outcome_in_another_unit_from_a_row_on_is_named(tmp_path: Path) -> No
         vx, vz = rng.uniform(1.0, 2.0), -rng.uniform(1.0, 3.0)
         lateral = 1e-4 * rng.standard_normal() * (1e3 if number >= 20 else 1.0)
         rows.append([vx, 0.0, vz, 0.0, 0.0, 0.0, vx + 0.16 * vz, lateral, -0.6 * vz, 0.05, 0.03])
-    (doubt,) = doubts_of(read_impact_table(write_csv(tmp_path / "balls.csv", header, rows)))
-    assert doubt.startswith("vy_after is") and "another unit?" in doubt
+    (warning,) = warnings_of(read_impact_table(write_csv(tmp_path / "balls.csv", header, rows)))
+    assert warning.startswith("vy_after is") and "another unit?" in warning
     steps = [[*row[:7], row[7] / (1e3 if n >= 20 else 1.0), *row[8:]] for n, row in enumerate(rows)]
-    assert doubts_of(read_impact_table(write_csv(tmp_path / "right.csv", header, steps))) == []
+    assert warnings_of(read_impact_table(write_csv(tmp_path / "right.csv", header, steps))) == []
     slow = [[0.01 * row[0], *row[1:6], 0.01 * row[6], *row[7:]] if n < 20 else row for n, row in enumerate(steps)]
-    assert doubts_of(read_impact_table(write_csv(tmp_path / "blocks.csv", header, slow))) == []  # another condition
+    assert warnings_of(read_impact_table(write_csv(tmp_path / "blocks.csv", header, slow))) == []  # another condition
 
 
 # ---- what of a scenario may be unsure -------------------------------------------------------------------------------

@@ -69,7 +69,7 @@ def test_of_two_torques_names_say_which_was_measured(names: tuple[str, str], tak
     motion, noise = swing(), np.random.default_rng(0).normal(0.0, 2.0, (TIME.size, 7))
     fits = {names[0]: motion["effort"], names[1]: motion["effort"] + noise}
     found = assigned(q=motion["position"], dq=motion["velocity"], **fits)
-    assert found.torques[0].stream.series.place == taken
+    assert found.torques[0].stream.series.label == taken
     listed = found.alternatives["torque"]
     assert {stem_of(one) for one in listed} == set(names)
     assert listed[1].behind == pytest.approx(6.0 if taken == "tau_meas" else 0.0, abs=3.1)
@@ -104,8 +104,8 @@ def test_positions_are_those_whose_velocities_and_torques_fit_best() -> None:
     motion = swing()
     ahead = np.vstack((motion["position"][5:], np.repeat(motion["position"][-1:], 5, axis=0)))
     found = assigned(a=ahead, b=motion["position"], c=motion["velocity"], d=motion["effort"])
-    assert found.position.stream.series.place == "b"
-    assert found.velocity is not None and found.velocity.stream.series.place == "c"
+    assert found.position.stream.series.label == "b"
+    assert found.velocity is not None and found.velocity.stream.series.label == "c"
     first, *others = found.alternatives["position"]
     asked = next(one for one in others if stem_of(one) == "a")
     assert stem_of(first) == "b" and asked.behind > 20.0
@@ -115,7 +115,7 @@ def test_a_position_beside_it_by_a_constant_is_as_likely_and_its_name_decides() 
     """Kills a margin that hides an equal reading: both have the same derivative."""
     motion = swing()
     found = assigned(q_des=motion["position"] + 1e-4, q=motion["position"], dq=motion["velocity"], tau=motion["effort"])
-    assert found.position.stream.series.place == "q"
+    assert found.position.stream.series.label == "q"
     first, second = found.alternatives["position"][:2]
     assert first.behind == 0.0 and stem_of(second) == "q_des" and 0.0 < second.behind < 30.0
 
@@ -133,7 +133,7 @@ def test_angles_of_motors_are_found_beside_the_positions_with_their_gear_ratio(g
         motor_pos=gear * (q + 2e-4 * tau) + 0.3,
     )
     motors = search.motors(found)
-    assert motors is not None and motors.stream.series.place == "motor_pos"
+    assert motors is not None and motors.stream.series.label == "motor_pos"
     assert motors.best.unit == "rad"
     ratio = 1.0 / np.array(motors.best.further.get("factor", np.ones(7)))
     np.testing.assert_allclose(ratio, gear, rtol=1e-3)
@@ -157,7 +157,7 @@ def test_a_command_without_noise_is_not_taken_for_the_motion_that_follows_it(ord
     torque = {"e": motion["effort"] + friction + rng.normal(0.0, 0.5, (TIME.size, 7))} if with_torque else {}
     found = assigned(**{name: pairs[name] for name in order}, **torque)
     assert found.velocity is not None
-    assert (found.position.stream.series.place, found.velocity.stream.series.place) == ("c", "d")
-    assert [one.stream.series.place for one in found.torques] == [*torque]
+    assert (found.position.stream.series.label, found.velocity.stream.series.label) == ("c", "d")
+    assert [one.stream.series.label for one in found.torques] == [*torque]
     listed = {stem_of(one): one.behind for one in reversed(found.alternatives["position"])}
     assert 0.0 < listed["a"] - listed["c"] < 1e3  # both are shown, and the velocities do not decide

@@ -61,7 +61,7 @@ def test_a_bag_gives_the_known_signals(laboratory: LaboratoryFolder) -> None:
     """Joints are unsorted, commands unstamped; that it lost its metadata does not matter."""
     run = laboratory.run()
     assert_known(run, laboratory.signals, LATE)
-    assert (run.name, run.place[1], run.hit, run.condition) == ("run_1", "parcel", True, "parcel/fast/a")
+    assert (run.name, run.condition_key[1], run.hit, run.condition) == ("run_1", "parcel", True, "parcel/fast/a")
     assert run.remarks == ("/effort_controller/commands: log time, less 0.2 ms to be on the stamps' clock",)
     (laboratory.path / "run_1" / "metadata.yaml").unlink()
     assert_known(laboratory.read()[0], laboratory.signals, LATE)

@@ -87,7 +87,7 @@ def test_whole_recordings_have_no_lost_rows(case: str, with_velocity: bool) -> N
         signals["position"] = Series("q", stamps, with_glitch(signals["position"].values))
     if case == "held":  # every third row is written late, with the numbers of the row before it
         rows = np.arange(ROWS) - (np.arange(ROWS) % 7 == 3)
-        signals = {name: Series(one.place, stamps, one.values[rows]) for name, one in signals.items()}
+        signals = {name: Series(one.label, stamps, one.values[rows]) for name, one in signals.items()}
     if case == "rest":  # braking within 60 ms, standing, and starting again
         rows = np.concatenate((np.arange(1000), np.full(300, 1000), np.arange(1000, ROWS - 300)))
         smooth = np.convolve(np.pad(rows.astype(float), 4, mode="edge"), np.ones(9) / 9.0, "valid")
