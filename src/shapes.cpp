@@ -12,7 +12,7 @@ namespace {
 
 constexpr double FACE_NORMAL_TOLERANCE = 1e-12;  // 1 - cosine of the angle of a face and a normal that is its own
 constexpr double PARALLEL_TOLERANCE = 1e-6;      // of a direction along an edge or wall over its length
-constexpr double CAP_COSINE = 0.7;               // of normal and axis; above it the normal is that of a cap, below of the wall
+constexpr double CAP_COSINE = 0.7;               // of normal and axis; above: cap of a cylinder, below: its wall
 constexpr double FLAT_CAP_SINE = 1e-3;           // sine of the tilt of a cap below which eight points stand for its rim
 // Points of the rim of a cap, fixed to its body, over its radius.
 constexpr double DIAGONAL = 0.70710678118654752440;

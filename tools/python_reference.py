@@ -17,7 +17,8 @@ HEADER = """\
 # Python
 
 *Look up.* Names that the packages export, generated from their signatures and docstrings by `python -m tools.manual`.
-`help(NAME)` explains arguments, results and errors, with shapes and units. Whole scripts: [examples](../examples).
+`help(NAME)` explains arguments with their types, results and errors, with shapes and units. Whole scripts:
+[examples](../examples).
 """
 
 
@@ -54,12 +55,12 @@ def _makers(kind: type) -> Iterator[tuple[str, Any]]:
 
 
 def _signature(name: str, function: Any) -> str:
-    """Name, arguments and result as the source has them; class methods without their class."""
+    """Name, arguments with their defaults, and type of the result; class methods without their class."""
     source = textwrap.dedent(inspect.getsource(inspect.unwrap(function)))
     (found,) = ast.parse(source).body
     assert isinstance(found, ast.FunctionDef) and not (found.args.kwonlyargs or found.args.vararg or found.args.kwarg)
-    texts = [ast.unparse(argument) for argument in found.args.args if argument.arg != "cls"]
-    defaults = [f" = {ast.unparse(default)}" for default in found.args.defaults]
+    texts = [argument.arg for argument in found.args.args if argument.arg != "cls"]
+    defaults = [f"={ast.unparse(default)}" for default in found.args.defaults]
     defaults = [""] * (len(texts) - len(defaults)) + defaults
     arguments = ", ".join(text + default for text, default in zip(texts, defaults, strict=True))
     returned = "" if found.returns is None else f" -> {ast.unparse(found.returns)}"

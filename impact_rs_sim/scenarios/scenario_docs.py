@@ -149,7 +149,7 @@ def _sections(
 def key_table(head: str, schema: type[Schema], without: tuple[type[Schema], ...] = ()) -> str:
     """One table of all keys of a file in Markdown, dotted, ``NAME`` for a name that a user chooses.
 
-    A section with the keys of an earlier one refers to it.
+    A section with the keys of an earlier one refers to it, and one with further keys lists these alone.
 
     Args:
         head: Heading of the first column.
@@ -165,9 +165,15 @@ def key_table(head: str, schema: type[Schema], without: tuple[type[Schema], ...]
                     (f"`{path}`", "section", "", f"{_sentence_case(meaning)}. Keys as of `{first}`".lstrip(". "))
                 )
             continue
-        if path and len(meaning.split()) > MOST_WORDS_OF_A_NAME:
+        base = next((known for known in shown if known is not section and issubclass(section, known)), None)
+        if base is not None:
+            text = f"{_sentence_case(meaning)}. Its own keys, and keys as of `{shown[base]}`"
+            rows.append((f"`{path}`", "section", "", text))
+        elif path and len(meaning.split()) > MOST_WORDS_OF_A_NAME:
             rows.append((f"`{path}`", "section", "", _sentence_case(meaning)))
         for name, field in section.model_fields.items():
+            if base is not None and name in base.model_fields:
+                continue
             key, below = _key(name, field.annotation)
             dotted = f"{path}.{name if below is None else key}".lstrip(".")
             if below is None or below in without:

@@ -103,14 +103,14 @@ class Laboratory:
         scenario: Robots, objects and support.
         mappings: Where the signals of each arm are.
         motion_capture: Placement of its world.
-        tracker_frame: Its estimate from hits; None: it was given.
+        estimated_frame: Its estimate from hits; None: it was given.
         friction_noise: Relative standard deviation of the friction of the scenario's support [-].
     """
 
     scenario: Scenario
     mappings: Mapping[str, SignalMapping]
     motion_capture: MotionCapture
-    tracker_frame: ContactFrame | None = None
+    estimated_frame: ContactFrame | None = None
     friction_noise: float = FRICTION_SIGMA_SHARE
 
     @classmethod
@@ -239,7 +239,7 @@ class Laboratory:
         found = contact_frame(touches, np.array(given.position), given.rpy[2])
         x, y, z = (float(number) for number in found.position)
         update = {"position": (x, y, z), "rpy": (*given.rpy[:2], found.yaw)}
-        return replace(self, motion_capture=given.model_copy(update=update), tracker_frame=found)
+        return replace(self, motion_capture=given.model_copy(update=update), estimated_frame=found)
 
 
 def _where(mapping: SignalMapping, arm: str, name: SignalName) -> tuple[str | None, ...]:
@@ -364,8 +364,8 @@ def read_run(laboratory: Laboratory, run: RunRow) -> Run:
     read = {arm: _arm_of(laboratory, run, arm, own, grid, remarks) for arm, own in arms.items()}
     object_time, pose = _part(pose_seen, grid, np.zeros((0, 7)))
     if object_time.size:
-        if laboratory.tracker_frame is not None:
-            remarks.append(str(laboratory.tracker_frame))
+        if laboratory.estimated_frame is not None:
+            remarks.append(str(laboratory.estimated_frame))
         pose = in_inertial_frame(laboratory.motion_capture, run, pose)
         for arm, joints in read.items():
             with laboratory.errors_of(arm):
