@@ -179,6 +179,7 @@ def standard_error(design: tuple[int, int], name: str, root: Array = WHITE, simu
 def _run(condition: str, labels: tuple[Feature, ...], measured: Array) -> MeasuredRun:
     setup = Setup((), PHYSICS, 0.0, "command", False, False, None, tuple(range(len(labels))), {})
     return MeasuredRun(
-        path=Path(condition), name=condition, condition=condition, place=("world", "object", condition), hit=False,
-        physics=PHYSICS, signals=Signals(NONE, {}), setup=setup, features=labels, measured=measured, impacts={}, free=0,
+        path=Path(condition), name=condition, condition=condition, condition_key=("world", "object", condition),
+        hit=False, physics=PHYSICS, signals=Signals(NONE, {}), setup=setup, features=labels, measured=measured,
+        impacts={}, free=0,
     )  # fmt: skip
