@@ -86,7 +86,7 @@ class JointColumnGroup:
     Attributes:
         pattern: Name with ``{}`` for the number of the joint.
         quantity: Attribute of :class:`~impact_rs_sim.robots.robot.JointUnits`, which has the unit.
-        meaning: What they are, for the documentation.
+        meaning: Meaning, for the documentation.
         needed: Which tables need them, for the documentation.
         range: Which numbers they may hold.
         of_base: Columns of the base.
