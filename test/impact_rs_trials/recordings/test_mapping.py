@@ -168,6 +168,35 @@ def test_a_unit_of_another_kind_of_joint_is_refused(tmp_path: Path, unit: object
         _ = validate(Mapping, data, "mine.yaml").facts
 
 
+def ball(**keys: object) -> Mapping:
+    source = {"columns": ["px", "py"], "unit": "mm", **keys}
+    return mapping(robot="none", joints=[], signals={"object_position": source})
+
+
+def test_two_columns_of_a_position_lie_in_the_plane_of_a_camera_and_have_a_factor_each() -> None:
+    """Kills a width of three alone, and factors without columns."""
+    np.testing.assert_allclose(ball(factor=[2.0, -2.0]).to_si("object_position", np.ones((1, 2))), [[2e-3, 0.0, -2e-3]])
+    np.testing.assert_allclose(ball(columns=["x", "y", "z"]).to_si("object_position", np.ones((1, 3))), [[1e-3] * 3])
+
+
+@pytest.mark.parametrize(
+    ("keys", "complaint"),
+    [
+        ({"columns": ["px"]}, "signals.object_position.columns lists 1 columns, expected 3"),
+        ({"factor": [1.0, 1.0, 1.0]}, "signals.object_position.factor lists 3 numbers, expected one"),
+        ({"unit": ["mm", "mm"]}, "signals.object_position.unit lists 2 units, expected one"),
+        (
+            {"columns": None, "column": "p", "entries": [1, 2]},
+            "signals.object_position.entries lists 2 numbers, expected 3",
+        ),
+    ],
+)
+def test_another_number_of_columns_factors_or_entries_is_refused(keys: dict, complaint: str) -> None:
+    """Kills entries in a plane, which only columns may lie in, and a list for what is one for all columns."""
+    with pytest.raises(InputError, match=complaint):
+        ball(**keys)
+
+
 @pytest.mark.parametrize("name", mapping_names())
 def test_every_shipped_mapping_loads_and_fits_its_robot(name: str) -> None:
     loaded = load_mapping(name)
