@@ -8,6 +8,7 @@
     run_1/joints.csv, run_1/pose.csv, run_2/joints.csv, ...    a folder per run
     run_1/joints.csv, run_1/object_2.csv, run_2/object_1.csv   also with numbers for the objects
     monday/hit_1.csv, tuesday/hit_1.csv, ...                   any of these in a folder per session
+    calm.csv, fast.csv, with the same columns                  a file per run, whatever the names (whole_runs)
 
 Names that differ in numbers alone are of one kind; the last number that differs is the run's, or several at the end
 if files of all kinds have them. Folder and number identify a run: two sessions may count from 1.
@@ -17,7 +18,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -91,6 +92,34 @@ def group_files(files: Sequence[Path]) -> FileGroups:
     if named := _named_by_words(files):
         return _grouped(root, named)
     return _grouped(root, dict(_with_runs(list(shapes.values()))))
+
+
+def whole_runs(groups: FileGroups, columns: Callable[[Path], frozenset[str]], bodies: bool) -> FileGroups | None:
+    """A run of several files as a run per file, if each is whole: all have the same names of columns.
+
+    Every file has positions and another signal of joints, or no signal of joints where a body may move alone. Files
+    that are named after signals, as q.csv and tau.csv, stay one run, whatever their columns are called.
+
+    Args:
+        groups: Files by name.
+        columns: Names of the columns of a file; empty: it names none.
+        bodies: Whether the recordings may be those of a body without a robot.
+
+    Returns:
+        The same files, or None.
+    """
+    files = [file for by_run in groups.kinds.values() for file in by_run.values()]
+    if not groups.spread or len(groups.runs) > 1 or len(files) < 2 or _are_signals([file.stem for file in files]):
+        return None
+    named = {columns(file) for file in files}
+    if len(named) > 1 or not (names := named.pop()):
+        return None
+    hints = {guess_of(name) for name in names} - {""}
+    if not ({"position"} < hints or (bodies and not hints)):
+        return None
+    root = Path(os.path.commonpath([file.parent for file in files]))
+    by_run = {str(file.relative_to(root)): file for file in files}
+    return FileGroups(root, {"": by_run}, tuple(by_run), False)
 
 
 def _shape(name: str) -> str:

@@ -28,7 +28,7 @@ from impact_rs_sim.robots.robot import RobotFacts, load_facts
 from impact_rs_sim.schema import validate
 from impact_rs_trials.file_names import EXPERIMENT_FILE, MAPPING_FILE, RUN_TABLE
 from impact_rs_trials.recordings.importing.described_runs import DescribedRuns
-from impact_rs_trials.recordings.importing.file_groups import FileGroups, group_files
+from impact_rs_trials.recordings.importing.file_groups import FileGroups, group_files, whole_runs
 from impact_rs_trials.recordings.importing.import_texts import (
     ARM,
     BODY,
@@ -44,6 +44,7 @@ from impact_rs_trials.recordings.importing.object_sections import ObjectSections
 from impact_rs_trials.recordings.importing.recorded_files import (
     ImportedFiles,
     RecordedFile,
+    column_names,
     open_recorded,
     refuse_several,
 )
@@ -61,6 +62,9 @@ NOMINAL = (
 )
 
 
+WHOLE_RUNS = (
+    "{names} hold the same columns: each is taken for a run; import those of another robot or body by themselves"
+)
 NOTHING_TRACKED = (
     "neither joints nor the pose of an object; expected columns of joints (--robot says which robot), or x, y, z and a "
     "quaternion; of a ball x, y, z, or two coordinates of which one falls freely. A table of impacts needs no import: "
@@ -128,8 +132,12 @@ class _Importer:
     """Collects guesses."""
 
     def __init__(self, groups: FileGroups, output: Path, options: ImportOptions) -> None:
-        self._groups, self._output, self._options = groups, output, options
+        self._output, self._options = output, options
         self._notes = Notes()
+        whole = whole_runs(groups, column_names, options.robot in (None, NO_ROBOT))
+        if whole is not None:
+            self._notes.remarks.append(WHOLE_RUNS.format(names=", ".join(whole.runs)))
+        self._groups = whole or groups
         self._parts = self._opened()
 
     def _opened(self) -> list[RecordedFile]:

@@ -30,7 +30,7 @@ from impact_rs_trials.recordings.importing.import_checks import MIN_CHECKED_SAMP
 from impact_rs_trials.recordings.importing.import_texts import Notes, flow
 from impact_rs_trials.recordings.importing.joint_search import JointSearch
 from impact_rs_trials.recordings.importing.joint_streams import JointStream
-from impact_rs_trials.recordings.importing.table_layout import find_layout
+from impact_rs_trials.recordings.importing.table_layout import NoTable, find_layout
 from impact_rs_trials.recordings.mapping import IN_A_PLANE, NO_ROBOT, Mapping, SignalSource, TableLayout
 from impact_rs_trials.recordings.readers.array_file import ArrayFile
 from impact_rs_trials.recordings.readers.bag_file import read_topics
@@ -198,6 +198,23 @@ def _of_arrays(pattern: str, path: Path, spread: bool, notes: Notes) -> Recorded
                 "all of them, with FILE/GROUP as bag in runs.csv"
             )
     return RecordedFile(pattern, path, TableLayout(), columns, candidates, clock_of(columns), run=run)
+
+
+def column_names(path: Path) -> frozenset[str]:
+    """Names of the columns of a table, the arrays of a file or the fields of a bag; empty: it has none.
+
+    Raises:
+        InputError: The file cannot be read.
+    """
+    if is_bag_folder(path) or path.suffix in BAG_SUFFIXES:
+        return frozenset(one.label for one in candidates_of(path))
+    if path.suffix in ARRAY_SUFFIXES:
+        return frozenset(ArrayFile.shapes_of(path))
+    try:
+        layout = find_layout(path).value
+    except NoTable:
+        return frozenset()
+    return frozenset(read_columns(path, layout).cells) if layout.header != 0 else frozenset()
 
 
 def read_streams(part: RecordedFile, robot: str, count: int, rate: float | None) -> dict[str, str]:

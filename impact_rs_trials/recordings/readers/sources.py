@@ -58,6 +58,7 @@ def read_series(
     """
     names, wanted = names or Names(run=name_of(path)), tuple(wanted)
     sources = {name: mapping.signals[name] for name in wanted if name in mapping.signals}
+    _check_is_read(path, mapping, names)
     files: dict[Path, list[SignalName]] = {}
     for name, source in sources.items():
         files.setdefault(_file_of(path, source, names), []).append(name)
@@ -80,6 +81,17 @@ def read_series(
     if "velocity" in wanted and "velocity" not in sources and "position" in found:
         found["velocity"] = found["position"].derivative()
     return found
+
+
+def _check_is_read(path: Path, mapping: Mapping, names: Names) -> None:
+    """Refuse a file beside those that a mapping names, which would be read in its place."""
+    read = {_file_of(path, source, names).name for source in mapping.signals.values()} if path.is_file() else set()
+    if read and path.name not in read:
+        raise InputError(
+            f"the mapping takes its signals from {', '.join(sorted(read))} in this folder and none from this file; "
+            "name the folder, or take `file` out of the mapping where every file is a run",
+            file=path,
+        )
 
 
 def _needed(missing: MissingSignal, name: SignalName) -> InputError:

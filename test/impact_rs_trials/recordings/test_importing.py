@@ -21,7 +21,7 @@ from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.types import typestore
 from impact_rs_trials.recordings.experiment import Experiment, load_experiment, read_runs
-from impact_rs_trials.recordings.importing.file_groups import group_files
+from impact_rs_trials.recordings.importing.file_groups import group_files, whole_runs
 from impact_rs_trials.recordings.importing.import_recordings import ImportDraft, ImportOptions, draft_import
 from impact_rs_trials.recordings.importing.table_layout import find_layout
 from impact_rs_trials.recordings.laboratory import Laboratory
@@ -954,6 +954,63 @@ def test_files_are_grouped_by_what_differs_in_their_names(tmp_path: Path) -> Non
     boxes = ("box_1_hit_1.csv", "box_1_hit_2.csv", "box_2_hit_2.csv", "box_2_hit_3.csv")  # both are in run 2
     two = groups("arm_hit_1.csv", "arm_hit_2.csv", "arm_hit_3.csv", *boxes)
     assert two[0] == ["arm_hit_{run}.csv", "box_1_hit_{run}.csv", "box_2_hit_{run}.csv"]
+
+
+def test_files_with_the_same_columns_are_runs_whatever_their_names(tmp_path: Path, motion: Columns) -> None:
+    """Kills runs of which one alone is described, and files of signals or of several objects that become runs."""
+    (tmp_path / "raw").mkdir()
+    parts = [TIME, motion["position"], motion["velocity"], motion["effort"]]
+    for name, rows in (("calm", 800), ("wild", 700), ("sac", 750)):
+        write(tmp_path / "raw" / f"{name}.csv", NAMES, [part[:rows] for part in parts])
+    draft = iiwa(tmp_path / "raw", tmp_path)
+    assert draft.texts["runs.csv"].splitlines()[1:] == [
+        f"{name}.csv,none,free motion" for name in ("calm", "sac", "wild")
+    ]
+    assert "file" not in mapping_in(draft, tmp_path / "lab").signals["position"].model_fields_set
+    assert any("hold the same columns: each is taken for a run" in remark for remark in draft.remarks)
+    assert len(read_recordings(tmp_path / "raw", mapping_in(draft, tmp_path / "lab"))) == 3
+
+
+@pytest.mark.parametrize(
+    ("names", "columns", "bodies", "whole"),
+    [
+        (("a.csv", "b.csv"), "t q1 dq1", False, True),
+        (("a.csv", "b.csv"), "t x y", True, True),
+        (("a.csv", "b.csv"), "t x y", False, False),  # poses of two objects beside a robot
+        (("a.csv", "b.csv"), "t q1", True, False),  # joints of two arms, or of one in two files
+        (("q.csv", "tau.csv"), "t q1 dq1", True, False),
+        (("a_1.csv", "b_1.csv"), "t q1 dq1", True, True),
+        (("a.csv", "b.csv"), "", True, False),
+    ],
+)
+def test_whole_runs_have_positions_and_another_signal_in_every_file(
+    names: tuple[str, ...], columns: str, bodies: bool, whole: bool, tmp_path: Path
+) -> None:
+    found = whole_runs(group_files([tmp_path / name for name in names]), lambda _: frozenset(columns.split()), bodies)
+    assert (found is not None) == whole
+    if found is not None:
+        assert (found.runs, found.spread) == (names, False)
+
+
+def test_bodies_that_were_tracked_one_by_one_are_runs(tmp_path: Path) -> None:
+    """Columns may stand in another order in each file."""
+    time = np.arange(0.0, 0.4, 0.01)
+    height = 1.0 - 0.5 * 9.81 * time**2
+    write(tmp_path / "black.txt", ["t", "x", "y"], [time, 0.0 * time, height], separator="\t")
+    write(tmp_path / "red.txt", ["t", "y", "x"], [time, height, 0.0 * time], separator="\t")
+    draft = draft_import([tmp_path], tmp_path / "lab", ImportOptions(robot="none"))
+    assert [line.split(",")[0] for line in draft.texts["runs.csv"].splitlines()[1:]] == ["black.txt", "red.txt"]
+
+
+def test_a_file_beside_those_of_the_mapping_is_not_read_as_one_of_them(tmp_path: Path, motion: Columns) -> None:
+    parts = dict(zip(("q", "dq", "tau"), (motion["position"], motion["velocity"], motion["effort"]), strict=True))
+    for name, part in parts.items():
+        write(tmp_path / f"{name}.csv", ["t", *numbered("j")], [TIME, part])
+    mapping = mapping_in(iiwa(tmp_path, tmp_path), tmp_path / "lab")
+    assert len(read_recordings(tmp_path, mapping)) == 1
+    other = write(tmp_path / "other.csv", ["t", *numbered("j")], [TIME, motion["position"]])
+    said = refusal(read_series, other, mapping, ["position"], ["position"])
+    assert "takes its signals from dq.csv, q.csv, tau.csv in this folder and none from this file" in said
 
 
 def test_folders_are_sessions_where_they_hold_several_runs(tmp_path: Path) -> None:
