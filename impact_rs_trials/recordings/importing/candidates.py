@@ -39,6 +39,8 @@ from impact_rs_trials.recordings.readers.transforms import are_transforms
 MAX_JOINT_NUMBERS = 40  # in a sample of a stream that may hold joints
 MAX_NESTED_FIELDS = 3  # of a message
 POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
+NAME_FIELDS = ("name", "joint_names")  # of sensor_msgs/JointState, and of trajectory_msgs and control_msgs
+DEFINING = ("sensor_msgs", "trajectory_msgs", "control_msgs")  # packages whose messages state quantity and unit
 STATIC = "/tf_static"  # frames that do not move are no pose of an object
 OBJECT_POSE: Final = "object_pose"
 Q_DESIRED: Final = "q_desired"
@@ -64,6 +66,7 @@ class SignalCandidate:
         joints: Names of its joints, base to tip if the names show it; empty: not named.
         stamped: Whether its samples have timestamps; messages of a bag without a header do not.
         first: Index of a part's first number in a wider signal; None: it is whole.
+        defined: Whether the format of the file defines the signal, and not a name that somebody chose.
     """
 
     label: str
@@ -74,6 +77,7 @@ class SignalCandidate:
     joints: tuple[str, ...] = ()
     stamped: bool = True
     first: int | None = None
+    defined: bool = False
 
 
 @dataclass(frozen=True)
@@ -263,20 +267,24 @@ def _in_message(topic: str, kind: str, message: Any) -> Iterator[SignalCandidate
         joints: tuple[str, ...] = ()
         before, _, own = place.rpartition(".")
         for prefix in (f"{before}.", ""):  # names beside the numbers, or of the whole message
-            names = _names(reduce(getattr, filter(None, prefix.split(".")), message))
-            if names is not None and len(names) == numbers:
-                source["names"] = f"{prefix}name".lstrip(".")
+            key, names = _names(reduce(getattr, filter(None, prefix.split(".")), message))
+            if key and len(names) == numbers:
+                source["names"] = f"{prefix}{key}".lstrip(".")
                 joints = tuple(sorted(names, key=_base_to_tip))
                 break
-        guess = {"effort": "torque"}.get(own, own)
-        guess = "command" if "command" in topic else guess if "names" in source else ""
+        guess = "command" if "command" in topic else guess_of(own)
         label, stamped = f"{topic}: {place} ({numbers})", hasattr(message, "header")
-        yield SignalCandidate(label, source, False, guess, numbers, joints, stamped)
+        defined = kind.partition("/")[0] in DEFINING and guess in ("position", "velocity", "acceleration")
+        yield SignalCandidate(label, source, False, guess, numbers, joints, stamped, defined=defined)
 
 
-def _names(message: Any) -> list[str] | None:
-    names = getattr(message, "name", None)
-    return list(names) if isinstance(names, list) and all(isinstance(name, str) for name in names) else None
+def _names(message: Any) -> tuple[str, list[str]]:
+    """Field of a message that names its joints, and the names; empty: it has none."""
+    for key in NAME_FIELDS:
+        names = getattr(message, key, None)
+        if isinstance(names, list) and names and all(isinstance(name, str) for name in names):
+            return key, names
+    return "", []
 
 
 def _base_to_tip(name: str) -> tuple[int, list[Any]]:
@@ -419,7 +427,7 @@ def _is_of_an_object(name: str) -> bool:
 def guess_of(name: str) -> str:
     """The signal suggested by a name; empty: unknown."""
     low = name.lower()
-    for part, signal in (("command|cmd|desired", "command"), ("ddq|qdd(?!es)|ddot", "acceleration"),
+    for part, signal in (("command|cmd|desired", "command"), ("ddq|qdd(?!es)|ddot|accel", "acceleration"),
                          ("vel|dq", "velocity"), ("pos", "position"), ("eff|tau|tor", "torque"), ("q", "position"),
                          ("curr|(^|[^a-z])i([^a-z]|$)", "torque")):  # fmt: skip
         if re.search(part, low):

@@ -55,6 +55,7 @@ from impact_rs_trials.recordings.relations import (
 Role = Literal["position", "velocity", "torque", "current", "other", "copy", "none"]
 
 NAME_LOG_ODDS = float(np.log(20.0))  # log odds of a role that a name hints at: names are right in 20 of 21 files
+FORMAT_LOG_ODDS = float(np.log(1e4))  # of a role that the format of a file defines: a driver that breaks it is rare
 LOG_TORQUE_FACTOR_SIGMA = 0.35  # standard deviation of log a: factors of rough models and loads
 MAX_CONSTANT_RATIO = 30.0  # of the torque constants of one arm
 INVERSE_TORQUE_CONSTANTS = (1e-2, 1e2)  # current over torque: from large geared joints to the smallest servos [A/(N m)]

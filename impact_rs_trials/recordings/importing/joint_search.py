@@ -231,7 +231,7 @@ class JointSearch:
 
     def best(self, motions: Sequence[Assignment]) -> Assignment:
         """The likeliest of motions, with its torques and the alternatives of its signals."""
-        motions = [_with_command(one, motions) for one in motions]
+        motions = with_commands(motions)
         most = max(one.log_posterior for one in motions)
         searched = [one for one in motions if one.velocity is None or one.log_posterior > most - MAX_LOG_POSTERIOR_LOSS]
         tried = [self._with_torques(one) for one in searched]
@@ -368,6 +368,11 @@ class JointSearch:
             reading = Reading.of(stream, "torque", unit, external.evidence, external.margin)
             return replace(reading, meaning="external")
         return Reading.of(stream, "torque", unit, f"nothing but its name: {evidence}", 0.0)
+
+
+def with_commands(motions: Sequence[Assignment]) -> list[Assignment]:
+    """Motions with the likelihood of the pair that each leaves over, without which they are of different streams."""
+    return [_with_command(one, motions) for one in motions]
 
 
 def _with_shared_torque(found: Assignment, tried: Sequence[Assignment]) -> Assignment:

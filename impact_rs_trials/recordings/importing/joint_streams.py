@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass, replace
 
 from impact_rs_trials.recordings.importing.candidates import SignalCandidate, guess_of, in_order
-from impact_rs_trials.recordings.importing.hypotheses import NAME_LOG_ODDS, Role
+from impact_rs_trials.recordings.importing.hypotheses import FORMAT_LOG_ODDS, NAME_LOG_ODDS, Role
 from impact_rs_trials.recordings.readers.series import Series
 
 # Properties suggested by a name, in addition to the signal (candidates.guess_of).
@@ -61,12 +61,13 @@ class JointStream:
         return self.overlaps(other)
 
     def log_prior(self, role: Role) -> float:
-        """Log odds of a role by the names of columns, or else of the file."""
+        """Log odds of a role by the format of the file, the names of columns, or else of the file."""
         guess = self.candidate.guess or guess_of(self.file)
         text = f"{self.file} {self.column_text}"
         hinted = {"torque": "current" if CURRENT.search(text) else "torque"}.get(guess, guess)
         other = bool(hinted) and (hinted, role) != ("torque", "current")
-        odds = NAME_LOG_ODDS if hinted == role else -NAME_LOG_ODDS if other else 0.0
+        size = FORMAT_LOG_ODDS if self.candidate.defined else NAME_LOG_ODDS
+        odds = size if hinted == role else -size if other else 0.0
         return odds - NAME_LOG_ODDS * bool(COMMANDED.search(text)) + NAME_LOG_ODDS * bool(MEASURED.search(text))
 
     @property

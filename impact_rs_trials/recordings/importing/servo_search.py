@@ -37,7 +37,7 @@ from impact_rs_trials.recordings.importing.hypotheses import (
     spread,
     travels,
 )
-from impact_rs_trials.recordings.importing.joint_search import Assignment, JointSearch
+from impact_rs_trials.recordings.importing.joint_search import Assignment, JointSearch, with_commands
 from impact_rs_trials.recordings.importing.joint_streams import COMMANDED, JointStream
 from impact_rs_trials.recordings.joint_motion import JointMotion
 from impact_rs_trials.recordings.mapping import TorqueMeaning
@@ -67,7 +67,7 @@ class FoundServo:
         known: Whether kp was recorded.
         shown: Joints from whose gravity kp was found, ``(n,)``; all if it was recorded.
         meaning: Whether the servos carry gravity.
-        log_posterior: Log posterior odds of this role against none.
+        log_odds: Log posterior odds of this role against none.
         margin: Log odds against the next stream, unit or meaning.
         evidence: Evidence in words.
     """
@@ -81,9 +81,14 @@ class FoundServo:
     known: bool
     shown: NDArray[np.bool_]
     meaning: TorqueMeaning
-    log_posterior: float
+    log_odds: float
     margin: float
     evidence: str
+
+    @property
+    def log_posterior(self) -> float:
+        """Log posterior of the motion, of a pair that is left over, and of the servos that drive it."""
+        return self.motion.motion_log_posterior + self.motion.beside + self.log_odds
 
     @property
     def reading(self) -> tuple[str, str]:
@@ -154,21 +159,21 @@ def find_servo(search: JointSearch, motions: Sequence[Assignment]) -> FoundServo
     """
     kp, kd = (gains_in(search.streams, pattern)[0] for pattern in (PROPORTIONAL, DERIVATIVE))
     kp = None if kp is None or np.any(kp <= 0.0) else kp
-    found = [one for motion in motions for one in _servos_of(search, motion, kp, kd)]
+    found = [one for motion in with_commands(motions) for one in _servos_of(search, motion, kp, kd)]
     found.sort(key=lambda one: one.log_posterior, reverse=True)
     if not found:
         return None
     best = found[0]
-    if best.log_posterior - best.motion.motion_log_posterior < DECISIVE_LOG_ODDS:
+    if best.log_odds < DECISIVE_LOG_ODDS:
         declared = [one for one in found if one.declared]
         if not declared:
             return None
         best = declared[0]
-        return replace(best, margin=best.log_posterior - best.motion.motion_log_posterior)
+        return replace(best, margin=best.log_odds)
     # Columns that were grouped in several ways are one stream.
     others = [one for one in found[1:] if not (one.same_columns(best) and one.reading == best.reading)]
     following = max((one.log_posterior for one in others), default=-np.inf)
-    return replace(best, margin=best.log_posterior - max(following, best.motion.motion_log_posterior))
+    return replace(best, margin=min(best.log_posterior - following, best.log_odds))
 
 
 @OUTLIERS
@@ -185,7 +190,7 @@ def _servos_of(search: JointSearch, found: Assignment, kp: Array | None, kd: Arr
             continue
         y = motion.sampled(stream.series.at(found.time))
         named = NAME_LOG_ODDS if COMMANDED.search(f"{stream.file} {stream.column_text}") else 0.0
-        named -= NAME_LOG_ODDS if stream.candidate.guess in ("velocity", "torque") else 0.0
+        named -= NAME_LOG_ODDS if stream.candidate.guess in ("velocity", "acceleration", "torque") else 0.0
         for unit, slide in UNITS_OF_TARGETS.items():
             error = factors_of("position", motion.unit(unit, slide)) * y - motion.position
             if not _follows(motion, error):
@@ -255,7 +260,7 @@ def _servo(
         known=kp is not None,
         shown=shown if kp is None else np.ones_like(shown),
         meaning=meaning,
-        log_posterior=found.motion_log_posterior + log_ratio + float(np.log(PRIOR[unit])),
+        log_odds=log_ratio + float(np.log(PRIOR[unit])),
         margin=0.0,
         evidence=evidence,
     )

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -31,6 +32,7 @@ from impact_rs_trials.recordings.importing.import_texts import Line, flow, mappi
 from impact_rs_trials.recordings.importing.joint_streams import JointStream
 from impact_rs_trials.recordings.importing.measured_limits import measured_limits
 from impact_rs_trials.recordings.readers.series import Series
+from impact_rs_trials.recordings.relations import DECISIVE_LOG_ODDS
 
 NUMBERED = tuple(f"joint{number}" for number in range(1, 8))
 
@@ -61,12 +63,23 @@ def test_tables_and_arrays_offer_groups_of_columns_and_arrays(tmp_path: Path) ->
     assert found == {"position": {"array": "position"}, "object_pose": {"array": "object_pose"}}
 
 
-@pytest.mark.parametrize("name", ["ddq_des", "target_qdd_0", "q_ddot"])
+@pytest.mark.parametrize("name", ["ddq_des", "target_qdd_0", "q_ddot", "acceleration_1"])
 def test_the_name_of_an_acceleration_hints_at_no_position_or_velocity(name: str) -> None:
     """Kills a desired velocity with its acceleration that is read as a motion."""
     columns = SignalCandidate(name, {"columns": [name]}, False, guess_of(name), 1)
     stream = JointStream("", columns, Series(name, np.arange(3.0), np.zeros((3, 1))))
     assert stream.log_prior("velocity") < 0.0 and stream.log_prior("position") < 0.0
+
+
+def test_a_field_that_a_message_defines_weighs_more_than_a_name() -> None:
+    """A planned velocity and acceleration fit each other without noise. Kills a field that weighs like a column."""
+    name = SignalCandidate("/state: actual.velocities (1)", {"field": "actual.velocities"}, False, "velocity", 1)
+    by_name, by_format = (
+        JointStream("", replace(name, defined=defined), Series("v", np.arange(3.0), np.zeros((3, 1))))
+        for defined in (False, True)
+    )
+    assert by_format.log_prior("velocity") - by_name.log_prior("velocity") > DECISIVE_LOG_ODDS
+    assert by_name.log_prior("position") - by_format.log_prior("position") > DECISIVE_LOG_ODDS
 
 
 def named(label: str, guess: str, width: int = 7) -> SignalCandidate:

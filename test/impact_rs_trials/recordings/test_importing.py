@@ -14,6 +14,8 @@ from joint_recordings import Columns, swinging
 from refusals import refusal
 from ros_messages import message
 from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import get_types_from_msg
+from rosbags.typesys.store import Typestore
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import RobotFacts, load_facts
@@ -21,6 +23,7 @@ from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.types import typestore
 from impact_rs_trials.recordings.experiment import Experiment, load_experiment, read_runs
+from impact_rs_trials.recordings.importing.candidates import candidates_of
 from impact_rs_trials.recordings.importing.file_groups import group_files, whole_runs
 from impact_rs_trials.recordings.importing.import_recordings import ImportDraft, ImportOptions, draft_import
 from impact_rs_trials.recordings.importing.table_layout import find_layout
@@ -1042,9 +1045,11 @@ BAG_TIME = np.arange(0.0, 4.0, 0.004)
 LATE = 0.15e-3  # s, by which commands are logged after the joint states that they answer
 
 
-def bag_of(path: Path, topics_of: dict[str, Callable[[int], object]], late: dict[str, float]) -> Path:
+def bag_of(
+    path: Path, topics_of: dict[str, Callable[[int], object]], late: dict[str, float], store: Typestore | None = None
+) -> Path:
     """A bag with one message a topic and row; all are logged 2 ms after their stamps, some later."""
-    store = typestore()
+    store = store or typestore()
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         kinds = {topic: make(0).__msgtype__ for topic, make in topics_of.items()}
         connections = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in kinds.items()}
@@ -1112,6 +1117,56 @@ def test_a_commanded_torque_without_stamps_is_taken_with_the_times_of_the_bag(
     later = np.column_stack([np.interp(BAG_TIME - LATE, BAG_TIME, column) for column in command.T])
     assert arm.command is not None
     np.testing.assert_allclose(arm.command, later, atol=1e-4)
+
+
+STATE = """std_msgs/Header header
+string[] joint_names
+trajectory_msgs/JointTrajectoryPoint desired
+trajectory_msgs/JointTrajectoryPoint actual
+trajectory_msgs/JointTrajectoryPoint error
+"""
+
+
+def test_fields_of_a_trajectory_controller_are_what_their_definition_says(tmp_path: Path, fer: Columns) -> None:
+    """Planned velocities and accelerations have no noise and fit each other better than what was measured.
+
+    Kills fields without a meaning, joint names that are not found, and a search for servos that forgets the pair that a
+    motion leaves over.
+    """
+    kind, store = "control_msgs/msg/JointTrajectoryControllerState", typestore()
+    store.register(get_types_from_msg(STATE, kind))
+    rng, kp = np.random.default_rng(0), np.array([900.0, 900.0, 700.0, 600.0, 200.0, 200.0, 100.0])
+    wanted = [fer["position"] + fer["effort"] / kp]
+    wanted += [np.gradient(wanted[-1], BAG_TIME, axis=0)]
+    wanted += [np.gradient(wanted[-1], BAG_TIME, axis=0)]
+    seen = [fer["position"] + rng.normal(0.0, 1e-4, wanted[0].shape), fer["velocity"]]
+    seen[1] = seen[1] + rng.normal(0.0, 0.02, wanted[0].shape)
+    order = [3, 1, 2, 7, 5, 6, 4]  # as controllers list them
+
+    def state(row: int) -> object:
+        content: dict[str, object] = {
+            "header.stamp": divmod(round(1e9 * (1e9 + BAG_TIME[row])), 10**9),
+            "joint_names": [f"fer_joint{joint}" for joint in order],
+        }
+        columns = np.array(order) - 1
+        for name, signal in zip(("positions", "velocities", "accelerations"), wanted, strict=True):
+            content[f"desired.{name}"] = signal[row][columns]
+        for name, signal, target in zip(("positions", "velocities"), seen, wanted[:2], strict=True):
+            content[f"actual.{name}"] = signal[row][columns]
+            content[f"error.{name}"] = (target - signal)[row][columns]
+        return message(kind, content, store)
+
+    bag = bag_of(tmp_path / "run_1", {"/arm/state": state}, {}, store)
+    defined = {one.source["field"]: one.guess for one in candidates_of(bag) if one.defined}
+    assert defined["desired.velocities"] == "velocity" and defined["desired.accelerations"] == "acceleration"
+    draft = import_fer(bag, tmp_path / "lab")
+    mapping = mapping_in(draft, tmp_path / "lab")
+    fields = {name: source.field for name, source in mapping.signals.items()}
+    assert fields == {
+        "position": "actual.positions", "velocity": "actual.velocities", "q_desired": "desired.positions",
+    }  # fmt: skip
+    assert mapping.signals["position"].names == "joint_names"
+    assert mapping.joints == tuple(f"fer_joint{joint}" for joint in range(1, 8))
 
 
 def test_commands_that_are_no_torques_are_left_out_with_the_reason(tmp_path: Path, fer: Columns) -> None:
