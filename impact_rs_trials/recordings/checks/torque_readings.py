@@ -15,7 +15,9 @@ log likelihood, with k independent samples and the residuals r of the best fit, 
 The reading with the highest likelihood is the meaning of the signal: the whole torque, the torque without gravity, or
 with x = 0 an external torque, of which friction is left. Its margin is the log likelihood over the next one. A torque
 before the gear accelerates the motors as well: B_j ddq_j is added to the reading, and its gain in log likelihood shows
-B_j > 0. A signal that gravity, inertia or both give to 0.1 % without a fitted number is a controller's own target.
+B_j > 0. A signal that gravity, inertia or both give to 0.1 % without a fitted number is a controller's own target, and
+so is gravity compensation with masses of its own: a gravity torque Y(q) pi of some masses pi, with no share a of the
+inertia that moves the arm (:func:`gravity_alone`).
 
 A torque measured at a motor drives the friction of its gear. A torque without friction was computed: with dry friction
 c_j ~ N(0, s_j^2) of usual gears and its estimate c_j +- e_j, the log Bayes factor of no friction against friction is
@@ -30,6 +32,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError
@@ -68,6 +71,8 @@ MAX_RESIDUAL_RATIO = 0.5  # rms of the residual; below it another reading explai
 MAX_RESIDUAL_SHARE = 0.3  # of the torque, rms: friction, a load and a rough model leave about as much
 GRAVITY_ALONE = "the gravity torque"
 MAX_TARGET_RESIDUAL = 0.001  # of the torque, rms: what differences of the motion leave of a torque that was computed
+MAX_GRAVITY_RESIDUAL = 0.01  # of the torque, rms: rounding of a log, and a sample between position and torque
+MIN_SINGULAR_RATIO = 1e-8  # of the gravity regressor; smaller ones belong to masses that no pose loads
 MIN_MOTOR_SHARE = 0.01  # of a joint's torque, rms, that accelerates its motor; less is an error of differences
 SIGNALS = ("position", "velocity", "acceleration", "recorded")
 
@@ -185,6 +190,9 @@ def meaning_of(seen: MotionTorque, expected: TorqueMeaning, computed: bool = Fal
     evidence = f"log likelihood {', '.join(f'{gain:+.0f} over {meaning}' for meaning, gain in others.items())}"
     margin = min(others.values())
     exact = exactness(seen)
+    if exact is None and (own := gravity_alone(seen)) is not None:
+        held = f"is the gravity torque of some masses to {100.0 * own:.2g} % and holds nothing of the inertia"
+        return MeaningChoice("target", np.inf, f"{held}: gravity compensation, a controller's own target")
     if exact is None:
         return MeaningChoice(expected, margin, evidence)
     part, share = exact
@@ -207,6 +215,25 @@ def exactness(seen: MotionTorque) -> tuple[str, float] | None:
         found.append((float(left / max(size, 1e-300)), part))
     share, part = min(found)
     return (part, share) if share < MAX_TARGET_RESIDUAL else None
+
+
+def gravity_alone(seen: MotionTorque) -> float | None:
+    """Residual over the torque, rms [-], of a gravity torque of some masses; None: it is another torque.
+
+    In tau = Y(q) pi + a (M ddq + C dq), with the regressor Y of the gravity torque (Atkeson, An and Hollerbach 1986), a
+    torque that moves the arm has 1/2 < a < 2. Decisive is the log likelihood of a = 0 over the best a in that range.
+    """
+    model, zero = seen.model, np.zeros(seen.model.joint_count)
+    at_rest = [pin.computeJointTorqueRegressor(model.pinocchio, model.data, q, zero, zero) for q in seen.position]
+    regressor = np.array(at_rest).reshape(*seen.position.shape, -1)  # of one joint Pinocchio makes a vector
+    rows = regressor[:, seen.measured].reshape(-1, regressor.shape[2])
+    torque, inertial = (one[:, seen.measured].ravel() for one in (seen.recorded, seen.whole - seen.gravity_torque))
+    both = np.column_stack((torque, inertial))
+    torque_left, inertial_left = (both - rows @ np.linalg.lstsq(rows, both, rcond=MIN_SINGULAR_RATIO)[0]).T
+    share = float(np.sqrt(np.mean(np.square(torque_left)) / max(float(np.mean(np.square(torque))), 1e-300)))
+    moved = fit(inertial_left[:, None], torque_left[:, None], bounds=PLAUSIBLE_FACTORS)
+    gain = 0.5 * seen.independent * float(np.log(max(moved.misfit[0], 1e-300) / max(moved.unexplained[0], 1e-300)))
+    return share if share < MAX_GRAVITY_RESIDUAL and gain > DECISIVE_LOG_LIKELIHOOD else None
 
 
 def is_external(seen: MotionTorque, named: bool) -> MeaningChoice | None:

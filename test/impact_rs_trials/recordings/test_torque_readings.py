@@ -19,6 +19,7 @@ from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.recordings.checks.torque_readings import (
     MotionTorque,
     exactness,
+    gravity_alone,
     is_computed,
     lacks_gravity,
     motor_inertia_in,
@@ -143,6 +144,22 @@ def test_a_measured_torque_near_the_model_is_no_target() -> None:
     assert exactness(seen("ur10e", exact, 1.01 * exact["computed"])) is None
     noise = np.random.default_rng(2).normal(0.0, 0.5, exact["computed"].shape)
     assert exactness(seen("ur10e", exact, exact["computed"] + noise)) is None
+
+
+def test_gravity_compensation_with_masses_of_its_own_is_a_target(tmp_path: Path) -> None:
+    """A controller that knows of a load. Kills a gravity torque of the model alone, and one factor for each joint."""
+    bare, loaded = swing("ur10e", speed=3.0), model_of("ur10e", 6.0)
+    weight = np.array([loaded.gravity_torque(q) for q in bare["position"]]).round(1)
+    draft, mapping = imported(tmp_path, "ur10e", bare, torque=weight)
+    assert mapping.torque_meaning == "target"
+    assert "holds nothing of the inertia" in line_of(draft, "torque_meaning").evidence
+
+
+@pytest.mark.parametrize("speed", [0.02, 3.0])
+def test_a_torque_that_moves_the_arm_is_no_gravity_compensation(speed: float) -> None:
+    """Without friction, so slow that gravity is all of it, or fast. Kills a residual without a look at the inertia."""
+    moved = swing("ur10e", load=6.0, friction=0.0, speed=speed)
+    assert gravity_alone(seen("ur10e", moved, moved["effort"])) is None
 
 
 def test_inertia_of_motors_shows_in_a_torque_before_the_gears_alone(tmp_path: Path) -> None:
