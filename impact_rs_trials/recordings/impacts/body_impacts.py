@@ -97,7 +97,7 @@ def _impacts_of(run: TrackedBody, body: Body) -> tuple[list[Impact], list[NoRow]
     run = replace(run, position=run.position + run.rotation @ item.com_offset)  # which flies freely
     disturbed_and_reach = disturbed_samples(run.time, run.position[:, 2], float(run.gravity[2]))
     if disturbed_and_reach is None:
-        return [], [NoRow(run.run, "the tracker is so noisy that rest looks like free flight")]
+        return [], [NoRow(run.run, _too_noisy(run.time, run.position[:, 2], float(run.gravity[2])))]
     off, reach = disturbed_and_reach
     if not off[reach:-reach].any():
         return [], [NoRow(run.run, "nothing is hit")]
@@ -147,16 +147,38 @@ def disturbed_samples(time: Array, height: Array, gravity: float) -> tuple[NDArr
         height: ``(k,)`` [m].
         gravity: Along the height, negative [m/s^2].
     """
-    # Third differences of white noise are sqrt(20 / 6) times as large as second ones, and impacts are few.
-    noise = 1.4826 * float(np.median(np.abs(np.diff(_second_differences(time, height, 1))))) / np.sqrt(20.0 / 6.0)
-    most = round(MAX_DIFFERENCE_S / float(np.median(np.diff(time))))
-    for reach in range(1, min(most, (len(time) - 2) // 4) + 1):
+    noise = _noise(time, height)
+    for reach in range(1, _longest_reach(time) + 1):
         limit = max(MIN_DISTURBANCE_SIGMA * noise / reach**2, MIN_DISTURBANCE_G * abs(gravity))
         if limit <= MAX_NOISE_G * abs(gravity):
             off = np.ones(len(time), dtype=bool)
             off[reach:-reach] = np.abs(_second_differences(time, height, reach) - gravity) > limit
             return off, reach
     return None
+
+
+def _too_noisy(time: Array, height: Array, gravity: float) -> str:
+    """Noise of the heights, and the largest from which rest differs from free flight."""
+    period = float(np.median(np.diff(time)))
+    of_height = period**2 / np.sqrt(6.0)  # standard deviation of a second difference of white noise: sqrt(6) / period^2
+    most = MAX_NOISE_G * abs(gravity) * max(_longest_reach(time), 1) ** 2 / MIN_DISTURBANCE_SIGMA
+    return (
+        f"the heights have noise of {1e3 * of_height * _noise(time, height):.2g} mm (standard deviation); above "
+        f"{1e3 * of_height * most:.2g} mm at {1.0 / period:.3g} Hz rest looks like free flight: track it at a higher "
+        "rate"
+    )
+
+
+def _noise(time: Array, height: Array) -> float:
+    """Standard deviation of the second differences over one sample [m/s^2]."""
+    # Third differences of white noise are sqrt(20 / 6) times as large as second ones, and impacts are few.
+    thirds = np.abs(np.diff(_second_differences(time, height, 1)))
+    return 1.4826 * float(np.median(thirds)) / float(np.sqrt(20.0 / 6.0))
+
+
+def _longest_reach(time: Array) -> int:
+    """Samples on either side of a second difference, at most."""
+    return min(round(MAX_DIFFERENCE_S / float(np.median(np.diff(time)))), (len(time) - 2) // 4)
 
 
 def _second_differences(time: Array, height: Array, reach: int) -> Array:
