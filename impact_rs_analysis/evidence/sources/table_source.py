@@ -253,7 +253,8 @@ class ImpactTableSource(Source):
     def __getstate__(self) -> dict[str, Any]:
         """State for another process, without variants of the table, processes, and what is kept of predictions."""
         chosen = replace(self._chosen, map_tasks=None, table=self.entries.table)
-        return {**vars(self), "_chosen": chosen, "table": chosen.table, "_featured": Recent(chosen.most_featured)}
+        own = {"_chosen": chosen, "table": chosen.table, "_featured": Recent(chosen.most_featured)}
+        return {**super().__getstate__(), **own}
 
     @property
     def covariates(self) -> tuple[Covariate, ...]:
