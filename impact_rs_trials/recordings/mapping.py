@@ -165,6 +165,9 @@ class TimeSource(Schema):
         description="unit of the timestamps except in bags; date: 2026-11-25 12:00:00.5, a zone may follow; frames: "
         "the column of a table numbers the frames of a camera, over rate",
     )
+    steps: bool = Field(
+        False, description="whether the numbers are the times since the sample before, as in a column dt"
+    )
     rate: Annotated[float | None, Field(gt=0.0)] = Field(
         None, description="sampling rate of files without timestamps [Hz]; absent: they have timestamps"
     )
@@ -256,8 +259,10 @@ class Mapping(Schema):
             own = {"time_column": source.time_column, "time_array": source.time_array}
             named |= {f"signals.{name}.{key}": names for key, names in own.items()}
         for key, names in named.items():
-            if not isinstance(names, str | None) and self.time.unit != "s":
-                raise ValueError(f"{key} names whole seconds and nanoseconds, expected time.unit: s")
+            if not isinstance(names, str | None) and (self.time.unit != "s" or self.time.steps):
+                raise ValueError(f"{key} names whole seconds and nanoseconds, expected time.unit: s and no time.steps")
+        if self.time.steps and self.time.unit in ("date", "frames"):
+            raise ValueError(f"time.steps has time.unit {self.time.unit!r}, expected s, ms, us or ns")
         return self
 
     @model_validator(mode="after")

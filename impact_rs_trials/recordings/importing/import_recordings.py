@@ -70,6 +70,10 @@ NOTHING_TRACKED = (
     "quaternion; of a ball x, y, z, or two coordinates of which one falls freely. A table of impacts needs no import: "
     " impact-rs compare --impacts (columns: docs/files.md)"
 )
+ON_A_TABLE = (
+    ". Neither of {columns} falls freely: of a body that slides or rolls on a table, as a puck or a billiard ball, "
+    "write a table of impacts, with the states before and after and the normal of the wall (nx, ny, nz)"
+)
 
 
 @dataclass(frozen=True)
@@ -168,7 +172,8 @@ class _Importer:
         tracked = ObjectSections(files, joints.flange)
         pose_part = tracked.describe(part, facts is not None, signals)
         if facts is None and pose_part is None:
-            raise InputError(NOTHING_TRACKED, file=self._parts[0].path)
+            flat = "".join(ON_A_TABLE.format(columns=pair) for pair in tracked.not_falling)
+            raise InputError(NOTHING_TRACKED + flat, file=self._parts[0].path)
         if facts is None and pose_part is not None:
             refuse_several(pose_part, self._groups, "objects without a robot", "object")
         clock = self._time(part if facts is not None else pose_part or part)

@@ -39,11 +39,13 @@ class ObjectSections:
 
     Attributes:
         groups: Files by kind and run; per-object files are merged to the object that moves.
+        not_falling: Pairs of coordinates in a plane of which none falls freely.
     """
 
     def __init__(self, files: ImportedFiles, flange: FlangePath | None = None) -> None:
         self._flange = flange
         self._parts, self.groups, self._rate, self._notes = files.parts, files.groups, files.rate, files.notes
+        self.not_falling: list[str] = []
 
     def describe(
         self, joints: RecordedFile, with_robot: bool, signals: dict[str, dict[str, Any]]
@@ -119,6 +121,7 @@ class ObjectSections:
                 if len(columns) == IN_A_PLANE:
                     falling = fall_in(track.time, track.values[:, [0, 2]])
                     if falling is None:
+                        self.not_falling.append(", ".join(columns))
                         continue
                     up, length = falling
                     columns = [columns[1 - up], columns[up]]

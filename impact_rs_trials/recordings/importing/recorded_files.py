@@ -260,7 +260,7 @@ def read_streams(part: RecordedFile, robot: str, count: int, rate: float | None)
 def settle_clock(part: RecordedFile, model: RobotModel) -> None:
     """Choose an ambiguous unit of time by the likelihood of positions and velocities."""
     clock = part.clock
-    if clock is None or clock.sure:
+    if clock is None or clock.sure or "steps" in clock.further:
         return
     assumed, stamps = UNITS["time"][clock.further["unit"]], np.asarray(part.columns[clock.value], dtype=float)
     tried = []

@@ -19,7 +19,7 @@ from impact_rs_sim.optional_packages import require
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.recordings.file_units import UNITS
 from impact_rs_trials.recordings.mapping import WIDTHS, Mapping, SignalName, SignalSource
-from impact_rs_trials.recordings.readers.clock import seconds_of, seconds_of_pair
+from impact_rs_trials.recordings.readers.clock import seconds_of, seconds_of_pair, since_first
 from impact_rs_trials.recordings.readers.mat_file import read_mat
 from impact_rs_trials.recordings.readers.read_once import once
 from impact_rs_trials.recordings.readers.series import MissingSignal, Names, Series
@@ -144,7 +144,8 @@ class ArrayFile:
         stamps = self._stamps(array, f"time of {name}", key)
         if stamps.ndim != 1:
             raise InputError(f"array {array!r} (time) is {stamps.shape}, expected one number a sample", file=self._path)
-        return seconds_of(stamps, UNITS["time"][clock.unit])
+        seconds = seconds_of(stamps, UNITS["time"][clock.unit])
+        return since_first(seconds) if clock.steps else seconds
 
     def _stamps(self, name: str, meaning: str, key: str) -> NDArray[Any]:
         """An array of time, as integers if it holds integers; a vector of MATLAB has one axis."""

@@ -117,6 +117,11 @@ def seconds_of(stamps: NDArray[Any], unit: float) -> Array:
     return np.asarray(stamps // each + (stamps % each) * unit)
 
 
+def since_first(steps: Array) -> Array:
+    """Timestamps from the times since the sample before, ``(k,)`` [s]; the first sample has none before it."""
+    return np.concatenate(([0.0], np.cumsum(steps[1:])))
+
+
 def seconds_of_pair(path: Path, place: str, seconds: NDArray[Any], nanoseconds: NDArray[Any]) -> Array:
     """Timestamps in seconds from whole seconds and nanoseconds, ``(k,)``.
 

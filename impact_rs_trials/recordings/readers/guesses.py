@@ -35,6 +35,8 @@ from impact_rs_trials.recordings.relations import (
 from impact_rs_trials.since import MIN_WALL_CLOCK_S
 
 STAMP = re.compile(r"(^|[^a-z])(t|time|times|timestamp|stamp|sec|secs|nsec)([^a-z]|$)|time|stamp", re.IGNORECASE)
+STEP = re.compile(r"(^|[^a-z])(dt|delta_?t|delta_?time|time_?(delta|step))([^a-z]|$)", re.IGNORECASE)
+AXIS = re.compile(r"(^|[^a-z])[xyz]([^a-z]|$)", re.IGNORECASE)  # of a place, which may increase as time does
 FRAME = re.compile(r"(^|[^a-z])frames?([^a-z]|$)|frame_?(nr|no|num|number|index|id)([^a-z]|$)", re.IGNORECASE)
 NANOSECONDS = re.compile(r"nano|n_?sec|(^|[^a-z])ns([^a-z]|$)", re.IGNORECASE)
 STAMP_UNITS = ("s", "ms", "us", "ns")
@@ -70,20 +72,22 @@ class Guess:
 
 
 def clock_of(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> Guess | None:
-    """The column of timestamps, with its unit, or the columns of whole seconds and nanoseconds; None: not found."""
+    """The column of timestamps or of steps, with its unit, or two of seconds and nanoseconds; None: not found."""
     columns = {
         name: cells for name, cells in columns.items() if not (isinstance(cells, np.ndarray) and np.iscomplexobj(cells))
     }
     pair = _clock_of_two(columns)
+    steps = next((guess for name, cells in columns.items() if (guess := _steps(name, cells)) is not None), None)
     for allowed in (0, MAX_STEPS_BACK):  # a clock that was set back if there is no other
         found: list[tuple[float, str, Guess]] = []
         for place, (name, cells) in enumerate(columns.items()):
             guess = _clock(name, cells, allowed)
             if guess is not None:
                 found.append((2.0 * bool(STAMP.search(name)) - 0.01 * place, name, guess))
-        if pair or found:
+        named = any(STAMP.search(name) for _, name, _ in found)
+        if pair or (found and (named or steps is None)):
             return pair or max(found)[2]
-    return None
+    return steps
 
 
 def steps_back(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> str | None:
@@ -136,8 +140,8 @@ def _whole(cells: Sequence[str] | NDArray[Any]) -> NDArray[np.int64] | None:
 
 
 def _clock(name: str, cells: Sequence[str] | NDArray[Any], steps_back: int) -> Guess | None:
-    """A column of timestamps that steps back ``steps_back`` times at most; None: not a clock, as numbers of frames."""
-    if FRAME.search(name):
+    """A column of timestamps that steps back ``steps_back`` times at most; None: not one, as frames or places."""
+    if FRAME.search(name) or (AXIS.search(name) and not STAMP.search(name)):
         return None
     if isinstance(cells, list) and cells and all(DATE.fullmatch(cell.strip()) for cell in cells):
         return Guess(name, "holds dates", further={"unit": "date"})
@@ -166,6 +170,23 @@ def _clock(name: str, cells: Sequence[str] | NDArray[Any], steps_back: int) -> G
     repeats = int(np.sum(steps == 0.0))
     remarks = (f"{repeats} of {stamps.size} stamps repeat the one before",) if repeats else ()
     return Guess(name, evidence, bool(named or len(units) == 1), {"unit": unit}, remarks)
+
+
+def _steps(name: str, cells: Sequence[str] | NDArray[Any]) -> Guess | None:
+    """A column of times since the row before, the first of which may be empty; None: not one."""
+    if not STEP.search(name) or np.ndim(cells) != 1 or len(cells) < 3:
+        return None
+    try:
+        steps = np.asarray(cells[1:], dtype=float)
+    except (ValueError, TypeError):
+        return None
+    usual = float(np.median(steps)) if np.isfinite(steps).all() and np.all(steps >= 0.0) else 0.0
+    units = [unit for unit in STAMP_UNITS if usual > 0.0 and _plausible(unit, np.zeros(1), usual)]
+    if not units:
+        return None
+    rate = 1.0 / (usual * UNITS["time"][units[0]])
+    said = f"times since the row before, by its name; in {units[0]} that is {rate:.4g} Hz"
+    return Guess(name, said, len(units) == 1, {"unit": units[0], "steps": True})
 
 
 def other_units(clock: Guess, stamps: Array) -> list[str]:

@@ -19,7 +19,7 @@ from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.recordings.file_units import UNITS
 from impact_rs_trials.recordings.mapping import Mapping, SignalName, SignalSource, TableLayout
-from impact_rs_trials.recordings.readers.clock import seconds_of, seconds_of_pair
+from impact_rs_trials.recordings.readers.clock import seconds_of, seconds_of_pair, since_first
 from impact_rs_trials.recordings.readers.series import MissingSignal, Names, Series
 from impact_rs_trials.recordings.readers.table_columns import read_columns, read_rows
 
@@ -117,7 +117,8 @@ class TableFile:
             if clock.rate is None:
                 raise InputError("is missing; expected the frame rate [Hz]", file=self._path, key="time.rate")
             return seconds_of(self._stamps(column, key), 1.0 / clock.rate)
-        return seconds_of(self._stamps(column, key), UNITS["time"][clock.unit])
+        stamps = seconds_of(self._stamps(column, key), UNITS["time"][clock.unit])
+        return since_first(stamps) if clock.steps else stamps
 
     def _stamps(self, column: str, key: str) -> NDArray[Any]:
         """A column of time, as integers if it holds nothing else."""

@@ -154,6 +154,36 @@ def test_a_counter_of_milliseconds_is_told_from_seconds_by_the_velocities(tmp_pa
     check_reading(draft, tmp_path / "lab", file, motion)
 
 
+@pytest.mark.parametrize("ending", ["csv", "npz"])
+def test_times_since_the_row_before_are_added_up(ending: str, tmp_path: Path, motion: Columns) -> None:
+    """Rows were lost, and none is before the first. Kills steps taken for stamps, the first one added, and a counter."""
+    kept = np.arange(TIME.size) % 8 != 5
+    steps = np.diff(TIME[kept], prepend=-5.0)
+    parts = {"q": motion["position"][kept], "dq": motion["velocity"][kept], "tau": motion["effort"][kept]}
+    file = tmp_path / f"log.{ending}"
+    if ending == "npz":
+        np.savez(file, dt=steps, **parts)
+    else:
+        names = ["row", "dt", *(name for part in parts for name in numbered(f"{part}_"))]
+        write(file, names, [np.arange(steps.size), steps, *parts.values()])
+        file.write_text(file.read_text().replace("\n0,5,", "\n0,,", 1))
+    mapping = mapping_in(iiwa(file, tmp_path), tmp_path / "lab")
+    assert mapping.time.steps and mapping.time.unit == "s"
+    found = read_series(file, mapping, ["position"], ["position"])["position"]
+    np.testing.assert_allclose(found.time, TIME[kept] - TIME[0], atol=1e-9)
+
+
+def test_steps_of_a_date_or_of_frames_are_refused() -> None:
+    content = {
+        "description": "",
+        "robot": "none",
+        "signals": {"object_pose": {"unit": "m", "columns": list("abcdefg")}},
+    }
+    for unit in ("date", "frames"):
+        with pytest.raises(ValueError, match=f"time.steps has time.unit '{unit}', expected s, ms, us or ns"):
+            Mapping.model_validate(content | {"time": {"unit": unit, "steps": True}})
+
+
 def test_a_low_passed_velocity_is_noticed(tmp_path: Path, motion: Columns) -> None:
     late = np.column_stack([np.interp(TIME - 0.03, TIME, column) for column in motion["velocity"].T])
     file = write(tmp_path / "log.csv", NAMES, [TIME, motion["position"], late, motion["effort"]])

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from refusals import refusal
 
 from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.recordings.impacts.found_impacts import FoundImpacts, find_impacts
@@ -71,6 +72,32 @@ def test_bounces_in_pixels_give_restitution_scale_and_the_spin_of_the_ball(lost:
         own = [one for one in found.impacts if one.run.startswith(f"drop_{number}")]
         for impact, spin in zip(own[1:], bounces(*drop)[1], strict=False):
             assert impact.before[4] == pytest.approx(spin, abs=4.0)  # rad/s; noise: 0.6 for every bounce
+
+
+def track(path: Path, places: np.ndarray, steps: bool) -> Path:
+    """A table in metres, x along; the frames have no number, but perhaps the time since the one before."""
+    rows = [f"{x:.6f},{y:.6f}" + f",{1.0 / RATE:.6f}" * steps for x, y in places]
+    path.write_text("\n".join(["x,y" + ",dt" * steps, *rows]) + "\n")
+    return path
+
+
+def test_a_place_that_increases_is_no_clock(tmp_path: Path) -> None:
+    """A ball that rolls on in x while it bounces. Kills a clock of any column that increases."""
+    places = bounces(0.3, 0.4)[0]
+    said = refusal(draft_import, [track(tmp_path / "a.csv", places, False)], tmp_path, ImportOptions(robot="none"))
+    assert "no column holds time stamps" in said
+    draft = draft_import([track(tmp_path / "b.csv", places, True)], tmp_path, ImportOptions(robot="none"))
+    mapping = yaml.safe_load(draft.texts["mapping.yaml"])
+    assert mapping["time"] == {"column": "dt", "unit": "s", "steps": True}
+    assert mapping["signals"]["object_position"] == {"columns": ["x", "y"], "unit": "m"}
+
+
+def test_a_body_on_a_table_is_sent_to_a_table_of_impacts(tmp_path: Path) -> None:
+    """A puck that hits walls. Kills a refusal that does not say what to do."""
+    along, across = (np.abs(np.arange(300) * speed % 2.0 - 1.0) for speed in (0.01, 0.017))
+    file = track(tmp_path / "puck.csv", np.column_stack((along, across)), True)
+    said = refusal(draft_import, [file], tmp_path, ImportOptions(robot="none"))
+    assert "Neither of x, y falls freely" in said and "the normal of the wall (nx, ny, nz)" in said
 
 
 def test_a_fall_is_found_in_metres_and_none_on_a_table(tmp_path: Path) -> None:
