@@ -66,7 +66,7 @@ class SignalCandidate:
         joints: Names of its joints, base to tip if the names show it; empty: not named.
         stamped: Whether its samples have timestamps; messages of a bag without a header do not.
         first: Index of a part's first number in a wider signal; None: it is whole.
-        defined: Whether the format of the file defines the signal, and not a name that somebody chose.
+        defined: Whether the format of the file defines the signal, and not a name that a user chose.
     """
 
     label: str

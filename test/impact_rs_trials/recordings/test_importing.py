@@ -156,7 +156,7 @@ def test_a_counter_of_milliseconds_is_told_from_seconds_by_the_velocities(tmp_pa
 
 @pytest.mark.parametrize("ending", ["csv", "npz"])
 def test_times_since_the_row_before_are_added_up(ending: str, tmp_path: Path, motion: Columns) -> None:
-    """Rows were lost, and none is before the first. Kills steps taken for stamps, the first one added, and a counter."""
+    """Rows were lost, and none is before the first. Kills steps taken for stamps, a first one added, and a counter."""
     kept = np.arange(TIME.size) % 8 != 5
     steps = np.diff(TIME[kept], prepend=-5.0)
     parts = {"q": motion["position"][kept], "dq": motion["velocity"][kept], "tau": motion["effort"][kept]}
