@@ -14,7 +14,7 @@ from joint_recordings import Columns, swinging
 from refusals import refusal
 from ros_messages import message
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import get_types_from_msg
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from impact_rs_sim.errors import InputError
@@ -1151,26 +1151,29 @@ def test_a_commanded_torque_without_stamps_is_taken_with_the_times_of_the_bag(
 
 STATE = """std_msgs/Header header
 string[] joint_names
-trajectory_msgs/JointTrajectoryPoint desired
-trajectory_msgs/JointTrajectoryPoint actual
+trajectory_msgs/JointTrajectoryPoint {asked}
+trajectory_msgs/JointTrajectoryPoint {seen}
 trajectory_msgs/JointTrajectoryPoint error
 """
 
 
-def test_fields_of_a_trajectory_controller_are_what_their_definition_says(tmp_path: Path, fer: Columns) -> None:
+@pytest.mark.parametrize(("asked", "seen"), [("desired", "actual"), ("reference", "feedback")], ids=["ROS 1", "ROS 2"])
+def test_fields_of_a_trajectory_controller_are_what_their_definition_says(
+    asked: str, seen: str, tmp_path: Path, fer: Columns
+) -> None:
     """Planned velocities and accelerations have no noise and fit each other better than what was measured.
 
     Kills fields without a meaning, joint names that are not found, and a search for servos that forgets the pair that a
     motion leaves over.
     """
-    kind, store = "control_msgs/msg/JointTrajectoryControllerState", typestore()
-    store.register(get_types_from_msg(STATE, kind))
+    kind, store = "control_msgs/msg/JointTrajectoryControllerState", get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(STATE.format(asked=asked, seen=seen), kind))
     rng, kp = np.random.default_rng(0), np.array([900.0, 900.0, 700.0, 600.0, 200.0, 200.0, 100.0])
     wanted = [fer["position"] + fer["effort"] / kp]
     wanted += [np.gradient(wanted[-1], BAG_TIME, axis=0)]
     wanted += [np.gradient(wanted[-1], BAG_TIME, axis=0)]
-    seen = [fer["position"] + rng.normal(0.0, 1e-4, wanted[0].shape), fer["velocity"]]
-    seen[1] = seen[1] + rng.normal(0.0, 0.02, wanted[0].shape)
+    measured = [fer["position"] + rng.normal(0.0, 1e-4, wanted[0].shape), fer["velocity"]]
+    measured[1] = measured[1] + rng.normal(0.0, 0.02, wanted[0].shape)
     order = [3, 1, 2, 7, 5, 6, 4]  # as controllers list them
 
     def state(row: int) -> object:
@@ -1180,20 +1183,20 @@ def test_fields_of_a_trajectory_controller_are_what_their_definition_says(tmp_pa
         }
         columns = np.array(order) - 1
         for name, signal in zip(("positions", "velocities", "accelerations"), wanted, strict=True):
-            content[f"desired.{name}"] = signal[row][columns]
-        for name, signal, target in zip(("positions", "velocities"), seen, wanted[:2], strict=True):
-            content[f"actual.{name}"] = signal[row][columns]
+            content[f"{asked}.{name}"] = signal[row][columns]
+        for name, signal, target in zip(("positions", "velocities"), measured, wanted[:2], strict=True):
+            content[f"{seen}.{name}"] = signal[row][columns]
             content[f"error.{name}"] = (target - signal)[row][columns]
         return message(kind, content, store)
 
     bag = bag_of(tmp_path / "run_1", {"/arm/state": state}, {}, store)
     defined = {one.source["field"]: one.guess for one in candidates_of(bag) if one.defined}
-    assert defined["desired.velocities"] == "velocity" and defined["desired.accelerations"] == "acceleration"
+    assert defined[f"{asked}.velocities"] == "velocity" and defined[f"{asked}.accelerations"] == "acceleration"
     draft = import_fer(bag, tmp_path / "lab")
     mapping = mapping_in(draft, tmp_path / "lab")
     fields = {name: source.field for name, source in mapping.signals.items()}
     assert fields == {
-        "position": "actual.positions", "velocity": "actual.velocities", "q_desired": "desired.positions",
+        "position": f"{seen}.positions", "velocity": f"{seen}.velocities", "q_desired": f"{asked}.positions",
     }  # fmt: skip
     assert mapping.signals["position"].names == "joint_names"
     assert mapping.joints == tuple(f"fer_joint{joint}" for joint in range(1, 8))
