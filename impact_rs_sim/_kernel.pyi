@@ -401,8 +401,9 @@ class Twin:
 
     Args:
         arms: The arms.
-        boxes: Mass [kg], half extents [m], principal moments [kg m^2], centre of mass [m] and shape of the object and
-            of its neighbours.
+        boxes: Mass [kg], half extents [m], principal moments [kg m^2], centre of mass [m], shape, and, of one without
+            neighbours, the twist of its middle in its own axes at unit speed of a hinge or slide, ``(6,)``; of the
+            object and of its neighbours.
         support: Height, half extents along x and y [m], friction and compliance [m/N]; None: there is none.
         pad_friction: Coulomb coefficient of the pads [-].
         box_friction: Between objects [-].
@@ -413,13 +414,14 @@ class Twin:
         formulas: On the object, and between it and the support.
 
     Raises:
-        ValueError: An array has the wrong size, or there is no step in a period.
+        ValueError: An array has the wrong size, there is no step in a period, or an object on a hinge or slide has
+            neighbours.
     """
 
     def __init__(
         self,
         arms: Sequence[TwinArm],
-        boxes: Sequence[tuple[float, Array, Array, Array, Shape | None]],
+        boxes: Sequence[tuple[float, Array, Array, Array, Shape | None, Array | None]],
         support: tuple[float, float, float, float, float] | None,
         pad_friction: float,
         box_friction: float,

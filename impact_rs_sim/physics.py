@@ -449,6 +449,11 @@ class ObjectPhysics:
             freedom=spec.freedom,
         )
 
+    @property
+    def guide(self) -> Array | None:
+        """Twist of its centre in its own axes at unit speed of hinge or slide, ``(6,)``; None: there is neither."""
+        return None if self.freedom is None else self.freedom[:, 0]
+
     def freedom_at(self, rotation: Array) -> Array | None:
         """``freedom`` in axes of A, with axes of the object ``(3, 3)``."""
         return None if self.freedom is None else np.vstack((rotation @ self.freedom[:3], rotation @ self.freedom[3:]))

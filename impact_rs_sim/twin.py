@@ -203,10 +203,9 @@ def kernel_twin(physics: Physics, period: float, joint_torque: bool, refinement:
     if physics.support_height is not None:
         half_x, half_y = (extent / 2.0 for extent in physics.support_size)
         support = (physics.support_height, half_x, half_y, physics.support_friction, physics.support_compliance)
-    physics.object.check_free("the twin")
     return _kernel.Twin(
         arms,
-        [(box.mass, box.size / 2.0, box.inertia, box.com_offset, box.shape.kernel) for box in boxes],
+        [(box.mass, box.size / 2.0, box.inertia, box.com_offset, box.shape.kernel, box.guide) for box in boxes],
         support,
         physics.pad_friction,
         physics.object_friction,

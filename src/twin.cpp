@@ -61,7 +61,8 @@ Twin::RigidBody::RigidBody(const BoxModel& box)
       fixed(std::isinf(box.mass)),
       awake(false),
       mass(fixed ? FIXED_MASS : box.mass),
-      rotation(IDENTITY) {}
+      rotation(IDENTITY),
+      first_rotation(IDENTITY) {}
 
 Twin::Twin(const TwinModel& model, const TwinStart& start)
     : model_(model),
@@ -102,6 +103,15 @@ void Twin::set_state(RigidBody& body, const BoxStart& start) {
   body.angular = start.angular;
   body.velocity = start.velocity + cross(body.angular, lever);
   body.momentum = body.inertia() * body.angular;
+  if (body.model.guide) {  // whose bearing stops the rest of the twist
+    const Spatial along = body.guide_motion();
+    const Vector spin = body.inertia() * along.angular;
+    body.guided_inertia = dot(along.angular, spin) + body.mass * dot(along.linear, along.linear);
+    body.speed = (dot(spin, body.angular) + body.mass * dot(along.linear, body.velocity)) / body.guided_inertia;
+    body.first_centre = body.centre;
+    body.first_rotation = body.rotation;
+    body.integrate_guide(0.0);
+  }
   body.awake = !(model_.support && is_zero(start.velocity) && is_zero(start.angular) && in_equilibrium(body));
 }
 
@@ -134,6 +144,29 @@ Matrix Twin::RigidBody::inertia() const {
       found[3 * i + j] = sum;
     }
   return found;
+}
+
+Spatial Twin::RigidBody::guide_motion() const {
+  const Spatial& guide = *model.guide;
+  return {rotation * guide.angular, rotation * (guide.linear + cross(guide.angular, model.offset))};
+}
+
+// Along hinge or slide at its speed. The pose follows from the travel, so that it does not drift from its hinge.
+void Twin::RigidBody::integrate_guide(double length) {
+  travel += length * speed;
+  const Vector& axis = model.guide->angular;
+  const double square = dot(axis, axis);
+  Vector shift = travel * model.guide->linear;
+  if (square > 0.0) {  // about a point of the hinge, from the centre of mass
+    const Vector point = (1.0 / square) * cross(axis, model.guide->linear) - model.offset;
+    const Matrix turn = turned(travel * axis, IDENTITY);
+    rotation = first_rotation * turn;
+    shift = point - turn * point;
+  }
+  centre = first_centre + first_rotation * shift;
+  const Spatial now = guide_motion();
+  angular = speed * now.angular;
+  velocity = speed * now.linear;
 }
 
 // Unloaded, a compliant support is higher by its deflection under the object's weight.
@@ -580,6 +613,10 @@ void Twin::step(double length, double time) {
   }
   for (RigidBody& body : bodies_) {
     if (!body.awake || body.fixed) continue;
+    if (body.model.guide) {
+      body.integrate_guide(length);
+      continue;
+    }
     body.centre = body.centre + length * body.velocity;
     body.rotation = turned(length * body.angular, body.rotation);
   }
@@ -627,6 +664,23 @@ void Twin::assemble_object(RigidBody& body, const Vector& force, const Vector& m
   }
 }
 
+// A box on a hinge or slide without friction: s^T M s dz/dt = s^T (moment, force), since the forces of the bearing do no
+// work (Featherstone, Rigid Body Dynamics Algorithms, ch. 3). s^T M s is constant, for the axis rests.
+void Twin::assemble_guided(const RigidBody& body, const Vector& force, const Vector& moment) {
+  StepSolver& solver = solver_;
+  const int o = body.offset;
+  const Spatial along = body.guide_motion();
+  const double driving = dot(along.angular, moment) + dot(along.linear, force + body.mass * model_.gravity);
+  const double impulse = body.guided_inertia * body.speed + solver.velocity_step * driving;
+  for (int i = 0; i < 3; ++i) {
+    solver.along[i] = along.angular[i];
+    solver.along[3 + i] = along.linear[i];
+  }
+  solver.mass[o * solver.size + o] = body.guided_inertia;
+  solver.impulse[o] = impulse;
+  solver.velocity[o] = partners_.empty() ? impulse / body.guided_inertia : body.speed;
+}
+
 void Twin::contact_step(double velocity_step, double time) {
   StepSolver& solver = solver_;
   std::vector<int> offsets(arms_.size(), -1);
@@ -645,13 +699,14 @@ void Twin::contact_step(double velocity_step, double time) {
     if (!body.awake) continue;
     body.offset = size;
     solver.objects.push_back(size);
-    size += 6;
+    size += body.model.guide ? 1 : 6;
   }
   const int n = size;
   solver.size = n;
   solver.velocity_step = velocity_step;
   solver.object_mass = bodies_.front().mass;
   solver.fixed = bodies_.front().fixed;
+  solver.guided = bodies_.front().model.guide.has_value();
   solver.mass.assign(n * n, 0.0);
   solver.impulse.resize(n);
   solver.velocity.resize(n);
@@ -667,7 +722,11 @@ void Twin::contact_step(double velocity_step, double time) {
   for (RigidBody& body : bodies_) {
     if (!body.awake) continue;
     const bool is_object = &body == &bodies_.front();
-    assemble_object(body, is_object ? force_ : Vector{}, is_object ? moment_ : Vector{});
+    if (body.model.guide) {
+      assemble_guided(body, force_, moment_);
+    } else {
+      assemble_object(body, is_object ? force_ : Vector{}, is_object ? moment_ : Vector{});
+    }
   }
   if (!partners_.empty()) {
     ++report_.contact_steps;
@@ -715,6 +774,12 @@ void Twin::contact_step(double velocity_step, double time) {
   }
   for (RigidBody& body : bodies_) {
     if (!body.awake || body.fixed) continue;
+    if (body.model.guide) {
+      body.speed = solver.velocity[body.offset];
+      body.angular = body.speed * vector(solver.along.data());
+      body.velocity = body.speed * vector(solver.along.data() + 3);
+      continue;
+    }
     body.angular = vector(&solver.velocity[body.offset]);
     body.velocity = vector(&solver.velocity[body.offset + 3]);
   }

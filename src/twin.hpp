@@ -19,6 +19,7 @@ struct BoxModel {
   Vector inertia;  // principal moments about the centre of mass [kg m^2]
   Vector offset;   // centre of mass from the middle, in axes of the box [m]
   Shape shape;       // its shape; half extents are those of its bounding box
+  std::optional<Spatial> guide;  // motion of its middle at unit speed of hinge or slide, in its own axes
 };
 
 struct SupportModel {
@@ -31,7 +32,7 @@ struct SupportModel {
 // What does not change over a simulation.
 struct TwinModel {
   std::vector<ArmModel> arms;
-  std::vector<BoxModel> boxes;  // the object, then its neighbours; only the object may be fixed
+  std::vector<BoxModel> boxes;  // the object, then its neighbours; only the object may be fixed, or, alone, have a guide
   std::optional<SupportModel> support;
   double pad_friction;  // [-]
   double box_friction;  // between objects [-]
@@ -122,9 +123,16 @@ class Twin {
     Matrix rotation;
     int offset = 0;  // of its velocities among the unknowns of a step
 
+    // On a hinge or slide: travel along it from the pose at the start, speed, and inertia s^T M s.
+    double travel = 0.0, speed = 0.0, guided_inertia = 0.0;
+    Vector first_centre{};
+    Matrix first_rotation;
+
     explicit RigidBody(const BoxModel& box);
     ConvexBody geometry() const { return {centre - rotation * model.offset, rotation, model.half, model.shape}; }
     Matrix inertia() const;
+    Spatial guide_motion() const;  // of the centre of mass at unit speed of hinge or slide
+    void integrate_guide(double length);
   };
 
   // A contact pair: a box and an arm, the support, or a box before it.
@@ -146,6 +154,7 @@ class Twin {
   void contact_step(double velocity_step, double time);
   void assemble_arm(const Partner& partner, const TwinArm& arm);
   void assemble_object(RigidBody& body, const Vector& force, const Vector& moment);
+  void assemble_guided(const RigidBody& body, const Vector& force, const Vector& moment);
   void record_resultant(std::size_t partner, double time);
   void set_contact_laws(std::size_t partner, double velocity_step);
   void set_shear_law(std::size_t partner);

@@ -17,7 +17,7 @@ using PadOfPython = std::tuple<Numbers, Numbers, Numbers, std::optional<double>,
 using ToolOfPython = std::tuple<Numbers, double>;
 using PullOfPython = std::tuple<Numbers, double, Numbers>;
 using FormulaOfPython = std::tuple<std::string, int, int, std::vector<int>, std::vector<double>>;
-using BoxOfPython = std::tuple<double, Numbers, Numbers, Numbers, OptionalShape>;
+using BoxOfPython = std::tuple<double, Numbers, Numbers, Numbers, OptionalShape, std::optional<Numbers>>;
 using SupportOfPython = std::tuple<double, double, double, double, double>;
 using ArmStartOfPython = std::tuple<Numbers, Numbers, Numbers, Numbers, Numbers, Numbers, Numbers>;
 using BoxStartOfPython = std::tuple<Numbers, Numbers, Numbers>;
@@ -97,9 +97,14 @@ TwinModel model_of(const std::vector<const ArmModel*>& arms, const std::vector<B
                    const std::vector<FormulaOfPython>& formulas) {
   TwinModel model{{}, {}, std::nullopt, pad_friction, box_friction, rolling_arm, vector_of(gravity, "gravity"), period,
                   refinement, {}};
-  for (const auto& [mass, half, inertia, offset, shape] : boxes)
+  for (const auto& [mass, half, inertia, offset, shape, guide] : boxes) {
     model.boxes.push_back({mass, vector_of(half, "boxes"), vector_of(inertia, "boxes"), vector_of(offset, "boxes"),
-                           shape.value_or(Shape{})});
+                           shape.value_or(Shape{}), std::nullopt});
+    if (!guide) continue;
+    if (boxes.size() > 1) throw py::value_error("boxes: one on a hinge or slide has no neighbours");
+    const double* twist = checked(*guide, 6, "boxes");
+    model.boxes.back().guide = Spatial{vector(twist + 3), vector(twist)};
+  }
   for (const auto& [effect, acts, index, code, constants] : formulas) {
     if (acts < static_cast<int>(Acts::on_object) || acts > static_cast<int>(Acts::along_support))
       throw py::value_error("formula: does not act on the object");

@@ -12,12 +12,13 @@ constexpr int ROUNDS = 60;                      // of fixed and released frictio
 constexpr int EARLY_ROUNDS = 6;                 // of them, for a guess only
 constexpr int CONVEX_STEPS = 60;                // of Newton's method with fixed friction limits
 constexpr double FIXED_LIMIT_TOLERANCE = 1e-6;  // m/s, of such a guess
+constexpr std::array<double, 6> EVERY_WAY{1.0, 1.0, 1.0, 1.0, 1.0, 1.0};
 
 }  // namespace
 
 // Twist of the object against a partner, about its centre of mass.
 void StepSolver::twist_against(const Partner& partner, const std::vector<double>& x, double* twist) const {
-  for (int i = 0; i < 6; ++i) twist[i] = x[partner.object + i];
+  for (int i = 0; i < 6; ++i) twist[i] = guided ? along[i] * x[partner.object] : x[partner.object + i];
   for (int j = 0; j < partner.joints; ++j)
     for (int i = 0; i < 6; ++i) twist[i] -= partner.motions[6 * j + i] * x[partner.offset + j];
 }
@@ -33,7 +34,9 @@ void StepSolver::evaluate(const std::vector<double>& x, bool with_derivative) {
   };
   for (const Partner& partner : partners)
     if (partner.joints > 0) multiply(partner.offset, partner.joints);
-  for (const int object : objects) multiply(object, 6);
+  for (const int object : objects) multiply(object, freedoms());
+  const std::array<double, 6>& ways = guided ? along : EVERY_WAY;  // of the object's unknowns, which are `next` apart
+  const int next = guided ? 0 : 1;
   if (with_derivative) std::copy(mass.begin(), mass.end(), matrix_.begin());
   wrenches_.assign(6 * partners.size(), 0.0);
   for (std::size_t k = 0; k < partners.size(); ++k) {
@@ -53,7 +56,7 @@ void StepSolver::evaluate(const std::vector<double>& x, bool with_derivative) {
       loaded = loaded || normal_forces_[i] > 0.0 || fixed_load > 0.0;
     }
     if (!loaded) continue;
-    for (int i = 0; i < 6 && !fixed; ++i) residual_[o + i] -= velocity_step * wrench[i];
+    for (int i = 0; i < 6 && !fixed; ++i) residual_[o + next * i] -= ways[i] * velocity_step * wrench[i];
     for (int j = 0; j < partner.joints; ++j) {
       double sum = 0.0;
       for (int i = 0; i < 6; ++i) sum += partner.motions[6 * j + i] * wrench[i];
@@ -61,7 +64,8 @@ void StepSolver::evaluate(const std::vector<double>& x, bool with_derivative) {
     }
     if (!with_derivative) continue;
     for (int i = 0; i < 6 && !fixed; ++i)
-      for (int j = 0; j < 6; ++j) matrix_[(o + i) * n + o + j] += velocity_step * z[6 * i + j];
+      for (int j = 0; j < 6; ++j)
+        matrix_[(o + next * i) * n + o + next * j] += ways[i] * ways[j] * velocity_step * z[6 * i + j];
     product_.resize(6 * partner.joints);
     for (int j = 0; j < partner.joints; ++j) {
       const double* own = partner.motions + 6 * j;
@@ -73,8 +77,8 @@ void StepSolver::evaluate(const std::vector<double>& x, bool with_derivative) {
         }
         product_[6 * j + i] = velocity_step * right;
         if (fixed) continue;
-        matrix_[(o + i) * n + partner.offset + j] -= velocity_step * right;
-        matrix_[(partner.offset + j) * n + o + i] -= velocity_step * left;
+        matrix_[(o + next * i) * n + partner.offset + j] -= ways[i] * velocity_step * right;
+        matrix_[(partner.offset + j) * n + o + next * i] -= ways[i] * velocity_step * left;
       }
     }
     for (int i = 0; i < partner.joints; ++i)

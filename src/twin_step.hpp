@@ -4,8 +4,9 @@
 //     R(x) = A x - p - h sum S_k^T w_k(S_k x),      A = blockdiag(M_1.., I, m),
 //
 // x the joint velocities of the arms in contact, then angular velocity and velocity of the centre of mass of every object;
-// w_k the wrench of partner k on its object at its twist against it. Newton's method; where it cycles, the
-// friction limits are fixed for some rounds, for which the root is the minimum of a convex function.
+// w_k the wrench of partner k on its object at its twist against it. An object on a hinge or slide has the twist s z with
+// the one velocity z in x; its rows are multiplied by s^T, and its block of A is s^T diag(I, m) s. Newton's method; where
+// it cycles, the friction limits are fixed for some rounds, for which the root is the minimum of a convex function.
 
 #pragma once
 
@@ -23,7 +24,7 @@ struct Partner {
   int offset;           // of its joint velocities among the unknowns
   const double* motions;  // of its joints: twist (angular, linear) at the object's centre of mass, (joints, 6)
   std::size_t first, count;  // its points
-  int object;           // offset of the velocities of the object
+  int object;           // offset of the velocities of the object, or of the one that its guide leaves
 };
 
 struct Solution {
@@ -41,6 +42,8 @@ class StepSolver {
   StepLengths lengths{};                  // of the contact laws
   double object_mass = 0.0;     // turns a residual into a velocity [kg]
   bool fixed = false;           // whether no wrench moves the object
+  bool guided = false;          // whether it is on a hinge or slide, and there is no other
+  std::array<double, 6> along{};  // s of that: twist of its centre of mass at unit speed
   std::vector<double> mass;     // A, (size, size)
   std::vector<double> impulse;  // p
   std::vector<double> velocity;  // x: first guess, then the root
@@ -56,6 +59,7 @@ class StepSolver {
   const double* wrench(std::size_t partner) const { return &wrenches_[6 * partner]; }
 
  private:
+  int freedoms() const { return guided ? 1 : 6; }
   void evaluate(const std::vector<double>& x, bool with_derivative);
   void twist_against(const Partner& partner, const std::vector<double>& x, double* twist) const;
   double residual() const;
