@@ -454,6 +454,35 @@ class ObjectPhysics:
         """Twist of its centre in its own axes at unit speed of hinge or slide, ``(6,)``; None: there is neither."""
         return None if self.freedom is None else self.freedom[:, 0]
 
+    @property
+    def _about_com(self) -> Array:
+        """Its ``guide`` at the centre of mass, ``(6,)``."""
+        assert self.guide is not None
+        velocity, axis = self.guide[:3], self.guide[3:]
+        return np.concatenate((velocity + np.cross(axis, self.com_offset), axis))
+
+    def guide_of_centre_of_mass(self, rotation: Array) -> Array:
+        """Twist of the centre of mass in A at unit speed of hinge or slide, with axes of the object ``(3, 3)``."""
+        return np.concatenate((rotation @ self._about_com[:3], rotation @ self._about_com[3:]))
+
+    @property
+    def guided_inertia(self) -> float:
+        """S^T M S of its hinge or slide: the moment about the hinge [kg m^2], or the mass [kg]."""
+        along = self._about_com
+        return float(self.mass * (along[:3] @ along[:3]) + self.inertia @ np.square(along[3:]))
+
+    def guided_speed(self, rotation: Array, twist: Array) -> float:
+        """Speed that hinge or slide leaves a body of a twist, (S^T M S)^-1 S^T M t (Gauss' principle) [rad/s or m/s].
+
+        Args:
+            rotation: Axes of the object in A, ``(3, 3)``.
+            twist: Its twist at its centre, axes of A, ``(6,)``.
+        """
+        along, spin = self._about_com, rotation.T @ twist[3:]
+        velocity = rotation.T @ twist[:3] + np.cross(spin, self.com_offset)
+        momentum = self.mass * (along[:3] @ velocity) + along[3:] @ (self.inertia * spin)
+        return float(momentum) / self.guided_inertia
+
     def freedom_at(self, rotation: Array) -> Array | None:
         """``freedom`` in axes of A, with axes of the object ``(3, 3)``."""
         return None if self.freedom is None else np.vstack((rotation @ self.freedom[:3], rotation @ self.freedom[3:]))

@@ -11,6 +11,10 @@ Its friction cone weights two fixed axes with the inverse mass along them, so th
 magnitude of Coulomb's law but not the direction: it opposes ``D^-1 v_t`` instead of the sliding velocity ``v_t``, at
 most 13 degrees off for the boxes of the paper. A world with small steps corrects the direction: at every corner that
 slid in the previous step, an external force replaces Bullet's friction by ``-mu N v_t / |v_t|``.
+
+An object on a hinge or slide is the only link of a multibody on a base without shape at its pose: its state is the joint
+coordinate (Featherstone, Rigid Body Dynamics Algorithms, ch. 7), so that it does not drift. A constraint between free
+bodies lets it drift, and holds no hinge.
 """
 
 from __future__ import annotations
@@ -64,6 +68,9 @@ with _quiet():
 FACE_CONTACT_POINTS = 4  # Bullet keeps four points of a face contact; each gets a quarter of the face's stiffness
 SUPPORT_DAMPING_RATIO = 0.5  # of the object on a compliant support
 MAX_BULLET_STEPS = 8  # Bullet steps per step of a world
+GUIDED_LINK = 0  # of the multibody of an object on a hinge or slide
+# An empty interval switches Bullet's own joint stops off.
+FREE_JOINT = {"jointDamping": 0.0, "maxJointVelocity": 1e3, "jointLowerLimit": 1.0, "jointUpperLimit": -1.0}
 MARGIN_M = 1e-4  # radius at the rims of a cylinder and around a hull
 
 
@@ -113,12 +120,14 @@ class BulletWorld:
         self._turns = small_steps and support is not None and physics.support_friction > 0.0
         self._models = {name: physics.robot_model(name) for name in shears}
         self._com_is_offset = bool(np.any(physics.object.com_offset))
+        guided = physics.object.guide is not None
+        self._object_link = GUIDED_LINK if guided else -1
         # Bound once: the attribute look-up of the wrapper costs more than some of the calls in the inner loop.
         self._step = client.stepSimulation
         self._get_joints = client.getJointStates
         self._set_torques = client.setJointMotorControlArray
-        self._get_pose = client.getBasePositionAndOrientation
-        self._get_velocity = client.getBaseVelocity
+        self._get_pose = self._guided_pose if guided else client.getBasePositionAndOrientation
+        self._get_velocity = self._guided_velocity if guided else client.getBaseVelocity
         self._get_contacts = client.getContactPoints
         self._push = client.applyExternalForce
 
@@ -201,6 +210,10 @@ class BulletWorld:
         """Set the state of the object, given at its geometric centre; its neighbours stand beside it."""
         bodies = (self.physics.object, *(one.body for one in self.physics.neighbours))
         for number, body, own in zip(self.objects, bodies, (state, *standing(self.physics, state)), strict=True):
+            if body.guide is not None:
+                self.client.resetBasePositionAndOrientation(number, own.position.tolist(), _quaternion(own.rotation))
+                self.client.resetJointState(number, GUIDED_LINK, 0.0, body.guided_speed(own.rotation, own.twist))
+                continue
             offset = own.rotation @ body.com_offset
             velocity = own.twist[:3] + np.cross(own.twist[3:], offset)
             self.client.resetBasePositionAndOrientation(
@@ -218,6 +231,16 @@ class BulletWorld:
         for state in (pybullet.ACTIVATION_STATE_ENABLE_SLEEPING, pybullet.ACTIVATION_STATE_SLEEP):
             for body in self.objects:
                 self.client.changeDynamics(body, -1, activationState=state)
+
+    def _guided_pose(self, body: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Centre of mass and axes of an object on a hinge or slide, as Bullet says those of a free one."""
+        state = self.client.getLinkState(body, GUIDED_LINK, computeForwardKinematics=1)
+        return state[0], state[1]
+
+    def _guided_velocity(self, body: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Velocity of its centre of mass and angular velocity, likewise."""
+        state = self.client.getLinkState(body, GUIDED_LINK, computeLinkVelocity=1, computeForwardKinematics=1)
+        return state[6], state[7]
 
     def joint_motion(self, name: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Joint positions [rad] and velocities [rad/s] of an arm, as returned by Bullet."""
@@ -298,7 +321,7 @@ class BulletWorld:
             for name, shear in self._shears.items():
                 self._shear(name, shear)
             for arm, place, force, moment in self._pushes:
-                body, link = (self.object, -1) if arm is None else (self.arms[arm], self.end_effector_link[arm])
+                body, link = (self.object, self._object_link) if arm is None else (self.arms[arm], self.end_effector_link[arm])
                 self._push(body, link, force.tolist(), place.tolist(), pybullet.WORLD_FRAME)
                 if np.any(moment):
                     self.client.applyExternalTorque(body, link, moment.tolist(), pybullet.WORLD_FRAME)
@@ -347,7 +370,7 @@ class BulletWorld:
         forces = shear.step(touch, self._object_side(), pad, placement.rotation)
         arm, link = self.arms[name], self.end_effector_link[name]
         for point, (x, y, z) in zip(touch.points.tolist(), forces.tolist(), strict=True):
-            self._push(self.object, -1, (x, y, z), point, pybullet.WORLD_FRAME)
+            self._push(self.object, self._object_link, (x, y, z), point, pybullet.WORLD_FRAME)
             self._push(arm, link, (-x, -y, -z), point, pybullet.WORLD_FRAME)
 
     def _object_side(self) -> ContactBody:
@@ -356,8 +379,12 @@ class BulletWorld:
         linear, angular = self._get_velocity(self.object)
         rotation = pin.Quaternion(np.array(quaternion)).matrix()
         object_, mobility = self.physics.object, np.zeros((6, 6))
-        mobility[:3, :3] = np.eye(3) / object_.mass  # of a fixed one 0, and so below
-        mobility[3:, 3:] = rotation / object_.inertia @ rotation.T
+        if object_.guide is not None:
+            along = object_.guide_of_centre_of_mass(rotation)
+            mobility = np.outer(along, along) / object_.guided_inertia
+        else:
+            mobility[:3, :3] = np.eye(3) / object_.mass  # of a fixed one 0, and so below
+            mobility[3:, 3:] = rotation / object_.inertia @ rotation.T
         return ContactBody(np.array(position), np.array(linear + angular), mobility)
 
     def pad_force(self, name: str) -> Array:
@@ -452,13 +479,10 @@ def _load_arm(client: BulletClient, scene: Physics, name: str, compliant: bool, 
             link,
             linearDamping=0.0,
             angularDamping=0.0,
-            jointDamping=0.0,
             spinningFriction=0.0,
             rollingFriction=0.0,
             restitution=0.0,
-            maxJointVelocity=1e3,
-            jointLowerLimit=1.0,  # an empty interval switches Bullet's own joint stops off
-            jointUpperLimit=-1.0,
+            **FREE_JOINT,
             activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
         )
         # A separate call: together with maxJointVelocity or activationState Bullet ignores it silently.
@@ -486,22 +510,15 @@ def _geometry(shape: ConvexShape, size: Array) -> dict[str, Any]:
     return {"shapeType": pybullet.GEOM_BOX, "halfExtents": (size / 2.0).tolist()}
 
 
-def _object_friction(physics: Physics) -> float:
-    """Lateral friction of every object in Bullet."""
-    return math.sqrt(physics.object_friction) if physics.neighbours else 1.0
-
-
-def _make_object(client: BulletClient, object_: ObjectPhysics, friction: float) -> int:
-    shape = client.createCollisionShape(
-        **_geometry(object_.shape, object_.size), collisionFramePosition=(-object_.com_offset).tolist()
-    )
-    mass, moments = (0.0, [0.0] * 3) if object_.fixed else (object_.mass, object_.inertia.tolist())  # 0: fixed
-    body = client.createMultiBody(baseMass=mass, baseCollisionShapeIndex=shape)
+def _set_dynamics(
+    client: BulletClient, body: int, link: int, object_: ObjectPhysics, moments: list[float], friction: float
+) -> None:
+    """Set what Bullet would choose for a link of an object by itself."""
     if object_.shape.kind in ("cylinder", "hull"):  # Bullet rounds the rims of one, and adds a margin around the other
-        client.changeDynamics(body, -1, collisionMargin=MARGIN_M)
+        client.changeDynamics(body, link, collisionMargin=MARGIN_M)
     client.changeDynamics(
         body,
-        -1,
+        link,
         localInertiaDiagonal=moments,
         linearDamping=0.0,
         angularDamping=0.0,
@@ -511,6 +528,55 @@ def _make_object(client: BulletClient, object_: ObjectPhysics, friction: float) 
         restitution=0.0,
         activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
     )
+
+
+def _make_guided(client: BulletClient, object_: ObjectPhysics, friction: float) -> int:
+    """An object on a hinge or slide."""
+    guide = object_.guide
+    assert guide is not None
+    turns = bool(np.any(guide[3:]))
+    axis = guide[3:] if turns else guide[:3]
+    joint = np.cross(axis, guide[:3]) if turns else np.zeros(3)  # a point of the hinge
+    shape = client.createCollisionShape(
+        **_geometry(object_.shape, object_.size), collisionFramePosition=(-joint).tolist()
+    )
+    body = client.createMultiBody(
+        baseMass=0.0,
+        linkMasses=[object_.mass],
+        linkCollisionShapeIndices=[shape],
+        linkVisualShapeIndices=[-1],
+        linkPositions=[joint.tolist()],
+        linkOrientations=[[0.0, 0.0, 0.0, 1.0]],
+        linkInertialFramePositions=[(object_.com_offset - joint).tolist()],
+        linkInertialFrameOrientations=[[0.0, 0.0, 0.0, 1.0]],
+        linkParentIndices=[0],
+        linkJointTypes=[pybullet.JOINT_REVOLUTE if turns else pybullet.JOINT_PRISMATIC],
+        linkJointAxis=[axis.tolist()],
+    )
+    _set_dynamics(client, body, GUIDED_LINK, object_, object_.inertia.tolist(), friction)
+    client.changeDynamics(body, GUIDED_LINK, **FREE_JOINT)
+    # Calls of their own: together with activationState Bullet ignores them silently.
+    client.changeDynamics(body, GUIDED_LINK, lateralFriction=friction)
+    client.changeDynamics(body, GUIDED_LINK, localInertiaDiagonal=object_.inertia.tolist())
+    client.changeDynamics(body, -1, activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING)
+    client.setJointMotorControl2(body, GUIDED_LINK, pybullet.VELOCITY_CONTROL, force=0.0)
+    return int(body)
+
+
+def _object_friction(physics: Physics) -> float:
+    """Lateral friction of every object in Bullet."""
+    return math.sqrt(physics.object_friction) if physics.neighbours else 1.0
+
+
+def _make_object(client: BulletClient, object_: ObjectPhysics, friction: float) -> int:
+    if object_.guide is not None:
+        return _make_guided(client, object_, friction)
+    shape = client.createCollisionShape(
+        **_geometry(object_.shape, object_.size), collisionFramePosition=(-object_.com_offset).tolist()
+    )
+    mass, moments = (0.0, [0.0] * 3) if object_.fixed else (object_.mass, object_.inertia.tolist())  # 0: fixed
+    body = client.createMultiBody(baseMass=mass, baseCollisionShapeIndex=shape)
+    _set_dynamics(client, body, -1, object_, moments, friction)
     return int(body)
 
 

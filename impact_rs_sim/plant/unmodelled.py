@@ -31,6 +31,7 @@ class LooseContents(PlantExtension):
     def begin(self, plant: Plant) -> None:
         """Put the slab on the object, and take its mass off the object."""
         world, object_ = plant.world, plant.physics.object
+        object_.check_free("loose contents")
         client, state = world.client, plant.world.object_state()
         mass = self._share * object_.mass
         client.changeDynamics(world.object, -1, mass=object_.mass - mass)
