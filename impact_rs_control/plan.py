@@ -278,8 +278,8 @@ def check_joint_counts(scenario: Scenario) -> None:
     Raises:
         InputError: An arm is a tree, or has fewer joints than the pose of its pad has components.
     """
-    scenario.check_chains("the controller")
     for name, robot in scenario.robots.items():
+        robot.robot_facts.check_chain("the controller", f"robots.{name}", scenario.name)
         if (count := robot.robot_facts.joint_count) < POSE_TASKS:
             raise InputError(
                 f"the arm has {count} joints, and the controller holds the pose of its pad, which takes {POSE_TASKS}: "
@@ -408,14 +408,16 @@ def _wrench(scene: Scene, name: str, post: SampledPath) -> Array:
     The paper asks the desired wrench to apply a normal contact force and to "compensate for the external forces exerted
     on the end effectors through interaction with the object", friction due to sliding among them (sec. Post-impact
     mode). Held: the clamping force along the pad's normal n, and this arm's share of m (a_d - g), which a fixed object
-    does not need.
+    does not need, nor one whose bearing carries it: on a hinge or slide without friction a reference that comes to rest
+    needs no push.
     """
     physics, scenario = scene.physics, scene.scenario
-    if scenario.control.clamp_force <= 0.0 and not physics.object.fixed:
+    borne = physics.object.fixed or physics.object.guide is not None
+    if scenario.control.clamp_force <= 0.0 and not borne:
         return _pushing_wrench(scene, name, post)
     normal = scenario.robots[name].impact_placement.rotation[:, 2]
     share = np.zeros_like(post.acceleration)
-    if not physics.object.fixed:
+    if not borne:
         share = physics.object.mass / len(scene.arms) * (post.acceleration - np.asarray(physics.gravity))
     force = scenario.control.clamp_force * normal + share
     return np.hstack((force, np.zeros_like(force)))

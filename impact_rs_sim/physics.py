@@ -435,7 +435,7 @@ class ObjectPhysics:
     inertia: Array
     com_offset: Array
     shape: ConvexShape = BOX
-    freedom: Array | None = field(default=None, repr=False)  # no run has one, nor its digest
+    freedom: Array | None = field(default=None, repr=False)  # a digest has it beside the rest
 
     @staticmethod
     def of(spec: ObjectSpec) -> ObjectPhysics:
@@ -454,38 +454,39 @@ class ObjectPhysics:
         """Twist of its centre in its own axes at unit speed of hinge or slide, ``(6,)``; None: there is neither."""
         return None if self.freedom is None else self.freedom[:, 0]
 
-    @property
-    def _about_com(self) -> Array:
-        """Its ``guide`` at the centre of mass, ``(6,)``."""
-        assert self.guide is not None
-        velocity, axis = self.guide[:3], self.guide[3:]
-        return np.concatenate((velocity + np.cross(axis, self.com_offset), axis))
+    def freedom_at(self, rotation: Array) -> Array | None:
+        """``freedom`` in axes of A, with axes of the object ``(3, 3)``."""
+        return None if self.freedom is None else np.vstack((rotation @ self.freedom[:3], rotation @ self.freedom[3:]))
 
-    def guide_of_centre_of_mass(self, rotation: Array) -> Array:
-        """Twist of the centre of mass in A at unit speed of hinge or slide, with axes of the object ``(3, 3)``."""
-        return np.concatenate((rotation @ self._about_com[:3], rotation @ self._about_com[3:]))
+    def guide_at(self, rotation: Array, lever: Array) -> Array:
+        """Twist of a point of it at unit speed of its hinge or slide, axes of A, ``(6,)``.
+
+        Args:
+            rotation: Axes of the object in A, ``(3, 3)``.
+            lever: The point from its centre, in A, ``(3,)`` [m].
+        """
+        guide = self.freedom_at(rotation)
+        assert guide is not None
+        velocity, axis = guide[:3, 0], guide[3:, 0]
+        return np.concatenate((velocity + np.cross(axis, lever), axis))
 
     @property
     def guided_inertia(self) -> float:
         """S^T M S of its hinge or slide: the moment about the hinge [kg m^2], or the mass [kg]."""
-        along = self._about_com
+        along = self.guide_at(np.eye(3), self.com_offset)
         return float(self.mass * (along[:3] @ along[:3]) + self.inertia @ np.square(along[3:]))
 
     def guided_speed(self, rotation: Array, twist: Array) -> float:
-        """Speed that hinge or slide leaves a body of a twist, (S^T M S)^-1 S^T M t (Gauss' principle) [rad/s or m/s].
+        """Speed that hinge or slide leaves of a twist t, (S^T M S)^-1 S^T M t (Gauss' principle) [rad/s or m/s].
 
         Args:
             rotation: Axes of the object in A, ``(3, 3)``.
-            twist: Its twist at its centre, axes of A, ``(6,)``.
+            twist: Twist at its centre, axes of A, ``(6,)`` [m/s, rad/s].
         """
-        along, spin = self._about_com, rotation.T @ twist[3:]
+        along, spin = self.guide_at(np.eye(3), self.com_offset), rotation.T @ twist[3:]
         velocity = rotation.T @ twist[:3] + np.cross(spin, self.com_offset)
         momentum = self.mass * (along[:3] @ velocity) + along[3:] @ (self.inertia * spin)
         return float(momentum) / self.guided_inertia
-
-    def freedom_at(self, rotation: Array) -> Array | None:
-        """``freedom`` in axes of A, with axes of the object ``(3, 3)``."""
-        return None if self.freedom is None else np.vstack((rotation @ self.freedom[:3], rotation @ self.freedom[3:]))
 
     def check_free(self, what: str) -> None:
         """Refuse an object on a hinge or slide, for ``what`` takes free and fixed ones.

@@ -321,7 +321,9 @@ class BulletWorld:
             for name, shear in self._shears.items():
                 self._shear(name, shear)
             for arm, place, force, moment in self._pushes:
-                body, link = (self.object, self._object_link) if arm is None else (self.arms[arm], self.end_effector_link[arm])
+                body, link = (
+                    (self.object, self._object_link) if arm is None else (self.arms[arm], self.end_effector_link[arm])
+                )
                 self._push(body, link, force.tolist(), place.tolist(), pybullet.WORLD_FRAME)
                 if np.any(moment):
                     self.client.applyExternalTorque(body, link, moment.tolist(), pybullet.WORLD_FRAME)
@@ -380,7 +382,7 @@ class BulletWorld:
         rotation = pin.Quaternion(np.array(quaternion)).matrix()
         object_, mobility = self.physics.object, np.zeros((6, 6))
         if object_.guide is not None:
-            along = object_.guide_of_centre_of_mass(rotation)
+            along = object_.guide_at(rotation, rotation @ object_.com_offset)
             mobility = np.outer(along, along) / object_.guided_inertia
         else:
             mobility[:3, :3] = np.eye(3) / object_.mass  # of a fixed one 0, and so below

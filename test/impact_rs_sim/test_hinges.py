@@ -8,6 +8,7 @@ import shlex
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,6 @@ from hypothesis import strategies as st
 from impact_rs_analysis.limits.drawn_hits import Hits
 from impact_rs_analysis.limits.hit_bounds import NO_THRESHOLDS
 from impact_rs_cli.main import main
-from impact_rs_control.plan import check_joint_counts
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map, kinetic_energy, predict_impact
 from impact_rs_sim.impact_map.contacts import contact_pairs, find_contacts
@@ -29,12 +29,12 @@ from impact_rs_sim.impact_map.derivatives import differentiate
 from impact_rs_sim.impact_map.measured import MeasuredImpact, solve_measured
 from impact_rs_sim.impact_map.uncertainty import predict
 from impact_rs_sim.paths import config_directory
+from impact_rs_sim.plant.unmodelled import LooseContents
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.scenarios.scenario import Scenario, Uncertainties
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import validate
 from impact_rs_sim.shapes import SPHERE
-from impact_rs_sim.twin import TwinJob, simulate
 
 WALL = yaml.safe_load((config_directory() / "scenarios" / "hit_wall.yaml").read_text(encoding="utf-8"))
 MASS, WIDTH, THICK = 9.0, 0.6, 0.1  # kg and m, of the door
@@ -254,9 +254,8 @@ def given_points(scene: Scene) -> object:
 
 
 REFUSERS: dict[str, Callable[[Scene], object]] = {
-    "the controller": lambda scene: check_joint_counts(scene.scenario),
     "the engine bullet": lambda scene: predict_impact(ImpactProblem.at_nominal_impact(scene), engine="bullet"),
-    "the twin": lambda scene: simulate([TwinJob(scene.physics, scene.arms, {}, {}, {}, np.array([0.0, 1e-3]), 1e-3)]),
+    "loose contents": lambda scene: LooseContents(1.0, 0).begin(SimpleNamespace(world=None, physics=scene.physics)),  # type: ignore[arg-type]
     "the search for a speed limit": lambda scene: Hits(scene, NO_THRESHOLDS),
     "a table of impacts": given_points,
 }

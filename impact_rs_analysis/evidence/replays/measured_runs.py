@@ -71,6 +71,7 @@ class Setup:
         with np.printoptions(floatmode="unique", threshold=sys.maxsize):  # to the last bit
             text = [repr((facts, self.levels)), *self.bodies[1:]]  # digests of documents from before stay
             text += [repr(arm.tool_spring) for arm in self.physics.arms.values() if arm.tool_spring is not None]
+            text += [repr(self.physics.object.guide)] if self.physics.object.guide is not None else []
         for window in self.windows:
             text.append(repr(window.contact))
             text += [hashlib.sha256(times.tobytes()).hexdigest() for times in window.seen_beside.values()]
