@@ -8,7 +8,10 @@ is c from the plane of the pad, and its nearest corner d:
 
 d is 0 at the hit: its value there is subtracted, so that motion capture and robot need no common origin. A pad that
 yields throws a box back at the rate that c grows with at first, as the middle of its face does; over the closing speed
-that is the restitution of the hit. Where a box turns on the pad without leaving it, c grows, and d is 0.
+that is the restitution of the hit. Where a box turns on the pad without leaving it, c grows, and d is 0. On a door or flap,
+whose hinge may be the nearest corner, both distances are those of the point r of the object that the pad has met:
+
+    c(t) = d(t) = n . (p_o + R r - p_E)
 """
 
 from __future__ import annotations
@@ -120,7 +123,7 @@ def _departure(
     if not math.isfinite(hit) or pose.time[0] > hit or np.count_nonzero(first) < 3:
         return None
     normal = scenario.robots[arm].impact_placement.rotation[:, 2]
-    middle, distance = _distances(normal, scenario.object(bag.info.object), pose, state)
+    middle, distance = _distances(normal, scenario.object(bag.info.object), pose, state, hit)
     distance = distance - np.interp(hit, pose.time, distance)
     closing = abs(float(normal @ [np.interp(hit, state.time, state.ante_velocity[:, axis]) for axis in range(3)]))
     speed = float(np.polyfit(after[first], middle[first], 1)[0])
@@ -133,10 +136,17 @@ def _departure(
     )
 
 
-def _distances(normal: Array, spec: ObjectSpec, pose: PoseColumns, state: ControllerColumns) -> tuple[Array, Array]:
+def _distances(
+    normal: Array, spec: ObjectSpec, pose: PoseColumns, state: ControllerColumns, hit: float
+) -> tuple[Array, Array]:
     """Distances of the middle and of the nearest point of an object from the plane of a pad, ``(k,)`` [m]."""
     place = np.column_stack([np.interp(pose.time, state.time, state.position[:, axis]) for axis in range(3)])
     rotations = np.array([pin.Quaternion(row / np.linalg.norm(row)).matrix() for row in pose.quaternion])
+    if spec.freedom is not None:
+        row = int(np.searchsorted(pose.time, hit, side="right")) - 1
+        met = rotations[row].T @ (place[row] - pose.position[row])
+        at_pad = (pose.position + rotations @ met - place) @ normal
+        return at_pad, at_pad
     half = spec.form.support(np.array(spec.size), -np.einsum("i,kij->kj", normal, rotations))
     middle = (pose.position - place) @ normal
     return middle, middle - half

@@ -160,8 +160,9 @@ def _findings(plan: TrialPlan, recorded: TrialRecord) -> Iterator[_Finding]:
     if plan.expects_impact:
         yield from _untouched(recorded)
         yield from _too_early(plan, recorded)
-        if not plan.scene.physics.object.round:  # a ball rolls
-            yield from _tipped(recorded.object, plan.scene.physics.object.shape.kind in ("capsule", "cylinder"))
+        object_ = plan.scene.physics.object
+        if not object_.round and object_.guide is None:  # a ball rolls, and a flap turns on its hinge
+            yield from _tipped(recorded.object, object_.shape.kind in ("capsule", "cylinder"))
     yield from _dropped(plan, recorded.object)
 
 

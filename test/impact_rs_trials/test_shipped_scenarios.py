@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from trials import recorded
 
@@ -127,6 +128,35 @@ def test_a_trial_against_a_wall_ends_at_rest_on_it_in_both_plants(tmp_path: Path
     np.testing.assert_allclose(*signals, atol=0.03)
     (without,) = analyze_campaign(tmp_path).incomplete
     assert "wall is fixed" in without.reason
+
+
+@pytest.mark.parametrize("name", ["door", "flap", "drawer"])
+def test_a_trial_with_a_door_goes_alike_in_both_plants_and_as_the_map_says(name: str, tmp_path: Path) -> None:
+    """Kills a door that is free in one plant, its hinge that moves, and a weight that the controller carries for it."""
+    plan = TrialSpec.of(load_scenario("push_door"), name, "case_1").plan
+    assert not np.any(plan.arms["arm"].wrench)
+    object_, state, begin = plan.scene.physics.object, plan.scene.object, plan.scene.scenario.timing.nominal_impact
+    guide = object_.guide_at(state.rotation, np.zeros(3))
+    predicted = predict_impact(ImpactProblem.at_nominal_impact(plan.scene)).object_twist @ guide / (guide @ guide)
+    ends = []
+    for via in VIA.values():
+        verdict = recorded(plan, tmp_path / via, seed=1, via=via)
+        assert (verdict.outcome, verdict.reason) == ("OK", "")
+        pose = TrialBag.open(tmp_path / via).poses(topics.TRUTH_OBJECT_POSE)
+        axis = int(np.argmax(np.abs(guide[3:])))
+        angles = 2.0 * np.arctan2(pose.quaternion[:, axis], pose.quaternion[:, 3])
+        travel = pose.position[:, 1] - pose.position[0, 1] if name == "drawer" else angles
+        after = np.flatnonzero((begin + 0.01 < pose.time) & (pose.time < begin + 0.04))
+        speed = np.polyfit(pose.time[after], travel[after], 1)[0]
+        assert speed == pytest.approx(predicted, rel=0.08)  # the pad throws it back with 0.06
+        if name != "drawer":
+            point = np.array([-0.25, 0.0, 0.0] if name == "door" else [0.0, 0.0, 0.3])
+            hinges = [
+                p + pin.Quaternion(q).matrix() @ point for p, q in zip(pose.position, pose.quaternion, strict=True)
+            ]
+            assert np.ptp(hinges, axis=0).max() < 1e-12
+        ends.append(travel)
+    np.testing.assert_allclose(*ends, atol=0.01 * np.abs(ends[0]).max())
 
 
 def test_two_boxes_in_a_row_are_pushed_as_one_in_both_plants(tmp_path: Path) -> None:

@@ -24,6 +24,7 @@ OBJECTS = {
     "push_two_boxes": "box",
     "push_bottle": "bottle",
     "hit_wall": "wall",
+    "push_door": "door",
     "grab_cylinder": "can",
 }
 
