@@ -35,8 +35,6 @@ from impact_rs_sim.robots.robot_model import GRAVITY_M_S2
 from impact_rs_sim.rotations import AXES
 from impact_rs_sim.scene import pad_twists
 
-ON_THE_HINGE = 1e-12  # m^2, of a squared lever: a pad there moves no door
-
 
 @dataclass(frozen=True)
 class MeasuredJump:
@@ -215,8 +213,7 @@ def _predicted(run: MeasuredRun, ante: dict[str, Array], motor_inertia: str, con
 def _velocity_change_after(run: MeasuredRun, name: str, way: Array, motor_inertia: str) -> float:
     """Change of the speed along ``way`` by the recorded torque until 20 to 40 ms after the impact [m/s].
 
-    The object moves with the pad in the plane of the support, with its full mass for every arm; a fixed one holds it, and
-    one on a hinge or slide has the speed along that which the pad has there.
+    The object moves with the pad in the plane of the support, with its full mass for every arm; a fixed one holds it.
     Without recorded commands the joint torque is used.
     """
     setup = run.setup
@@ -239,14 +236,7 @@ def _velocity_change_after(run: MeasuredRun, name: str, way: Array, motor_inerti
         q, dq = arm.position[row - 1], arm.velocity[row - 1]
         terms = model.terms(q, dq)
         plane = terms.jacobian[:2]
-        if box.guide is None:
-            carried = box.mass * plane.T @ plane
-        else:
-            lever = model.placement(q).translation - window.object.position
-            along = box.guide_at(window.object.rotation, lever)[:3]
-            speed_of_guide = along @ terms.jacobian[:3] / max(float(along @ along), ON_THE_HINGE)
-            carried = box.guided_inertia * np.outer(speed_of_guide, speed_of_guide)
-        moved = terms.mass_matrix + np.diag(inertia) + carried
+        moved = terms.mass_matrix + np.diag(inertia) + box.mass * plane.T @ plane
         velocity = plane @ dq
         opposed = plane.T @ velocity * drag / max(float(np.linalg.norm(velocity)), MIN_SLIDING_SPEED_M_S)
         acceleration = np.linalg.solve(moved, driving[row - 1] - terms.bias - opposed)

@@ -12,9 +12,8 @@ magnitude of Coulomb's law but not the direction: it opposes ``D^-1 v_t`` instea
 most 13 degrees off for the boxes of the paper. A world with small steps corrects the direction: at every corner that
 slid in the previous step, an external force replaces Bullet's friction by ``-mu N v_t / |v_t|``.
 
-An object on a hinge or slide is the only link of a multibody on a base without shape at its pose: its state is the joint
-coordinate (Featherstone, Rigid Body Dynamics Algorithms, ch. 7), so that it does not drift. A constraint between free
-bodies lets it drift, and holds no hinge.
+An object on a hinge or slide is the only link of a multibody, on a fixed base at its pose. The state is the joint
+coordinate (Featherstone, Rigid Body Dynamics Algorithms, ch. 7), so that it does not drift from its hinge.
 """
 
 from __future__ import annotations
