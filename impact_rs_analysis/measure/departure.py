@@ -8,8 +8,8 @@ is c from the plane of the pad, and its nearest corner d:
 
 d is 0 at the hit: its value there is subtracted, so that motion capture and robot need no common origin. A pad that
 yields throws a box back at the rate that c grows with at first, as the middle of its face does; over the closing speed
-that is the restitution of the hit. Where a box turns on the pad without leaving it, c grows, and d is 0. On a door or flap,
-whose hinge may be the nearest corner, both distances are those of the point r of the object that the pad has met:
+that is the restitution of the hit. Where a box turns on the pad without leaving it, c grows, and d is 0. The nearest
+corner of a door may be its hinge: on a hinge or slide both distances are those of the point r that the pad has met,
 
     c(t) = d(t) = n . (p_o + R r - p_E)
 """

@@ -126,7 +126,7 @@ def test_a_drawer_takes_a_hit_as_a_free_mass_does_along_its_line() -> None:
 
 
 def test_a_drawer_hit_off_its_middle_takes_the_part_of_the_impulse_along_its_slide() -> None:
-    """m v+ = s . L with a smooth ball; its bearing takes the moment and the rest. Kills the mass of a free body there."""
+    """m v+ = s . L with a smooth ball; its bearing takes the moment and the rest. Kills a free body's mass there."""
     along = np.array([math.sin(0.6), math.cos(0.6), 0.0])
     physics = scene({"rail": ball_on_rail(np.array([0.06, FACE, 0.0]))}, object=drawer(along))
     found = run(physics, [SPEED], resting(), 0.03)
@@ -197,7 +197,7 @@ def test_a_guided_body_without_loads_keeps_its_velocity_and_its_hinge(simulator:
 
 @SIMULATORS
 def test_a_flap_swings_with_the_period_of_a_compound_pendulum(simulator: Simulator) -> None:
-    """2 pi sqrt(I_h / (m g l)) (Huygens 1673), l with the offset of the centre of mass. Kills I, and l to the middle."""
+    """2 pi sqrt(I_h / (m g l)) (Huygens 1673), l to the centre of mass. Kills I for I_h, and l to the middle."""
     point, offset = np.array([0.0, 0.0, 0.08]), np.array([0.0, 0.0, -0.03])
     flap = hinged(np.array([1.0, 0.0, 0.0]), point, offset)
     turned = pin.exp3(np.array([1e-3, 0.0, 0.0]))
