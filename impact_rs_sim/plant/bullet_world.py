@@ -511,16 +511,31 @@ def _geometry(shape: ConvexShape, size: Array) -> dict[str, Any]:
     return {"shapeType": pybullet.GEOM_BOX, "halfExtents": (size / 2.0).tolist()}
 
 
-def _set_dynamics(
-    client: BulletClient, body: int, link: int, object_: ObjectPhysics, moments: list[float], friction: float
-) -> None:
+def _object_friction(physics: Physics) -> float:
+    """Lateral friction of every object in Bullet."""
+    return math.sqrt(physics.object_friction) if physics.neighbours else 1.0
+
+
+def _make_object(client: BulletClient, object_: ObjectPhysics, friction: float) -> int:
+    if object_.guide is not None:
+        return _make_guided(client, object_, friction)
+    shape = client.createCollisionShape(
+        **_geometry(object_.shape, object_.size), collisionFramePosition=(-object_.com_offset).tolist()
+    )
+    mass = 0.0 if object_.fixed else object_.mass  # 0: fixed
+    body = client.createMultiBody(baseMass=mass, baseCollisionShapeIndex=shape)
+    _set_dynamics(client, body, -1, object_, friction)
+    return int(body)
+
+
+def _set_dynamics(client: BulletClient, body: int, link: int, object_: ObjectPhysics, friction: float) -> None:
     """Set what Bullet would choose for a link of an object by itself."""
     if object_.shape.kind in ("cylinder", "hull"):  # Bullet rounds the rims of one, and adds a margin around the other
         client.changeDynamics(body, link, collisionMargin=MARGIN_M)
     client.changeDynamics(
         body,
         link,
-        localInertiaDiagonal=moments,
+        localInertiaDiagonal=[0.0] * 3 if object_.fixed else object_.inertia.tolist(),
         linearDamping=0.0,
         angularDamping=0.0,
         lateralFriction=friction,
@@ -554,30 +569,13 @@ def _make_guided(client: BulletClient, object_: ObjectPhysics, friction: float) 
         linkJointTypes=[pybullet.JOINT_REVOLUTE if turns else pybullet.JOINT_PRISMATIC],
         linkJointAxis=[axis.tolist()],
     )
-    _set_dynamics(client, body, GUIDED_LINK, object_, object_.inertia.tolist(), friction)
+    _set_dynamics(client, body, GUIDED_LINK, object_, friction)
     client.changeDynamics(body, GUIDED_LINK, **FREE_JOINT)
     # Calls of their own: together with activationState Bullet ignores them silently.
     client.changeDynamics(body, GUIDED_LINK, lateralFriction=friction)
     client.changeDynamics(body, GUIDED_LINK, localInertiaDiagonal=object_.inertia.tolist())
     client.changeDynamics(body, -1, activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING)
     client.setJointMotorControl2(body, GUIDED_LINK, pybullet.VELOCITY_CONTROL, force=0.0)
-    return int(body)
-
-
-def _object_friction(physics: Physics) -> float:
-    """Lateral friction of every object in Bullet."""
-    return math.sqrt(physics.object_friction) if physics.neighbours else 1.0
-
-
-def _make_object(client: BulletClient, object_: ObjectPhysics, friction: float) -> int:
-    if object_.guide is not None:
-        return _make_guided(client, object_, friction)
-    shape = client.createCollisionShape(
-        **_geometry(object_.shape, object_.size), collisionFramePosition=(-object_.com_offset).tolist()
-    )
-    mass, moments = (0.0, [0.0] * 3) if object_.fixed else (object_.mass, object_.inertia.tolist())  # 0: fixed
-    body = client.createMultiBody(baseMass=mass, baseCollisionShapeIndex=shape)
-    _set_dynamics(client, body, -1, object_, moments, friction)
     return int(body)
 
 

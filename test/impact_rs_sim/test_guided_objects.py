@@ -281,6 +281,44 @@ def test_a_swing_converges_to_its_equation_with_the_step() -> None:
     assert errors[0] / errors[1] == pytest.approx(2.0, abs=0.2) and errors[1] / errors[2] == pytest.approx(2.0, abs=0.2)
 
 
+def test_bullet_has_the_friction_of_a_door_in_its_partner() -> None:
+    """It multiplies both; kills a call that Bullet ignores, after which the door has Bullet's own 0.5."""
+    physics = scene(
+        {"rail": ball_on_rail(np.array([0.03, FACE, 0.0]))}, object=hinged(Z, np.zeros(3)), pad_friction=0.3
+    )
+    world = BulletWorld.load(
+        physics, time_step=PERIOD, gravity=False, compliant_pads=True, iterations=60, residual_threshold=1e-9
+    )
+    frictions = [
+        world.client.getDynamicsInfo(world.object, 0)[1],
+        world.client.getDynamicsInfo(world.arms["rail"], 1)[1],
+    ]
+    world.close()
+    assert frictions == pytest.approx([1.0, 0.3])
+
+
+def test_bullet_moves_a_door_by_a_force_as_its_mobility_says() -> None:
+    """S (S^T M S)^-1 S^T at the centre of mass; kills a force on the base, and the mobility of a free body."""
+    body = hinged(np.array([0.6, 0.0, 0.8]), np.array([0.1, -0.05, 0.02]), np.array([0.02, 0.01, -0.01]))
+    start = resting(rotation=pin.exp3(np.array([0.5, -1.0, 0.2])))
+    world = BulletWorld.load(
+        scene({}, object=body),
+        time_step=PERIOD,
+        gravity=True,
+        compliant_pads=True,
+        iterations=60,
+        residual_threshold=1e-9,
+    )
+    world.set_object(start)
+    side, force, moment = world._object_side(), np.array([3.0, -2.0, 5.0]), np.array([0.1, 0.3, -0.2])
+    world.push(None, side.position, force, moment)
+    world.step()
+    expected = PERIOD * side.mobility @ np.concatenate((force, moment))
+    assert np.abs(expected).max() > 1e-4
+    np.testing.assert_allclose(world._object_side().twist, expected, atol=1e-6 * np.abs(expected).max())
+    world.close()
+
+
 def test_a_door_has_no_neighbours_in_the_twin() -> None:
     door = hinged(Z, np.array([-0.09, 0.0, 0.0]))
     beside = Neighbour("other", door, np.array([0.0, -0.3, 0.0]), np.eye(3))
