@@ -75,7 +75,7 @@ def test_a_box_that_turns_on_the_pad_has_not_left_it() -> None:
     pose = PoseColumns(angle, np.column_stack([np.zeros(count), 0.3 + across, np.zeros(count)]), quaternion)
     pad = SimpleNamespace(time=angle, position=np.tile([0.0, 0.3, 0.0], (count, 1)))
     spec = ObjectSpec(label="box", mass=1.0, size=tuple(2.0 * half))
-    middle, distance = _distances(np.array([0.0, 1.0, 0.0]), spec, pose, cast(ControllerColumns, pad))
+    middle, distance = _distances(np.array([0.0, 1.0, 0.0]), spec, pose, cast(ControllerColumns, pad), hit=0.0)
     np.testing.assert_allclose(distance, 0.0, atol=1e-12)
     assert np.ptp(middle) > 0.015
 
