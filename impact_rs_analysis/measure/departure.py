@@ -86,12 +86,12 @@ class ObjectLeft:
     @property
     def words(self) -> str:
         """Text of the observation and of the assumption of the prediction."""
-        known = "goes on together" if self.predicted == 0.0 else f"parts with a restitution of {self.predicted:g}"
+        assumed = "that they stay together" if self.predicted == 0.0 else f"a restitution of {self.predicted:g}"
         return (
             f"the object leaves the pad of {self.arm} in {self.trials} of {self.of} trials: up to "
             f"{1e3 * self.distance_m:.0f} mm until the net feedback ends, at {self.speed_m_s:.2f} m/s at first, "
-            f"as with a restitution of {self.restitution:.2f}; what is predicted {known}. Net feedback measures the "
-            "error of a prediction while the contact lasts, and not then"
+            f"as with a restitution of {self.restitution:.2f}; the prediction assumes {assumed}. Net feedback measures "
+            "the error of a prediction only while the contact lasts"
         )
 
     def to_json(self) -> dict[str, Any]:

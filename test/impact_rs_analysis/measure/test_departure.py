@@ -90,7 +90,7 @@ def test_analysis_terminal_and_report_say_it(bouncy: Path, tmp_path: Path, capsy
     main(["analyze", str(bouncy), "-o", str(tmp_path / "report")])
     said = " ".join(capsys.readouterr().err.split())
     assert "parcel case_2: the object leaves the pad of arm in 3 of 3 trials" in said
-    assert "what is predicted goes on together" in said
+    assert "the prediction assumes that they stay together" in said
 
 
 @pytest.mark.slow
@@ -108,4 +108,4 @@ def test_a_prediction_with_restitution_is_reported_with_it() -> None:
     found = list(objects_left({("push", "box", "case_1"): [(thrown,), (replace(thrown, distance=0.001),)]}))
     assert [(one.trials, one.of) for one in found] == [(1, 2)]
     (bouncing,) = objects_left({("push", "box", "case_1"): [(replace(thrown, predicted=0.3),)]})
-    assert "as with a restitution of 0.40; what is predicted parts with a restitution of 0.3." in bouncing.words
+    assert "as with a restitution of 0.40; the prediction assumes a restitution of 0.3." in bouncing.words
