@@ -82,7 +82,7 @@ def draw(
     random need not be there. A parameter with a prior, which the data hardly determine, stays nominal.
 
     Raises:
-        InputError: It acts on neighbours of the object, and there are none.
+        InputError: It acts on neighbours of the object, and no world has a neighbour.
     """
     effect = library()[name]
     if worlds and effect.acts_on == "neighbour" and not any(world.neighbours for world in worlds):

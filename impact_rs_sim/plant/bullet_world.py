@@ -232,7 +232,7 @@ class BulletWorld:
                 self.client.changeDynamics(body, -1, activationState=state)
 
     def _guided_pose(self, body: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Centre of mass and axes of an object on a hinge or slide, as Bullet says those of a free one."""
+        """Centre of mass and orientation on a hinge or slide, in the form of ``getBasePositionAndOrientation``."""
         state = self.client.getLinkState(body, GUIDED_LINK, computeForwardKinematics=1)
         return state[0], state[1]
 

@@ -39,7 +39,7 @@ class ObjectSections:
 
     Attributes:
         groups: Files by kind and run; per-object files are merged to the object that moves.
-        not_falling: Pairs of coordinates in a plane of which none falls freely.
+        not_falling: Pairs of coordinates in a plane without free fall.
     """
 
     def __init__(self, files: ImportedFiles, flange: FlangePath | None = None) -> None:

@@ -38,7 +38,7 @@ def rubbed(tmp_path_factory: pytest.TempPathFactory) -> RecordingSource:
 
 
 def held_out(source: RecordingSource, *added: Added) -> HeldOutRollouts:
-    """Rollouts with effects that are given fold by fold, in turn, of which some change them."""
+    """Rollouts with given effects, one set per fold; only some of the effects change them."""
     found = rollouts_with(source, *added)
     assert found is not None
     return found

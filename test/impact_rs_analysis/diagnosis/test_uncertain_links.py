@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A load is told from links that are only roughly right, as a URDF has them; both are planted in MuJoCo."""
+"""Discrimination of a load from errors of the links of a URDF; both are planted in MuJoCo."""
 
 from __future__ import annotations
 

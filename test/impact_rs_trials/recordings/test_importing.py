@@ -990,7 +990,7 @@ def test_files_are_grouped_by_what_differs_in_their_names(tmp_path: Path) -> Non
 
 
 def test_files_with_the_same_columns_are_runs_whatever_their_names(tmp_path: Path, motion: Columns) -> None:
-    """Kills runs of which one alone is described, and files of signals or of several objects that become runs."""
+    """Kills: only one run described; files of signals, or of several objects, taken for runs."""
     (tmp_path / "raw").mkdir()
     parts = [TIME, motion["position"], motion["velocity"], motion["effort"]]
     for name, rows in (("calm", 800), ("wild", 700), ("sac", 750)):
