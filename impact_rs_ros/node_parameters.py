@@ -113,8 +113,8 @@ ROBOT = with_effect(
     NodeParameter(
         "joints",
         "{arm}_joint{number}",
-        "Pattern of the robot's joint names: {arm} is the name of the arm in the scenario, {number} counts from "
-        "1; or all names, base to tip, with commas between them",
+        "Pattern of the joint names: {arm} is the arm's name in the scenario, {number} counts from 1; or all names,"
+        " base to tip, with commas",
     ),
     NodeParameter(
         "robot_adds_gravity",
@@ -139,9 +139,8 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
             NodeParameter(
                 "realtime",
                 False,
-                "true: the ticks follow the wall clock. A late torque counts as a missed tick: the"
-                " last torque is held, and"
-                " the late one acts from the next tick on. false: the plant waits for the torque of every tick",
+                "true: the ticks follow the wall clock; at a missed tick the last torque is held, and the late one "
+                "acts from the next tick on. false: the plant waits for the torque of every tick",
             ),
             # Torques one tick late change the net feedback of a push by up to 1.2 mm/s if late in 5 % of the ticks, one
             # at a time, and by 4 mm/s in runs of ten ticks; if late in 50 % of the ticks, by 3.9 mm/s and 14 mm/s.
@@ -188,15 +187,15 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
         NodeParameter(
             "watchdog",
             False,
-            "true: torques go to the robot through the watchdog node, and a trial is armed, and continues, only while"
-            " it passes them on",
+            "true: torques go through the watchdog node, and a trial is armed, and continues, only while it passes "
+            "them on",
             effect="node start",
         ),
         NodeParameter(
             "watchdog_timeout",
             0.1,
-            "Time without a torque that the watchdog passed on, after which the trial is aborted and the cell brakes"
-            " the arms without it; twice its command_timeout",
+            "Time without a torque passed on by the watchdog, after which the trial is aborted and the cell brakes "
+            "the arms itself; twice its command_timeout",
             "s",
             (0.01, 10.0),
         ),
@@ -244,8 +243,7 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
             NodeParameter(
                 "start_delay",
                 1.0,
-                "Time from the first state for the controller to the start of the trial; the controller has to answer"
-                " within it",
+                "Time from the first state for the controller to the start of the trial, within which it has to answer",
                 "s",
                 (0.05, 10.0),
             ),
@@ -297,7 +295,7 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
         NodeParameter(
             "completion_timeout",
             2.0,
-            "Longest time that the recorder waits at the end of a trial for messages that were published",
+            "Longest wait at the end of a trial for messages that were published",
             "s",
             (0.1, 60.0),
         ),
@@ -314,11 +312,11 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
                 "impacts_scenario", "", "Scenario of the arms in that table; empty: each row is one free body"
             ),
             NodeParameter("model", "nominal", "Name or path of the model that is followed"),
-            NodeParameter("state", "", "State file, so that a node that is started again goes on; empty: none"),
+            NodeParameter("state", "", "State file with which a restarted node goes on; empty: none"),
             NodeParameter(
                 "diagnose",
                 True,
-                "Whether a change starts a full diagnosis of the hits since then, in a process of its own",
+                "Whether a change starts a full diagnosis of the hits since then",
             ),
             NodeParameter(
                 "diagnoses", "", "Folder for these diagnoses; empty: the state file's, or the working directory"
@@ -353,8 +351,7 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
         NodeParameter(
             "hide_model",
             True,
-            "true: the effects that a trial hides in the plant are recorded on /truth/model only, and not in"
-            " /trial_info or the metadata of the bag",
+            "true: hidden effects are recorded on /truth/model only, not in /trial_info or the bag's metadata",
         ),
         NodeParameter("feedback_period", 0.05, "Wall-clock time between two action feedbacks", "s", (0.01, 10.0)),
     ),

@@ -98,7 +98,7 @@ class JointOrigin(Schema):
     rpy: Vector3 = Field(description="roll, pitch, yaw of the joint in the previous link [rad]")
     name: str = omitted("", description="name of the joint in its source file")
     parent: str = omitted(
-        "", description="name of the link that carries it in place of the previous one, or base: the robot is a tree"
+        "", description="name of the link that carries it, or base, in place of the previous link (tree)"
     )
     mimic: Mimic | None = omitted(None, description="joint that it follows; absent: it moves by itself")
 
@@ -219,14 +219,14 @@ class RobotFacts(Schema):
         (),
         exclude_if=lambda value: value == (),
         repr=False,
-        description="further flanges with pads, the other hand of two arms on a torso; they make the robot a tree",
+        description="further flanges with pads, as the other hand of two arms on a torso (tree)",
     )
     limits: Limits = Field(description="hardware limits, of the joints that follow no other")
     links: tuple[Link, ...] = Field(description="link inertials, one per joint")
     link_deviation: Annotated[float, Field(gt=0.0, lt=0.3)] = omitted(
         0.1,
-        description="how exact the links are: standard deviation of their densities, shapes and centres of mass (over "
-        "the radius of gyration), which a load has to exceed; 0.1 for CAD and unknown sources, 0.03 if identified [-]",
+        description="standard deviation of densities, shapes and centres of mass (over the radius of gyration) of "
+        "the links, which a load has to exceed; 0.1 for CAD and unknown sources, 0.03 if identified [-]",
     )
     floating_base: Inertial | None = omitted(
         None, description="inertial of a base that nothing holds (humanoid, drone); absent: the base is fixed"
@@ -249,8 +249,7 @@ class RobotFacts(Schema):
         (),
         exclude_if=lambda value: value == (),
         repr=False,
-        description="estimated or assumed numbers, neither measured nor published by the maker, and why, in words; "
-        "`robot check`, reports and verdicts repeat it",
+        description="estimated or assumed numbers, and why, in words; `robot check`, reports and verdicts repeat it",
     )
 
     @model_validator(mode="after")

@@ -81,8 +81,8 @@ class Pad(Schema):
     damping: NonNegative = Field(0.0, description="damping of the whole pad face [N s/m]")
     shape: Literal["box", "sphere", "cylinder"] = omitted(
         "box",
-        description="shape with the extents size: a sphere has three equal ones, a cylinder is a round pad (axis "
-        "along the thickness, equal width and height); frame E is at its foremost point [-]",
+        description="shape with the extents size: sphere (three equal), cylinder: a round pad (equal width and "
+        "height); frame E is at its foremost point [-]",
     )
 
     @model_validator(mode="after")
@@ -96,17 +96,17 @@ class ToolCompliance(Schema):
 
     diagonal: Vector6 | None = omitted(
         None,
-        description="displacement along x, y, z of frame E per force, and rotation about them per moment, through "
-        "centre [m/N, rad/(N m)]; 0: rigid there",
+        description="displacement along x, y, z of frame E per force, rotation per moment, about centre [m/N, "
+        "rad/(N m)]; 0: rigid",
     )
     matrix: Matrix6 | None = omitted(
         None,
-        description="in place of diagonal: compliance matrix, six rows of six, from force and moment to displacement "
-        "and rotation, symmetric and positive semidefinite [m/N, 1/N, rad/(N m)]",
+        description="in place of diagonal: compliance matrix from force and moment to displacement and rotation "
+        "[m/N, 1/N, rad/(N m)]",
     )
     centre: Vector3 = omitted(
         (0.0, 0.0, 0.0),
-        description="point in frame E through which forces cause no rotation: the middle of a force sensor or beam [m]",
+        description="point in frame E through which forces cause no rotation [m]",
     )
     lag: NonNegative = omitted(0.0, description="damping over stiffness, 2 zeta / omega of a mass on the spring [s]")
 
@@ -204,8 +204,7 @@ class DriveSettings(Schema):
     actuation_delay: NonNegative = Field(0.0, description="delay of the desired torque [s]")
     assumed: tuple[DriveNumber, ...] = omitted(
         (),
-        description="keys of this section with assumed numbers, neither measured nor published; `robot check`, "
-        "reports and verdicts name them",
+        description="keys of this section with assumed numbers; `robot check`, reports and verdicts name them",
     )
 
     @model_validator(mode="after")
@@ -280,8 +279,7 @@ class ImpactPose(Schema):
     )
     joint_position: Vector | None = omitted(
         None,
-        description="joint positions at impact, instead of the four keys above; for arms with fewer than six joints "
-        "[rad], prismatic [m]",
+        description="joint positions at impact, in place of the four keys above [rad], prismatic [m]",
     )
 
     @property
@@ -353,8 +351,7 @@ class Robot(Schema):
     )
     reflexes: Reflexes | None = omitted(
         None,
-        description="reflex thresholds of the robot in these trials, in place of reflexes in its facts, with the same "
-        "keys",
+        description="reflex thresholds in these trials, in place of those of the facts, with their keys",
     )
 
     @model_validator(mode="after")
@@ -459,8 +456,7 @@ class ObjectSpec(Schema):
     label: str = Field(description="name for tables and figures")
     fixed: bool = omitted(
         False,
-        description="whether it is fixed to the world, as a wall: nothing moves it, and it has no mass, com_offset or "
-        "inertia [-]",
+        description="whether it is fixed, as a wall, without mass, com_offset and inertia [-]",
     )
     mass: Positive | None = Field(
         None,
@@ -472,13 +468,13 @@ class ObjectSpec(Schema):
     com_offset: Vector3 = Field((0.0, 0.0, 0.0), description="centre of mass from the geometric centre [m]")
     shape: Literal["box", "sphere", "capsule", "cylinder", "hull"] = omitted(
         "box",
-        description="shape with the extents size: a sphere has three equal ones, capsule and cylinder have the axis z "
-        "and equal x and y, hull is the convex hull of corners [-]",
+        description="shape with the extents size; capsule and cylinder have the axis z; hull: convex hull of "
+        "corners [-]",
     )
     corners: tuple[Vector3, ...] = omitted(
         (),
-        description="corners of a hull from the middle of its bounding box [m]; or mesh, a path from the scenario's "
-        "folder, in place of shape, corners and size, and of com_offset and inertia (even density)",
+        description="corners of a hull from the middle of its bounding box [m]; or mesh, a path from the scenario's"
+        " folder, in place of shape, corners, size, com_offset and inertia",
     )
     rpy: Vector3 = omitted(
         (0.0, 0.0, 0.0),
@@ -487,13 +483,12 @@ class ObjectSpec(Schema):
     hinge: Hinge | None = omitted(None, description="axis that it turns about, as a door; absent: it is free")
     slide: Vector3 | None = omitted(
         None,
-        description="unit vector in the axes of the object that it slides along without turning, as a drawer; absent: "
-        "it is free",
+        description="direction in which it slides, as a drawer, unit vector in its axes; absent: it is free",
     )
     inertia: PositiveVector3 | None = omitted(
         None,
-        description="principal moments about the centre of mass, in the axes of the object; absent: homogeneous, "
-        "about the geometric centre [kg m^2]",
+        description="principal moments about the centre of mass, in its axes; absent: homogeneous, about the "
+        "geometric centre [kg m^2]",
     )
 
     @field_validator("mass")
@@ -576,10 +571,9 @@ class NeighbourSpec(ObjectSpec):
     """A free object that stands on the support beside another one, which hits it."""
 
     direction: tuple[float, float] = Field(
-        description="where it stands, seen from the neighbour before it in this list, of the first from the object: "
-        "unit vector along x and y"
+        description="direction from the neighbour before it, or the object: unit vector along x and y"
     )
-    gap: NonNegative = omitted(0.0, description="distance between both at rest, along direction [m]")
+    gap: NonNegative = omitted(0.0, description="distance between both at rest [m]")
 
     @model_validator(mode="after")
     def _free_in_a_direction(self) -> Self:
@@ -833,8 +827,7 @@ class Scenario(Schema):
     objects: dict[Name, ObjectSpec] = Field(min_length=1, description="objects by name")
     neighbours: dict[Name, NeighbourSpec] = omitted(
         {},
-        description="further objects, which the object hits, by name: in a row, each beside the one before; they are "
-        "tracked as the object is",
+        description="further objects, which the object hits, in a row, by name; they are tracked",
     )
     support: Support = Field(description="what the object lies on")
     contact: Contact = Field(description="contact between pad and object")
@@ -847,8 +840,7 @@ class Scenario(Schema):
     scatter: Scatter = Field(description="trial-to-trial scatter")
     gravity: Vector3 = omitted(
         STANDARD_GRAVITY,
-        description="gravity in the inertial frame, whose z is the normal of the support: x and y components tilt the "
-        "table [m/s^2]",
+        description="gravity in the inertial frame; x and y components tilt the table [m/s^2]",
     )
     uncertainty: Uncertainties = omitted(
         Uncertainties(),
@@ -856,8 +848,8 @@ class Scenario(Schema):
     )
     friction_compensation: FrictionCompensation | None = omitted(
         None,
-        description="path, from the scenario's folder, of a file that `impact-rs friction identify` wrote; absent: the "
-        "feedback compensates friction",
+        description="file of `impact-rs friction identify`, a path from the scenario's folder; absent: the feedback"
+        " compensates friction",
     )
 
     @model_validator(mode="after")

@@ -64,8 +64,8 @@ class MotionCapture(FramePlacement):
 
     estimate: bool = Field(
         False,
-        description="estimate position and yaw from the contact in the hits; roll, pitch, and the position across the "
-        "hits if all have one direction, keep the given values",
+        description="estimate position and yaw from the contact in the hits; roll, pitch, and the position across "
+        "hits of one direction keep the given values",
     )
     bodies: dict[str, FramePlacement] = Field(
         default_factory=dict,
@@ -82,8 +82,8 @@ class Body(Schema):
     )
     mesh: str | None = Field(
         None,
-        description="file of its mesh, a path from this file's folder, in place of shape: gives convex hull, extents "
-        "where size is absent, centre of mass, and inertia of an even density",
+        description="file of its mesh, a path from this file's folder, in place of shape: gives hull, extents where"
+        " size is absent, centre of mass and inertia (even density)",
     )
     size: PositiveVector3 | None = Field(None, description="extent along its own axes [m]")
     radius: PositiveNumber | None = Field(None, description="radius of a ball [m]")
@@ -97,8 +97,7 @@ class Body(Schema):
     )
     spin: Vector3 | None = Field(
         None,
-        description="angular velocity before impact of a ball without tracked rotation, in axes of the tracker; "
-        "zeros: no spin [rad/s]",
+        description="angular velocity before impact of a ball without tracked rotation; zeros: no spin [rad/s]",
     )
 
     @property

@@ -80,11 +80,11 @@ class TableLayout(Schema):
 
     header: Annotated[int | None, Field(ge=0)] = Field(
         None,
-        description="line of the column names, from 1; lines above it are skipped; 0: no names, columns are c1, c2, "
-        "...; absent: the first line that is neither empty nor a comment (#)",
+        description="line of the column names, from 1; 0: no names, columns are c1, c2, ...; absent: the first line"
+        " that is neither empty nor a comment (#)",
     )
     first: Annotated[int | None, Field(ge=1)] = Field(
-        None, description="line of the first row, below a line of units for example; absent: the next"
+        None, description="line of the first row, for example below one of units; absent: the next"
     )
     decimal: Literal[".", ","] = Field(
         ".", description="decimal sign of the numbers; with a comma, semicolons or tabs separate the cells"
@@ -115,8 +115,7 @@ class SignalSource(Schema):
     )
     entries: tuple[Annotated[int, Field(ge=1)], ...] | None = Field(
         None,
-        description="selected numbers of a cell, array sample or message without names, from 1, for example to omit a "
-        "gripper; absent: all",
+        description="selected numbers of a cell, array sample or message without names, from 1; absent: all",
     )
     time_column: StampNames | None = Field(
         None, description="column of this signal's own time, or two as in time.column; absent: as in the mapping"
@@ -137,13 +136,12 @@ class SignalSource(Schema):
     )
     factor: float | tuple[float, ...] = Field(
         1.0,
-        description="further factor of the numbers, for example -1; for joints and two columns of object_position "
-        "also a list of each [-]",
+        description="factor of the numbers, for example -1; for joints and two columns of object_position also a "
+        "list [-]",
     )
     offset: float | tuple[float, ...] = Field(
         0.0,
-        description="then added, in the unit; for joints also a list of each, for example another zero than in the "
-        "facts",
+        description="then added, in the unit, for joints also a list: another zero than in the facts",
     )
 
     @property
@@ -162,12 +160,10 @@ class TimeSource(Schema):
     array: StampNames = Field("time", description="array of an NPZ, HDF5, MAT or PyTorch file; or two, as columns")
     unit: Literal["s", "ms", "us", "ns", "date", "frames"] = Field(
         "s",
-        description="unit of the timestamps except in bags; date: 2026-11-25 12:00:00.5, a zone may follow; frames: "
-        "the column of a table numbers the frames of a camera, over rate",
+        description="unit of the timestamps except in bags; date: 2026-11-25 12:00:00.5, a zone may follow; frames:"
+        " the column numbers the frames of a camera, over rate",
     )
-    steps: bool = Field(
-        False, description="whether the numbers are the times since the sample before, as in a column dt"
-    )
+    steps: bool = Field(False, description="whether the numbers are times since the sample before (dt)")
     rate: Annotated[float | None, Field(gt=0.0)] = Field(
         None, description="sampling rate of files without timestamps [Hz]; absent: they have timestamps"
     )
@@ -231,9 +227,8 @@ class Mapping(Schema):
     )
     torque_meaning: TorqueMeaning = Field(
         "whole",
-        description="'whole': it moves the joints; 'without_gravity': without the gravity torque; 'external': without "
-        "the torque of a rigid model; 'target': a controller's feedforward, no measurement, refused. The nominal "
-        "model adds what is missing",
+        description="'whole': it moves the joints; 'without_gravity': without the gravity torque; 'external': "
+        "without the torque of a rigid model; 'target': a controller's feedforward, refused",
     )
     servo: Servo | None = Field(
         None,

@@ -45,8 +45,8 @@ class Servo(Schema):
     )
     gains: Literal["given", "estimated"] = Field(
         "given",
-        description="'estimated': kp follows from gravity and inertia of the model, so its scale is that of the "
-        "masses; the gain of each joint, known to 30 % (standard deviation), is fitted with every model",
+        description="'estimated': kp was found from gravity and inertia of the model; the gain of each joint, with "
+        "a standard deviation of 30 %, is fitted with every model",
     )
     torque_max: PositiveVector | None = Field(
         None, description="torque at which each servo saturates [N m], prismatic [N]; absent: that of the robot"

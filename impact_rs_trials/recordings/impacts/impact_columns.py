@@ -189,8 +189,7 @@ SUPPORT_FRICTION = ColumnGroup(
 DROP_HEIGHT = ColumnGroup(
     ("drop_height",),
     "m",
-    "of a ball that bounces straight, in place of velocities: height of its lowest point above the plane from which it "
-    "falls",
+    "of a ball that bounces straight: height of its lowest point above the plane from which it falls",
     f"in place of `{V_BEFORE.first}` ...",
     POSITIVE,
 )
@@ -213,14 +212,14 @@ MOMENTS = ColumnGroup(
 SHAPE = ColumnGroup(
     ("shape",),
     "",
-    "shape of a free body with the extents `size_x` ...: `box` (absent, empty), `sphere`, `capsule` or `cylinder` with "
-    "the axis z",
+    "shape of a free body with the extents `size_x` ...: `box` (absent, empty), `sphere`, `capsule`, `cylinder` "
+    "(axis z)",
 )
 MESH = ColumnGroup(
     ("mesh",),
     "",
-    "in place of `shape`: file of the body's mesh, a path from the table's folder; it gives convex hull, centre of "
-    "mass, moments of an even density, and extents where `size_x` ... are absent",
+    "in place of `shape`: mesh file, a path from the table's folder; gives hull, centre of mass, moments (even "
+    "density), and extents where `size_x` ... are absent",
 )
 SIZE = ColumnGroup(
     _vector("size_"),
@@ -280,7 +279,7 @@ Q = JointColumnGroup(
     "q{}",
     "position",
     "joint positions, in the order of the robot's file without joints that follow others; with several arms "
-    "`left.q1` ..., by the names of the scenario",
+    "`left.q1` ...",
     "arm",
     of_base=(BASE_POSITION, BASE_ORIENTATION),
 )
