@@ -216,7 +216,7 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
                 NodeParameter(
                     f"mocap_{axis}",
                     0.0,
-                    f"Origin of the motion-capture frame in world, along {axis}",
+                    f"Origin of mocap_frame in world, along {axis}",
                     "m",
                     (-100.0, 100.0),
                 )
@@ -226,8 +226,7 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
                 NodeParameter(
                     f"mocap_{name}",
                     0.0,
-                    f"Rotation of the motion-capture frame in world about the fixed {axis} axis; roll, then pitch, then"
-                    " yaw (REP-103)",
+                    f"Rotation of mocap_frame in world about the fixed {axis} axis; order: roll, pitch, yaw (REP-103)",
                     "rad",
                     (-FULL_TURN_RAD, FULL_TURN_RAD),
                 )
