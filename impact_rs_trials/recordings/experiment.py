@@ -97,7 +97,8 @@ class Body(Schema):
     )
     spin: Vector3 | None = Field(
         None,
-        description="angular velocity before impact of a ball without tracked rotation; zeros: no spin [rad/s]",
+        description="angular velocity before impact of a ball without tracked rotation, in axes of the tracker; "
+        "zeros: no spin [rad/s]",
     )
 
     @property

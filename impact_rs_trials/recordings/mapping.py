@@ -141,7 +141,7 @@ class SignalSource(Schema):
     )
     offset: float | tuple[float, ...] = Field(
         0.0,
-        description="then added, in the unit, for joints also a list: another zero than in the facts",
+        description="then added, in the unit; for joints also a list, for example another zero than in the facts",
     )
 
     @property
