@@ -219,7 +219,8 @@ TRACKER_FRAME = SceneEffect(
     phases=CONTACT_PHASES,
     lasting=True,
     reading="the frame of the object tracker is off by {size}",
-    calibration="touch the object from three sides, or push it straight along two directions",
+    calibration="touch the object from three sides, or push it straight along two directions; motion_capture: "
+    "{estimate: true} in the experiment file places the frame by the hits",
 )
 
 

@@ -278,7 +278,7 @@ class ReplaySource(Source):
             if len(missed) > MAX_MISSED_SHARE * sum(run.hit for run in runs.runs):
                 raise InputError(words + _frame_words(runs), file=missed[0].path)
             names = ", ".join(Path(run.path).name for run in missed)
-            remark = f"left out, because {words}: {names}"
+            remark = f"left out, because {words}: {names}{_frame_words(runs)}"
             runs = replace(runs, runs=tuple(kept), remarks=(*runs.remarks, remark))
         clusters, remarks = clusters_of(runs, residuals, discrepancy)
         clusters = _with_late(clusters, runs, residuals, model, store)

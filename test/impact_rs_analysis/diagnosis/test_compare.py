@@ -5,6 +5,7 @@ import json
 import shutil
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from mcap_ros2.reader import read_ros2_messages
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
 from impact_rs_analysis.evidence.aligned_bags import write_aligned
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY
-from impact_rs_analysis.evidence.replays.measured_runs import Runs, read_runs
+from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs, read_runs
 from impact_rs_analysis.evidence.replays.replay_cache import Replay, ReplayCache
 from impact_rs_analysis.evidence.sources.run_source import ReplaySource
 from impact_rs_analysis.evidence.tracks import Track, track_of_run
@@ -175,3 +176,25 @@ def test_runs_whose_replay_hits_nothing_are_left_out_if_they_are_few(runs: Runs,
     assert sum(len(item.residuals) for item in found.clusters) == len(runs.runs) - count
     (remark,) = (line for line in found.remarks if line.startswith("left out, because with model 'nominal' the replay"))
     assert all(Path(run.path).name in remark for run in missed)
+    assert "motion_capture" not in remark
+
+
+def test_hits_missed_by_a_shifted_tracker_come_with_its_offset_and_the_remedy(runs: Runs) -> None:
+    """Kills a remark without the placement, and one that is shown where pads and objects meet."""
+
+    def shifted(run: MeasuredRun) -> MeasuredRun:
+        *free, last = run.setup.windows
+        box = replace(last.object, position=last.object.position + np.array([0.02, 0.02, 0.0]))
+        return replace(run, setup=replace(run.setup, windows=(*free, replace(last, object=box))))
+
+    seen = replace(runs, runs=tuple(shifted(run) if run.hit else run for run in runs.runs))
+    lost = next(run for run in seen.runs if run.hit).setup.digest
+    store = ReplayCache(map)
+
+    def blind(tasks: Sequence[Replay], what: str = "") -> list[np.ndarray | None]:
+        done = store([replace(task, setup=runs.runs[number].setup) for number, task in enumerate(tasks)], what)
+        return [None if task.setup.digest == lost else found for task, found in zip(tasks, done, strict=True)]
+
+    found = ReplaySource.of(seen, load_model("nominal"), blind)  # type: ignore[arg-type]
+    (remark,) = (line for line in found.remarks if line.startswith("left out, because"))
+    assert "motion_capture: {estimate: true}" in remark and " mm" in remark
