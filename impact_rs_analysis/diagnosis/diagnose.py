@@ -173,6 +173,7 @@ def _view(
     found = document_of(findings, source, model)
     return ViewDocument(
         name=view.name,
+        assumed=tuple(item.name for item in source.model.effects if item not in model.effects),
         option=view.option,
         verdict=found.verdict,
         named=found.named,

@@ -26,8 +26,8 @@ MAX_LEVELS_IN_SENTENCE = 6  # in a sentence
 def summary_of(document: DiagnosisDocument) -> str:
     """Verdict, held-out error and largest residual in two to four sentences, and one for every other view."""
     parts = [view for view in document.views if not view.option]
-    contacts = [view for view in document.views if view.option and not view.of]
-    turned = [view for view in contacts if set(view.named) != set(document.named)]
+    assumptions = [view for view in document.views if view.option and not view.of]
+    turned = [view for view in assumptions if {*view.named, *view.assumed} != set(document.named)]
     ranges = [_range(name, document) for name in dict.fromkeys(view.of for view in document.views if view.of)]
     sentences = [_verdict(document), *(_part(view, document) for view in parts)]
     return " ".join([*sentences, *(_turn(view) for view in turned), *ranges, *_circumstances(document)])
@@ -114,8 +114,9 @@ def _bounds(document: DiagnosisDocument) -> str:
 
 
 def _turn(view: ViewDocument) -> str:
-    """That the verdict depends on a setting."""
-    return f"The verdict turns on which points touch: with {view.name} it is {view.verdict} ({view.option})."
+    """Verdict under another assumption."""
+    fall = f", {_fall(view.held_out_error_before, view.held_out_error_after)}" if view.named else ""
+    return f"The verdict depends on an assumption: with {view.name} it is {view.verdict}{fall} ({view.option})."
 
 
 def _range(name: str, document: DiagnosisDocument) -> str:

@@ -20,18 +20,19 @@ from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs
 from impact_rs_analysis.evidence.replays.replay_cache import Replay, ReplayCache
 from impact_rs_analysis.evidence.replays.tracker_start import tracker_start
 from impact_rs_analysis.evidence.rollouts import MAX_ROLLOUT_STARTS, FreeMotion, free_of_contact, without
-from impact_rs_analysis.evidence.source import Identity, Item, Made, Source, with_per_arm_parameters
+from impact_rs_analysis.evidence.source import Identity, Item, Made, Source, View, with_per_arm_parameters
 from impact_rs_analysis.evidence.tracks import Track, tracks_of_runs
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.sensing import COMMAND_CLOCK_OFFSET, TRACKED_POINT, TRACKER_FRAME
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.model import Model
+from impact_rs_sim.model import Model, ModelEffect, ParameterValue
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.runs import NONE, Signals
 from impact_rs_trials.workers import Map
 
+ESTIMATED_FRAME = "motion_capture: {estimate: true}"  # of the experiment file
 MAX_MISSED_SHARE = 0.5  # of the runs with an impact; if the replay misses more, the model is refused
 
 LEVELS = {  # what a level compares, and its phases
@@ -117,7 +118,7 @@ def _frame_words(runs: Runs) -> str:
     return (
         f"; pads and objects meet if the poses of the object are off by x {1e3 * found[0]:.1f} mm, y "
         f"{1e3 * found[1]:.1f} mm, yaw {np.rad2deg(found[2]):.2f} degrees: expected poses in the frame of the robot; "
-        "motion_capture: {estimate: true} in the experiment file places their frame by the hits"
+        f"{ESTIMATED_FRAME} in the experiment file places their frame by the hits"
     )
 
 
@@ -202,10 +203,12 @@ class ReplaySource(Source):
 
     Attributes:
         conditions: Runs of every cluster, in the order of clusters.
+        missed: Runs that are left out, because their replay with the model hits nothing.
     """
 
     repeated = True
     runs: Runs
+    missed: tuple[MeasuredRun, ...] = ()
 
     def __init__(
         self,
@@ -284,7 +287,23 @@ class ReplaySource(Source):
         clusters = _with_late(clusters, runs, residuals, model, store)
         found = cls(runs, model, store, clusters, discrepancy, (*runs.remarks, *remarks))
         found.clusters = with_intervals(found, clusters)
+        found.missed = tuple(missed)
         return found
+
+    def views(self) -> tuple[View, ...]:
+        """See :meth:`Source.views`: with missed hits, all runs and the tracker's frame where the hits place it."""
+        runs = replace(self.runs, runs=(*self.runs.runs, *self.missed))
+        start = tracker_start(TRACKER_FRAME, runs.runs) if self.missed else None
+        if start is None or TRACKER_FRAME.name in {item.name for item in self.model.effects}:
+            return ()
+        values = {
+            scalar.name: ParameterValue(estimate=float(value), unit=scalar.unit)
+            for scalar, value in zip(TRACKER_FRAME.parameters, start, strict=True)
+        }
+        frame = ModelEffect(name=TRACKER_FRAME.name, parameters=values)
+        model = self.model.with_effect(frame, name=self.model.name, parent=self.model.name)
+        placed = ReplaySource.of(runs, model, self.store, self.discrepancy)
+        return () if placed.missed else (View("the tracker's frame placed by the hits", placed, ESTIMATED_FRAME),)
 
     def compare_levels(self) -> Comparison:
         """See :meth:`Source.compare_levels`: free motion, and the replay through the impact."""

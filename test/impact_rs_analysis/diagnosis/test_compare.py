@@ -179,22 +179,33 @@ def test_runs_whose_replay_hits_nothing_are_left_out_if_they_are_few(runs: Runs,
     assert "motion_capture" not in remark
 
 
-def test_hits_missed_by_a_shifted_tracker_come_with_its_offset_and_the_remedy(runs: Runs) -> None:
-    """Kills a remark without the placement, and one that is shown where pads and objects meet."""
+def test_hits_missed_by_a_shifted_tracker_are_kept_where_the_hits_place_its_frame(runs: Runs) -> None:
+    """Kills a remark without the placement, a view without the missed runs, and one of the frame as it is."""
+    shift = np.array([0.02, 0.02, 0.0])
 
     def shifted(run: MeasuredRun) -> MeasuredRun:
         *free, last = run.setup.windows
-        box = replace(last.object, position=last.object.position + np.array([0.02, 0.02, 0.0]))
+        box = replace(last.object, position=last.object.position + shift)
         return replace(run, setup=replace(run.setup, windows=(*free, replace(last, object=box))))
 
     seen = replace(runs, runs=tuple(shifted(run) if run.hit else run for run in runs.runs))
-    lost = next(run for run in seen.runs if run.hit).setup.digest
-    store = ReplayCache(map)
+    lost, store = next(run for run in seen.runs if run.hit), ReplayCache(map)
+    exact = {one.setup.digest: run.setup for one, run in zip(seen.runs, runs.runs, strict=True)}
 
-    def blind(tasks: Sequence[Replay], what: str = "") -> list[np.ndarray | None]:
-        done = store([replace(task, setup=runs.runs[number].setup) for number, task in enumerate(tasks)], what)
-        return [None if task.setup.digest == lost else found for task, found in zip(tasks, done, strict=True)]
+    def misses_one(tasks: Sequence[Replay], what: str = "") -> list[np.ndarray | None]:
+        bare = load_model("nominal")
+        done = store([replace(task, setup=exact[task.setup.digest], model=bare) for task in tasks], what)
+        gone = [task.setup.digest == lost.setup.digest and not task.model.effects for task in tasks]
+        return [None if missed else found for missed, found in zip(gone, done, strict=True)]
 
-    found = ReplaySource.of(seen, load_model("nominal"), blind)  # type: ignore[arg-type]
+    found = ReplaySource.of(seen, load_model("nominal"), misses_one)  # type: ignore[arg-type]
     (remark,) = (line for line in found.remarks if line.startswith("left out, because"))
     assert "motion_capture: {estimate: true}" in remark and " mm" in remark
+    (view,) = found.views()
+    assert view.source.identity.count == len(runs.runs) == found.identity.count + 1
+    (frame,) = view.source.model.effects
+    assert frame.name == "tracker_frame" and view.option == "motion_capture: {estimate: true}"
+    offset = np.array([frame.parameters[name].estimate for name in ("x", "y")])
+    assert np.linalg.norm(offset) > 0.01 and offset @ shift[:2] > 0.0
+    assert view.source.views() == ()
+    assert ReplaySource.of(runs, load_model("nominal"), store).views() == ()
