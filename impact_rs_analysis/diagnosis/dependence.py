@@ -266,7 +266,7 @@ def _choose(evidence: Evidence, fitted: Fit | None, pairs: Sequence[Depending], 
         for entry in proposals.values():
             progress("+".join(entry.candidate.names), evidence.size(entry.held_out))
         p_values |= benjamini_hochberg(_p_values(evidence, fitted, proposals), len(pairs))
-        before = [item.mean for item in evidence.clusters] if fitted is None else fitted.problem.leave_one_out_residuals
+        before = evidence.means if fitted is None else fitted.problem.leave_one_out_residuals
         likely = [entry for name, entry in proposals.items() if p_values[name] < SIGNIFICANCE_LEVEL]
         refined = [gauss_newton(entry) for entry in sorted(likely, key=lambda entry: entry.score)[:SHORTLIST_SIZE]]
         refined = [

@@ -313,7 +313,7 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
     """
     evidence, known = found.evidence, source.known_effects
     verdict, lack_of_fit = headline(found)
-    before = [item.mean for item in evidence.clusters]
+    before = evidence.means
     after: Sequence[Array] = before if found.hold_out is None else found.hold_out.residuals
     effects = tuple(with_readings(effect_documents(found, known), known))
     rivals = {effect.name: effect.rivals for effect in effects}

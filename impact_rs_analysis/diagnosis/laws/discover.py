@@ -327,7 +327,7 @@ def _adds_nothing(chosen: Fit, rival: Rival) -> bool:
 def _of_library(source: Source, library: Sequence[Effect], progress: ProgressCallback) -> Findings:
     """Result of a search with effects of the library alone."""
     search = Search(library, Evidence.of(source), progress)
-    decidable = search.evidence.null.shortage is None and (search.has_lack_of_fit or not source.repeated)
+    decidable = search.evidence.null.shortage is None and search.has_lack_of_fit
     return Findings(search, search.forward_selection() if decidable else None, (), None, {})
 
 
@@ -369,7 +369,7 @@ def _where(known: Findings, laws: Iterable[Law]) -> list[str]:
         return _where_in_recordings(known, laws)
     sizes: dict[str, dict[str, dict[str, float]]] = {"free": {}, "push": {}}
     in_contact = 0.0
-    for rest in rests_of(evidence, [item.mean for item in evidence.clusters]):
+    for rest in rests_of(evidence, evidence.means):
         joint = rest.index.rpartition(".")[2]
         if rest.phase in ("impact", "push"):
             in_contact = max(in_contact, rest.times_noise)

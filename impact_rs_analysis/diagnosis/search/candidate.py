@@ -47,11 +47,6 @@ EDGE_MARGIN = (
 DIFFERENCE_STEP_FACTORS = (1.0, -1.0, 0.1, -0.1, 0.01, -0.01)  # tried in this order until there are bodies
 
 
-def can_change(effect: Effect, cluster: Cluster) -> bool:
-    """Whether an effect can change the features of a cluster."""
-    return effect.seen_in(cluster.contact)
-
-
 @dataclass(frozen=True)
 class Candidate:
     """One or several effects, linearised about ``point``, in the clusters of a :class:`Problem` and in their order.
@@ -117,7 +112,7 @@ class Candidate:
         return np.array([scalar.scale for scalar in self.scalars])
 
     @cached_property
-    def _shapes(self) -> NDArray[np.bool_]:
+    def shapes(self) -> NDArray[np.bool_]:
         """Mask of the shape parameters, which change nothing while the others are nominal, ``(p,)``."""
         return np.array([scalar.shape for scalar in self.scalars], dtype=bool)
 
@@ -156,7 +151,7 @@ class Candidate:
         parameters, their shapes alone (a mass nearer to the rest), or all but the shapes (less mass in the same place).
         """
         found = []
-        for moved in (self.inertial, self.inertial & self._shapes, self.inertial & ~self._shapes):
+        for moved in (self.inertial, self.inertial & self.shapes, self.inertial & ~self.shapes):
             start = np.where(moved, self.nominal, vector)
             if not self.physically_consistent(start):
                 continue
@@ -201,8 +196,8 @@ class Candidate:
     @property
     def unseen_shapes(self) -> list[int]:
         """Indices of the unseen shape parameters of effects that are off at ``point``, as that centre of a payload."""
-        acts = (self.point != self.nominal) & ~self._shapes
-        idle = np.repeat([not acts[part].any() for _, part in self.parts], self.sizes) & self._shapes
+        acts = (self.point != self.nominal) & ~self.shapes
+        idle = np.repeat([not acts[part].any() for _, part in self.parts], self.sizes) & self.shapes
         return [index for index in self.unseen if idle[index]]
 
     def curved(self, index: int) -> bool:
@@ -320,7 +315,7 @@ class Candidate:
 
     def split(self, vector: Array) -> Added:
         """Effect names with their parameter values, without effects at nominal, so that equal physics share replays."""
-        acts = (vector != self.nominal) & ~self._shapes
+        acts = (vector != self.nominal) & ~self.shapes
         return tuple((effect.name, tuple(vector[part].tolist())) for effect, part in self.parts if acts[part].any())
 
     def beside(self, other: Candidate) -> Candidate:
@@ -354,7 +349,7 @@ def required_predictions(
         if not at_nominal:
             result.append((number, here))
         for effect, part in candidate.parts:
-            if can_change(effect, source.clusters[number]):
+            if effect.seen_in(source.clusters[number].contact):
                 result += [(number, added) for both in moved[part] for added in both]
     return result
 
@@ -392,7 +387,7 @@ def linearise(
             return None
         jacobian = np.zeros((base.size, candidate.point.size))
         for effect, part in candidate.parts:
-            if not can_change(effect, item):
+            if not effect.seen_in(item.contact):
                 continue
             for index in range(part.start, part.stop):
                 low = next(results) if central else here

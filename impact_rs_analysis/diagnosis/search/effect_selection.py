@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from impact_rs_analysis.diagnosis.search.candidate import Candidate, can_change, linearise, required_predictions
+from impact_rs_analysis.diagnosis.search.candidate import Candidate, linearise, required_predictions
 from impact_rs_analysis.diagnosis.search.fit import (
     Evidence,
     Fit,
@@ -157,7 +157,7 @@ class Search:
         parameter is probed, and the secant to the point with the most changed features is taken; for motions only
         parameters without sensitivity, and the nearest point at which some feature changes.
         """
-        if not any(can_change(effect, item) for effect in candidate.effects for item in self.evidence.clusters):
+        if not any(effect.seen_in(item.contact) for effect in candidate.effects for item in self.evidence.clusters):
             return candidate
         features = sum(item.sigma.size for item in self.evidence.clusters)
         for index, scalar in enumerate(candidate.scalars):
@@ -235,7 +235,7 @@ class Search:
         free, source = self.evidence.free_motion_part, self.source.free_motion_part
         if free is None or source is None or free.null.freedom < MIN_DEGREES_OF_FREEDOM:
             return
-        several = [c for c in candidates if sum(not scalar.shape for scalar in c.scalars) > 1]
+        several = [c for c in candidates if np.count_nonzero(~c.shapes) > 1]
         source.predict(
             [w for c in several for w in required_predictions(c, free.numbers, source)], "sensitivities in free motion"
         )
@@ -332,11 +332,9 @@ class Search:
         candidate, own = chosen.candidate, chosen.candidate.part(name)
         left = self.evidence if others is None else others.left
         fitted = () if others is None else others.candidate.jacobians
-        before = [item.mean for item in left.clusters]
-        made = [first - second for first, second in zip(before, chosen.residuals, strict=True)]
-        away = (chosen.estimate - candidate.nominal) / candidate.scale
+        made = [first - second for first, second in zip(left.means, chosen.residuals, strict=True)]
         return left.null.p_value(
-            secant_update([jacobian[:, own] for jacobian in candidate.jacobians], made, away[own]), fitted
+            secant_update([jacobian[:, own] for jacobian in candidate.jacobians], made, chosen.away[own]), fitted
         )
 
     def forward_selection(self) -> Fit | None:
@@ -419,14 +417,8 @@ class Search:
         linear = self._with_shapes([self.beside(chosen, group) for group in likely])
         for entry in linear:
             self._report_progress(entry)
-        # Without lack of fit only effects beyond a relevance limit are accepted.
-        if (
-            self.source.repeated
-            and chosen is None
-            and not all(map(exceeds_relevance_limit, linear))
-            and not self.has_lack_of_fit
-        ):
-            linear = [entry for entry in linear if exceeds_relevance_limit(entry)]
+        if chosen is None and not self.has_lack_of_fit:  # then only effects beyond a relevance limit are accepted
+            linear = list(filter(exceeds_relevance_limit, linear))
         shortlist, others = linear[:SHORTLIST_SIZE], linear[SHORTLIST_SIZE:]
         if chosen is None and others:  # the first effect may act far from nominal, where linear fits mislead
             shortlist.append(min(others, key=lambda entry: p_values["+".join(entry.candidate.names)]))
@@ -464,11 +456,9 @@ class Search:
                 found[entry.candidate.names] = seen
         return sorted(found.values(), key=lambda entry: entry.score)
 
-    def _unexplained(self, chosen: Fit | None) -> list[Array]:
+    def unexplained(self, chosen: Fit | None) -> list[Array]:
         """Leave-one-out residuals with the chosen effects, ``(F,)`` per cluster [-]."""
-        return (
-            [item.mean for item in self.evidence.clusters] if chosen is None else chosen.problem.leave_one_out_residuals
-        )
+        return self.evidence.means if chosen is None else chosen.problem.leave_one_out_residuals
 
     def fitted(self, names: Sequence[str]) -> Fit | None:
         """Some effects fitted together; None if one of them changes no feature."""
@@ -560,7 +550,7 @@ class Search:
             if proposal.score <= MAX_ERROR_RATIO * top and proposal.candidate.names not in self._known:
                 found[number] = self._kept(restart_from_afar(gauss_newton(proposal)))
         first = 0 if chosen is None else chosen.change.size
-        before = self._unexplained(chosen)
+        before = self.unexplained(chosen)
         found = [entry for entry in found if entry.evidence.gains(before, entry.problem.leave_one_out_residuals)]
         if not self.source.repeated:
             found = [proposal for proposal in found if noticeable(proposal, first)]

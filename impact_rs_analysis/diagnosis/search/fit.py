@@ -70,10 +70,15 @@ class Evidence:
         """Null distribution of the residuals: by rotations with repeats, by sign flips of blocks without."""
         return (RotationNull if self.source.repeated else SignFlipNull)(self.clusters)
 
+    @property
+    def means(self) -> list[Array]:
+        """Mean residuals, ``(F,)`` per cluster [-]."""
+        return [item.mean for item in self.clusters]
+
     @cached_property
     def lack_of_fit(self) -> float | None:
         """p-value of the lack-of-fit test of the model; None without repeats."""
-        return self.null.lack_of_fit([item.mean for item in self.clusters])
+        return self.null.lack_of_fit(self.means)
 
     @cached_property
     def expected(self) -> Array:
@@ -262,6 +267,11 @@ class Fit:
         candidate = self.candidate
         return np.clip(candidate.point + self.change * candidate.scale, candidate.lower, candidate.upper)
 
+    @property
+    def away(self) -> Array:
+        """Distance of the estimate from nominal, in parameter scales, ``(p,)``."""
+        return np.asarray((self.estimate - self.candidate.nominal) / self.candidate.scale)
+
     @cached_property
     def _at_ends(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Masks of the estimates at their lower and at their upper bound, where that is not nominal, ``(p,)`` each."""
@@ -287,9 +297,7 @@ class Fit:
     @cached_property
     def held_at_bound(self) -> NDArray[np.bool_]:
         """Mask of the estimates that the data push to a bound, ``(p,)``; undetermined ones may lie there by chance."""
-        away = np.abs(self.estimate - self.candidate.nominal) / self.candidate.scale
-        shapes = np.array([scalar.shape for scalar in self.candidate.scalars], dtype=bool)
-        return np.asarray(self.at_bound & (shapes | (away > self.half_widths)))
+        return np.asarray(self.at_bound & (self.candidate.shapes | (np.abs(self.away) > self.half_widths)))
 
     @cached_property
     def at_end_of_range(self) -> NDArray[np.bool_]:

@@ -22,8 +22,7 @@ def changes_of(fitted: Fit, part: slice = slice(None), distance: Array | None = 
         part: Which parameters.
         distance: delta from a point without effect, ``(p,)`` [parameter scales]; None: from nominal.
     """
-    if distance is None:
-        distance = ((fitted.estimate - fitted.candidate.nominal) / fitted.candidate.scale)[part]
+    distance = fitted.away[part] if distance is None else distance
     pairs = zip(fitted.evidence.clusters, fitted.candidate.jacobians, strict=True)
     return [np.abs(jacobian[:, part] @ distance) * item.sigma for item, jacobian in pairs]
 
@@ -43,10 +42,8 @@ def noticeable(fitted: Fit, first: int = 0) -> bool:
     because its interval is invalid. Calibrations are taken as exact: they affect the size of an effect, not whether
     there is one.
     """
-    candidate = fitted.candidate
-    distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale - fitted.half_widths_of_noise
-    own = np.array([not scalar.shape for scalar in candidate.scalars]) & ~fitted.at_end_of_range
-    return bool(np.any((distance > fitted.evidence.source.least_change)[first:] & own[first:]))
+    beyond = np.abs(fitted.away) - fitted.half_widths_of_noise > fitted.evidence.source.least_change
+    return bool(np.any((beyond & ~fitted.candidate.shapes & ~fitted.at_end_of_range)[first:]))
 
 
 def sizes_of(fitted: Fit, name: str) -> list[SizeDocument]:

@@ -78,16 +78,16 @@ def _chosen_document(found: Findings, effect: Effect, ends: Ends) -> EffectDocum
     name = effect.name
     part = chosen.candidate.part(name)
     rivals = found.shown(found.tied_with(name))
-    own = np.array([not scalar.shape for scalar in chosen.candidate.scalars[part]])
-    bound, shape = chosen.held_at_bound[part][own], chosen.held_at_bound[part][~own]
+    shapes = chosen.candidate.shapes[part]
+    bound, shape = chosen.held_at_bound[part][~shapes], chosen.held_at_bound[part][shapes]
     places = any(scalar.joint is not None or scalar.arm for scalar in chosen.candidate.scalars[part])
     parameters = _estimates(found, chosen, name, ends)
-    shapes = {scalar.name for scalar in chosen.candidate.scalars[part] if scalar.shape}
+    amplitudes = [scalar.name for scalar in chosen.candidate.scalars[part] if not scalar.shape]
     if evidence.null.shortage is not None:
         verdict, reason = TOO_FEW, evidence.null.shortage
     elif np.all(bound) or (np.any(bound) and not places) or np.any(shape):
         verdict, reason = AT_BOUND, "the best value lies at a bound: another effect may be missing"
-    elif not any(parameters[key].excludes_nominal for key in parameters.keys() - shapes):
+    elif not any(parameters[key].excludes_nominal for key in amplitudes):
         verdict, reason = UNIDENTIFIABLE, SIZE_UNKNOWN
     elif not exceeds_relevance_limit(chosen, part):
         size = sizes_of(chosen, name)[0]
@@ -137,13 +137,12 @@ def _other_document(found: Findings, effect: Effect, fitted: Fit, ends: Ends) ->
     search, evidence, name = found.search, found.evidence, effect.name
     best = _as_rival(found, name)
     part = fitted.candidate.part(name)
-    shown = np.array([not scalar.shape for scalar in fitted.candidate.scalars[part]])
     rivals = found.shown(dict.fromkeys(one.instead_of for one in found.rivals if one.name == name and one.tied))
     if evidence.null.shortage is not None:
         verdict, reason = TOO_FEW, evidence.null.shortage
     elif evidence.source.impossible:
         verdict, reason = UNIDENTIFIABLE, "the measurements break a law that holds for every contact"
-    elif np.all(undetermined(fitted)[part][shown]):
+    elif np.all(undetermined(fitted)[part] | fitted.candidate.shapes[part]):
         verdict, reason = UNIDENTIFIABLE, "the data do not determine it: its interval is too wide"
     elif rivals:
         verdict = DiagnosisVerdict(Kind.CONFUSABLE, tuple(sorted(rivals)))
@@ -191,8 +190,7 @@ def _document(found: Findings, effect: Effect, fitted: Fit, **own: Any) -> Effec
 
 def _error(found: Findings, fitted: Fit | None) -> float:
     """Leave-one-out error of a fit, or of the model (None)."""
-    rest = [item.mean for item in found.evidence.clusters] if fitted is None else fitted.problem.leave_one_out_residuals
-    return residual_size(found.evidence, rest)
+    return residual_size(found.evidence, found.search.unexplained(fitted))
 
 
 def _error_without(found: Findings, name: str) -> float | None:
@@ -274,8 +272,7 @@ def undetermined(fitted: Fit) -> NDArray[np.bool_]:
     Parameter scales follow the size of the robot. A drive that is large beside a light arm has wide intervals on that
     scale and is determined all the same, if its interval excludes nominal.
     """
-    away = np.abs(fitted.estimate - fitted.candidate.nominal) / fitted.candidate.scale
-    return np.asarray((fitted.half_widths > MAX_HALF_WIDTH) & (fitted.half_widths >= away))
+    return np.asarray((fitted.half_widths > MAX_HALF_WIDTH) & (fitted.half_widths >= np.abs(fitted.away)))
 
 
 def _joint(found: Findings, fitted: Fit, index: int) -> tuple[DiagnosisVerdict, float, float | None, float | None]:
@@ -283,14 +280,12 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[DiagnosisVerdict, 
     candidate, evidence = fitted.candidate, fitted.evidence
     scalar = candidate.scalars[index]
     joint = f"joint{(scalar.joint or 0) + 1}"
-    without = evidence.problem(candidate.fixed(index))
-    left = without.residuals_at(without.solve())
-    shifts = [item.mean - rest for item, rest in zip(evidence.clusters, left, strict=True)]
+    without = Fit.of(candidate.fixed(index), evidence)
     if evidence.null.by_blocks:
         p = fitted.problem.p_by_interval(fitted.change, evidence.null, index)
     else:
-        p = fitted.problem.p_value(evidence.shifted(shifts).null, [index])
-    rest, rest_without = fitted.problem.leave_one_out_residuals, without.leave_one_out_residuals
+        p = fitted.problem.p_value(without.left.null, [index])
+    rest, rest_without = fitted.problem.leave_one_out_residuals, without.problem.leave_one_out_residuals
     changed = changed_features(candidate)
     own, own_without = (_of_joint(evidence, values, scalar.arm, joint, changed) for values in (rest, rest_without))
     if not own.size:  # nothing of the joint was measured

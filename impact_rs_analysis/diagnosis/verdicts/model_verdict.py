@@ -73,7 +73,7 @@ class Findings:
     @property
     def unexplained(self) -> list[Array]:
         """Mean residuals with the chosen effects, ``(F,)`` per cluster [-]."""
-        return [item.mean for item in self.evidence.clusters] if self.chosen is None else self.chosen.residuals
+        return self.evidence.means if self.chosen is None else self.chosen.residuals
 
     @property
     def held_out_sizes(self) -> tuple[float, float]:
@@ -109,10 +109,8 @@ def reported_p(value: float) -> float:
 
 def excludes_nominal(fitted: Fit, name: str) -> bool:
     """Whether the 95 % interval of some parameter of an effect excludes its nominal value."""
-    candidate = fitted.candidate
-    distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale
-    own = np.array([not scalar.shape for scalar in candidate.scalars])
-    return bool(np.any(((distance > fitted.half_widths) & own)[candidate.part(name)]))
+    distance, candidate = np.abs(fitted.away), fitted.candidate
+    return bool(np.any(((distance > fitted.half_widths) & ~candidate.shapes)[candidate.part(name)]))
 
 
 def without_uncertain_effects(search: Search, chosen: Fit) -> Fit | None:
@@ -140,7 +138,7 @@ def supported_by_hold_out(search: Search, chosen: Fit, held: HoldOut) -> Fit | N
     if held.failed:
         return None
     repeated = search.evidence.source.repeated
-    change = change_interval([item.mean for item in search.evidence.clusters], held.residuals, search.evidence)
+    change = change_interval(search.evidence.means, held.residuals, search.evidence)
     if not (lowers_held_out_error(search, held) if repeated else change is not None and change[1] < 0.0):
         return None
     for name in () if repeated else chosen.candidate.names:
@@ -193,9 +191,8 @@ def within_discrepancy(search: Search) -> tuple[str, ...]:
 def _held_out_sizes(search: Search, held: HoldOut | None) -> tuple[float, float]:
     """Held-out error of the model, and of the nested cross-validation."""
     evidence = search.evidence
-    before = [item.mean for item in evidence.clusters]
-    after = before if held is None else held.residuals
-    return residual_size(evidence, before), residual_size(evidence, after)
+    before = residual_size(evidence, evidence.means)
+    return before, before if held is None else residual_size(evidence, held.residuals)
 
 
 def headline(found: Findings) -> tuple[DiagnosisVerdict, LackOfFit]:
@@ -210,7 +207,7 @@ def headline(found: Findings) -> tuple[DiagnosisVerdict, LackOfFit]:
     else:
         stated = stated_signals(evidence)
         if stated:
-            before = beyond_stated_noise(evidence, [item.mean for item in evidence.clusters])
+            before = beyond_stated_noise(evidence, evidence.means)
             after = beyond_stated_noise(evidence, found.unexplained, 0 if chosen is None else chosen.change.size)
         verdict = _on_model(found, stated, after)
     first, last = (None if p is None else reported_p(p) for p in (before, after))

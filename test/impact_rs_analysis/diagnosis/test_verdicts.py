@@ -369,9 +369,8 @@ def test_an_effect_is_certain_where_one_interval_leaves_out_nothing() -> None:
 
 def test_a_wide_interval_determines_nothing_unless_it_leaves_out_the_nominal_value() -> None:
     """Kills: width alone, or place alone."""
-    candidate = SimpleNamespace(nominal=np.zeros(3), scale=np.ones(3))
     estimates, half_widths = np.array([10.0, 50.0, 10.0]), np.array([30.0, 30.0, 15.0])
-    found: Any = SimpleNamespace(candidate=candidate, estimate=estimates, half_widths=half_widths)
+    found: Any = SimpleNamespace(away=estimates, half_widths=half_widths)
     assert undetermined(found).tolist() == [True, False, False]
 
 
