@@ -299,7 +299,7 @@ def diagnosis(workspace: Workspace, name: str) -> dict[str, Any]:
         "digest": document.model.digest,
         "named": list(document.named),
         "runs": measured_by.get("runs"),
-        "calls_for_a_law": document.calls_for_a_law and not discovered,
+        "calls_for_a_law": document.verdict.leaves_residuals and not discovered,
         "law": measured_by,
         "report": DISCOVERY_PAGE if discovered else DIAGNOSIS_PAGE,
         "unit": document.error_unit,

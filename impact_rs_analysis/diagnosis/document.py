@@ -15,7 +15,7 @@ from typing import Any, Literal, Self
 from pydantic import Field
 
 from impact_rs_analysis.diagnosis.thresholds import UNADJUSTED_LEVEL
-from impact_rs_analysis.diagnosis.verdict import NO_IMPROVEMENT, SMALL, TOO_FEW, UNIDENTIFIABLE, DiagnosisVerdict
+from impact_rs_analysis.diagnosis.verdict import SMALL, UNIDENTIFIABLE, DiagnosisVerdict
 from impact_rs_analysis.evidence.calibration import LaboratoryCalibration
 from impact_rs_analysis.evidence.cluster import TIMES, ErrorUnit
 from impact_rs_analysis.evidence.discrepancy import DiscrepancyDocument
@@ -512,11 +512,6 @@ class DiagnosisDocument(Schema):
     )
 
     @property
-    def calls_for_a_law(self) -> bool:
-        """Whether something remains that no effect explains."""
-        return self.verdict.leaves_residuals
-
-    @property
     def faults(self) -> tuple[str, ...]:
         """Effects of the measurement that are named."""
         return self._named_of(measurement=True)
@@ -547,9 +542,8 @@ class DiagnosisDocument(Schema):
     @property
     def addable(self) -> tuple[str, ...]:
         """Named effects with one value for all measurements, which the measurements determine."""
-        undetermined = (NO_IMPROVEMENT, TOO_FEW, UNIDENTIFIABLE)
         own = [(name, self.effect(name)) for name in self.named if name not in self.dependent]
-        return tuple(name for name, effect in own if effect is not None and effect.verdict not in undetermined)
+        return tuple(name for name, effect in own if effect is not None and effect.verdict != UNIDENTIFIABLE)
 
     @property
     def not_excluded(self) -> dict[str, str]:

@@ -183,7 +183,7 @@ class Investigation:
         model = self._model(here.model)
         specs = {label_of(one.trial.spec): one.trial.spec for one in here.trials}
         found = tuple(predicted(model, spec) for spec in specs.values() if spec.scenario.excursion is None)
-        self._write(here, "prediction.json", Predictions(model=_identity(model), impacts=found))
+        self._write(here, "prediction.json", Predictions(model=ModelIdentity.of(model), impacts=found))
 
     def _check(self, here: Round) -> None:
         assert here.prediction is not None
@@ -231,7 +231,7 @@ class Investigation:
         parent = str(self.directory / before) if before else self.settings.model
         model = load_model(parent)
         # Estimates are those of all effects together, so that a child takes them from the diagnosis of its parent.
-        document = document.model_copy(update={"model": _identity(model)})
+        document = document.model_copy(update={"model": ModelIdentity.of(model)})
         self._say(f"Round {here.number}: {name}: {done.add[index]}")
         output = self.directory / name
         save_model(add_effects(model, Path(parent), document, source, [done.add[index]], output, False), output)
@@ -244,12 +244,12 @@ class Investigation:
     def _wants_a_law(self, rounds: Sequence[Round]) -> bool:
         """Whether to search for a law: the residual has no known effect, repeatedly or finally."""
         now = rounds[-1].basis
-        if now is None or not now.calls_for_a_law or stands(self.settings, rounds[-1]):
+        if now is None or not now.verdict.leaves_residuals or stands(self.settings, rounds[-1]):
             return False
         if searches_in_vain(rounds) >= MAX_VAIN_DISCOVERIES:
             return False
         before = rounds[-2].basis if len(rounds) > 1 else None
-        again = before is not None and before.calls_for_a_law and not _falls(before, now)
+        again = before is not None and before.verdict.leaves_residuals and not _falls(before, now)
         return again or bool(laws_found(rounds)) or self.budget <= measured(rounds)
 
     def _model(self, name: str) -> Model:
@@ -271,17 +271,13 @@ def size_of_round(last: Round | None) -> int:
     if last is None:
         return FIRST
     found = last.open
-    named = found is not None and (found.named or found.suspected) and not found.calls_for_a_law
+    named = found is not None and (found.named or found.suspected) and not found.verdict.leaves_residuals
     return FEW if named and last.laws is None else MORE
 
 
 def _falls(before: DiagnosisDocument, now: DiagnosisDocument) -> bool:
     """Whether the error falls clearly with more trials: then trials are missing, not a law."""
     return bool(now.named) and now.held_out_error_after < FALLING_ERROR_RATIO * before.held_out_error_after
-
-
-def _identity(model: Model) -> ModelIdentity:
-    return ModelIdentity.of(model)
 
 
 def _json(document: Schema) -> str:

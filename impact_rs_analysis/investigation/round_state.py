@@ -90,7 +90,7 @@ class RoundState:
             holds=here.basis_holds,
             holds_twice=here.basis_holds and here.tried and before is not None and before.basis_holds,
             look=_worth_a_look(before, found) if left > 0 else (),
-            unexplained=beside_laws and (here.discovery is not None or found.calls_for_a_law),
+            unexplained=beside_laws and (here.discovery is not None or found.verdict.leaves_residuals),
             laws=laws_found(rounds),
             in_vain=searches_in_vain(rounds),
             further=_further(rounds) if beside_laws and same else (),

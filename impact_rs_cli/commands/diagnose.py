@@ -72,7 +72,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         terminal.say(f"diagnosis: {args.output}")
         if names := document.addable:
             terminal.say(f"next: {add_command(names, args.model, args.output, document)}")
-    if document.calls_for_a_law:
+    if document.verdict.leaves_residuals:
         terminal.say(f"a law that the library does not have: {discover_command(args, model)}")
     return INTERRUPTED if document.budget.stopped else 0
 

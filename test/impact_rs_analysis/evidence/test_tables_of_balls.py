@@ -290,7 +290,7 @@ def test_impacts_that_gain_energy_in_every_row_are_no_lack_of_an_effect(tmp_path
     assert document.summary.startswith("These 60 impacts break a law of every impact, so no effect is named: kinetic ")
     assert "kinetic energy grows in 60 of 60 rows" in document.summary and "lacks" not in document.summary
     assert {str(effect.verdict) for effect in document.effects} == {"NOT-IDENTIFIABLE"}
-    assert not document.calls_for_a_law and not document.not_excluded
+    assert not document.verdict.leaves_residuals and not document.not_excluded
     found = discover(lambda model: source, NOMINAL, load_grammar(), ["restitution"])
     assert str(found.verdict) == "IMPOSSIBLE-DATA" and not found.laws
 
