@@ -103,8 +103,6 @@ class Discrimination:
 
     def gains(self, total: Belief) -> list[list[Array]]:
         """Squared distances of every pair, by direction and case, ``(cases,)`` [-]."""
-        if not self.decision.pairs:
-            return []
         inner, _ = total.of_parameters()
         left = [np.diag(fitted_out(inner, rows, RIVAL_RANGE_SCALES)) for rows in self._spreads]
         found = []

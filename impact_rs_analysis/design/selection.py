@@ -16,12 +16,12 @@ import numpy as np
 
 from impact_rs_analysis.design.discrimination import Discrimination
 from impact_rs_analysis.design.forecast import ForecastTrial
+from impact_rs_analysis.evidence.minimum_data import MIN_CLUSTERS
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.experiment_plan import Method
 
 MIN_REPEATS = 2  # of a new condition: a single trial has no scatter
 NEW_CONDITION_GAIN_SHARE = 0.5  # of the gain of the best repeat, from which a new condition is taken between rivals
-MIN_CONDITIONS = 3  # of a campaign, so that the diagnosis can hold out each and has enough repeats
 
 Counts = dict[str, int]
 
@@ -65,12 +65,12 @@ def missing_conditions(budget: int, measured: int) -> int:
     Raises:
         InputError: The budget is too small for them.
     """
-    missing = max(MIN_CONDITIONS - measured, 0)
+    missing = max(MIN_CLUSTERS - measured, 0)
     least = max(MIN_REPEATS * missing, 1)
     if budget < least:
         raise InputError(
             f"{budget} trial(s) are too few: "
-            f"a diagnosis needs {MIN_CONDITIONS} conditions with {MIN_REPEATS} trials each, "
+            f"a diagnosis needs {MIN_CLUSTERS} conditions with {MIN_REPEATS} trials each, "
             f"{missing} of them to come; expected at least {least}, or --runs with earlier trials",
             key="--budget",
         )

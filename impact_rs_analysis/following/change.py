@@ -217,8 +217,6 @@ class ChangeTest:
     def _explained(self, name: str) -> ChangeExplanation | None:
         """An effect within its range from its likeliest moment on; None where the last instant speaks against it."""
         last = len(self.posterior.window) - 1
-        if last < 1:
-            return None
         places, inflation = self.effects[name], self.calibration.of(name)
         numbers = [self.active[place] for place in places]
         lower, upper = self._room(numbers)

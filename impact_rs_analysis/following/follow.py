@@ -11,7 +11,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 
-from impact_rs_analysis.design.selection import MIN_CONDITIONS, MIN_REPEATS
+from impact_rs_analysis.design.selection import MIN_REPEATS
+from impact_rs_analysis.evidence.minimum_data import MIN_CLUSTERS, MIN_DEGREES_OF_FREEDOM
 from impact_rs_analysis.following.change import MEAN_TIME_TO_FALSE_ALARM
 from impact_rs_analysis.following.documents import Followed, HitDocument, NextHit
 from impact_rs_analysis.following.hits import Hit, HitSource
@@ -41,8 +42,8 @@ class HitsSince:
         known = len(set(filter(None, self.conditions)))
         count = len(self.conditions)
         if not known:  # rows that repeat nothing
-            return count >= MIN_CONDITIONS * MIN_REPEATS
-        return known >= MIN_CONDITIONS and count - known >= (MIN_REPEATS - 1) * MIN_CONDITIONS
+            return count >= MIN_CLUSTERS * MIN_REPEATS
+        return known >= MIN_CLUSTERS and count - known >= MIN_DEGREES_OF_FREEDOM
 
 
 class Follower:

@@ -14,7 +14,6 @@ from impact_rs_analysis.inference.ahead import promised
 from impact_rs_trials.experiment_plan import ExperimentPlan
 
 MIN_WORTHWHILE_PROBABILITY = 0.5  # with all trials left; below, they are not measured
-MAX_EXTRAPOLATED_PROBABILITY = 0.9999  # of a plan
 
 
 def best_decision_probability(plan: ExperimentPlan, left: int) -> float:
@@ -28,5 +27,5 @@ def best_decision_probability(plan: ExperimentPlan, left: int) -> float:
     """
     if plan.aim != "rivals" or not plan.pairs:
         return 1.0
-    best = min(max(pair.after for pair in plan.pairs), MAX_EXTRAPOLATED_PROBABILITY)
+    best = max(pair.after for pair in plan.pairs)
     return promised(best, plan.freedom or math.inf, left / plan.trials, left - plan.trials)  # 0: the scatter is known
