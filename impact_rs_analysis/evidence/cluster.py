@@ -177,6 +177,11 @@ class Cluster:
         return float(np.mean(np.square(self.mean)))
 
     @property
+    def limit_squares(self) -> Array:
+        """Squares of half the relevance limits over the scales: 1 minus noise and discrepancy, ``(F,)`` [-]."""
+        return np.asarray(np.maximum(1.0 - np.square(self.pure_error) - np.square(self.discrepancy), 0.0))
+
+    @property
     def expected_squares(self) -> Array:
         """Expected squares of the mean residual under repeatability and model discrepancy alone, ``(F,)`` [-]."""
         return np.asarray(np.square(self.pure_error) / self.count + np.square(self.discrepancy))

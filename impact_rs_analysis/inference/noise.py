@@ -57,9 +57,8 @@ class Noise:
 
 def noise_of(item: Cluster) -> Noise:
     """Noise of the scaled features of a condition, with the part of the discrepancy outside its patterns."""
-    scatter, systematic = np.square(item.pure_error), np.square(item.discrepancy)
-    limit = np.maximum(1.0 - scatter - systematic, 0.0)  # sigma^2 = s^2 + (l / 2)^2 + d^2
-    return Noise(scatter, limit + (1.0 if item.patterns is None else INDEPENDENT_DISCREPANCY_SHARE) * systematic)
+    outside = 1.0 if item.patterns is None else INDEPENDENT_DISCREPANCY_SHARE
+    return Noise(np.square(item.pure_error), item.limit_squares + outside * np.square(item.discrepancy))
 
 
 def repeats_of(deviations: Array, freedom: int, stated: Array) -> Array:

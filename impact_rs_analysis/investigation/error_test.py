@@ -64,7 +64,7 @@ def p_of_error(clusters: Sequence[Cluster], tested: Sequence[Sequence[int]]) -> 
             weight = np.divide(1.0, own_share, out=np.zeros_like(own_share), where=own_share > 0.0)
             weight /= np.sqrt(own_share.size)
             scatter = weight * contrasts / item.sigma / np.sqrt(count * len(rows))
-            limit = np.maximum(np.square(own_share) - np.square(item.discrepancy), 0.0) * np.square(weight)
+            limit = item.limit_squares * np.square(weight)
             shared = weight * _shared(item)
             square, systematic = _trace_of_square(scatter, count), shared.T @ shared + np.diag(limit)
             error += float(np.sum(np.square(weight * item.residuals[rows].mean(axis=0))))

@@ -254,11 +254,7 @@ class _Rows:
         self.rows = np.array(firsts + contrasts)
         self.means, self.freedom = len(firsts), len(contrasts)
         self.donors: Sequence[_Rows] = (self,)
-        apart = [
-            np.square(item.sigma / self.unit) * (1.0 - np.square(item.pure_error) - np.square(item.discrepancy))
-            for item in self.items
-        ]
-        self.apart = np.maximum(np.mean(apart, axis=0), 0.0)
+        self.apart = np.mean([np.square(item.sigma / self.unit) * item.limit_squares for item in self.items], axis=0)
 
     def rotated(self, seed: int) -> Iterator[Array]:
         """Every mean row, as measured and in rotations, ``(1 + B, F)`` each."""
