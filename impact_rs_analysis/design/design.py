@@ -111,6 +111,7 @@ def planned(
     known, freedom = counts.freedom({}), counts.freedom(picked)
     pairs = _pairs(decision, counts.probabilities(before, known), counts.probabilities(after, freedom))
     words = {name: _buys(counts, decision, after, picked, name) for name in picked}
+    names = [decision.explanations[number].name for number in sorted(unseen)]
     return ExperimentPlan(
         model=model.name,
         model_digest=model.containing(()).digest,  # without formulas that explanations alone use
@@ -120,7 +121,7 @@ def planned(
         seed=seed,
         freedom=int(freedom),
         summary=_summary(decision, pairs, picked, counts.information(after) if decision.aim == "parameters" else 0.0)
-        + _unseen_in_words([decision.explanations[number].name for number in sorted(unseen)]),
+        + (f"; no possible trial shows {', '.join(names)}" if names else ""),
         pairs=tuple(pairs[:MAX_LISTED_PAIRS]),
         campaigns=_campaigns({trial.name: trial for trial in can_run}, picked, words),
     )
@@ -222,11 +223,6 @@ def _summary(decision: Decision, pairs: Sequence[PlannedPair], picked: Counts, i
         f"{trials} distinguish {len(sure)} of {len(pairs)} pairs of explanations "
         f"with {MIN_DISTINGUISHED_PROBABILITY:.0%} or more{rest}"
     )
-
-
-def _unseen_in_words(names: Sequence[str]) -> str:
-    """Explanations that no trial shows; empty: all are seen."""
-    return f"; no possible trial shows {', '.join(names)}" if names else ""
 
 
 def _percent(value: float) -> str:

@@ -24,7 +24,7 @@ disagree are those *in common*. Where a single relation disagrees, the physics t
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -189,7 +189,10 @@ def agreement_of(source: Source) -> AgreementDocument:
             (OBJECT_TRACKING, *one) for one in _by_index(tracking_clusters(source.clusters), lambda feature: True)
         ]
     limited = source.noise_size() is None
-    raw = {number: _lack_of_fit(source, clusters) for number, (_, _, clusters) in enumerate(tested)}
+    raw = {
+        number: RotationNull(clusters).lack_of_fit([item.mean for item in clusters])
+        for number, (_, _, clusters) in enumerate(tested if source.repeated else ())
+    }
     p_values: dict[str, float] = {}
     for relation in dict.fromkeys(relation for relation, _, _ in tested):  # each is a question of its own
         own = {str(n): p for n, p in raw.items() if p is not None and tested[n][0] is relation}
@@ -214,7 +217,8 @@ def agreement_of(source: Source) -> AgreementDocument:
             )
         )
     found.sort(key=lambda one: _order(one.place))
-    return AgreementDocument(relations=tuple(found), in_common=tuple(_in_common(found)))
+    document = AgreementDocument(relations=tuple(found))
+    return document.model_copy(update={"in_common": tuple(_in_common(document))})
 
 
 def _belongs_to(relation: Relation, feature: Feature) -> bool:
@@ -238,29 +242,19 @@ def _by_index(clusters: Sequence[Cluster], wanted: Callable[[Feature], bool]) ->
     return found
 
 
-def _lack_of_fit(source: Source, clusters: Sequence[Cluster]) -> float | None:
-    """p-value of the lack-of-fit test of a relation; None without repeats."""
-    if not source.repeated:
-        return None
-    return RotationNull(clusters).lack_of_fit([item.mean for item in clusters])
-
-
 def _size(clusters: Sequence[Cluster], of: Callable[[Cluster, bool], Array], limited: bool) -> float:
     """Root mean square of the mean residuals in multiples of the scale ``of``."""
     return root_mean_square(np.concatenate([item.mean / of(item, limited) for item in clusters]))
 
 
-def _in_common(found: Iterable[RelationDocument]) -> list[InCommon]:
+def _in_common(document: AgreementDocument) -> list[InCommon]:
     """Common readings of the relations that disagree, with joints of equal result in one entry."""
-    by_joint: dict[str, list[RelationDocument]] = {}
-    for one in found:
-        by_joint.setdefault(one.place, []).append(one)
     result: dict[tuple[tuple[str, ...], tuple[str, ...], str], list[str]] = {}
-    for place, own in by_joint.items():
-        against = [one for one in own if not one.agrees]
+    for place, own in document.by_joint.items():
+        against = [one for one in own.values() if not one.agrees]
         if not against:
             continue
-        cleared = {name for one in own if one.agrees for name in one.clears}
+        cleared = {name for one in own.values() if one.agrees for name in one.clears}
         shared = [name for name in against[0].readings if all(name in one.readings for one in against)]
         readings = tuple(name for name in shared if name not in cleared)
         assumes = against[0].assumes if len(against) == 1 else ""

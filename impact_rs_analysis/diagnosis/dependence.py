@@ -34,7 +34,7 @@ from impact_rs_analysis.diagnosis.search.fit import (
     gauss_newton,
     replay_and_refit,
 )
-from impact_rs_analysis.diagnosis.search.hold_out import Fold, folds_of
+from impact_rs_analysis.diagnosis.search.hold_out import Fold, folds_of, held_out_residuals
 from impact_rs_analysis.diagnosis.thresholds import (
     MIN_DISTINCT_NUMBERS,
     MIN_ROWS_OF_LEVEL,
@@ -191,8 +191,7 @@ def dependences_of(
     rest = {number: both for fold, (_, every) in zip(folds, results, strict=True) for number, both in every.items()}
     before, after = zip(*(rest[number] for number in range(len(source.clusters))), strict=True)
     names = tuple(own for own, _ in results)
-    change = change_interval(before, after, evidence)
-    supported = change is not None and change[1] < 0.0
+    supported = change_interval(before, after, evidence)[1] < 0.0
     kept = tuple(one for one in choice.pairs if supported and _selected_in_most_folds(one, pairs, choice, names))
     fit = choice.fit
     if len(kept) < len(choice.pairs):
@@ -245,12 +244,11 @@ def _fitted(effects: Sequence[Effect], start: Array, evidence: Evidence) -> Fit 
 
 def _held_out_residuals(fitted: Fit | None, source: Source, held: Sequence[int]) -> list[Array]:
     """Mean residuals of held-out clusters with a fit; of the model without a fit, or if it cannot be simulated."""
-    items = [source.clusters[number] for number in held]
+    means = [source.clusters[number].mean for number in held]
     if fitted is None:
-        return [item.mean for item in items]
-    source, added = fitted.evidence.source, fitted.candidate.split(fitted.estimate)
-    found = [source.residuals_with(added, [item]) for item in items]
-    return [item.mean if own is None else own[0].mean for item, own in zip(items, found, strict=True)]
+        return means
+    found = held_out_residuals(fitted.evidence.source, fitted.candidate.split(fitted.estimate), held)
+    return [mean if own is None else own for mean, own in zip(means, found, strict=True)]
 
 
 def _choose(evidence: Evidence, fitted: Fit | None, pairs: Sequence[Depending], progress: ProgressCallback) -> Choice:

@@ -352,16 +352,12 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
         joints=_joints(source, before, after),
         recording=source.recording,
         drift=drift,
-        proportion=_proportion(source),
+        proportion=ProportionDocument(**vars(source.proportion)),
         limits=_limits(source),
         remarks=tuple(remarks),
         formulas=source.model.formulas,
         arms=source.model.arms,
     )
-
-
-def _proportion(source: Source) -> ProportionDocument:
-    return ProportionDocument(**vars(source.proportion))
 
 
 def _limits(source: Source) -> tuple[LimitDocument, ...]:
@@ -388,9 +384,7 @@ def _hold_out(found: HoldOut | None, source: Source) -> HoldOutDocument:
     count = len(found.folds)
     if source.repeated:
         what = f"conditions with all their repeats, in {count} folds"
-    elif any(
-        len({source.clusters[n].unit for n in fold.held}) > 1 or _whole(source, fold.held) for fold in found.folds
-    ):
+    elif len({item.unit for item in source.clusters}) >= MIN_CLUSTERS:
         what = f"whole recordings, in {count} folds"
     else:
         neighbours = "of neighbours; every fold is predicted from the others without those that touch it"
@@ -400,11 +394,6 @@ def _hold_out(found: HoldOut | None, source: Source) -> HoldOutDocument:
     if fitted := count - sum(found.searched):
         how += f", in {fitted} folds the fit alone, for a search lacks conditions, repeats or time"
     return HoldOutDocument(what=f"{what}; {how}", folds=count, searched=sum(found.searched))
-
-
-def _whole(source: Source, held: Sequence[int]) -> bool:
-    unit = source.clusters[held[0]].unit
-    return sum(item.unit == unit for item in source.clusters) == len(held)
 
 
 def _joints(source: Source, before: Sequence[Array], after: Sequence[Array]) -> tuple[JointError, ...]:

@@ -381,8 +381,7 @@ def _where(known: Findings, laws: Iterable[Law]) -> list[str]:
     def shown(law: Law, phase: str) -> bool:
         signal = sizes[phase].get(law.needs, {})
         largest = max(signal.values(), default=0.0)
-        own_size = max((signal.get(joint, 0.0) for joint in law.joints), default=largest)
-        return own_size > max(MIN_RESIDUAL_RATIO_OF_LAW, MIN_SHARE_OF_LARGEST_RESIDUAL * largest)
+        return _stands_out(max((signal.get(joint, 0.0) for joint in law.joints), default=largest), largest)
 
     def possible(law: Law) -> bool:
         if not law.needs:
@@ -393,15 +392,16 @@ def _where(known: Findings, laws: Iterable[Law]) -> list[str]:
     return [law.spec.name for law in laws if possible(law)]
 
 
+def _stands_out(size: float, largest: float) -> bool:
+    """Whether a residual in multiples of repeatability shows a law, beside the largest one of its kind."""
+    return size > max(MIN_RESIDUAL_RATIO_OF_LAW, MIN_SHARE_OF_LARGEST_RESIDUAL * largest)
+
+
 def _where_in_recordings(known: Findings, laws: Iterable[Law]) -> list[str]:
     """Names of the laws at joints with unexplained torque, and of forces if several joints have one."""
     rows = known.evidence.source.joint_sizes(known.unexplained)
     left = {joint: size / noise for joint, size, noise, _ in rows if noise > 0.0}
-    seen = {
-        joint
-        for joint, size in left.items()
-        if size > max(MIN_RESIDUAL_RATIO_OF_LAW, MIN_SHARE_OF_LARGEST_RESIDUAL * max(left.values()))
-    }
+    seen = {joint for joint, size in left.items() if _stands_out(size, max(left.values()))}
     apart: dict[tuple[str, ...], str] = {}  # torques on a motor and on its link are confounded there
     for law in laws:
         if seen & set(law.joints):

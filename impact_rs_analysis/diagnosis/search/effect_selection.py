@@ -429,8 +429,6 @@ class Search:
 
         Each must be significant given the other. For tables of impacts alone, whose predictions are cheap.
         """
-        if self.evidence.null.shortage is not None:
-            return None
         present = () if chosen is None else chosen.candidate.names
         alone = [name for name in self._groups(present) if "+" not in name and not self.singles[name].effects[0].family]
         pairs = ["+".join(pair) for pair in combinations(alone, 2)]
@@ -473,8 +471,6 @@ class Search:
         if known is not None:
             there = replace(known.only(evidence.numbers), origin=start.origin)
             start = evaluate_at(there, there.point, evidence) or start
-            if (fitted := Fit.of(start, evidence)).converged:
-                return self._kept(fitted)
         return self._kept(chord_method(start, evidence, give_up))
 
     def _measured_again(self, fitted: Fit) -> Fit:
@@ -607,7 +603,7 @@ class Search:
         selection is greedy: given the effects that were added later, another may predict far better than the first.
         """
         rivals, known = self.rivals(chosen), {frozenset(chosen.candidate.names)}
-        for _ in range(MAX_EFFECTS):
+        while True:
             alternatives = [rival.fit for rival in rivals if rival.tied]
             if len(chosen.candidate.names) > 1:  # a rival of one may explain the others as well
                 alternatives += [self._backward_elimination(fitted, TIE_LOG_RATIO) for fitted in alternatives]
@@ -619,14 +615,13 @@ class Search:
             elif simpler:
                 best = min(simpler, key=lambda fit: (fit.cost, fit.score))
             else:
-                break
+                return chosen, rivals
             # The replaced effect may have explained more than its rival does.
             extended = self._extend(self._measured_again(best)) or chosen
             if (names := frozenset(extended.candidate.names)) in known:
-                break
+                return chosen, rivals
             known.add(names)
             chosen, rivals = extended, self.rivals(extended)
-        return chosen, rivals
 
     def explained_by_links(self, chosen: Fit, name: str) -> bool:
         """Whether errors of the links within their uncertainty predict as well in place of a chosen load (linear fit).

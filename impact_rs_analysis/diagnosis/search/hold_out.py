@@ -188,9 +188,14 @@ def _predicted(
     if found is not None and searched:
         found, _ = search.exchange(found)
     added: Added = () if found is None else found.candidate.split(found.estimate)
-    rest: list[Array | None] = []
-    for item in (source.clusters[number] for number in fold.held):
-        # Repeats differ in slip: each is predicted from its own start.
-        predicted = source.residuals_with(added, [item])
-        rest.append(None if predicted is None else predicted[0].mean)
+    rest = held_out_residuals(source, added, fold.held)
     return () if found is None else found.candidate.names, added, rest, tuple(budget.left_out)
+
+
+def held_out_residuals(source: Source, added: Added, held: Sequence[int]) -> list[Array | None]:
+    """Mean residuals of held-out clusters with effects, ``(F,)`` each [-]; None: they cannot be simulated there.
+
+    Repeats differ in slip: each is predicted from its own start.
+    """
+    found = [source.residuals_with(added, [source.clusters[number]]) for number in held]
+    return [None if own is None else own[0].mean for own in found]

@@ -73,7 +73,7 @@ def effect_documents(found: Findings, known: dict[str, Effect]) -> list[EffectDo
 
 
 def _chosen_document(found: Findings, effect: Effect, ends: Ends) -> EffectDocument:
-    chosen, evidence = found.chosen, found.evidence
+    chosen = found.chosen
     assert chosen is not None
     name = effect.name
     part = chosen.candidate.part(name)
@@ -83,9 +83,7 @@ def _chosen_document(found: Findings, effect: Effect, ends: Ends) -> EffectDocum
     places = any(scalar.joint is not None or scalar.arm for scalar in chosen.candidate.scalars[part])
     parameters = _estimates(found, chosen, name, ends)
     amplitudes = [scalar.name for scalar in chosen.candidate.scalars[part] if not scalar.shape]
-    if evidence.null.shortage is not None:
-        verdict, reason = TOO_FEW, evidence.null.shortage
-    elif np.all(bound) or (np.any(bound) and not places) or np.any(shape):
+    if np.all(bound) or (np.any(bound) and not places) or np.any(shape):
         verdict, reason = AT_BOUND, "the best value lies at a bound: another effect may be missing"
     elif not any(parameters[key].excludes_nominal for key in amplitudes):
         verdict, reason = UNIDENTIFIABLE, SIZE_UNKNOWN

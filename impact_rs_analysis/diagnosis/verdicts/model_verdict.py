@@ -139,7 +139,7 @@ def supported_by_hold_out(search: Search, chosen: Fit, held: HoldOut) -> Fit | N
         return None
     repeated = search.evidence.source.repeated
     change = change_interval(search.evidence.means, held.residuals, search.evidence)
-    if not (lowers_held_out_error(search, held) if repeated else change is not None and change[1] < 0.0):
+    if not (lowers_held_out_error(search, held) if repeated else change[1] < 0.0):
         return None
     for name in () if repeated else chosen.candidate.names:
         if not held.found or 2 * sum(_found_or_replaced(name, f, chosen) for f in held.found) > len(held.found):
@@ -246,8 +246,8 @@ def _on_model(found: Findings, stated: set[tuple[str, str]], p_value: float | No
     return DiagnosisVerdict(Kind.NAMED, found.shown(found.names))
 
 
-def change_interval(before: Sequence[Array], after: Sequence[Array], evidence: Evidence) -> tuple[float, float] | None:
-    """95 % interval of the change of the held-out size; None with too few clusters.
+def change_interval(before: Sequence[Array], after: Sequence[Array], evidence: Evidence) -> tuple[float, float]:
+    """95 % interval of the change of the held-out size.
 
     From the scatter of repeats (:func:`_by_repeats`), or without repeats from a jackknife over the clusters
     (:func:`_by_clusters`).
@@ -257,10 +257,7 @@ def change_interval(before: Sequence[Array], after: Sequence[Array], evidence: E
         after: Mean residuals with the effects, ``(F,)`` per cluster [-].
         evidence: The clusters.
     """
-    if len(before) < 2:
-        return None
-    known = evidence.source.repeated and evidence.null.freedom > 0
-    return (_by_repeats if known else _by_clusters)(before, after, evidence)
+    return (_by_repeats if evidence.source.repeated else _by_clusters)(before, after, evidence)
 
 
 def _by_repeats(before: Sequence[Array], after: Sequence[Array], evidence: Evidence) -> tuple[float, float]:
