@@ -111,34 +111,23 @@ def diagnose(
         if dependences.confirmed_by(found, again) and again.chosen is not None:
             dependences, pairs = dependences.beside(again.chosen), dependences.pairs
             document = with_estimates_of(document, document_of(again, dependences.source, model), pairs)
-    document = document.model_copy(
-        update={
-            "covariates": covariate_documents(source),
-            "dependences": () if dependences is None else dependence_documents(dependences),
-        }
-    )
-    others = [
-        (view, effects_for(view.source, only, bounds))
+    views = tuple(
+        _view(view, model, effects_for(view.source, only, bounds), dependences, budget)
         for view in (() if document.verdict in (TOO_FEW, IMPOSSIBLE) else source.views())
-    ]
-    document = document.model_copy(
-        update={
-            "views": tuple(
-                _view(view, model, own, dependences, budget)
-                for view, own in others
-                if not budget.leaves_out(f"the verdict on {view.name}")
-            )
-        }
+        if not budget.leaves_out(f"the verdict on {view.name}")
     )
-    document = _over_ranges(document)
+    documents = () if dependences is None else dependence_documents(dependences)
+    update = {"covariates": covariate_documents(source), "dependences": documents, "views": views}
+    document = _over_ranges(document.model_copy(update=update))
     unseen = all_rows.unseen(source, added_of(document, source))
     limit = None if math.isinf(budget.limit) else budget.limit
     left_out = tuple(budget.left_out)
     spent = BudgetDocument(limit=limit, left_out=left_out, stopped=bool(left_out) and budget.stop())
     remarks = (*filter(None, [not_tried(spent)]), *document.remarks, *unseen)
     rollouts = held_out_rollouts(source, found.hold_out)
-    update = {"runs": _runs(all_rows), "budget": spent, "remarks": remarks, "rollouts": rollouts}
-    document = document.model_copy(update=update)
+    document = document.model_copy(
+        update={"runs": _runs(all_rows), "budget": spent, "remarks": remarks, "rollouts": rollouts}
+    )
     disagree = "" if rollouts is None else rollouts.disagreement(document.held_out_change_ci95)
     summary = " ".join(filter(None, [summary_of(document), disagree, low_confidence_sentence(document.drift)]))
     sentences = {"measurement": measurement_of(document), "calibrate": experiments_of(document), "summary": summary}

@@ -14,7 +14,7 @@ from typing import Any, Literal, Self
 
 from pydantic import Field
 
-from impact_rs_analysis.diagnosis.thresholds import UNADJUSTED_LEVEL
+from impact_rs_analysis.diagnosis.thresholds import MIN_REPORTED_P, UNADJUSTED_LEVEL
 from impact_rs_analysis.diagnosis.verdict import SMALL, UNIDENTIFIABLE, DiagnosisVerdict
 from impact_rs_analysis.evidence.calibration import LaboratoryCalibration
 from impact_rs_analysis.evidence.cluster import TIMES, ErrorUnit
@@ -314,7 +314,7 @@ class DesignDocument(Schema):
 
     clusters: int = Field(0, description="conditions, or stretches of recordings")
     freedom: int = Field(0, description="degrees of freedom of the noise")
-    least_p: float = Field(0.0005, description="smallest p-value that is reported")
+    least_p: float = Field(MIN_REPORTED_P, description="smallest p-value that is reported")
     shortage: str | None = Field(None, description="missing data for a verdict; null: enough")
 
 

@@ -140,7 +140,7 @@ class Follower:
         if self.watch is None:
             return ()
         best, hits = self.watch.likeliest, self.watch.hits
-        return hits.followed(best, best.posterior.followed, hits.start)
+        return hits.followed(best, best.posterior.followed, hits.candidate.point)
 
     def prediction(self, condition: str = "") -> NextHit | None:
         """Prediction of the next hit of a condition from the initial state of the last one; None while learning.

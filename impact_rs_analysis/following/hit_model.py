@@ -97,11 +97,6 @@ class HitModel:
         self._plans.clear()
         self._jacobians.clear()
 
-    @property
-    def start(self) -> Array:
-        """Values of all parameters that are believed at the start, ``(p,)``."""
-        return self.candidate.point
-
     def test(self, hypothesis: Hypothesis) -> ChangeTest:
         """The test for a change, about the point of a hypothesis."""
         there = replace(self.candidate, point=hypothesis.point)
@@ -147,8 +142,9 @@ class HitModel:
     def error_at_start(self, evidence: HitEvidence, point: Array) -> float:
         """Error of the model as it was given, in standard deviations of a hit, rms over the features."""
         off, hit = evidence.residual, evidence.hit
-        if not np.array_equal(point, self.start):
-            (given,) = self.hit_source.predict(hit, [self.candidate.split(self.start)])
+        start = self.candidate.point
+        if not np.array_equal(point, start):
+            (given,) = self.hit_source.predict(hit, [self.candidate.split(start)])
             off = off if given is None else self.whiten[hit.layout] @ (hit.measured - given)
         return math.sqrt(float(np.mean(np.square(off))))
 

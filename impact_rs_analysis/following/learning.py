@@ -78,8 +78,9 @@ class Learning:
             self.hits, self._stated = self.consider(source, source.proportion)
         own = self.hits
         known = own.active if hypotheses else ()
-        own.look_at(range(own.start.size))
-        found = [(hit, one) for hit in first if (one := own.linearised(hit, own.start, own.active)) is not None]
+        start = own.candidate.point
+        own.look_at(range(start.size))
+        found = [(hit, one) for hit in first if (one := own.linearised(hit, start, own.active)) is not None]
         if len(found) < 0.5 * len(first):
             raise InputError(f"model {self.model.name!r} predicts {len(found)} of the first {len(first)} hits")
         residuals = [(hit, hit.measured - predicted) for hit, (predicted, _) in found]
@@ -93,7 +94,7 @@ class Learning:
         if not hypotheses:
             stated = [number for number in self._stated if number in own.active]
             belief = Belief.of(stated, np.array([self._stated[number] for number in stated]))
-            hypotheses = [Hypothesis(own.start, Posterior(belief))]
+            hypotheses = [Hypothesis(start, Posterior(belief))]
         for hypothesis in hypotheses:
             evidence = [e for hit, _ in found if (e := own.evidence(hit, hypothesis.point)) is not None]
             hypothesis.posterior.absorb(evidence)

@@ -150,7 +150,7 @@ class Investigation:
         left = self.budget - measured(rounds)
         document = rounds[-1].open if rounds else None
         fresh = bool(rounds) and self._to_be_tried(rounds[-1])
-        show = rounds[-1].decision.show if rounds and rounds[-1].decision is not None else ()
+        show = rounds[-1].shown if rounds else ()
         count = min(left, FEW if fresh or show else size_of_round(rounds[-1] if rounds else None))
         self._say(f"Round {number}: design of {count} trials at most, {left} are left")
         wanted = WantedTrials(

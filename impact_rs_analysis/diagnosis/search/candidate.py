@@ -20,7 +20,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from impact_rs_analysis.diagnosis.search.null_distribution import NullDistribution, combined_half_width
+from impact_rs_analysis.diagnosis.search.null_distribution import NullDistribution
 from impact_rs_analysis.diagnosis.thresholds import PRIOR_DEVIATION
 from impact_rs_analysis.evidence.cluster import Added, Cluster
 from impact_rs_analysis.evidence.source import Source
@@ -547,19 +547,19 @@ class Problem:
     def half_widths(self, change: Array, null: NullDistribution) -> Array:
         """Half widths of 95 % intervals in parameter scales, ``(p,)``.
 
+        The larger of two estimates, from the noise and from the jackknife over clusters, each with its own quantile;
+        model discrepancy is added in quadrature.
+
         The prior shrinks parameters that the data do not determine to nominal. For true parameters that scatter about
         nominal with the prior's covariance S, this bias has the covariance A^-1 P S P A^-1, with the total information
         A and that of the prior P.
         """
         noise, jackknife, systematic, freedom = self._errors(change, null)
-        clusters: float | Array = sum(bool(np.any(jacobian)) for jacobian in self.candidate.jacobians)
-        return combined_half_width(
-            noise,
-            scipy.stats.t.ppf(0.975, freedom),
-            jackknife,
-            np.minimum(clusters, freedom + 1.0) if null.by_blocks else clusters,
-            systematic,
-        )
+        seen = sum(bool(np.any(jacobian)) for jacobian in self.candidate.jacobians)
+        of_clusters = np.maximum(np.minimum(seen - 1.0, freedom if null.by_blocks else np.inf), 1.0)
+        pairs = ((noise, freedom), (jackknife, of_clusters))
+        scatter = np.maximum(*(scipy.stats.t.ppf(0.975, degrees) * error for error, degrees in pairs))
+        return np.asarray(np.hypot(scatter, scipy.stats.norm.ppf(0.975) * systematic))
 
     def p_by_interval(self, change: Array, null: NullDistribution, index: int) -> float:
         """p-value of one parameter being nominal, by Student's t with the standard error of its interval.
@@ -604,18 +604,16 @@ class Problem:
         changes[left < MIN_UNFITTED_SHARE * whole] = 0.0
         return np.asarray(np.sqrt(np.sum(np.square(changes), axis=0)))
 
-    def p_value(self, null: NullDistribution, tested: slice | Sequence[int]) -> float:
+    def p_value(self, null: NullDistribution, tested: Sequence[int]) -> float:
         """p-value of some parameters being nominal while all others of the candidate are fitted (score test).
 
         Args:
             null: Of the residuals of the fit without the tested parameters, or of the model if nothing else is fitted.
             tested: Indices of the tested parameters.
         """
-        indices = np.arange(self.total.shape[0])
-        picked = indices[tested] if isinstance(tested, slice) else np.asarray(tested)
-        others = np.setdiff1d(indices, picked)
+        others = np.setdiff1d(np.arange(self.total.shape[0]), tested)
         return null.p_value(
-            [jacobian[:, picked] for jacobian in self.candidate.jacobians],
+            [jacobian[:, list(tested)] for jacobian in self.candidate.jacobians],
             [jacobian[:, others] for jacobian in self.candidate.jacobians],
         )
 

@@ -38,7 +38,6 @@ from impact_rs_analysis.diagnosis.thresholds import (
     MAX_EFFECTS,
     MAX_ERROR_RATIO,
     MAX_TIE_LOG_RATIO,
-    MIN_DEGREES_OF_FREEDOM,
     MIN_GAIN_SHARE,
     MIN_P_IN_FREE_MOTION,
     SHORTLIST_SIZE,
@@ -233,7 +232,7 @@ class Search:
         difference. Such an effect is judged by free motion alone and not simulated in contact.
         """
         free, source = self.evidence.free_motion_part, self.source.free_motion_part
-        if free is None or source is None or free.null.freedom < MIN_DEGREES_OF_FREEDOM:
+        if free is None or source is None or free.null.shortage is not None:
             return
         several = [c for c in candidates if np.count_nonzero(~c.shapes) > 1]
         source.predict(
@@ -282,15 +281,16 @@ class Search:
 
     def raw_p_values(self, chosen: Fit | None) -> dict[str, float]:
         """:meth:`p_values` without adjustment for multiple testing, each at its best start."""
-        return self.p_values_of(self._groups(() if chosen is None else chosen.candidate.names), chosen)
+        return self.p_values_of(self._groups(chosen), chosen)
 
-    def _groups(self, present: Collection[str], names: Collection[str] | None = None) -> list[str]:
+    def _groups(self, chosen: Fit | None, names: Collection[str] | None = None) -> list[str]:
         """Candidates of one selection step: an effect, or one law at several joints, joined by ``+``.
 
         Args:
-            present: Effects that are chosen.
+            chosen: The chosen effects.
             names: Effects to consider; None: all.
         """
+        present = () if chosen is None else chosen.candidate.names
         alone = [name for name in self.singles if name not in present and (names is None or name in names)]
         families: dict[str, list[str]] = {}
         for name in alone:
@@ -378,7 +378,7 @@ class Search:
         start = self._linearised(replace(candidate, point=point, origin=()))
         if start is None:
             return None
-        return self._measured_again(Fit(start, self.evidence, self.evidence.problem(start), np.zeros_like(point)))
+        return self._measured_again(Fit.of(start, self.evidence).at_point)
 
     def _extend(self, chosen: Fit | None, names: Collection[str] | None = None) -> Fit | None:
         """Add effects until none is accepted, from those of ``names`` or from all (None)."""
@@ -387,7 +387,7 @@ class Search:
                 break
             if chosen is not None and self._budget.leaves_out("further effects beside " + _named(chosen)):
                 break  # the first effect is looked for in any case: without it nothing would seem to be missing
-            best = self._next(chosen, self._groups(() if chosen is None else chosen.candidate.names, names))
+            best = self._next(chosen, self._groups(chosen, names))
             if best is None and not self.source.of_motion:
                 best = self._pair_at_once(chosen)
             if best is None:
@@ -429,13 +429,12 @@ class Search:
 
         Each must be significant given the other. For tables of impacts alone, whose predictions are cheap.
         """
-        present = () if chosen is None else chosen.candidate.names
-        alone = [name for name in self._groups(present) if "+" not in name and not self.singles[name].effects[0].family]
+        alone = [name for name in self._groups(chosen) if "+" not in name and not self.singles[name].effects[0].family]
         pairs = ["+".join(pair) for pair in combinations(alone, 2)]
         p_values = benjamini_hochberg(self.p_values_of(pairs, chosen), len(alone) + len(pairs))
         pairs = [pair for pair in pairs if p_values[pair] < SIGNIFICANCE_LEVEL]
         best = self._next(chosen, pairs, p_values) if pairs else None
-        added = () if best is None else tuple(name for name in best.candidate.names if name not in present)
+        added = () if best is None else best.candidate.names[-2:]
         if best is None or any(self.p_value_of_chosen(best, name) >= SIGNIFICANCE_LEVEL for name in added):
             return None
         return best

@@ -230,14 +230,6 @@ class Evidence:
         known = self.source.of_motion and self.source.repeated
         return Problem(candidate, self.clusters, self.neighbours, noise_unknown=not known)
 
-    def shifted(self, changes: Sequence[Array]) -> Evidence:
-        """The evidence with ``changes`` subtracted from the residuals of every cluster, ``(F,)`` each [-]."""
-        clusters = tuple(
-            replace(item, residuals=item.residuals - change)
-            for item, change in zip(self.clusters, changes, strict=True)
-        )
-        return replace(self, clusters=clusters)
-
 
 @dataclass(frozen=True)
 class Fit:
@@ -406,9 +398,9 @@ class Fit:
     @cached_property
     def left(self) -> Evidence:
         """The evidence with the residuals of the fit in place of those of the model."""
-        return self.evidence.shifted(
-            [item.mean - rest for item, rest in zip(self.evidence.clusters, self.residuals, strict=True)]
-        )
+        pairs = zip(self.evidence.clusters, self.residuals, strict=True)
+        clusters = tuple(replace(item, residuals=item.residuals - (item.mean - rest)) for item, rest in pairs)
+        return replace(self.evidence, clusters=clusters)
 
     def lack_of_fit(self) -> float | None:
         """p-value of the lack-of-fit test of the fit; None without repeats."""

@@ -137,8 +137,6 @@ def hold_out(
     folds = folds_of(source)
     if not folds:
         return None
-    rest: dict[int, Array | None] = {}
-    names, fitted, short = [], [], 0
     searched = [
         not budget.leaves_out("the searches of the hold-out")
         and _seen_by(chosen, fold.training) >= MIN_CLUSTERS_OF_EFFECT
@@ -148,17 +146,13 @@ def hold_out(
     tasks = list(zip(folds, searched, strict=True))
     limit = budget.remaining / len(folds)
     task = partial(_predicted, effects, chosen, dict(known), limit, budget)
-    results = source.spread(task, tasks, HOLD_OUT)
-    for fold, (found, added, left, left_out) in zip(folds, results, strict=True):
-        names.append(found)
-        fitted.append(added)
-        short += bool(left_out)
-        rest.update(zip(fold.held, left, strict=True))
+    names, fitted, left, left_out = zip(*source.spread(task, tasks, HOLD_OUT), strict=True)
+    rest = {n: own for fold, every in zip(folds, left, strict=True) for n, own in zip(fold.held, every, strict=True)}
     failed = tuple(sorted(number for number, own in rest.items() if own is None))
     ordered = tuple(item.mean if (own := rest[n]) is None else own for n, item in enumerate(source.clusters))
-    if short:
-        budget.add(f"all of the search in {short} of {len(folds)} folds of the hold-out")
-    return HoldOut(tuple(folds), ordered, tuple(names), tuple(searched), failed, tuple(fitted))
+    if any(left_out):
+        budget.add(f"all of the search in {sum(map(bool, left_out))} of {len(folds)} folds of the hold-out")
+    return HoldOut(tuple(folds), ordered, names, tuple(searched), failed, fitted)
 
 
 def _seen_by(chosen: Candidate, clusters: Sequence[int]) -> int:

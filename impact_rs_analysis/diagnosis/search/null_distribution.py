@@ -288,8 +288,23 @@ class _Rows:
     def noise(self) -> Array:
         """Standard deviation of the noise, moderated, ``(F,)``."""
         squares = [np.sum(np.square(own.rows[own.means :]), axis=0)[None] for own in self.donors]
-        contrasts, shared = self.rows[self.means :], _shared(self, self.donors, squares)[0]
-        return np.sqrt(_moderated(shared, np.sum(np.square(contrasts), axis=0), self.freedom) + RIDGE)
+        contrasts, mean = self.rows[self.means :], self.mean_variance(squares)[0]
+        return np.sqrt(_moderated(mean, np.sum(np.square(contrasts), axis=0), self.freedom) + RIDGE)
+
+    def mean_variance(self, left: Sequence[Array]) -> Array:
+        """Mean variance of the signals in every rotation, ``(1 + B, F)`` in ``unit``, from the donors' contrasts.
+
+        The mean over the bins of a signal is taken in physical units, because ``unit`` depends on the contrasts.
+
+        Args:
+            left: Sum of squares of the contrasts of every donor, ``(1 + B, F)`` each.
+        """
+        keys = list(dict.fromkeys(feature.group for feature in self.items[0].features))
+        members = [donor.signals_of(keys) for donor in self.donors]
+        total = sum((each * np.square(own.unit)) @ m for each, own, m in zip(left, self.donors, members, strict=True))
+        number = sum(own.freedom * m.sum(axis=0) for own, m in zip(self.donors, members, strict=True))
+        place = np.argmax(self.signals_of(keys), axis=1)
+        return np.asarray((total / np.maximum(number, 1.0))[:, place] / np.square(self.unit))
 
     @cached_property
     def _scalings(self) -> tuple[list[Array], list[tuple[list[int], Array, Array]]]:
@@ -377,32 +392,12 @@ def _calibrations(layouts: Sequence[_Rows]) -> tuple[Array, Array]:
     return np.asarray(basis), np.asarray(sizes)
 
 
-def _with_donors(layouts: list[_Rows]) -> list[_Rows]:
-    """The layouts; those with few contrasts borrow the mean variance of a signal from all."""
-    for own in layouts:
-        own.donors = layouts if own.freedom < MIN_DEGREES_OF_FREEDOM else (own,)
-    return layouts
-
-
-def _shared(layout: _Rows, donors: Sequence[_Rows], left: Sequence[Array]) -> Array:
-    """Mean variance of the signals of a layout in every rotation, ``(1 + B, F)`` in its unit, from donors' contrasts.
-
-    The mean over the bins of a signal is taken in physical units, because ``unit`` depends on the contrasts.
-    """
-    keys = list(dict.fromkeys(feature.group for feature in layout.items[0].features))
-    members = [donor.signals_of(keys) for donor in donors]
-    total = sum((each * np.square(own.unit)) @ m for each, own, m in zip(left, donors, members, strict=True))
-    number = sum(own.freedom * m.sum(axis=0) for own, m in zip(donors, members, strict=True))
-    place = np.argmax(layout.signals_of(keys), axis=1)
-    return np.asarray((total / np.maximum(number, 1.0))[:, place] / np.square(layout.unit))
-
-
 def _weights_of(layouts: Sequence[_Rows], squares: Sequence[Array]) -> Iterator[Array]:
     """Moderated weights W by layout in every rotation, from the squares of the mean rows, ``(1 + B, F)`` each."""
     left = {id(own): own.left(each) for own, each in zip(layouts, squares, strict=True)}
     for own in layouts:
-        shared = _shared(own, own.donors, [left[id(donor)] for donor in own.donors])
-        yield np.asarray(1.0 / (_moderated(shared, left[id(own)], own.freedom) + own.apart + RIDGE))
+        mean = own.mean_variance([left[id(donor)] for donor in own.donors])
+        yield np.asarray(1.0 / (_moderated(mean, left[id(own)], own.freedom) + own.apart + RIDGE))
 
 
 def _moderated(prior: Array | float, squares: Array, freedom: int) -> Array:
@@ -422,7 +417,9 @@ class RotationNull(NullDistribution):
         numbers: dict[str, list[int]] = {}
         for number, item in enumerate(self.clusters):
             numbers.setdefault(item.layout, []).append(number)
-        layouts = _with_donors([_Rows(chosen, self.clusters, means) for chosen in numbers.values()])
+        layouts = [_Rows(chosen, self.clusters, means) for chosen in numbers.values()]
+        for own in layouts:
+            own.donors = layouts if own.freedom < MIN_DEGREES_OF_FREEDOM else (own,)
         means = [own.rows[: own.means, :, None] for own in layouts]
         scaled = _scaled_to_noise(layouts, means, MAX_CALIBRATION_ERROR)
         for own, rows in zip(layouts, scaled, strict=True):
@@ -586,26 +583,3 @@ class SignFlipNull(NullDistribution):
         scores = np.array([j.T @ left for left, j in zip(rest, jacobians, strict=True)])
         count = len(self.clusters)
         return np.asarray(inverse @ (scores.T @ scores) @ inverse * count / (count - 1.0))
-
-
-def combined_half_width(
-    noise: Array,
-    quantile: float | Array,
-    jackknife: Array,
-    clusters: float | Array,
-    discrepancy: Array,
-) -> Array:
-    """Half widths of 95 % intervals, ``(p,)``.
-
-    The larger of two estimates, from the noise and from the jackknife over clusters, each with its own quantile; model
-    discrepancy is added in quadrature.
-
-    Args:
-        noise: Standard errors from noise, ``(p,)``.
-        quantile: Of Student's t with the degrees of freedom of the noise, for each parameter or for all.
-        jackknife: Jackknife standard errors over clusters, ``(p,)``.
-        clusters: Number of clusters that depend on the parameter, for each or for all.
-        discrepancy: Standard errors from model discrepancy, ``(p,)``.
-    """
-    own = np.maximum(quantile * noise, scipy.stats.t.ppf(0.975, np.maximum(np.asarray(clusters) - 1, 1)) * jackknife)
-    return np.asarray(np.hypot(own, scipy.stats.norm.ppf(0.975) * discrepancy))

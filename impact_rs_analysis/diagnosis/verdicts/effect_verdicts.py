@@ -87,10 +87,8 @@ def _chosen_document(found: Findings, effect: Effect, ends: Ends) -> EffectDocum
         verdict, reason = AT_BOUND, "the best value lies at a bound: another effect may be missing"
     elif not any(parameters[key].excludes_nominal for key in amplitudes):
         verdict, reason = UNIDENTIFIABLE, SIZE_UNKNOWN
-    elif not exceeds_relevance_limit(chosen, part):
-        size = sizes_of(chosen, name)[0]
-        verdict = SMALL
-        reason = f"at most {size.value:.2g} {size.unit} of the {size.signal}; relevance limit {size.floor:.2g}"
+    elif small := _small(chosen, name):
+        verdict, reason = SMALL, small
     elif rivals:
         verdict = DiagnosisVerdict(Kind.CONFUSABLE, tuple(sorted(rivals)))
         reason = "other effects predict unseen data as well"
@@ -146,13 +144,11 @@ def _other_document(found: Findings, effect: Effect, fitted: Fit, ends: Ends) ->
         verdict = DiagnosisVerdict(Kind.CONFUSABLE, tuple(sorted(rivals)))
         reason = "predicts unseen data as well in place of the chosen effect"
     elif found.adjusted.get(name, 1.0) < SIGNIFICANCE_LEVEL and best is None:
-        size = sizes_of(fitted, name)
         verdict, reason = NO_IMPROVEMENT, "significant, but it hardly lowers the held-out error"
         if not excludes_nominal(fitted, name):
             reason = "significant, but its interval contains the nominal value"
-        elif size and all(entry.value <= entry.floor for entry in size):
-            verdict = SMALL
-            reason = f"at most {size[0].value:.2g} {size[0].unit} of the {size[0].signal}"
+        elif small := _small(fitted, name):
+            verdict, reason = SMALL, small
     else:
         verdict, reason = NO_IMPROVEMENT, ""
         if name in search.ruled_out:
@@ -170,6 +166,15 @@ def _other_document(found: Findings, effect: Effect, fitted: Fit, ends: Ends) ->
         held_out_error_others=before if best is None else _error_without(found, best.instead_of),
         sizes=tuple(sizes_of(fitted, name)) if verdict != NO_IMPROVEMENT else (),
     )
+
+
+def _small(fitted: Fit, name: str) -> str:
+    """Largest change by an effect that changes no signal beyond its relevance limit; empty: it changes some."""
+    sizes = sizes_of(fitted, name)
+    if not sizes or exceeds_relevance_limit(fitted, fitted.candidate.part(name)):
+        return ""
+    largest = sizes[0]
+    return f"at most {largest.value:.2g} {largest.unit} of the {largest.signal}; relevance limit {largest.floor:.2g}"
 
 
 def _document(found: Findings, effect: Effect, fitted: Fit, **own: Any) -> EffectDocument:

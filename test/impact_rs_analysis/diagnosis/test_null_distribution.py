@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,10 +14,10 @@ from analytic_world import FEATURES, AnalyticSource, assert_uniform, correlated,
 from scipy.stats import binom, norm
 from scipy.stats import t as student
 
+from impact_rs_analysis.diagnosis.search.candidate import Problem
 from impact_rs_analysis.diagnosis.search.null_distribution import (
     RotationNull,
     SignFlipNull,
-    combined_half_width,
     monte_carlo_p_value,
     westfall_young_p_value,
 )
@@ -358,16 +360,20 @@ def test_covariance_of_repeats_is_that_of_a_weighted_mean() -> None:
 
 
 def test_intervals_take_the_quantile_of_the_estimator_that_made_them() -> None:
-    one, nothing = np.ones(1), np.zeros(1)
-    from_noise = combined_half_width(one, float(student.ppf(0.975, 12)), nothing, 6, nothing)
-    from_clusters = combined_half_width(nothing, 2.0, one, 6, nothing)
-    from_simulators = combined_half_width(nothing, 2.0, nothing, 6, one)
-    assert from_noise[0] == pytest.approx(student.ppf(0.975, 12))
-    assert from_clusters[0] == pytest.approx(student.ppf(0.975, 5))
-    assert from_simulators[0] == pytest.approx(norm.ppf(0.975))
-    assert combined_half_width(one, 2.0, one, 6, one)[0] == pytest.approx(
-        np.hypot(student.ppf(0.975, 5), norm.ppf(0.975))
-    )
+    def half_width(*errors: float, by_blocks: bool = False) -> float:
+        """Of errors by noise, jackknife and simulators, with 12 degrees of freedom of the noise and 6 clusters."""
+        problem: Any = SimpleNamespace(
+            _errors=lambda change, null: tuple(np.array([part]) for part in (*errors, 2.0 if by_blocks else 12.0)),
+            candidate=SimpleNamespace(jacobians=[np.ones(1)] * 6),
+        )
+        null: Any = SimpleNamespace(by_blocks=by_blocks)
+        return float(Problem.half_widths(problem, np.zeros(1), null)[0])
+
+    assert half_width(1.0, 0.0, 0.0) == pytest.approx(student.ppf(0.975, 12))
+    assert half_width(0.0, 1.0, 0.0) == pytest.approx(student.ppf(0.975, 5))
+    assert half_width(0.0, 1.0, 0.0, by_blocks=True) == pytest.approx(student.ppf(0.975, 2))
+    assert half_width(0.0, 0.0, 1.0) == pytest.approx(norm.ppf(0.975))
+    assert half_width(1.0, 1.0, 1.0) == pytest.approx(np.hypot(student.ppf(0.975, 5), norm.ppf(0.975)))
 
 
 def test_rarity_counts_the_observation_itself() -> None:
