@@ -151,8 +151,8 @@ def _diagnosed(
             f"to add ({found.reason})",
             file=source,
         )
-    without = found.held_out_error_before if name in document.named else found.held_out_error_others
-    before, after = without or found.held_out_error_before or 0.0, found.held_out_error_after or 0.0
+    without = found.held_out_error_before if name in document.named else found.held_out_error_without
+    before, after = without or 0.0, found.held_out_error_after or 0.0
     if found.verdict == NO_IMPROVEMENT and not force:
         raise InputError(
             f"{name} is NO-IMPROVEMENT: it predicts unseen conditions no better "

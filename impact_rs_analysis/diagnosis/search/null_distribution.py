@@ -179,7 +179,7 @@ def p_value_with_pareto_tail(observed: float, null: Array) -> float:
     one over the number of draws, which the adjustment for many tests needs.
     """
     share = monte_carlo_p_value(observed, null)
-    if _exceedances(observed, null) >= MIN_EXCEEDANCES or null.size < 2 * TAIL_DRAWS:
+    if _exceedances(observed, null) >= MIN_EXCEEDANCES:
         return share
     largest = np.sort(null)[-TAIL_DRAWS - 1 :]
     excess = largest[1:] - largest[0]
