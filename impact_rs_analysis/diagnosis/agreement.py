@@ -36,6 +36,7 @@ from impact_rs_analysis.diagnosis.search.null_distribution import RotationNull
 from impact_rs_analysis.diagnosis.thresholds import MAX_NOISE_RATIO, SIGNIFICANCE_LEVEL
 from impact_rs_analysis.evidence.cluster import Cluster, Feature, pooled_error
 from impact_rs_analysis.evidence.levels import expected_of, relevant_of, root_mean_square, rounded
+from impact_rs_analysis.evidence.replays.features import VELOCITY_LIMIT_RAD_S
 from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.proportion import Proportion
@@ -45,7 +46,6 @@ from impact_rs_sim.schema import Schema
 COMMAND, TORQUE, ENCODER, VELOCITY = "command", "torque sensor", "encoder", "velocity"
 SERVO = "servo (desired position and gains)"  # which the torque was computed of, where none was recorded
 MOTOR_ENCODER, MOTOR_VELOCITY, TRACKER = "motor encoder", "motor velocity", "tracker"
-VELOCITY_LIMIT_RAD_S = 0.004  # rad/s, relevance limit of a velocity of a joint, as of its jump
 PUSH_SIGNALS = ("object velocity", "end-effector velocity")
 
 

@@ -28,6 +28,7 @@ from impact_rs_analysis.diagnosis.document import (
     RunsIdentity,
     UnexplainedDocument,
     ViewDocument,
+    tied_with_best,
 )
 from impact_rs_analysis.diagnosis.drift import drift_in_words, drift_of, low_confidence_sentence
 from impact_rs_analysis.diagnosis.search.bounds import NO_BOUNDS, Bounds, bounded
@@ -36,7 +37,6 @@ from impact_rs_analysis.diagnosis.search.effect_selection import NOTHING_KNOWN, 
 from impact_rs_analysis.diagnosis.search.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.search.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.thresholds import (
-    MAX_TIE_LOG_RATIO,
     MIN_CLUSTERS,
     MIN_REPORTED_CORRELATION,
     MIN_REPORTED_P,
@@ -181,7 +181,7 @@ def _over_ranges(document: DiagnosisDocument) -> DiagnosisDocument:
     for view in document.views:
         others = [other.held_out_error_after for other in document.views if other.of == view.of]
         best = min([document.held_out_error_after, *others])
-        allowed = view.held_out_error_after <= best * math.exp(MAX_TIE_LOG_RATIO / 2.0)
+        allowed = tied_with_best(view.held_out_error_after, best)
         views.append(view.model_copy(update={"allowed": allowed}) if view.of else view)
     effects = []
     for effect in document.effects:

@@ -14,7 +14,7 @@ from typing import Any, Literal, Self
 
 from pydantic import Field
 
-from impact_rs_analysis.diagnosis.thresholds import MIN_REPORTED_P, UNADJUSTED_LEVEL
+from impact_rs_analysis.diagnosis.thresholds import MAX_TIE_LOG_RATIO, MIN_REPORTED_P, UNADJUSTED_LEVEL
 from impact_rs_analysis.diagnosis.verdict import SMALL, UNIDENTIFIABLE, DiagnosisVerdict
 from impact_rs_analysis.evidence.calibration import LaboratoryCalibration
 from impact_rs_analysis.evidence.cluster import TIMES, ErrorUnit
@@ -78,6 +78,11 @@ def explained(before: float, after: float, noise: float) -> float:
         noise: The same of noise alone; 0: not known.
     """
     return (before**2 - after**2) / max(before**2 - noise**2, 1e-300)
+
+
+def tied_with_best(error: float, best: float) -> bool:
+    """Whether a held-out error is tied with the lowest one, of which the square may be ``MAX_TIE_LOG_RATIO`` less."""
+    return error <= best * math.exp(MAX_TIE_LOG_RATIO / 2.0)
 
 
 class SizeDocument(Schema):

@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from impact_rs_analysis.diagnosis.search.fit import MAX_FINAL_CORRECTION
 from impact_rs_analysis.following.change import ChangeExplanation, ChangeTest, support
 from impact_rs_analysis.following.hit_model import HitModel, Hypothesis, Origin
 from impact_rs_analysis.following.hits import Hit
@@ -31,7 +32,6 @@ MAX_LINEARISED_EXPLANATIONS = 5  # per hit
 MAX_GAUSS_NEWTON_STEPS = 4  # per explanation
 MIN_KEPT_GAIN_SHARE = 0.5  # of the promised fall of the squared residuals; an explanation that keeps less is dropped
 MIN_OTHER_HITS_GAIN = 4.0  # fall of the squared residuals of the other hits; two standard deviations of one parameter
-MIN_STEP_SCALES = 0.1  # in parameter scales; a shorter Gauss-Newton step ends the search
 
 Held = list[tuple[ChangeExplanation, Hypothesis]]
 
@@ -141,7 +141,8 @@ class Causes:
             there = point.copy()
             there[numbers] = np.clip(point[numbers] + scale * posterior.now.mean[place], lower, upper)
             there = own.nearest_consistent(there)
-            if step == MAX_GAUSS_NEWTON_STEPS - 1 or np.all(np.abs(there - point)[numbers] < MIN_STEP_SCALES * scale):
+            moved = np.abs(there - point)[numbers] / scale
+            if step == MAX_GAUSS_NEWTON_STEPS - 1 or np.all(moved < MAX_FINAL_CORRECTION):
                 break
             point = there
         return Hypothesis(point, posterior, effect=effect, origin=origin)

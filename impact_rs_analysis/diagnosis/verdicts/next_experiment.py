@@ -9,7 +9,7 @@ from contextlib import suppress
 import numpy as np
 
 from impact_rs_analysis.design.design import Decide
-from impact_rs_analysis.design.discrimination import Discrimination
+from impact_rs_analysis.design.discrimination import RIVAL_RANGE_SCALES, Discrimination
 from impact_rs_analysis.design.explanations import AS_IS, Decision, Explanation, estimated
 from impact_rs_analysis.design.forecast import forecast_of
 from impact_rs_analysis.design.possible_trials import PossibleTrial, trials_of
@@ -26,7 +26,6 @@ from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.scenarios.scenario import load_scenario
 
 FREE_MOTION_SCENARIO = "excite"
-MAX_PRIOR_DEVIATION = 10.0  # parameter scales, where the interval of an estimate is wider or unknown
 
 
 def next_experiment(found: Findings, known: dict[str, Effect]) -> NextExperiment | None:
@@ -97,7 +96,7 @@ def left_open(document: DiagnosisDocument, model: Model) -> Decide | None:
                 values = found[one].parameters
                 centre.append((one, tuple(values[scalar.name].estimate for scalar in scalars)))
                 widths = [np.diff(values[scalar.name].interval)[0] / (2.0 * NORMAL_95) for scalar in scalars]
-                deviations[one] = np.minimum(widths, [MAX_PRIOR_DEVIATION * scalar.scale for scalar in scalars])
+                deviations[one] = np.minimum(widths, [RIVAL_RANGE_SCALES * scalar.scale for scalar in scalars])
                 bounds[one] = effects[one].bounds_in(source.worlds)
             return estimated("+".join(names) or AS_IS, tuple(centre), deviations, bounds)
 

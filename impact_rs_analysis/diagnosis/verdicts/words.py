@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from impact_rs_analysis.diagnosis.document import (
@@ -13,8 +12,9 @@ from impact_rs_analysis.diagnosis.document import (
     EstimateDocument,
     ViewDocument,
     explained,
+    tied_with_best,
 )
-from impact_rs_analysis.diagnosis.thresholds import MAX_TIE_LOG_RATIO, SIGNIFICANCE_LEVEL
+from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, NONE, NOTHING, SMALL, TOO_FEW, UNIDENTIFIABLE, Kind
 from impact_rs_analysis.diagnosis.verdicts.measurement import measurement_of
 from impact_rs_analysis.evidence.cluster import TIMES
@@ -129,7 +129,7 @@ def _range(name: str, document: DiagnosisDocument) -> str:
     text = f"the range of {name} that the data allow, {_ends(views)}" if len(views) < len(whole) else ""
     text = text or f"the whole range of {name}, {_ends(whole)}"
     prefer = ""
-    if best.held_out_error_after * math.exp(MAX_TIE_LOG_RATIO / 2.0) < document.held_out_error_after:
+    if not tied_with_best(document.held_out_error_after, best.held_out_error_after):
         fall = _fall(document.held_out_error_after, best.held_out_error_after)
         prefer = f" The data prefer {best.name}: held-out error {fall} {_unit(document)}."
     if turned := [view for view in views if set(view.named) != set(document.named)]:

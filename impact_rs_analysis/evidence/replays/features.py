@@ -43,6 +43,7 @@ OBJECT_WINDOWS_S = ((0.006, 0.040), (0.040, 0.100))
 PUSH_EDGES_S = (0.10, 0.175, 0.25, 0.325, 0.395)  # edges of the bins in which both bodies move together
 DYNAMICS_STRIDE = 5  # samples from one evaluation of gravity and Coriolis torque to the next, in free motion
 SLOPE_WINDOW_S = 0.009  # of the slope of the joint torque, without motor measurement
+VELOCITY_LIMIT_RAD_S = 0.004  # relevance limit of the velocity of a joint
 
 
 @functools.cache
@@ -90,7 +91,7 @@ def layout(
             add("free", "elastic deflection", positions, free, 4e-6)
         if pushes is None:
             continue
-        add("impact", "joint velocity jump", speeds, 1, 0.004)
+        add("impact", "joint velocity jump", speeds, 1, VELOCITY_LIMIT_RAD_S)
         add("impact", "end-effector velocity", velocity, len(JUMP_WINDOWS_S), 0.003)
         add("impact", "contact force", force, len(JUMP_WINDOWS_S), 1.0)
         add("impact", "end-effector rotation", turning, len(JUMP_WINDOWS_S), 0.02)
