@@ -153,7 +153,8 @@ def _of_variant(
     for name, case in own.items():
         for item in scenario.objects:
             hit = "there and back" if scenario.excursion is not None else f"{scenario.name} of {item}"
-            pose = name if name in scenario.cases else f"pose of {_of_file(name, scenario)}"
+            of_file = max((known for known in scenario.cases if name.startswith(known)), key=len)
+            pose = name if name in scenario.cases else f"pose of {of_file}"
             words = f"{hit} at {_speed(case):.2g} m/s{aside} ({pose})"
             own_case = None if name in scenario.cases else case
             yield PossibleTrial(path, settings, own_case, TrialSpec.of(varied, item, name), words)
@@ -253,7 +254,7 @@ def _cases(scenario: Scenario, fastest: float) -> dict[str, Case]:
             if round(speed, 4) not in has:
                 other = _at_speed(case, speed / _speed(case))
                 if _in_time(scenario, other):
-                    found[f"{name}{_suffix(speed)}"] = other.model_copy(
+                    found[f"{name}_{1e3 * speed:.0f}mm_s"] = other.model_copy(
                         update={"label": f"{case.label} at {speed:.2g} m/s"}
                     )
     return _not_faster(found, fastest)
@@ -262,16 +263,6 @@ def _cases(scenario: Scenario, fastest: float) -> dict[str, Case]:
 def _not_faster(cases: Mapping[str, Case], fastest: float) -> dict[str, Case]:
     """The cases within a limit of the approach speed [m/s]."""
     return {name: case for name, case in cases.items() if _speed(case) <= fastest * (1.0 + 1e-9)}
-
-
-def _of_file(name: str, scenario: Scenario) -> str:
-    """The case of the file that a case was made from."""
-    return max((own for own in scenario.cases if name.startswith(own)), key=len)
-
-
-def _suffix(speed: float) -> str:
-    """End of the name of a case at another speed [m/s]."""
-    return f"_{1e3 * speed:.0f}mm_s"
 
 
 def _in_time(scenario: Scenario, case: Case) -> bool:
