@@ -602,7 +602,7 @@ class Search:
         selection is greedy: given the effects that were added later, another may predict far better than the first.
         """
         rivals, known = self.rivals(chosen), {frozenset(chosen.candidate.names)}
-        while True:
+        for _ in range(MAX_EFFECTS):
             alternatives = [rival.fit for rival in rivals if rival.tied]
             if len(chosen.candidate.names) > 1:  # a rival of one may explain the others as well
                 alternatives += [self._backward_elimination(fitted, TIE_LOG_RATIO) for fitted in alternatives]
@@ -614,13 +614,14 @@ class Search:
             elif simpler:
                 best = min(simpler, key=lambda fit: (fit.cost, fit.score))
             else:
-                return chosen, rivals
+                break
             # The replaced effect may have explained more than its rival does.
             extended = self._extend(self._measured_again(best)) or chosen
             if (names := frozenset(extended.candidate.names)) in known:
-                return chosen, rivals
+                break
             known.add(names)
             chosen, rivals = extended, self.rivals(extended)
+        return chosen, rivals
 
     def explained_by_links(self, chosen: Fit, name: str) -> bool:
         """Whether errors of the links within their uncertainty predict as well in place of a chosen load (linear fit).
