@@ -6,6 +6,7 @@ import shutil
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -192,10 +193,10 @@ def test_hits_missed_by_a_shifted_tracker_are_kept_where_the_hits_place_its_fram
     lost, store = next(run for run in seen.runs if run.hit), ReplayCache(map)
     exact = {one.setup.digest: run.setup for one, run in zip(seen.runs, runs.runs, strict=True)}
 
-    def misses_one(tasks: Sequence[Replay], what: str = "") -> list[np.ndarray | None]:
+    def misses_one(tasks: Sequence[Replay], what: str = "", always: bool = False) -> list[np.ndarray | None]:
         bare = load_model("nominal")
         done = store([replace(task, setup=exact[task.setup.digest], model=bare) for task in tasks], what)
-        gone = [task.setup.digest == lost.setup.digest and not task.model.effects for task in tasks]
+        gone = [task.setup.digest == lost.setup.digest and (always or not task.model.effects) for task in tasks]
         return [None if missed else found for missed, found in zip(gone, done, strict=True)]
 
     found = ReplaySource.of(seen, load_model("nominal"), misses_one)  # type: ignore[arg-type]
@@ -208,4 +209,6 @@ def test_hits_missed_by_a_shifted_tracker_are_kept_where_the_hits_place_its_fram
     offset = np.array([frame.parameters[name].estimate for name in ("x", "y")])
     assert np.linalg.norm(offset) > 0.01 and offset @ shift[:2] > 0.0
     assert view.source.views() == ()
+    still = ReplaySource.of(seen, load_model("nominal"), partial(misses_one, always=True))  # type: ignore[arg-type]
+    assert len(still.missed) == 1 and still.views() == ()
     assert ReplaySource.of(runs, load_model("nominal"), store).views() == ()

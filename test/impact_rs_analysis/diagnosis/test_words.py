@@ -181,6 +181,22 @@ def test_an_interval_beyond_zero_is_not_said_to_leave_an_effect_possible() -> No
     assert shown_unnamed(document) == "friction (size 1 to 4 N m)"
 
 
+@pytest.mark.parametrize(
+    ("named", "depends"), [((), True), (("pad",), True), (("frame",), True), (("frame", "mass"), False)]
+)
+def test_a_verdict_that_depends_on_an_assumption_says_so(named: tuple[str, ...], depends: bool) -> None:
+    """The assumption's own effect is part of its answer. Kills a comparison without it."""
+    view = ViewDocument(
+        name="the frame placed by the hits", assumed=("frame",), option="estimate", named=("mass",),
+        verdict=DiagnosisVerdict(Kind.NAMED, ("mass",)), held_out_error_before=1.83, held_out_error_after=0.845,
+    )  # fmt: skip
+    source = AnalyticSource(1)
+    document = diagnose(source, source.model)
+    verdict = DiagnosisVerdict(Kind.NAMED, named) if named else NOTHING
+    summary = summary_of(document.model_copy(update={"verdict": verdict, "named": named, "views": (view,)}))
+    assert ("with the frame placed by the hits it is mass, 1.83 → 0.845 (estimate)." in summary) is depends
+
+
 def test_shares_are_those_of_squared_errors_beyond_noise() -> None:
     assert explained(2.0, 1.0, 1.0) == 1.0
     assert explained(2.0, 2.0, 1.0) == 0.0
