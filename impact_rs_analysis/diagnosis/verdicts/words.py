@@ -30,7 +30,7 @@ def summary_of(document: DiagnosisDocument) -> str:
     turned = [view for view in assumptions if {*view.named, *view.assumed} != set(document.named)]
     ranges = [_range(name, document) for name in dict.fromkeys(view.of for view in document.views if view.of)]
     sentences = [_verdict(document), *(_part(view, document) for view in parts)]
-    return " ".join([*sentences, *(_turn(view) for view in turned), *ranges, *_circumstances(document)])
+    return " ".join([*sentences, *(_turn(view, document) for view in turned), *ranges, *_circumstances(document)])
 
 
 def not_tried(budget: BudgetDocument) -> str:
@@ -113,10 +113,19 @@ def _bounds(document: DiagnosisDocument) -> str:
     return " ".join(found)
 
 
-def _turn(view: ViewDocument) -> str:
-    """Verdict under another assumption."""
+def _turn(view: ViewDocument, document: DiagnosisDocument) -> str:
+    """Verdict under another assumption, and whether it predicts unseen data better."""
     fall = f", {_fall(view.held_out_error_before, view.held_out_error_after)}" if view.named else ""
-    return f"The verdict depends on an assumption: with {view.name} it is {view.verdict}{fall} ({view.option})."
+    text = f"The verdict depends on an assumption: with {view.name} it is {view.verdict}{fall} ({view.option})."
+    return f"{text}{_preferred(view, document, 'this assumption')}"
+
+
+def _preferred(view: ViewDocument, document: DiagnosisDocument, name: str) -> str:
+    """That a view predicts unseen data better than the diagnosis; empty: it does not."""
+    before, after = document.held_out_error_after, view.held_out_error_after
+    if tied_with_best(before, after):
+        return ""
+    return f" The data prefer {name}: held-out error {_fall(before, after)} {_unit(document)}."
 
 
 def _range(name: str, document: DiagnosisDocument) -> str:
@@ -128,10 +137,7 @@ def _range(name: str, document: DiagnosisDocument) -> str:
         return f"Every other value of {name} that was tried, {_ends(whole)}, predicts unseen data worse."
     text = f"the range of {name} that the data allow, {_ends(views)}" if len(views) < len(whole) else ""
     text = text or f"the whole range of {name}, {_ends(whole)}"
-    prefer = ""
-    if not tied_with_best(document.held_out_error_after, best.held_out_error_after):
-        fall = _fall(document.held_out_error_after, best.held_out_error_after)
-        prefer = f" The data prefer {best.name}: held-out error {fall} {_unit(document)}."
+    prefer = _preferred(best, document, best.name)
     if turned := [view for view in views if set(view.named) != set(document.named)]:
         others = ", ".join(f"with {_span([view.value or 0.0], view.unit)} it is {view.verdict}" for view in turned)
         return f"The verdict turns on {name}: {others}.{prefer}"

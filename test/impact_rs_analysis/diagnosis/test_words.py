@@ -193,8 +193,13 @@ def test_a_verdict_that_depends_on_an_assumption_says_so(named: tuple[str, ...],
     source = AnalyticSource(1)
     document = diagnose(source, source.model)
     verdict = DiagnosisVerdict(Kind.NAMED, named) if named else NOTHING
-    summary = summary_of(document.model_copy(update={"verdict": verdict, "named": named, "views": (view,)}))
+    summary = summary_of(
+        document.model_copy(update={"verdict": verdict, "named": named, "views": (view,), "held_out_error_after": 2.0})
+    )
     assert ("with the frame placed by the hits it is mass, 1.83 → 0.845 (estimate)." in summary) is depends
+    assert ("The data prefer this assumption: held-out error 2 → 0.845" in summary) is depends
+    near = document.model_copy(update={"named": ("pad",), "views": (view,), "held_out_error_after": 0.9})
+    assert "it is mass" in summary_of(near) and "prefer" not in summary_of(near)
 
 
 def test_shares_are_those_of_squared_errors_beyond_noise() -> None:
