@@ -111,13 +111,12 @@ def diagnose(
         if dependences.confirmed_by(found, again) and again.chosen is not None:
             dependences, pairs = dependences.beside(again.chosen), dependences.pairs
             document = with_estimates_of(document, document_of(again, dependences.source, model), pairs)
-    views = tuple(
-        _view(view, model, effects_for(view.source, only, bounds), dependences, budget)
+    views = [
+        _whole_view(view, model, effects_for(view.source, only, bounds), dependences, budget)
         for view in (() if document.verdict in (TOO_FEW, IMPOSSIBLE) else source.views())
-        if not budget.leaves_out(f"the verdict on {view.name}")
-    )
+    ]
     documents = () if dependences is None else dependence_documents(dependences)
-    update = {"covariates": covariate_documents(source), "dependences": documents, "views": views}
+    update = {"covariates": covariate_documents(source), "dependences": documents, "views": tuple(filter(None, views))}
     document = _over_ranges(document.model_copy(update=update))
     unseen = all_rows.unseen(source, added_of(document, source))
     limit = None if math.isinf(budget.limit) else budget.limit
@@ -149,6 +148,18 @@ def added_of(document: DiagnosisDocument, source: Source) -> Added:
         if all(scalar.name in values for scalar in scalars):
             found.append((name, tuple(values[scalar.name].estimate for scalar in scalars)))
     return tuple(found)
+
+
+def _whole_view(
+    view: View, model: Model, effects: Sequence[Effect], dependences: Dependences | None, budget: Budget
+) -> ViewDocument | None:
+    """The verdict on a view; None: the processor time ended its search, whose first steps may name another effect."""
+    own = Budget(budget.remaining, budget.clock, budget.stop)
+    found = None if own.spent else _view(view, model, effects, dependences, own)
+    if found is None or own.left_out:
+        budget.add(f"the verdict on {view.name}")
+        return None
+    return found
 
 
 def _view(

@@ -18,6 +18,7 @@ from impact_rs_analysis.diagnosis.search.budget import UNLIMITED, Budget, StopRe
 from impact_rs_analysis.diagnosis.search.effect_selection import Search
 from impact_rs_analysis.diagnosis.search.fit import Evidence
 from impact_rs_analysis.evidence.cluster import Added
+from impact_rs_analysis.evidence.source import View
 from impact_rs_sim.robots.robot import Array
 
 CONSIDERED = ("straight", "bent", "payload", "stick_slip", "of_joints", "of_motors", "rippled", "saturated")
@@ -29,8 +30,8 @@ ONE_STEP = 100  # of them, of one fit, which nothing interrupts
 class Counted(AnalyticSource):
     """The world with a count of its different simulations."""
 
-    def __init__(self) -> None:
-        super().__init__(3, FAR_OFF)
+    def __init__(self, hidden: Added = FAR_OFF) -> None:
+        super().__init__(3, hidden)
         self.made: set[tuple[int, Added]] = set()
 
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
@@ -81,6 +82,20 @@ def test_a_part_of_a_budget_notes_what_it_leaves_out_with_the_whole() -> None:
     now[0] = 6.0
     assert half.leaves_out("a fit") and not whole.leaves_out("another fit")
     assert whole.remaining == pytest.approx(4.0) and list(whole.left_out) == ["a fit"]
+
+
+@pytest.mark.parametrize(("limit", "told"), [(ENOUGH, True), (LIMIT, False)])
+def test_a_view_whose_search_is_cut_has_no_verdict(limit: float, told: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its first steps may name the wrong effect. Kills: a view that is kept, or left out without a word."""
+    source, other = Counted(()), Counted()
+    for world in (source, other):
+        knowing(world, *(EFFECTS[name] for name in CONSIDERED))
+    monkeypatch.setattr(source, "views", lambda: (View("another world", other, "an option"),))
+    budget = Budget(limit, lambda: float(len(source.made) + len(other.made)))
+    document = diagnose(source, source.model, budget=budget)
+    assert [view.name for view in document.views] == (["another world"] if told else [])
+    assert document.budget.left_out == (() if told else ("the verdict on another world",))
+    assert len(other.made) > 0
 
 
 def test_a_fit_that_is_reported_goes_on_when_the_time_is_spent() -> None:
