@@ -375,7 +375,7 @@ class ViewDocument(Schema):
     """Verdict on the same measurements looked at in another way."""
 
     name: str = Field(description="what is looked at: joints or object of an arm alone, or another assumption")
-    assumed: tuple[str, ...] = Field((), description="effects that are assumed, beyond those of the model")
+    assumed: tuple[str, ...] = Field((), description="effects that the assumption adds to the model")
     option: str = Field("", description="option whose other value it is; empty: a part of the signals")
     verdict: DiagnosisVerdict = Field(description="as that of the diagnosis")
     named: tuple[str, ...] = Field(description="effects that it names")

@@ -84,8 +84,10 @@ def test_a_part_of_a_budget_notes_what_it_leaves_out_with_the_whole() -> None:
     assert whole.remaining == pytest.approx(4.0) and list(whole.left_out) == ["a fit"]
 
 
-@pytest.mark.parametrize(("limit", "told"), [(ENOUGH, True), (LIMIT, False)])
-def test_a_view_whose_search_is_cut_has_no_verdict(limit: float, told: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("limit", "complete"), [(ENOUGH, True), (LIMIT, False)])
+def test_a_view_whose_search_is_cut_has_no_verdict(
+    limit: float, complete: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Its first steps may name the wrong effect. Kills: a view that is kept, or left out without a word."""
     source, other = Counted(()), Counted()
     for world in (source, other):
@@ -93,8 +95,8 @@ def test_a_view_whose_search_is_cut_has_no_verdict(limit: float, told: bool, mon
     monkeypatch.setattr(source, "views", lambda: (View("another world", other, "an option"),))
     budget = Budget(limit, lambda: float(len(source.made) + len(other.made)))
     document = diagnose(source, source.model, budget=budget)
-    assert [view.name for view in document.views] == (["another world"] if told else [])
-    assert document.budget.left_out == (() if told else ("the verdict on another world",))
+    assert [view.name for view in document.views] == (["another world"] if complete else [])
+    assert document.budget.left_out == (() if complete else ("the verdict on another world",))
     assert len(other.made) > 0
 
 
