@@ -110,9 +110,8 @@ def clusters_of(
     return tuple(clusters), remarks
 
 
-def _frame_words(runs: Runs) -> str:
+def _frame_words(found: Array | None) -> str:
     """Warning if hits place the tracker frame elsewhere, with the remedy; else empty."""
-    found = tracker_start(TRACKER_FRAME, runs.runs)
     if found is None:
         return ""
     return (
@@ -204,11 +203,14 @@ class ReplaySource(Source):
     Attributes:
         conditions: Runs of every cluster, in the order of clusters.
         missed: Runs that are left out, because their replay with the model hits nothing.
+        frame_by_hits: With such runs, parameters of the tracker's frame with which pads and objects touch at the
+            impacts; None: they touch as the readings are.
     """
 
     repeated = True
     runs: Runs
     missed: tuple[MeasuredRun, ...] = ()
+    frame_by_hits: Array | None = None
 
     def __init__(
         self,
@@ -276,24 +278,25 @@ class ReplaySource(Source):
                 raise InputError(f"with model {model.name!r} the replay is not finite or not solved", file=run.path)
             residuals.append(run.measured - values)
             kept.append(run)
+        frame = tracker_start(TRACKER_FRAME, runs.runs) if missed else None
         if missed:
             words = f"with model {model.name!r} the replay hits nothing"
             if len(missed) > MAX_MISSED_SHARE * sum(run.hit for run in runs.runs):
-                raise InputError(words + _frame_words(runs), file=missed[0].path)
+                raise InputError(words + _frame_words(frame), file=missed[0].path)
             names = ", ".join(Path(run.path).name for run in missed)
-            remark = f"left out, because {words}: {names}{_frame_words(runs)}"
+            remark = f"left out, because {words}: {names}{_frame_words(frame)}"
             runs = replace(runs, runs=tuple(kept), remarks=(*runs.remarks, remark))
         clusters, remarks = clusters_of(runs, residuals, discrepancy)
         clusters = _with_late(clusters, runs, residuals, model, store)
         found = cls(runs, model, store, clusters, discrepancy, (*runs.remarks, *remarks))
         found.clusters = with_intervals(found, clusters)
-        found.missed = tuple(missed)
+        found.missed, found.frame_by_hits = tuple(missed), frame
         return found
 
     def views(self) -> tuple[View, ...]:
         """See :meth:`Source.views`: with missed hits, all runs and the tracker's frame where the hits place it."""
         runs = replace(self.runs, runs=(*self.runs.runs, *self.missed))
-        start = tracker_start(TRACKER_FRAME, runs.runs) if self.missed else None
+        start = self.frame_by_hits
         if start is None or TRACKER_FRAME.name in {item.name for item in self.model.effects}:
             return ()
         values = {
