@@ -176,9 +176,10 @@ def _diagnosed(
         key: ParameterValue(estimate=value.estimate, unit=value.unit, ci95=rounded_interval(value.ci95))
         for key, value in found.parameters.items()
     }
+    fall = f"held-out error {before:.3g} -> {after:.3g} {document.error_unit}"
+    why = found.reason if name in document.required else fall
     note = (
-        f"{name}: {found.verdict}; held-out error {before:.3g} -> {after:.3g} {document.error_unit} in "
-        f"{document.runs.trials} {document.source}"
+        f"{name}: {found.verdict}; {why} in {document.runs.trials} {document.source}"
         f"{f'; depends on {depends}, the mean was taken' if depends else ''}"
     )
     return ModelEffect(name=name, parameters={**nominal, **estimated}), formulas, note

@@ -82,7 +82,7 @@ def compare(
         model: The model of the file; None: that of the source, which has no calibration.
         calibration: Faults of the readings, which the model of the source has as well.
     """
-    model = source.model if model is None else model
+    model = source.declared_model if model is None else model
     found, runs, noise = source.compare_levels(), source.runs, source.noise_size()
     jump, remarks = ({}, []) if runs is None else jump_level(runs, source.model, source.discrepancy)
     skipped = source.left_out

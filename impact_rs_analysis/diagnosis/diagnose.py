@@ -57,6 +57,7 @@ from impact_rs_analysis.diagnosis.verdicts.model_verdict import (
     without_uncertain_effects,
 )
 from impact_rs_analysis.diagnosis.verdicts.next_experiment import next_experiment
+from impact_rs_analysis.diagnosis.verdicts.required import with_required
 from impact_rs_analysis.diagnosis.verdicts.residuals import MAX_RESIDUALS, noise_size, residual_unit, rests_of
 from impact_rs_analysis.diagnosis.verdicts.words import not_tried, summary_of
 from impact_rs_analysis.evidence.cluster import Added
@@ -83,7 +84,8 @@ def diagnose(
 
     Args:
         source: Measurements with the model's predictions.
-        model: The model of the file, if that of the source has further user-defined effects; None: that of the source.
+        model: The model of the file, if that of the source has further user-defined effects; None: that of the source
+            as declared.
         only: Names of the effects to consider; None: all that the model does not contain, for trials and tables without
             those that recordings calibrate.
         progress: Called with effects and their held-out error during the search (:class:`Search`).
@@ -94,7 +96,7 @@ def diagnose(
     Raises:
         InputError: Too few conditions for a hold-out.
     """
-    model = source.model if model is None else model
+    model = source.declared_model if model is None else model
     all_rows, source = source, source.searched()
     effects = effects_for(source, only, bounds)
     known_estimates = () if earlier is None else _estimates_of(earlier, source)
@@ -127,6 +129,7 @@ def diagnose(
     document = document.model_copy(
         update={"runs": _runs(all_rows), "budget": spent, "remarks": remarks, "rollouts": rollouts}
     )
+    document = with_required(document, source)
     disagree = "" if rollouts is None else rollouts.disagreement(document.held_out_change_ci95)
     summary = " ".join(filter(None, [summary_of(document), disagree, low_confidence_sentence(document.drift)]))
     sentences = {"measurement": measurement_of(document), "calibrate": experiments_of(document), "summary": summary}
@@ -173,7 +176,6 @@ def _view(
     found = document_of(findings, source, model)
     return ViewDocument(
         name=view.name,
-        assumed=tuple(item.name for item in source.model.effects if item not in model.effects),
         option=view.option,
         verdict=found.verdict,
         named=found.named,

@@ -375,7 +375,6 @@ class ViewDocument(Schema):
     """Verdict on the same measurements looked at in another way."""
 
     name: str = Field(description="what is looked at: joints or object of an arm alone, or another assumption")
-    assumed: tuple[str, ...] = Field((), description="effects that the assumption adds to the model")
     option: str = Field("", description="option whose other value it is; empty: a part of the signals")
     verdict: DiagnosisVerdict = Field(description="as that of the diagnosis")
     named: tuple[str, ...] = Field(description="effects that it names")
@@ -466,6 +465,9 @@ class DiagnosisDocument(Schema):
         (), description="experiments for the effects of the measurement that are named, tied or suspected"
     )
     named: tuple[str, ...] = Field((), description="effects that the diagnosis chose")
+    required: tuple[str, ...] = omitted(
+        (), description="named effect without which replays of impacts hit nothing: all errors are with it"
+    )
     suspected: tuple[str, ...] = Field(
         (), description="effects that lower the error of all data, and the held-out error by less than its interval"
     )

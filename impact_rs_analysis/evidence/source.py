@@ -20,7 +20,7 @@ from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.effects.depending import Depending
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.model import Model
+from impact_rs_sim.model import Model, ModelEffect
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robots.robot import Array, JointType, RobotFacts
@@ -90,6 +90,23 @@ class View:
     unit: str = ""
 
 
+@dataclass(frozen=True)
+class RequiredEffect:
+    """An effect without which replays of some impacts hit nothing.
+
+    Attributes:
+        item: The effect with its estimate, from the distances of pads and objects at the impacts.
+        size: Size of the residuals with it, as :meth:`Source.size`.
+        missed: Impacts whose replay hits nothing without it.
+        impacts: All impacts.
+    """
+
+    item: ModelEffect
+    size: float
+    missed: int
+    impacts: int
+
+
 class Source(ABC):
     """Source of residuals and sensitivities: measurements, and a model that predicts them.
 
@@ -98,6 +115,8 @@ class Source(ABC):
         model: The model, to which effects are added.
         clusters: Residuals of the model.
         physics: Physics of one cluster under the model, for the number of joints.
+        required: Effects of which one is needed for replays to hit what was hit, best first; the first is in the model,
+            and its interval is a systematic error of all clusters. Empty: replays hit without.
         worlds: All distinct physics of the clusters under the model, for bounds of parameters.
         repeated: Whether clusters hold repeats; if not, clusters are stretches of time.
         remarks: Remarks on the measurements, for the reader.
@@ -130,6 +149,7 @@ class Source(ABC):
     clusters: tuple[Cluster, ...]
     physics: Physics
     repeated: bool
+    required: tuple[RequiredEffect, ...] = ()
     remarks: Sequence[str] = ()
     runs: Runs | None = None
     left_out: tuple[tuple[str, str], ...] = ()
@@ -157,6 +177,13 @@ class Source(ABC):
         """Report progress; 0 of 0: nothing is expected to be done in this stage."""
         if self.progress is not None:
             self.progress(stage, done, total)
+
+    @property
+    def declared_model(self) -> Model:
+        """The model without the effect that the impacts require."""
+        added = {one.item.name for one in self.required[:1]}
+        kept = tuple(item for item in self.model.effects if item.name not in added)
+        return self.model.model_copy(update={"effects": kept}) if added else self.model
 
     @property
     def free_motion_part(self) -> Source | None:

@@ -206,10 +206,16 @@ def _effects_table(document: DiagnosisDocument, shown: Sequence[EffectDocument])
     table.add_column("without → with", justify="right", no_wrap=True)
     table.add_column("p", justify="right", no_wrap=True)
     for effect in shown:
-        error = f"{number(effect.held_out_error_without or 0.0)} → {number(effect.held_out_error_after or 0.0)}"
-        alone = "–" if effect.held_out_error_alone is None else number(effect.held_out_error_alone)
+        before, after, alone = (
+            "–" if error is None else number(error)
+            for error in (effect.held_out_error_without, effect.held_out_error_after, effect.held_out_error_alone)
+        )
         table.add_row(
-            effect.name, _verdict_text(effect.verdict), alone, error, p_text(effect.p_value, document.design.least_p)
+            effect.name,
+            _verdict_text(effect.verdict),
+            alone,
+            f"{before} → {after}",
+            p_text(effect.p_value, document.design.least_p),
         )
     return table
 

@@ -27,7 +27,7 @@ def summary_of(document: DiagnosisDocument) -> str:
     """Verdict, held-out error and largest residual in two to four sentences, and one for every other view."""
     parts = [view for view in document.views if not view.option]
     assumptions = [view for view in document.views if view.option and not view.of]
-    turned = [view for view in assumptions if {*view.named, *view.assumed} != set(document.named)]
+    turned = [view for view in assumptions if set(view.named) != set(document.named)]
     ranges = [_range(name, document) for name in dict.fromkeys(view.of for view in document.views if view.of)]
     sentences = [_verdict(document), *(_part(view, document) for view in parts)]
     return " ".join([*sentences, *(_turn(view, document) for view in turned), *ranges, *_circumstances(document)])
@@ -252,7 +252,8 @@ def _verdict(document: DiagnosisDocument) -> str:
     before, after = document.held_out_error_before, document.held_out_error_after
     noise = document.noise_floor if document.error_unit != TIMES else 0.0
     noise_text = f" (noise alone: {noise:.3g})" if noise else ""
-    error = f"Held-out error: {before:.3g} {unit}{noise_text}."
+    label = f"Held-out error, with {' and '.join(document.required)}" if document.required else "Held-out error"
+    error = f"{label}: {before:.3g} {unit}{noise_text}."
     named = " and ".join(document.named)
     runs = f"{document.runs.trials} {document.source}"
     suspicion = _suspicion(document)
@@ -281,7 +282,8 @@ def _verdict(document: DiagnosisDocument) -> str:
         sure = " for certain" if suspicion else ""
         text = f"Model '{name}' does not predict these {runs}, and no effect in the library explains why{sure}."
         return " ".join(filter(None, [text, suspicion or _lowering(document), error, rest]))
-    fall = f"Held-out error: {_fall(before, after)} {unit}{noise_text}."
+    found = [name for name in document.named if name not in document.required]
+    fall = f"{label}: {_fall(before, after)} {unit}{noise_text}." if found else error
     caveats = " ".join(filter(None, [_bounds(document), _open(document), _confusable(document)]))
     text, one = f"Model '{name}' lacks {named}.", "s" if len(document.named) == 1 else ""
     share = 100.0 * min(max(explained(before, after, document.noise_floor), 0.0), 1.0)
@@ -296,11 +298,18 @@ def _verdict(document: DiagnosisDocument) -> str:
     if measurement:
         text = _of_physics(document)
         if verdict.kind is Kind.PARTLY:
-            what = "That explains" if len(document.named) == 1 else "Together they explain"
-            more = "at least one more effect, of the measurement or of the physics, is there"
-            text = " ".join(filter(None, [text, f"{what} {share:.0f} % of the error beyond noise; {more}."]))
+            what = "That explains" if len(found) == 1 else "Together they explain"
+            part = f"{what} {share:.0f} % of the error beyond noise. " if found else ""
+            more = f"{part}At least one more effect, of the measurement or of the physics, is there."
+            text = " ".join(filter(None, [text, more]))
     instead = "" if verdict == NONE else _instead(document)
-    return " ".join(filter(None, [measurement, instead, text, fall, caveats, rest]))
+    return " ".join(filter(None, [measurement, _required(document), instead, text, fall, caveats, rest]))
+
+
+def _required(document: DiagnosisDocument) -> str:
+    """Why a required effect is named; empty: there is none."""
+    effects = [effect for name in document.required if (effect := document.effect(name)) is not None]
+    return " ".join(f"Without {effect.name} {effect.reason.removeprefix('without it ')}." for effect in effects)
 
 
 def _of_physics(document: DiagnosisDocument) -> str:

@@ -12,27 +12,28 @@ from pathlib import Path
 import numpy as np
 
 from impact_rs_analysis.evidence.calibration import with_intervals
-from impact_rs_analysis.evidence.cluster import SCALE, TIMES, Added, Cluster, pooled_error
+from impact_rs_analysis.evidence.cluster import SCALE, TIMES, Added, Cluster, pooled_error, size_of
 from impact_rs_analysis.evidence.discrepancy import MAX_SQUARE_ANGLE_RAD, Discrepancy, Kind, measured_discrepancy
 from impact_rs_analysis.evidence.levels import Comparison, condition_scores, level_of, signal_levels, where_of
 from impact_rs_analysis.evidence.replays.ante_impact import obliqueness
+from impact_rs_analysis.evidence.replays.contact_estimate import contact_estimate
 from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs
 from impact_rs_analysis.evidence.replays.replay_cache import Replay, ReplayCache
-from impact_rs_analysis.evidence.replays.tracker_start import tracker_start
 from impact_rs_analysis.evidence.rollouts import MAX_ROLLOUT_STARTS, FreeMotion, free_of_contact, without
-from impact_rs_analysis.evidence.source import Identity, Item, Made, Source, View, with_per_arm_parameters
+from impact_rs_analysis.evidence.source import Identity, Item, Made, RequiredEffect, Source, with_per_arm_parameters
 from impact_rs_analysis.evidence.tracks import Track, tracks_of_runs
-from impact_rs_sim.effects import Effect
+from impact_rs_sim.effects import PAD_POSITION, Effect
 from impact_rs_sim.effects.sensing import COMMAND_CLOCK_OFFSET, TRACKED_POINT, TRACKER_FRAME
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.model import Model, ModelEffect, ParameterValue
+from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.runs import NONE, Signals
 from impact_rs_trials.workers import Map
 
-ESTIMATED_FRAME = "motion_capture: {estimate: true}"  # of the experiment file
+TRACKER_EFFECTS = (TRACKER_FRAME, TRACKED_POINT)
+CONTACT_EFFECTS = (*TRACKER_EFFECTS, PAD_POSITION)  # each may be why the replay of an impact misses the object
 MAX_MISSED_SHARE = 0.5  # of the runs with an impact; if the replay misses more, the model is refused
 
 LEVELS = {  # what a level compares, and its phases
@@ -110,17 +111,6 @@ def clusters_of(
     return tuple(clusters), remarks
 
 
-def _frame_words(found: Array | None) -> str:
-    """Warning if hits place the tracker frame elsewhere, with the remedy; else empty."""
-    if found is None:
-        return ""
-    return (
-        f"; pads and objects meet if the poses of the object are off by x {1e3 * found[0]:.1f} mm, y "
-        f"{1e3 * found[1]:.1f} mm, yaw {np.rad2deg(found[2]):.2f} degrees: expected poses in the frame of the robot; "
-        f"{ESTIMATED_FRAME} in the experiment file places their frame by the hits"
-    )
-
-
 def pure_errors(firsts: dict[str, MeasuredRun], rows: dict[str, Array]) -> dict[str, Array | None]:
     """Pure error by condition, ``(F,)`` in the features' units; None without repeats of its kind.
 
@@ -171,6 +161,12 @@ def max_bin(run: MeasuredRun, phase: str, signal: str) -> int:
     return 1 + max(feature.bin for feature in run.features if (feature.phase, feature.signal) == (phase, signal))
 
 
+def _replays_of(runs: Runs, model: Model, store: ReplayCache) -> list[Array | None]:
+    """Predicted features of every run; None where the replay hits nothing."""
+    bare = model.containing(())
+    return store([Replay(run.setup, bare) for run in runs.runs], "replays of the model")
+
+
 def _with_late(
     clusters: Sequence[Cluster], runs: Runs, residuals: Sequence[Array], model: Model, store: ReplayCache
 ) -> tuple[Cluster, ...]:
@@ -202,15 +198,10 @@ class ReplaySource(Source):
 
     Attributes:
         conditions: Runs of every cluster, in the order of clusters.
-        missed: Runs that are left out, because their replay with the model hits nothing.
-        frame_by_hits: With such runs, parameters of the tracker's frame with which pads and objects touch at the
-            impacts; None: they touch as the readings are.
     """
 
     repeated = True
     runs: Runs
-    missed: tuple[MeasuredRun, ...] = ()
-    frame_by_hits: Array | None = None
 
     def __init__(
         self,
@@ -253,7 +244,10 @@ class ReplaySource(Source):
         discrepancy: Discrepancy | None = None,
         each_arm: bool = False,
     ) -> ReplaySource:
-        """Replay every run with the model; runs whose replay has no impact are left out, with a remark.
+        """Replay every run with the model.
+
+        Where replays hit nothing and one of ``CONTACT_EFFECTS`` makes all of them hit, it is added to the model
+        (:attr:`Source.required`). Otherwise these runs are left out, with a remark.
 
         Args:
             runs: The runs.
@@ -267,46 +261,75 @@ class ReplaySource(Source):
         """
         discrepancy = measured_discrepancy() if discrepancy is None else discrepancy
         model = with_per_arm_parameters(model, [run.setup.physics for run in runs.runs], each_arm)
-        bare = model.containing(())
-        predicted = store([Replay(run.setup, bare) for run in runs.runs], "replays of the model")
-        residuals, kept, missed = [], [], []
+        predicted = _replays_of(runs, model, store)
+        missed = [run for run, values in zip(runs.runs, predicted, strict=True) if values is None]
+        if missed and (found := cls._with_contact_effect(runs, model, store, discrepancy, len(missed))) is not None:
+            return found._with_calibration_errors()
+        residuals, kept = [], []
         for run, values in zip(runs.runs, predicted, strict=True):
             if values is None:
-                missed.append(run)
                 continue
             if not np.isfinite(values).all():
                 raise InputError(f"with model {model.name!r} the replay is not finite or not solved", file=run.path)
             residuals.append(run.measured - values)
             kept.append(run)
-        frame = tracker_start(TRACKER_FRAME, runs.runs) if missed else None
         if missed:
             words = f"with model {model.name!r} the replay hits nothing"
             if len(missed) > MAX_MISSED_SHARE * sum(run.hit for run in runs.runs):
-                raise InputError(words + _frame_words(frame), file=missed[0].path)
-            names = ", ".join(Path(run.path).name for run in missed)
-            remark = f"left out, because {words}: {names}{_frame_words(frame)}"
+                raise InputError(
+                    f"{words}; are the poses of the object in the frame of the robot, and is it the object of the "
+                    "scenario? motion_capture in the experiment file says where they are measured",
+                    file=missed[0].path,
+                )
+            remark = f"left out, because {words}: {', '.join(Path(run.path).name for run in missed)}"
             runs = replace(runs, runs=tuple(kept), remarks=(*runs.remarks, remark))
+        return cls._of_residuals(runs, residuals, model, store, discrepancy)._with_calibration_errors()
+
+    @classmethod
+    def _with_contact_effect(
+        cls, runs: Runs, model: Model, store: ReplayCache, discrepancy: Discrepancy, missed: int
+    ) -> ReplaySource | None:
+        """The source with the effect that makes every replay hit and leaves the least residuals; None: none does."""
+        impacts, present = sum(run.hit for run in runs.runs), {item.name for item in model.effects}
+        found: list[tuple[RequiredEffect, list[Array], Model]] = []
+        for effect in (model.known_effects[one.name] for one in CONTACT_EFFECTS if one.name not in present):
+            estimate = contact_estimate(effect, runs.runs)
+            if estimate is None or (item := estimate.item) is None:
+                continue
+            extended = model.with_effect(item, name=model.name, parent=model.name)
+            predicted = _replays_of(runs, extended, store)
+            if any(values is None or not np.isfinite(values).all() for values in predicted):
+                continue
+            residuals = [run.measured - np.asarray(one) for run, one in zip(runs.runs, predicted, strict=True)]
+            clusters, _ = clusters_of(runs, residuals, discrepancy)
+            size = size_of([one.error for one in clusters], [one.expected for one in clusters])
+            found.append((RequiredEffect(item, size, missed, impacts), residuals, extended))
+        if not found:
+            return None
+        found.sort(key=lambda one: one[0].size)
+        (best, residuals, extended), required = found[0], tuple(one for one, *_ in found)
+        remark = (
+            f"with model {model.name!r} the replays of {missed} of {impacts} impacts hit nothing, and with "
+            f"{best.item.name} as the impacts determine it all of them hit; all errors are with it"
+        )
+        runs = replace(runs, remarks=(*runs.remarks, remark))
+        source = cls._of_residuals(runs, residuals, extended, store, discrepancy)
+        source.required = required
+        return source
+
+    @classmethod
+    def _of_residuals(
+        cls, runs: Runs, residuals: Sequence[Array], model: Model, store: ReplayCache, discrepancy: Discrepancy
+    ) -> ReplaySource:
+        """The source without systematic errors of a calibration."""
         clusters, remarks = clusters_of(runs, residuals, discrepancy)
         clusters = _with_late(clusters, runs, residuals, model, store)
-        found = cls(runs, model, store, clusters, discrepancy, (*runs.remarks, *remarks))
-        found.clusters = with_intervals(found, clusters)
-        found.missed, found.frame_by_hits = tuple(missed), frame
-        return found
+        return cls(runs, model, store, clusters, discrepancy, (*runs.remarks, *remarks))
 
-    def views(self) -> tuple[View, ...]:
-        """See :meth:`Source.views`: with missed hits, all runs and the tracker's frame where the hits place it."""
-        runs = replace(self.runs, runs=(*self.runs.runs, *self.missed))
-        start = self.frame_by_hits
-        if start is None or TRACKER_FRAME.name in {item.name for item in self.model.effects}:
-            return ()
-        values = {
-            scalar.name: ParameterValue(estimate=float(value), unit=scalar.unit)
-            for scalar, value in zip(TRACKER_FRAME.parameters, start, strict=True)
-        }
-        frame = ModelEffect(name=TRACKER_FRAME.name, parameters=values)
-        model = self.model.with_effect(frame, name=self.model.name, parent=self.model.name)
-        placed = ReplaySource.of(runs, model, self.store, self.discrepancy)
-        return () if placed.missed else (View("the tracker's frame placed by the hits", placed, ESTIMATED_FRAME),)
+    def _with_calibration_errors(self) -> ReplaySource:
+        """The source with the systematic errors of the calibration and of the required effect."""
+        self.clusters = with_intervals(self, self.clusters)
+        return self
 
     def compare_levels(self) -> Comparison:
         """See :meth:`Source.compare_levels`: free motion, and the replay through the impact."""
@@ -367,8 +390,8 @@ class ReplaySource(Source):
     @cached_property
     def _tracker_starts(self) -> Mapping[str, Sequence[Array]]:
         """Estimates from the impacts by effect."""
-        found = {effect.name: tracker_start(effect, self.runs.runs) for effect in (TRACKER_FRAME, TRACKED_POINT)}
-        return {name: (start,) for name, start in found.items() if start is not None}
+        found = [contact_estimate(effect, self.runs.runs) for effect in TRACKER_EFFECTS]
+        return {one.effect.name: (one.values,) for one in found if one is not None}
 
     def spread(self, function: Callable[[Source, Item], Made], items: Sequence[Item], what: str) -> list[Made]:
         """See :meth:`Source.spread`; every process gets a copy of the cache."""

@@ -180,8 +180,8 @@ def test_runs_whose_replay_hits_nothing_are_left_out_if_they_are_few(runs: Runs,
     assert "motion_capture" not in remark
 
 
-def test_hits_missed_by_a_shifted_tracker_are_kept_where_the_hits_place_its_frame(runs: Runs) -> None:
-    """Kills a remark without the placement, a view without the missed runs, and one of the frame as it is."""
+def test_hits_missed_by_a_shifted_tracker_are_kept_with_its_frame_as_the_hits_determine_it(runs: Runs) -> None:
+    """Kills runs left out although an effect makes them hit, and a frame that is named without being needed."""
     shift = np.array([0.02, 0.02, 0.0])
 
     def shifted(run: MeasuredRun) -> MeasuredRun:
@@ -193,22 +193,31 @@ def test_hits_missed_by_a_shifted_tracker_are_kept_where_the_hits_place_its_fram
     lost, store = next(run for run in seen.runs if run.hit), ReplayCache(map)
     exact = {one.setup.digest: run.setup for one, run in zip(seen.runs, runs.runs, strict=True)}
 
-    def misses_one(tasks: Sequence[Replay], what: str = "", always: bool = False) -> list[np.ndarray | None]:
+    def misses_one(
+        tasks: Sequence[Replay], what: str = "", but: Sequence[str] = ("tracker_frame",)
+    ) -> list[np.ndarray | None]:
         bare = load_model("nominal")
         done = store([replace(task, setup=exact[task.setup.digest], model=bare) for task in tasks], what)
-        gone = [task.setup.digest == lost.setup.digest and (always or not task.model.effects) for task in tasks]
-        return [None if missed else found for missed, found in zip(gone, done, strict=True)]
+        hit = [
+            task.setup.digest != lost.setup.digest or {*but} & {e.name for e in task.model.effects} for task in tasks
+        ]
+        return [found if kept else None for kept, found in zip(hit, done, strict=True)]
 
     found = ReplaySource.of(seen, load_model("nominal"), misses_one)  # type: ignore[arg-type]
-    (remark,) = (line for line in found.remarks if line.startswith("left out, because"))
-    assert "motion_capture: {estimate: true}" in remark and " mm" in remark
-    (view,) = found.views()
-    assert view.source.identity.count == len(runs.runs) == found.identity.count + 1
-    (frame,) = view.source.model.effects
-    assert frame.name == "tracker_frame" and view.option == "motion_capture: {estimate: true}"
+    assert found.identity.count == len(runs.runs)
+    (frame,) = found.model.effects
+    (required,) = found.required
+    assert frame == required.item and frame.name == "tracker_frame"
+    assert (required.missed, required.impacts) == (1, sum(run.hit for run in runs.runs))
     offset = np.array([frame.parameters[name].estimate for name in ("x", "y")])
     assert np.linalg.norm(offset) > 0.01 and offset @ shift[:2] > 0.0
-    assert view.source.views() == ()
-    still = ReplaySource.of(seen, load_model("nominal"), partial(misses_one, always=True))  # type: ignore[arg-type]
-    assert len(still.missed) == 1 and still.views() == ()
-    assert ReplaySource.of(runs, load_model("nominal"), store).views() == ()
+    assert found.declared_model.effects == () and compare(found).model.digest == load_model("nominal").digest
+    assert any("the replays of 1 of" in line for line in found.remarks)
+    assert all(item.calibrations is not None and len(item.calibrations) >= 3 for item in found.clusters)
+    either = ReplaySource.of(seen, load_model("nominal"), partial(misses_one, but=("tracker_frame", "pad_position")))  # type: ignore[arg-type]
+    assert {one.item.name for one in either.required} == {"tracker_frame", "pad_position"}
+    assert either.required[0].size <= either.required[1].size
+    assert [item.name for item in either.model.effects] == [either.required[0].item.name]
+    still = ReplaySource.of(seen, load_model("nominal"), partial(misses_one, but=()))  # type: ignore[arg-type]
+    assert still.required == () and still.identity.count == len(runs.runs) - 1
+    assert ReplaySource.of(runs, load_model("nominal"), store).required == ()

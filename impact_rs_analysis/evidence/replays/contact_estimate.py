@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Starts of fits of the tracker's frame and tracked point, from the impacts.
+"""Estimates of the tracker's frame, its tracked point and the pad's position from the impacts alone.
 
 At an impact the surfaces of pad and object touch, so their signed distance is 0. The pose of the object at rest is its
 reading y, corrected by an effect with parameters v. With the distance d_i at the impact of arm and run i,
@@ -7,15 +7,17 @@ reading y, corrected by an effect with parameters v. With the distance d_i at th
     minimise  sum_i (d_i(y_i, v) / s_d)^2 + sum_k ((v_k - nominal_k) / (w s_k))^2
 
 where s_k is the scale of parameter k. The second sum keeps what the impacts do not determine at its nominal value, as a
-shift along the face (ridge regression).
+shift along the face (ridge regression). In units of w s_k the covariance is (J^T J / f + I)^-1, with the sensitivity J
+of the first terms and their mean square f, at least 1.
 
-Without such a start, a frame that is off by more than the pad moves before the impact puts object and pad into each
-other at the start of a replay, and sensitivities there say nothing.
+Without such an estimate, a frame that is off by more than the pad moves before the impact puts object and pad into each
+other at the start of a replay, and sensitivities there say nothing; or the replay misses the object.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -24,25 +26,55 @@ import scipy
 from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.impact_map.contacts import contact_pairs
+from impact_rs_sim.model import ModelEffect, ParameterValue
+from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.scene import BodyState
 
 DISTANCE_SD_M = 0.002  # s_d: an impact is detected within some ms, at some 0.3 m/s
 PRIOR_SCALES = 5.0  # w: 10 mm of a shift, 25 mrad of a yaw
-ONE_JOINT = 1  # these effects have no parameter of a joint
+ONE_JOINT = 1  # these effects have no parameter by joint
 SIMULTANEOUS_S = 0.02  # impacts of other arms later than that meet an object that has moved
 
 
-def tracker_start(effect: Effect, runs: Iterable[MeasuredRun]) -> Array | None:
-    """Parameters of an effect of the tracker with which pads and objects touch at the impacts, ``(p,)``.
+@dataclass(frozen=True)
+class ContactEstimate:
+    """An effect with which pads and objects touch at the impacts.
+
+    Attributes:
+        effect: The effect.
+        values: Its parameters, ``(p,)``.
+        deviations: Their standard deviations, ``(p,)``.
+    """
+
+    effect: Effect
+    values: Array
+    deviations: Array
+
+    @property
+    def item(self) -> ModelEffect | None:
+        """The effect as an entry of a model, with 95 % intervals; None: a parameter is out of its range."""
+        found = {}
+        for scalar, value, deviation in zip(
+            self.effect.scalars(ONE_JOINT), self.values.tolist(), self.deviations.tolist(), strict=True
+        ):
+            if not scalar.lower <= value <= scalar.upper:
+                return None
+            half = NORMAL_95 * deviation
+            found[scalar.name] = ParameterValue(estimate=value, unit=scalar.unit, ci95=(value - half, value + half))
+        return ModelEffect(name=self.effect.name, parameters=found)
+
+
+def contact_estimate(effect: Effect, runs: Iterable[MeasuredRun]) -> ContactEstimate | None:
+    """Parameters of an effect with which pads and objects touch at the impacts.
 
     Args:
-        effect: The frame of the tracker, or the tracked point.
+        effect: The frame of the tracker, the tracked point, or the position of the pad.
         runs: Runs; those without an impact or without tracking say nothing.
 
     Returns:
-        The parameters; None where pads and objects touch as the readings are, or where there is no impact.
+        The estimate; None where pads and objects touch as the readings are, or where there is no impact.
     """
     impacts = [
         (run.setup.physics, run.setup.windows[-1].object, placements)
@@ -63,7 +95,10 @@ def tracker_start(effect: Effect, runs: Iterable[MeasuredRun]) -> Array | None:
         return np.append(distances(nominal + scales * change) / DISTANCE_SD_M, change)
 
     found = scipy.optimize.least_squares(residuals, np.zeros_like(nominal))
-    return np.asarray(nominal + scales * found.x)
+    rest, jacobian = found.fun[: before.size], found.jac[: before.size]
+    scatter = max(1.0, float(rest @ rest) / max(1, before.size - nominal.size))
+    covariance = np.linalg.inv(jacobian.T @ jacobian / scatter + np.eye(nominal.size))
+    return ContactEstimate(effect, nominal + scales * found.x, scales * np.sqrt(np.diag(covariance)))
 
 
 def _placements(run: MeasuredRun) -> Mapping[str, pin.SE3]:
@@ -82,7 +117,8 @@ def _placements(run: MeasuredRun) -> Mapping[str, pin.SE3]:
 def _distances(
     effect: Effect, vector: Array, physics: Physics, reading: BodyState, placements: Mapping[str, pin.SE3]
 ) -> list[float]:
-    """Signed distance of every pad from the object, whose pose was read with the effect [m]."""
-    position, rotation = effect.apply_vector(physics, vector).tracker.pose_of(reading.position, reading.rotation)
+    """Signed distance of every pad from the object, with the effect [m]."""
+    physics = effect.apply_vector(physics, vector)
+    position, rotation = physics.tracker.pose_of(reading.position, reading.rotation)
     state = BodyState(position, rotation, np.zeros(6))
     return [pair.separation for pair in contact_pairs(physics, state, placements) if pair.partner in placements]

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effects without which replays miss the object, in a diagnosis.
+
+A recorded impact that the replay of a model does not have refutes the model, whatever its other residuals. The effect
+that makes all replays hit (:attr:`.Source.required`) is therefore named before those of the search. It is confusable
+with another one that does so too and leaves residuals as small.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, EstimateDocument, tied_with_best
+from impact_rs_analysis.diagnosis.verdict import CONFIRMED, IMPOSSIBLE, TOO_FEW, DiagnosisVerdict, Kind
+from impact_rs_analysis.diagnosis.verdicts.measurement import with_readings
+from impact_rs_analysis.evidence.source import RequiredEffect, Source
+
+
+def with_required(document: DiagnosisDocument, source: Source) -> DiagnosisDocument:
+    """The diagnosis with the effect that the impacts require, which is named first.
+
+    Args:
+        document: Diagnosis of the source, whose model has that effect.
+        source: The measurements.
+    """
+    if not source.required or document.verdict in (TOO_FEW, IMPOSSIBLE):
+        return document
+    best, *others = source.required
+    name = source.known_effects[best.item.name].shown_name
+    rivals = tuple(one.item.name for one in others if tied_with_best(one.size, best.size))
+    found = () if document.verdict.kind is Kind.SMALL else document.named
+    kind = Kind.PARTLY if document.verdict.leaves_residuals else Kind.NAMED
+    effect = _document(best, rivals, document, source)
+    return document.model_copy(
+        update={
+            "verdict": replace(document.verdict, kind=kind, names=(name, *found)),
+            "named": (name, *found),
+            "required": (name,),
+            "effects": (*with_readings([effect], source.known_effects), *document.effects),
+            "confusable": (*([(name, *rivals)] if rivals else []), *document.confusable),
+        }
+    )
+
+
+def _document(
+    required: RequiredEffect, rivals: tuple[str, ...], document: DiagnosisDocument, source: Source
+) -> EffectDocument:
+    """The verdict on a required effect, with the estimate that the impacts determine."""
+    effect = source.known_effects[required.item.name]
+    parameters = {}
+    for scalar in effect.scalars(source.joints):
+        value = required.item.parameters[scalar.name]
+        parameters[scalar.name] = EstimateDocument(
+            estimate=value.estimate,
+            ci95=value.ci95,
+            unit=scalar.unit,
+            meaning=scalar.meaning,
+            arm=scalar.arm or None,
+            nominal=scalar.nominal,
+            scale=scalar.scale,
+            range=(scalar.lower, scalar.upper),
+        )
+    return EffectDocument(
+        name=effect.shown_name,
+        sentence=effect.sentence,
+        verdict=DiagnosisVerdict(Kind.CONFUSABLE, rivals) if rivals else CONFIRMED,
+        reason=f"without it the replays of {required.missed} of {required.impacts} impacts hit nothing",
+        rivals=rivals,
+        parameters=parameters,
+        held_out_error_before=None,
+        held_out_error_after=document.held_out_error_before,
+        p_value=None,
+    )
