@@ -64,6 +64,8 @@ EFFECTS = {
         effect("nearly_bent", (parameter("x"),), ("contact",)),
         effect("levelling", (parameter("z"),)),
         effect("nearly_levelling", (parameter("q"),)),
+        effect("askew", (parameter("p"),)),
+        effect("straight_and_askew", (parameter("o"),)),
         effect("more_than_straight", tuple(parameter(f"y{n}") for n in range(6))),
         effect("dry", (parameter("f", lower=0.0), parameter("fade", 1.0, True, 0.01, (0.1, 1.0, 10.0)))),
     )
@@ -91,6 +93,10 @@ def features(cluster: int, added: Added) -> Array:
             result += first * along(0)
         elif name == "twin_of_straight":
             result += 0.5 * first * along(0) + second * along(6)
+        elif name == "askew":
+            result += first * along(6)
+        elif name == "straight_and_askew":  # as a payload, which acts as offsets of two joints do
+            result += first * (along(0) + along(6))
         elif name == "bent":
             result += 20.0 * np.tanh(first / 6.0) * along(1) + 0.05 * first**2 * along(2)
         elif name == "more_than_straight":

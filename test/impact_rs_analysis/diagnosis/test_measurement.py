@@ -110,7 +110,7 @@ def test_the_measurement_is_said_first_and_the_physics_is_not_blamed() -> None:
     assert both.startswith(said) and "object_mass is missing in the physics." in both and "lacks" not in both
     partly = summary_of(document("PARTLY{encoder_offset}", ENCODER))
     assert partly.startswith(said) and "nothing" not in partly
-    assert "at least one more effect, of the measurement or of the physics" in partly
+    assert "At least one more effect, of the measurement or of the physics" in partly
     small = summary_of(document(SMALL, ENCODER))
     assert small.startswith(said) and "Neither calibration nor model needs a change." in small
     tied = summary_of(document("encoder_offset", ENCODER, confusable=[["encoder_offset", "object_mass"]]))

@@ -22,6 +22,7 @@ from analytic_world import (
     correlated,
     direction,
     effect,
+    knowing,
     linearised,
     means_of,
     parameter,
@@ -777,3 +778,31 @@ def test_a_descent_that_stalls_between_ripples_goes_on_as_a_simplex(monkeypatch:
         assert found is not None
         errors.append(found.misfit)
     assert errors[1] < 0.99 * errors[0]
+
+
+@pytest.mark.parametrize("size", [5.0, 8.0])
+def test_the_likeliest_effect_is_fitted_although_its_linear_fit_predicts_worse(
+    size: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a pad far off its place, next to a tracked point. Kills a first shortlist by linear fits alone."""
+    monkeypatch.setattr(search_module, "SHORTLIST_SIZE", 1)
+    monkeypatch.setattr(search_module, "MAX_EFFECTS", 1)  # else a second effect replaces the first
+    names = ("levelling", "nearly_levelling")
+    source = knowing(AnalyticSource(3, (("levelling", (size,)),)), *(EFFECTS[name] for name in names))
+    search = Search([EFFECTS[name] for name in names], Evidence.of(source))
+    assert search.beside(None, "levelling").score > search.beside(None, "nearly_levelling").score
+    chosen = search.forward_selection()
+    assert chosen is not None and chosen.candidate.names == ("levelling",)
+    assert chosen.estimate[0] == pytest.approx(size, abs=0.2)
+
+
+def test_one_effect_takes_the_place_of_two_that_imitate_it() -> None:
+    """As a payload in the place of two torque offsets. Kills an exchange that swaps one effect and keeps the other."""
+    names = ("straight", "askew", "straight_and_askew")
+    source = knowing(AnalyticSource(3, (("straight_and_askew", (6.0,)),)), *(EFFECTS[name] for name in names))
+    search = Search([EFFECTS[name] for name in names], Evidence.of(source))
+    two = search.fitted(("straight", "askew"))
+    assert two is not None
+    chosen, _ = search.exchange(two)
+    assert chosen.candidate.names == ("straight_and_askew",)
+    assert chosen.estimate[0] == pytest.approx(6.0, abs=0.3)
