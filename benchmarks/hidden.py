@@ -95,7 +95,7 @@ def diagnosed(document: Path, read: Callable[[], Runs], map_tasks: Map) -> Diagn
     """Diagnosis of what ``read`` returns by the nominal model; one that exists is kept."""
     if not document.exists():
         source = ReplaySource.of(read(), load_model("nominal"), ReplayCache(map_tasks))
-        write_document(diagnose(source, source.model), document)
+        write_document(diagnose(source), document)
     return read_document(document)
 
 

@@ -16,7 +16,7 @@ other at the start of a replay, and sensitivities there say nothing; or the repl
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,12 +66,28 @@ class ContactEstimate:
         return ModelEffect(name=self.effect.name, parameters=found)
 
 
-def contact_estimate(effect: Effect, runs: Iterable[MeasuredRun]) -> ContactEstimate | None:
+def contact_starts(effect: Effect, runs: Sequence[MeasuredRun]) -> list[Array]:
+    """Starts of a fit, ``(p,)`` each: parameters of one unit alone, as a shift or a turn, and all together.
+
+    Objects in one direction move alike with a shift and with a turn of the frame, and the descent from a mixture of
+    both may end beside the optimum.
+    """
+    units = [scalar.unit for scalar in effect.scalars(ONE_JOINT)]
+    kinds = list(dict.fromkeys(units))
+    masks = [[unit == kind for unit in units] for kind in kinds] if len(kinds) > 1 else []
+    found = [contact_estimate(effect, runs, mask) for mask in (*masks, [True] * len(units))]
+    return [one.values for one in found if one is not None]
+
+
+def contact_estimate(
+    effect: Effect, runs: Iterable[MeasuredRun], free: Sequence[bool] | None = None
+) -> ContactEstimate | None:
     """Parameters of an effect with which pads and objects touch at the impacts.
 
     Args:
         effect: The frame of the tracker, the tracked point, or the position of the pad.
         runs: Runs; those without an impact or without tracking say nothing.
+        free: Parameters that are estimated, by index; None: all. The others keep their nominal value.
 
     Returns:
         The estimate; None where pads and objects touch as the readings are, or where there is no impact.
@@ -83,6 +99,7 @@ def contact_estimate(effect: Effect, runs: Iterable[MeasuredRun]) -> ContactEsti
     ]
     nominal = effect.nominal(ONE_JOINT)
     scales = PRIOR_SCALES * np.array([scalar.scale for scalar in effect.scalars(ONE_JOINT)])
+    scales = scales if free is None else scales * np.array(free)
 
     def distances(vector: Array) -> Array:
         return np.array([one for impact in impacts for one in _distances(effect, vector, *impact)])

@@ -16,7 +16,7 @@ from impact_rs_analysis.evidence.cluster import SCALE, TIMES, Added, Cluster, po
 from impact_rs_analysis.evidence.discrepancy import MAX_SQUARE_ANGLE_RAD, Discrepancy, Kind, measured_discrepancy
 from impact_rs_analysis.evidence.levels import Comparison, condition_scores, level_of, signal_levels, where_of
 from impact_rs_analysis.evidence.replays.ante_impact import obliqueness
-from impact_rs_analysis.evidence.replays.contact_estimate import contact_estimate
+from impact_rs_analysis.evidence.replays.contact_estimate import contact_estimate, contact_starts
 from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs
 from impact_rs_analysis.evidence.replays.replay_cache import Replay, ReplayCache
 from impact_rs_analysis.evidence.rollouts import MAX_ROLLOUT_STARTS, FreeMotion, free_of_contact, without
@@ -390,8 +390,7 @@ class ReplaySource(Source):
     @cached_property
     def _tracker_starts(self) -> Mapping[str, Sequence[Array]]:
         """Estimates from the impacts by effect."""
-        found = [contact_estimate(effect, self.runs.runs) for effect in TRACKER_EFFECTS]
-        return {one.effect.name: (one.values,) for one in found if one is not None}
+        return {effect.name: contact_starts(effect, self.runs.runs) for effect in TRACKER_EFFECTS}
 
     def spread(self, function: Callable[[Source, Item], Made], items: Sequence[Item], what: str) -> list[Made]:
         """See :meth:`Source.spread`; every process gets a copy of the cache."""

@@ -8,7 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from impact_rs_analysis.evidence.replays.contact_estimate import DISTANCE_SD_M, PRIOR_SCALES, contact_estimate
+from impact_rs_analysis.evidence.replays.contact_estimate import (
+    DISTANCE_SD_M,
+    PRIOR_SCALES,
+    contact_estimate,
+    contact_starts,
+)
 from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun
 from impact_rs_sim.effects import library
 from impact_rs_trials.runs import Run
@@ -69,3 +74,14 @@ def test_exact_poses_give_no_other_start(hit: Run) -> None:
 def test_runs_without_tracking_give_none(hit: Run) -> None:
     blind = replace(hit, signals=replace(hit.signals, object_time=np.zeros(0)))
     assert contact_estimate(FRAME, [MeasuredRun.of(blind)]) is None
+
+
+def test_fits_start_from_a_shift_a_turn_and_both(hit: Run) -> None:
+    """Kills a start from the mixture alone, from which a descent does not find a frame that is only shifted."""
+    seen = MeasuredRun.of(turned(hit, 0.03, 0.0, 0.0))
+    shift, turn, both = contact_starts(FRAME, [seen])
+    assert shift[2] == 0.0 and np.linalg.norm(shift[:2]) > 0.005
+    assert np.all(turn[:2] == 0.0) and turn[2] > 0.01
+    assert 0.0 < both[2] < turn[2] and 0.0 < np.linalg.norm(both[:2]) < np.linalg.norm(shift[:2])
+    assert len(contact_starts(POINT, [seen])) == 1
+    assert contact_starts(FRAME, [MeasuredRun.of(hit)]) == []
