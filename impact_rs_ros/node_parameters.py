@@ -80,19 +80,19 @@ def with_effect(effect: Effect, *parameters: NodeParameter) -> tuple[NodeParamet
 
 
 SCENARIO, *OTHERS = COMMON = (
-    NodeParameter("scenario", "push", "Name or path of the scenario for requests that name none"),
+    NodeParameter("scenario", "push", "Scenario (name or path) of requests that name none"),
     NodeParameter(
         "config_root",
         "",
-        "Folder whose scenarios requests may name by path, in addition to the shipped ones; empty: working directory",
+        "Folder of scenarios that requests may name by path; empty: working directory",
     ),
-    NodeParameter("diagnostics_period", 1.0, "Wall-clock time between two messages on /diagnostics", "s", (0.1, 60.0)),
+    NodeParameter("diagnostics_period", 1.0, "Wall-clock period of /diagnostics", "s", (0.1, 60.0)),
 )
 
 AUTOSTART = NodeParameter(
     "autostart",
     True,
-    "true: the node configures and activates itself when it starts; false: it waits for these transitions",
+    "true: the node configures and activates itself; false: it waits for these transitions",
     effect="node start",
 )
 
@@ -101,7 +101,7 @@ DATA_ROOT = NodeParameter("data_root", "", "Folder below which requests may writ
 STATE_TIMEOUT = NodeParameter(
     "state_timeout",
     0.01,
-    "Largest age of a robot state, and longest time without one; beyond it the trial is aborted",
+    "Largest age of a robot state, and longest time without one; beyond it the trial is ABORTED",
     "s",
     (0.001, 10.0),
     effect="next trial",
@@ -113,18 +113,18 @@ ROBOT = with_effect(
     NodeParameter(
         "joints",
         "{arm}_joint{number}",
-        "Pattern of the joint names: {arm} is the arm's name in the scenario, {number} counts from 1; or all names,"
-        " base to tip, with commas",
+        "Joint names: {arm} is the arm's name in the scenario, {number} starts at 1; or all names, base to tip, with "
+        "commas",
     ),
     NodeParameter(
         "robot_adds_gravity",
         True,
-        "true: the robot compensates gravity itself (franka_ros2), and commanded torques do not contain it",
+        "true: the robot compensates gravity itself (franka_ros2); commanded torques do not contain it",
     ),
     NodeParameter(
         "torque_rate_limit",
         1000.0,
-        "Largest rate of change of the commanded torque; a larger step is spread over several control periods",
+        "Largest rate of change of the commanded torque; a larger step is spread over time",
         "N m/s or N/s",
         (1.0, 1e6),
     ),
@@ -139,31 +139,31 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
             NodeParameter(
                 "realtime",
                 False,
-                "true: the ticks follow the wall clock; at a missed tick the last torque is held, and the late one "
-                "acts from the next tick on. false: the plant waits for the torque of every tick",
+                "true: ticks follow the wall clock; at a missed tick the last torque is held, and the late one acts "
+                "from the next tick on. false: the plant waits for every torque",
             ),
             # Torques one tick late change the net feedback of a push by up to 1.2 mm/s if late in 5 % of the ticks, one
             # at a time, and by 4 mm/s in runs of ten ticks; if late in 50 % of the ticks, by 3.9 mm/s and 14 mm/s.
             NodeParameter(
                 "missed_ticks_limit",
                 0.05,
-                "Largest share of missed ticks in real time; a trial with more is ABORTED",
+                "Largest share of missed ticks in real time; beyond it the trial is ABORTED",
                 range=(0.0, 1.0),
             ),
             NodeParameter(
                 "repeat_after",
                 0.25,
-                "Time without an answer after which the measured state of the tick is published again",
+                "Time without an answer after which the state is published again",
                 "s",
                 (0.01, 10.0),
             ),
             NodeParameter(
-                "answer_timeout", 1.5, "Time without an answer after which the trial is aborted", "s", (0.1, 600.0)
+                "answer_timeout", 1.5, "Time without an answer after which the trial is ABORTED", "s", (0.1, 600.0)
             ),
             NodeParameter(
                 "link_transforms",
                 True,
-                "true: the links of the arms are published on /tf; false: robot_state_publisher does that",
+                "true: the plant publishes the links on /tf; false: robot_state_publisher does",
             ),
         ),
     ),
@@ -187,22 +187,21 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
         NodeParameter(
             "watchdog",
             False,
-            "true: torques go through the watchdog node, and a trial is armed, and continues, only while it passes "
-            "them on",
+            "true: torques go through the watchdog; a trial is armed and continues only while it passes them on",
             effect="node start",
         ),
         NodeParameter(
             "watchdog_timeout",
             0.1,
-            "Time without a torque passed on by the watchdog, after which the trial is aborted and the cell brakes "
-            "the arms itself; twice its command_timeout",
+            "Time without a torque from the watchdog after which the trial is ABORTED and the cell brakes the arms "
+            "itself; twice its command_timeout",
             "s",
             (0.01, 10.0),
         ),
         NodeParameter(
             "mocap",
             False,
-            "true: publish poses of the object from motion capture; a trial is armed only if they arrive",
+            "true: publish poses of the object from motion capture; without them no trial is armed",
             effect="node start",
         ),
         *with_effect(
@@ -210,7 +209,7 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
             NodeParameter(
                 "mocap_frame",
                 "world",
-                "Name of the motion-capture frame (frame_id); poses in another frame are refused",
+                "Motion-capture frame (frame_id); poses in another frame are refused",
             ),
             *(
                 NodeParameter(
@@ -235,31 +234,29 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
             NodeParameter(
                 "answer_timeout",
                 0.01,
-                "Longest time until the controller answers a state; beyond it the trial is aborted",
+                "Longest time until the controller answers a state; beyond it the trial is ABORTED",
                 "s",
                 (0.001, 10.0),
             ),
             NodeParameter(
                 "start_delay",
                 1.0,
-                "Time from the first state for the controller to the start of the trial, within which it has to answer",
+                "Time from the controller's first state to the start of the trial, within which it has to answer",
                 "s",
                 (0.05, 10.0),
             ),
             NodeParameter(
                 "late_torque_share",
                 0.2,
-                "Largest share of the last 100 ticks whose torque came after the next state, or"
-                " never; above it the trial"
-                " is aborted",
+                "Largest share of the last 100 ticks without a torque before the next state; above it the trial is "
+                "ABORTED",
                 range=(0.0, 1.0),
             ),
             NodeParameter(
                 "arm_jitter_limit",
                 0.002,
-                "Largest difference between the arrival interval of two states and that by their"
-                " timestamps; above it no"
-                " trial is armed",
+                "Largest difference of the intervals of two states by arrival and by timestamp; above it no trial is "
+                "armed",
                 "s",
                 (1e-6, 10.0),
             ),
@@ -290,11 +287,11 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
         *COMMON,
         AUTOSTART,
         DATA_ROOT,
-        NodeParameter("drain_period", 0.01, "Period of writing received messages to the bag", "s", (0.001, 0.1)),
+        NodeParameter("drain_period", 0.01, "Period of writing to the bag", "s", (0.001, 0.1)),
         NodeParameter(
             "completion_timeout",
             2.0,
-            "Longest wait at the end of a trial for messages that were published",
+            "Longest wait for published messages at the end of a trial",
             "s",
             (0.1, 60.0),
         ),
@@ -303,19 +300,15 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
         *COMMON,
         *with_effect(
             "node start",
-            NodeParameter("runs", "", "Folder of finished trials that is looked at; empty: impacts names a table"),
-            NodeParameter(
-                "impacts", "", "Table of impacts that is looked at, a row for each; empty: runs names a folder"
-            ),
-            NodeParameter(
-                "impacts_scenario", "", "Scenario of the arms in that table; empty: each row is one free body"
-            ),
-            NodeParameter("model", "nominal", "Name or path of the model that is followed"),
-            NodeParameter("state", "", "State file with which a restarted node goes on; empty: none"),
+            NodeParameter("runs", "", "Folder of finished trials; empty: impacts names a table"),
+            NodeParameter("impacts", "", "Table of impacts; empty: runs names a folder"),
+            NodeParameter("impacts_scenario", "", "Scenario of the arms in that table; empty: free bodies"),
+            NodeParameter("model", "nominal", "Name or path of the model"),
+            NodeParameter("state", "", "State file from which a restarted node goes on; empty: none"),
             NodeParameter(
                 "diagnose",
                 True,
-                "Whether a change starts a full diagnosis of the hits since then",
+                "Whether a change starts a full diagnosis of the impacts since then",
             ),
             NodeParameter(
                 "diagnoses", "", "Folder for these diagnoses; empty: the state file's, or the working directory"
@@ -329,30 +322,30 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
         NodeParameter(
             "service_timeout",
             10.0,
-            "Longest time for plant, controller and recorder to prepare a trial",
+            "Longest time for nodes to prepare a trial",
             "s",
             (0.5, 600.0),
         ),
         NodeParameter(
             "progress_timeout",
             2.5,
-            "Time without a newer controller state after which a running trial is aborted",
+            "Time without a newer controller state after which a trial is ABORTED",
             "s",
             (0.5, 600.0),
         ),
         NodeParameter(
             "finish_timeout",
             3.5,
-            "Longest time for the recorder to close a bag: its completion_timeout, plus the time to write",
+            "Longest time to close a bag: completion_timeout plus the time to write",
             "s",
             (0.5, 600.0),
         ),
         NodeParameter(
             "hide_model",
             True,
-            "true: hidden effects are recorded on /truth/model only, not in /trial_info or the bag's metadata",
+            "true: hidden effects are recorded on /truth/model only",
         ),
-        NodeParameter("feedback_period", 0.05, "Wall-clock time between two action feedbacks", "s", (0.01, 10.0)),
+        NodeParameter("feedback_period", 0.05, "Wall-clock period of action feedback", "s", (0.01, 10.0)),
     ),
 }
 
@@ -533,10 +526,9 @@ def markdown() -> str:
     lines = [
         "# Node parameters",
         "",
-        "*Look up.* Generated by `python -m impact_rs_ros.node_parameters > docs/parameters.md`. `config/nodes.yaml`",
-        "has all of them at their defaults, `config/cell.yaml` those of the cell and its watchdog.",
+        "*Look up.* `config/nodes.yaml` has all at their defaults, `config/cell.yaml` those of cell and watchdog.",
         "`ros2 param describe /plant realtime` describes a parameter of a running node. A change (`ros2 param set`)",
-        "acts at once (on the next request), from the next trial on, or when the node starts: those are `read_only`.",
+        "acts at once (on the next request) or from the next trial on; `read_only`: the node reads it when it starts.",
     ]
     first, *others = PARAMETERS.values()
     common = [one for one in first if all(one.name in {p.name for p in parameters} for parameters in others)]
@@ -552,7 +544,7 @@ def markdown() -> str:
             limits = ", ".join(p.choices) if p.range is None else f"{p.range[0]:g} to {p.range[1]:g}"
             unit = "" if p.unit == "-" else f"[{p.unit}]"
             value = " ".join(filter(None, (limits or type(p.default).__name__, unit)))
-            effect = f"{p.effect} (`read_only`)" if p.read_only else p.effect
+            effect = "`read_only`" if p.read_only else p.effect
             default = f"`{default}`" if default else ""
             meaning = (
                 p.description

@@ -16,9 +16,8 @@ PACKAGES = ("impact_rs_sim", "impact_rs_trials", "impact_rs_analysis")
 HEADER = """\
 # Python
 
-*Look up.* Names that the packages export, generated from their signatures and docstrings by `python -m tools.manual`.
-`help(NAME)` explains arguments with their types, results and errors, with shapes and units. Whole scripts:
-[examples](../examples).
+*Look up.* Names that the packages export. `help(NAME)` explains arguments with their types, results and errors, with
+shapes and units. Whole scripts: [examples](../examples).
 """
 
 
@@ -40,9 +39,10 @@ def _package(package: ModuleType) -> str:
             lines.append(f"* `{_signature(name, value)}`: {_sentence(value)}")
     lines += ["", "Classes:", ""]
     for name, kind in classes.items():
-        lines.append(f"* `{name}` (`{kind.__module__}`): {_sentence(kind)}")
+        lines.append(f"* `{name}`: {_sentence(kind)}")
         lines += [
-            f"  * `{_signature(f'{name}.{made}', method)}`: {_sentence(method)}" for made, method in _makers(kind)
+            f"  * `{_signature(f'{name}.{made}', method, False)}`: {_sentence(method)}"
+            for made, method in _makers(kind)
         ]
     return "\n".join(lines) + "\n"
 
@@ -54,7 +54,7 @@ def _makers(kind: type) -> Iterator[tuple[str, Any]]:
             yield name, value.__func__
 
 
-def _signature(name: str, function: Any) -> str:
+def _signature(name: str, function: Any, with_result: bool = True) -> str:
     """Name, arguments with their defaults, and type of the result; class methods without their class."""
     source = textwrap.dedent(inspect.getsource(inspect.unwrap(function)))
     (found,) = ast.parse(source).body
@@ -63,7 +63,7 @@ def _signature(name: str, function: Any) -> str:
     defaults = [f"={ast.unparse(default)}" for default in found.args.defaults]
     defaults = [""] * (len(texts) - len(defaults)) + defaults
     arguments = ", ".join(text + default for text, default in zip(texts, defaults, strict=True))
-    returned = "" if found.returns is None else f" -> {ast.unparse(found.returns)}"
+    returned = f" -> {ast.unparse(found.returns)}" if with_result and found.returns else ""
     return f"{name}({arguments}){returned}"
 
 

@@ -117,7 +117,7 @@ class MeasurementOptions:
 
 
 class Measurements:
-    """Measurements that were read once, for comparison with any model.
+    """Measurements read once, for comparison with any model.
 
     Args:
         map_tasks: Parallel map.
@@ -220,7 +220,7 @@ def measurements_of_trials(trials: Runs, map_tasks: Map = map, observer: Observe
 
 
 def read_measurements(data: str | Path, model: Model | str | Path = "nominal", map_tasks: Map = map) -> Source:
-    """Measurements of a folder next to the predictions of a model, in one call.
+    """Measurements of a folder next to the predictions of a model.
 
     Trials of impact_rs, runs of a laboratory, whose folder has an ``experiment.yaml``, or recordings of free motion.
     The ``calibration.yaml`` there, if there is one, corrects the readings.

@@ -104,7 +104,7 @@ BUILT_IN: tuple[Effect, ...] = (
 
 @functools.cache
 def library() -> dict[str, Effect]:
-    """Every known effect by name: the built-in ones, then those that installed packages add.
+    """Every known effect by name: built-in ones, then those of installed packages.
 
     Raises:
         InputError: An entry point that is no effect, or that takes a name that is taken.

@@ -70,7 +70,7 @@ class ImpactProblem:
 
     @staticmethod
     def at_nominal_impact(scene: Scene, motor_inertia: str = "reduced") -> ImpactProblem:
-        """The problem of the reference generator: the scene at its nominal impact.
+        """The scene at its nominal impact, as the references need it.
 
         A tilted pad gets there with an edge first; the object is where that edge touches it.
 

@@ -85,7 +85,7 @@ Share3 = tuple[Share, Share, Share]
 class Mimic(Schema):
     """The joint that another one follows: ``q = ratio q_followed + offset``."""
 
-    joint: str = Field(description="name of the joint that it follows, which stands before it and follows no other")
+    joint: str = Field(description="name of that joint, which stands before it and follows no other")
     ratio: float = Field(1.0, description="its motion per motion of that joint [-, m/rad or rad/m]")
     offset: float = Field(0.0, description="its position where that joint is at 0 [rad], prismatic [m]")
 
@@ -95,11 +95,9 @@ class JointOrigin(Schema):
 
     type: JointType = omitted("revolute", description="revolute: turns about +z; prismatic: slides along +z")
     xyz: Vector3 = Field(description="origin of the joint in the previous link [m]")
-    rpy: Vector3 = Field(description="roll, pitch, yaw of the joint in the previous link [rad]")
+    rpy: Vector3 = Field(description="its roll, pitch, yaw there [rad]")
     name: str = omitted("", description="name of the joint in its source file")
-    parent: str = omitted(
-        "", description="name of the link that carries it, or base, in place of the previous link (tree)"
-    )
+    parent: str = omitted("", description="name of the link that carries it, or base; absent: the previous link")
     mimic: Mimic | None = omitted(None, description="joint that it follows; absent: it moves by itself")
 
     @property
@@ -112,8 +110,8 @@ class Flange(Schema):
     """Placement of the flange in the last link; the end effector stands on its +z."""
 
     xyz: Vector3 = Field(description="origin of the flange in the last link [m]")
-    rpy: Vector3 = omitted((0.0, 0.0, 0.0), description="roll, pitch, yaw of the flange in the last link [rad]")
-    link: str = omitted("", description="name of the link that has the flange in place of the last one, or base")
+    rpy: Vector3 = omitted((0.0, 0.0, 0.0), description="its roll, pitch, yaw there [rad]")
+    link: str = omitted("", description="name of the link that has the flange, or base; absent: the last one")
 
     @property
     def rotation(self) -> Array:
@@ -135,16 +133,16 @@ class Hand(Flange):
 class Mesh(Schema):
     """Mesh of a link for viewers; without influence on the physics."""
 
-    file: str = Field(pattern=r"^(package|file)://", description="where a viewer finds it, package://... or file://...")
+    file: str = Field(pattern=r"^(package|file)://", description="its address, package://... or file://...")
     xyz: Vector3 = Field((0.0, 0.0, 0.0), description="origin of the mesh in the link [m]")
-    rpy: Vector3 = Field((0.0, 0.0, 0.0), description="roll, pitch, yaw of the mesh in the link [rad]")
+    rpy: Vector3 = Field((0.0, 0.0, 0.0), description="its roll, pitch, yaw there [rad]")
     scale: Vector3 = Field((1.0, 1.0, 1.0), description="scale along the axes of the mesh [-]")
 
 
 class Inertial(Schema):
     """Inertial parameters of one link, in the axes of the link frame."""
 
-    mass: Annotated[float, Field(gt=0.0, description="mass of the link [kg]")]
+    mass: Annotated[float, Field(gt=0.0, description="mass [kg]")]
     com: Vector3 = Field(description="centre of mass in the link frame [m]")
     inertia: tuple[float, float, float, float, float, float] = Field(
         description="ixx, ixy, ixz, iyy, iyz, izz about the centre of mass [kg m^2]"
@@ -161,7 +159,7 @@ class Link(Inertial):
     """One link of the robot: its inertial parameters, and what viewers show."""
 
     meshes: tuple[Mesh, ...] = omitted((), description="what viewers show; none: a simple shape")
-    name: str = omitted("", description="name of the link in its source file, for messages and keys that name links")
+    name: str = omitted("", description="name of the link in its source file")
 
 
 class Limits(Schema):
@@ -176,17 +174,17 @@ class Limits(Schema):
 class SigmoidFriction(Schema):
     """Joint friction of Gaz et al. 2019: ``a / (1 + exp(-b (dq + c))) - a / (1 + exp(-b c))``."""
 
-    a: NonNegativeVector = Field(description="height of the sigmoid per joint [N m], prismatic [N]")
-    b: PositiveVector = Field(description="slope of the sigmoid per joint [s/rad], prismatic [s/m]")
-    c: Vector = Field(description="shift of the sigmoid per joint [rad/s], prismatic [m/s]")
+    a: NonNegativeVector = Field(description="height of the sigmoid [N m], prismatic [N]")
+    b: PositiveVector = Field(description="slope of the sigmoid [s/rad], prismatic [s/m]")
+    c: Vector = Field(description="shift of the sigmoid [rad/s], prismatic [m/s]")
 
 
 class Reflexes(Schema):
     """Thresholds of the robot's own collision reflexes; a missing one is unknown."""
 
-    source: str = Field("", description="where the thresholds come from, and how they are changed")
+    source: str = Field("", description="source of the thresholds")
     external_torque_Nm: PositiveVector | None = Field(
-        None, description="external joint torque at which the robot stops itself, per joint [N m], prismatic [N]"
+        None, description="external joint torque at which the robot stops itself [N m], prismatic [N]"
     )
     external_force_N: Annotated[float, Field(gt=0.0)] | None = Field(
         None, description="external force at the end effector at which the robot stops itself [N]"
@@ -203,10 +201,8 @@ class Reflexes(Schema):
 class Colours(Schema):
     """Colours of the simple shapes in which viewers show an arm; without influence on the physics."""
 
-    shell: Share3 = Field((0.92, 0.92, 0.94), description="tubes and housings, red green blue from 0 to 1 [-]")
-    joint: Share3 = Field(
-        (0.25, 0.27, 0.3), description="rings of the joints and the foot, red green blue from 0 to 1 [-]"
-    )
+    shell: Share3 = Field((0.92, 0.92, 0.94), description="tubes, red green blue from 0 to 1 [-]")
+    joint: Share3 = Field((0.25, 0.27, 0.3), description="joints and foot, red green blue from 0 to 1 [-]")
 
 
 class RobotFacts(Schema):
@@ -219,28 +215,28 @@ class RobotFacts(Schema):
         (),
         exclude_if=lambda value: value == (),
         repr=False,
-        description="further flanges with pads, as the other hand of two arms on a torso (tree)",
+        description="further flanges with pads, such as the other hand of a torso",
     )
-    limits: Limits = Field(description="hardware limits, of the joints that follow no other")
+    limits: Limits = Field(description="limits of the joints that follow no other")
     links: tuple[Link, ...] = Field(description="link inertials, one per joint")
     link_deviation: Annotated[float, Field(gt=0.0, lt=0.3)] = omitted(
         0.1,
         description="standard deviation of densities, shapes and centres of mass (over the radius of gyration) of "
-        "the links, which a load has to exceed; 0.1 for CAD and unknown sources, 0.03 if identified [-]",
+        "the links, which a load has to exceed; 0.1 for CAD, 0.03 if identified [-]",
     )
     floating_base: Inertial | None = omitted(
-        None, description="inertial of a base that nothing holds (humanoid, drone); absent: the base is fixed"
+        None, description="inertial of a base that nothing holds; absent: the base is fixed"
     )
-    base_meshes: tuple[Mesh, ...] = omitted((), description="what viewers show of the base; none: a simple shape")
+    base_meshes: tuple[Mesh, ...] = omitted((), description="what viewers show of the base")
     colours: Colours = omitted(Colours(), description="colours of the simple shapes in viewers")
     friction: SigmoidFriction | None = Field(None, description="identified joint friction")
     reflected_rotor_inertia_other_source_kg_m2: PositiveVector | None = Field(
-        None, description="reflected rotor inertia per joint from another source [kg m^2], prismatic [kg]"
+        None, description="reflected rotor inertia from another source [kg m^2], prismatic [kg]"
     )
     joint_stiffness_typical_Nm_per_rad: PositiveVector | None = Field(
         None, description="order of magnitude of the joint stiffness [N m/rad], prismatic [N/m]"
     )
-    reflexes: Reflexes | None = omitted(None, description="what stops the robot by itself at a hit")
+    reflexes: Reflexes | None = omitted(None, description="thresholds at which the robot stops itself at a hit")
     joint_torque_loop: bool = omitted(
         True, description="whether the joints have torque sensors and a torque loop; false: drive.type rigid"
     )
@@ -249,7 +245,7 @@ class RobotFacts(Schema):
         (),
         exclude_if=lambda value: value == (),
         repr=False,
-        description="estimated or assumed numbers, and why, in words; `robot check`, reports and verdicts repeat it",
+        description="estimated or assumed numbers, in words, which reports and verdicts repeat",
     )
 
     @model_validator(mode="after")

@@ -62,7 +62,7 @@ Item = TypeVar("Item")
 class Base(Schema):
     """Mounting of an arm."""
 
-    position: Vector3 = Field(description="origin of the arm's base in the inertial frame [m]")
+    position: Vector3 = Field(description="origin of its base [m]")
     yaw: float = Field(0.0, description="rotation about z [rad]")
     roll: float = omitted(0.0, description="rotation about x, first, as rpy in a URDF; pi: from a ceiling [rad]")
     pitch: float = omitted(0.0, description="rotation about y, second; pi/2: on a wall [rad]")
@@ -76,13 +76,13 @@ class Base(Schema):
 class Pad(Schema):
     """The flat pad that hits, and the silicone cover that makes it compliant."""
 
-    size: PositiveVector3 = Field(description="width, height and thickness of the pad [m]")
-    stiffness: Positive | None = Field(None, description="stiffness of the whole pad face [N/m]; absent: a rigid pad")
-    damping: NonNegative = Field(0.0, description="damping of the whole pad face [N s/m]")
+    size: PositiveVector3 = Field(description="width, height, thickness [m]")
+    stiffness: Positive | None = Field(None, description="stiffness of its whole face [N/m]; absent: rigid")
+    damping: NonNegative = Field(0.0, description="damping of its whole face [N s/m]")
     shape: Literal["box", "sphere", "cylinder"] = omitted(
         "box",
-        description="shape with the extents size: sphere (three equal), cylinder: a round pad (equal width and "
-        "height); frame E is at its foremost point [-]",
+        description="sphere: three equal extents; cylinder: a round pad, equal width and height; frame E is at the "
+        "foremost point [-]",
     )
 
     @model_validator(mode="after")
@@ -96,13 +96,12 @@ class ToolCompliance(Schema):
 
     diagonal: Vector6 | None = omitted(
         None,
-        description="displacement along x, y, z of frame E per force, rotation per moment, about centre [m/N, "
-        "rad/(N m)]; 0: rigid",
+        description="displacement along x, y, z of frame E per force, rotation per moment, about centre [m/N, rad/(N "
+        "m)]; 0: rigid",
     )
     matrix: Matrix6 | None = omitted(
         None,
-        description="in place of diagonal: compliance matrix from force and moment to displacement and rotation "
-        "[m/N, 1/N, rad/(N m)]",
+        description="in place of diagonal: compliance matrix [m/N, 1/N, rad/(N m)]",
     )
     centre: Vector3 = omitted(
         (0.0, 0.0, 0.0),
@@ -131,17 +130,17 @@ class ToolCompliance(Schema):
 class EndEffectorSpec(Schema):
     """Rigid end effector on the flange; its frame E lies in the middle of the pad's outer face, +z outwards."""
 
-    mass: Positive = Field(description="mass of the end effector [kg]")
+    mass: Positive = Field(description="mass [kg]")
     com: Vector3 = Field(description="centre of mass in frame E [m]")
     inertia: PositiveVector3 = Field(description="principal moments about the centre of mass, axes of frame E [kg m^2]")
-    length: Positive = Field(description="distance from the flange to the pad's outer face, along the flange axis [m]")
+    length: Positive = Field(description="from the flange to the pad's outer face, along the flange axis [m]")
     mount_yaw: float = Field(0.0, description="rotation of the pad about the flange axis [rad]")
     mount_offset: tuple[float, float] = omitted(
         (0.0, 0.0),
-        description="offset of the pad's middle from the flange axis, along x and y of the flange [m]",
+        description="middle of the pad from the flange axis, along x and y of the flange [m]",
     )
     mount_tilt: tuple[float, float] = omitted(
-        (0.0, 0.0), description="roll and pitch of the pad on the flange, before mount_yaw, as rpy in a URDF [rad]"
+        (0.0, 0.0), description="roll and pitch of the pad on the flange, before mount_yaw [rad]"
     )
     pad: Pad = Field(description="the pad")
     compliance: ToolCompliance | None = omitted(
@@ -187,24 +186,22 @@ class DriveSettings(Schema):
         "B_rho",
     )
     motor_inertia_rotor: PositiveVector = Field(
-        description="B_rho, rotor inertia times the square of the gear ratio, per joint [kg m^2], prismatic [kg]"
+        description="B_rho: rotor inertia times squared gear ratio [kg m^2], prismatic [kg]"
     )
     motor_inertia_reduced: PositiveVector | None = omitted(
         None,
-        description="B_theta, motor inertia that the torque loop leaves, per joint [kg m^2], prismatic [kg]; required "
-        "for torque_loop, absent for rigid",
+        description="B_theta: motor inertia that the torque loop leaves [kg m^2], prismatic [kg]; required for "
+        "torque_loop, absent for rigid",
     )
-    stiffness: PositiveVector = Field(
-        description="K, joint stiffness per joint, of the gear where it is rigid [N m/rad], prismatic [N/m]"
-    )
-    damping: NonNegativeVector = Field(description="D, joint damping per joint [N m s/rad], prismatic [N s/m]")
+    stiffness: PositiveVector = Field(description="K: joint stiffness; rigid: of the gear [N m/rad], prismatic [N/m]")
+    damping: NonNegativeVector = Field(description="D: joint damping [N m s/rad], prismatic [N s/m]")
     friction: Literal["none", "identified"] = Field(
         "none", description="joint friction in the plant: none, or that of the robot facts"
     )
     actuation_delay: NonNegative = Field(0.0, description="delay of the desired torque [s]")
     assumed: tuple[DriveNumber, ...] = omitted(
         (),
-        description="keys of this section with assumed numbers; `robot check`, reports and verdicts name them",
+        description="keys of this section with assumed numbers, which reports and verdicts name",
     )
 
     @model_validator(mode="after")
@@ -331,7 +328,7 @@ class HandSpec(Schema):
 
     end_effector: EndEffectorSpec = Field(description="end effector on its flange")
     impact: HandPose | None = omitted(
-        None, description="pose of its pad at the impact; absent where impact.joint_position says where it is"
+        None, description="pose of its pad at the impact; absent with impact.joint_position"
     )
 
 
@@ -347,11 +344,11 @@ class Robot(Schema):
     drive: DriveSettings = Field(description="motor side")
     impact: ImpactPose = Field(description="pose at impact")
     hands: dict[Name, HandSpec] = omitted(
-        {}, description="further hands of the facts, which hit the object at the same moment, by name"
+        {}, description="further hands of the facts, by name, which hit at the same moment"
     )
     reflexes: Reflexes | None = omitted(
         None,
-        description="reflex thresholds in these trials, in place of those of the facts, with their keys",
+        description="reflex thresholds in these trials, with the keys of the facts, in their place",
     )
 
     @model_validator(mode="after")
@@ -441,8 +438,8 @@ class Robot(Schema):
 class Hinge(Schema):
     """An axis in the world that an object turns about, as a door does."""
 
-    axis: Vector3 = Field(description="direction of the hinge in the axes of the object, unit vector")
-    point: Vector3 = Field(description="a point on it from the geometric centre, in the axes of the object [m]")
+    axis: Vector3 = Field(description="direction of the hinge, in axes of the object, unit vector")
+    point: Vector3 = Field(description="a point on it from the geometric centre, in axes of the object [m]")
 
     @model_validator(mode="after")
     def _along_a_unit_vector(self) -> Self:
@@ -456,20 +453,19 @@ class ObjectSpec(Schema):
     label: str = Field(description="name for tables and figures")
     fixed: bool = omitted(
         False,
-        description="whether it is fixed, as a wall, without mass, com_offset and inertia [-]",
+        description="whether it is fixed, such as a wall, without mass, com_offset and inertia [-]",
     )
     mass: Positive | None = Field(
         None,
         exclude_if=lambda value: value is None,
         validate_default=True,
-        description="mass of the object [kg]; absent where it is fixed",
+        description="mass [kg]; absent where it is fixed",
     )
     size: PositiveVector3 = Field(description="extent along x, y and z [m]")
     com_offset: Vector3 = Field((0.0, 0.0, 0.0), description="centre of mass from the geometric centre [m]")
     shape: Literal["box", "sphere", "capsule", "cylinder", "hull"] = omitted(
         "box",
-        description="shape with the extents size; capsule and cylinder have the axis z; hull: convex hull of "
-        "corners [-]",
+        description="shape with the extents size; capsule and cylinder have the axis z [-]",
     )
     corners: tuple[Vector3, ...] = omitted(
         (),
@@ -478,12 +474,12 @@ class ObjectSpec(Schema):
     )
     rpy: Vector3 = omitted(
         (0.0, 0.0, 0.0),
-        description="roll, pitch, yaw of the object at rest, as in a URDF; pitch pi/2: a cylinder lies [rad]",
+        description="roll, pitch, yaw at rest; pitch pi/2: a cylinder lies [rad]",
     )
-    hinge: Hinge | None = omitted(None, description="axis that it turns about, as a door; absent: it is free")
+    hinge: Hinge | None = omitted(None, description="axis of a door; absent: it is free")
     slide: Vector3 | None = omitted(
         None,
-        description="direction in which it slides, as a drawer, unit vector in its axes; absent: it is free",
+        description="direction in which a drawer slides, unit vector in its axes; absent: it is free",
     )
     inertia: PositiveVector3 | None = omitted(
         None,
@@ -571,7 +567,7 @@ class NeighbourSpec(ObjectSpec):
     """A free object that stands on the support beside another one, which hits it."""
 
     direction: tuple[float, float] = Field(
-        description="direction from the neighbour before it, or the object: unit vector along x and y"
+        description="unit vector along x and y from the neighbour before it, or the object"
     )
     gap: NonNegative = omitted(0.0, description="distance between both at rest [m]")
 
@@ -589,7 +585,7 @@ class Support(Schema):
     """The horizontal surface the object lies on."""
 
     height: float = Field(description="height of the surface [m]")
-    friction: NonNegative = Field(description="friction between object and support [-]")
+    friction: NonNegative = Field(description="friction with the object [-]")
     size: tuple[Positive, Positive] = Field((2.0, 2.0), description="extent along x and y [m]")
 
 
@@ -598,11 +594,11 @@ class Contact(Schema):
 
     friction: NonNegative = Field(description="friction between pad and object [-]")
     restitution: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
-        0.0, description="restitution of the rigid impact map; in a trial 0, or that of the pads [-]"
+        0.0, description="restitution of the impact map; in a trial 0, or that of the pads [-]"
     )
     restitution_law: Literal["newton", "poisson"] = omitted(
         "newton",
-        description="newton: ratio of velocities, may gain energy with friction; poisson: ratio of impulses",
+        description="newton: ratio of velocities (may gain energy with friction); poisson: of impulses",
     )
     object_friction: Positive = omitted(0.4, description="friction between object and neighbour [-]")
 
@@ -613,17 +609,17 @@ class CaseRobot(Schema):
     ante_velocity: Vector3 = Field(description="end-effector velocity just before impact [m/s]")
     joint_1: float | None = Field(
         None,
-        description="position of joint 1 at impact (posture task of seven joints) [rad], prismatic [m]; absent: free",
+        description="position of joint 1 at impact (seven joints) [rad], prismatic [m]; absent: free",
     )
     joint_1_velocity: float | None = Field(
         None, description="velocity of joint 1 at impact [rad/s], prismatic [m/s]; absent: least-norm joint velocity"
     )
     hands: dict[str, Vector3] = omitted(
-        {}, description="velocity of frame E of each further hand just before impact, by name [m/s]"
+        {}, description="velocity of each further hand just before impact, by name [m/s]"
     )
     posture: dict[str, float] = omitted(
         {},
-        description="positions at impact of other joints, as in joint_3: 0.2 [rad], prismatic [m]",
+        description="positions of other joints at impact, such as joint_3: 0.2 [rad], prismatic [m]",
     )
 
     @model_validator(mode="after")
@@ -660,9 +656,9 @@ class Excursion(Schema):
     end: Vector3 = Field(description="turning point of frame E from its pose at impact [m]")
     joint_1: float = Field(
         0.0,
-        description="change of joint 1, if the posture task holds it, from start to turning point [rad], prismatic [m]",
+        description="change of joint 1 to the turning point, if the posture task holds it [rad], prismatic [m]",
     )
-    twist: float = Field(description="rotation of E about the pad's normal from start to turning point [rad]")
+    twist: float = Field(description="rotation of E about the pad's normal to the turning point [rad]")
     begin: Positive = Field(description="when the motion begins [s]")
     rest: Annotated[float, Field(ge=0.0, description="rest at the turning point [s]")]
 
@@ -672,15 +668,15 @@ class Timing(Schema):
 
     nominal_impact: Positive = Field(description="T_nom, nominal impact time [s]")
     approach: Positive = Field(description="duration of the motion that ends at T_nom [s]")
-    overrun: Positive = Field(description="how long the ante-impact reference keeps its velocity past T_nom [s]")
-    stop: Positive = Field(description="time the overrun reference takes to stop [s]")
+    overrun: Positive = Field(description="the ante-impact reference keeps its velocity past T_nom for this long [s]")
+    stop: Positive = Field(description="time in which it then stops [s]")
     push: Positive = Field(description="duration of the post-impact reference until rest [s]")
-    slide: Positive = Field(description="time in which the pad stops sliding across the object [s]")
+    slide: Positive = Field(description="time in which the pad stops sliding on the object [s]")
     duration: Positive = Field(description="length of a trial [s]")
     window_before: Positive = Field(description="net feedback starts at T_nom minus this [s]")
     window_after: Positive = Field(description="net feedback ends at T_nom plus this [s]")
     control_period: Positive = Field(0.001, description="period of the controller [s]")
-    drive_period: Positive = Field(0.00025, description="period of the low-level torque loop [s]")
+    drive_period: Positive = Field(0.00025, description="period of the torque loop [s]")
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -725,10 +721,8 @@ class Detection(Schema):
     """Impact detection from measured signals."""
 
     observer_gain: Positive = Field(description="gain of the momentum observer [1/s]")
-    threshold: Positive = Field(description="force against the motion that counts as impact [N]")
-    arm_before: Positive = Field(
-        description="detection starts this long before T_nom [s]; an earlier hit still counts as collision"
-    )
+    threshold: Positive = Field(description="force against the motion at an impact [N]")
+    arm_before: Positive = Field(description="detection starts this long before T_nom [s]")
 
 
 class Control(Schema):
@@ -737,7 +731,7 @@ class Control(Schema):
     gains: Gains = Field(description="task gains")
     interim_duration: Positive = Field(description="Delta t_int, length of the interim mode [s]")
     clamp_force: NonNegative = Field(
-        0.0, description="force with which every pad presses after the impact [N]; 0: the object is pushed, not held"
+        0.0, description="force of every pad after the impact [N]; 0: the object is pushed, not held"
     )
     detection: Detection = Field(description="impact detection")
     reference_contact: Literal["first", "settled"] = omitted(
@@ -776,12 +770,10 @@ class Uncertainties(Schema):
         f"assumed: {ASSUMED_MOTOR_INERTIA:g}, from none to three times the number [-]",
     )
     link_inertia: NonNegative = Field(
-        0.05, description="M of the arm, relative; between published parameter sets of one robot [-]"
+        0.05, description="M of the arm, relative; difference of published parameter sets [-]"
     )
     object_mass: NonNegative = Field(0.005, description="mass with its moments, relative; kitchen scales [-]")
-    object_inertia: NonNegative = Field(
-        0.10, description="each moment, relative; assumed: a box is not quite homogeneous [-]"
-    )
+    object_inertia: NonNegative = Field(0.10, description="each moment, relative; assumed [-]")
     object_com_offset: NonNegative = Field(0.005, description="centre of mass, each axis; assumed, as above [m]")
     object_position: NonNegative = Field(
         0.003,
@@ -796,15 +788,11 @@ class Uncertainties(Schema):
         description="each joint; twice sensors.joint_velocity_noise of push [rad/s], prismatic [m/s]",
     )
     contact_point: NonNegative = Field(
-        0.002, description="contact points along the pad, each axis; assumed: rounded edges of a pad [m]"
+        0.002, description="contact points along the pad, each axis; assumed: rounded edges [m]"
     )
-    pad_friction: NonNegative = Field(0.20, description="Coulomb coefficient, relative; assumed: dry contacts vary [-]")
-    support_friction: NonNegative = Field(
-        0.20, description="Coulomb coefficient, relative; assumed: dry contacts vary [-]"
-    )
-    restitution: NonNegative = Field(
-        0.0, description="restitution; a pad that keeps pushing ends a series of bounces at 0 [-]"
-    )
+    pad_friction: NonNegative = Field(0.20, description="Coulomb coefficient, relative; assumed [-]")
+    support_friction: NonNegative = Field(0.20, description="Coulomb coefficient, relative; assumed [-]")
+    restitution: NonNegative = Field(0.0, description="restitution [-]")
 
 
 class Scenario(Schema):
@@ -815,19 +803,17 @@ class Scenario(Schema):
     axis: Literal["x", "y", "z"] = Field(description="axis of the measure")
     object_position: tuple[float, float] | None = Field(
         None,
-        description="middle of the object, x and y [m]; the pads touch its faces; absent: at the only pad",
+        description="middle of the object, x and y [m]; absent: at the only pad",
     )
     object_gap: NonNegative = Field(
-        0.0, description="distance between pad and object at the nominal impact pose [m]; 0: the pad hits"
+        0.0, description="distance between pad and object at the impact pose [m]; 0: the pad hits"
     )
-    excursion: Excursion | None = Field(
-        None, description="a motion there and back without contact; absent: the pad hits the object"
-    )
+    excursion: Excursion | None = Field(None, description="a motion there and back without contact; absent: a hit")
     robots: dict[Name, Robot] = Field(min_length=1, description="arms by name")
     objects: dict[Name, ObjectSpec] = Field(min_length=1, description="objects by name")
     neighbours: dict[Name, NeighbourSpec] = omitted(
         {},
-        description="further objects, which the object hits, in a row, by name; they are tracked",
+        description="further, tracked objects in a row, which the object hits, by name",
     )
     support: Support = Field(description="what the object lies on")
     contact: Contact = Field(description="contact between pad and object")
@@ -840,7 +826,7 @@ class Scenario(Schema):
     scatter: Scatter = Field(description="trial-to-trial scatter")
     gravity: Vector3 = omitted(
         STANDARD_GRAVITY,
-        description="gravity in the inertial frame; x and y components tilt the table [m/s^2]",
+        description="gravity; x and y components tilt the table [m/s^2]",
     )
     uncertainty: Uncertainties = omitted(
         Uncertainties(),
@@ -848,8 +834,7 @@ class Scenario(Schema):
     )
     friction_compensation: FrictionCompensation | None = omitted(
         None,
-        description="file of `impact-rs friction identify`, a path from the scenario's folder; absent: the feedback"
-        " compensates friction",
+        description="file of `impact-rs friction identify`, a path from the scenario's folder",
     )
 
     @model_validator(mode="after")

@@ -22,16 +22,15 @@ from impact_rs_sim.schema import Schema
 HEADER = """\
 # Scenario files
 
-*Look up.* Scene, task of the robots, and measurement. Commands take the name of a scenario
-(`config/scenarios/NAME.yaml`) or the path of your own file; start from a copy of `config/scenarios/push.yaml`:
+*Look up.* Scene, task of the robots, and measurement. Commands take the name of a scenario or the path of your own
+file; start from a copy of `config/scenarios/push.yaml`:
 
     ./run impact-rs map path/to/mine.yaml cat_food case_2
 
 Units are SI; vectors have the axes of the inertial frame A, z up (REP-103), unless a row names another frame. `NAME` is
 a name of your choice. Lists per joint run from base to tip; for prismatic joints read m for rad, N for N m and kg for
-kg m². A key that is missing, misspelt, duplicated or out of range stops every command with one line that names file,
-key, value and unit. Estimated effects belong in [model files](effects.md#model-files). This page is written by
-`python -m impact_rs_sim.scenarios.scenario_docs > docs/scenarios.md`.
+kg m². A wrong key stops every command with one line that names file, key, value and unit. Estimated effects belong in
+[model files](effects.md#model-files).
 """
 
 LIMITS = {Gt: ("gt", ">"), Ge: ("ge", ">="), Le: ("le", "<=")}
@@ -89,7 +88,7 @@ def _kind(field: FieldInfo) -> str:
         return of if Ellipsis in entries else f"{len(entries)} {of}"
     if get_origin(kind) is dict or (isinstance(kind, type) and issubclass(kind, Schema)):
         return "section"
-    return {float: "number", int: "whole number", str: "text", bool: "`true` or `false`"}.get(kind, kind.__name__)
+    return {float: "number", int: "whole number", str: "text", bool: "`true`, `false`"}.get(kind, kind.__name__)
 
 
 def _limits(schema: type[Schema], name: str, field: FieldInfo) -> str:
@@ -158,9 +157,13 @@ def key_table(head: str, schema: type[Schema], without: tuple[type[Schema], ...]
     """
     rows: list[tuple[str, ...]] = [(head, "Value", "Default", "Meaning")]
     shown: dict[type[Schema], str] = {}
+    referred: list[str] = []  # to an earlier section, and with it all sections below
     for path, section, meaning in _sections("", schema, "", without):
+        if path.startswith(tuple(referred)):
+            continue
         if (first := shown.setdefault(section, path)) != path:
             if not path.startswith(f"{first}."):
+                referred.append(f"{path}.")
                 rows.append(
                     (f"`{path}`", "section", "", f"{_sentence_case(meaning)}. Keys as of `{first}`".lstrip(". "))
                 )

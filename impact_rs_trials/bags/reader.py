@@ -199,7 +199,7 @@ class TrialBag:
 
     @classmethod
     def open(cls, path: Path) -> TrialBag:
-        """The trial in a folder; a cut-off one is ``ABORTED`` and has the messages that had reached the disk.
+        """The trial in a folder; a cut-off one is ``ABORTED`` and has the messages that reached the disk.
 
         Raises:
             BagError: The folder is no readable bag, or holds no ``/trial_info``.

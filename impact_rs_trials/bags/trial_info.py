@@ -140,7 +140,7 @@ class TrialInfo:
 
     @staticmethod
     def from_message(message: Any) -> TrialInfo:
-        """From ``impact_rs/TrialInfo``, of whatever message family, and by the definition of whatever version.
+        """From ``impact_rs/TrialInfo`` of any message family and version.
 
         Raises:
             AttributeError: The message lacks a field.

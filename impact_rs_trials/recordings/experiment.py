@@ -64,12 +64,12 @@ class MotionCapture(FramePlacement):
 
     estimate: bool = Field(
         False,
-        description="estimate position and yaw from the contact in the hits; roll, pitch, and the position across "
-        "hits of one direction keep the given values",
+        description="estimate position and yaw from the impacts; roll, pitch, and the position across hits of one "
+        "direction keep the given values",
     )
     bodies: dict[str, FramePlacement] = Field(
         default_factory=dict,
-        description="by object: its geometric centre and axes in the tracked frame; absent: the tracked frame itself",
+        description="by object: geometric centre and axes in the tracked frame",
     )
 
 
@@ -82,8 +82,8 @@ class Body(Schema):
     )
     mesh: str | None = Field(
         None,
-        description="file of its mesh, a path from this file's folder, in place of shape: gives hull, extents where"
-        " size is absent, centre of mass and inertia (even density)",
+        description="mesh file, a path from this file's folder, in place of shape: gives hull, extents where size is "
+        "absent, centre of mass and inertia (even density)",
     )
     size: PositiveVector3 | None = Field(None, description="extent along its own axes [m]")
     radius: PositiveNumber | None = Field(None, description="radius of a ball [m]")
@@ -93,12 +93,11 @@ class Body(Schema):
         description="principal moments about the centre of mass, along its own axes [kg m^2]; absent: homogeneous",
     )
     place: FramePlacement = Field(
-        default_factory=FramePlacement, description="its geometric centre and axes in the tracked frame"
+        default_factory=FramePlacement, description="geometric centre and axes in the tracked frame"
     )
     spin: Vector3 | None = Field(
         None,
-        description="angular velocity before impact of a ball without tracked rotation, in axes of the tracker; "
-        "zeros: no spin [rad/s]",
+        description="angular velocity before impact of a ball without tracked rotation, in axes of the tracker [rad/s]",
     )
 
     @property
@@ -131,7 +130,7 @@ class Body(Schema):
 class Plane(Schema):
     """The plane that a body hits, in the world of the tracker."""
 
-    height: float = Field(0.0, description="distance of the plane from the origin along its normal [m]")
+    height: float = Field(0.0, description="distance from the origin along its normal [m]")
     normal: Vector3 = Field((0.0, 0.0, 1.0), description="its normal, towards the body [-]")
     friction: Annotated[float, Field(ge=0.0)] = Field(0.3, description="assumed Coulomb coefficient [-]")
     restitution: Annotated[float, Field(ge=0.0, le=1.0)] = Field(0.0, description="assumed restitution [-]")
@@ -143,23 +142,23 @@ class Experiment(Schema):
 
     scenario: str | None = Field(
         None,
-        description="name or path of the scenario, if a robot hits; its references and control are not used",
+        description="name or path of the scenario, if a robot hits",
     )
-    body: Body | None = Field(None, description="a body without a robot that hits a plane; in place of scenario")
-    plane: Plane | None = Field(None, description="the plane that the body hits; absent: z = 0")
+    body: Body | None = Field(None, description="a body without a robot, in place of scenario")
+    plane: Plane | None = Field(None, description="the plane that it hits; absent: z = 0")
     mapping: str | dict[str, str] = Field(
         "joint_state_effort_controller",
-        description="name or path of the mapping; with several arms one by arm, or one for all with {arm} for the name",
+        description="name or path of the mapping; one by arm, or one for all with {arm} for the name",
     )
-    runs: str = Field(RUN_TABLE, description="table of runs, a path from the recordings' folder or from this file's")
+    runs: str = Field(RUN_TABLE, description="table of runs, a path from the recordings or from this file")
     motion_capture: MotionCapture = Field(
         default_factory=MotionCapture,
-        description="world frame of the motion capture in the scenario's inertial frame; absent: they are the same",
+        description="world frame of the motion capture in the inertial frame of the scenario",
     )
     friction_noise: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
         FRICTION_SIGMA_SHARE,
         description="relative standard deviation of the support's friction [-]; velocities from sliding distances "
-        "have half of it",
+        "have half",
     )
     _file: Path | None = PrivateAttr(None)
 

@@ -80,14 +80,12 @@ class TableLayout(Schema):
 
     header: Annotated[int | None, Field(ge=0)] = Field(
         None,
-        description="line of the column names, from 1; 0: no names, columns are c1, c2, ...; absent: the first line"
-        " that is neither empty nor a comment (#)",
+        description="line of the column names, from 1; 0: no names, columns are c1, c2, ...; absent: the first line "
+        "that is neither empty nor a comment (#)",
     )
-    first: Annotated[int | None, Field(ge=1)] = Field(
-        None, description="line of the first row, for example below one of units; absent: the next"
-    )
+    first: Annotated[int | None, Field(ge=1)] = Field(None, description="line of the first row; absent: the next")
     decimal: Literal[".", ","] = Field(
-        ".", description="decimal sign of the numbers; with a comma, semicolons or tabs separate the cells"
+        ".", description="decimal sign; with a comma, semicolons or tabs separate the cells"
     )
 
 
@@ -97,51 +95,47 @@ class SignalSource(Schema):
     topic: str | None = Field(None, description="topic in a bag; * matches any text, as in */joint_states")
     type: str | None = Field(None, description="message type, package/msg/Name")
     field: str | None = Field(
-        None, description="path of the array in the message, for example state.position or points.0.effort"
+        None, description="path of the array in the message, such as state.position or points.0.effort"
     )
-    names: str | None = Field(None, description="path of the joint names in the message; without it the order counts")
+    names: str | None = Field(
+        None, description="path of the joint names in the message; absent: their order is that of joints"
+    )
     stamp: Literal["header", "log"] | None = Field(
-        None, description="timestamp of a message; absent: as in the mapping, or the log time without a header"
+        None, description="absent: as in the mapping, or the log time without a header"
     )
     child_frame: str | None = Field(None, description="child_frame_id to take from transforms; * matches any text")
     column: str | None = Field(
         None,
-        description="column of a table; {joint} stands for 1, 2, ..., without it a cell holds all numbers of a sample",
+        description="column of a table; {joint} is 1, 2, ...; without it a cell holds all numbers of a sample",
     )
     columns: tuple[str, ...] | None = Field(
         None,
-        description="columns of a table one by one, in order; of object_position also two, along and up in a vertical "
-        "plane",
+        description="columns of a table, in order; of object_position also two, along and up in a vertical plane",
     )
     entries: tuple[Annotated[int, Field(ge=1)], ...] | None = Field(
         None,
-        description="selected numbers of a cell, array sample or message without names, from 1; absent: all",
+        description="selected numbers of a sample without names, from 1; absent: all",
     )
-    time_column: StampNames | None = Field(
-        None, description="column of this signal's own time, or two as in time.column; absent: as in the mapping"
-    )
+    time_column: StampNames | None = Field(None, description="its own time, as time.column; absent: as in the mapping")
     array: str | None = Field(None, description="array of an NPZ, HDF5, MAT or PyTorch file, samples x joints")
-    time_array: StampNames | None = Field(
-        None, description="array of this signal's own time, or two as in time.array; absent: as in the mapping"
-    )
+    time_array: StampNames | None = Field(None, description="its own time, as time.array; absent: as in the mapping")
     file: str | None = Field(None, description="file in the folder of a run; absent: the run's own file")
-    table: TableLayout | None = Field(None, description="as table, for this signal's file; absent: as in the mapping")
-    quaternion_order: Literal["xyzw", "wxyz"] = Field("xyzw", description="order of a quaternion's numbers in a table")
+    table: TableLayout | None = Field(None, description="as table, for its file; absent: as in the mapping")
+    quaternion_order: Literal["xyzw", "wxyz"] = Field("xyzw", description="order of a quaternion in a table")
     delay: float = Field(0.0, description="added to the timestamps [s]")
     clock: Literal["shared", "own"] = Field(
         "shared", description="own: another clock, whose constant offset is estimated from the motion"
     )
     unit: str | tuple[str, ...] = Field(
-        description="unit of the numbers in the file; a list with one per joint if some joints turn and some slide"
+        description="unit in the file; a list per joint if some joints turn and some slide"
     )
     factor: float | tuple[float, ...] = Field(
         1.0,
-        description="factor of the numbers, for example -1; for joints and two columns of object_position also a "
-        "list [-]",
+        description="factor of the numbers, such as -1; for joints and two columns of object_position also a list [-]",
     )
     offset: float | tuple[float, ...] = Field(
         0.0,
-        description="then added, in the unit; for joints also a list, for example another zero than in the facts",
+        description="then added, in the unit; for joints also a list, such as another zero than in the facts",
     )
 
     @property
@@ -154,21 +148,21 @@ class TimeSource(Schema):
     """Location of the timestamps."""
 
     stamp: Literal["header", "log"] = Field(
-        "header", description="timestamp of a message: its header's or the log time"
+        "header", description="timestamp of a message: of its header, or the log time"
     )
     column: StampNames = Field("time", description="column of a table; or two, whole seconds and nanoseconds")
     array: StampNames = Field("time", description="array of an NPZ, HDF5, MAT or PyTorch file; or two, as columns")
     unit: Literal["s", "ms", "us", "ns", "date", "frames"] = Field(
         "s",
-        description="unit of the timestamps except in bags; date: 2026-11-25 12:00:00.5, a zone may follow; frames:"
-        " the column numbers the frames of a camera, over rate",
+        description="unit of the timestamps except in bags; date: 2026-11-25 12:00:00.5, a zone may follow; frames: "
+        "numbers of camera frames, over rate",
     )
-    steps: bool = Field(False, description="whether the numbers are times since the sample before (dt)")
+    steps: bool = Field(False, description="whether they are times since the sample before (dt)")
     rate: Annotated[float | None, Field(gt=0.0)] = Field(
-        None, description="sampling rate of files without timestamps [Hz]; absent: they have timestamps"
+        None, description="sampling rate of files without timestamps [Hz]"
     )
     repeated: Literal["refuse", "keep_first"] = Field(
-        "refuse", description="repeated timestamps: refuse the file, or keep the first sample of each"
+        "refuse", description="repeated timestamps: refuse the file, or keep the first sample"
     )
 
 
@@ -201,11 +195,10 @@ class Mapping(Schema):
 
     description: str = Field(description="what kind of recording this reads")
     robot: str = Field(
-        description="robot facts: file in config/robots, or path from the mapping's folder; none: only an object was "
-        "tracked"
+        description="file in config/robots, or path from the mapping's folder; none: only an object was tracked"
     )
     joints: tuple[str, ...] = Field(
-        (), description="joint names in order; * matches any text, {arm} is the name of the arm; required with a robot"
+        (), description="joint names in order; * matches any text, {arm} is the arm's name; required with a robot"
     )
     end_effector: MountedEndEffector = Field(
         default_factory=MountedEndEffector, description="load mounted on the flange"
@@ -217,13 +210,12 @@ class Mapping(Schema):
     )
     motor_inertia: NonNegativeVector | None = Field(
         None,
-        description="motor inertia at the joint, with torque_measured_at: motor; absent: 0, and diagnose estimates it "
+        description="motor inertia at the joint, with torque_measured_at: motor; absent: 0, which diagnose corrects "
         "[kg m^2], prismatic [kg]",
     )
     torque_constant: PositiveVector | None = Field(
         None,
-        description="torque at the joint over motor current, including the gear ratio, for units A and mA "
-        "[N m/A], prismatic [N/A]",
+        description="joint torque over motor current, with gear ratio, for units A and mA [N m/A], prismatic [N/A]",
     )
     torque_meaning: TorqueMeaning = Field(
         "whole",
@@ -232,17 +224,17 @@ class Mapping(Schema):
     )
     servo: Servo | None = Field(
         None,
-        description="gains of position servos: torque from signals.q_desired, in place of signals.torque",
+        description="position servos: torque from signals.q_desired, in place of signals.torque",
     )
     command_includes_gravity: bool = Field(
-        True, description="whether the commanded torque includes gravity torque; libfranka's does not"
+        True, description="whether the commanded torque includes gravity; libfranka's does not"
     )
     low_pass: Annotated[float, Field(gt=0.0, description="cut-off of the zero-phase low-pass [Hz]")] = 3.0
     time: TimeSource = Field(default_factory=TimeSource, description="timestamps")
     table: TableLayout = Field(default_factory=TableLayout, description="lines of names and rows of a text table")
     run_column: str | None = Field(
         None,
-        description="column with the run of each row, if a table holds several, such as episode_index",
+        description="column with the run of each row, such as episode_index",
     )
     definitions: tuple[str, ...] = Field((), description="message packages whose definitions are in mappings/messages")
     signals: dict[SignalName, SignalSource] = Field(description="location of each signal")

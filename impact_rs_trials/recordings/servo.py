@@ -34,22 +34,22 @@ Damps = Literal["velocity", "error"]
 class Servo(Schema):
     """Gains of the position servos of the joints."""
 
-    kp: PositiveVector = Field(description="torque over position error of each joint [N m/rad], prismatic [N/m]")
+    kp: PositiveVector = Field(description="torque over position error [N m/rad], prismatic [N/m]")
     kd: NonNegativeVector | None = Field(
         None,
-        description="torque over velocity of each joint [N m s/rad], prismatic [N s/m]; absent: 0, and viscous "
-        "friction in diagnose includes it",
+        description="torque over velocity [N m s/rad], prismatic [N s/m]; absent: 0, and viscous friction in "
+        "diagnose includes it",
     )
     damps: Damps = Field(
         "velocity", description="'velocity': - kd dq; 'error': + kd (dq_desired - dq), as trajectory controllers do"
     )
     gains: Literal["given", "estimated"] = Field(
         "given",
-        description="'estimated': kp was found from gravity and inertia of the model; the gain of each joint, with "
-        "a standard deviation of 30 %, is fitted with every model",
+        description="'estimated': kp was found from gravity and inertia of the model; each, with a standard "
+        "deviation of 30 %, is fitted with every model",
     )
     torque_max: PositiveVector | None = Field(
-        None, description="torque at which each servo saturates [N m], prismatic [N]; absent: that of the robot"
+        None, description="largest torque [N m], prismatic [N]; absent: that of the robot"
     )
 
 

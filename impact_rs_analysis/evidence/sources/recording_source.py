@@ -265,7 +265,7 @@ class RecordingSource(Source):
         minus: Sequence[Run] = (),
         left_out: Sequence[tuple[str, str]] = (),
     ) -> RecordingSource:
-        """Filter recordings and predict them; those that are too short for the filter are left out.
+        """Filter recordings and predict them; those too short for the filter are left out.
 
         Args:
             recordings: The recordings.

@@ -143,7 +143,7 @@ def _vector(stem: str, tail: str = "") -> tuple[str, ...]:
 
 
 POSITION = ColumnGroup(
-    _vector(""), "m", "geometric centre of the body, or of the object: middle of its bounding box", "not for a ball"
+    _vector(""), "m", "geometric centre of body or object (middle of its bounding box)", "not for a ball"
 )
 ORIENTATION = ColumnGroup(
     ("qx", "qy", "qz", "qw"), "-", "orientation: unit quaternion from its own axes to A", "not for a ball"
@@ -151,14 +151,12 @@ ORIENTATION = ColumnGroup(
 V_BEFORE = ColumnGroup(_vector("v", "_before"), "m/s", "velocity of the centre before", "yes")
 W_BEFORE = ColumnGroup(_vector("w", "_before"), "rad/s", "angular velocity before", "yes")
 V_AFTER = ColumnGroup(_vector("v", "_after"), "m/s", "velocity of the centre after", "yes, or a distance")
-W_AFTER = ColumnGroup(
-    _vector("w", "_after"), "rad/s", "angular velocity after; absent: the other velocities are compared"
-)
+W_AFTER = ColumnGroup(_vector("w", "_after"), "rad/s", "angular velocity after; absent: not compared")
 SLIDE_DISTANCE = ColumnGroup(
     ("slide_distance",),
     "m",
-    "[outcome measured later](your_data.md#outcomes-that-were-measured-later): horizontal distance from the impact to "
-    "rest, on the support of an arm's object; empty in a row with `flight_distance`",
+    "[measured later](your_data.md#outcomes-that-were-measured-later): horizontal distance from the impact to rest "
+    "on the support; empty in a row with `flight_distance`",
     f"in place of `{V_AFTER.first}` ...",
     POSITIVE,
     V_AFTER.first,
@@ -182,14 +180,14 @@ FALL_HEIGHT = ColumnGroup(
 SUPPORT_FRICTION = ColumnGroup(
     (measured.SUPPORT_FRICTION,),
     "-",
-    "measured Coulomb coefficient of the support under the sliding object; absent or empty: the scenario's",
+    "measured Coulomb coefficient under the sliding object; absent or empty: the scenario's",
     range=POSITIVE,
     instead_of=V_AFTER.first,
 )
 DROP_HEIGHT = ColumnGroup(
     ("drop_height",),
     "m",
-    "of a ball that bounces straight: height of its lowest point above the plane from which it falls",
+    "ball that bounces straight: height of its lowest point from which it falls",
     f"in place of `{V_BEFORE.first}` ...",
     POSITIVE,
 )
@@ -206,28 +204,27 @@ MASS = ColumnGroup(("mass",), "kg", "mass; absent for an object: the scenario's"
 MOMENTS = ColumnGroup(
     ("ixx", "iyy", "izz"),
     "kg m^2",
-    "principal moments about the centre of mass, along the body's own axes; absent: homogeneous",
+    "principal moments about the centre of mass, along its own axes; absent: homogeneous",
     range=POSITIVE,
 )
 SHAPE = ColumnGroup(
     ("shape",),
     "",
-    "shape of a free body with the extents `size_x` ...: `box` (absent, empty), `sphere`, `capsule`, `cylinder` "
-    "(axis z)",
+    "shape of a free body: `box` (absent, empty), `sphere`, `capsule`, `cylinder` (axis z)",
 )
 MESH = ColumnGroup(
     ("mesh",),
     "",
     "in place of `shape`: mesh file, a path from the table's folder; gives hull, centre of mass, moments (even "
-    "density), and extents where `size_x` ... are absent",
+    "density), and absent extents",
 )
 SIZE = ColumnGroup(
     _vector("size_"),
     "m",
-    "extent of the body along its own axes; a free body needs it, or a mesh, or contact points and moments",
+    "extent along its own axes; a free body needs it, a mesh, or contact points and moments",
     range=POSITIVE,
 )
-RADIUS = ColumnGroup(("radius",), "m", "radius of a free ball, which touches below its centre", range=POSITIVE)
+RADIUS = ColumnGroup(("radius",), "m", "radius of a free ball", range=POSITIVE)
 SHELL = ColumnGroup(("shell",), "-", "ball: 1 hollow (2/3 m r²), 0 or absent solid (2/5 m r²)", range=FLAG)
 POINTS = tuple(
     ColumnGroup(
@@ -239,21 +236,18 @@ POINTS = tuple(
     for tail in ("", *map(str, range(2, MAX_CONTACT_POINTS + 1)))
 )
 NORMAL = ColumnGroup(
-    _vector("n"), "-", "unit normal into the body; absent: up, or the normal of the nearest faces of pad and object"
+    _vector("n"), "-", "unit normal into the body; absent: up, or of the nearest faces of pad and object"
 )
 FRICTION = ColumnGroup(
     (measured.FRICTION,),
     "-",
-    "assumed Coulomb coefficient of a free body on its plane (absent: 0.3), of pads on an object (absent: the "
-    "scenario's)",
+    "assumed Coulomb coefficient of a free body (absent: 0.3) or of pads (absent: the scenario's)",
     range=NOT_NEGATIVE,
 )
 RESTITUTION = ColumnGroup(
     (measured.RESTITUTION,), "-", "assumed Newton restitution; absent: 0, or the scenario's", range=SHARE
 )
-BASE_POSITION = ColumnGroup(
-    _vector("base_"), "m", "position in A of a robot's base that floats (`floating_base`)", "floating base"
-)
+BASE_POSITION = ColumnGroup(_vector("base_"), "m", "position in A of a `floating_base`", "floating base")
 BASE_ORIENTATION = ColumnGroup(
     ("base_qx", "base_qy", "base_qz", "base_qw"),
     "-",
@@ -264,7 +258,7 @@ OF_BASE_BEFORE = (
     ColumnGroup(
         _vector("base_v", "_before"),
         "m/s",
-        "its velocity before, in its own axes, as in a ROS odometry message",
+        "its velocity before, in its own axes, as in ROS odometry",
         "floating base",
     ),
     ColumnGroup(_vector("base_w", "_before"), "rad/s", "its angular velocity before, in its own axes", "floating base"),
@@ -278,8 +272,8 @@ OF_BASE_AFTER = (
 Q = JointColumnGroup(
     "q{}",
     "position",
-    "joint positions, in the order of the robot's file without joints that follow others; with several arms "
-    "`left.q1` ...",
+    "joint positions, in the order of the robot's file without joints that follow others; of several arms `left.q1` "
+    "...",
     "arm",
     of_base=(BASE_POSITION, BASE_ORIENTATION),
 )
@@ -287,22 +281,22 @@ DQ_BEFORE = JointColumnGroup("dq{}_before", "velocity", "joint velocities before
 DQ_AFTER = JointColumnGroup(
     "dq{}_after",
     "velocity",
-    "joint velocities after; absent: the object alone is compared",
+    "joint velocities after; absent: not compared",
     of_base=OF_BASE_AFTER,
 )
 MOTOR_INERTIA = JointColumnGroup(
     "B{}",
     "inertia",
-    "assumed motor inertia; absent: reduced inertia B_θ of the scenario",
+    "assumed motor inertia; absent: B_θ of the scenario",
     range=NOT_NEGATIVE,
 )
 OBJECT = ColumnGroup(("object",), "", "the scenario's object; needed if it has several")
-CONDITION = ColumnGroup(("condition",), "", "rows of one condition are repeats of each other")
-TIME = ColumnGroup(("time",), "s", "time of the measurement, with any origin; `follow` takes rows in this order")
+CONDITION = ColumnGroup(("condition",), "", "rows of one condition are repeats")
+TIME = ColumnGroup(("time",), "s", "time of the measurement, the order of `follow`")
 TOLERANCE = ColumnGroup(
     ("contact_tolerance",),
     "m",
-    "largest extra distance of a touching point beyond the nearest one; absent: `--contact-tolerance`",
+    "largest distance of a touching point beyond the nearest one; absent: `--contact-tolerance`",
     range=NOT_NEGATIVE,
 )
 V_NOISE = ColumnGroup(
@@ -323,7 +317,7 @@ FLIGHT_NOISE = ColumnGroup(("flight_noise",), "s", "likewise, of the times betwe
 V_NOISE_AXES = ColumnGroup(
     _vector("v_noise_"),
     "m/s",
-    f"`{V_NOISE.first}` along each axis of A, in its place: a camera measures depth less accurately",
+    f"`{V_NOISE.first}` along each axis of A, in its place",
     range=NOT_NEGATIVE,
 )
 W_NOISE_AXES = ColumnGroup(
@@ -332,13 +326,13 @@ W_NOISE_AXES = ColumnGroup(
 P_NOISE = ColumnGroup(
     ("p_noise",),
     "m",
-    "common standard deviation of the positions of all contact points, along each axis",
+    "standard deviation of all contact points together, along each axis",
     range=NOT_NEGATIVE,
 )
 N_NOISE = ColumnGroup(
     ("n_noise",),
     "rad",
-    "standard deviation of the direction of their normal, about each tangent",
+    "standard deviation of their normal, about each tangent",
     range=NOT_NEGATIVE,
 )
 
