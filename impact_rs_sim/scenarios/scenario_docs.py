@@ -128,7 +128,9 @@ def _row(schema: type[Schema], name: str, field: FieldInfo, key: str) -> tuple[s
     description = PRISMATIC.sub("", field.description or "")
     description = description.replace("That file has these keys", "[Its keys](robots.md#robot-facts)")
     unit = UNIT.search(description)
-    words = [_kind(field), _limits(schema, name, field), f"[{unit[1]}]" if unit and unit[1] != "-" else ""]
+    kind, limits = _kind(field), _limits(schema, name, field)
+    words = ["" if kind == "number" and limits else kind, limits]
+    words.append(f"[{unit[1]}]" if unit and unit[1] != "-" else "")
     meaning = _sentence_case(UNIT.sub("", description, count=1))
     return f"`{key}`", " ".join(filter(None, words)), _default(field), meaning
 

@@ -157,7 +157,7 @@ SLIDE_DISTANCE = ColumnGroup(
     "m",
     "[measured later](your_data.md#outcomes-that-were-measured-later): horizontal distance from the impact to rest "
     "on the support; empty in a row with `flight_distance`",
-    f"in place of `{V_AFTER.first}` ...",
+    f"replaces `{V_AFTER.first}` ...",
     POSITIVE,
     V_AFTER.first,
 )
@@ -165,7 +165,7 @@ FLIGHT_DISTANCE = ColumnGroup(
     ("flight_distance",),
     "m",
     "likewise: horizontal distance of the centre in a flight",
-    f"in place of `{V_AFTER.first}` ...",
+    f"replaces `{V_AFTER.first}` ...",
     POSITIVE,
     V_AFTER.first,
 )
@@ -188,17 +188,17 @@ DROP_HEIGHT = ColumnGroup(
     ("drop_height",),
     "m",
     "ball that bounces straight: height of its lowest point from which it falls",
-    f"in place of `{V_BEFORE.first}` ...",
+    f"replaces `{V_BEFORE.first}` ...",
     POSITIVE,
 )
 FLIGHT_BEFORE = ColumnGroup(
-    ("flight_before",), "s", "likewise: time since the bounce before", f"in place of `{V_BEFORE.first}` ...", POSITIVE
+    ("flight_before",), "s", "likewise: time since the bounce before", f"replaces `{V_BEFORE.first}` ...", POSITIVE
 )
 REBOUND_HEIGHT = ColumnGroup(
-    ("rebound_height",), "m", "likewise: height to which it rises", f"in place of `{V_AFTER.first}` ...", NOT_NEGATIVE
+    ("rebound_height",), "m", "likewise: height to which it rises", f"replaces `{V_AFTER.first}` ...", NOT_NEGATIVE
 )
 FLIGHT_AFTER = ColumnGroup(
-    ("flight_after",), "s", "likewise: time to the next bounce", f"in place of `{V_AFTER.first}` ...", NOT_NEGATIVE
+    ("flight_after",), "s", "likewise: time to the next bounce", f"replaces `{V_AFTER.first}` ...", NOT_NEGATIVE
 )
 MASS = ColumnGroup(("mass",), "kg", "mass; absent for an object: the scenario's", "free body", POSITIVE)
 MOMENTS = ColumnGroup(
