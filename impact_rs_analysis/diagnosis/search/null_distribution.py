@@ -19,7 +19,7 @@ the scales. The pure error of few repeats is uncertain: features whose contrasts
 measurement, and if they counted as much in every rotation, noise would be significant (3 conditions with 2 repeats:
 p < 1 % in 11 to 31 % of all campaigns). So the variance is estimated anew from the contrasts of every rotation,
 
-    1 / W_f = (d_0 v_g + d v_f) / (d_0 + d) + (relevance limit / 2)^2 + discrepancy^2
+    1 / W_f = (d_0 v_g + d v_f) / (d_0 + d) + (relevance limit / 2)^2
 
 with v_f the variance of feature f by d contrasts, v_g its mean over the time bins of the signal, and d_0 =
 ``PRIOR_DEGREES_OF_FREEDOM``: the moderated variance of Smyth (2004, *Linear models and empirical Bayes methods*,
