@@ -19,7 +19,7 @@ import numpy as np
 
 from impact_rs_analysis.measure.departure import Departure, departures
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.scenarios.scenario import AXIS_NUMBERS
+from impact_rs_sim.rotations import AXES
 from impact_rs_trials.bags.reader import BagError, ControllerColumns, TrialBag
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.spec import recorded_scenario
@@ -111,9 +111,9 @@ def net_feedback(bag: TrialBag) -> TrialFeedback:
     info = bag.info
     if bag.metadata.get("outcome", "OK") not in ANALYSED_OUTCOMES:
         raise BagError(bag.path, f"{bag.outcome}: {bag.reason}")
-    axis = AXIS_NUMBERS.get(info.axis)
-    if axis is None or not info.robots:
+    if info.axis not in AXES or not info.robots:
         raise BagError(bag.path, f"its trial_info names axis {info.axis!r} and {len(info.robots)} robots")
+    axis = AXES.index(info.axis)
     columns = {arm: bag.controller(arm) for arm in info.robots}
     time = next(iter(columns.values())).time
     signals: dict[str, list[Array]] = {name: [] for name in ("velocity", "feedback", "ante", "post")}

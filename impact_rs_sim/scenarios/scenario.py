@@ -26,6 +26,7 @@ from impact_rs_sim.robots.bodies import is_physically_consistent
 from impact_rs_sim.robots.robot import Array, EndEffector, Inertial, Reflexes, RobotFacts, load_facts
 from impact_rs_sim.robots.robot_model import STANDARD_GRAVITY, RobotModel
 from impact_rs_sim.robots.tool_spring import ToolSpring, about, is_a_spring
+from impact_rs_sim.rotations import AXES
 from impact_rs_sim.scenarios.friction_compensation import FrictionCompensation
 from impact_rs_sim.scenarios.object_mesh import read_object_mesh
 from impact_rs_sim.schema import (
@@ -48,7 +49,6 @@ from impact_rs_sim.shapes import ConvexShape, check_extents, hull_of
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
 
-AXIS_NUMBERS = {"x": 0, "y": 1, "z": 2}
 CORNER_TOLERANCE_M = 1e-6  # of the corners of a hull and its size
 UNIT_TOLERANCE = 1e-6  # of the length of a unit vector [-]
 # Half width of the 95 % interval of a motor inertia that is assumed, relative: from none to three times the number.
@@ -990,7 +990,7 @@ class Scenario(Schema):
     @property
     def axis_index(self) -> int:
         """0, 1 or 2 for x, y, z."""
-        return AXIS_NUMBERS[self.axis]
+        return AXES.index(self.axis)
 
     def check_chains(self, what: str) -> None:
         """Refuse trees, and objects on hinges and slides, for ``what`` takes serial arms and free or fixed objects.
