@@ -8,6 +8,8 @@ row; its time is where the parabolas before and after have the same height. Omit
 no state before and after:
 
 * too few samples of flight on a side, or several impacts in a row;
+* a body that rests, is carried or let go: its acceleration jumps, not its velocity;
+* a body that gains energy, of which a fixed plane has none to give: it was thrown, or hit by something that moves;
 * a body that comes down so slowly that noise decides;
 * a ball of unknown spin: one whose rotation was not tracked, after an impact that has no row;
 * one that lands on an edge or a face: its next corner comes so soon that two impacts look like one;
@@ -31,6 +33,7 @@ from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.recordings.experiment import Body
 from impact_rs_trials.recordings.impacts.impact_rows import Impact, NoRow
 from impact_rs_trials.recordings.impacts.motion_fits import FittedMotion, contact_noise, fly
+from impact_rs_trials.recordings.relations import DECISIVE_LOG_ODDS
 
 Rows = NDArray[np.signedinteger]
 
@@ -159,8 +162,7 @@ def disturbed_samples(time: Array, height: Array, gravity: float) -> tuple[NDArr
 
 def _too_noisy(time: Array, height: Array, gravity: float) -> str:
     """Noise of the heights, and the largest from which rest differs from free flight."""
-    period = float(np.median(np.diff(time)))
-    of_height = period**2 / np.sqrt(6.0)  # standard deviation of a second difference of white noise: sqrt(6) / period^2
+    period, of_height = float(np.median(np.diff(time))), _noise_per_difference(time)
     most = MAX_NOISE_G * abs(gravity) * max(_longest_reach(time), 1) ** 2 / MIN_DISTURBANCE_SIGMA
     return (
         f"the heights have noise of {1e3 * of_height * _noise(time, height):.2g} mm (standard deviation); above "
@@ -174,6 +176,11 @@ def _noise(time: Array, height: Array) -> float:
     # Third differences of white noise are sqrt(20 / 6) times as large as second ones, and impacts are few.
     thirds = np.abs(np.diff(_second_differences(time, height, 1)))
     return 1.4826 * float(np.median(thirds)) / float(np.sqrt(20.0 / 6.0))
+
+
+def _noise_per_difference(time: Array) -> float:
+    """Standard deviation of a height over that of a second difference [s^2]: period^2 / sqrt(6) for white noise."""
+    return float(np.median(np.diff(time))) ** 2 / float(np.sqrt(6.0))
 
 
 def _longest_reach(time: Array) -> int:
@@ -206,6 +213,8 @@ def _impact(run: TrackedBody, item: ObjectPhysics, name: str, before: Rows, afte
         fly(run.time[rows], run.position[rows], run.rotation[rows], run.gravity, item.inertia, at)
         for rows, at in ((before, edge[0]), (after, edge[1]))
     )
+    if _log_odds_of_a_jump(run, before, after, (ante, post)) < DECISIVE_LOG_ODDS:
+        return NoRow(name, "rests, is carried or let go: a motion without a jump of the velocity fits as well")
     time = _crossing_time(ante, post, edge)
     position, rotation, twist = ante.at(time)
     post_twist = post.at(time)[2]
@@ -228,7 +237,12 @@ def _impact(run: TrackedBody, item: ObjectPhysics, name: str, before: Rows, afte
             f"comes down at {approach:.2f} m/s, less than {MIN_APPROACH_SIGMA:g} standard deviations of the velocity",
         )
     if post_twist[2] < (-MIN_APPROACH_SIGMA * noise[0] if item.round else twist[2]):
-        return NoRow(name, "goes on downwards: not this plane, or a ball that is let go")
+        return NoRow(name, "goes on downwards: not this plane")
+    if (gain := _energy_gain(item, ante, post, time)) > 0.0:
+        text = (
+            f"leaves with {gain:.0%} more energy than a fixed plane can leave it: thrown, hit by something that moves"
+        )
+        return NoRow(name, f"{text}, or timestamps that run backwards")
     extent = 0.0 if item.round else float(np.max(item.size))
     return Impact(
         run=name,
@@ -245,6 +259,59 @@ def _impact(run: TrackedBody, item: ObjectPhysics, name: str, before: Rows, afte
         turn_tracked=run.spin is None,
         contact_noise=contact_noise(ante, before.size, extent, turns=False),
     )
+
+
+def _log_odds_of_a_jump(
+    run: TrackedBody, before: Rows, after: Rows, flights: tuple[FittedMotion, FittedMotion]
+) -> float:
+    """Log odds that the velocity jumps between two flights, against a jump of the acceleration alone, by all heights.
+
+        z(t) = z_0 + v t + a t^2 / 2 + b max(t - t_0, 0)^2 / 2                 rest, a hand, a release, a catch
+        (S_smooth - S_flights) / (2 sigma^2) + (5 - 4 - m) log(k) / 2          (Schwarz 1978)
+
+    S are the sums of squared residuals of k heights, sigma is the noise of the tracker. The smooth motion has five
+    parameters, two flights with their impact have four, and the m heights between the flights are free.
+    """
+    rows = np.arange(before[0], after[-1] + 1)
+    t, height = run.time[rows] - run.time[before[-1]], run.position[rows, 2]
+    smooth = min(
+        _left_over(np.column_stack((np.ones_like(t), t, t**2, np.square(np.maximum(t - knot, 0.0)))), height)
+        for knot in t[1:-1]
+    )
+    flown = [
+        run.position[row, 2] - flight.at(float(run.time[row]))[0][2]
+        for part, flight in zip((before, after), flights, strict=True)
+        for row in part
+    ]
+    noise = _noise(run.time, run.position[:, 2]) * _noise_per_difference(run.time)
+    gain = smooth - float(np.sum(np.square(flown)))
+    free = rows.size - before.size - after.size
+    return gain / (2.0 * max(noise, 1e-12) ** 2) + 0.5 * (1 - free) * float(np.log(rows.size))
+
+
+def _left_over(basis: Array, values: Array) -> float:
+    """Sum of squared residuals of least squares."""
+    return float(np.sum(np.square(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])))
+
+
+def _energy_gain(item: ObjectPhysics, ante: FittedMotion, post: FittedMotion, time: float) -> float:
+    """Share by which an impact raises the kinetic energy, beyond its noise; of a ball, that of its normal velocity.
+
+    Friction may turn the spin of a ball into a tangential velocity; the normal velocity of its centre has no other
+    source. 0: it does not.
+    """
+    energies = []
+    for motion in (ante, post):
+        _, rotation, twist = motion.at(time)
+        if item.round:
+            energies.append((twist[2] ** 2, 2.0 * abs(twist[2]) * motion.noise[0]))
+            continue
+        spin = item.inertia * (rotation.T @ twist[3:])
+        energy = item.mass * float(twist[:3] @ twist[:3]) + float(spin @ (rotation.T @ twist[3:]))
+        noise = item.mass * np.linalg.norm(twist[:3]) * motion.noise[0], np.linalg.norm(spin) * motion.noise[1]
+        energies.append((energy, 2.0 * float(np.hypot(*noise))))
+    (first, before), (last, after) = energies
+    return (last / first - 1.0) if last - first > MIN_APPROACH_SIGMA * np.hypot(before, after) else 0.0
 
 
 def _window(run: TrackedBody, rows: Rows, side: int) -> Rows:

@@ -12,6 +12,10 @@ either role. An assignment therefore includes the likelihood of the pair that it
 which pair moved the arm. Where one pair follows the other, tracking errors are small against the noise of measured
 accelerations, from which a command is free: then the lag of one pair behind the other decides in place of the torque,
 for a measured motion is late.
+
+Velocities and accelerations are a pair as well, and accelerations that a filter derived from them fit without noise. An
+assignment therefore includes the likelihood of the derivative of its velocities, which that pair has in its velocities:
+what decides between both are the positions, of which only one makes sense.
 """
 
 from __future__ import annotations
@@ -139,7 +143,8 @@ class Assignment:
         torques: Streams that fit a torque, the chosen one first.
         no_torques: Why further streams are no torques, by label: copies of the motion, magnitudes.
         alternatives: Alternatives by signal, the chosen one first.
-        beside: Log likelihood of a further pair of positions and velocities as a command, and of its lead.
+        beside: Log likelihood of the derivative of its velocities, and of a further pair of positions and velocities as
+            a command and its lead.
         tracked: That pair, if one of both follows the other.
     """
 
@@ -371,7 +376,7 @@ class JointSearch:
 
 
 def with_commands(motions: Sequence[Assignment]) -> list[Assignment]:
-    """Motions with the likelihood of the pair that each leaves over, without which they are of different streams."""
+    """Motions with the likelihood of streams that each leaves over, without which they are of different streams."""
     return [_with_command(one, motions) for one in motions]
 
 
@@ -396,19 +401,30 @@ def _disjoint(found: Assignment, other: Assignment) -> bool:
 
 
 def _with_command(found: Assignment, motions: Sequence[Assignment]) -> Assignment:
-    """A motion with the likeliest pair of other streams as its command, by likelihood without names."""
-    others = [one for one in motions if _disjoint(found, one)]
-    if not others:
-        return found
+    """A motion with the derivative of its velocities, and with the likeliest pair of other streams as its command.
 
-    def of(other: Assignment) -> float:
-        velocity = 0.0 if other.velocity is None else other.velocity.best.log_posterior
-        return other.position.best.log_posterior + velocity
+    Both by likelihood, without names.
+    """
 
-    command = max(others, key=of)
-    likelihood = of(command)
+    def velocity(of: Assignment) -> float:
+        return 0.0 if of.velocity is None else of.velocity.best.log_posterior
+
+    def derivative(of: Assignment) -> float:
+        return max(
+            (velocity(one) for one in motions if of.velocity and one.position.stream is of.velocity.stream), default=0.0
+        )
+
+    beside = derivative(found)
+    pairs = [
+        (one.position.best.log_posterior + velocity(one) + derivative(one), one)
+        for one in motions
+        if _disjoint(found, one)
+    ]
+    if not pairs:
+        return replace(found, beside=beside)
+    likelihood, command = max(pairs, key=lambda pair: pair[0])
     lateness = _lateness(found, command)
-    return replace(found, beside=likelihood + (lateness or 0.0), tracked=None if lateness is None else command)
+    return replace(found, beside=beside + likelihood + (lateness or 0.0), tracked=None if lateness is None else command)
 
 
 def _lateness(found: Assignment, other: Assignment) -> float | None:

@@ -111,6 +111,21 @@ def test_positions_are_those_whose_velocities_and_torques_fit_best() -> None:
     assert stem_of(first) == "b" and asked.behind > 20.0
 
 
+@pytest.mark.parametrize("order", ["p v a", "a v p"])
+def test_velocities_and_accelerations_are_no_positions_and_velocities(order: str) -> None:
+    """Accelerations that a filter derived from velocities fit these without noise, which velocities of encoders do not.
+
+    Kills an assignment that leaves the positions over, of which the velocities are the derivative.
+    """
+    motion, noise = swing(), 0.02 * np.random.default_rng(0).normal(size=(TIME.size, 7))
+    velocity = motion["velocity"] + noise
+    streams = {"p": motion["position"], "v": velocity, "a": np.gradient(velocity, TIME, axis=0)}
+    found = assigned(**{name: streams[name] for name in order.split()}, tau=motion["effort"])
+    assert found.position.stream.series.label == "p"
+    assert found.velocity is not None and found.velocity.stream.series.label == "v"
+    assert found.torques[0].stream.series.label == "tau"
+
+
 def test_a_position_beside_it_by_a_constant_is_as_likely_and_its_name_decides() -> None:
     """Kills a margin that hides an equal reading: both have the same derivative."""
     motion = swing()
