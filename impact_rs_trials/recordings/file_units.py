@@ -23,7 +23,7 @@ FACTORS: dict[str, dict[str, float]] = {  # by SI unit, which is the first of it
     "m/s": {"m/s": 1.0, "mm/s": 1e-3},
     "m/s^2": {"m/s^2": 1.0, "g": 9.80665},
     "rad": {"rad": 1.0, "mrad": 1e-3, "deg": RAD_PER_DEG},
-    "rad/s": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": RAD_PER_DEG},
+    "rad/s": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": RAD_PER_DEG, "rpm": np.pi / 30.0},
     "kg": {"kg": 1.0, "g": 1e-3},
     "kg m^2": {"kg m^2": 1.0},
     "N": {"N": 1.0, "mN": 1e-3},

@@ -388,7 +388,7 @@ def order_of_joints(seen: MotionTorque) -> tuple[tuple[int, ...], str] | None:
         return None
     own = seen.ordered(best)
     after, gain = _rms(own.left(own.whole), own), own.likelihood(own.whole) - seen.likelihood(seen.whole)
-    if gain < DECISIVE_LOG_LIKELIHOOD or after > MAX_RESIDUAL_RATIO * before:
+    if gain < DECISIVE_LOG_LIKELIHOOD or after > MAX_RESIDUAL_RATIO * before or not explains_most(own):
         return None
     listed = ", ".join(str(column + 1) for column in best)
     return best, (

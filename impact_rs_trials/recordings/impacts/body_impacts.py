@@ -231,6 +231,8 @@ def _impact(run: TrackedBody, item: ObjectPhysics, name: str, before: Rows, afte
     gap = float(heights[1] - heights[0]) if heights.size > 1 else np.inf
     if gap < max(MIN_NEXT_CORNER_SAMPLES, reach) * period * max(approach, 0.0):
         return NoRow(name, "lands on an edge or a face: another corner comes too soon after the first")
+    if approach < -MIN_APPROACH_SIGMA * noise[0]:
+        return NoRow(name, f"moves away from the plane before it, at {-approach:.2f} m/s: thrown or caught")
     if approach < MIN_APPROACH_SIGMA * noise[0]:
         return NoRow(
             name,

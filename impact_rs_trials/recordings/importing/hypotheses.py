@@ -67,7 +67,7 @@ MAX_EXCESS_SHARE = 0.05  # of a joint's range, by which positions may exceed it
 MIN_OPPOSITE_SHARE = 0.25  # of the range of a torque on the smaller side of zero, from which it has both signs
 MAIN_TRAVEL_SHARE, MIN_TRAVEL_SHARE = 0.5, 0.2  # of the farthest travel of a joint, from which others show a relation
 PRIOR: dict[str, float] = {  # of units and roles
-    "rad": 0.8, "deg": 0.19, "mrad": 0.01, "rad/s": 0.8, "deg/s": 0.19, "mrad/s": 0.01,
+    "rad": 0.8, "deg": 0.19, "mrad": 0.01, "rad/s": 0.8, "deg/s": 0.18, "mrad/s": 0.01, "rpm": 0.01,
     "N m": 0.75, "mN m": 0.05, "A": 0.2, "other": 1e-4, "copy": 0.2,
 }  # fmt: skip
 LOW_PASS_LOG_DENSITY = -float(np.log(np.log(SAME_UNIT_FACTORS[1] / SAME_UNIT_FACTORS[0])))  # of log a in one unit
@@ -194,7 +194,7 @@ def velocities(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
     samples = effective_samples(motion.derivative, y)
     plain = fit(motion.derivative, y)
     found = []
-    for turns, slide in (("rad/s", "m/s"), ("deg/s", "mm/s"), ("mrad/s", "mm/s")):
+    for turns, slide in (("rad/s", "m/s"), ("deg/s", "mm/s"), ("mrad/s", "mm/s"), ("rpm", "mm/s")):
         per_unit = 1.0 / TURNS["velocity"][turns]
         relation = fit(per_unit * motion.derivative, y, independent=samples, bounds=SAME_UNIT_FACTORS)
         text = (
@@ -335,7 +335,7 @@ def torques(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
     wrong = relation.factor < 0.0
     constants = np.where(gravity_shown & ~wrong, 1.0 / np.maximum(np.abs(free.factor), 1e-12), 1.0 / usual)
     own = {**({} if sign > 0.0 else {"factor": -1.0}), "torque_constant": [float(f"{one:.3g}") for one in constants]}
-    why = f"{text}: no unit of torque; taken for motor currents, with the constants shown by the gravity torque"
+    why = f"{text}: no unit of torque; taken for motor currents, or torques before gears, with constants by gravity"
     # The first joint's constant is anywhere in the range, the others are near it.
     each = float(np.log(np.log(MAX_CONSTANT_RATIO)))
     prior = (

@@ -67,8 +67,8 @@ WHOLE_RUNS = (
 )
 NOTHING_TRACKED = (
     "neither joints nor the pose of an object; expected columns of joints (--robot says which robot), or x, y, z and a "
-    "quaternion; of a ball x, y, z, or two coordinates of which one falls freely. A table of impacts needs no import: "
-    " impact-rs compare --impacts (columns: docs/files.md)"
+    "quaternion; of a ball x, y, z, or two coordinates of which one falls freely (beside a height y alone, zeros as x). "
+    "A table of impacts needs no import: impact-rs compare --impacts (columns: docs/files.md)"
 )
 ON_A_TABLE = (
     ". Neither of {columns} falls freely: of a body that slides or rolls on a table, as a puck or a billiard ball, "

@@ -245,6 +245,9 @@ class JointSections:
         if one.is_cut or one.candidate.joints or PART_OF_ARM.search(one.candidate.label):
             return None
         tried = list(named_servo_torques(search, found)) if not found.torques else []
+        if not found.torques:
+            free = [other for other in search.free_of(found.streams) if other.label not in found.no_torques]
+            tried += [other.series.at(found.time) for other in free[:MAX_SHOWN_SIGNALS]]
         for torque in found.torques[:MAX_SHOWN_SIGNALS]:
             constant, raw = torque.best.further.get("torque_constant"), torque.stream.series.at(found.time)
             if constant is None or not explains_most(found.with_torque(raw * np.array(constant), model)):

@@ -43,6 +43,8 @@ STAMP_UNITS = ("s", "ms", "us", "ns")
 RATES_HZ = (1.0, 1e5)  # of a recording: lowest and highest
 MIN_RANGE_SHARE = 1e-3  # of a joint's range, travelled by a joint that moves; encoders and sag make less
 MAX_SHOWN_STEPS = 3  # backwards in time, in a message
+MAX_CLOCK_JITTER = 0.1  # of the usual step, within which a step is even
+MIN_EVEN_SHARE = 0.95  # of the steps of a clock, by which it is one whatever its name
 OUTLIERS = np.errstate(over="ignore", invalid="ignore")  # may be of any size; what they spoil fits nothing
 MIN_TURN = 0.1  # travelled by two numbers of the quaternion of a body that turns
 FALL_HALF_WIDTH_S = 0.04  # of second differences, in which a fall bends a track by 16 mm
@@ -152,10 +154,11 @@ def _clock(name: str, cells: Sequence[str] | NDArray[Any], steps_back: int) -> G
     if stamps.ndim != 1 or stamps.size < 3 or not np.isfinite(stamps).all():
         return None
     steps = np.diff(stamps)
-    if np.count_nonzero(steps < 0.0) > steps_back * bool(STAMP.search(name)):
-        return None
     usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
     if usual == 0.0 or float(np.mean(np.abs(steps[steps > 0.0] / usual - 1.0) < 0.9)) < 0.5:
+        return None
+    even = float(np.mean(np.abs(steps / usual - 1.0) < MAX_CLOCK_JITTER)) > MIN_EVEN_SHARE
+    if np.count_nonzero(steps < 0.0) > steps_back * (even or bool(STAMP.search(name))):
         return None
     units = [unit for unit in STAMP_UNITS if _plausible(unit, stamps, usual)]
     named = [unit for unit in units if re.search(rf"(^|[^a-z]){unit}([^a-z]|$)", name, re.IGNORECASE)]

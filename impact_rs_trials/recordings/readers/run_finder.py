@@ -67,7 +67,8 @@ def find_recordings(path: Path, notes: bool = False) -> list[Path]:
     """
     if path.is_file():
         if path.suffix not in FILE_SUFFIXES:
-            raise InputError(f"expected a recording ({', '.join(FILE_SUFFIXES)}), or a folder of them", file=path)
+            known = ", ".join(FILE_SUFFIXES)
+            raise InputError(f"expected a recording ({known}), or a folder of them; spreadsheets as .csv", file=path)
         return [path]
     if not path.is_dir():
         raise InputError("no such file or folder", file=path)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.optional_packages import require
 from impact_rs_trials.recordings.mapping import TableLayout
-from impact_rs_trials.recordings.readers.csv_rows import csv_rows
+from impact_rs_trials.recordings.readers.csv_rows import csv_rows, decimal_sign, read_lines
 from impact_rs_trials.recordings.readers.inner_runs import runs_of
 from impact_rs_trials.recordings.readers.read_once import once
 
@@ -64,7 +64,8 @@ def read_columns(path: Path, layout: TableLayout = DEFAULT_LAYOUT, recorded: boo
         path: The file.
         layout: Where a text has its names and rows.
         recorded: Whether it was recorded sample by sample: its last line may be cut off, and it has at least one row.
-            Every line of other tables has as many cells as the header, and they may lack rows, or a header.
+            Every line of other tables has as many cells as the header, and they may lack rows, or a header; commas in
+            all their numbers between semicolons or tabs are decimal signs.
 
     Raises:
         InputError: It cannot be read, a line has another number of cells, or two columns share a name.
@@ -112,7 +113,8 @@ def run_names(path: Path, layout: TableLayout, column: str) -> list[str]:
 
 
 def _of_text(path: Path, layout: TableLayout, recorded: bool) -> Columns:
-    rows = csv_rows(path, layout.header, layout.first, layout.decimal)
+    point = layout.decimal if recorded else decimal_sign([line for _, line in read_lines(path)])
+    rows = csv_rows(path, layout.header, layout.first, point)
     if layout.header == 0 and rows:
         rows.insert(0, (0, [f"c{number}" for number in range(1, len(rows[0][1]) + 1)]))
     if recorded and len(rows) < 2:
@@ -126,12 +128,11 @@ def _of_text(path: Path, layout: TableLayout, recorded: bool) -> Columns:
         number, row = rows.pop()
         message = f"line {number}, the last, is cut off ({len(row)} of {len(header)} numbers): left out"
         remarks.append(f"{path.name}: {message}")
-    torn = []
-    for place, (number, row) in enumerate(rows):
-        if len(row) == len(header) + 1 and not row[-1].strip():  # a separator at the end of the line
-            rows[place] = number, row[:-1]
-        elif len(row) != len(header):
-            torn.append(place)
+    named = max((place + 1 for place, name in enumerate(header) if name), default=0)
+    if all(_is_blank(row[named:]) for _, row in rows):  # separators at the ends of lines
+        header = header[:named]
+    rows = [(number, row[: len(header)] if _is_blank(row[len(header) :]) else row) for number, row in rows]
+    torn = [place for place, (_, row) in enumerate(rows) if len(row) != len(header)]
     if torn:
         number, row = rows[torn[0]]
         message = f"line {number}: {len(row)} {what}, expected {len(header)} as in line {at or rows[0][0]}"
@@ -144,6 +145,10 @@ def _of_text(path: Path, layout: TableLayout, recorded: bool) -> Columns:
     columns = [list(cells) for cells in zip(*(row for _, row in rows), strict=True)] or [[] for _ in header]
     cells: Cells = dict(zip(header, columns, strict=True))
     return Columns(_each_once(path, header, cells), lines, remarks=tuple(remarks), header=at)
+
+
+def _is_blank(cells: Sequence[str]) -> bool:
+    return not any(cell.strip() for cell in cells)
 
 
 def _each_once(path: Path, names: Sequence[str], cells: Cells) -> Cells:

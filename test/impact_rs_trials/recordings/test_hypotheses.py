@@ -61,7 +61,7 @@ def test_the_unit_of_positions_is_the_one_whose_range_they_fill(unit: str, facto
     assert found is not None and found.best.unit == unit and found.sure
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("rad/s", 1.0), ("deg/s", -180.0 / np.pi)])
+@pytest.mark.parametrize(("unit", "factor"), [("rad/s", 1.0), ("deg/s", -180.0 / np.pi), ("rpm", 30.0 / np.pi)])
 def test_velocities_are_found_with_unit_and_sign(unit: str, factor: float) -> None:
     own = swing()
     still = JointMotion.of(TIME, own["position"], None, model())

@@ -78,6 +78,16 @@ def test_parquet_says_what_csv_says(tmp_path: Path, cubes: Rows) -> None:
         assert a.impact.object.rotation == pytest.approx(b.impact.object.rotation)
 
 
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_decimal_commas_are_read(tmp_path: Path, cubes: Rows, separator: str) -> None:
+    """As a spreadsheet writes them where the comma is the decimal sign. Kills a reader that knows points alone."""
+    header, *rows = write(tmp_path / "points.csv", cubes).read_text().splitlines()
+    text = [header.replace(",", separator)] + [row.replace(",", separator).replace(".", ",") for row in rows]
+    (tmp_path / "commas.csv").write_text("\n".join(text))
+    for a, b in zip(read_cubes(tmp_path, cubes).rows, read_impact_table(tmp_path / "commas.csv").rows, strict=True):
+        assert a.after == pytest.approx(b.after)
+
+
 def test_units_of_the_header_are_turned_into_si(tmp_path: Path, cubes: Rows) -> None:
     si, others = (
         read_cubes(tmp_path, cubes),

@@ -313,6 +313,14 @@ def test_robot_and_sampling_rate_are_asked_for_where_files_lack_them(tmp_path: P
     assert "no table of numbers begins" in refusal(draft_import, [tmp_path / "words.csv"], tmp_path, ImportOptions())
 
 
+def test_separators_at_the_ends_of_lines_make_no_columns(tmp_path: Path, motion: Columns) -> None:
+    """A spreadsheet writes them below the widest line. Kills columns without a name of which there are two."""
+    file = write(tmp_path / "log.csv", NAMES, [TIME, motion["position"], motion["velocity"], motion["effort"]])
+    first, *lines = file.read_text().splitlines()
+    file.write_text("\n".join([f"{first},,", *(f"{line},," for line in lines)]) + "\n")
+    check_reading(iiwa(file, tmp_path), tmp_path, file, motion, 1e-3)
+
+
 def test_timestamps_that_step_back_are_named(tmp_path: Path, motion: Columns) -> None:
     columns = [motion["position"], motion["velocity"], motion["effort"]]
     back = TIME - 0.5 * (TIME >= 4.0)
@@ -323,6 +331,8 @@ def test_timestamps_that_step_back_are_named(tmp_path: Path, motion: Columns) ->
     counter = write(tmp_path / "counted.csv", ["row", *NAMES], [np.arange(TIME.size), back, *columns])
     said = refusal(iiwa, counter, tmp_path)
     assert "'t' steps back from 3.99 to 3.5" in said and "another clock was taken" in said
+    german = iiwa(write(tmp_path / "german.csv", ["Zeit", *NAMES[1:]], [back, *columns]), tmp_path)  # even steps tell
+    assert any("the clock was set back by 0.5 s at t = 3.990 s" in one for one in german.remarks)
     other = write(tmp_path / "two.csv", ["own", *NAMES], [TIME, back, *columns])
     remarks = iiwa(other, tmp_path).remarks
     assert any("'t' steps back from 3.99 to 3.5" in one and "own is taken for the clock" in one for one in remarks)

@@ -277,6 +277,28 @@ def test_joints_in_order_are_left_alone(robot: str, load: float, friction: float
     assert order_of_joints(seen(robot, motion, motion["effort"])) is None
 
 
+def test_columns_without_names_in_another_order_are_put_right(tmp_path: Path) -> None:
+    """In the order of the file no torque fits. Kills a search for the order in torques alone that fit already."""
+    motion, order = swing("ur10e"), (2, 0, 4, 1, 5, 3)
+    mixed = [motion[name][:, list(order)] for name in ("position", "velocity", "effort")]
+    np.savetxt(tmp_path / "run.txt", np.column_stack((TIME, *mixed)), delimiter=",")
+    draft = draft_import([tmp_path / "run.txt"], tmp_path, ImportOptions(robot="ur10e"))
+    (run,) = read_recordings(tmp_path / "run.txt", mapping_in(draft, tmp_path))
+    np.testing.assert_allclose(run.signals.arms["arm"].position, motion["position"], atol=1e-9)
+    np.testing.assert_allclose(run.signals.arms["arm"].torque, motion["effort"], atol=1e-6)
+
+
+def test_torques_before_the_gears_show_no_order(tmp_path: Path) -> None:
+    """Numbers a hundred times too small are nearest to the order with the smallest gravity torque. Kills that order."""
+    motion, order = swing("ur10e"), (2, 0, 4, 1, 5, 3)
+    mixed = {name: values[:, list(order)] for name, values in motion.items() if name != "time"} | {"time": TIME}
+    file = write(tmp_path / "run.csv", mixed, effort=mixed["effort"] / 101.0)
+    draft = draft_import([file], tmp_path, ImportOptions(robot="ur10e"))
+    assert next(line for line in draft.lines if line.key == "joints").evidence == (
+        "columns hold the joints from base to tip"
+    )
+
+
 def test_a_signal_that_does_not_go_with_the_motion_is_not_excused(tmp_path: Path) -> None:
     motion = swing("ur10e")
     noise = np.random.default_rng(1).normal(0.0, 10.0, motion["effort"].shape)
