@@ -231,20 +231,10 @@ def _impact(run: TrackedBody, item: ObjectPhysics, name: str, before: Rows, afte
     gap = float(heights[1] - heights[0]) if heights.size > 1 else np.inf
     if gap < max(MIN_NEXT_CORNER_SAMPLES, reach) * period * max(approach, 0.0):
         return NoRow(name, "lands on an edge or a face: another corner comes too soon after the first")
-    if approach < -MIN_APPROACH_SIGMA * noise[0]:
-        return NoRow(name, f"moves away from the plane before it, at {-approach:.2f} m/s: thrown or caught")
-    if approach < MIN_APPROACH_SIGMA * noise[0]:
-        return NoRow(
-            name,
-            f"comes down at {approach:.2f} m/s, less than {MIN_APPROACH_SIGMA:g} standard deviations of the velocity",
-        )
-    if post_twist[2] < (-MIN_APPROACH_SIGMA * noise[0] if item.round else twist[2]):
-        return NoRow(name, "goes on downwards: not this plane")
-    if (gain := _energy_gain(item, ante, post, time)) > 0.0:
-        text = (
-            f"leaves with {gain:.0%} more energy than a fixed plane can leave it: thrown, hit by something that moves"
-        )
-        return NoRow(name, f"{text}, or timestamps that run backwards")
+    if (reason := _contradiction(item, approach, noise[0], post_twist[2] - twist[2] * (not item.round))) is None:
+        reason = _energy_gain(item, ante, post, time)
+    if reason is not None:
+        return NoRow(name, reason)
     extent = 0.0 if item.round else float(np.max(item.size))
     return Impact(
         run=name,
@@ -296,11 +286,30 @@ def _left_over(basis: Array, values: Array) -> float:
     return float(np.sum(np.square(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])))
 
 
-def _energy_gain(item: ObjectPhysics, ante: FittedMotion, post: FittedMotion, time: float) -> float:
-    """Share by which an impact raises the kinetic energy, beyond its noise; of a ball, that of its normal velocity.
+def _contradiction(item: ObjectPhysics, approach: float, noise: float, departure: float) -> str | None:
+    """Why motions on both sides are no impact on the plane; None: they may be one.
+
+    Args:
+        item: The body.
+        approach: Speed at which its first point comes down [m/s].
+        noise: Of a velocity [m/s].
+        departure: Normal velocity after the impact, of other bodies than balls its change [m/s].
+    """
+    least = MIN_APPROACH_SIGMA * noise
+    if approach < -least:
+        return f"moves away from the plane before it, at {-approach:.2f} m/s: thrown or caught"
+    if approach < least:
+        return f"comes down at {approach:.2f} m/s, less than {MIN_APPROACH_SIGMA:g} standard deviations of the velocity"
+    if departure < (-least if item.round else 0.0):
+        return "goes on downwards: not this plane"
+    return None
+
+
+def _energy_gain(item: ObjectPhysics, ante: FittedMotion, post: FittedMotion, time: float) -> str | None:
+    """That an impact raises the kinetic energy, beyond its noise; of a ball, that of its normal velocity.
 
     Friction may turn the spin of a ball into a tangential velocity; the normal velocity of its centre has no other
-    source. 0: it does not.
+    source. None: it does not.
     """
     energies = []
     for motion in (ante, post):
@@ -313,7 +322,12 @@ def _energy_gain(item: ObjectPhysics, ante: FittedMotion, post: FittedMotion, ti
         noise = item.mass * np.linalg.norm(twist[:3]) * motion.noise[0], np.linalg.norm(spin) * motion.noise[1]
         energies.append((energy, 2.0 * float(np.hypot(*noise))))
     (first, before), (last, after) = energies
-    return (last / first - 1.0) if last - first > MIN_APPROACH_SIGMA * np.hypot(before, after) else 0.0
+    if last - first <= MIN_APPROACH_SIGMA * np.hypot(before, after):
+        return None
+    return (
+        f"leaves with {last / first - 1.0:.0%} more energy than before, which no fixed plane gives: thrown, hit by "
+        "something that moves, or timestamps that run backwards"
+    )
 
 
 def _window(run: TrackedBody, rows: Rows, side: int) -> Rows:
