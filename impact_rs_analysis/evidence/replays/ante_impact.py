@@ -48,9 +48,9 @@ def obliqueness_of(physics: Physics, states: Mapping[str, ArmState], box: BodySt
     for meeting in contact_pairs(physics, box, placements):
         if meeting.partner == SUPPORT:
             continue
-        velocity = twists[meeting.partner][:3]
+        pad = placements[meeting.partner] * physics.pads[meeting.partner].end_effector.pad_placement
         face = _nearest_face(box, meeting.normal)
-        for direction in (placements[meeting.partner].rotation[:, 2], velocity / np.linalg.norm(velocity)):
+        for direction in (pad.rotation[:, 2], twists[meeting.partner][:3]):  # of a pad at rest the normal alone
             angles.append(float(np.arctan2(np.linalg.norm(np.cross(direction, face)), direction @ face)))
     return max(angles)
 
@@ -97,6 +97,7 @@ def problem_of(run: MeasuredRun, physics: Physics, motor_inertia: str = "reduced
         object=touching,
         motor_inertia={name: arm.motor_inertia(motor_inertia) for name, arm in physics.arms.items()},
         restitution=physics.restitution,
+        restitution_law=physics.restitution_law,
         measured=True,
     )
 

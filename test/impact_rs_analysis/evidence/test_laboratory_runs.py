@@ -12,7 +12,12 @@ import numpy as np
 import pytest
 from mixed_grab import write_experiment
 
-from impact_rs_analysis.evidence.replays.ante_impact import ante_impact_state, obliqueness, problem_of
+from impact_rs_analysis.evidence.replays.ante_impact import (
+    ante_impact_state,
+    obliqueness,
+    obliqueness_of,
+    problem_of,
+)
 from impact_rs_analysis.evidence.replays.command_clock import command_offset, read_laboratory_runs
 from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs, read_runs, read_trial
 from impact_rs_analysis.evidence.replays.simulated_trials import simulated
@@ -145,6 +150,24 @@ def test_the_state_before_the_impact_is_that_at_the_impact(measured_hit: Measure
     twist = measured_hit.physics.robot_model("arm").jacobian(state.position) @ state.velocity
     assert twist[1] == pytest.approx(-0.7, abs=0.005)
     assert obliqueness(measured_hit) < 0.01
+
+
+def test_a_tilted_pad_hits_obliquely_and_a_pad_at_rest_by_its_normal_alone(measured_hit: MeasuredRun) -> None:
+    """Kills the normal of the flange in place of the pad's, and an angle of no velocity that is not a number."""
+    physics, box = measured_hit.physics, measured_hit.setup.windows[-1].object
+    states = ante_impact_state(measured_hit)
+    tilted = library()["pad_tilt"].apply_vector(physics, np.array([0.06, 0.0]))
+    assert obliqueness_of(tilted, states, box) == pytest.approx(0.06, abs=0.01)
+    resting = {name: replace(state, velocity=np.zeros_like(state.velocity)) for name, state in states.items()}
+    assert obliqueness_of(tilted, resting, box) == pytest.approx(0.06, abs=0.01)
+
+
+def test_the_map_of_a_run_has_the_restitution_law_of_its_scenario(measured_hit: MeasuredRun) -> None:
+    """Kills a problem that falls back to Newton's law."""
+    assert problem_of(measured_hit, measured_hit.physics).restitution_law == "newton"
+    assert (
+        problem_of(measured_hit, replace(measured_hit.physics, restitution_law="poisson")).restitution_law == "poisson"
+    )
 
 
 def test_pad_and_object_touch_in_what_the_map_is_asked(measured_hit: MeasuredRun) -> None:
