@@ -249,7 +249,7 @@ BLIND = Command(
 Make a campaign whose plant has a hidden effect, or score a diagnosis of one.
 
 make draws effect and size from SEED, records pushes and free motions into DIR/runs, and writes DIR/truth.json, which
-only score reads. Kinds: single, pair, null (no hidden effect), outside (an effect that is not in the library).""",
+no diagnosis reads. Kinds: single, pair, null (no hidden effect), outside (an effect that is not in the library).""",
     examples="""\
 impact-rs blind make 7 -o blind_7 --size small
 impact-rs diagnose blind_7/runs -o diagnosis.json

@@ -2,7 +2,7 @@
 """Blind campaigns: a plant with a hidden effect, which is recorded in ``truth.json`` only.
 
 ``make`` draws an effect and its size from a seed, records a campaign with it (``DIR/runs``) and writes the truth beside
-it. Only ``blind score`` reads the truth.
+it. No diagnosis reads the truth.
 """
 
 from __future__ import annotations
@@ -241,7 +241,7 @@ class Secret:
             raise InputError("this folder holds another blind campaign; choose another folder", file=directory)
 
     def keep(self, directory: Path) -> None:
-        """Write the truth and create a folder for the trials; only ``blind score`` reads the truth."""
+        """Write the truth and create a folder for the trials; no diagnosis reads the truth."""
         (directory / RUNS).mkdir(parents=True, exist_ok=True)
         write_whole(directory / TRUTH, self.truth)
 

@@ -62,7 +62,8 @@ def _score_investigation(args: argparse.Namespace, terminal: Terminal) -> int:
     if right or wrong:
         judgement = "right" if right else "wrong"
     else:
-        judgement = "right in part, the rest not excluded" if ending.certain else "undecided without the hidden effect"
+        open_ = "undecided, and not every hidden effect is a candidate" if hidden else "undecided"
+        judgement = "right in part, the rest not excluded" if ending.certain else open_
     terminal.result(
         {
             "kind": kind,

@@ -2,8 +2,9 @@
 """Processor time that a diagnosis may take, and what it left out to stay within it.
 
 A search asks between two fits whether its time is spent. From then on it keeps the best answer so far, begins nothing
-new, and notes what it did not try. A fit that has begun ends with the step at hand, so the limit is exceeded by one
-step at most. A request to stop, as by Ctrl-C, spends what is left.
+new, and notes what it did not try. The limit is exceeded by the step at hand, and by the fit that is reported
+(:meth:`Budget.without_limit`). After a request to stop, as by Ctrl-C, no time is left, except in worker processes,
+which have a copy of the request.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import math
 import time
 from collections.abc import Callable
 
-SEARCH_TIME_SHARE = 0.5  # of the time; the rest is for the hold-out, without which nothing is named
+SEARCH_TIME_SHARE = 0.5  # of the processor time; the hold-out, without which nothing is named, repeats the search
 
 Clock = Callable[[], float]
 
@@ -36,12 +37,9 @@ class Budget:
     Args:
         limit: Processor time from now on [s].
         clock: Processor time that was spent by this process, and by its workers if there are any [s].
-        stop: Request of the user; once it is made, nothing is left. Worker processes have a copy.
+        stop: Request of the user; once it is made, no time is left.
 
     Attributes:
-        limit: See above [s].
-        clock: See above.
-        stop: See above.
         left_out: Parts of the search that were not tried because the time was spent, in words, in order.
     """
 
@@ -78,7 +76,7 @@ class Budget:
         return found
 
     def without_limit(self) -> Budget:
-        """For what is reported: it may take any time, unless the user stops it; what it leaves out is listed here."""
+        """Unlimited time for a fit that is reported, unless the user stops it; what it leaves out is listed here."""
         found = Budget(clock=self.clock, stop=self.stop)
         found.left_out = self.left_out
         return found
