@@ -30,7 +30,7 @@ def with_required(document: DiagnosisDocument, source: Source) -> DiagnosisDocum
     rivals = tuple(one.item.name for one in others if tied_with_best(one.size, best.size))
     found = () if document.verdict.kind is Kind.SMALL else document.named
     kind = Kind.PARTLY if document.verdict.leaves_residuals else Kind.NAMED
-    effect = _document(best, rivals, document, source)
+    effect = _document(best, rivals, source)
     return document.model_copy(
         update={
             "verdict": replace(document.verdict, kind=kind, names=(name, *found)),
@@ -42,9 +42,7 @@ def with_required(document: DiagnosisDocument, source: Source) -> DiagnosisDocum
     )
 
 
-def _document(
-    required: RequiredEffect, rivals: tuple[str, ...], document: DiagnosisDocument, source: Source
-) -> EffectDocument:
+def _document(required: RequiredEffect, rivals: tuple[str, ...], source: Source) -> EffectDocument:
     """The verdict on a required effect, with the estimate that the impacts determine."""
     effect = source.known_effects[required.item.name]
     parameters = {}
@@ -68,6 +66,6 @@ def _document(
         rivals=rivals,
         parameters=parameters,
         held_out_error_before=None,
-        held_out_error_after=document.held_out_error_before,
+        held_out_error_after=None,
         p_value=None,
     )
