@@ -213,7 +213,7 @@ def test_a_robot_with_a_sliding_joint_is_described_with_its_units(client: TestCl
     folder = Folder(client, "lift.yaml")
     own = folder.found["arms"]["arm"]
     assert (own["robot"], own["slides"]) == ("lift", [True, *[False] * 6])
-    assert folder.found["units"]["velocity"] == [["rad/s", "mrad/s", "deg/s"], ["m/s", "mm/s"]]
+    assert folder.found["units"]["velocity"] == [["rad/s", "mrad/s", "deg/s", "rpm"], ["m/s", "mm/s"]]
     units = {"position": ["mm", *["rad"] * 6], "velocity": ["mm/s", *["rad/s"] * 6], "torque": ["N", *["N m"] * 6]}
     signals = folder.arms["arm"]["signals"]
     for name, unit in units.items():
