@@ -526,7 +526,7 @@ def markdown() -> str:
     lines = [
         "# Node parameters",
         "",
-        "*Look up.* `config/nodes.yaml` has all at their defaults, `config/cell.yaml` those of cell and watchdog.",
+        "*Look up.* `config/nodes.yaml` lists every default, `config/cell.yaml` the defaults of cell and watchdog.",
         "`ros2 param describe /plant realtime` describes a parameter of a running node. A change (`ros2 param set`)",
         "acts at once (on the next request) or from the next trial on; `read_only`: the node reads it when it starts.",
     ]

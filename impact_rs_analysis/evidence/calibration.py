@@ -180,10 +180,10 @@ def _moved(change: Array | None, sigma: Array) -> Array:
 def _deviations(source: Source) -> list[Added]:
     """One standard deviation of every parameter of a fault that has an interval, as an effect on top of the model."""
     found: list[Added] = []
-    required = {one.item.name for one in source.required[:1]}
+    declared = source.declared_model.effects
     for item in source.model.effects:
         effect = source.model.effect_of(item)
-        if not effect.of_measurement and item.name not in required:
+        if not effect.of_measurement and item in declared:
             continue
         scalars = effect.scalars(source.joints)
         for number, scalar in enumerate(scalars):

@@ -115,8 +115,8 @@ class Source(ABC):
         model: The model, to which effects are added.
         clusters: Residuals of the model.
         physics: Physics of one cluster under the model, for the number of joints.
-        required: Effects of which one is needed for replays to hit what was hit, best first; the first is in the model,
-            and its interval is a systematic error of all clusters. Empty: replays hit without.
+        required: Alternative effects that make every replay hit where the model alone misses impacts, best first. The
+            model has the first; its interval is a systematic error of all clusters. Empty: the model misses no impact.
         worlds: All distinct physics of the clusters under the model, for bounds of parameters.
         repeated: Whether clusters hold repeats; if not, clusters are stretches of time.
         remarks: Remarks on the measurements, for the reader.

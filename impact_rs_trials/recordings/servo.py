@@ -49,7 +49,7 @@ class Servo(Schema):
         "deviation of 30 %, is fitted with every model",
     )
     torque_max: PositiveVector | None = Field(
-        None, description="largest torque [N m], prismatic [N]; absent: that of the robot"
+        None, description="largest torque [N m], prismatic [N]; absent: the limit of the robot"
     )
 
 

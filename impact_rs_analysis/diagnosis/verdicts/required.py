@@ -8,8 +8,6 @@ with another one that does so too and leaves residuals as small.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, EstimateDocument, tied_with_best
 from impact_rs_analysis.diagnosis.verdict import CONFIRMED, IMPOSSIBLE, TOO_FEW, DiagnosisVerdict, Kind
 from impact_rs_analysis.diagnosis.verdicts.measurement import with_readings
@@ -33,7 +31,7 @@ def with_required(document: DiagnosisDocument, source: Source) -> DiagnosisDocum
     effect = _document(best, rivals, source)
     return document.model_copy(
         update={
-            "verdict": replace(document.verdict, kind=kind, names=(name, *found)),
+            "verdict": DiagnosisVerdict(kind, (name, *found)),
             "named": (name, *found),
             "required": (name,),
             "effects": (*with_readings([effect], source.known_effects), *document.effects),

@@ -179,7 +179,7 @@ def _noise(time: Array, height: Array) -> float:
 
 
 def _noise_per_difference(time: Array) -> float:
-    """Standard deviation of a height over that of a second difference [s^2]: period^2 / sqrt(6) for white noise."""
+    """Factor from the noise of second differences to the noise of heights, if it is white: period^2 / sqrt(6) [s^2]."""
     return float(np.median(np.diff(time))) ** 2 / float(np.sqrt(6.0))
 
 
@@ -306,10 +306,10 @@ def _contradiction(item: ObjectPhysics, approach: float, noise: float, departure
 
 
 def _energy_gain(item: ObjectPhysics, ante: FittedMotion, post: FittedMotion, time: float) -> str | None:
-    """That an impact raises the kinetic energy, beyond its noise; of a ball, that of its normal velocity.
+    """Reason if an impact raises the kinetic energy beyond its noise; for a ball, by its normal velocity alone.
 
     Friction may turn the spin of a ball into a tangential velocity; the normal velocity of its centre has no other
-    source. None: it does not.
+    source. None: the energy does not rise.
     """
     energies = []
     for motion in (ante, post):

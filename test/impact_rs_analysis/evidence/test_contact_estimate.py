@@ -24,7 +24,7 @@ FRAME, POINT, PAD = (library()[name] for name in ("tracker_frame", "tracked_poin
 
 
 def test_a_frame_that_is_turned_is_corrected_along_the_normal(hit: Run) -> None:
-    """One impact tells the distance to the face alone. Kills a frame in place of its inverse."""
+    """One impact determines only the offset along the normal. Kills a frame in place of its inverse."""
     seen = MeasuredRun.of(turned(hit, 0.05, 0.0, 0.01))
     found = contact_estimate(FRAME, [seen])
     assert found is not None and found.values[2] > 0.01
