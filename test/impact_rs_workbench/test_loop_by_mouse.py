@@ -126,7 +126,9 @@ def test_an_investigation_is_followed_stopped_and_can_go_on(visit: Visit, tmp_pa
     page = visit("investigate/loop")
     page.locator("#investigate-blind").fill("7")
     page.locator("#investigate-budget").fill("8")
-    expect(command(page)).to_contain_text("--budget 8 --blind 7")
+    page.locator("#part-loop summary").first.click()
+    page.locator("#investigate-effects").fill("torque_gain support_friction")  # few, because each costs replays
+    expect(command(page)).to_contain_text("--blind 7 --effects torque_gain support_friction")
     start(page, "Investigate", "running")
     expect(page.locator("#ending")).to_contain_text("goes on", timeout=LONG)
     expect(page.frame_locator("#investigate-result iframe").locator("h1")).to_be_visible()
