@@ -13,6 +13,7 @@ from joint_recordings import write_csv, write_npz
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.recordings.mapping import load_mapping
 from impact_rs_trials.recordings.readers.clock_steps import MAX_STEPS_BACK, PAUSE_S, without_steps_back
+from impact_rs_trials.recordings.readers.guesses import clock_of
 from impact_rs_trials.recordings.readers.series import Series
 from impact_rs_trials.recordings.recording import ARM, read_recordings
 
@@ -62,3 +63,14 @@ def test_signals_whose_clocks_disagree_about_steps_are_left_as_they_are() -> Non
     for pair in ({"position": straight, "torque": once}, {"position": often, "torque": often}):
         found, remarks = without_steps_back(pair)
         assert remarks == [] and all(found[name] is pair[name] for name in pair)
+
+
+@pytest.mark.parametrize(("jitter", "found"), [(0.05, True), (0.4, False)])
+def test_an_unnamed_clock_that_was_set_back_is_known_by_its_even_steps(jitter: float, found: bool) -> None:
+    """A quantity that rises and once falls is none: kills an evenness that no column or every column has."""
+    random = np.random.default_rng(5)
+    rising = np.cumsum(0.01 * (1.0 + jitter * random.uniform(-1.0, 1.0, 400)))
+    rising[250:] -= 1.0
+    guess = clock_of({"a": rising, "b": random.normal(size=400)})
+    assert (guess is not None) == found
+    assert guess is None or guess.value == "a"
