@@ -21,6 +21,7 @@ from impact_rs_analysis.evidence.cluster import TIMES, ErrorUnit
 from impact_rs_analysis.evidence.discrepancy import DiscrepancyDocument
 from impact_rs_analysis.evidence.levels import RecordingDocument
 from impact_rs_analysis.evidence.rollouts import RolloutDocument, shown
+from impact_rs_sim.effects.base import Parameter
 from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
@@ -49,6 +50,27 @@ class EstimateDocument(Schema):
     at_bound: bool = Field(
         False, description="whether the data put the estimate at an end of the range, away from nominal"
     )
+
+    @classmethod
+    def of(cls, parameter: Parameter, estimate: float, ci95: tuple[float, float] | None, **further: Any) -> Self:
+        """An estimate of a parameter, with all that the parameter itself says.
+
+        Args:
+            parameter: The parameter.
+            estimate: Its estimate, in its unit.
+            ci95: Its 95 % interval, in its unit.
+            further: Other fields of the document.
+        """
+        own = {
+            "unit": parameter.unit,
+            "meaning": parameter.meaning,
+            "joint": None if parameter.joint is None else f"joint{parameter.joint + 1}",
+            "arm": parameter.arm or None,
+            "nominal": parameter.nominal,
+            "scale": None if parameter.shape else parameter.scale,
+            "range": (parameter.lower, parameter.upper),
+        }
+        return cls(estimate=estimate, ci95=ci95, **(own | further))
 
     @property
     def interval(self) -> tuple[float, float]:

@@ -220,19 +220,14 @@ def _estimates(found: Findings, fitted: Fit, name: str, ends: Ends) -> dict[str,
         low, high = min(low, value), max(high, value)
         if verdict is not None and verdict.kind in (Kind.CONFIRMED, Kind.CONFUSABLE) and low <= scalar.nominal <= high:
             verdict = UNIDENTIFIABLE
-        result[scalar.name] = EstimateDocument(
-            estimate=value,
-            ci95=(low, high),
-            unit=scalar.unit,
-            meaning=scalar.meaning,
-            joint=None if scalar.joint is None else f"joint{scalar.joint + 1}",
-            arm=scalar.arm or None,
+        result[scalar.name] = EstimateDocument.of(
+            scalar,
+            value,
+            (low, high),
             verdict=verdict,
             p_value=p,
             error_before=before,
             error_after=after,
-            nominal=scalar.nominal,
-            scale=None if scalar.shape else scalar.scale,
             range=(float(candidate.lower[index]), float(candidate.upper[index])),
             at_bound=bool(fitted.held_at_bound[index]),
         )

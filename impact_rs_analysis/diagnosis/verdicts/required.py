@@ -43,24 +43,16 @@ def with_required(document: DiagnosisDocument, source: Source) -> DiagnosisDocum
 def _document(required: RequiredEffect, rivals: tuple[str, ...], source: Source) -> EffectDocument:
     """The verdict on a required effect, with the estimate that the impacts determine."""
     effect = source.known_effects[required.item.name]
-    parameters = {}
-    for scalar in effect.scalars(source.joints):
-        value = required.item.parameters[scalar.name]
-        parameters[scalar.name] = EstimateDocument(
-            estimate=value.estimate,
-            ci95=value.ci95,
-            unit=scalar.unit,
-            meaning=scalar.meaning,
-            arm=scalar.arm or None,
-            nominal=scalar.nominal,
-            scale=scalar.scale,
-            range=(scalar.lower, scalar.upper),
-        )
+    values = required.item.parameters
+    parameters = {
+        one.name: EstimateDocument.of(one, values[one.name].estimate, values[one.name].ci95)
+        for one in effect.scalars(source.joints)
+    }
     return EffectDocument(
         name=effect.shown_name,
         sentence=effect.sentence,
         verdict=DiagnosisVerdict(Kind.CONFUSABLE, rivals) if rivals else CONFIRMED,
-        reason=f"without it the replays of {required.missed} of {required.impacts} impacts hit nothing",
+        reason=f"the replays of {required.missed} of {required.impacts} impacts hit nothing without it",
         rivals=rivals,
         parameters=parameters,
         held_out_error_before=None,

@@ -309,7 +309,7 @@ def _verdict(document: DiagnosisDocument) -> str:
 def _required(document: DiagnosisDocument) -> str:
     """Why a required effect is named; empty without one."""
     effects = [effect for name in document.required if (effect := document.effect(name)) is not None]
-    return " ".join(f"Without {effect.name} {effect.reason.removeprefix('without it ')}." for effect in effects)
+    return " ".join(f"{effect.name}: {effect.reason}." for effect in effects)
 
 
 def _of_physics(document: DiagnosisDocument) -> str:

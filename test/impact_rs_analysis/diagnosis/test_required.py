@@ -45,7 +45,7 @@ def test_it_is_named_before_what_the_search_finds() -> None:
     frame = document.effect("tracker_frame")
     assert frame is not None and frame.verdict == CONFIRMED and frame.parameters["x"].ci95 == (0.008, 0.012)
     assert "the frame of the object tracker is off by x 10.0 mm [8.0, 12.0]" in document.summary
-    assert "Without tracker_frame the replays of 4 of 18 impacts hit nothing." in document.summary
+    assert "tracker_frame: the replays of 4 of 18 impacts hit nothing without it." in document.summary
     assert "Held-out error, with tracker_frame:" in document.summary
     assert document.model.digest == Model(name="nominal").digest
     assert [one.effect for one in document.calibrate] == ["tracker_frame"]
@@ -74,7 +74,7 @@ def test_of_the_physics_it_is_missing_in_the_model(tmp_path: Path) -> None:
     )  # fmt: skip
     (item,) = child.effects
     assert item.parameters["z"].estimate == 0.01
-    assert "without it the replays of 4 of 18 impacts hit nothing" in child.note
+    assert "the replays of 4 of 18 impacts hit nothing without it" in child.note
 
 
 def test_residuals_that_no_effect_explains_leave_it_named() -> None:
