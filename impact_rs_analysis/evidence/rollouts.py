@@ -53,6 +53,9 @@ MIN_STARTS_APART = 6  # whose rollouts do not overlap; a paired test of fewer ca
 SPREAD_QUANTILES = (0.05, 0.95)  # over starts
 OPEN_LOOP = "open loop: recorded torque drives the model from measured states, no controller pulls it back"
 CLOSED_LOOP = "closed loop: servos drive the model from measured states towards the recorded desired positions"
+# A rollout that is further off predicts nothing: it has diverged [rad, m].
+MAX_JOINT_ERROR: dict[JointType, float] = {"revolute": 2.0 * np.pi, "prismatic": 1.0}
+DIVERGED = "diverged (a joint off by more than a turn, or a metre)"
 SHOWN_UNITS: dict[JointType, tuple[float, str]] = {"revolute": (180.0 / np.pi, "deg"), "prismatic": (1e3, "mm")}
 
 
@@ -158,7 +161,7 @@ def _command_delay(arm: ArmPhysics) -> float:
 
 @dataclass(frozen=True)
 class RolledOut:
-    """Errors of the rollouts of one motion, predicted minus measured, S starts, at T moments.
+    """Errors of the rollouts of one motion, predicted minus measured, S starts, at T moments; NaN once diverged.
 
     Attributes:
         arm: Name of the arm.
@@ -179,6 +182,11 @@ class RolledOut:
     turned: Array
     apart: NDArray[np.bool_]
     closed: bool = False
+
+    def until(self, count: int) -> RolledOut:
+        """The first moments alone."""
+        errors = ("joints", "torque", "tool", "turned")
+        return replace(self, **{name: getattr(self, name)[:count] for name in errors})
 
 
 def shown(value: float) -> str:
@@ -213,7 +221,10 @@ class RolloutDocument(Schema):
     what: str = Field(OPEN_LOOP, description="how the model is driven")
     starts: int = Field(description="measured states from which it starts")
     starts_apart: int = Field(description="of these, states whose rollouts do not overlap at the longest horizon")
-    diverged: int = Field(0, description="rollouts that left the numbers, and are in no error")
+    diverged: int = Field(0, description=f"rollouts that are in no error: {DIVERGED}")
+    all_diverged_after_s: float | None = Field(
+        None, description="next horizon, at which no rollout is left; null: there is none [s]"
+    )
     step_s: float = Field(STEP_S, description="step of the integrator, of second order [s]")
     horizons: tuple[RolloutHorizon, ...] = Field(description="by horizon, those that the data allow")
     growth: Literal["power", "exponential"] | None = Field(
@@ -258,7 +269,9 @@ class RolloutDocument(Schema):
             f"rollouts in {self.loop} from {self.starts} measured states, after {time} s: tool off by "
             f"{tool} mm and {angle} deg, {worst.joint} by {joint} {worst.unit} (rms)"
         )
-        return "; ".join(filter(None, [text, self.growth_in_words]))
+        gone = f"{self.diverged} of {self.starts} have {DIVERGED} and are left out" if self.diverged else ""
+        after = f"after {self.all_diverged_after_s:g} s all have {DIVERGED}" if self.all_diverged_after_s else ""
+        return "; ".join(filter(None, [text, self.growth_in_words, gone, after]))
 
 
 @dataclass(frozen=True)
@@ -268,10 +281,12 @@ class Rollouts:
     Attributes:
         time: Moments after the start, ``(T,)`` [s].
         parts: By motion, or part of one.
+        all_diverged_after: Next horizon, at which some arm has no rollout left; None: there is none [s].
     """
 
     time: Array
     parts: tuple[RolledOut, ...]
+    all_diverged_after: float | None = None
 
     @property
     def apart(self) -> NDArray[np.bool_]:
@@ -295,6 +310,7 @@ class Rollouts:
             starts=tool.shape[1],
             starts_apart=int(self.apart.sum()),
             diverged=int(np.sum(~valid)),
+            all_diverged_after_s=self.all_diverged_after,
             horizons=tuple(self._horizon(row) for row in self.rows),
             growth=law,
             exponent=power,
@@ -441,8 +457,10 @@ def rolled_out(
     every = round(STEPS_PER_ERROR * STEP_S / step)
     path, moments = path[every::every], edges[every::every]
     measured, _ = motion.states(moments, readings)
-    tool, turned = _tool_errors(dynamics, path, measured)
     error, after = path - measured, moments - starts
+    limits = [MAX_JOINT_ERROR[kind] for kind in arm.facts.joint_types]
+    error[np.logical_or.accumulate(~np.all(np.abs(error) <= limits, axis=2))] = np.nan
+    tool, turned = _tool_errors(dynamics, measured + error, measured)
     if motion.servo is not None:
         torque = motion.servo.kp * error
     else:
@@ -486,7 +504,7 @@ def _apart(starts: Array, horizon: float) -> NDArray[np.bool_]:
 
 
 def rollouts_of(motions: Sequence[FreeMotion], physics: Sequence[Physics] | None = None) -> Rollouts | None:
-    """Rollouts of motions; None where they are too short, or every one leaves the numbers.
+    """Rollouts of motions, up to the longest horizon that some of every arm reach; None where there is none.
 
     Args:
         motions: The motions, or parts of them.
@@ -502,10 +520,19 @@ def rollouts_of(motions: Sequence[FreeMotion], physics: Sequence[Physics] | None
         for motion, own, world in zip(motions, starts, of, strict=True)
         if (part := rolled_out(motion, own, horizon, world)) is not None
     ]
-    if not any(np.isfinite(part.tool).all(axis=0).any() for part in parts):
-        return None
     step = STEPS_PER_ERROR * STEP_S
-    return Rollouts(step * np.arange(1.0, round(horizon / step) + 1), tuple(parts))
+    ends = [round(one / step) for one in HORIZONS_S if one <= horizon]
+    reached = [end for end in ends if _all_reach(parts, end - 1)]
+    if not reached:
+        return None
+    last, gone = reached[-1], next((step * end for end in ends if end > reached[-1]), None)
+    return Rollouts(step * np.arange(1.0, last + 1), tuple(part.until(last) for part in parts), gone)
+
+
+def _all_reach(parts: Sequence[RolledOut], row: int) -> bool:
+    """Whether some rollout of every arm has not diverged at a moment."""
+    left = {part.arm for part in parts if np.isfinite(part.tool[row]).any()}
+    return left == {part.arm for part in parts}
 
 
 def free_of_contact(run: Run, impacts: Mapping[str, float], physics: Physics, age: float = 0.0) -> list[FreeMotion]:

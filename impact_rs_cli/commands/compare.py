@@ -126,10 +126,10 @@ def _show_joints(document: ComparisonDocument, terminal: Terminal) -> None:
     for heading in ("joint", f"rms [{unit}]", f"mean [{unit}]", f"noise [{unit}]"):
         table.add_column(heading, justify="left" if heading == "joint" else "right")
     for row in rows:
-        table.add_row(row.index, f"{row.error:.3f}", f"{row.mean or 0.0:+.3f}", f"{row.noise_floor:.3f}")
+        table.add_row(row.index, number(row.error), f"{row.mean or 0.0:+.3g}", number(row.noise_floor))
     terminal.say(table)
     for cell in document.where[:4]:
-        terminal.say(f"  {100 * cell.share:.0f} %: {cell.index} {cell.phase}, mean {cell.error:+.2f} {cell.unit}")
+        terminal.say(f"  {100 * cell.share:.0f} %: {cell.index} {cell.phase}, mean {cell.error:+.3g} {cell.unit}")
 
 
 def _show_levels(document: ComparisonDocument, terminal: Terminal) -> None:

@@ -193,7 +193,7 @@ def _joints_table(document: DiagnosisDocument) -> Table:
     for heading in ("", *(row.joint for row in document.joints)):
         table.add_column(heading, justify="right")
     for name in ("before", "after", "noise"):
-        table.add_row(name, *(f"{getattr(row, name):.3f}" for row in document.joints))
+        table.add_row(name, *(number(getattr(row, name)) for row in document.joints))
     return table
 
 

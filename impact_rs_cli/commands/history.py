@@ -39,19 +39,21 @@ def show_history(found: list[VersionError], terminal: Terminal) -> None:
         table.add_column(heading)
     for heading in ("fit", "held out", "noise"):
         table.add_column(heading, justify="right")
-    rolled = next((entry.rollouts for entry in found if entry.rollouts is not None), None)
+    every = [entry.rollouts for entry in found if entry.rollouts is not None]
+    rolled = max(every, key=lambda rollouts: len(rollouts.horizons), default=None)
     if rolled is not None:
         horizons = " / ".join(f"{one.horizon_s:g}" for one in rolled.horizons)
         table.add_column(f"tool after {horizons} s [mm]", justify="right")
     for entry in found:
-        tool = () if entry.rollouts is None else entry.rollouts.horizons
+        tool = [] if entry.rollouts is None else [number(one.tool_mm) for one in entry.rollouts.horizons]
+        tool += ["diverged"] * (len(rolled.horizons) - len(tool)) if tool and rolled is not None else []
         table.add_row(
             entry.version.model.name,
             entry.version.effect_added or "–",
             number(entry.error_fit),
             "–" if entry.error_held_out is None else number(entry.error_held_out),
             "–" if entry.noise_floor is None else number(entry.noise_floor),
-            *([" / ".join(number(one.tool_mm) for one in tool) or "–"] if rolled is not None else []),
+            *([" / ".join(tool) or "–"] if rolled is not None else []),
         )
     terminal.say(table)
     if rolled is not None:

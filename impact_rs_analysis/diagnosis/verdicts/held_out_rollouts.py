@@ -75,11 +75,12 @@ def _row_compared(before: Rollouts, after: Rollouts, motions: Sequence[FreeMotio
     for motion in motions:
         positions.setdefault(motion.arm, []).append(motion.position)
     spreads = {arm: 2.0 * np.var(np.concatenate(rows), axis=0) for arm, rows in positions.items()}
-    for row in before.rows[:0:-1]:
+    rows = min(before.rows, after.rows, key=len)
+    for row in rows[:0:-1]:
         with np.errstate(invalid="ignore"):
             if min(np.mean(_scores(one, spreads, row)) for one in (before, after)) < 1.0:
                 return row
-    return before.rows[0]
+    return rows[0]
 
 
 def _changes(before: Rollouts, after: Rollouts, row: int) -> Array:

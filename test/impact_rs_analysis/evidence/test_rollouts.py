@@ -115,6 +115,26 @@ def test_an_error_of_the_first_velocity_grows_linearly_and_one_of_an_unstable_ar
     assert "exponentially" in found.in_words
 
 
+def test_rollouts_off_by_more_than_a_turn_have_diverged_and_are_in_no_error(tmp_path: Path) -> None:
+    """In 2 s 3 N m turn the joint by 54 rad, 0.01 N m by 0.18 rad. Kills an error of 3000 degrees, a silent loss."""
+    physics = with_effects(flat(tmp_path), {})
+    columns = swinging()
+    late = columns["time"][:, None] > 12.0
+    some = document_of(motion_of(columns | {"effort": columns["effort"] + np.where(late, 3.0, 0.01)}, physics))
+    assert 0 < some.diverged < some.starts
+    assert some.last.horizon_s == 2.0
+    assert some.last.joints[0].spread[0] == pytest.approx(np.rad2deg(0.01 * 4.0 / (2.0 * INERTIA)), rel=0.02)
+    assert f"{some.diverged} of {some.starts} have diverged" in some.in_words
+
+    every = document_of(motion_of(columns | {"effort": columns["effort"] + 3.0}, physics))
+    assert [one.horizon_s for one in every.horizons] == [0.1, 0.5]
+    assert (every.diverged, every.all_diverged_after_s) == (0, 2.0)
+    assert every.last.joints[0].error == pytest.approx(np.rad2deg(3.0 * 0.25 / (2.0 * INERTIA)), rel=0.01)
+    assert len(every.time_s) == len(every.tool_mm) == 25
+    assert "after 2 s all have diverged" in every.in_words
+    assert rollouts_of([motion_of(columns | {"effort": columns["effort"] + 300.0}, physics)]) is None
+
+
 def test_the_error_of_the_true_model_is_that_of_the_integrator(tmp_path: Path) -> None:
     """Of a pendulum with weight; half the step leaves a quarter. Kills a torque that is late by half a step."""
     physics = with_effects(mapping_of(tmp_path, slender_arm(("revolute",)), torque_measured_at="motor"), {})
