@@ -86,10 +86,10 @@ IMPORT = Command(
 Look at recorded files and write the files that describe them: mapping.yaml, runs.csv, and experiment.yaml where
 something is hit.
 
-Tables (.csv, .txt, .tsv, .dat, .parquet, .npy), arrays (.npz, .h5, .mat, .pt) and bags are read as they are: lines
-above the names, no names at all, all joints in one cell, decimal commas, timestamps in s, ms, us, ns, as seconds and
-nanoseconds or as dates, a file per signal and run, a folder per session, several recordings in one file. What
-a column is, its numbers decide: positions lie within the limits of the robot, velocities are their derivative, torques
+Tables (.csv, .txt, .tsv, .dat, .json, .parquet, .npy), arrays (.npz, .h5, .mat, .pt) and bags are read as they are:
+lines above the names, no names at all, all joints in one cell, decimal commas, timestamps in s, ms, us, ns, as seconds
+and nanoseconds or as dates, a file per signal and run, a folder per session, several recordings in one file. What a
+column is, its numbers decide: positions lie within the limits of the robot, velocities are their derivative, torques
 are those of gravity and inertia. Every value is printed and written with its evidence; ASSUMED marks values that
 nothing shows. Look at those, then compare. Files are never overwritten.""",
     examples="""\

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Mapping files: location, unit and sign of the signals of a foreign recording (``config/mappings/*.yaml``).
 
-One mapping serves bags (topic, message type and field), tables (CSV, text, Parquet, NPY: a column per joint) and files
-of arrays (NPZ, HDF5, MAT: an array per signal). Names of signals are data; a mapping gives their meaning and unit.
+One mapping serves bags (topic, message type and field), tables (CSV, text, Parquet, NPY, JSON: a column per joint) and
+files of arrays (NPZ, HDF5, MAT: an array per signal). Names of signals are data; a mapping gives meaning and unit.
 
 In ``topic``, ``child_frame``, ``file``, ``joints`` and column names ``{object}`` stands for the object of a run,
 ``{arm}`` for the arm of its scenario and ``{run}`` for the run's own name.

@@ -94,7 +94,8 @@ def merged(remarks: Iterable[tuple[str, str]], of: int = 0) -> list[str]:
     """
     groups: dict[tuple[object, ...], list[tuple[str, str]]] = {}
     for run, remark in remarks:
-        groups.setdefault(_kind(remark), []).append((run, remark))
+        text = remark if isinstance(remark, Remark) else remark.removeprefix(f"{run}: ")  # a run of one file
+        groups.setdefault(_kind(text), []).append((run, text))
     return [
         f"{_whose(list(dict.fromkeys(run for run, _ in own if run)), of)}{in_one([text for _, text in own])}"
         for own in groups.values()

@@ -23,12 +23,17 @@ from impact_rs_trials.file_names import BAG_METADATA, RUN_TABLE
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.readers.array_file import ArrayFile
 from impact_rs_trials.recordings.readers.inner_runs import RUN
+from impact_rs_trials.recordings.readers.json_table import JSON_SUFFIXES
 from impact_rs_trials.recordings.readers.lerobot import INFO
 from impact_rs_trials.recordings.readers.table_columns import run_names
 
 ROS1_SUFFIX = ".bag"
 BAG_SUFFIXES = (".db3", ".mcap", ROS1_SUFFIX)
-NOTE_SUFFIXES = (".txt", ".dat")  # of tables that are read where they are named; others of a folder may be notes
+NOTE_SUFFIXES = (
+    ".txt",
+    ".dat",
+    *JSON_SUFFIXES,
+)  # of tables that are read where they are named; others of a folder may be notes
 TABLE_SUFFIXES = (".csv", ".tsv", ".parquet", ".npy", *NOTE_SUFFIXES)
 TORCH_SUFFIX = ".pt"  # as notes: in a folder it may hold the weights of a network
 ARRAY_SUFFIXES = (".npz", ".h5", ".hdf5", ".mat", TORCH_SUFFIX)
@@ -115,8 +120,8 @@ def find_runs(path: Path, mapping: Mapping) -> list[Path]:
             raise InputError(f"no run of this name; those that signals.NAME.file finds here: {listed}", file=path)
         return [path]
     if not mapping.holds_runs:
-        return find_recordings(path)
-    recordings = [] if path.parent.is_file() else find_recordings(path)
+        return find_recordings(path, notes=True)
+    recordings = [] if path.parent.is_file() else find_recordings(path, notes=True)
     return [run for file in recordings for run in _runs_inside(file, mapping)] or [path]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Columns of a table by name: CSV and other text, Parquet, NPY.
+"""Columns of a table by name: CSV and other text, Parquet, NPY, JSON.
 
 Columns without names are ``c1``, ``c2`` and so on.
 """
@@ -19,6 +19,7 @@ from impact_rs_sim.optional_packages import require
 from impact_rs_trials.recordings.mapping import TableLayout
 from impact_rs_trials.recordings.readers.csv_rows import csv_rows, decimal_sign, read_lines
 from impact_rs_trials.recordings.readers.inner_runs import runs_of
+from impact_rs_trials.recordings.readers.json_table import JSON_SUFFIXES, read_json_table
 from impact_rs_trials.recordings.readers.read_once import once
 
 Cells = dict[str, list[str] | NDArray[Any]]
@@ -72,6 +73,9 @@ def read_columns(path: Path, layout: TableLayout = DEFAULT_LAYOUT, recorded: boo
     """
     if path.suffix == ".parquet":
         return _of_parquet(path)
+    if path.suffix in JSON_SUFFIXES:
+        cells, remarks = read_json_table(path)
+        return Columns(cells, remarks=remarks)
     return _of_npy(path) if path.suffix == ".npy" else _of_text(path, layout, recorded)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables (CSV, text, Parquet, NPY): a column per joint, or one column with all joints in a cell, ``0.1 0.2 0.3``.
+"""Tables (CSV, text, Parquet, NPY, JSON): a column per joint, or one column with all joints in a cell, ``0.1 0.2 0.3``.
 
 A row may hold some signals only: where all cells of a signal are empty (or NaN) it has no sample.
 """
