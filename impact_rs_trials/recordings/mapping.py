@@ -61,9 +61,10 @@ SignalName = Literal[
 NO_ROBOT = "none"  # robot of a mapping whose recordings hold an object alone
 REQUIRED: tuple[SignalName, ...] = ("position", "velocity", "torque")
 IN_A_PLANE = 2  # columns of object_position that a camera sees: along its image, and up
+HEIGHT_ALONE = 1  # column of object_position of a range finder above or below
 WIDTHS: dict[SignalName, tuple[int, ...]] = {  # numbers per sample, and other numbers of columns
     "object_pose": (7,),
-    "object_position": (3, IN_A_PLANE),
+    "object_position": (3, IN_A_PLANE, HEIGHT_ALONE),
     "object_quaternion": (4,),
     "wrench": (6,),
     "acceleration": (3,),
@@ -110,7 +111,7 @@ class SignalSource(Schema):
     )
     columns: tuple[str, ...] | None = Field(
         None,
-        description="columns of a table, in order; of object_position also two, along and up in a vertical plane",
+        description="columns of a table, in order; of object_position also two, along and up, or one, up",
     )
     entries: tuple[Annotated[int, Field(ge=1)], ...] | None = Field(
         None,
@@ -435,8 +436,8 @@ class Mapping(Schema):
             values = np.hstack((values[:, :-4], values[:, -3:], values[:, -4:-3]))
         if signal == "object_pose":
             return np.hstack((values[:, :3] * factor, values[:, 3:]))
-        if signal == "object_position" and values.shape[1] == IN_A_PLANE:
-            return np.insert(values * factor, 1, 0.0, axis=1)
+        if signal == "object_position" and values.shape[1] < WIDTHS[signal][0]:
+            return np.insert(values * factor, [values.shape[1] - 1] * (3 - values.shape[1]), 0.0, axis=1)
         return values * factor + self.offset(signal)
 
 

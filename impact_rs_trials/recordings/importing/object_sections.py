@@ -18,7 +18,7 @@ from impact_rs_trials.recordings.importing.import_texts import flow
 from impact_rs_trials.recordings.importing.joint_streams import COMMANDED
 from impact_rs_trials.recordings.importing.moving_objects import moving_objects
 from impact_rs_trials.recordings.importing.recorded_files import ImportedFiles, RecordedFile, axes_of, source_in
-from impact_rs_trials.recordings.mapping import IN_A_PLANE, NO_ROBOT, SignalName, SignalSource
+from impact_rs_trials.recordings.mapping import HEIGHT_ALONE, IN_A_PLANE, NO_ROBOT, SignalName, SignalSource
 from impact_rs_trials.recordings.readers.guesses import Guess, fall_in, pose_of, quaternion_order, unit_of_length
 from impact_rs_trials.recordings.readers.sources import open_file
 from impact_rs_trials.recordings.readers.transforms import are_transforms
@@ -113,18 +113,20 @@ class ObjectSections:
         for part in self._parts:
             names = [name for name, cells in part.columns.items() if vector_width(cells) == 1]
             places, _, planes = axes_of(names)
-            for columns in (*places, *planes):
+            heights = [] if places or planes else [[name] for name in names if name not in part.clock_columns]
+            for columns in (*places, *planes, *heights):
                 file = open_file(
                     part.path, part.raw_mapping(NO_ROBOT, (), self._rate), part.names, ("object_position",)
                 )
                 track = file.series("object_position", SignalSource(unit="m", columns=tuple(columns)))
-                if len(columns) == IN_A_PLANE:
-                    falling = fall_in(track.time, track.values[:, [0, 2]])
-                    if falling is None:
-                        self.not_falling.append(", ".join(columns))
+                if len(columns) in (IN_A_PLANE, HEIGHT_ALONE):
+                    falling = fall_in(track.time, track.values[:, [0, 2] if len(columns) == IN_A_PLANE else [2]])
+                    # One column of many may bend like a fall in some unit; only a fall by g in a known one is a height.
+                    if falling is None or (len(columns) == HEIGHT_ALONE and not falling[1].sure):
+                        self.not_falling += [", ".join(columns)] if len(columns) == IN_A_PLANE else []
                         continue
                     up, length = falling
-                    columns = [columns[1 - up], columns[up]]
+                    columns = [*columns[:up], *columns[up + 1 :], columns[up]]
                 else:
                     length = unit_of_length(track.values)
                 self._notes.add("signals.object_position", ", ".join(columns), length.evidence, length.sure)

@@ -265,13 +265,13 @@ def unit_of_length(place: Array) -> Guess:
 
 
 def fall_in(time: Array, place: Array) -> tuple[int, Guess] | None:
-    """Which of two coordinates falls freely, and unit and factors by its acceleration; None: neither does.
+    """Which of some coordinates falls freely, and unit and factors by its acceleration; None: none does.
 
     The second differences of a flight are alike; those of a bounce and of a ball that rests or is held are not.
 
     Args:
         time: Stamps, ``(k,)`` [s].
-        place: Along the image and up, or down, in any order and unit, ``(k, 2)``.
+        place: Along the image and up, or down, in any order and unit, ``(k, 2)``; or the latter alone, ``(k, 1)``.
     """
     reach = max(1, round(FALL_HALF_WIDTH_S / float(np.median(np.diff(time)))))
     if len(time) < 4 * reach:
@@ -284,7 +284,7 @@ def fall_in(time: Array, place: Array) -> tuple[int, Guess] | None:
         )
     ]  # fmt: skip
     bent = 2.0 * (slopes[1] - slopes[0]) / (first + last)[:, None]
-    ways = [(*_densest(sign * bent[:, axis]), sign, axis) for axis in (0, 1) for sign in (-1.0, 1.0)]
+    ways = [(*_densest(sign * bent[:, axis]), sign, axis) for axis in range(place.shape[1]) for sign in (-1.0, 1.0)]
     share, size, sign, up = max(ways)
     if share < MIN_FALLING_SHARE:
         return None
@@ -295,7 +295,7 @@ def fall_in(time: Array, place: Array) -> tuple[int, Guess] | None:
     if unit is not None and fall < 0.0:
         return up, Guess(unit, f"{evidence}: {unit}")
     factor = 1.0 if unit is not None else float(f"{scale:.4g}")
-    further = {"factor": [factor, -factor if fall > 0.0 else factor]}
+    further = {"factor": [*[factor] * (place.shape[1] - 1), -factor if fall > 0.0 else factor]}
     if unit is not None:
         return up, Guess(unit, f"{evidence}: {unit}", True, further)
     return up, Guess("m", f"{evidence}, which is g with this scale; a measured scale is better", False, further)

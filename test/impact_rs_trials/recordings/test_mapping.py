@@ -182,7 +182,7 @@ def test_two_columns_of_a_position_lie_in_the_plane_of_a_camera_and_have_a_facto
 @pytest.mark.parametrize(
     ("keys", "complaint"),
     [
-        ({"columns": ["px"]}, "signals.object_position.columns lists 1 columns, expected 3"),
+        ({"columns": ["px", "py", "pz", "q"]}, "signals.object_position.columns lists 4 columns, expected 3"),
         ({"factor": [1.0, 1.0, 1.0]}, "signals.object_position.factor lists 3 numbers, expected one"),
         ({"unit": ["mm", "mm"]}, "signals.object_position.unit lists 2 units, expected one"),
         (

@@ -74,6 +74,20 @@ def test_bounces_in_pixels_give_restitution_scale_and_the_spin_of_the_ball(lost:
             assert impact.before[4] == pytest.approx(spin, abs=4.0)  # rad/s; noise: 0.6 for every bounce
 
 
+def test_a_height_alone_gives_restitution_and_no_motion_along_the_plane(tmp_path: Path) -> None:
+    """A range finder above, in mm, with a column of its temperature. Kills x and z exchanged, and the wrong column."""
+    (tmp_path / "drops").mkdir()
+    for number, (_, height) in enumerate(DROPS, start=1):
+        z = bounces(0.0, height)[0][:, 1] + np.random.default_rng(number).normal(0.0, NOISE, int(1.4 * RATE))
+        rows = [f"{n / RATE:.5f},{21.0 + 0.01 * n},{-1e3 * one:.3f}" for n, one in enumerate(z)]
+        (tmp_path / "drops" / f"drop_{number}.csv").write_text("\n".join(["time,temp,range", *rows]) + "\n")
+    found, mapping = found_in(tmp_path / "drops", tmp_path / "lab")
+    assert mapping["signals"]["object_position"] == {"columns": ["range"], "unit": "mm", "factor": [-1.0]}
+    assert len(found.impacts) >= 9
+    assert np.mean([-one.after[2] / one.before[2] for one in found.impacts]) == pytest.approx(RESTITUTION, abs=0.004)
+    assert all(np.all(one.before[[0, 1, 3, 4, 5]] == 0.0) for one in found.impacts)
+
+
 def track(path: Path, places: np.ndarray, steps: bool) -> Path:
     """A table in metres, x along; the frames have no number, but perhaps the time since the one before."""
     rows = [f"{x:.6f},{y:.6f}" + f",{1.0 / RATE:.6f}" * steps for x, y in places]
