@@ -119,12 +119,13 @@ def test_what_a_small_campaign_ends_with(hidden: str, named: tuple[str, ...], ve
 @pytest.mark.parametrize("name", numbers.NUMBERS)
 def test_a_number_of_the_verdict_is_changed_for_as_long_as_it_is_asked_for(name: str) -> None:
     """Kills: a module keeps its own; the change stays."""
-    from impact_rs_analysis.diagnosis.search import candidate, null_distribution
+    from impact_rs_analysis.diagnosis.search import candidate, model_comparison, null_distribution, screening
     from impact_rs_analysis.diagnosis.search import effect_selection as search
     from impact_rs_analysis.diagnosis.verdicts import model_verdict as verdicts
     from impact_rs_analysis.evidence import cluster
 
-    seen = [module for module in (candidate, cluster, null_distribution, search, verdicts) if hasattr(module, name)]
+    modules = (candidate, cluster, model_comparison, null_distribution, screening, search, verdicts)
+    seen = [module for module in modules if hasattr(module, name)]
     before = [getattr(module, name) for module in seen]
     assert seen
     with numbers.multiplied(name, 2.0):

@@ -33,8 +33,8 @@ from benchmarks.harness import Case, Row, Work, draw_options, drawn
 from benchmarks.results import Table
 from impact_rs_analysis.diagnosis.search import null_distribution
 from impact_rs_analysis.diagnosis.search.candidate import Candidate, Problem, linearise
-from impact_rs_analysis.diagnosis.search.effect_selection import benjamini_hochberg
 from impact_rs_analysis.diagnosis.search.fit import Evidence, Fit
+from impact_rs_analysis.diagnosis.search.null_distribution import benjamini_hochberg
 from impact_rs_sim.robots.robot import Array
 
 DESIGNS = ((3, 2), (6, 2), (4, 4), (6, 3), (9, 5))  # conditions, repeats

@@ -31,8 +31,7 @@ from functools import partial
 import numpy as np
 from pydantic import Field
 
-from impact_rs_analysis.diagnosis.search.effect_selection import benjamini_hochberg
-from impact_rs_analysis.diagnosis.search.null_distribution import RotationNull
+from impact_rs_analysis.diagnosis.search.null_distribution import RotationNull, benjamini_hochberg
 from impact_rs_analysis.diagnosis.thresholds import MAX_NOISE_RATIO, SIGNIFICANCE_LEVEL
 from impact_rs_analysis.evidence.cluster import Cluster, Feature, pooled_error
 from impact_rs_analysis.evidence.levels import expected_of, relevant_of, root_mean_square, rounded

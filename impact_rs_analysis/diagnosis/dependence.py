@@ -26,7 +26,7 @@ from functools import partial
 import numpy as np
 
 from impact_rs_analysis.diagnosis.search.candidate import Candidate, linearise
-from impact_rs_analysis.diagnosis.search.effect_selection import ProgressCallback, benjamini_hochberg, simplest, tied
+from impact_rs_analysis.diagnosis.search.effect_selection import ProgressCallback
 from impact_rs_analysis.diagnosis.search.fit import (
     DIFFERENCE_STEP_SHARES,
     Evidence,
@@ -35,6 +35,8 @@ from impact_rs_analysis.diagnosis.search.fit import (
     replay_and_refit,
 )
 from impact_rs_analysis.diagnosis.search.hold_out import Fold, folds_of, held_out_residuals
+from impact_rs_analysis.diagnosis.search.model_comparison import simplest, tied
+from impact_rs_analysis.diagnosis.search.null_distribution import benjamini_hochberg
 from impact_rs_analysis.diagnosis.thresholds import (
     MIN_DISTINCT_NUMBERS,
     MIN_ROWS_OF_LEVEL,
@@ -173,7 +175,7 @@ def dependences_of(
         return None
     source = found.evidence.source.with_dependences(())
     chosen = () if found.chosen is None else found.chosen.candidate.effects
-    others = [single.effects[0] for name, single in found.search.singles.items() if name not in found.names]
+    others = [single.effects[0] for name, single in found.search.screening.singles.items() if name not in found.names]
     pairs = tuple(
         Depending(effect, name, terms)
         for name, ways in terms_of(source).items()

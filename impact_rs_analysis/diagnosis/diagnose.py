@@ -33,9 +33,10 @@ from impact_rs_analysis.diagnosis.document import (
 from impact_rs_analysis.diagnosis.drift import drift_in_words, drift_of, low_confidence_sentence
 from impact_rs_analysis.diagnosis.search.bounds import NO_BOUNDS, Bounds, bounded
 from impact_rs_analysis.diagnosis.search.budget import SEARCH_TIME_SHARE, UNLIMITED, Budget
-from impact_rs_analysis.diagnosis.search.effect_selection import NOTHING_KNOWN, ProgressCallback, Rival, Search
+from impact_rs_analysis.diagnosis.search.effect_selection import NOTHING_KNOWN, ProgressCallback, Search
 from impact_rs_analysis.diagnosis.search.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.search.hold_out import HoldOut, hold_out
+from impact_rs_analysis.diagnosis.search.model_comparison import Rival
 from impact_rs_analysis.diagnosis.thresholds import (
     MIN_CLUSTERS,
     MIN_REPORTED_CORRELATION,
@@ -302,7 +303,8 @@ def findings_of(
 def _p_values(search: Search, chosen: Fit | None) -> dict[str, float]:
     """Unadjusted p-values: of unchosen effects given the chosen ones, of each chosen effect given the others."""
     own = () if chosen is None else chosen.candidate.names
-    return search.raw_p_values(chosen) | {name: search.p_value_of_chosen(chosen, name) for name in own if chosen}
+    others = search.screening.raw_p_values(chosen)
+    return others | {name: search.p_value_of_chosen(chosen, name) for name in own if chosen}
 
 
 def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocument:
@@ -425,8 +427,8 @@ def _remarks(found: Findings, source: Source) -> list[str]:
         )
     if found.unsupported:
         remarks.append(found.unsupported)
-    if found.search.ruled_out:
-        names = ", ".join(sorted(found.shown(found.search.ruled_out)))
+    if found.search.screening.ruled_out:
+        names = ", ".join(sorted(found.shown(found.search.screening.ruled_out)))
         remarks.append(f"free motion shows no sign of these, so they were not fitted in contact: {names}")
     return remarks
 

@@ -31,8 +31,9 @@ from impact_rs_analysis.diagnosis.laws.discovery_document import (
 )
 from impact_rs_analysis.diagnosis.laws.grammar import FREE_CURVE_KNOTS, MIN_SPAN_SHARE, Grammar, Law, curve_of, laws_of
 from impact_rs_analysis.diagnosis.search.candidate import Candidate, linearise
-from impact_rs_analysis.diagnosis.search.effect_selection import ProgressCallback, Rival, Search, j_test_p_value
+from impact_rs_analysis.diagnosis.search.effect_selection import ProgressCallback, Search
 from impact_rs_analysis.diagnosis.search.fit import Evidence, Fit, chord_method
+from impact_rs_analysis.diagnosis.search.model_comparison import Rival, j_test_p_value
 from impact_rs_analysis.diagnosis.thresholds import (
     MAX_ERROR_RATIO,
     MIN_GAIN_SHARE,
@@ -423,12 +424,12 @@ def _begins_beyond(law: Law, ranges: Mapping[str, Range]) -> bool:
 def _document(tried: _Tried, model: Model, laws: Mapping[str, Law], ranges: Mapping[str, Range]) -> DiscoveryDocument:
     found = tried.found
     best = sorted(
-        (name for name in found.search.singles if name in laws and name not in found.names),
-        key=lambda name: found.search.beside(found.chosen, name).score,
+        (name for name in found.search.screening.singles if name in laws and name not in found.names),
+        key=lambda name: found.search.screening.beside(found.chosen, name).score,
     )
     rivals = [rival.name for rival in found.rivals]
     shown = [name for name in dict.fromkeys([*found.names, *rivals, *best[:MAX_OTHER_LAWS]]) if name in laws]
-    found.search.keep({*shown, *(name for name in found.search.singles if name not in laws)})
+    found.search.screening.keep({*shown, *(name for name in found.search.screening.singles if name not in laws)})
     diagnosis = document_of(found, tried.source, model)
     diagnosis = diagnosis.model_copy(update={"formulas": tuple(laws[name].spec for name in shown)})
     chosen = [name for name in diagnosis.named if name in laws]

@@ -49,7 +49,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, lru_cache, reduce
 
 import numpy as np
@@ -583,3 +583,16 @@ class SignFlipNull(NullDistribution):
         scores = np.array([j.T @ left for left, j in zip(rest, jacobians, strict=True)])
         count = len(self.clusters)
         return np.asarray(inverse @ (scores.T @ scores) @ inverse * count / (count - 1.0))
+
+
+def benjamini_hochberg(p_values: Mapping[str, float], tests: int = 0) -> dict[str, float]:
+    """p-values adjusted for the false discovery rate (Benjamini and Hochberg 1995).
+
+    Args:
+        p_values: By name.
+        tests: Number of tests, including those with larger p-values; 0: these alone.
+    """
+    if not p_values:
+        return {}
+    every = [*p_values.values(), *[1.0] * (tests - len(p_values))]
+    return dict(zip(p_values, scipy.stats.false_discovery_control(every).tolist(), strict=False))

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rs_analysis.diagnosis.document import EffectDocument, EstimateDocument
-from impact_rs_analysis.diagnosis.search.effect_selection import Rival, changed_features, tied_errors
 from impact_rs_analysis.diagnosis.search.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.search.intervals import intervals_of
+from impact_rs_analysis.diagnosis.search.model_comparison import Rival, changed_features, tied_errors
 from impact_rs_analysis.diagnosis.search.relevance import exceeds_relevance_limit, sizes_of
 from impact_rs_analysis.diagnosis.thresholds import MAX_HALF_WIDTH, SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.verdict import (
@@ -47,13 +47,13 @@ NOT_MEASURED = {
 def effect_documents(found: Findings, known: dict[str, Effect]) -> list[EffectDocument]:
     """Documents of all effects: chosen ones, then the others by leave-one-out error, then those not measured."""
     search = found.search
-    fits = {name: _fitted(found, name) for name in (*found.names, *(n for n in search.singles if n not in found.names))}
+    fits = {name: _fitted(found, name) for name in dict.fromkeys([*found.names, *search.screening.singles])}
     ends = _ends(found, fits)
     chosen = [_chosen_document(found, known[name], ends[name]) for name in found.names]
     others = [_other_document(found, known[name], fits[name], ends[name]) for name in fits if name not in found.names]
     others.sort(key=lambda report: report.held_out_error_after or 0.0)
     reports = [*chosen, *others]
-    for name in sorted(search.unmeasured):
+    for name in sorted(search.screening.unmeasured):
         effect = known[name]
         why = NOT_MEASURED.get(effect.acts_on, "no measured signal depends on it")
         reports.append(
@@ -125,7 +125,7 @@ def _fitted(found: Findings, name: str) -> Fit:
     if found.chosen is not None and name in found.names:
         return found.chosen
     best = _as_rival(found, name)
-    return found.search.beside(found.chosen, name) if best is None else best.fit
+    return found.search.screening.beside(found.chosen, name) if best is None else best.fit
 
 
 def _other_document(found: Findings, effect: Effect, fitted: Fit, ends: Ends) -> EffectDocument:
@@ -151,7 +151,7 @@ def _other_document(found: Findings, effect: Effect, fitted: Fit, ends: Ends) ->
             verdict, reason = SMALL, small
     else:
         verdict, reason = NO_IMPROVEMENT, ""
-        if name in search.ruled_out:
+        if name in search.screening.ruled_out:
             reason = "free motion shows no sign of it, so it was not fitted in contact"
     before = _error(found, found.chosen)
     return _document(

@@ -12,9 +12,10 @@ import numpy as np
 import scipy
 
 from impact_rs_analysis.diagnosis.document import LackOfFit, explained
-from impact_rs_analysis.diagnosis.search.effect_selection import Rival, Search
+from impact_rs_analysis.diagnosis.search.effect_selection import Search
 from impact_rs_analysis.diagnosis.search.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.search.hold_out import HoldOut
+from impact_rs_analysis.diagnosis.search.model_comparison import Rival
 from impact_rs_analysis.diagnosis.search.relevance import exceeds_relevance_limit
 from impact_rs_analysis.diagnosis.thresholds import MIN_EXPLAINED_SHARE, MIN_REPORTED_P, SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, NONE, NOTHING, SMALL, TOO_FEW, DiagnosisVerdict, Kind
@@ -63,7 +64,7 @@ class Findings:
     @cached_property
     def adjusted(self) -> dict[str, float]:
         """Benjamini-Hochberg adjusted p-values of all effects."""
-        return self.search.adjusted(self.p_values)
+        return self.search.screening.adjusted(self.p_values)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -182,7 +183,7 @@ def within_discrepancy(search: Search) -> tuple[str, ...]:
     """
     if search.evidence.source.of_motion or not search.evidence.source.discrepancy_document.used:
         return ()
-    scores = {name: search.alone(name).score for name in search.singles}
+    scores = {name: search.alone(name).score for name in search.screening.singles}
     best = min(scores, key=lambda name: scores[name], default="")
     before = float(np.mean([np.mean(np.square(item.mean)) for item in search.evidence.clusters]))
     return (best,) if best and scores[best] < (1.0 - MIN_EXPLAINED_SHARE) * before else ()

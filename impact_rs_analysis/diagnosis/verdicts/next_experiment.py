@@ -149,5 +149,5 @@ def _of_recordings(found: Findings, known: dict[str, Effect]) -> NextExperiment:
         )
     return NextExperiment(
         advice="run an impact campaign, because contact and object act on nothing in a free motion",
-        splits=tuple(sorted(found.search.unmeasured)),
+        splits=tuple(sorted(found.search.screening.unmeasured)),
     )

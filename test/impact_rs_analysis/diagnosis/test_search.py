@@ -33,13 +33,7 @@ from scipy.stats import t as student
 from impact_rs_analysis.diagnosis.search import effect_selection as search_module
 from impact_rs_analysis.diagnosis.search import fit
 from impact_rs_analysis.diagnosis.search.candidate import Candidate, Problem, bounded, linearise
-from impact_rs_analysis.diagnosis.search.effect_selection import (
-    Search,
-    benjamini_hochberg,
-    encompasses,
-    j_test_p_value,
-    tied,
-)
+from impact_rs_analysis.diagnosis.search.effect_selection import Search
 from impact_rs_analysis.diagnosis.search.fit import (
     Evidence,
     Fit,
@@ -50,6 +44,8 @@ from impact_rs_analysis.diagnosis.search.fit import (
     restart_from_afar,
 )
 from impact_rs_analysis.diagnosis.search.intervals import intervals_of
+from impact_rs_analysis.diagnosis.search.model_comparison import encompasses, j_test_p_value, tied
+from impact_rs_analysis.diagnosis.search.null_distribution import benjamini_hochberg
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANCE_LEVEL
 from impact_rs_analysis.evidence.cluster import DISCREPANCY_QUANTILE_RATIO, SHARED_DISCREPANCY_SHARE
 from impact_rs_sim.robots.robot import Array
@@ -105,13 +101,13 @@ def test_a_hidden_effect_is_named_and_estimated_however_strong_it_is(name: str, 
 def test_an_effect_that_does_something_else_than_its_first_step_has_a_small_p(beside: tuple[str, ...]) -> None:
     hidden = (*((name, (5.0,)) for name in beside), ("turning", (30.0,)))
     search = searched(AnalyticSource(1, hidden), *beside, "turning")
-    there = [replace(search.singles[name], point=np.array(values)) for name, values in hidden]
+    there = [replace(search.screening.singles[name], point=np.array(values)) for name, values in hidden]
     point = functools.reduce(Candidate.beside, there)
     found = linearise(point, search.evidence.clusters, search.evidence.numbers, search.source)
     assert found is not None
     chosen = Fit.of(found, search.evidence)
     others = search.without(chosen, "turning") if beside else None
-    assert search.p_values_of(["turning"], others)["turning"] > 0.05
+    assert search.screening.p_values_of(["turning"], others)["turning"] > 0.05
     assert search.p_value_of_chosen(chosen, "turning") < 1e-3
 
 
@@ -120,7 +116,7 @@ def test_an_effect_whose_sensitivities_vanish_at_the_estimate_has_a_small_p(besi
     """Kills sensitivities at the estimate alone: two ends of a diameter, where the tangent is orthogonal to the way."""
     hidden = (*((name, (5.0,)) for name in beside), ("circling", (np.pi,)))
     search = searched(AnalyticSource(2, hidden), *beside, "circling")
-    there = [replace(search.singles[name], point=np.array(values)) for name, values in hidden]
+    there = [replace(search.screening.singles[name], point=np.array(values)) for name, values in hidden]
     point = functools.reduce(Candidate.beside, there)
     evidence = search.evidence
     found = linearise(point, evidence.clusters, evidence.numbers, search.source, central=True)
@@ -134,7 +130,7 @@ def test_the_p_value_of_a_fitted_effect_is_not_too_small_where_nothing_is_hidden
     found = []
     for seed in range(100):
         search = searched(AnalyticSource(seed), name)
-        fitted = gauss_newton(chord_method(search.singles[name], search.evidence))
+        fitted = gauss_newton(chord_method(search.screening.singles[name], search.evidence))
         found.append(search.p_value_of_chosen(fitted, name))
     for level in (0.05, 0.3):
         assert np.count_nonzero(np.array(found) < level) <= binom.ppf(1 - 1e-3, len(found), level)
@@ -282,7 +278,7 @@ def test_a_fit_ends_no_worse_than_at_the_truth(name: str, truth: tuple[float, ..
 
 def test_leaving_a_cluster_out_uses_all_others_but_its_guard() -> None:
     source = AnalyticSource(8, (("straight", (2.0,)),))
-    candidate = searched(source).singles["straight"]
+    candidate = searched(source).screening.singles["straight"]
     guard = [tuple(n for n in (c - 1, c + 1) if 0 <= n < 6) for c in range(6)]
     for neighbours in (None, guard):
         problem = Problem(candidate, source.clusters, neighbours)
@@ -296,7 +292,7 @@ def test_leaving_a_cluster_out_uses_all_others_but_its_guard() -> None:
 def test_a_scale_larger_than_the_noise_does_not_make_the_prior_strong() -> None:
     """Two parameters that act nearly alike, on residuals whose scale is 50 times their noise."""
     source = AnalyticSource(4, (("of_joints", (2.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0)),))
-    single = searched(source, "of_joints").singles["of_joints"]
+    single = searched(source, "of_joints").screening.singles["of_joints"]
     shrunk = tuple(
         replace(item, residuals=item.residuals / 50.0, sigma=50.0 * item.sigma, pure_error=item.pure_error / 50.0)
         for item in source.clusters
@@ -317,7 +313,7 @@ def test_a_scale_larger_than_the_noise_does_not_make_the_prior_strong() -> None:
 def test_a_parameter_that_the_data_leave_open_is_not_held_at_a_bound(sensitivity: float, held: bool) -> None:
     source = AnalyticSource(4, (("straight", (80.0,)),))
     search = searched(source, "straight")
-    single = search.singles["straight"]
+    single = search.screening.singles["straight"]
     faint = replace(single, jacobians=tuple(sensitivity * jacobian for jacobian in single.jacobians))
     fitted = Fit.of(faint, search.evidence)
     fitted = replace(fitted, change=(single.upper - single.point) / single.scale)
@@ -329,7 +325,7 @@ def test_the_jackknife_of_a_mean_is_its_standard_error() -> None:
     """Clusters that say the same amount: the estimate is their mean, its standard error s / sqrt(c) (Tukey 1958)."""
     source = AnalyticSource(12)
     ones = tuple(np.ones((item.sigma.size, 1)) for item in source.clusters)
-    problem = Problem(replace(searched(source).singles["straight"], jacobians=ones), source.clusters)
+    problem = Problem(replace(searched(source).screening.singles["straight"], jacobians=ones), source.clusters)
     means = np.array([item.mean.mean() for item in source.clusters])
     assert problem.solve()[0] == pytest.approx(means.mean(), rel=1e-5)
     assert problem.jackknife()[0] == pytest.approx(means.std(ddof=1) / np.sqrt(6), rel=1e-4)
@@ -337,7 +333,7 @@ def test_the_jackknife_of_a_mean_is_its_standard_error() -> None:
 
 def test_errors_of_a_change_are_those_of_the_residuals_it_leaves() -> None:
     source = AnalyticSource(9, (("of_joints", tuple(range(7))),))
-    problem = Problem(searched(source, "of_joints").singles["of_joints"], source.clusters)
+    problem = Problem(searched(source, "of_joints").screening.singles["of_joints"], source.clusters)
     change = problem.solve()
     direct = [np.mean(np.square(rest)) for rest in problem.residuals_at(change)]
     np.testing.assert_allclose(problem.errors(change), direct, rtol=1e-9)
@@ -347,7 +343,7 @@ def test_the_error_that_accepts_a_step_is_the_one_that_the_step_makes_least() ->
     """Kills: a mean over conditions, in which one of twelve repeats counts as much as one of two."""
     source = AnalyticSource(4, (("straight", (1.0,)),), design=(2, 2, 2, 12))
     source.spoil(3, 2.0 * direction(3, 0))
-    problem = Problem(searched(source, "straight").singles["straight"], source.clusters)
+    problem = Problem(searched(source, "straight").screening.singles["straight"], source.clusters)
     best = problem.solve()
     for off in (-0.05, 0.05):
         assert problem.error(best + off) > problem.error(best)
@@ -358,7 +354,7 @@ def test_the_error_that_accepts_a_step_is_the_one_that_the_step_makes_least() ->
 @pytest.mark.parametrize(("point", "step"), [(50.0, -3.0), (-50.0, 3.0)])
 def test_a_point_outside_its_bounds_comes_back_by_the_trusted_step(point: float, step: float) -> None:
     source = AnalyticSource(9, (("of_joints", tuple(range(7))),))
-    single = searched(source, "of_joints").singles["of_joints"]
+    single = searched(source, "of_joints").screening.singles["of_joints"]
     away = replace(single, point=single.nominal + point * single.scale, lower=single.nominal - single.scale,
                    upper=single.nominal + single.scale)  # fmt: skip
     np.testing.assert_allclose(Problem(away, source.clusters).solve(within=3.0), step)
@@ -401,7 +397,7 @@ def test_several_bounded_problems_end_where_each_of_them_does_alone(size: int) -
 
 def test_a_bound_of_physics_is_not_passed() -> None:
     search = searched(AnalyticSource(10, (("one_sided", (-3.0,)),)), "one_sided")
-    fitted = chord_method(search.singles["one_sided"], search.evidence)
+    fitted = chord_method(search.screening.singles["one_sided"], search.evidence)
     assert fitted.estimate[0] == pytest.approx(0.0, abs=1e-12)
     assert whole_interval(fitted)[0][0] == 0.0
 
@@ -409,14 +405,14 @@ def test_a_bound_of_physics_is_not_passed() -> None:
 @pytest.mark.parametrize("hidden", [-170.0, 170.0, 700.0])
 def test_a_fit_goes_on_beyond_the_range_of_a_parameter_that_is_not_one_of_physics(hidden: float) -> None:
     search = searched(AnalyticSource(10, (("straight", (hidden,)),)), "straight")
-    fitted = chord_method(search.singles["straight"], search.evidence)
+    fitted = chord_method(search.screening.singles["straight"], search.evidence)
     assert fitted.estimate[0] == pytest.approx(hidden, abs=0.5) and not fitted.at_bound.any()
 
 
 def test_the_range_of_a_search_does_not_cut_an_interval_off() -> None:
     """Just below the end of the range it is as long to either side."""
     search = searched(AnalyticSource(10, (("straight", (49.95,)),)), "straight")
-    fitted = chord_method(search.singles["straight"], search.evidence)
+    fitted = chord_method(search.screening.singles["straight"], search.evidence)
     low, high = (float(end[0]) for end in whole_interval(fitted))
     assert fitted.estimate[0] < fitted.candidate.upper[0] == 50.0 < high
     assert high - fitted.estimate[0] == pytest.approx(fitted.estimate[0] - low, rel=1e-6)
@@ -426,13 +422,13 @@ def test_the_range_of_a_search_does_not_cut_an_interval_off() -> None:
 def test_a_fit_whose_steps_get_short_looks_at_its_sensitivities_again(hidden: float) -> None:
     """A damping is an eighth as sensitive at 30 as at 0: steps by the latter end at three quarters of the way."""
     search = searched(AnalyticSource(10, (("saturated", (hidden,)),)), "saturated")
-    fitted = chord_method(search.singles["saturated"], search.evidence)
+    fitted = chord_method(search.screening.singles["saturated"], search.evidence)
     assert fitted.estimate[0] == pytest.approx(hidden, rel=0.05)
 
 
 def test_a_range_is_widened_four_times_and_then_said_to_be_reached() -> None:
     search = searched(AnalyticSource(10, (("straight", (5000.0,)),)), "straight")
-    fitted = chord_method(search.singles["straight"], search.evidence)
+    fitted = chord_method(search.screening.singles["straight"], search.evidence)
     assert fitted.estimate[0] == 16.0 * 50.0 and fitted.at_bound.all()
 
 
@@ -440,7 +436,7 @@ def test_a_range_is_widened_four_times_and_then_said_to_be_reached() -> None:
 def test_what_changes_nothing_near_its_nominal_value_is_seen_from_afar(hidden: float) -> None:
     """As a contact that sticks does until its friction is a fraction of what was assumed."""
     search = searched(AnalyticSource(4, (("sticking", (hidden,)),)), "sticking", "bent")
-    assert not search.unmeasured and search.p_values(None)["sticking"] < SIGNIFICANCE_LEVEL
+    assert not search.screening.unmeasured and search.screening.p_values(None)["sticking"] < SIGNIFICANCE_LEVEL
     found = search.forward_selection()
     assert found is not None and found.candidate.names == ("sticking",)
     assert found.estimate[0] == pytest.approx(hidden, abs=0.5)
@@ -449,7 +445,7 @@ def test_what_changes_nothing_near_its_nominal_value_is_seen_from_afar(hidden: f
 def test_what_changes_nothing_anywhere_is_not_measured() -> None:
     nothing = effect("without_influence", (parameter("z"),))
     search = Search([nothing, EFFECTS["bent"]], Evidence.of(AnalyticSource(4)))
-    assert search.unmeasured == {"without_influence"}
+    assert search.screening.unmeasured == {"without_influence"}
 
 
 @pytest.mark.parametrize("world", [functools.partial(AnalyticSource, free=FREE), BeforeTheHit])
@@ -458,9 +454,9 @@ def test_absent_effects_of_the_joints_are_ruled_out_by_free_motion(world: Callab
     ruled_out = 0
     for seed in range(10):
         search = searched(world(seed), "bent", "of_joints")
-        assert search.ruled_out <= {"of_joints"}
-        assert set(search.p_values(None)) == {"bent", "of_joints"}
-        ruled_out += bool(search.ruled_out)
+        assert search.screening.ruled_out <= {"of_joints"}
+        assert set(search.screening.p_values(None)) == {"bent", "of_joints"}
+        ruled_out += bool(search.screening.ruled_out)
     assert ruled_out >= 6
 
 
@@ -468,14 +464,14 @@ def test_absent_effects_of_the_joints_are_ruled_out_by_free_motion(world: Callab
 def test_an_effect_of_the_joints_is_found_beside_one_of_the_contact(size: float) -> None:
     truth = (("of_joints", alternating(size)), ("bent", (5.0,)))
     search = searched(AnalyticSource(2, truth, free=FREE), "bent", "of_joints")
-    assert not search.ruled_out
+    assert not search.screening.ruled_out
     chosen_of(search, "bent", "of_joints")
 
 
 def test_a_fit_goes_where_free_motion_puts_a_parameter_that_misplaces_the_impact() -> None:
     """By sensitivities at nominal the contact asks for -2.3; what follows from there ends at a small minimum."""
     search = Search([MISPLACING], Evidence.of(BeforeTheHit(1, (("misplacing", (15.0,)),))))
-    fitted = chord_method(search.singles["misplacing"], search.evidence)
+    fitted = chord_method(search.screening.singles["misplacing"], search.evidence)
     assert fitted.estimate[0] == pytest.approx(15.0, abs=0.2)
 
 
@@ -483,10 +479,10 @@ def test_free_motion_asks_for_no_step_of_what_it_leaves_open() -> None:
     """Of seven joints one is off; by chance (5 % each) another one moves."""
     truth = (("of_joints", (0.0, 0.0, 30.0, 0.0, 0.0, 0.0, 0.0)),)
     search = searched(BeforeTheHit(2, truth), "of_joints")
-    step = Fit.of(search.singles["of_joints"], search.evidence).step_by_free_motion
+    step = Fit.of(search.screening.singles["of_joints"], search.evidence).step_by_free_motion
     assert step[2] == pytest.approx(30.0, abs=1.5) and np.count_nonzero(step) <= 2
     search = searched(AnalyticSource(2, truth), "of_joints")
-    assert not np.any(Fit.of(search.singles["of_joints"], search.evidence).step_by_free_motion)
+    assert not np.any(Fit.of(search.screening.singles["of_joints"], search.evidence).step_by_free_motion)
 
 
 @pytest.mark.parametrize("rate", [0.15, 6.0, 20.0])
@@ -507,7 +503,7 @@ def test_fading_dry_friction_is_found_beside_the_force_against_it(force: float, 
 
 def test_what_is_there_before_a_hit_is_found_in_all_that_was_measured() -> None:
     search = searched(BeforeTheHit(2, (("of_joints", alternating(0.6)),)), "bent", "of_joints")
-    assert not search.ruled_out
+    assert not search.screening.ruled_out
     np.testing.assert_allclose(chosen_of(search, "of_joints").estimate, alternating(0.6), atol=0.3)
 
 
@@ -517,8 +513,8 @@ def test_p_of_nothing_is_uniform_beside_an_effect_that_looks_like_it() -> None:
     for seed in range(150):
         source = AnalyticSource(seed, (("straight", (3.0,)),), correlation=correlated())
         search = searched(source, "straight", "one_sided")
-        chosen = Fit.of(search.singles["straight"], search.evidence)
-        own = search.singles["one_sided"]
+        chosen = Fit.of(search.screening.singles["straight"], search.evidence)
+        own = search.screening.singles["one_sided"]
         alike = tuple(a + 2.0 * b for a, b in zip(own.jacobians, chosen.candidate.jacobians, strict=True))
         joined = search.evidence.problem(chosen.candidate.beside(replace(own, jacobians=alike)))
         found.append(joined.p_value(chosen.left.null, [1]))
@@ -540,7 +536,7 @@ def test_a_fit_ties_with_itself_and_not_with_one_that_is_twice_as_wrong() -> Non
     search = searched(source)
     both = chosen_of(search, "straight", "bent")
     assert tied(both, both)
-    assert not tied(both, Fit.of(search.singles["bent"], search.evidence))
+    assert not tied(both, Fit.of(search.screening.singles["bent"], search.evidence))
 
 
 ALIKE = [("bent", "nearly_bent"), ("nearly_bent", "bent")]
@@ -565,8 +561,10 @@ def test_an_effect_whose_linear_fit_predicts_badly_is_fitted_if_it_is_the_likeli
     monkeypatch.setattr(search_module, "SHORTLIST_SIZE", 1)
     for seed in range(3):
         search = searched(AnalyticSource(seed, (("levelling", (4.0,)),)), "levelling", "nearly_levelling")
-        assert search.beside(None, "nearly_levelling").score < search.beside(None, "levelling").score
-        monkeypatch.setattr(search, "p_values", lambda _: {"levelling": 1e-6, "nearly_levelling": 1e-4})
+        assert (
+            search.screening.beside(None, "nearly_levelling").score < search.screening.beside(None, "levelling").score
+        )
+        monkeypatch.setattr(search.screening, "p_values", lambda _: {"levelling": 1e-6, "nearly_levelling": 1e-4})
         assert chosen_of(search, "levelling").estimate[0] == pytest.approx(4.0, abs=0.15)
 
 
@@ -583,7 +581,7 @@ def test_an_effect_is_added_where_it_lowers_the_error_by_a_tenth(size: float, fo
     """Both are significant beside a rest of 5: 7 % and 20 % of it. Kills: the gain is not asked."""
     truth = (("straight", (30.0,)), ("bent", (size,)), ("outside", (5.0,)))
     search = searched(AnalyticSource(1, truth), "straight", "bent")
-    assert search.p_values(search.fitted(("straight",)))["bent"] < SIGNIFICANCE_LEVEL
+    assert search.screening.p_values(search.fitted(("straight",)))["bent"] < SIGNIFICANCE_LEVEL
     chosen_of(search, *found)
 
 
@@ -599,7 +597,7 @@ def test_an_effect_is_added_where_it_is_significant(p: float, accepted: bool) ->
 def test_what_is_below_the_relevance_limits_is_not_added_where_only_noise_is_left() -> None:
     """Twenty repeats see 0.08 of the noise. Kills: relevance is not asked."""
     search = searched(AnalyticSource(1, (("straight", (0.08,)),), (20,) * 6))
-    assert not search.has_lack_of_fit and search.p_values(None)["straight"] < SIGNIFICANCE_LEVEL
+    assert not search.has_lack_of_fit and search.screening.p_values(None)["straight"] < SIGNIFICANCE_LEVEL
     assert search.forward_selection() is None
 
 
@@ -635,7 +633,7 @@ def both_of(seed: int, truth: str, wrong: str, discrepancy: float = 0.0) -> tupl
 
 
 def fit_alone(search: Search, name: str) -> Fit:
-    return gauss_newton(chord_method(search.singles[name], search.evidence))
+    return gauss_newton(chord_method(search.screening.singles[name], search.evidence))
 
 
 @pytest.mark.parametrize(("truth", "wrong"), ALIKE)
@@ -727,7 +725,7 @@ def test_a_fit_leaves_a_small_minimum_that_slips_have_made() -> None:
     truth = (5.9, -3.4, 1.7)
     source = AnalyticSource(9, (("stick_slip", truth),))
     evidence = Evidence.of(source)
-    start = Search([EFFECTS["stick_slip"]], evidence).singles["stick_slip"]
+    start = Search([EFFECTS["stick_slip"]], evidence).screening.singles["stick_slip"]
     stuck = gauss_newton(chord_method(start, evidence))
     assert stuck.exceeds_noise and np.any(np.abs(stuck.estimate - truth) > 0.2)
     free = nelder_mead(stuck)
@@ -741,7 +739,7 @@ def test_a_fit_begins_at_the_estimates_of_an_earlier_model_where_it_is_stuck(mon
     truth = np.array((5.9, -3.4, 1.7))
     evidence = Evidence.of(AnalyticSource(9, (("stick_slip", tuple(truth)),)))
     monkeypatch.setattr("impact_rs_analysis.diagnosis.search.effect_selection.nelder_mead", lambda fitted: fitted)
-    start = Search([EFFECTS["stick_slip"]], evidence).singles["stick_slip"]
+    start = Search([EFFECTS["stick_slip"]], evidence).screening.singles["stick_slip"]
     stuck = gauss_newton(chord_method(start, evidence))
     near = tuple((truth + 0.05).tolist())
     for name, free in (("stick_slip", True), ("straight", False)):
@@ -790,7 +788,7 @@ def test_the_likeliest_effect_is_fitted_although_its_linear_fit_predicts_worse(
     names = ("levelling", "nearly_levelling")
     source = knowing(AnalyticSource(3, (("levelling", (size,)),)), *(EFFECTS[name] for name in names))
     search = Search([EFFECTS[name] for name in names], Evidence.of(source))
-    assert search.beside(None, "levelling").score > search.beside(None, "nearly_levelling").score
+    assert search.screening.beside(None, "levelling").score > search.screening.beside(None, "nearly_levelling").score
     chosen = search.forward_selection()
     assert chosen is not None and chosen.candidate.names == ("levelling",)
     assert chosen.estimate[0] == pytest.approx(size, abs=0.2)
