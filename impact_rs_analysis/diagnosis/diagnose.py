@@ -58,7 +58,7 @@ from impact_rs_analysis.diagnosis.verdicts.model_verdict import (
     without_uncertain_effects,
 )
 from impact_rs_analysis.diagnosis.verdicts.next_experiment import next_experiment
-from impact_rs_analysis.diagnosis.verdicts.required import with_required
+from impact_rs_analysis.diagnosis.verdicts.required import with_likelier_model, with_required
 from impact_rs_analysis.diagnosis.verdicts.residuals import MAX_RESIDUALS, noise_size, residual_unit, rests_of
 from impact_rs_analysis.diagnosis.verdicts.words import not_tried, summary_of
 from impact_rs_analysis.evidence.cluster import Added
@@ -98,6 +98,7 @@ def diagnose(
         InputError: Too few conditions for a hold-out.
     """
     model = source.declared_model if model is None else model
+    source = with_likelier_model(source, effects_for(source, only, bounds), budget.part(SEARCH_TIME_SHARE))
     all_rows, source = source, source.searched()
     effects = effects_for(source, only, bounds)
     known_estimates = () if earlier is None else _estimates_of(earlier, source)
@@ -413,7 +414,7 @@ def _remarks(found: Findings, source: Source) -> list[str]:
     remarks = [*source.remarks, *beyond(source), *assumptions(arms_of(source.worlds))]
     null = found.evidence.null
     if null.shortage is not None:
-        remarks.append(f"too few repeats for a verdict: {null.shortage}")
+        remarks.append(f"too few data for a verdict: {null.shortage}")
     if source.repeated and source.of_motion and all(item.contact for item in source.clusters):
         remarks.append(
             "no free motion there and back was measured: a push alone cannot distinguish friction, torque offset and "
@@ -427,6 +428,9 @@ def _remarks(found: Findings, source: Source) -> list[str]:
         )
     if found.unsupported:
         remarks.append(found.unsupported)
+    if found.search.screening.not_simulated:
+        names = ", ".join(sorted(found.shown(found.search.screening.not_simulated)))
+        remarks.append(f"these cannot be simulated near nominal, so they were not tried: {names}")
     if found.search.screening.ruled_out:
         names = ", ".join(sorted(found.shown(found.search.screening.ruled_out)))
         remarks.append(f"free motion shows no sign of these, so they were not fitted in contact: {names}")

@@ -117,6 +117,8 @@ class Source(ABC):
         physics: Physics of one cluster under the model, for the number of joints.
         required: Alternative effects that make every replay hit where the model alone misses impacts, best first. The
             model has the first; its interval is a systematic error of all clusters. Empty: the model misses no impact.
+        without_required: These measurements by the model alone, without the runs that it misses; None: no effect is
+            required, or too few runs are left.
         worlds: All distinct physics of the clusters under the model, for bounds of parameters.
         repeated: Whether clusters hold repeats; if not, clusters are stretches of time.
         remarks: Remarks on the measurements, for the reader.
@@ -150,6 +152,7 @@ class Source(ABC):
     physics: Physics
     repeated: bool
     required: tuple[RequiredEffect, ...] = ()
+    without_required: Source | None = None
     remarks: Sequence[str] = ()
     runs: Runs | None = None
     left_out: tuple[tuple[str, str], ...] = ()
@@ -171,7 +174,7 @@ class Source(ABC):
 
     def __getstate__(self) -> dict[str, Any]:
         """State for a worker, which does not report."""
-        return {name: value for name, value in vars(self).items() if name != "progress"}
+        return {name: value for name, value in vars(self).items() if name not in ("progress", "without_required")}
 
     def report(self, stage: str, done: int = 0, total: int = 0) -> None:
         """Report progress; 0 of 0: nothing is expected to be done in this stage."""
@@ -184,6 +187,10 @@ class Source(ABC):
         added = {one.item.name for one in self.required[:1]}
         kept = tuple(item for item in self.model.effects if item.name not in added)
         return self.model.model_copy(update={"effects": kept}) if added else self.model
+
+    def size_by_declared_model(self, added: Added) -> float | None:
+        """Size of all residuals by the declared model with effects; None: some replay hits nothing."""
+        raise NotImplementedError
 
     @property
     def free_motion_part(self) -> Source | None:

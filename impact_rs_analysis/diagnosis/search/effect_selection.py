@@ -101,6 +101,10 @@ class Search:
             secant_update([jacobian[:, own] for jacobian in candidate.jacobians], made, chosen.away[own]), fitted
         )
 
+    def first(self) -> Fit | None:
+        """The best single effect or law; None if none is accepted."""
+        return self._next(None, self.screening.groups(None))
+
     def forward_selection(self) -> Fit | None:
         """The selected effects; None if none is accepted."""
         # In recordings library effects come first: friction is in all of them, and laws describe the remainder.
@@ -171,7 +175,7 @@ class Search:
             p_values: Adjusted, of the groups; None: those of all effects and groups that may be accepted.
         """
         p_values = self.screening.p_values(chosen) if p_values is None else p_values
-        possible = [group for group in groups if group not in self.screening.ruled_out]
+        possible = [group for group in groups if self.screening.ruled_out.isdisjoint(group.split("+"))]
         likely = [group for group in possible if p_values[group] < SIGNIFICANCE_LEVEL]
         # Sensitivities at nominal may miss an effect that acts far from there: then fits and hold-out decide.
         if not likely and chosen is None and self.has_lack_of_fit and self.source.repeated:
@@ -209,17 +213,27 @@ class Search:
         return self.evidence.means if chosen is None else chosen.problem.leave_one_out_residuals
 
     def fitted(self, names: Sequence[str]) -> Fit | None:
-        """Some effects fitted together; None if one of them changes no feature."""
-        if any(name not in self.screening.singles for name in names):
+        """Some effects fitted together; None if one of them changes no feature, also in the presence of the others."""
+        seen = [name for name in names if name in self.screening.singles]
+        if not seen:
             return None
-        joined = reduce(Candidate.beside, (self.screening.best_shape(self.screening.singles[name]) for name in names))
-        return restart_from_afar(gauss_newton(self._refined(joined, self.evidence)))
+        joined = reduce(Candidate.beside, (self.screening.best_shape(self.screening.singles[name]) for name in seen))
+        found = restart_from_afar(gauss_newton(self._refined(joined, self.evidence)))
+        if len(seen) == len(names):
+            return found
+        self.screening.look_beside(found)
+        return self.fitted(names) if all(name in self.screening.singles for name in names) else None
 
     def _refined(self, start: Candidate, evidence: Evidence, give_up: float = np.inf) -> Fit:
-        """The fit by :func:`chord_method`, from the known optimum of the same effects if there is one."""
+        """The fit by :func:`chord_method`, from the known optimum of the same effects if there is one.
+
+        Parameters that these clusters do not show stay at their start: the optimum is that of all clusters.
+        """
         known = self._known.get(start.names)
         if known is not None:
-            there = replace(known.only(evidence.numbers), origin=start.origin)
+            shown = np.any([np.any(jacobian != 0.0, axis=0) for jacobian in start.jacobians], axis=0)
+            point = np.where(shown, known.point, start.point)
+            there = replace(known.only(evidence.numbers), origin=start.origin, point=point)
             start = evaluate_at(there, there.point, evidence) or start
         return self._kept(chord_method(start, evidence, give_up))
 
@@ -379,9 +393,8 @@ class Search:
 
     def _in_place_of(self, chosen: Fit, name: str, start: Candidate) -> Fit | None:
         """Linear fit of another effect in the place of a chosen one; None if it cannot be simulated."""
-        others = self._others(chosen, name)
-        swapped = replace(others, offsets=tuple(np.zeros(o.shape) for o in start.offsets)).beside(start)
-        moved = evaluate_at(replace(swapped, origin=chosen.candidate.origin), swapped.point, chosen.evidence)
+        swapped = self._others(chosen, name).beside(start)
+        moved = evaluate_at(swapped, swapped.point, chosen.evidence)
         return None if moved is None else Fit.of(moved, chosen.evidence)
 
     def rivals(self, chosen: Fit, count: int = 3, hopeless: float = MAX_ERROR_RATIO) -> list[Rival]:

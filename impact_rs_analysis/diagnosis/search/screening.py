@@ -36,7 +36,9 @@ class Screening:
         evidence: Residuals of the model.
 
     Attributes:
-        singles: Every measurable effect alone, linearised at nominal.
+        singles: Every measurable effect, linearised at nominal or at its best start, by secants where it changes
+            nothing there; or in the presence of chosen effects, if it changes nothing alone.
+        not_simulated: Effects that cannot be simulated at their start.
         ruled_out: Effects that free motion rules out.
     """
 
@@ -44,9 +46,11 @@ class Screening:
         self.evidence, self.source = evidence, evidence.source
         self.singles: dict[str, Candidate] = {}
         self.ruled_out: set[str] = set()
+        self.not_simulated: set[str] = set()
         self._looks = Counter(effect.name for effect in effects)
         self._starts: dict[str, Candidate] = {}
         self._unseen: dict[str, Candidate] = {}
+        self._unseen_alone: dict[str, Candidate] = {}  # visible in the presence of chosen effects
         self._beside: dict[tuple[str, Added], Candidate] = {}
         self._screen(effects)
 
@@ -66,17 +70,18 @@ class Screening:
         ]
         self.source.predict(batch, "sensitivities of all effects")
         for candidate in candidates:
-            found = self.linearised(candidate)
+            name, found = candidate.names[0], self.linearised(candidate)
             if found is None:
+                self.not_simulated.add(name)
                 continue
-            found = self._with_secants(found)
-            name, known = found.names[0], self.singles.get(found.names[0])
+            found, known = self._with_secants(found), self.singles.get(name)
             if not found.seen:
                 self._unseen[name] = found
             elif known is None or self._misfit(found) < self._misfit(known):
                 self.singles[name] = found
         for name in self.singles:
             self._unseen.pop(name, None)
+        self.not_simulated -= {*self.singles, *self._unseen}
 
     def _misfit(self, candidate: Candidate) -> float:
         return Fit.of(candidate, self.evidence).misfit
@@ -125,9 +130,12 @@ class Screening:
         Rolling resistance acts differently on a body that slips than on one that sticks. For motions, whose predictions
         are expensive, superposition is assumed.
         """
-        if chosen is None or self.source.of_motion:
+        name = single.names[0]
+        if chosen is None:
+            return self._unseen_alone.get(name, single)
+        if self.source.of_motion:
             return single
-        name, base = single.names[0], chosen.candidate.split(chosen.estimate)
+        base = chosen.candidate.split(chosen.estimate)
         if (name, base) not in self._beside:
             for index, step in enumerate(single.steps(self.source.joints)):
                 columns = self._secant(single, index, single.point[index] + step, base)
@@ -143,7 +151,7 @@ class Screening:
             found = self._with_secants(self._unseen[name], base)
             if found.seen:
                 self.singles[name] = found
-                del self._unseen[name]
+                self._unseen_alone[name] = self._unseen.pop(name)
 
     def keep(self, names: Collection[str]) -> None:
         """Forget all other effects."""
@@ -180,7 +188,9 @@ class Screening:
         self.ruled_out = {name for name, p_value in p_values.items() if p_value > MIN_P_IN_FREE_MOTION}
         for one in seen:
             if one.names[0] in self.ruled_out:
-                self.singles[one.names[0]] = self.evidence.extended_beyond_free_motion(one)
+                extended, known = self.evidence.extended_beyond_free_motion(one), self.singles.get(one.names[0])
+                if known is None or self._misfit(extended) < self._misfit(known):
+                    self.singles[one.names[0]] = extended
 
     def start(self, name: str) -> Candidate:
         """Start of the fit of a single effect."""

@@ -259,7 +259,7 @@ def _linear_ends(fitted: Fit, part: slice) -> Ends:
 def _seen_in_free_motion(fitted: Fit, part: slice) -> bool:
     """Whether free motion, which is nearly linear in every parameter, depends on an effect."""
     if fitted.evidence.free_motion_part is None:
-        return False
+        return not any(item.contact for item in fitted.evidence.clusters)
     free = fitted.evidence.linearised_in_free_motion(fitted.candidate).jacobians
     return any(np.any(jacobian[:, part]) for jacobian in free)
 
@@ -285,10 +285,8 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[DiagnosisVerdict, 
         p = fitted.problem.p_value(without.left.null, [index])
     rest, rest_without = fitted.problem.leave_one_out_residuals, without.problem.leave_one_out_residuals
     changed = changed_features(candidate)
-    own, own_without = (_of_joint(evidence, values, scalar.arm, joint, changed) for values in (rest, rest_without))
-    if not own.size:  # nothing of the joint was measured
+    if not _of_joint(evidence, rest, scalar.arm, joint, changed).size:  # nothing of the joint was measured
         return UNIDENTIFIABLE, 1.0, None, None
-    error, error_without = float(own.mean()), float(own_without.mean())
     rivals = []
     for name, other in found.search.joint_alternatives(candidate, index):
         either = changed_features(candidate, other)
@@ -306,9 +304,14 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[DiagnosisVerdict, 
         verdict = DiagnosisVerdict(Kind.CONFUSABLE, tuple(sorted(found.shown(rivals)))) if rivals else CONFIRMED
     if evidence.source.repeated:
         return verdict, reported_p(p), None, None
-    item = evidence.clusters[0]
-    sigma = next(float(s) for f, s in zip(item.features, item.sigma, strict=True) if f.index == joint)
-    return verdict, reported_p(p), sigma * math.sqrt(error_without), sigma * math.sqrt(error)
+    in_units = [
+        [values * item.sigma for item, values in zip(evidence.clusters, each, strict=True)]
+        for each in (rest_without, rest)
+    ]
+    before, after = (
+        math.sqrt(float(_of_joint(evidence, each, scalar.arm, joint, changed).mean())) for each in in_units
+    )
+    return verdict, reported_p(p), before, after
 
 
 def _of_joint(

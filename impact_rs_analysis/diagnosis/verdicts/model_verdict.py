@@ -142,17 +142,20 @@ def supported_by_hold_out(search: Search, chosen: Fit, held: HoldOut) -> Fit | N
     change = change_interval(search.evidence.means, held.residuals, search.evidence)
     if not (lowers_held_out_error(search, held) if repeated else change[1] < 0.0):
         return None
-    for name in () if repeated else chosen.candidate.names:
-        if not held.found or 2 * sum(_found_or_replaced(name, f, chosen) for f in held.found) > len(held.found):
+    names, kept = chosen.candidate.names, chosen
+    for name in () if repeated else names:
+        if not held.found or 2 * sum(_found_or_replaced(name, f, names) for f in held.found) > len(held.found):
             continue
-        others = search.without(chosen, name) if len(chosen.candidate.names) > 1 else None
-        return None if others is None else supported_by_hold_out(search, others, held)
-    return chosen
+        others = search.without(kept, name) if len(kept.candidate.names) > 1 else None
+        if others is None:
+            return None
+        kept = others
+    return kept
 
 
-def _found_or_replaced(name: str, found: Sequence[str], chosen: Fit) -> bool:
+def _found_or_replaced(name: str, found: Sequence[str], chosen: Sequence[str]) -> bool:
     """Whether the search of a fold selects an effect, or one that the search of all data does not select."""
-    return name in found or any(other not in chosen.candidate.names for other in found)
+    return name in found or any(other not in chosen for other in found)
 
 
 def unsupported_words(search: Search, suspected: Sequence[str], held: HoldOut) -> str:
@@ -278,7 +281,7 @@ def _by_repeats(before: Sequence[Array], after: Sequence[Array], evidence: Evide
         freedom = sum(other.count - 1 for other in like)
         scatter = sum(float(np.sum(np.square((other.residuals - other.mean) @ moved))) for other in like)
         variance += 4.0 * scatter / max(freedom, 1) / item.count
-    scale = float(evidence.expected.sum())
+    scale = float(evidence.expected.sum()) or float(len(before))  # as sizes of repeats without scatter
     sizes = [residual_size(evidence, rest) for rest in (before, after)]
     half = float(scipy.stats.t.ppf(0.975, evidence.null.freedom)) * math.sqrt(variance) / scale
     ends = [math.sqrt(max(sizes[1] ** 2 + side * half, 0.0)) - sizes[0] for side in (-1.0, 1.0)]

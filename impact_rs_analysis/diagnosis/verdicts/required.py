@@ -3,15 +3,41 @@
 
 A recorded impact that the replay of a model does not have refutes the model, whatever its other residuals. The effect
 that makes all replays hit (:attr:`.Source.required`) is therefore named before those of the search. It is confusable
-with another one that does so too and leaves residuals as small.
+with another one that does so too and leaves residuals as small. It is not required if an effect of another kind makes
+all replays hit and leaves smaller residuals: a filter of the velocities shows an impact late and at another place.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, EstimateDocument, tied_with_best
+from impact_rs_analysis.diagnosis.search.budget import Budget
+from impact_rs_analysis.diagnosis.search.effect_selection import Search
+from impact_rs_analysis.diagnosis.search.fit import Evidence
 from impact_rs_analysis.diagnosis.verdict import CONFIRMED, IMPOSSIBLE, TOO_FEW, DiagnosisVerdict, Kind
 from impact_rs_analysis.diagnosis.verdicts.measurement import with_readings
 from impact_rs_analysis.evidence.source import RequiredEffect, Source
+from impact_rs_sim.effects import Effect
+
+
+def with_likelier_model(source: Source, effects: Sequence[Effect], budget: Budget) -> Source:
+    """The source without its required effect, if another single effect makes its replays hit and fits better.
+
+    Args:
+        source: The measurements.
+        effects: Effects to consider.
+        budget: Processor time that the comparison may take.
+    """
+    alone, rivals = source.without_required, {one.item.name for one in source.required}
+    if alone is None:
+        return source
+    evidence = Evidence.of(alone, budget=budget)
+    if evidence.null.shortage is not None:
+        return source
+    best = Search([effect for effect in effects if effect.name not in rivals], evidence).first()
+    size = None if best is None else source.size_by_declared_model(best.candidate.split(best.estimate))
+    return alone if size is not None and size < source.required[0].size else source
 
 
 def with_required(document: DiagnosisDocument, source: Source) -> DiagnosisDocument:

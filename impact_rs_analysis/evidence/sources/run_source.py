@@ -167,6 +167,11 @@ def _replays_of(runs: Runs, model: Model, store: ReplayCache) -> list[Array | No
     return store([Replay(run.setup, bare) for run in runs.runs], "replays of the model")
 
 
+def _size(clusters: Sequence[Cluster]) -> float:
+    """Size of residuals, as :meth:`Source.size`."""
+    return size_of([one.error for one in clusters], [one.expected for one in clusters])
+
+
 def _with_late(
     clusters: Sequence[Cluster], runs: Runs, residuals: Sequence[Array], model: Model, store: ReplayCache
 ) -> tuple[Cluster, ...]:
@@ -263,27 +268,41 @@ class ReplaySource(Source):
         model = with_per_arm_parameters(model, [run.setup.physics for run in runs.runs], each_arm)
         predicted = _replays_of(runs, model, store)
         missed = [run for run, values in zip(runs.runs, predicted, strict=True) if values is None]
-        if missed and (found := cls._with_contact_effect(runs, model, store, discrepancy, len(missed))) is not None:
-            return found._with_calibration_errors()
-        residuals, kept = [], []
+        found = cls._with_contact_effect(runs, model, store, discrepancy, len(missed)) if missed else None
+        most = len(missed) > MAX_MISSED_SHARE * sum(run.hit for run in runs.runs)
+        if found is None and most:
+            raise InputError(
+                f"with model {model.name!r} the replay hits nothing; are the poses of the object in the frame of the "
+                "robot, and is it the object of the scenario? motion_capture in the experiment file says where they "
+                "are measured",
+                file=missed[0].path,
+            )
+        alone = None if most else cls._of_hits(runs, predicted, model, store, discrepancy)._with_calibration_errors()
+        if found is None:
+            assert alone is not None
+            return alone
+        found.without_required = alone
+        return found._with_calibration_errors()
+
+    @classmethod
+    def _of_hits(
+        cls, runs: Runs, predicted: Sequence[Array | None], model: Model, store: ReplayCache, discrepancy: Discrepancy
+    ) -> ReplaySource:
+        """The source of the runs whose replay has its impact, without systematic errors of a calibration."""
+        residuals, kept, missed = [], [], []
         for run, values in zip(runs.runs, predicted, strict=True):
             if values is None:
+                missed.append(Path(run.path).name)
                 continue
             if not np.isfinite(values).all():
                 raise InputError(f"with model {model.name!r} the replay is not finite or not solved", file=run.path)
             residuals.append(run.measured - values)
             kept.append(run)
         if missed:
-            words = f"with model {model.name!r} the replay hits nothing"
-            if len(missed) > MAX_MISSED_SHARE * sum(run.hit for run in runs.runs):
-                raise InputError(
-                    f"{words}; are the poses of the object in the frame of the robot, and is it the object of the "
-                    "scenario? motion_capture in the experiment file says where they are measured",
-                    file=missed[0].path,
-                )
-            remark = f"left out, because {words}: {', '.join(Path(run.path).name for run in missed)}"
-            runs = replace(runs, runs=tuple(kept), remarks=(*runs.remarks, remark))
-        return cls._of_residuals(runs, residuals, model, store, discrepancy)._with_calibration_errors()
+            remark = f"left out, because with model {model.name!r} the replay hits nothing: {', '.join(missed)}"
+            late = {condition: run for condition, run in runs.late.items() if Path(run.path).name not in missed}
+            runs = replace(runs, runs=tuple(kept), late=late, remarks=(*runs.remarks, remark))
+        return cls._of_residuals(runs, residuals, model, store, discrepancy)
 
     @classmethod
     def _with_contact_effect(
@@ -302,8 +321,7 @@ class ReplaySource(Source):
                 continue
             residuals = [run.measured - np.asarray(one) for run, one in zip(runs.runs, predicted, strict=True)]
             clusters, _ = clusters_of(runs, residuals, discrepancy)
-            size = size_of([one.error for one in clusters], [one.expected for one in clusters])
-            found.append((RequiredEffect(item, size, missed, impacts), residuals, extended))
+            found.append((RequiredEffect(item, _size(clusters), missed, impacts), residuals, extended))
         if not found:
             return None
         found.sort(key=lambda one: one[0].size)
@@ -325,6 +343,20 @@ class ReplaySource(Source):
         clusters, remarks = clusters_of(runs, residuals, discrepancy)
         clusters = _with_late(clusters, runs, residuals, model, store)
         return cls(runs, model, store, clusters, discrepancy, (*runs.remarks, *remarks))
+
+    def size_by_declared_model(self, added: Added) -> float | None:
+        """See :meth:`Source.size_by_declared_model`."""
+        model = self.declared_model.containing(name for name, _ in added)
+        predicted = self.store([Replay(run.setup, model, added) for run in self.runs.runs], "replays of the model")
+        residuals = [
+            run.measured - values
+            for run, values in zip(self.runs.runs, predicted, strict=True)
+            if values is not None and np.isfinite(values).all()
+        ]
+        if len(residuals) < len(predicted):
+            return None
+        clusters, _ = clusters_of(self.runs, residuals, self.discrepancy)
+        return _size(clusters)
 
     def _with_calibration_errors(self) -> ReplaySource:
         """The source with the systematic errors of the calibration and of the required effect."""
