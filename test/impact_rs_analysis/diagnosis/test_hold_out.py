@@ -6,6 +6,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from impact_rs_analysis.diagnosis.search.candidate import Candidate, linearise
 from impact_rs_analysis.diagnosis.search.effect_selection import Search
 from impact_rs_analysis.diagnosis.search.fit import Evidence
 from impact_rs_analysis.diagnosis.search.hold_out import HoldOut, folds_of, hold_out
+from impact_rs_analysis.diagnosis.verdicts import model_verdict
 from impact_rs_analysis.evidence.cluster import Added, Cluster
 from impact_rs_analysis.evidence.replays.measured_runs import read_runs
 from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
@@ -199,3 +201,21 @@ def test_a_fold_in_another_process_finds_the_friction_that_it_finds_here(
     np.testing.assert_array_equal(errors_of(there), errors_of(here))
     assert there.chosen == here.chosen
     assert ("support_friction",) in here.chosen
+
+
+@pytest.mark.parametrize("names", [("one", "other"), ("other", "one")])
+def test_the_order_of_effects_does_not_decide_which_are_supported(
+    names: tuple[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each is found in half of the folds, and the other is no replacement of it. Kills: it is once it was dropped."""
+
+    def fit_of(*kept: str) -> SimpleNamespace:
+        return SimpleNamespace(candidate=SimpleNamespace(names=kept))
+
+    stub = SimpleNamespace(
+        evidence=SimpleNamespace(source=SimpleNamespace(repeated=False), means=()),
+        without=lambda chosen, name: fit_of(*(own for own in chosen.candidate.names if own != name)),
+    )
+    held = SimpleNamespace(failed=False, residuals=(), found=(("one",),) * 3 + (("other",),) * 3)
+    monkeypatch.setattr(model_verdict, "change_interval", lambda *_: (-2.0, -1.0))
+    assert model_verdict.supported_by_hold_out(stub, fit_of(*names), held) is None

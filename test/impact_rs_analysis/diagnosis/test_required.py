@@ -90,3 +90,22 @@ def test_what_is_too_small_to_matter_is_not_named_with_it_and_too_few_data_name_
     assert with_required(document.model_copy(update={"verdict": NONE}), source).named == ("tracker_frame", "straight")
     few = document.model_copy(update={"verdict": TOO_FEW})
     assert with_required(few, source) is few
+
+
+@pytest.mark.parametrize(("size", "needed"), [(1.9, False), (2.1, True), (None, True)])
+def test_it_is_not_required_beside_another_effect_with_which_replays_hit_and_fit_better(
+    size: float | None, needed: bool
+) -> None:
+    """A filter of the velocities shows impacts late. Kills: the competitor's replays are not asked, or not its size."""
+    source, alone = (
+        knowing(AnalyticSource(5, (("straight", (6.0,)),)), EFFECTS["straight"], EFFECTS["bent"], FRAME)
+        for _ in range(2)
+    )
+    frame, asked = required("tracker_frame", 2.0), []
+    source.required, source.without_required = (frame,), alone
+    source.model = source.model.model_copy(update={"effects": (frame.item,)})
+    source.size_by_declared_model = lambda added: (asked.append(added), size)[1]  # type: ignore[method-assign]
+    document = diagnose(source, only=("straight", "bent"))
+    assert (document.required, document.missing) == (("tracker_frame",) if needed else (), ("straight",))
+    [((name, values),)] = asked
+    assert name == "straight" and values == (pytest.approx(6.0, abs=0.2),)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -47,7 +47,7 @@ from impact_rs_analysis.diagnosis.search.intervals import intervals_of
 from impact_rs_analysis.diagnosis.search.model_comparison import encompasses, j_test_p_value, tied
 from impact_rs_analysis.diagnosis.search.null_distribution import benjamini_hochberg
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANCE_LEVEL
-from impact_rs_analysis.evidence.cluster import DISCREPANCY_QUANTILE_RATIO, SHARED_DISCREPANCY_SHARE
+from impact_rs_analysis.evidence.cluster import DISCREPANCY_QUANTILE_RATIO, SHARED_DISCREPANCY_SHARE, Added
 from impact_rs_sim.robots.robot import Array
 
 FREE = (0, 1)  # clusters in which nothing is hit, where there are any
@@ -599,6 +599,27 @@ def test_what_is_below_the_relevance_limits_is_not_added_where_only_noise_is_lef
     search = searched(AnalyticSource(1, (("straight", (0.08,)),), (20,) * 6))
     assert not search.has_lack_of_fit and search.screening.p_values(None)["straight"] < SIGNIFICANCE_LEVEL
     assert search.forward_selection() is None
+
+
+def test_an_effect_that_cannot_be_simulated_is_listed() -> None:
+    """Kills an effect that is in no table and in no note, because one replay with it has no impact."""
+
+    class Missing(AnalyticSource):
+        def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
+            found = super().predict(wanted, what)
+            gone = [number == 2 and "bent" in dict(added) for number, added in wanted]
+            return [None if lost else values for lost, values in zip(gone, found, strict=True)]
+
+    screening = searched(Missing(1), "straight", "bent").screening
+    assert screening.not_simulated == {"bent"} and set(screening.singles) == {"straight"}
+
+
+def test_a_parameter_without_influence_stays_where_it_is() -> None:
+    """As the friction of a contact that sticks. Kills: the prior alone takes it to where the contact slips."""
+    single = replace(searched(AnalyticSource(3), "straight").screening.singles["straight"], point=np.array([4.0]))
+    blind = replace(single, jacobians=tuple(np.zeros_like(jacobian) for jacobian in single.jacobians))
+    problem = Problem(blind, AnalyticSource(3).clusters)
+    assert problem.solve() == 0.0 and np.all(problem.left_out == 0.0)
 
 
 def test_the_last_correction_of_a_fit_is_taken_where_a_simulation_confirms_it() -> None:

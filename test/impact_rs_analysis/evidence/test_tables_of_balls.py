@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy
-from ball_impacts import NOISE, Racket, ball_table, turned_ball_table
+from ball_impacts import MASS, NOISE, RADIUS, TWIST, Racket, ball_table, bounced, turned_ball_table
 from impact_table_cases import write_csv
 from intervals import assert_covers
 
@@ -17,6 +17,7 @@ from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.laws.discover import discover
 from impact_rs_analysis.diagnosis.laws.grammar import load_grammar
 from impact_rs_analysis.diagnosis.search.fit import Evidence
+from impact_rs_analysis.diagnosis.verdict import TOO_FEW
 from impact_rs_analysis.diagnosis.verdicts.residuals import beyond_stated_noise
 from impact_rs_analysis.evidence.cluster import Cluster, Feature
 from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
@@ -318,3 +319,34 @@ def test_spins_in_axes_that_are_five_degrees_off_are_no_drilling_friction(tmp_pa
     assert set(document.named) == {"restitution", "support_friction", "spin_axes"}
     assert_covers(document.effect("spin_axes").parameters["x"].interval, angle, 0.0033)
     assert document.held_out_error_after < 1.1 * document.noise_floor
+
+
+def repeated_table(path: Path, racket: Racket, noise: float, rows: int = 6) -> ImpactTableSource:
+    """Balls without spin in three conditions, twice each, believed to be without friction."""
+    header = [
+        f"{name}_{tail} [{'m/s' if name[0] == 'v' else 'rad/s'}]" for tail in ("before", "after") for name in TWIST
+    ]
+    rng, found = np.random.default_rng(0), []
+    for row in range(rows):
+        along, fall = ((1.0, 2.0), (0.6, 3.0), (2.0, 2.5))[row // 2]
+        before = np.array([along, 0.0, -fall, 0.0, 0.0, 0.0])
+        after = bounced(before, racket) + noise * np.repeat((1.0, 2500.0), 3) * rng.standard_normal(6)
+        found.append([f"case {row // 2}", *before, *after, MASS, RADIUS, 1.0, 0.0, 0.6])
+    assumed = ["mass [kg]", "radius [m]", "shell [-]", "friction [-]", "restitution [-]"]
+    return ImpactTableSource(read_impact_table(write_csv(path, ["condition", *header, *assumed], found)), NOMINAL)
+
+
+def test_two_effects_of_which_one_acts_only_beside_the_other_are_held_out_together(tmp_path: Path) -> None:
+    """Folds of two conditions are fitted alone. Kills: they do not look beside; friction returns to 0 where it sticks."""
+    source = repeated_table(tmp_path / "a.csv", Racket(lambda v: 0.6, 0.9, lambda s: 0.5), 0.004)
+    document = diagnose(source)
+    assert set(document.named) == {"support_friction", "tangential_restitution"}
+    assert document.held_out_error_after < 0.5 * document.held_out_error_before
+    tangential = document.effect("tangential_restitution")
+    assert tangential is not None and tangential.parameters["restitution"].estimate == pytest.approx(0.5, abs=0.02)
+
+
+def test_repeats_without_scatter_and_a_single_row_end_in_a_verdict(tmp_path: Path) -> None:
+    """Simulated or rounded data. Kills a division by no noise, and one by no degree of freedom."""
+    assert "restitution" in diagnose(repeated_table(tmp_path / "a.csv", Racket(lambda v: 0.8, 0.0), 0.0)).named
+    assert diagnose(repeated_table(tmp_path / "b.csv", Racket(lambda v: 0.8), 0.0, 1)).verdict == TOO_FEW
