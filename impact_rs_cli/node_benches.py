@@ -111,7 +111,7 @@ class CellBench(NodesBench):
         mapping: Locates the signals in its bags.
 
     Raises:
-        InputError: There is no such mapping.
+        InputError: There is no such mapping, or it is for another robot than those of the scenarios.
     """
 
     def __init__(
@@ -125,7 +125,16 @@ class CellBench(NodesBench):
         mapping: str = "impact_rs",
     ) -> None:
         super().__init__(directory, settings, map_tasks, terminal, without=("plant",), namespace=namespace)
-        load_mapping(mapping)  # a wrong one is refused before anything moves
+        facts = load_mapping(mapping).facts  # a wrong one is refused before anything moves
+        for scenario in map(load_scenario, settings.scenarios):
+            for arm, robot in scenario.robots.items():
+                if robot.robot_facts != facts:
+                    raise InputError(
+                        f"the mapping is for another robot than {robot.facts_name!r}, arm {arm!r} of scenario "
+                        f"{scenario.name!r}; expected a copy of it with the key robot of that arm",
+                        key="--mapping",
+                        value=mapping,
+                    )
         self._guard = guard
         self._mapping = str(Path(mapping).absolute()) if mapping.endswith(YAML) else mapping
 

@@ -320,6 +320,14 @@ def test_a_cell_without_trials_and_an_unknown_mapping_are_refused_in_words(tmp_p
         CellBench(tmp_path, SETTINGS, map, Terminal(as_json=True), guard, mapping="impact_r")  # type: ignore[arg-type]
 
 
+def test_a_mapping_of_another_robot_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    """The default is that of a Franka FER. Kills: it is refused where bags are read, after the first trials."""
+    other = SETTINGS.model_copy(update={"scenarios": ("push_fr3",)})
+    guard = CellGuard(tmp_path, ENVELOPE, Operator())
+    with pytest.raises(InputError, match="another robot than 'franka_fr3', arm 'arm' of scenario 'push_fr3'"):
+        CellBench(tmp_path, other, map, Terminal(as_json=True), guard)  # type: ignore[arg-type]
+
+
 class FakeNodes(FakeCell):
     """The nodes, which are given hidden effects and may be asked to repeat a trial."""
 

@@ -337,7 +337,7 @@ def repeated_table(path: Path, racket: Racket, noise: float, rows: int = 6) -> I
 
 
 def test_two_effects_of_which_one_acts_only_beside_the_other_are_held_out_together(tmp_path: Path) -> None:
-    """Folds of two conditions are fitted alone. Kills: they do not look beside; friction returns to 0 where it sticks."""
+    """Folds of two conditions are fitted alone. Kills: they do not look beside; friction returns to 0 if it sticks."""
     source = repeated_table(tmp_path / "a.csv", Racket(lambda v: 0.6, 0.9, lambda s: 0.5), 0.004)
     document = diagnose(source)
     assert set(document.named) == {"support_friction", "tangential_restitution"}
