@@ -5,9 +5,9 @@ The last hits are kept individually (the *window*): change points are sought amo
 hits in the window does not matter. A hit that the posterior finds beyond the quantile q of chi square weighs w = q /
 d^2 with d its Mahalanobis distance, else 1 (Huber 1964), so that an outlier has a bounded influence.
 
-Before the window the model discrepancy follows a random walk (joints that warm up, a drifting sensor): from one instant
-of its group to the next, the share ``DISCREPANCY_RENEWAL`` of the variance of every amplitude is renewed. A slow drift
-is therefore not announced as a change of a parameter.
+Before the window the model discrepancy is a Gauss-Markov process (joints that warm up, a drifting sensor): from one
+instant of its group to the next, the share ``DISCREPANCY_RENEWAL`` of the variance of every amplitude is renewed. A
+slow drift is therefore not announced as a change of a parameter.
 """
 
 from __future__ import annotations
