@@ -425,7 +425,7 @@ def _document(tried: _Tried, model: Model, laws: Mapping[str, Law], ranges: Mapp
     found = tried.found
     best = sorted(
         (name for name in found.search.screening.singles if name in laws and name not in found.names),
-        key=lambda name: found.search.screening.beside(found.chosen, name).score,
+        key=lambda name: found.search.screening.linear_fit_with(found.chosen, name).score,
     )
     rivals = [rival.name for rival in found.rivals]
     shown = [name for name in dict.fromkeys([*found.names, *rivals, *best[:MAX_OTHER_LAWS]]) if name in laws]

@@ -161,7 +161,7 @@ class Search:
             if best is None:
                 break
             chosen = self._measured_again(best)
-            self.screening.look_beside(chosen)
+            self.screening.add_visible_with(chosen)
         return chosen
 
     def _next(
@@ -182,7 +182,7 @@ class Search:
             likely = sorted(possible, key=lambda group: p_values[group])[:SHORTLIST_SIZE]
         apart = {name for group in likely for name in group.split("+")}
         self.screening.find_shapes(apart)
-        linear = self.screening.with_shapes([self.screening.beside(chosen, group) for group in likely])
+        linear = self.screening.with_shapes([self.screening.linear_fit_with(chosen, group) for group in likely])
         for entry in linear:
             self._report_progress(entry)
         if chosen is None and not self.has_lack_of_fit:  # then only effects beyond a relevance limit are accepted
@@ -208,7 +208,7 @@ class Search:
             return None
         return best
 
-    def unexplained(self, chosen: Fit | None) -> list[Array]:
+    def leave_one_out_residuals(self, chosen: Fit | None) -> list[Array]:
         """Leave-one-out residuals with the chosen effects, ``(F,)`` per cluster [-]."""
         return self.evidence.means if chosen is None else chosen.problem.leave_one_out_residuals
 
@@ -221,7 +221,7 @@ class Search:
         found = restart_from_afar(gauss_newton(self._refined(joined, self.evidence)))
         if len(seen) == len(names):
             return found
-        self.screening.look_beside(found)
+        self.screening.add_visible_with(found)
         return self.fitted(names) if all(name in self.screening.singles for name in names) else None
 
     def _refined(self, start: Candidate, evidence: Evidence, give_up: float = np.inf) -> Fit:
@@ -270,7 +270,7 @@ class Search:
 
     def alone(self, name: str) -> Fit:
         """Fit of one effect alone: linear, or at its optimum by simulation, whichever has the lower score."""
-        fits = [self.screening.beside(None, name)]
+        fits = [self.screening.linear_fit_with(None, name)]
         ended = self.ended.get((name,))
         moved = None if ended is None else evaluate_at(replace(ended, origin=()), ended.point, self.evidence)
         if moved is not None:
@@ -296,7 +296,7 @@ class Search:
             if proposal.score <= MAX_ERROR_RATIO * top and proposal.candidate.names not in self._known:
                 found[number] = self._kept(restart_from_afar(gauss_newton(proposal)))
         first = 0 if chosen is None else chosen.change.size
-        before = self.unexplained(chosen)
+        before = self.leave_one_out_residuals(chosen)
         found = [entry for entry in found if entry.evidence.gains(before, entry.problem.leave_one_out_residuals)]
         if not self.source.repeated:
             found = [proposal for proposal in found if noticeable(proposal, first)]

@@ -536,13 +536,17 @@ class RotationNull(NullDistribution):
         return list(dict.fromkeys(feature.group[:2] for item in self.clusters for feature in item.features))
 
     def covariance(self, jacobians: Sequence[Array], rest: Sequence[Array], inverse: Array) -> Array:
-        """See :meth:`NullDistribution.covariance`; trials are independent of each other, their features are not."""
+        """See :meth:`NullDistribution.covariance`; trials are independent of each other, their features are not.
+
+        A condition without repeats has the scatter of the others of its layout.
+        """
         del rest  # the scatter of repeats about their mean does not depend on the fit
         meat = np.zeros_like(inverse)
         for item, jacobian in zip(self.clusters, jacobians, strict=True):
-            if item.count > 1:
-                scores = (item.residuals - item.mean) @ jacobian * np.sqrt(item.count / (item.count - 1.0))
-                meat += scores.T @ scores
+            alike = [item] if item.count > 1 else [other for other in self.clusters if other.layout == item.layout]
+            freedom = max(sum(other.count - 1 for other in alike), 1)
+            scatter = np.vstack([other.residuals - other.mean for other in alike]) @ jacobian
+            meat += item.count / freedom * scatter.T @ scatter
         return np.asarray(inverse @ meat @ inverse)
 
 

@@ -144,7 +144,7 @@ class Screening:
             self._beside[name, base] = self._with_secants(single, base)
         return self._beside[name, base]
 
-    def look_beside(self, chosen: Fit) -> None:
+    def add_visible_with(self, chosen: Fit) -> None:
         """Add effects that change some feature only in the presence of the chosen ones."""
         base = chosen.candidate.split(chosen.estimate)
         for name in sorted(self._unseen):
@@ -282,7 +282,7 @@ class Screening:
                 found[entry.candidate.names] = seen
         return sorted(found.values(), key=lambda entry: entry.score)
 
-    def beside(self, chosen: Fit | None, group: str) -> Fit:
+    def linear_fit_with(self, chosen: Fit | None, group: str) -> Fit:
         """Linear fit of one more effect or group; one with a shape parameter is linearised with the chosen ones.
 
         Alone such an effect imitates others: friction that decreases with speed imitates an offset.

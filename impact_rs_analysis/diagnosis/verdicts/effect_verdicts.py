@@ -125,7 +125,7 @@ def _fitted(found: Findings, name: str) -> Fit:
     if found.chosen is not None and name in found.names:
         return found.chosen
     best = _as_rival(found, name)
-    return found.search.screening.beside(found.chosen, name) if best is None else best.fit
+    return found.search.screening.linear_fit_with(found.chosen, name) if best is None else best.fit
 
 
 def _other_document(found: Findings, effect: Effect, fitted: Fit, ends: Ends) -> EffectDocument:
@@ -193,7 +193,7 @@ def _document(found: Findings, effect: Effect, fitted: Fit, **own: Any) -> Effec
 
 def _error(found: Findings, fitted: Fit | None) -> float:
     """Leave-one-out error of a fit, or of the model (None)."""
-    return residual_size(found.evidence, found.search.unexplained(fitted))
+    return residual_size(found.evidence, found.search.leave_one_out_residuals(fitted))
 
 
 def _error_without(found: Findings, name: str) -> float | None:

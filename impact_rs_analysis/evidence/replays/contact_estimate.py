@@ -8,7 +8,7 @@ reading y, corrected by an effect with parameters v. With the distance d_i at th
 
 where s_k is the scale of parameter k. The second sum keeps what the impacts do not determine at its nominal value, as a
 shift along the face (ridge regression). In units of w s_k the covariance is (J^T J / f + I)^-1, with the sensitivity J
-of the first terms and their mean square f, at least 1.
+of the first terms and f, their sum of squares over N - p for N impacts and p parameters, at least 1.
 
 Without such an estimate, a frame that is off by more than the pad moves before the impact puts object and pad into each
 other at the start of a replay, and sensitivities there say nothing; or the replay misses the object.
@@ -113,7 +113,7 @@ def contact_estimate(
 
     found = scipy.optimize.least_squares(residuals, np.zeros_like(nominal))
     rest, jacobian = found.fun[: before.size], found.jac[: before.size]
-    scatter = max(1.0, float(rest @ rest) / max(1, before.size - nominal.size))
+    scatter = max(1.0, float(rest @ rest) / max(1, before.size - int(np.count_nonzero(scales))))
     covariance = np.linalg.inv(jacobian.T @ jacobian / scatter + np.eye(nominal.size))
     return ContactEstimate(effect, nominal + scales * found.x, scales * np.sqrt(np.diag(covariance)))
 

@@ -150,13 +150,13 @@ def kind_of(run: MeasuredRun) -> Kind:
 def layout_of(run: MeasuredRun) -> str:
     """Key of the composition of a run's feature vector."""
     counted = dict.fromkeys(feature.group[:2] for feature in run.features)
-    bins = ", ".join(f"{phase} {signal} {max_bin(run, phase, signal)}" for phase, signal in counted)
+    bins = ", ".join(f"{phase} {signal} {bin_count(run, phase, signal)}" for phase, signal in counted)
     lost = f", without {', '.join(map(str, run.lost))}" if run.lost else ""
     arms = ", ".join(run.setup.physics.arms)
     return f"{'hit' if run.hit else 'free'}: {arms}, {len(run.features)} features: {bins}{lost}"
 
 
-def max_bin(run: MeasuredRun, phase: str, signal: str) -> int:
+def bin_count(run: MeasuredRun, phase: str, signal: str) -> int:
     """Number of time bins of a signal."""
     return 1 + max(feature.bin for feature in run.features if (feature.phase, feature.signal) == (phase, signal))
 

@@ -154,6 +154,17 @@ def test_p_is_uniform_beside_fitted_parameters_where_the_relevance_limit_gives_t
     assert 0.35 < np.mean(p_values) < 0.65
 
 
+def test_conditions_without_repeats_have_the_noise_of_the_others() -> None:
+    """One condition of four runs and nine of one. Kills: these add information and no noise."""
+    jacobians = sensitivity(1, 10, 1)
+    found = []
+    for seed in range(NULLS):
+        reference = RotationNull(AnalyticSource(seed, design=(4,) + (1,) * 9).clusters)
+        inverse = np.linalg.inv(information(reference, jacobians))
+        found.append(reference.covariance(jacobians, means_of(reference.clusters), inverse) / inverse)
+    assert np.mean(found) == pytest.approx(np.square(WHITE.pure_error[0]), rel=0.15)
+
+
 def test_what_was_fitted_cannot_be_found_again() -> None:
     jacobians = sensitivity(3, 6, 2)
     reference = shifted(AnalyticSource(3).clusters, jacobians, [3.0] * 6)
@@ -480,10 +491,11 @@ def test_a_layout_with_hardly_any_repeats_raises_no_alarm_of_simulator_error(rep
     assert np.all(low <= binom.ppf(0.9999, NULLS, 0.05)), low
 
 
-def test_covariance_adds_up_over_conditions_of_two_repeats_and_more() -> None:
-    """The mean over all repeats has the variance sum n_c s_c^2 / n^2; a condition without repeats says nothing."""
+def test_covariance_adds_up_over_conditions() -> None:
+    """The mean over all repeats has the variance sum n_c s_c^2 / n^2, where one repeat has the pooled s^2."""
     source = AnalyticSource(12, design=(5, 1, 2, 3))
     reference, ones = RotationNull(source.clusters), [np.ones((FEATURES, 1))] * 4
     found = reference.covariance(ones, [], np.linalg.inv(information(reference, ones)))[0, 0]
     means = [item.residuals.mean(axis=1) for item in source.clusters if item.count > 1]
-    assert found == pytest.approx(sum(own.size * own.var(ddof=1) for own in means) / 11.0**2, rel=1e-9)
+    pooled = sum((own.size - 1) * own.var(ddof=1) for own in means) / 7.0
+    assert found == pytest.approx((sum(own.size * own.var(ddof=1) for own in means) + pooled) / 11.0**2, rel=1e-9)

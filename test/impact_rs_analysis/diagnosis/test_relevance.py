@@ -19,7 +19,7 @@ LARGEST = max(np.abs(direction(number, 0)).max() for number in range(6))  # of a
 
 def fitted(source: AnalyticSource, name: str, change: float) -> Fit:
     """An effect, linearised where it does nothing, with an estimate [parameter scales] in place of the best."""
-    found = Search([EFFECTS[name]], Evidence.of(source)).screening.beside(None, name)
+    found = Search([EFFECTS[name]], Evidence.of(source)).screening.linear_fit_with(None, name)
     return Fit(found.candidate, found.evidence, found.problem, np.array([change]))
 
 

@@ -562,7 +562,8 @@ def test_an_effect_whose_linear_fit_predicts_badly_is_fitted_if_it_is_the_likeli
     for seed in range(3):
         search = searched(AnalyticSource(seed, (("levelling", (4.0,)),)), "levelling", "nearly_levelling")
         assert (
-            search.screening.beside(None, "nearly_levelling").score < search.screening.beside(None, "levelling").score
+            search.screening.linear_fit_with(None, "nearly_levelling").score
+            < search.screening.linear_fit_with(None, "levelling").score
         )
         monkeypatch.setattr(search.screening, "p_values", lambda _: {"levelling": 1e-6, "nearly_levelling": 1e-4})
         assert chosen_of(search, "levelling").estimate[0] == pytest.approx(4.0, abs=0.15)
@@ -809,7 +810,10 @@ def test_the_likeliest_effect_is_fitted_although_its_linear_fit_predicts_worse(
     names = ("levelling", "nearly_levelling")
     source = knowing(AnalyticSource(3, (("levelling", (size,)),)), *(EFFECTS[name] for name in names))
     search = Search([EFFECTS[name] for name in names], Evidence.of(source))
-    assert search.screening.beside(None, "levelling").score > search.screening.beside(None, "nearly_levelling").score
+    assert (
+        search.screening.linear_fit_with(None, "levelling").score
+        > search.screening.linear_fit_with(None, "nearly_levelling").score
+    )
     chosen = search.forward_selection()
     assert chosen is not None and chosen.candidate.names == ("levelling",)
     assert chosen.estimate[0] == pytest.approx(size, abs=0.2)

@@ -332,9 +332,9 @@ def test_what_first_changes_something_far_away_is_not_excluded_and_what_is_named
 def fitted(source: AnalyticSource, *names: str, change: Array | None = None) -> Fit:
     """Effects together, linearised where they do nothing; with a change [parameter scales] in place of the best."""
     search = Search([EFFECTS[name] for name in names], Evidence.of(source))
-    found = search.screening.beside(None, names[0])
+    found = search.screening.linear_fit_with(None, names[0])
     for name in names[1:]:
-        found = search.screening.beside(found, name)
+        found = search.screening.linear_fit_with(found, name)
     return found if change is None else Fit(found.candidate, found.evidence, found.problem, change)
 
 
