@@ -10,7 +10,7 @@ it predicts.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, reduce
 from itertools import combinations
@@ -108,9 +108,8 @@ class Search:
     def forward_selection(self) -> Fit | None:
         """The selected effects; None if none is accepted."""
         # In recordings library effects come first: friction is in all of them, and laws describe the remainder.
-        named = [name for name, single in self.screening.singles.items() if not single.effects[0].family]
-        chosen = self._extend(None, None if self.source.repeated else named)
-        if not self.source.repeated:
+        chosen = self._extend(None, laws=self.source.repeated)
+        if not self.source.repeated and any(single.effects[0].family for single in self.screening.singles.values()):
             chosen = self._extend(chosen)
         if chosen is None:
             return None
@@ -148,14 +147,14 @@ class Search:
             return None
         return self._measured_again(Fit.of(start, self.evidence).at_point)
 
-    def _extend(self, chosen: Fit | None, names: Collection[str] | None = None) -> Fit | None:
-        """Add effects until none is accepted, from those of ``names`` or from all (None)."""
+    def _extend(self, chosen: Fit | None, laws: bool = True) -> Fit | None:
+        """Add effects, and ``laws`` too or not, until none is accepted."""
         while chosen is None or len({e.family or e.name for e in chosen.candidate.effects}) < MAX_EFFECTS:
             if chosen is not None and (left := chosen.lack_of_fit()) is not None and left > SIGNIFICANCE_LEVEL:
                 break
             if chosen is not None and self._budget.leaves_out("further effects beside " + _named(chosen)):
                 break  # the first effect is looked for in any case: without it nothing would seem to be missing
-            best = self._next(chosen, self.screening.groups(chosen, names))
+            best = self._next(chosen, self.screening.groups(chosen, laws))
             if best is None and not self.source.of_motion:
                 best = self._pair_at_once(chosen)
             if best is None:
@@ -197,8 +196,7 @@ class Search:
 
         Each must be significant given the other. For tables of impacts alone, whose predictions are cheap.
         """
-        singles = self.screening.singles
-        alone = [n for n in self.screening.groups(chosen) if n in singles and not singles[n].effects[0].family]
+        alone = self.screening.groups(chosen, laws=False)
         pairs = ["+".join(pair) for pair in combinations(alone, 2)]
         p_values = benjamini_hochberg(self.screening.p_values_of(pairs, chosen), len(alone) + len(pairs))
         pairs = [pair for pair in pairs if p_values[pair] < SIGNIFICANCE_LEVEL]

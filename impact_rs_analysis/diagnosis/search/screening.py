@@ -231,18 +231,19 @@ class Screening:
         """:meth:`p_values` without adjustment for multiple testing, each at its best start."""
         return self.p_values_of(self.groups(chosen), chosen)
 
-    def groups(self, chosen: Fit | None, names: Collection[str] | None = None) -> list[str]:
+    def groups(self, chosen: Fit | None, laws: bool = True) -> list[str]:
         """Candidates of one selection step: an effect, or one law at several joints, joined by ``+``.
 
         Args:
             chosen: The chosen effects.
-            names: Effects to consider; None: all.
+            laws: Whether laws are considered beside the effects of the library.
         """
         present = () if chosen is None else chosen.candidate.names
-        alone = [name for name in self.singles if name not in present and (names is None or name in names)]
+        family_of = {name: single.effects[0].family for name, single in self.singles.items() if name not in present}
+        alone = [name for name, family in family_of.items() if laws or not family]
         families: dict[str, list[str]] = {}
         for name in alone:
-            families.setdefault(self.singles[name].effects[0].family, []).append(name)
+            families.setdefault(family_of[name], []).append(name)
         return alone + ["+".join(members) for family, members in families.items() if family and len(members) > 1]
 
     def joined(self, group: str, chosen: Fit | None) -> Candidate:
