@@ -102,8 +102,8 @@ class Search:
         )
 
     def first(self) -> Fit | None:
-        """The best single effect or law; None if none is accepted."""
-        return self._next(None, self.screening.groups(None))
+        """A single effect or law, the best by its linear fit or the likeliest; None if neither is accepted."""
+        return self._next(None, self.screening.groups(None), size=1)
 
     def forward_selection(self) -> Fit | None:
         """The selected effects; None if none is accepted."""
@@ -164,7 +164,11 @@ class Search:
         return chosen
 
     def _next(
-        self, chosen: Fit | None, groups: Sequence[str], p_values: Mapping[str, float] | None = None
+        self,
+        chosen: Fit | None,
+        groups: Sequence[str],
+        p_values: Mapping[str, float] | None = None,
+        size: int | None = None,
     ) -> Fit | None:
         """The best of some effects or groups beside the chosen ones, fitted by simulation; None: none is accepted.
 
@@ -172,6 +176,7 @@ class Search:
             chosen: The chosen effects.
             groups: Effects or groups that may be added at once.
             p_values: Adjusted, of the groups; None: those of all effects and groups that may be accepted.
+            size: Candidates that are fitted by simulation; None: ``SHORTLIST_SIZE``.
         """
         p_values = self.screening.p_values(chosen) if p_values is None else p_values
         possible = [group for group in groups if self.screening.ruled_out.isdisjoint(group.split("+"))]
@@ -186,7 +191,8 @@ class Search:
             self._report_progress(entry)
         if chosen is None and not self.has_lack_of_fit:  # then only effects beyond a relevance limit are accepted
             linear = list(filter(exceeds_relevance_limit, linear))
-        shortlist, others = linear[:SHORTLIST_SIZE], linear[SHORTLIST_SIZE:]
+        size = SHORTLIST_SIZE if size is None else size
+        shortlist, others = linear[:size], linear[size:]
         if chosen is None and others:  # the first effect may act far from nominal, where linear fits mislead
             shortlist.append(min(others, key=lambda entry: p_values["+".join(entry.candidate.names)]))
         return self._best(shortlist, chosen)
