@@ -286,24 +286,29 @@ def _verdict(document: DiagnosisDocument) -> str:
     fall = f"{label}: {_fall(before, after)} {unit}{noise_text}." if found else error
     caveats = " ".join(filter(None, [_bounds(document), _open(document), _confusable(document)]))
     text, one = f"Model '{name}' lacks {named}.", "s" if len(document.named) == 1 else ""
-    share = 100.0 * min(max(explained(before, after, document.noise_floor), 0.0), 1.0)
+    share = _share(min(max(explained(before, after, document.noise_floor), 0.0), 1.0))
     if verdict.kind is Kind.PARTLY:
         text = (
-            f"Model '{name}' lacks {named}, which explain{one} {share:.0f} % of the error beyond noise, and at least "
+            f"Model '{name}' lacks {named}, which explain{one} {share} of the error beyond noise, and at least "
             "one more effect."
         )
     if verdict == NONE:
-        taken = f"{named} take{one} {share:.0f} % of the error beyond noise"
+        taken = f"{named} take{one} {share} of the error beyond noise"
         text = f"No effect in the library explains these {runs}; {taken}."
     if measurement:
         text = _of_physics(document)
         if verdict.kind is Kind.PARTLY:
             what = "That explains" if len(found) == 1 else "Together they explain"
-            part = f"{what} {share:.0f} % of the error beyond noise. " if found else ""
+            part = f"{what} {share} of the error beyond noise. " if found else ""
             more = f"{part}At least one more effect, of the measurement or of the physics, is there."
             text = " ".join(filter(None, [text, more]))
     instead = "" if verdict == NONE else _instead(document)
     return " ".join(filter(None, [measurement, _required(document), instead, text, fall, caveats, rest]))
+
+
+def _share(value: float) -> str:
+    """A share of an error that is not all of it."""
+    return "nearly all" if value > 0.995 else f"{100.0 * value:.0f} %"
 
 
 def _required(document: DiagnosisDocument) -> str:

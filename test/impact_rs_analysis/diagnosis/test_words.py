@@ -249,3 +249,12 @@ def test_no_negative_share_of_the_error_remains(share: float | None, text: str) 
     document = diagnose(source, source.model).model_copy(update={"held_out_error_before": 2.0, "noise_floor": 1.0})
     left = document.unexplained.model_copy(update={"share_of_excess": share})
     assert remaining(document.model_copy(update={"unexplained": left})) == text
+
+
+@pytest.mark.parametrize(("after", "text"), [(1.04, "nearly all of the error"), (3.0, "99 % of the error")])
+def test_at_least_one_more_effect_is_not_missing_beside_100_percent(after: float, text: str) -> None:
+    source = AnalyticSource(1, (("straight", (4.0,)),))
+    partly = {"verdict": DiagnosisVerdict(Kind.PARTLY, ("straight",)), "named": ("straight",), "noise_floor": 1.0}
+    update = partly | {"held_out_error_before": 25.9, "held_out_error_after": after}
+    document = diagnose(source, source.model).model_copy(update=update)
+    assert f"which explains {text} beyond noise, and at least one more effect." in summary_of(document)
