@@ -269,9 +269,14 @@ class RolloutDocument(Schema):
             f"rollouts in {self.loop} from {self.starts} measured states, after {time} s: tool off by "
             f"{tool} mm and {angle} deg, {worst.joint} by {joint} {worst.unit} (rms)"
         )
+        return "; ".join(filter(None, [text, self.growth_in_words, self.diverged_in_words]))
+
+    @property
+    def diverged_in_words(self) -> str:
+        """How many are in no error, and which horizon none reaches; empty: all reach all."""
         gone = f"{self.diverged} of {self.starts} have {DIVERGED} and are left out" if self.diverged else ""
         after = f"after {self.all_diverged_after_s:g} s all have {DIVERGED}" if self.all_diverged_after_s else ""
-        return "; ".join(filter(None, [text, self.growth_in_words, gone, after]))
+        return "; ".join(filter(None, [gone, after]))
 
 
 @dataclass(frozen=True)

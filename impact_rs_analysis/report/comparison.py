@@ -15,6 +15,7 @@ from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.evidence.cluster import SCALE, TIMES
 from impact_rs_analysis.evidence.levels import Cell, JumpLevel, SignalLevel
+from impact_rs_analysis.evidence.rollouts import RolloutDocument
 from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_analysis.report.agreement_graph import AgreementGraph, agreement_graph
 from impact_rs_analysis.report.animation import ReplayPart
@@ -152,7 +153,7 @@ class ComparisonPage:
         history: Errors of the model and its parents; None without a parent.
         others: Titles of pages of the same measurements, by their relative paths.
         agreement: Which readings agree; None: no relation between them was measured.
-        rollouts_plot: Error of open-loop predictions over time; None: there were none.
+        rollouts_plot: Error of the tool in rollouts over time; None: there were none, or the tool does not move.
     """
 
     title: str
@@ -205,12 +206,18 @@ def write_comparison(
         history=history_part(versions) if versions else None,
         others=others,
         agreement=agreement_graph(document.agreement),
-        rollouts_plot=None if document.rollouts is None else Plot("rollouts", rollouts_plot(document.rollouts)),
+        rollouts_plot=_rollouts_plot(document.rollouts),
     )
     data = json.dumps(document.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
     text = render("comparison.html.j2", page, replay=page.tracks.replay is not None)
     files = {COMPARISON_PAGE: text, COMPARISON_DATA: data}
     return write_files(directory, files)[0]
+
+
+def _rollouts_plot(rollouts: RolloutDocument | None) -> Plot | None:
+    """Error of the tool over time; None without rollouts, or of a tool that does not move."""
+    moves = rollouts is not None and any(rollouts.tool_mm)
+    return Plot("rollouts", rollouts_plot(rollouts)) if rollouts is not None and moves else None
 
 
 def comparison_in_words(document: ComparisonDocument) -> str:

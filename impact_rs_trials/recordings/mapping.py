@@ -10,6 +10,7 @@ In ``topic``, ``child_frame``, ``file``, ``joints`` and column names ``{object}`
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Literal, Self, get_args
 
@@ -461,4 +462,4 @@ def load_mapping(name: str | Path) -> Mapping:
     mapping = load(Mapping, path)
     if not mapping.robot.endswith((".yaml", ".yml")):
         return mapping
-    return mapping.model_copy(update={"robot": str(path.parent / mapping.robot)})
+    return mapping.model_copy(update={"robot": os.path.normpath(path.parent / mapping.robot)})

@@ -39,6 +39,7 @@ from impact_rs_analysis.diagnosis.laws.discovery_document import (
 )
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.levels import SignalLevel
+from impact_rs_analysis.evidence.rollouts import CLOSED_LOOP
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
 from impact_rs_analysis.report import page as skeleton
 from impact_rs_analysis.report.analysis import AnalysisPage, Listing
@@ -168,13 +169,19 @@ def test_rollouts_stand_on_every_page_that_has_them(tmp_path: Path) -> None:
     """Kills: an error without its unit or spread, a growth that is left out, the wrong horizon of a history."""
     before, after = documents.rollouts(), documents.rollouts(0.1)
     page = comparison_page(tmp_path, rollouts=before)
-    assert "Open-loop predictions from 40 measured states" in page.text
+    assert "Open loop: recorded torque drives the model from measured states" in page.text
+    assert "Root mean square over 40 starts" in page.text and "diverged" not in page.text
     assert "The error of the joints grows with time to the power 2.0" in page.text
     assert "0.5 s 2.5 deg 1 to 4 15 mm 6 to 24 5 deg 2 to 8" in page.text
     assert [trace["name"] for trace in page.data["rollouts"]["data"]] == [
         "rollouts, rms over starts",
         "growth of a constant torque error, with the square of the time",
     ]
+    still = before.model_copy(update={"tool_mm": (0.0,) * 4, "diverged": 3, "what": CLOSED_LOOP})
+    (tmp_path / "still").mkdir()
+    page = comparison_page(tmp_path / "still", rollouts=still)
+    assert "Closed loop: servos drive the model" in page.text and "rollouts" not in page.data
+    assert "3 of 40 have diverged (a joint off by more than a turn, or a metre) and are left out." in page.text
     held = HeldOutRollouts(before=before, after=after, compared=12, closer=11, p_value=0.002)
     found = documents.diagnosis("recordings").model_copy(update={"rollouts": held})
     text = Page(write_diagnosis(found, documents.comparison("recordings"), (), None, tmp_path)).text
