@@ -94,6 +94,7 @@ def minus_references(
                 motion.without_motors,
                 torque=motion.torque - _at(place, reference.time, rests[match.number]),
                 noise=np.hypot(motion.noise, reference.noise),
+                measured=motion.measured & reference.measured,
                 kept=slice(max(motion.kept.start, int(inside[0])), min(motion.kept.stop, int(inside[-1]) + 1)),
             )
         )

@@ -443,13 +443,13 @@ class TorqueBalance:
         at_motor: Whether the torque was measured at the motors, so that it accelerates their inertia as well.
 
     Attributes:
-        joints: Joints whose torque was measured, ``(m,)``.
+        joints: Joints whose torque was measured in all of them, ``(m,)``.
         elastic: Joints whose deflection was measured, ``(e,)``.
     """
 
     def __init__(self, motions: list[Motion], at_motor: bool = False) -> None:
         self.motions, self._at_motor = motions, at_motor
-        self.joints = np.flatnonzero(np.any([motion.measured for motion in motions], axis=0))
+        self.joints = np.flatnonzero(np.all([motion.measured for motion in motions], axis=0))
         self.elastic = np.flatnonzero(np.all([motion.with_encoders for motion in motions], axis=0))
         self._regressors: dict[bytes, list[Array]] = {}
         self._known_states: dict[bytes, list[tuple[LoadState, Array]]] = {}

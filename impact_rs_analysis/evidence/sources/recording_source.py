@@ -64,6 +64,7 @@ from impact_rs_sim.recent import Recent
 from impact_rs_sim.robots.robot import Array, joined_units
 from impact_rs_trials.recordings.file_units import CURRENTS
 from impact_rs_trials.recordings.mapping import Mapping
+from impact_rs_trials.recordings.readers.run_finder import unique_names
 from impact_rs_trials.recordings.recording import ARM, TooShort
 from impact_rs_trials.recordings.remarks import merged
 from impact_rs_trials.recordings.servo import ServoLaw
@@ -781,12 +782,14 @@ def _cut(recordings: Sequence[Run], motions: Sequence[Motion]) -> list[Stretch]:
     seconds = float(np.clip(total / TARGET_STRETCHES, MIN_STRETCH_S, MAX_STRETCH_S))
     shares = _information(motions, MIN_STRETCH_S / seconds)
     found, first = [], 0
-    for recording, motion, (size, rate), own in zip(recordings, motions, lengths, shares, strict=True):
+    files = [recording.path for recording in recordings]
+    names = unique_names([file.name for file in files], files)
+    for file, recording, motion, (size, rate), own in zip(names, recordings, motions, lengths, shares, strict=True):
         parts = max(1, round(size / rate / seconds))
         edges = np.searchsorted(own, np.arange(parts) / parts * own[-1]).tolist() + [size]
         start = recording.begin + float(motion.time[motion.kept][0])
         for low, high in zip(edges[:-1], edges[1:], strict=True):
-            name = f"{recording.path.name}, {start + low / rate:.1f} to {start + high / rate:.1f} s"
+            name = f"{file}, {start + low / rate:.1f} to {start + high / rate:.1f} s"
             found.append(Stretch(name, str(recording.path), slice(first + int(low), first + int(high))))
         first += size
     if len(found) < MIN_BLOCKS:

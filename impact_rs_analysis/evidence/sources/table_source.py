@@ -357,7 +357,10 @@ class ImpactTableSource(Source):
         chosen = set() if self.repeated else evenly(range(len(self.table.rows)), enough)
         if self.repeated:
             most = max(enough // len(self._groups), MIN_DEGREES_OF_FREEDOM)
-            groups = evenly(range(len(self._groups)), enough // most)
+            several = [number for number, group in enumerate(self._groups) if len(group.rows) > 1]
+            single = [number for number, group in enumerate(self._groups) if len(group.rows) == 1]
+            groups = evenly(several, enough // most)  # without repeats the noise is unknown
+            groups |= evenly(single, enough // most - len(groups))
             chosen |= {row for group in groups for row in evenly(self._groups[group].rows, most)}
         for name in self.table.covariates:
             values = [row.circumstances[name] for row in self.table.rows]

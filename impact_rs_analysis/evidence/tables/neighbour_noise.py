@@ -18,6 +18,7 @@ import scipy
 from impact_rs_sim.robots.robot import Array
 
 NEIGHBOURS_PER_COEFFICIENT = 3
+MIN_SPREAD_SHARE = 1e-9  # of the largest value of a coordinate; less is rounding
 MIN_ROWS_PER_COEFFICIENT = 12  # with fewer, neighbours are far apart
 
 
@@ -32,7 +33,10 @@ def nearest_neighbour_noise(states: Array, residuals: Array) -> Array | None:
         None with too few rows for their number of coordinates.
     """
     spread = states.std(axis=0)
-    states = (states - states.mean(axis=0))[:, spread > 0.0] / spread[spread > 0.0]
+    varied = spread > MIN_SPREAD_SHARE * np.abs(states).max(axis=0, initial=0.0)
+    if not varied.any():  # all rows are repeats
+        return np.asarray(residuals.std(axis=0, ddof=1)) if len(residuals) >= MIN_ROWS_PER_COEFFICIENT else None
+    states = (states - states.mean(axis=0))[:, varied] / spread[varied]
     rows, coordinates = states.shape
     count = NEIGHBOURS_PER_COEFFICIENT * (coordinates + 1)
     if rows < MIN_ROWS_PER_COEFFICIENT * (coordinates + 1):

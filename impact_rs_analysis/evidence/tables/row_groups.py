@@ -38,13 +38,13 @@ def conditions(table: ImpactTable) -> list[RowGroup] | None:
     Args:
         table: The table.
     """
-    grouped: dict[str, list[int]] = {}
+    grouped: dict[tuple[str, bool], list[int]] = {}  # a condition may be called "row 4"
     for number, row in enumerate(table.rows):
         name = ", ".join(filter(None, (row.object_name, row.condition))) if row.condition else f"row {row.number}"
-        grouped.setdefault(name, []).append(number)
+        grouped.setdefault((name, bool(row.condition)), []).append(number)
     parts = [
         RowGroup(", ".join([name, *labels]), name, tuple(rows))
-        for name, whole in grouped.items()
+        for (name, _), whole in grouped.items()
         for labels, rows in _under_like_circumstances(table, whole)
     ]
     freedom = sum(len(part.rows) - 1 for part in parts)

@@ -13,7 +13,7 @@ no state before and after:
 * a body that comes down so slowly that noise decides;
 * a ball of unknown spin: one whose rotation was not tracked, after an impact that has no row;
 * one that lands on an edge or a face: its next corner comes so soon that two impacts look like one;
-* a run that is there twice (the same heights).
+* a run that is there twice (the same poses).
 
 A ball whose rotation was not tracked has an assumed spin before its first impact. The impulse m (v+ - v-) acts at the
 lowest point, r = (0, 0, -R) from the centre, so that the next one has w = w- + r x m (v+ - v-) / I.
@@ -37,6 +37,7 @@ from impact_rs_trials.recordings.relations import DECISIVE_LOG_ODDS
 
 Rows = NDArray[np.signedinteger]
 
+UNSEEN = "the tracker does not see the impact"
 MIN_FLIGHT_SAMPLES = 5  # on either side of an impact
 MAX_FLIGHT_S = 0.12  # of the used samples; longer flights feel drag
 MAX_DISTURBED = 2  # consecutive disturbed differences, over k; a single impact, on or between samples, disturbs no more
@@ -80,13 +81,13 @@ def impacts_of_bodies(runs: Sequence[TrackedBody], body: Body) -> tuple[list[Imp
     """
     found: list[Impact] = []
     left_out: list[NoRow] = []
-    heights: dict[bytes, str] = {}
+    known: dict[bytes, str] = {}
     for run in runs:
-        key = run.position[:, 2].round(6).tobytes()
-        if key in heights:
-            left_out.append(NoRow(run.run, f"recorded twice: the same heights as {heights[key]}"))
+        key = run.position.round(6).tobytes() + run.rotation.round(6).tobytes()
+        if key in known:
+            left_out.append(NoRow(run.run, f"recorded twice: the same poses as {known[key]}"))
             continue
-        heights[key] = run.run
+        known[key] = run.run
         own, out = _impacts_of(run, body)
         found += own
         left_out += out
@@ -110,7 +111,10 @@ def _impacts_of(run: TrackedBody, body: Body) -> tuple[list[Impact], list[NoRow]
         name = f"{run.run}, impact {len(results) + 1}" if results else run.run
         result = _between(run, item, name, pair, reach)
         if run.spin is not None and isinstance(result, Impact):
-            if any(isinstance(one, Impact) for one in results) and isinstance(results[-1], NoRow):
+            last = results[-1] if results else None
+            # Before the first impact a hand may have moved the ball; an impact that was not seen is one.
+            begun = any(isinstance(one, Impact) or UNSEEN in one.reason for one in results)
+            if isinstance(last, NoRow) and begun:
                 result = NoRow(name, "the spin of the ball is unknown after an impact without a row")
             else:
                 run = replace(run, spin=run.spin + _spin_by(result, item))
@@ -208,7 +212,7 @@ def _impact(run: TrackedBody, item: ObjectPhysics, name: str, before: Rows, afte
     edge = (float(run.time[before[-1]]), float(run.time[after[0]]))
     lasting = MAX_CONTACT_S if item.round else 0.0
     if edge[1] - edge[0] > (MAX_DISTURBED + 2.0) * reach * period + lasting:
-        return NoRow(name, f"the tracker does not see the impact: {edge[1] - edge[0]:.3f} s without a sample")
+        return NoRow(name, f"{UNSEEN}: {edge[1] - edge[0]:.3f} s without a sample")
     ante, post = (
         fly(run.time[rows], run.position[rows], run.rotation[rows], run.gravity, item.inertia, at)
         for rows, at in ((before, edge[0]), (after, edge[1]))

@@ -40,7 +40,7 @@ def with_velocities(cells: ImpactCells) -> ImpactCells:
     if not given:
         return cells
     before, after = (_one_of(cells, columns) for columns in (col.FLIGHTS_BEFORE, col.FLIGHTS_AFTER))
-    for one in (col.V_BEFORE, col.V_AFTER):
+    for one in (col.V_BEFORE, col.V_AFTER, col.W_BEFORE, col.V_NOISE, col.V_NOISE_AXES):
         if one in cells:
             message = f"columns {cells.header(given[0])!r} and {cells.header(one)!r}: expected one of them"
             raise InputError(message, file=cells.path)
@@ -55,6 +55,12 @@ def with_velocities(cells: ImpactCells) -> ImpactCells:
     if after is not None:
         up, up_noise = _speeds(cells, after)
         added[col.V_AFTER] = (0.0, 0.0, up)
+        if np.isnan(up_noise).all() != np.isnan(down_noise).all():
+            missing = next(one for one in (col.HEIGHT_NOISE, col.FLIGHT_NOISE) if one not in cells)
+            raise InputError(
+                f"column {missing.headers[0]!r} is missing; expected the noise of both measures, or of neither",
+                file=cells.path,
+            )
         if not np.isnan(up_noise + down_noise).any():
             added[col.V_NOISE_AXES] = (0.0, 0.0, np.hypot(up_noise, up / down * down_noise))
     added |= {one: (value,) for one, value in ASSUMED_VALUES.items() if one not in cells}

@@ -21,7 +21,7 @@ from impact_rs_trials.recordings.impacts.impact_columns import ColumnGroup
 from impact_rs_trials.recordings.impacts.impact_rows import Impact, NoRow
 from impact_rs_trials.recordings.laboratory import Laboratory, with_object, with_tracker_frame
 from impact_rs_trials.recordings.mapping import Mapping
-from impact_rs_trials.recordings.readers.run_finder import find_runs
+from impact_rs_trials.recordings.readers.run_finder import find_runs, unique_names
 from impact_rs_trials.recordings.readers.series import Names
 from impact_rs_trials.recordings.readers.sources import read_series
 from impact_rs_trials.recordings.remarks import merged, remark
@@ -114,15 +114,16 @@ def _of_bodies(directory: Path, experiment: Experiment, body: Body, map_tasks: M
         rows = [RunRow(run, "body", True, "") for run in find_runs(directory, mapping)]
     runs, left_out = [], []
     remarks: list[tuple[str, str]] = []
-    for row, result in zip(rows, map_tasks(_track, [(row, mapping, body, plane) for row in rows]), strict=True):
+    by_name = dict(zip(unique_names([row.label for row in rows], [row.path for row in rows]), rows, strict=True))
+    tracks = map_tasks(_track, [(row, mapping, body, plane) for row in rows])
+    for name, result in zip(by_name, tracks, strict=True):
         if isinstance(result, InputError):
-            left_out.append(NoRow(row.label, result.message))
+            left_out.append(NoRow(name, result.message))
         else:
             run, warnings = result
-            runs.append(run)
-            remarks += [(row.label, one) for one in warnings]
+            runs.append(replace(run, run=name))
+            remarks += [(name, one) for one in warnings]
     impacts, out = impacts_of_bodies(runs, body)
-    by_name = {row.label: row for row in rows}
     named = [_with_condition(impact, by_name) for impact in impacts]
     constants = body_columns(body, plane)
     assumed = () if all(impact.turn_tracked for impact in impacts) else (SPIN,)

@@ -314,12 +314,20 @@ class _Reader:
         if not self._scales(name):
             return of_scene[name]
         values = [self.cells.value(row, name) for row in range(len(self.cells)) if self.cells.text(row, name)]
+        if len(values) < len(self.cells):
+            raise InputError(
+                f"column {name!r} is empty in {len(self.cells) - len(values)} of {len(self.cells)} rows, which have "
+                "the value of the scenario; expected numbers in all rows or in none",
+                file=self.cells.path,
+                key="--unsure",
+            )
         return float(np.mean(values)), BODY_UNITS.get(name, col.SUPPORT_FRICTION.unit)
 
     def _scales(self, name: str) -> bool:
         """Whether an uncertain quantity is a column, whose rows keep their ratios."""
         of_support = name == col.SUPPORT_FRICTION.first and not self.contents.centre
-        return name in self.cells and (name in BODY_UNITS or of_support)
+        filled = name in self.cells and any(self.cells.text(row, name) for row in range(len(self.cells)))
+        return filled and (name in BODY_UNITS or of_support)
 
     def with_geometry(self, name: str, value: float, assumed: float) -> _Reader:
         """A reader of the same table with another value of an uncertain quantity.

@@ -14,6 +14,7 @@ A table of runs names them (:func:`find_run`).
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -56,6 +57,22 @@ def is_bag_folder(path: Path) -> bool:
 def name_of(path: Path) -> str:
     """Name of a run, without the ending of a file."""
     return path.stem if path.suffix in FILE_SUFFIXES and not path.is_dir() else path.name
+
+
+def unique_names(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
+    """The names; in place of those that repeat the paths from their common folder on, as ``day_1/log.csv``.
+
+    Args:
+        names: Of some recordings.
+        paths: Of the same recordings.
+    """
+    places: dict[str, list[Path]] = {}
+    for name, path in zip(names, paths, strict=True):
+        places.setdefault(name, []).append(path.parent)
+    return [
+        name if len(places[name]) == 1 else path.relative_to(os.path.commonpath(places[name])).as_posix()
+        for name, path in zip(names, paths, strict=True)
+    ]
 
 
 def find_recordings(path: Path, notes: bool = False) -> list[Path]:

@@ -208,3 +208,35 @@ def test_a_diagnosis_says_the_order_of_its_recordings(folder: Path, mapping: Map
     source = source_of(tmp_path, mapping)
     assert any("minutes later than those of --minus" in remark for remark in source.remarks)
     assert not any("than those of --minus" in remark for remark in source_of(folder, mapping).remarks)
+
+
+def test_recordings_of_one_name_are_held_out_one_by_one(mapping: Mapping, tmp_path: Path) -> None:
+    """Kills: the stretches of the last file of a name are predicted and measured in place of the others."""
+    for day, friction in ((1, 1.0), (2, 2.0)):
+        (tmp_path / f"day_{day}").mkdir()
+        effects = {"joint_coulomb_friction": {f"coulomb_joint{joint}": friction for joint in (1, 2, 3)}}
+        write_npz(tmp_path / f"day_{day}" / "log.npz", swung(mapping, effects, seed=day))
+    source = RecordingSource.of(read_recordings(tmp_path, mapping), mapping, Model(name="nominal"))
+    names = [item.name for item in source.clusters]
+    assert len(set(names)) == len(names) and {name.partition(",")[0] for name in names} == {
+        "day_1/log.npz", "day_2/log.npz",
+    }  # fmt: skip
+    again = source.residuals_with((), source.clusters)
+    assert again is not None
+    for item, own in zip(source.clusters, again, strict=True):
+        np.testing.assert_allclose(own.residuals, item.residuals, atol=1e-9)
+
+
+@pytest.mark.parametrize("lacking", ["loaded", "unloaded"])
+def test_a_torque_that_one_recording_lacks_is_left_out(
+    folder: Path, mapping: Mapping, tmp_path: Path, lacking: str
+) -> None:
+    """Kills: 0 N m taken for a torque, or the torque of the model alone subtracted from that of the other recording."""
+    for name in ("loaded", "unloaded"):
+        columns = dict(np.load(folder / f"{name}.npz"))
+        if name == lacking:
+            columns["effort"][:, 1] = 0.0
+        np.savez(tmp_path / f"{name}.npz", **columns)
+    assert source_of(tmp_path, mapping).balance.joints.tolist() == [0, 2]
+    both = RecordingSource.of(read_recordings(tmp_path, mapping), mapping, Model(name="nominal"))
+    assert both.balance.joints.tolist() == [0, 2]

@@ -113,7 +113,7 @@ def test_a_toss_without_a_usable_impact_is_left_out_with_the_reason() -> None:
     run = toss()
     flat = toss(turn=np.eye(3), seed=1)
     cases = {
-        "recorded twice: the same heights as toss_0": [run, replace(run, run="again")],
+        "recorded twice: the same poses as toss_0": [run, replace(run, run="again")],
         "edge or a face": [flat],
         "too few samples of free flight": [_cut(run, 13, 33)],
         "nothing is hit": [_cut(run, 0, 15)],
@@ -252,6 +252,24 @@ def test_impacts_of_two_sessions_stay_apart(tmp_path: Path, speed: str | None) -
     falls = [-float(row["vz_before [m/s]"]) for row in table]
     np.testing.assert_allclose(falls, np.sqrt(2.0 * 9.81 * np.array([0.5, 0.7])), rtol=1e-2)
     assert [row.get("condition") for row in table] == (["clean/fast", "dirty/fast"] if speed else [None, None])
+
+
+def test_runs_of_one_name_keep_their_conditions_and_those_of_one_height_are_not_one(tmp_path: Path) -> None:
+    """Kills: the condition of the last run of a name for all of them; equal heights for one recording made twice."""
+    for session, condition in (("day_1", "dry"), ("day_2", "wet")):
+        bounce(tmp_path / session / "run_1.csv", 0.5)
+        if condition == "wet":  # the same fall, along x as well
+            table = np.genfromtxt(tmp_path / session / "run_1.csv", delimiter=",", skip_header=1)
+            table[:, 1] = 0.3 * table[:, 0]
+            np.savetxt(tmp_path / session / "run_1.csv", table, delimiter=",", header="t,x,y,z", comments="")
+    (tmp_path / "mapping.yaml").write_text(MAPPING)
+    (tmp_path / "experiment.yaml").write_text(EXPERIMENT)
+    rows = ["day_1/run_1.csv,body,hit,dry", "day_2/run_1.csv,body,hit,wet"]
+    (tmp_path / "runs.csv").write_text("\n".join(["bag,object,kind,surface", *rows]) + "\n")
+    found = find_impacts(tmp_path, load_experiment(tmp_path / "experiment.yaml"), map)
+    assert [(one.run, one.condition) for one in found.impacts] == [
+        ("day_1/run_1.csv", "dry"), ("day_2/run_1.csv", "wet"),
+    ]  # fmt: skip
 
 
 def test_samples_of_a_body_that_are_no_numbers_are_said(tmp_path: Path) -> None:

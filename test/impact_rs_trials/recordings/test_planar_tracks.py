@@ -74,6 +74,19 @@ def test_bounces_in_pixels_give_restitution_scale_and_the_spin_of_the_ball(lost:
             assert impact.before[4] == pytest.approx(spin, abs=4.0)  # rad/s; noise: 0.6 for every bounce
 
 
+def test_after_an_impact_that_the_camera_did_not_see_the_spin_is_unknown(tmp_path: Path) -> None:
+    """Kills the spin before the first bounce for that before the second, which friction has changed."""
+    path = tmp_path / "video" / "drop.csv"
+    video(path, DROPS[0], remark=False, lost=False)
+    lines = path.read_text().splitlines()
+    first = round(RATE * np.sqrt(2.0 * DROPS[0][1] / G))
+    path.write_text("\n".join([*lines[: first - 14], *lines[first + 18 :]]) + "\n")
+    found, _ = found_in(tmp_path / "video", tmp_path / "lab")
+    assert found.impacts == ()
+    assert "does not see the impact" in found.left_out[0].reason
+    assert "the spin of the ball is unknown" in found.left_out[1].reason
+
+
 def test_a_height_alone_gives_restitution_and_no_motion_along_the_plane(tmp_path: Path) -> None:
     """A range finder above, in mm, with a column of its temperature. Kills x and z exchanged, and the wrong column."""
     (tmp_path / "drops").mkdir()
