@@ -13,12 +13,13 @@ from impact_rs_analysis.design.discrimination import Discrimination
 from impact_rs_analysis.design.explanations import Decision, which_effect
 from impact_rs_analysis.design.forecast import Forecast, ForecastTrial, forecast_of
 from impact_rs_analysis.design.possible_trials import NO_ENVELOPE, Envelope, PossibleTrial, possible_trials
-from impact_rs_analysis.design.selection import Counts, chosen, missing_conditions
+from impact_rs_analysis.design.selection import MIN_REPEATS, Counts, chosen, missing_conditions
 from impact_rs_analysis.evidence.replays.measured_runs import Runs
 from impact_rs_analysis.evidence.replays.replay_cache import Progress, ReplayCache
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.inference.belief import Belief
 from impact_rs_sim.effects.base import SINGLE_IMPACT
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.campaign import PlannedTrials
@@ -101,11 +102,19 @@ def planned(
     model = forecast.source.model
     trials = forecast.under(decision)
     can_run = [trial for trial in trials if trial.trial is not None]
+    if not can_run:
+        raise InputError("no possible trial has an impact under every explanation")
     unseen = _unseen(decision, trials)
     seen_pairs = tuple(pair for pair in decision.pairs if not unseen & set(pair))
     decision = replace(decision, pairs=seen_pairs or decision.pairs)
     counts = Discrimination(decision, trials)
     picked = chosen(method, counts, can_run, budget, seed)
+    if not picked:
+        raise InputError(
+            f"no trial fits: a new condition needs {MIN_REPEATS} trials, and no measured one can be planned again",
+            key="--budget",
+            value=budget,
+        )
     before = counts.total(counts.counted)
     after = counts.total(counts.with_more(picked))
     known, freedom = counts.freedom({}), counts.freedom(picked)
@@ -144,8 +153,8 @@ def _pairs(decision: Decision, before: Array, after: Array) -> list[PlannedPair]
         PlannedPair(
             first=decision.explanations[i].name,
             second=decision.explanations[j].name,
-            before=round(float(was), 4),
-            after=round(float(now), 4),
+            before=float(f"{was:.4g}"),  # small ones as well: what all trials would give is computed from them
+            after=float(f"{now:.4g}"),
         )
         for (i, j), was, now in zip(decision.pairs, before, after, strict=True)
     ]

@@ -142,6 +142,8 @@ def _fixed(trials: Sequence[ForecastTrial], measured: Mapping[str, int], budget:
     own = [trial for trial in trials if trial.trial is not None and trial.trial.of_file] or list(trials)
     least = 1 if all(trial.name in measured for trial in own) else MIN_REPEATS
     many = min(len(own), budget // least)
+    if not many:
+        return {}
     places = np.unique(np.linspace(0, len(own) - 1, many).round().astype(int))
     each, more = divmod(budget, len(places))
     return {own[place].name: each + (number < more) for number, place in enumerate(places)}

@@ -71,7 +71,8 @@ class Causes:
         before = Hypothesis(origin.point, Posterior(origin.past.copy()))
         for instant in best.posterior.window:
             found = [(self._hits.evidence(one.hit, before.point), one.weight) for one in instant]
-            before.posterior.add([replace(own, weight=weight) for own, weight in found if own is not None])
+            if predicted := [replace(own, weight=weight) for own, weight in found if own is not None]:
+                before.posterior.add(predicted)
         test = self._hits.test(before)
         held = self.of(before, test, test.statistics()[1])
         if not held or held[0][0].effect == best.effect:
@@ -155,9 +156,14 @@ class Causes:
         return replace(fitted, posterior=whole)
 
     def refined(self, one: Hypothesis) -> Hypothesis:
-        """The hypothesis, relinearised at its present posterior mean."""
+        """The hypothesis, relinearised at the present posterior mean of the parameters of its effect.
+
+        All others keep their point, about which the belief before the change holds what was learnt of them.
+        """
         assert one.origin is not None
-        found = self.complete(self._fitted(one.origin, one.posterior.hits, self._hits.values(one), one.effect))
+        point, numbers = one.origin.point.copy(), list(one.origin.numbers)
+        point[numbers] = self._hits.values(one)[numbers]
+        found = self.complete(self._fitted(one.origin, one.posterior.hits, point, one.effect))
         found.log_weight, found.recent = one.log_weight, one.recent
         return found
 
@@ -182,11 +188,12 @@ class Causes:
 
 
 def _gains(before: Hypothesis, fitted: Hypothesis) -> list[float]:
-    """Fall of the sum of squared whitened residuals of every hit since a change."""
+    """Fall of the sum of squared whitened residuals of every hit since a change that both predict."""
     past = {one.hit.name: one for one in before.posterior.since()}
     found = []
     for evidence in fitted.posterior.since():
-        old = past[evidence.hit.name]
+        if (old := past.get(evidence.hit.name)) is None:
+            continue
         first, second = before.posterior.now.rest(old), fitted.posterior.now.rest(evidence)
         found.append(old.weight * float(first @ first - second @ second))
     return found

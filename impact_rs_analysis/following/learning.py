@@ -72,11 +72,10 @@ class Learning:
             InputError: The model predicts fewer than half of them.
         """
         first = [hit for hit in self.first if hit.layout == layout]
-        self.first = [hit for hit in self.first if hit.layout != layout]
-        if self.hits is None:
-            source = self.hit_source.source(first)
-            self.hits, self._stated = self.consider(source, source.proportion)
         own = self.hits
+        if own is None:
+            source = self.hit_source.source(first)
+            own, self._stated = self.consider(source, source.proportion)
         known = own.active if hypotheses else ()
         start = own.candidate.point
         own.look_at(range(start.size))
@@ -85,11 +84,15 @@ class Learning:
             raise InputError(f"model {self.model.name!r} predicts {len(found)} of the first {len(first)} hits")
         residuals = [(hit, hit.measured - predicted) for hit, (predicted, _) in found]
         jacobians = [jacobian for _, (_, jacobian) in found]
+        moving = np.max([np.max(np.abs(jacobian), axis=0) for jacobian in jacobians], axis=0) > 0.0
+        if not (moving.any() or known):
+            names = ", ".join(dict.fromkeys(effect.name for effect in own.candidate.effects))
+            raise InputError(f"the first {len(first)} hits show none of the followed effects: {names}")
+        self.hits, self.first = own, [hit for hit in self.first if hit.layout != layout]
         limits = self.hit_source.limits(first, layout)
         own.whiten[layout], freedom = _scatter(residuals, limits)
         calibration, freedom = own.calibration, max(freedom, 2)
         calibration.freedom = float(freedom) if not hypotheses else min(calibration.freedom, float(freedom))
-        moving = np.max([np.max(np.abs(jacobian), axis=0) for jacobian in jacobians], axis=0) > 0.0
         own.look_at(sorted({*known, *np.flatnonzero(moving).tolist()}))
         if not hypotheses:
             stated = [number for number in self._stated if number in own.active]

@@ -96,7 +96,7 @@ class HitWatch:
         begun = time.perf_counter()
         errors = self._learnt(fresh)
         resolved = self._weigh()
-        statistic, change, since = self._tested(fresh[-1], last)
+        statistic, change, since = self._tested(fresh[-1], last, bool(errors))
         spent = 1e3 * (time.perf_counter() - begun) / len(fresh)
         documents = {}
         for hit in fresh:
@@ -162,13 +162,21 @@ class HitWatch:
         self.hypotheses = [best]
         return f"it is {best.effect}" if best.effect else ""
 
-    def _tested(self, hit: Hit, last: Mapping[str, Hit]) -> tuple[float, Change | None, list[Hit]]:
-        """Logarithm of the statistic, the change that it shows at a hit, and the hits since then."""
+    def _tested(self, hit: Hit, last: Mapping[str, Hit], predicted: bool) -> tuple[float, Change | None, list[Hit]]:
+        """Logarithm of the statistic, the change that it shows at a hit, and the hits since then.
+
+        Args:
+            hit: The last hit.
+            last: The last hit of every condition.
+            predicted: Whether a hit of this instant was predicted; else nothing has changed.
+        """
         best, causes, calibration = self.likeliest, Causes(self.hits), self.hits.calibration
         if not best.posterior.window:
             return 0.0, None, []
         test = self.hits.test(best)
         statistic, ratios = test.statistics()
+        if not predicted:
+            return statistic, None, []
         if statistic < test.threshold:
             best.tried = -math.inf
         elif statistic > best.tried + RETRY_LOG_GROWTH:

@@ -148,6 +148,9 @@ class Investigation:
         number = len(rounds) + 1
         here = folder_of(self.directory, number)
         left = self.budget - measured(rounds)
+        if rounds and left <= 0:
+            self._end(rounds[-1], f"The budget of {self.budget} trials is spent.")
+            return
         document = rounds[-1].open if rounds else None
         fresh = bool(rounds) and self._to_be_tried(rounds[-1])
         show = rounds[-1].shown if rounds else ()
@@ -169,12 +172,17 @@ class Investigation:
 
     def _give_up(self, last: Round, promised: float, left: int) -> None:
         """End the investigation if the remaining trials cannot decide what is open."""
+        why = (
+            f"No trial that can be planned here distinguishes the explanations left: all {left} trials left would do "
+            f"so with {100.0 * promised:.0f} % at best."
+        )
+        self._end(last, why)
+
+    def _end(self, last: Round, why: str) -> None:
+        """End the investigation undecided, because further trials are not possible or do not help."""
         done = last.decision
         assert done is not None
-        reason = (
-            f"{done.reason} No trial that can be planned here distinguishes the explanations left: all {left} trials "
-            f"left would do so with {100.0 * promised:.0f} % at best."
-        )
+        reason = f"{done.reason} {why}"
         end = done.model_copy(update={"action": "end", "verdict": UNDECIDED, "reason": reason, "spent": True})
         self._say(f"Round {last.number}: end. {reason}")
         self._write(last, "decision.json", end)

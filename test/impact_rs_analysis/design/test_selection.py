@@ -44,6 +44,11 @@ def utility(counts: Discrimination, picked: Mapping[str, int]) -> float:
     return counts.utility(counts.total(picked), sum(picked.values()) // MIN_REPEATS)
 
 
+def test_one_trial_is_no_plan_of_new_conditions() -> None:
+    """Kills a division by no place; the plan of nothing is refused by its caller."""
+    assert choice(differing_at(SPEEDS[0], measured=3), 1, "fixed") == {}
+
+
 @pytest.mark.parametrize("speed", SPEEDS)
 def test_where_the_rivals_differ_at_one_speed_that_speed_is_chosen(speed: str) -> None:
     measured = differing_at(speed, measured=3)

@@ -595,3 +595,23 @@ def test_the_next_hit_after_a_free_motion_is_one_with_an_impact(hidden_campaign:
     prediction = follower.prediction()
     assert prediction is not None and prediction.like == pushes[-1].name
     assert {"impact", "push"} <= {value.phase for value in prediction.values}
+
+
+def test_what_was_learnt_of_another_parameter_is_not_learnt_again_with_a_second_cause(tmp_path: Path) -> None:
+    """Mass 1.2 by the model and 1.25, then restitution, then friction. Kills: 1.28 [1.27, 1.29] and two causes."""
+    model = _model(tmp_path / "m.yaml", 1.2, (1.05, 1.35))
+    mass, more = {"object_mass": [1.25]}, {"restitution": [0.4]}
+    rows = rows_of(mass, 6, 1) + rows_of(mass | more, 1, 2) + rows_of(mass | more | {"pad_friction": [-0.3]}, 2, 3)
+    follower = following(write(tmp_path / "h.csv", rows), model, discrepancy=NO_MAP_DISCREPANCY)
+    found = changes(list(follower.arrived()))
+    assert [[cause.effect for cause in change.causes] for change in found] == [["restitution"], ["pad_friction"]]
+    scale = next(one for one in follower.followed() if one.parameter == "object_mass.scale")
+    low, high = scale.ci95
+    assert low < 1.25 < high and high - low < 0.03
+
+
+def test_effects_that_no_hit_shows_are_refused(tmp_path: Path) -> None:
+    """Kills: a statistic of nothing, which no document takes."""
+    follower = following(write(tmp_path / "h.csv", rows_of({}, 6, 1)), only=["joint_stiffness"])
+    with pytest.raises(InputError, match="hits show none of the followed effects: joint_stiffness"):
+        list(follower.arrived())

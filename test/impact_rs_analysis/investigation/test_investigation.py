@@ -432,6 +432,24 @@ def test_a_tie_that_no_trial_splits_ends_with_i_cannot_tell_and_both_names(start
     assert bench.last is not None and bench.last.confusable  # the design knows what to split
 
 
+def test_a_budget_that_is_smaller_than_before_ends_what_is_open(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Interrupted before the second plan. Kills a plan of no trials, or of -4."""
+    investigation_, bench = start(tie, budget=20)
+    design = FakeBench.design
+
+    def interrupted(self: FakeBench, wanted: WantedTrials) -> ExperimentPlan:
+        if wanted.done:
+            raise KeyboardInterrupt
+        return design(self, wanted)
+
+    monkeypatch.setattr(FakeBench, "design", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        investigation_.run()
+    ending = Investigation(investigation_.directory, SETTINGS, 2, bench).run()
+    assert (ending.verdict, ending.candidates) == ("UNDECIDED", (FRICTION, MASS))
+    assert "The budget of 2 trials is spent." in ending.summary
+
+
 @pytest.mark.parametrize("budget", [1, 3, 8, 9, 13])
 def test_no_more_trials_than_the_budget(start: Start, budget: int) -> None:
     for name, answer in {"tie": tie, "null": lambda *_: CLEAN, "single": friction_then_nothing}.items():
