@@ -51,9 +51,9 @@ def read_json_table(path: Path) -> tuple[dict[str, list[str] | NDArray[Any]], tu
         listed = f"; tables: {', '.join(where for where, _ in tables[:MAX_SHOWN])}" if tables else ""
         raise InputError(f"{'several tables' if tables else 'no table'} in it, {EXPECTED}{listed}", file=path)
     [(where, columns)] = tables
-    outside = [name for name, _ in _flat("", found) if not f"{name}.".startswith(where)] if where else []
-    if not where and isinstance(found, dict):
-        outside = [name for name, _ in _flat("", found) if name not in columns]
+    inside = {where.removesuffix(".")} if isinstance(found, dict) and where else set()
+    inside |= {f"{where}{name}" for name in columns}
+    outside = [name for name, _ in _flat("", found) if name not in inside]
     listed = ", ".join(outside[:MAX_SHOWN]) + (" ..." if len(outside) > MAX_SHOWN else "")
     remarks = (f"{path.name}: not part of its table, and not read: {listed}",) if outside else ()
     return {name: _cells(own) for name, own in columns.items()}, remarks

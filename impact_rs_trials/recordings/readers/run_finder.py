@@ -30,11 +30,8 @@ from impact_rs_trials.recordings.readers.table_columns import run_names
 
 ROS1_SUFFIX = ".bag"
 BAG_SUFFIXES = (".db3", ".mcap", ROS1_SUFFIX)
-NOTE_SUFFIXES = (
-    ".txt",
-    ".dat",
-    *JSON_SUFFIXES,
-)  # of tables that are read where they are named; others of a folder may be notes
+# Of tables that are read where they are named, or where a folder has no others: it may have notes.
+NOTE_SUFFIXES = (".txt", ".dat", *JSON_SUFFIXES)
 TABLE_SUFFIXES = (".csv", ".tsv", ".parquet", ".npy", *NOTE_SUFFIXES)
 TORCH_SUFFIX = ".pt"  # as notes: in a folder it may hold the weights of a network
 ARRAY_SUFFIXES = (".npz", ".h5", ".hdf5", ".mat", TORCH_SUFFIX)
