@@ -11,15 +11,22 @@ model the mean of n_c repeats has the covariance
 
     V_c = S / n_c + P_c^T P_c + diag(l^2 / 4 u^2)
 
-with the scatter S and the patterns P of discrepancy and clock, whose amplitudes conditions share that are alike. Q over
-its expectation E is a ratio of quadratic forms, where m contrasts among repeats estimate S. It is approximately
+with the scatter S and the patterns P of discrepancy and clock, whose amplitudes conditions share that are alike. For a
+known S, Q is about E / g times chi square with g degrees of freedom (Box 1954, *Some theorems on quadratic forms*,
+Annals of Mathematical Statistics 25),
 
-    Q / E ~ F(2 E^2 / var Q, 2 E^2 / var E),    var Q = 2 tr V^2,    var E = 2 tr (sum_c S / n_c)^2 / m
+    E = tr V,    g = E^2 / tr V^2
 
-(Box 1954, *Some theorems on quadratic forms*, Annals of Mathematical Statistics 25; with scatter alone Dempster 1958,
-*A high dimensional two sample significance test*, ibid. 29: k C and k m degrees of freedom for C conditions and
-k = (tr S)^2 / tr S^2 independent directions of the scatter). tr S^2 of the measured S is too large. The estimate
-without this bias (Bai and Saranadasa 1996, *Effect of high dimension*, Statistica Sinica 6),
+The part a = tr sum_c S / n_c of E is estimated from m contrasts among repeats. It has the degrees of freedom
+f = a^2 m / tr (sum_c S / n_c)^2, so that S is the measured one times c = f / chi_f^2, and
+
+    p = mean over c of P(chi_g(c)^2 > g(c) Q / E(c))
+
+(generalised p-value: Tsui and Weerahandi 1989, Journal of the American Statistical Association 84). With scatter alone
+it is Dempster's test (1958, *A high dimensional two sample significance test*, ibid. 29), F with k C and k m degrees of
+freedom for C conditions and k = (tr S)^2 / tr S^2 independent directions of the scatter. With one S in numerator and
+denominator alike, p < 1 % in 4 to 10 % of right models with limits and few directions. tr S^2 of the measured S is too
+large. The estimate without this bias (Bai and Saranadasa 1996, *Effect of high dimension*, Statistica Sinica 6),
 
     m^2 / ((m - 1) (m + 2)) (tr S^2 - (tr S)^2 / m)
 
@@ -39,7 +46,8 @@ from impact_rs_analysis.diagnosis.thresholds import MIN_REPORTED_P
 from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_sim.robots.robot import Array
 
-MAX_FREEDOM = 1e9  # degrees of freedom that stand for infinitely many
+MAX_FREEDOM = 1e6  # degrees of freedom that stand for infinitely many
+QUANTILES = (np.arange(400) + 0.5) / 400  # of the scale of the scatter, over which p is averaged
 
 
 def p_of_error(clusters: Sequence[Cluster], tested: Sequence[Sequence[int]]) -> float | None:
@@ -49,7 +57,9 @@ def p_of_error(clusters: Sequence[Cluster], tested: Sequence[Sequence[int]]) -> 
         clusters: All conditions, with the residuals of the model.
         tested: By condition, the repeats whose error is tested; contrasts among all of them count.
     """
-    error, expected, variance, uncertain = 0.0, 0.0, 0.0, 0.0
+    error, fixed, scattered = 0.0, 0.0, 0.0  # Q, and E without and with scatter
+    squares = np.zeros(3)  # tr V^2 by powers of the scatter
+    uncertain = 0.0  # tr (sum_c S / n_c)^2 / m
     together: dict[str, list[Array]] = defaultdict(list)  # products of patterns, by conditions that share amplitudes
     for layout in dict.fromkeys(item.layout for item in clusters):
         own = [(item, list(rows)) for item, rows in zip(clusters, tested, strict=True) if item.layout == layout]
@@ -68,17 +78,22 @@ def p_of_error(clusters: Sequence[Cluster], tested: Sequence[Sequence[int]]) -> 
             shared = weight * _shared(item)
             square, systematic = _trace_of_square(scatter, count), shared.T @ shared + np.diag(limit)
             error += float(np.sum(np.square(weight * item.residuals[rows].mean(axis=0))))
-            expected += float(np.sum(np.square(scatter)) + np.trace(systematic))
-            variance += square + float(np.sum(scatter @ systematic * (2.0 * scatter)) + np.sum(np.square(systematic)))
+            fixed += float(np.trace(systematic))
+            scattered += float(np.sum(np.square(scatter)))
+            mixed = float(np.sum(scatter @ systematic * (2.0 * scatter)))
+            squares += (float(np.sum(np.square(systematic))), mixed, square)
             spread += np.sqrt(square)
             together[item.discrepancy_group].append(shared @ shared.T)
         uncertain += spread**2 / count
     for group in together.values():
-        variance += sum(2.0 * float(np.sum(a * b)) for a, b in itertools.combinations(group, 2))
-    if not expected:
+        squares[0] += sum(2.0 * float(np.sum(a * b)) for a, b in itertools.combinations(group, 2))
+    if not fixed + scattered:
         return None
-    freedom = [min(expected**2 / max(value, 1e-300), MAX_FREEDOM) for value in (variance, uncertain)]
-    return float(scipy.special.fdtrc(*freedom, error / expected))
+    freedom = min(scattered**2 / max(uncertain, 1e-300), MAX_FREEDOM)
+    scale = freedom / scipy.special.chdtri(freedom, QUANTILES) if uncertain else np.ones(1)
+    expected = fixed + scale * scattered
+    directions = np.square(expected) / np.maximum(np.polynomial.polynomial.polyval(scale, squares), 1e-300)  # g
+    return float(np.mean(scipy.special.chdtrc(directions, directions * error / expected)))
 
 
 def _shared(item: Cluster) -> Array:

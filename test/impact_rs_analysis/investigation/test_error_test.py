@@ -80,6 +80,8 @@ LAST = [[], [], [0, 1]]
         (LAST, Campaign(directions=3)),
         (ALL, Campaign(directions=3, discrepancy=3.0)),
         (ALL, Campaign(directions=3, limit=4.0)),
+        (ALL, Campaign(directions=2, limit=2.0)),
+        (ALL, Campaign(directions=1, limit=2.0)),
     ],
 )
 def test_a_right_model_fails_as_often_as_the_level_says(tested: list[list[int]], campaign: Campaign) -> None:
