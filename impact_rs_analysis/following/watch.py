@@ -96,7 +96,8 @@ class HitWatch:
         begun = time.perf_counter()
         errors = self._learnt(fresh)
         resolved = self._weigh()
-        statistic, change, since = self._tested(fresh[-1], last, bool(errors))
+        # Hits that nothing predicts change nothing.
+        statistic, change, since = self._tested(fresh[-1], last) if errors else (self._statistic(), None, [])
         spent = 1e3 * (time.perf_counter() - begun) / len(fresh)
         documents = {}
         for hit in fresh:
@@ -162,21 +163,18 @@ class HitWatch:
         self.hypotheses = [best]
         return f"it is {best.effect}" if best.effect else ""
 
-    def _tested(self, hit: Hit, last: Mapping[str, Hit], predicted: bool) -> tuple[float, Change | None, list[Hit]]:
-        """Logarithm of the statistic, the change that it shows at a hit, and the hits since then.
+    def _statistic(self) -> float:
+        """Logarithm of the statistic as it is."""
+        best = self.likeliest
+        return self.hits.test(best).statistics()[0] if best.posterior.window else 0.0
 
-        Args:
-            hit: The last hit.
-            last: The last hit of every condition.
-            predicted: Whether a hit of this instant was predicted; else nothing has changed.
-        """
+    def _tested(self, hit: Hit, last: Mapping[str, Hit]) -> tuple[float, Change | None, list[Hit]]:
+        """Logarithm of the statistic, the change that it shows at a hit, and the hits since then."""
         best, causes, calibration = self.likeliest, Causes(self.hits), self.hits.calibration
         if not best.posterior.window:
             return 0.0, None, []
         test = self.hits.test(best)
         statistic, ratios = test.statistics()
-        if not predicted:
-            return statistic, None, []
         if statistic < test.threshold:
             best.tried = -math.inf
         elif statistic > best.tried + RETRY_LOG_GROWTH:
