@@ -204,6 +204,20 @@ def test_a_model_that_predicts_hardly_any_of_the_first_hits_is_refused(
         list(follower.arrived())
 
 
+def test_hits_that_nothing_predicts_teach_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kills: the last quiet hit counts again with every one of them."""
+    follower = following(write(tmp_path / "hits.csv", rows_of({}, 8, seed=1)))
+    arriving = follower.arrived()
+    for _ in range(30):
+        next(arriving)
+    assert follower.watch is not None
+    calibration = follower.watch.hits.calibration
+    before = calibration.freedom, dict(calibration.squares)
+    monkeypatch.setattr(follower.hit_source, "predict", lambda hit, added: [None] * len(added))
+    assert all(document.error is None and document.change is None for document in arriving)
+    assert (calibration.freedom, dict(calibration.squares)) == before
+
+
 # ---- changes ---------------------------------------------------------------------------------------------------------
 
 
