@@ -35,6 +35,7 @@ HIDDEN = ".workbench"
 MAX_FOLDER_DEPTH = 5  # folders below the workbench's own that are looked into
 MAX_DOCUMENT_BYTES = 20_000_000  # of a report's numbers
 NOMINAL = "nominal"
+RESULT_SUFFIX = ".json"  # of what commands write; a log in JSON is named in a command
 MAX_HEADER_CHARACTERS = 10_000  # of the first line of a table
 
 
@@ -377,7 +378,8 @@ def _names_in(folder: Path) -> list[str]:
 
 def _is_recording(path: Path) -> bool:
     """Whether a file may be a recording, and is no table that a command has written."""
-    return path.suffix in FILE_SUFFIXES and path.name not in (RUN_TABLE, *TABLES) and not _is_table_of_impacts(path)
+    listed = path.suffix in FILE_SUFFIXES and path.suffix != RESULT_SUFFIX
+    return listed and path.name not in (RUN_TABLE, *TABLES) and not _is_table_of_impacts(path)
 
 
 @once

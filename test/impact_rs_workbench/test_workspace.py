@@ -172,8 +172,8 @@ def test_the_page_of_an_investigation_is_among_the_reports(workspace: Workspace)
 
 
 def test_what_commands_have_written_is_no_recording(workspace: Workspace) -> None:
-    """Tables beside a page, and tables of impacts; a table of anything else may be a recording."""
-    for name in ("limits/limits.csv", "designs/designs.csv", "impacts/lab.csv", "lab/run.csv"):
+    """Results, tables beside a page, and tables of impacts; a table of anything else may be a recording."""
+    for name in ("limits/limits.csv", "designs/designs.csv", "impacts/lab.csv", "lab/run.csv", "found/limits.json"):
         (workspace.root / name).parent.mkdir()
         (workspace.root / name).write_text("a,b\n")
     (workspace.root / "impacts" / "lab.csv").write_text("run,vx_before [m/s],vx_after [m/s]\n")
