@@ -111,7 +111,7 @@ class CellBench(NodesBench):
         mapping: Locates the signals in its bags.
 
     Raises:
-        InputError: There is no such mapping, or it is for another robot than those of the scenarios.
+        InputError: There is no such mapping, or a scenario has another robot.
     """
 
     def __init__(

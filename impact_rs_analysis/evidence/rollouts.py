@@ -223,7 +223,7 @@ class RolloutDocument(Schema):
     starts_apart: int = Field(description="of these, states whose rollouts do not overlap at the longest horizon")
     diverged: int = Field(0, description=f"rollouts that are in no error: {DIVERGED}")
     all_diverged_after_s: float | None = Field(
-        None, description="next horizon, at which no rollout is left; null: there is none [s]"
+        None, description="shortest horizon at which every rollout has diverged; null: some reach all horizons [s]"
     )
     step_s: float = Field(STEP_S, description="step of the integrator, of second order [s]")
     horizons: tuple[RolloutHorizon, ...] = Field(description="by horizon, those that the data allow")
@@ -286,7 +286,7 @@ class Rollouts:
     Attributes:
         time: Moments after the start, ``(T,)`` [s].
         parts: By motion, or part of one.
-        all_diverged_after: Next horizon, at which some arm has no rollout left; None: there is none [s].
+        all_diverged_after: Shortest horizon at which every rollout of an arm has diverged; None: some reach all [s].
     """
 
     time: Array
@@ -509,7 +509,7 @@ def _apart(starts: Array, horizon: float) -> NDArray[np.bool_]:
 
 
 def rollouts_of(motions: Sequence[FreeMotion], physics: Sequence[Physics] | None = None) -> Rollouts | None:
-    """Rollouts of motions, up to the longest horizon that some of every arm reach; None where there is none.
+    """Rollouts of motions, up to the longest horizon that some rollout of every arm reaches; None: no horizon.
 
     Args:
         motions: The motions, or parts of them.

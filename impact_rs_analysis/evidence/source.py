@@ -10,9 +10,9 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, difference, size_of
+from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, difference
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY, Discrepancy, DiscrepancyDocument
-from impact_rs_analysis.evidence.levels import Comparison, RecordingDocument, condition_scores, where_of
+from impact_rs_analysis.evidence.levels import Comparison, RecordingDocument, condition_scores, score_of, where_of
 from impact_rs_analysis.evidence.replays.measured_runs import Runs
 from impact_rs_analysis.evidence.rollouts import FreeMotion, Rollouts, rollouts_of
 from impact_rs_analysis.evidence.tracks import Track
@@ -254,7 +254,7 @@ class Source(ABC):
 
     def size(self) -> float:
         """Size of the model's residuals, in multiples of repeatability (:func:`.size_of`) [-]."""
-        return size_of([item.error for item in self.clusters], [item.expected for item in self.clusters])
+        return score_of(self.clusters)
 
     def noise_size(self) -> float | None:
         """:meth:`size` of noise alone; None without repeats."""

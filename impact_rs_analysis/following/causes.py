@@ -158,7 +158,7 @@ class Causes:
     def refined(self, one: Hypothesis) -> Hypothesis:
         """The hypothesis, relinearised at the present posterior mean of the parameters of its effect.
 
-        All others keep their point, about which the belief before the change holds what was learnt of them.
+        All other parameters keep their point: the belief before the change is relative to it.
         """
         assert one.origin is not None
         point, numbers = one.origin.point.copy(), list(one.origin.numbers)

@@ -47,7 +47,7 @@ from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_sim.robots.robot import Array
 
 MAX_FREEDOM = 1e6  # degrees of freedom that stand for infinitely many
-QUANTILES = (np.arange(400) + 0.5) / 400  # of the scale of the scatter, over which p is averaged
+SCATTER_QUANTILES = (np.arange(400) + 0.5) / 400  # of the scale of the scatter, over which p is averaged
 
 
 def p_of_error(clusters: Sequence[Cluster], tested: Sequence[Sequence[int]]) -> float | None:
@@ -90,7 +90,7 @@ def p_of_error(clusters: Sequence[Cluster], tested: Sequence[Sequence[int]]) -> 
     if not fixed + scattered:
         return None
     freedom = min(scattered**2 / max(uncertain, 1e-300), MAX_FREEDOM)
-    scale = freedom / scipy.special.chdtri(freedom, QUANTILES) if uncertain else np.ones(1)
+    scale = freedom / scipy.special.chdtri(freedom, SCATTER_QUANTILES) if uncertain else np.ones(1)
     expected = fixed + scale * scattered
     directions = np.square(expected) / np.maximum(np.polynomial.polynomial.polyval(scale, squares), 1e-300)  # g
     return float(np.mean(scipy.special.chdtrc(directions, directions * error / expected)))

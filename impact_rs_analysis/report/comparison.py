@@ -216,8 +216,9 @@ def write_comparison(
 
 def _rollouts_plot(rollouts: RolloutDocument | None) -> Plot | None:
     """Error of the tool over time; None without rollouts, or of a tool that does not move."""
-    moves = rollouts is not None and any(rollouts.tool_mm)
-    return Plot("rollouts", rollouts_plot(rollouts)) if rollouts is not None and moves else None
+    if rollouts is None or not any(rollouts.tool_mm):
+        return None
+    return Plot("rollouts", rollouts_plot(rollouts))
 
 
 def comparison_in_words(document: ComparisonDocument) -> str:

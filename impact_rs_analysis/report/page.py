@@ -37,7 +37,7 @@ PALETTE = TEMPLATES / "palette.css"  # its colours, and the colours of the workb
 MAX_CURVE_POINTS = 500  # of a curve over time; a screen resolves no more
 MAX_TRACK_NUMBERS = 90_000  # of all tracks of a page, half a megabyte
 PREFIXED_UNITS = ("m", "rad")  # whose small values are shown with a prefix
-NAME = re.compile(r"[a-z]\S*[\d_.]\w*[:,;.]*(\s|$)")  # a first word as log_1.json, joint1: or base_tilt
+NAME_AT_START = re.compile(r"[a-z]\S*[\d_.]\w*[:,;.]*(\s|$)")  # a first word as log_1.json, joint1: or base_tilt
 
 
 @dataclass(frozen=True)
@@ -167,8 +167,8 @@ def quantity_text(value: float, unit: str) -> str:
 
 def sentence_text(text: str) -> str:
     """Text with one full stop and an initial capital, unless it begins with the name of a file, joint or effect."""
-    named = bool(NAME.match(text))
-    return f"{text[:1] if named else text[:1].upper()}{text[1:].rstrip('.')}." if text else ""
+    first = text[:1] if NAME_AT_START.match(text) else text[:1].upper()
+    return f"{first}{text[1:].rstrip('.')}." if text else ""
 
 
 def subscripts_text(text: str) -> Markup:

@@ -9,6 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from impact_rs_analysis.diagnosis.history import VersionError, history, versions
+from impact_rs_analysis.evidence.rollouts import RolloutDocument
 from impact_rs_analysis.report.error_history import write_history
 from impact_rs_cli.arguments import number, on_local_runs
 from impact_rs_cli.reading import measured
@@ -45,16 +46,22 @@ def show_history(found: list[VersionError], terminal: Terminal) -> None:
         horizons = " / ".join(f"{one.horizon_s:g}" for one in rolled.horizons)
         table.add_column(f"tool after {horizons} s [mm]", justify="right")
     for entry in found:
-        tool = [] if entry.rollouts is None else [number(one.tool_mm) for one in entry.rollouts.horizons]
-        tool += ["diverged"] * (len(rolled.horizons) - len(tool)) if tool and rolled is not None else []
         table.add_row(
             entry.version.model.name,
             entry.version.effect_added or "–",
             number(entry.error_fit),
             "–" if entry.error_held_out is None else number(entry.error_held_out),
             "–" if entry.noise_floor is None else number(entry.noise_floor),
-            *([" / ".join(tool) or "–"] if rolled is not None else []),
+            *([_tool_errors(entry.rollouts, len(rolled.horizons))] if rolled is not None else []),
         )
     terminal.say(table)
     if rolled is not None:
         terminal.say(f"tool: error of rollouts in {rolled.loop}, rms over measured starts")
+
+
+def _tool_errors(rollouts: RolloutDocument | None, horizons: int) -> str:
+    """Errors of the tool at every horizon of the table."""
+    if rollouts is None:
+        return "–"
+    reached = [number(one.tool_mm) for one in rollouts.horizons]
+    return " / ".join([*reached, *["diverged"] * (horizons - len(reached))])

@@ -39,7 +39,7 @@ MIN_UNFITTED_SHARE = 1e-3
 # Mean square residual, scaled [-]: a smaller one would leave parameters that the data do not determine without a prior.
 MIN_NOISE_VARIANCE = 1e-4
 MIN_BOUND_GAP = 1e-9  # parameter scales, between bounds that coincide
-MIN_INFORMATION = 1e-9  # of that of the prior; less is rounding
+MIN_INFORMATION_SHARE = 1e-9  # of the information of the prior; less is rounding
 MAX_ACTIVE_SETS = 20  # iterations of the active-set method; three are usual
 EDGE_TOLERANCE = 1e-4  # of the distance from nominal: bisection to the last point with bodies, 1/100 of an interval
 EDGE_MARGIN = (
@@ -454,7 +454,7 @@ class Problem:
         information = self.information.sum(axis=0)
         self.total = information + np.diag(self._prior)
         # A parameter without influence at the point, as the friction of a contact that sticks, stays there.
-        seen = np.diagonal(information) > MIN_INFORMATION * self._prior
+        seen = np.diagonal(information) > MIN_INFORMATION_SHARE * self._prior
         self._total_score = self.scores.sum(axis=0) + np.where(seen, self._nominal * self._prior, 0.0)
 
     def solve(self, without: Sequence[int] = (), within: float = np.inf) -> Array:

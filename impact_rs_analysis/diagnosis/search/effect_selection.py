@@ -231,12 +231,12 @@ class Search:
     def _refined(self, start: Candidate, evidence: Evidence, give_up: float = np.inf) -> Fit:
         """The fit by :func:`chord_method`, from the known optimum of the same effects if there is one.
 
-        Parameters that these clusters do not show stay at their start: the optimum is that of all clusters.
+        The optimum comes from all clusters, so parameters that these clusters do not show stay at their start.
         """
         known = self._known.get(start.names)
         if known is not None:
-            shown = np.any([np.any(jacobian != 0.0, axis=0) for jacobian in start.jacobians], axis=0)
-            point = np.where(shown, known.point, start.point)
+            point = known.point.copy()
+            point[start.unseen] = start.point[start.unseen]
             there = replace(known.only(evidence.numbers), origin=start.origin, point=point)
             start = evaluate_at(there, there.point, evidence) or start
         return self._kept(chord_method(start, evidence, give_up))

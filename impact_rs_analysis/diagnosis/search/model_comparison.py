@@ -97,7 +97,7 @@ def j_test_p_value(chosen: Fit, name: str, rival: Fit) -> float:
 
 
 def encompasses(chosen: Fit, name: str, rival: Fit, other: str) -> bool:
-    """Whether a chosen effect encompasses its rival: its J test is significant, and that of the rival is not.
+    """Whether a chosen effect encompasses its rival: its own J test is significant, the J test of the rival is not.
 
     With repeats or the rows of a table alone: samples of a recording are not independent.
 

@@ -258,16 +258,10 @@ class _Rows:
         self.donors: Sequence[_Rows] = (self,)
         self.apart = np.mean([np.square(item.sigma / self.unit) * item.limit_squares for item in self.items], axis=0)
 
-    def rotated(self, seed: int, inflation: float = 1.0) -> Iterator[Array]:
-        """Every mean row, as measured and in rotations, ``(1 + B, F)`` each.
-
-        Args:
-            seed: Of the rotations.
-            inflation: Variance of noise over that of the rows, which a fit has made smaller [-].
-        """
+    def rotated(self, seed: int) -> Iterator[Array]:
+        """Every mean row, as measured and in rotations, ``(1 + B, F)`` each."""
         frames = _rotations(len(self.rows), self.means, seed)
-        scale = np.sqrt(_of_rotations(inflation))
-        return (scale * (frames[:, number] @ self.rows) for number in range(self.means))
+        return (frames[:, number] @ self.rows for number in range(self.means))
 
     def mean_rows(self, columns: Iterable[Array]) -> Array:
         """Columns by cluster, ``(F, p)`` each, as mean rows like those of the residuals, ``(means, F, p)``."""
@@ -347,13 +341,20 @@ class _Rows:
         noise = _moderated(1.0, np.sum(np.square(contrasts @ directions), axis=0), self.freedom)
         return np.asarray((directions * np.sqrt(noise / (noise + np.maximum(sizes, 0.0)))) @ directions.T)
 
-    def squares(self, seed: int, inflation: float = 1.0) -> Array:
-        """Sum of squares of the mean rows in every rotation, ``(1 + B, F)``; arguments as :meth:`rotated`."""
-        return reduce(np.add, map(np.square, self.rotated(seed, inflation)))
+    def squares(self, seed: int) -> Array:
+        """Sum of squares of the mean rows in every rotation, ``(1 + B, F)``."""
+        return reduce(np.add, map(np.square, self.rotated(seed)))
 
     def left(self, squares: Array, inflation: float = 1.0) -> Array:
-        """Sum of squares of the contrasts in every rotation, from that of the mean rows, ``(1 + B, F)``."""
-        return np.maximum(_of_rotations(inflation) * np.sum(np.square(self.rows), axis=0) - squares, 0.0)
+        """Sum of squares of the contrasts in every rotation, from the squares of the mean rows, ``(1 + B, F)``.
+
+        Args:
+            squares: Result of :meth:`squares`.
+            inflation: Variance of the noise over the variance of the rows, which a fit has reduced [-].
+        """
+        found = np.maximum(np.sum(np.square(self.rows), axis=0) - squares, 0.0)
+        found[1:] *= inflation
+        return found
 
     def signals_of(self, keys: Sequence[tuple[str, str, str]]) -> Array:
         """Indicator matrix of features in signals, ``(F, S)``."""
@@ -363,11 +364,6 @@ class _Rows:
             if feature.group in place:
                 member[number, place[feature.group]] = 1.0
         return member
-
-
-def _of_rotations(value: float) -> Array:
-    """A factor of all rotations, 1 for the measurement, ``(1 + B, 1)``."""
-    return np.concatenate(([1.0], np.full(NULL_DRAWS, value)))[:, None]
 
 
 def _scaled_to_noise(layouts: Sequence[_Rows], means: Sequence[Array], largest: float = math.inf) -> list[Array]:
@@ -439,21 +435,15 @@ class RotationNull(NullDistribution):
             own.rows[: own.means] = rows[:, :, 0]
         return layouts
 
+    @cached_property
+    def _squares(self) -> list[Array]:
+        """Sum of squares of the mean rows of every layout in all rotations, ``(1 + B, F)``."""
+        return [own.squares(seed) for seed, own in enumerate(self._layouts)]
+
     def _inflation(self, fitted: Sequence[Array]) -> float:
-        """Variance of noise over that of the rows, n / (n - q), of which q of n directions were fitted [-]."""
+        """Variance of the noise over the variance of the rows, n / (n - q) with q of n directions fitted [-]."""
         count = sum(own.rows.size for own in self._layouts)
         return count / max(count - (fitted[0].shape[1] if fitted else 0), 1)
-
-    def _scales(self, inflation: float) -> list[Array]:
-        """W of every layout in all rotations, ``(1 + B, F)``."""
-        if inflation not in self._known_scales:
-            squares = [own.squares(seed, inflation) for seed, own in enumerate(self._layouts)]
-            self._known_scales[inflation] = list(_weights_of(self._layouts, squares, inflation))
-        return self._known_scales[inflation]
-
-    @cached_property
-    def _known_scales(self) -> dict[float, list[Array]]:
-        return {}
 
     @property
     def freedom(self) -> int:
@@ -483,10 +473,11 @@ class RotationNull(NullDistribution):
             layout.mean_rows(np.hstack([own[n] for own in every]) for n in layout.numbers) for layout in self._layouts
         ]
         scaled, inflation = _scaled_to_noise(self._layouts, columns), self._inflation(fitted)
-        scales = self._scales(inflation)
+        scales = list(_weights_of(self._layouts, self._squares, inflation))
         for seed, (layout, weights) in enumerate(zip(self._layouts, scales, strict=True)):
-            for rows, own in zip(layout.rotated(seed, inflation), scaled[seed], strict=True):
+            for rows, own in zip(layout.rotated(seed), scaled[seed], strict=True):
                 scores += (rows * weights) @ own
+        scores[1:] *= math.sqrt(inflation)
         return [
             self._p_value(jacobians, fitted, [own[:, :, first:last] for own in scaled], scores[:, first:last], scales)
             for jacobians, first, last in zip(effects, edges[:-1], edges[1:], strict=True)

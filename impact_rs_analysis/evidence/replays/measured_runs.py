@@ -362,9 +362,13 @@ class Runs:
         stamps = {names[run.path]: recorded_at(run.path) if run.recorded is None else run.recorded for run in self.runs}
         found = measured_since(when, stamps)
         kept = tuple(run for run in self.runs if names[run.path] in found)
-        remark = f"only runs since {when}: {len(kept)} of {len(self.runs)}"
-        late = {condition: run for condition, run in self.late.items() if any(run.path == own.path for own in kept)}
-        return replace(self, runs=kept, remarks=(*self.remarks, remark), late=late, part=True)
+        return replace(self.only(kept, f"only runs since {when}: {len(kept)} of {len(self.runs)}"), part=True)
+
+    def only(self, kept: Sequence[MeasuredRun], remark: str) -> Runs:
+        """Some of the runs, with a remark on the others."""
+        paths = {run.path for run in kept}
+        late = {condition: run for condition, run in self.late.items() if run.path in paths}
+        return replace(self, runs=tuple(kept), remarks=(*self.remarks, remark), late=late)
 
     def named(self, specs: Mapping[Path, TrialSpec]) -> Runs:
         """The runs with the condition names of the planned trials.

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from impact_rs_analysis.evidence.calibration import with_intervals
-from impact_rs_analysis.evidence.cluster import SCALE, TIMES, Added, Cluster, pooled_error, size_of
+from impact_rs_analysis.evidence.cluster import SCALE, TIMES, Added, Cluster, pooled_error
 from impact_rs_analysis.evidence.discrepancy import MAX_SQUARE_ANGLE_RAD, Discrepancy, Kind, measured_discrepancy
-from impact_rs_analysis.evidence.levels import Comparison, condition_scores, level_of, signal_levels, where_of
+from impact_rs_analysis.evidence.levels import Comparison, condition_scores, level_of, score_of, signal_levels, where_of
 from impact_rs_analysis.evidence.replays.ante_impact import obliqueness
 from impact_rs_analysis.evidence.replays.contact_estimate import contact_estimate, contact_starts
 from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs
@@ -161,15 +161,20 @@ def bin_count(run: MeasuredRun, phase: str, signal: str) -> int:
     return 1 + max(feature.bin for feature in run.features if (feature.phase, feature.signal) == (phase, signal))
 
 
-def _replays_of(runs: Runs, model: Model, store: ReplayCache) -> list[Array | None]:
+def _replays_of(runs: Runs, model: Model, store: ReplayCache, added: Added = ()) -> list[Array | None]:
     """Predicted features of every run; None where the replay hits nothing."""
-    bare = model.containing(())
-    return store([Replay(run.setup, bare) for run in runs.runs], "replays of the model")
+    bare = model.containing(name for name, _ in added)
+    return store([Replay(run.setup, bare, added) for run in runs.runs], "replays of the model")
 
 
-def _size(clusters: Sequence[Cluster]) -> float:
-    """Size of residuals, as :meth:`Source.size`."""
-    return size_of([one.error for one in clusters], [one.expected for one in clusters])
+def _residuals_if_all_hit(runs: Runs, predicted: Sequence[Array | None]) -> list[Array] | None:
+    """Residuals of every run; None if a replay hits nothing or is not finite."""
+    found = [
+        run.measured - values
+        for run, values in zip(runs.runs, predicted, strict=True)
+        if values is not None and np.isfinite(values).all()
+    ]
+    return found if len(found) == len(predicted) else None
 
 
 def _with_late(
@@ -300,15 +305,14 @@ class ReplaySource(Source):
             kept.append(run)
         if missed:
             remark = f"left out, because with model {model.name!r} the replay hits nothing: {', '.join(missed)}"
-            late = {condition: run for condition, run in runs.late.items() if Path(run.path).name not in missed}
-            runs = replace(runs, runs=tuple(kept), late=late, remarks=(*runs.remarks, remark))
+            runs = runs.only(kept, remark)
         return cls._of_residuals(runs, residuals, model, store, discrepancy)
 
     @classmethod
     def _with_contact_effect(
         cls, runs: Runs, model: Model, store: ReplayCache, discrepancy: Discrepancy, missed: int
     ) -> ReplaySource | None:
-        """The source with the effect that makes every replay hit and leaves the least residuals; None: none does."""
+        """The source with the effect that makes every replay hit and leaves the least residuals; None: no effect."""
         impacts, present = sum(run.hit for run in runs.runs), {item.name for item in model.effects}
         found: list[tuple[RequiredEffect, list[Array], Model]] = []
         for effect in (model.known_effects[one.name] for one in CONTACT_EFFECTS if one.name not in present):
@@ -316,12 +320,11 @@ class ReplaySource(Source):
             if estimate is None or (item := estimate.item) is None:
                 continue
             extended = model.with_effect(item, name=model.name, parent=model.name)
-            predicted = _replays_of(runs, extended, store)
-            if any(values is None or not np.isfinite(values).all() for values in predicted):
+            residuals = _residuals_if_all_hit(runs, _replays_of(runs, extended, store))
+            if residuals is None:
                 continue
-            residuals = [run.measured - np.asarray(one) for run, one in zip(runs.runs, predicted, strict=True)]
             clusters, _ = clusters_of(runs, residuals, discrepancy)
-            found.append((RequiredEffect(item, _size(clusters), missed, impacts), residuals, extended))
+            found.append((RequiredEffect(item, score_of(clusters), missed, impacts), residuals, extended))
         if not found:
             return None
         found.sort(key=lambda one: one[0].size)
@@ -346,17 +349,12 @@ class ReplaySource(Source):
 
     def size_by_declared_model(self, added: Added) -> float | None:
         """See :meth:`Source.size_by_declared_model`."""
-        model = self.declared_model.containing(name for name, _ in added)
-        predicted = self.store([Replay(run.setup, model, added) for run in self.runs.runs], "replays of the model")
-        residuals = [
-            run.measured - values
-            for run, values in zip(self.runs.runs, predicted, strict=True)
-            if values is not None and np.isfinite(values).all()
-        ]
-        if len(residuals) < len(predicted):
+        predicted = _replays_of(self.runs, self.declared_model, self.store, added)
+        residuals = _residuals_if_all_hit(self.runs, predicted)
+        if residuals is None:
             return None
         clusters, _ = clusters_of(self.runs, residuals, self.discrepancy)
-        return _size(clusters)
+        return score_of(clusters)
 
     def _with_calibration_errors(self) -> ReplaySource:
         """The source with the systematic errors of the calibration and of the required effect."""

@@ -67,7 +67,7 @@ WHOLE_RUNS = (
 )
 NOTHING_TRACKED = (
     "neither joints nor the pose of an object; expected columns of joints (--robot says which robot), or x, y, z and a "
-    "quaternion; of a ball x, y, z, two coordinates of which one falls freely, or a height alone that does. "
+    "quaternion; of a ball x, y, z, or two coordinates of which one falls freely, or a height in free fall. "
     "A table of impacts needs no import: impact-rs compare --impacts (columns: docs/files.md)"
 )
 ON_A_TABLE = (

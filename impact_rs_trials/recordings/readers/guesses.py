@@ -265,7 +265,7 @@ def unit_of_length(place: Array) -> Guess:
 
 
 def fall_in(time: Array, place: Array) -> tuple[int, Guess] | None:
-    """Which of some coordinates falls freely, and unit and factors by its acceleration; None: none does.
+    """The coordinate in free fall, with unit and factors by its acceleration; None: no coordinate falls freely.
 
     The second differences of a flight are alike; those of a bounce and of a ball that rests or is held are not.
 

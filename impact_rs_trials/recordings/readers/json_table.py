@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from impact_rs_sim.errors import InputError
 
 JSON_SUFFIXES = (".json", ".jsonl")
-MIN_ROWS = 3  # fewer are a description, as the limits of a joint
-MAX_SHOWN = 8  # values in a message
+MIN_JSON_ROWS = 3  # fewer are a description, as the limits of a joint
+MAX_SHOWN_NAMES = 8  # values in a message
 EXPECTED = (
     "expected a list of records with a value of each signal, an object with a list of values for each signal, or one "
     "record a line"
@@ -48,13 +48,13 @@ def read_json_table(path: Path) -> tuple[dict[str, list[str] | NDArray[Any]], tu
         raise InputError(f"not a readable JSON file ({str(error).splitlines()[0]})", file=path) from None
     tables = list(_tables("", found))
     if len(tables) != 1:
-        listed = f"; tables: {', '.join(where for where, _ in tables[:MAX_SHOWN])}" if tables else ""
+        listed = f"; tables: {', '.join(where for where, _ in tables[:MAX_SHOWN_NAMES])}" if tables else ""
         raise InputError(f"{'several tables' if tables else 'no table'} in it, {EXPECTED}{listed}", file=path)
     [(where, columns)] = tables
     inside = {where.removesuffix(".")} if isinstance(found, dict) and where else set()
     inside |= {f"{where}{name}" for name in columns}
     outside = [name for name, _ in _flat("", found) if name not in inside]
-    listed = ", ".join(outside[:MAX_SHOWN]) + (" ..." if len(outside) > MAX_SHOWN else "")
+    listed = ", ".join(outside[:MAX_SHOWN_NAMES]) + (" ..." if len(outside) > MAX_SHOWN_NAMES else "")
     remarks = (f"{path.name}: not part of its table, and not read: {listed}",) if outside else ()
     return {name: _cells(own) for name, own in columns.items()}, remarks
 
@@ -62,14 +62,14 @@ def read_json_table(path: Path) -> tuple[dict[str, list[str] | NDArray[Any]], tu
 def _tables(where: str, value: Any) -> list[tuple[str, dict[str, Sequence[Any]]]]:
     """Tables in a value, with the path of each, which ends with a dot; empty: the value itself."""
     if isinstance(value, list):
-        if len(value) < MIN_ROWS or not all(isinstance(row, dict) for row in value):
+        if len(value) < MIN_JSON_ROWS or not all(isinstance(row, dict) for row in value):
             return []
         rows = [dict(_flat("", row)) for row in value]
         names = dict.fromkeys(name for row in rows for name in row)
         return [(where, {name: [row.get(name) for row in rows] for name in names})]
     if not isinstance(value, dict):
         return []
-    lists = {name: own for name, own in value.items() if isinstance(own, list) and len(own) >= MIN_ROWS}
+    lists = {name: own for name, own in value.items() if isinstance(own, list) and len(own) >= MIN_JSON_ROWS}
     lists = {name: own for name, own in lists.items() if not any(isinstance(one, dict) for one in own)}
     longest = max(map(len, lists.values()), default=0)
     columns: dict[str, Sequence[Any]] = {name: own for name, own in lists.items() if len(own) == longest}

@@ -67,7 +67,7 @@ def test_signals_whose_clocks_disagree_about_steps_are_left_as_they_are() -> Non
 
 @pytest.mark.parametrize(("jitter", "found"), [(0.05, True), (0.4, False)])
 def test_an_unnamed_clock_that_was_set_back_is_known_by_its_even_steps(jitter: float, found: bool) -> None:
-    """A quantity that rises and once falls is none: kills an evenness that no column or every column has."""
+    """A quantity that rises and falls once is no clock. Kills an evenness that no column or every column has."""
     random = np.random.default_rng(5)
     rising = np.cumsum(0.01 * (1.0 + jitter * random.uniform(-1.0, 1.0, 400)))
     rising[250:] -= 1.0
