@@ -208,7 +208,7 @@ def torque_low_pass(run: Readings, what: Drawn) -> Readings:
 
 
 def torque_butterworth(run: Readings, what: Drawn) -> Readings:
-    """Butterworth filter of second order on all torques, which no effect is exactly; size: its cutoff in Hz."""
+    """Butterworth filter of second order on all torques; size: its cutoff in Hz."""
     return replace(run, torque=low_passed(run.time, run.torque, what.size, 2))
 
 
@@ -218,7 +218,7 @@ def velocity_low_pass(run: Readings, what: Drawn) -> Readings:
 
 
 def velocity_butterworth(run: Readings, what: Drawn) -> Readings:
-    """Butterworth filter of second order on all velocities, which no effect is exactly; size: its cutoff in Hz."""
+    """Butterworth filter of second order on all velocities; size: its cutoff in Hz."""
     return replace(run, velocity=low_passed(run.time, run.velocity, what.size, 2))
 
 
@@ -284,13 +284,17 @@ def _rc(what: Drawn) -> float:
     return 1.0 / (2.0 * math.pi * what.size)
 
 
+def _delay(what: Drawn) -> float:
+    """Delay of a Butterworth filter of second order at low frequencies [s]."""
+    return math.sqrt(2.0) * _rc(what)
+
+
 def _crosstalk(what: Drawn) -> Truths:
     share = what.value / 100.0
     of_both = {what.at("from_next"): share, what.at("from_previous", what.joint + 1): share}
     return {"torque_sensor_crosstalk": of_both}
 
 
-# Second order has no time constant; its delay at low frequency is that of a lag, and no interval is held against it.
 FAULTS = {
     fault.name: fault
     for fault in (
@@ -315,11 +319,13 @@ FAULTS = {
         Fault("torque_crosstalk", "%", (2.0, 5.0), torque_crosstalk, _crosstalk, (0, 1, 2, 3)),
         Fault(
             "torque_low_pass", "Hz", (20.0, 8.0), torque_low_pass,
-            lambda what: {"torque_sensor_lag": {"lag": _rc(what)}, "torque_delay": {}},
+            lambda what: {"torque_sensor_lag": {"lag": _rc(what)}, "torque_sensor_butterworth": {}, "torque_delay": {}},
         ),
         Fault(
             "torque_butterworth", "Hz", (20.0, 8.0), torque_butterworth,
-            lambda _: {"torque_sensor_lag": {}, "torque_delay": {}},
+            lambda what: {
+                "torque_sensor_butterworth": {"lag": _delay(what)}, "torque_sensor_lag": {}, "torque_delay": {},
+            },
         ),
         Fault(
             "torque_drift", "N m", (0.15, 0.35), torque_drift,
@@ -327,15 +333,17 @@ FAULTS = {
         ),
         Fault(
             "velocity_low_pass", "Hz", (25.0, 12.0), velocity_low_pass,
-            lambda what: {"velocity_lag": {"lag": _rc(what)}, "velocity_delay": {}},
+            lambda what: {"velocity_lag": {"lag": _rc(what)}, "velocity_butterworth": {}, "velocity_delay": {}},
         ),
         Fault(
             "velocity_butterworth", "Hz", (25.0, 12.0), velocity_butterworth,
-            lambda _: {"velocity_lag": {}, "velocity_delay": {}},
+            lambda what: {"velocity_butterworth": {"lag": _delay(what)}, "velocity_lag": {}, "velocity_delay": {}},
         ),
         Fault(
             "velocity_difference", "samples", (10.0, 25.0), own_difference,
-            lambda what: {"velocity_delay": {"delay": 0.5e-3 * what.size}, "velocity_lag": {}},
+            lambda what: {
+                "velocity_delay": {"delay": 0.5e-3 * what.size}, "velocity_butterworth": {}, "velocity_lag": {},
+            },
         ),
         Fault(
             "velocity_gain", "%", (1.0, 3.0), velocity_gain,
@@ -355,11 +363,11 @@ FAULTS = {
         ),
         Fault(
             "tracker_late", "ms", (8.0, 18.0), tracker_late,
-            lambda what: {"tracker_delay": {"delay": what.size / 1000.0}, "tracker_lag": {}},
+            lambda what: {"tracker_delay": {"delay": what.size / 1000.0}, "tracker_butterworth": {}, "tracker_lag": {}},
         ),
         Fault(
             "tracker_low_pass", "Hz", (20.0, 8.0), tracker_low_pass,
-            lambda what: {"tracker_lag": {"lag": _rc(what)}, "tracker_delay": {}},
+            lambda what: {"tracker_lag": {"lag": _rc(what)}, "tracker_butterworth": {}, "tracker_delay": {}},
         ),
     )
 }  # fmt: skip

@@ -5,16 +5,22 @@ A prediction passes forward through the sensor models; the measured start of a r
 
     position    q_r   = s q + o                                             encoder of the link
     motor       th_r  = theta + o_m                                         encoder of the motor
-    velocity    T dv_r/dt + v_r = s s_v dq(t - d)                           filter and delay
-    torque      T dtau_r/dt + tau_r = (G tau_J)(t - d) + o + r age          G: gains, and crosstalk of neighbours
+    velocity    v_r   = H s s_v dq(t - d)                                   filters and delay
+    torque      tau_r = H (G tau_J)(t - d) + o + r age                      G: gains, and crosstalk of neighbours
     object      p_r   = R(yaw) (p + R_obj c) + t                            frame of the tracker, and tracked point
 
-A filter acts on predictions, which have no noise. Of a measured start it is inverted to first order in T + d, with the
-slope of the reading: x(t) = x_r + (T + d) dx_r/dt (the start of its Taylor series; exact for a ramp).
+    H = 1 / (1 + T1 s) / (1 + T2 s + (T2 s)^2 / 2)        low-pass of first order, and Butterworth filter of second
+
+with T2 = sqrt(2) / (2 pi f) and the cut-off f. T1, T2 and d are delays at low frequencies: both denominators are
+starts of the series of exp(T s).
+
+A filter acts on predictions, which have no noise. Of a measured start it is inverted to first order in T1 + T2 + d,
+with the slope of the reading: x(t) = x_r + (T1 + T2 + d) dx_r/dt (exact for a ramp).
 """
 
 from __future__ import annotations
 
+import cmath
 import math
 from dataclasses import dataclass, replace
 
@@ -25,6 +31,9 @@ import scipy
 from impact_rs_sim.robots.robot import Array
 
 Values = Array | float  # one for every joint, ``(n,)``, or the same for all
+Lags = tuple[float, float]  # T1 and T2 [s]
+# With c = (1 + i) / 2 the output of 1 / (1 + T s + (T s)^2 / 2) is the real part of that of (1 - i) / (1 + c T s).
+COMPLEX_LAG = 0.5 + 0.5j
 
 
 @dataclass(frozen=True)
@@ -36,14 +45,16 @@ class ArmReadings:
         position_offset: o of the link encoders [rad].
         motor_offset: o_m of the motor encoders [rad].
         velocity_gain: s_v [-].
-        velocity_lag: T of the filter of velocities [s].
+        velocity_lag: T1 of the filter of velocities [s].
+        velocity_butterworth: T2 of the filter of velocities [s].
         velocity_delay: d of velocities [s].
         torque_gain: Diagonal of G [-].
         torque_from_previous: Share of the torque of the joint before that a sensor reads [-]; first: none.
         torque_from_next: Share of the torque of the joint after that a sensor reads [-]; last: none.
         torque_offset: o of the torque sensors [N m].
         torque_drift: r, growth of the offset with the age of a run in its campaign [N m/s].
-        torque_lag: T of the filter of torques [s].
+        torque_lag: T1 of the filter of torques [s].
+        torque_butterworth: T2 of the filter of torques [s].
         torque_delay: d of torques after positions [s].
         command_delay: Time from the stamp of a command until it acts [s]; below 0 it acts before.
     """
@@ -53,6 +64,7 @@ class ArmReadings:
     motor_offset: Values = 0.0
     velocity_gain: Values = 1.0
     velocity_lag: float = 0.0
+    velocity_butterworth: float = 0.0
     velocity_delay: float = 0.0
     torque_gain: Values = 1.0
     torque_from_previous: Values = 0.0
@@ -60,6 +72,7 @@ class ArmReadings:
     torque_offset: Values = 0.0
     torque_drift: Values = 0.0
     torque_lag: float = 0.0
+    torque_butterworth: float = 0.0
     torque_delay: float = 0.0
     command_delay: float = 0.0
 
@@ -101,7 +114,7 @@ class ArmReadings:
             first: First output of the filter, ``(n,)`` [rad/s]; None: its input has been a ramp before.
         """
         seen = self.position_scale * self.velocity_gain * true
-        return lagged(time, delayed(time, seen, self.velocity_delay), self.velocity_lag, first)
+        return filtered(time, delayed(time, seen, self.velocity_delay), self.velocity_filters, first)
 
     def mixing(self, joints: int) -> Array:
         """G, ``(n, n)`` [-]."""
@@ -124,7 +137,7 @@ class ArmReadings:
         if self.exact:
             return true
         seen = true @ self.mixing(true.shape[-1]).T + self._bias(age)
-        return lagged(time, delayed(time, seen, self.torque_delay), self.torque_lag, first)
+        return filtered(time, delayed(time, seen, self.torque_delay), self.torque_filters, first)
 
     def torque_of(self, reading: Array, rate: Array, age: float) -> Array:
         """Torque for a reading and its slope, ``(n,)`` or ``(k, n)`` [N m].
@@ -141,14 +154,24 @@ class ArmReadings:
         return np.asarray(np.linalg.solve(self.mixing(rate.shape[-1]), rate.T).T)
 
     @property
+    def velocity_filters(self) -> Lags:
+        """T1 and T2 of velocities [s]."""
+        return self.velocity_lag, self.velocity_butterworth
+
+    @property
+    def torque_filters(self) -> Lags:
+        """T1 and T2 of torques [s]."""
+        return self.torque_lag, self.torque_butterworth
+
+    @property
     def velocity_late(self) -> float:
-        """T + d of velocities [s]."""
-        return self.velocity_lag + self.velocity_delay
+        """T1 + T2 + d of velocities [s]."""
+        return sum(self.velocity_filters) + self.velocity_delay
 
     @property
     def torque_late(self) -> float:
-        """T + d of torques [s]."""
-        return self.torque_lag + self.torque_delay
+        """T1 + T2 + d of torques [s]."""
+        return sum(self.torque_filters) + self.torque_delay
 
     def _bias(self, age: float) -> Values:
         return self.torque_offset + age * self.torque_drift
@@ -166,7 +189,8 @@ class TrackerReadings:
         yaw: Rotation of A in that frame about z [rad].
         point: c, tracked point from the object's centre, axes of the object [m], along x and y.
         delay: Delay of its timestamps [s].
-        lag: T of its filter [s].
+        lag: T1 of its filter [s].
+        butterworth: T2 of its filter [s].
     """
 
     position: tuple[float, float] = (0.0, 0.0)
@@ -174,11 +198,17 @@ class TrackerReadings:
     point: tuple[float, float] = (0.0, 0.0)
     delay: float = 0.0
     lag: float = 0.0
+    butterworth: float = 0.0
 
     @property
     def exact(self) -> bool:
         """Whether readings are the true poses."""
         return self == TrackerReadings()
+
+    @property
+    def filters(self) -> Lags:
+        """T1 and T2 [s]."""
+        return self.lag, self.butterworth
 
     def pose(self, position: Array, rotation: Array) -> tuple[Array, Array]:
         """Readings of position ``(3,)`` [m] and rotation matrix of the object's centre in A, without delay and lag."""
@@ -200,7 +230,7 @@ class TrackerReadings:
             moments: When a reading is stamped, ``(m,)`` [s].
         """
         turn, shift, point = self._placed
-        late = lagged(time, poses, self.lag)
+        late = filtered(time, poses, self.filters)
         found = np.column_stack([np.interp(moments - self.delay, time, column) for column in late.T])
         x, y, z, w = found[:, 3:].T  # of a box that turns about z and is tracked at a point of it
         scale = 2.0 / np.maximum(x * x + y * y + z * z + w * w, 1e-300)
@@ -229,25 +259,37 @@ def delayed(time: Array, values: Array, delay: float) -> Array:
     return found
 
 
-def lagged(time: Array, values: Array, lag: float, first: Array | None = None) -> Array:
-    """Output y of T dy/dt + y = u, ``(k, m)``, with u linear between samples and before the first one.
-
-    y_(i+1) = a y_i + b0 u_i + b1 u_(i+1),  a = exp(-h / T),  b1 = 1 - (1 - a) T / h,  b0 = 1 - a - b1
-    (first-order hold; Franklin, Powell, Workman 1998, sec. 4.3).
+def filtered(time: Array, values: Array, lags: Lags, first: Array | None = None) -> Array:
+    """Output of the filters H, ``(k, m)``, with an input that is linear between samples and has been a ramp before.
 
     Args:
         time: Samples on an even grid, ``(k,)`` [s].
-        values: u, ``(k, m)``.
-        lag: T [s].
-        first: y at the first sample, ``(m,)``; None: u has been a ramp before.
+        values: Input, ``(k, m)``.
+        lags: T1 and T2 [s].
+        first: Output at the first sample, ``(m,)``, which has had the slope of the input; None: that of a ramp.
     """
-    if lag <= 0.0:  # a fit that ends at its bound may miss 0 by the rounding
-        return values
     period = float(time[-1] - time[0]) / (time.size - 1)
+    lag, butterworth = lags
+    if lag > 0.0:  # a fit that ends at its bound may miss 0 by the rounding
+        start = values[0] - lag * _slope(time[:4], values[:4]) if first is None else first
+        values = _lagged(values, lag, period, start)
+    if butterworth > 0.0:
+        slope = butterworth * _slope(time[:4], values[:4])
+        start = values[0] - slope if first is None else first
+        values = _real(_lagged(values, butterworth * COMPLEX_LAG, period, start + slope * COMPLEX_LAG.conjugate()))
+    return values
+
+
+def _lagged(values: Array, lag: complex, period: float, first: Array) -> Array:
+    """Output y of T dy/dt + y = u, ``(k, m)``, with y at the first sample."""
     a, b0, b1 = _hold(lag, period)
-    start = values[0] - lag * _slope(time[:4], values[:4]) if first is None else first
-    memory = (start - b1 * values[0])[None, :]  # of the direct form II transposed: y_0 = b1 u_0 + memory
+    memory = (first - b1 * values[0])[None, :]  # of the direct form II transposed: y_0 = b1 u_0 + memory
     return np.asarray(scipy.signal.lfilter([b1, b0], [1.0, -a], values, axis=0, zi=memory)[0])
+
+
+def _real(values: Array) -> Array:
+    """Output of the Butterworth filter from that of the first-order filter with ``COMPLEX_LAG``."""
+    return np.asarray(values.real + values.imag)
 
 
 def _slope(time: Array, values: Array) -> Array:
@@ -257,19 +299,21 @@ def _slope(time: Array, values: Array) -> Array:
 
 
 class Filter:
-    """Delay and first-order low-pass filter, sample by sample; :func:`delayed` and :func:`lagged` filter whole signals.
+    """Delay and filters, sample by sample; :func:`delayed` and :func:`filtered` filter whole signals.
 
     Args:
         delay: d [s]; below 0 there is none.
-        lag: T [s].
+        lags: T1 and T2 [s].
         period: From sample to sample [s].
     """
 
-    def __init__(self, delay: float, lag: float, period: float) -> None:
+    def __init__(self, delay: float, lags: Lags, period: float) -> None:
         self._back = max(delay, 0.0) / period
-        self._a, self._b0, self._b1 = _hold(lag, period) if lag else (0.0, 0.0, 1.0)
+        lag, butterworth = lags
+        self._lag = _Lag(lag, period) if lag else None
+        self._butterworth = _Lag(butterworth * COMPLEX_LAG, period) if butterworth else None
         self._earlier: list[Array] = []
-        self._sample, self._input, self._output = -1, np.zeros(0), np.zeros(0)
+        self._sample, self._output = -1, np.zeros(0)
 
     def __call__(self, sample: int, values: Array) -> Array:
         """Output ``(m,)`` of one sample; the next, or the last one again. Before the first, nothing changed."""
@@ -280,13 +324,32 @@ class Filter:
         older = max(last - int(self._back) - 1, 0)
         newer, share = max(last - int(self._back), 0), self._back % 1.0
         late = (1.0 - share) * self._earlier[newer] + share * self._earlier[older]
-        self._output = self._a * self._output + self._b0 * self._input + self._b1 * late if self._sample >= 0 else late
-        self._sample, self._input = sample, late
+        once = self._lag(late) if self._lag else late
+        self._sample, self._output = sample, _real(self._butterworth(once)) if self._butterworth else once
         return self._output
 
 
-def _hold(lag: float, period: float) -> tuple[float, float, float]:
-    """a, b0 and b1 of :func:`lagged`."""
-    a = math.exp(-period / lag)
+class _Lag:
+    """First-order low-pass filter, sample by sample."""
+
+    def __init__(self, lag: complex, period: float) -> None:
+        self._a, self._b0, self._b1 = _hold(lag, period)
+        self._input, self._output = None, np.zeros(0)
+
+    def __call__(self, values: Array) -> Array:
+        """Output ``(m,)`` of the next sample; that of the first is the input."""
+        before = values if self._input is None else self._output
+        self._output = before if self._input is None else self._a * before + self._b0 * self._input + self._b1 * values
+        self._input = values
+        return self._output
+
+
+def _hold(lag: complex, period: float) -> tuple[complex, complex, complex]:
+    """a, b0 and b1 of y_(i+1) = a y_i + b0 u_i + b1 u_(i+1), for T dy/dt + y = u with u linear between samples.
+
+    a = exp(-h / T),  b1 = 1 - (1 - a) T / h,  b0 = 1 - a - b1
+    (first-order hold; Franklin, Powell, Workman 1998, sec. 4.3).
+    """
+    a = cmath.exp(-period / lag) if isinstance(lag, complex) else math.exp(-period / lag)
     b1 = 1.0 - (1.0 - a) * lag / period
     return a, 1.0 - a - b1, b1

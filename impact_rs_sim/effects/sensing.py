@@ -21,6 +21,10 @@ CONTACT_PHASES = ("contact",)
 # Ranges of encoders are firm: a zero 6 degrees off and a gear ratio 10 % off are seen by eye; zeros of industrial arms
 # are known to some mrad.
 
+BUTTERWORTH_LAG = Parameter(
+    "lag", "s", 0.0, 0.0, 0.2, 0.002, "sqrt(2) / (2 pi f) with the cut-off f, its delay at low frequencies"
+)
+
 
 ENCODER_OFFSET = ArmEffect(
     name="encoder_offset",
@@ -136,6 +140,18 @@ TORQUE_SENSOR_LAG = ArmEffect(
 )
 
 
+TORQUE_SENSOR_BUTTERWORTH = ArmEffect(
+    name="torque_sensor_butterworth",
+    acts_on=SENSING,
+    sentence="Torques passed a Butterworth filter of second order before they were recorded.",
+    parameters=(BUTTERWORTH_LAG,),
+    law=Added("readings.torque_butterworth", ("lag",)),
+    lasting=True,
+    reading="torques pass a Butterworth filter of {size}",
+    calibration="move every joint there and back in free motion, fast",
+)
+
+
 TORQUE_DELAY = ArmEffect(
     name="torque_delay",
     acts_on=SENSING,
@@ -172,6 +188,18 @@ VELOCITY_LAG = ArmEffect(
     law=Added("readings.velocity_lag", ("lag",)),
     lasting=True,
     reading="velocities pass a filter of {size}",
+    calibration="move every joint there and back in free motion, fast",
+)
+
+
+VELOCITY_BUTTERWORTH = ArmEffect(
+    name="velocity_butterworth",
+    acts_on=SENSING,
+    sentence="Velocities of joints passed a Butterworth filter of second order before they were recorded.",
+    parameters=(BUTTERWORTH_LAG,),
+    law=Added("readings.velocity_butterworth", ("lag",)),
+    lasting=True,
+    reading="velocities pass a Butterworth filter of {size}",
     calibration="move every joint there and back in free motion, fast",
 )
 
@@ -266,6 +294,19 @@ TRACKER_LAG = SceneEffect(
 )
 
 
+TRACKER_BUTTERWORTH = SceneEffect(
+    name="tracker_butterworth",
+    acts_on=SENSING,
+    sentence="Poses of the object passed a Butterworth filter of second order before they were recorded.",
+    parameters=(BUTTERWORTH_LAG,),
+    law=Added("tracker.butterworth", ("lag",)),
+    phases=CONTACT_PHASES,
+    lasting=True,
+    reading="poses of the object pass a Butterworth filter of {size}",
+    calibration="push the object there and back, fast",
+)
+
+
 def _rotation_vector(what: str) -> tuple[Parameter, ...]:
     """Parameters of a rotation vector: its length is at most pi, with room beyond for a fit near half a revolution.
 
@@ -346,12 +387,15 @@ SENSOR_EFFECTS = (
     TORQUE_SENSOR_DRIFT,
     TORQUE_SENSOR_CROSSTALK,
     TORQUE_SENSOR_LAG,
+    TORQUE_SENSOR_BUTTERWORTH,
     COMMAND_CLOCK_OFFSET,
     VELOCITY_LAG,
+    VELOCITY_BUTTERWORTH,
     VELOCITY_DELAY,
     VELOCITY_GAIN,
     TRACKER_FRAME,
     TRACKED_POINT,
     TRACKER_DELAY,
     TRACKER_LAG,
+    TRACKER_BUTTERWORTH,
 )

@@ -72,8 +72,8 @@ class ArmSensors:
     ) -> None:
         self._readings = readings
         self._mixing = readings.mixing(joint_count)
-        self._velocity = Filter(readings.velocity_delay, readings.velocity_lag, period)
-        self._torque = Filter(readings.torque_delay, readings.torque_lag, period)
+        self._velocity = Filter(readings.velocity_delay, readings.velocity_filters, period)
+        self._torque = Filter(readings.torque_delay, readings.torque_filters, period)
         self._resolution = sensors.joint_position_resolution
         self._lines = 1.0 / self._resolution if self._resolution > 0.0 else 0.0
         shape = (samples, joint_count)
@@ -129,7 +129,7 @@ class ObjectTracker:
         period: float = 4e-3,
     ) -> None:
         self._readings = readings or TrackerReadings()
-        self._late = Filter(self._readings.delay, self._readings.lag, period)
+        self._late = Filter(self._readings.delay, self._readings.filters, period)
         self._position_noise = sensors.object_position_noise * rng.standard_normal((samples, 3))
         self._orientation_noise = sensors.object_orientation_noise * rng.standard_normal((samples, 3))
 
@@ -146,7 +146,7 @@ class ObjectTracker:
 
     def _filtered(self, sample: int, position: Array, rotation: Array) -> tuple[Array, Array]:
         """Pose after delay and filter; angles between samples are small."""
-        if self._readings.delay == 0.0 and self._readings.lag == 0.0:
+        if self._readings.delay == 0.0 and not any(self._readings.filters):
             return position, rotation
         late = self._late(sample, np.concatenate((position, rotation.ravel())))
         left, _, right = np.linalg.svd(late[3:].reshape(3, 3))  # the nearest rotation (Schoenemann 1966)

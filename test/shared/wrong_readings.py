@@ -36,12 +36,12 @@ class Fault:
         return {self.effect: {self.key: self.value}}
 
 
-def filtered(time: np.ndarray, values: np.ndarray, lag: float) -> np.ndarray:
-    """Output of ``1 / (lag s + 1)``, at rest before the first sample, ``(k, n)``."""
+def filtered(time: np.ndarray, values: np.ndarray, *denominator: float) -> np.ndarray:
+    """Output of a filter, coefficients of falling powers of s, at rest before the first sample, ``(k, n)``."""
     start = values[0]
     return np.column_stack(
         [
-            first + scipy.signal.lsim(([1.0], [lag, 1.0]), own - first, time)[1]
+            first + scipy.signal.lsim(([1.0], denominator), own - first, time)[1]
             for first, own in zip(start, values.T, strict=True)
         ]
     )
@@ -65,10 +65,31 @@ def _of_previous(share: float) -> Callable[[Columns], Columns]:
 OFFSET = Fault("encoder_offset", "offset_joint2", 0.01, lambda c: c | {"position": c["position"] + 0.01 * SECOND})
 SCALE = Fault("encoder_scale", "scale_joint2", 1.02, _second_times(1.02, "position", "velocity"))
 CROSSTALK = Fault("torque_sensor_crosstalk", "from_previous_joint2", 0.03, _of_previous(0.03))
-TORQUE_LAG = Fault("torque_sensor_lag", "lag", LATE, lambda c: c | {"effort": filtered(c["time"], c["effort"], LATE)})
-VELOCITY_LAG = Fault("velocity_lag", "lag", LATE, lambda c: c | {"velocity": filtered(c["time"], c["velocity"], LATE)})
+TORQUE_LAG = Fault(
+    "torque_sensor_lag", "lag", LATE, lambda c: c | {"effort": filtered(c["time"], c["effort"], LATE, 1.0)}
+)
+VELOCITY_LAG = Fault(
+    "velocity_lag", "lag", LATE, lambda c: c | {"velocity": filtered(c["time"], c["velocity"], LATE, 1.0)}
+)
+BUTTERWORTH = 0.5 * LATE**2, LATE, 1.0
+TORQUE_BUTTERWORTH = Fault(
+    "torque_sensor_butterworth", "lag", LATE, lambda c: c | {"effort": filtered(c["time"], c["effort"], *BUTTERWORTH)}
+)
+VELOCITY_BUTTERWORTH = Fault(
+    "velocity_butterworth", "lag", LATE, lambda c: c | {"velocity": filtered(c["time"], c["velocity"], *BUTTERWORTH)}
+)
 VELOCITY_DELAY = Fault(
     "velocity_delay", "delay", LATE, lambda c: c | {"velocity": later(c["time"], c["velocity"], LATE)}
 )
 VELOCITY_GAIN = Fault("velocity_gain", "gain_joint2", 1.03, _second_times(1.03, "velocity"))
-FAULTS = (OFFSET, SCALE, CROSSTALK, TORQUE_LAG, VELOCITY_LAG, VELOCITY_DELAY, VELOCITY_GAIN)
+FAULTS = (
+    OFFSET,
+    SCALE,
+    CROSSTALK,
+    TORQUE_LAG,
+    TORQUE_BUTTERWORTH,
+    VELOCITY_LAG,
+    VELOCITY_BUTTERWORTH,
+    VELOCITY_DELAY,
+    VELOCITY_GAIN,
+)

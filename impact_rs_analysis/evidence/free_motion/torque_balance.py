@@ -175,16 +175,19 @@ class Motion:
     def of(self, readings: ArmReadings) -> Motion:
         """The true motion of the links from its readings: position, velocity and acceleration.
 
-        The lag of velocity readings is inverted exactly, because the low-pass has removed high-frequency noise:
-        T dv_r/dt + v_r = s s_v dq(t - d).
+        The filters of velocity readings are inverted exactly, because the low-pass has removed high-frequency noise:
+        s s_v dq(t - d) = v_r + T1 dv_r/dt, and v_r + T2 dv_r/dt + T2^2 / 2 d2v_r/dt2 of the Butterworth filter.
         """
-        scale, lag = readings.position_scale * readings.velocity_gain, readings.velocity_lag
+        scale = readings.position_scale * readings.velocity_gain
         velocity, acceleration = (
             delayed(self.time, values, -readings.velocity_delay) for values in (self.velocity, self.acceleration)
         )
-        if lag:
-            velocity = velocity + lag * acceleration
-            acceleration = acceleration + lag * np.gradient(acceleration, 1.0 / self.rate, axis=0)
+        for lag, square in zip(readings.velocity_filters, (0.0, 0.5), strict=True):
+            if lag:
+                jerk = np.gradient(acceleration, 1.0 / self.rate, axis=0)
+                snap = np.gradient(jerk, 1.0 / self.rate, axis=0)
+                velocity = velocity + lag * acceleration + square * lag**2 * jerk
+                acceleration = acceleration + lag * jerk + square * lag**2 * snap
         return replace(
             self,
             position=readings.position_of(self.position),

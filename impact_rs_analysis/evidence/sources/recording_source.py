@@ -46,11 +46,13 @@ from impact_rs_sim.effects.sensing import (
     COMMAND_CLOCK_OFFSET,
     MOTOR_ENCODER_OFFSET,
     TORQUE_DELAY,
+    TORQUE_SENSOR_BUTTERWORTH,
     TORQUE_SENSOR_CROSSTALK,
     TORQUE_SENSOR_DRIFT,
     TORQUE_SENSOR_GAIN,
     TORQUE_SENSOR_LAG,
     TORQUE_SENSOR_OFFSET,
+    VELOCITY_BUTTERWORTH,
     VELOCITY_DELAY,
     VELOCITY_GAIN,
     VELOCITY_LAG,
@@ -85,9 +87,14 @@ TORQUE_SCALE_DEVIATION = {"link": 0.01, "motor": 0.02}  # over the torque; torqu
 CONFOUNDED_WITH_MOTOR_FAULTS = (TORQUE_SENSOR_GAIN, TORQUE_SENSOR_OFFSET)
 # No command was recorded, a deflection is known up to its mean, and the age of the arm is that of the recording.
 UNIDENTIFIABLE_FAULTS = (COMMAND_CLOCK_OFFSET, MOTOR_ENCODER_OFFSET, TORQUE_SENSOR_DRIFT)
-SERVO_WITHOUT_SENSOR = (TORQUE_DELAY, TORQUE_SENSOR_LAG)  # a torque that was computed passed no sensor
+SERVO_WITHOUT_SENSOR = (
+    TORQUE_DELAY,
+    TORQUE_SENSOR_LAG,
+    TORQUE_SENSOR_BUTTERWORTH,
+)  # a torque that was computed passed no sensor
 TORQUE_SENSOR_FAULTS = (TORQUE_SENSOR_CROSSTALK,)  # strain gauges feel their neighbours' loads, currents do not
-VELOCITY_SENSOR_FAULTS = (VELOCITY_LAG, VELOCITY_DELAY, VELOCITY_GAIN)  # derivatives of positions have none
+# Derivatives of positions have none.
+VELOCITY_SENSOR_FAULTS = (VELOCITY_LAG, VELOCITY_BUTTERWORTH, VELOCITY_DELAY, VELOCITY_GAIN)
 MIN_NOISE_SHARE = 0.01  # of the residual of a model, below which another error than noise remains
 TORQUE_UNIT = "N m"  # of a revolute joint
 TORQUE_QUANTILE = 0.99  # that stands for the largest torque: a few samples may be outliers

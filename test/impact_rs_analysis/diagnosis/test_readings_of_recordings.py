@@ -113,9 +113,9 @@ def test_a_recording_offers_the_sensors_that_it_has(tmp_path: Path) -> None:
     def offered(source: RecordingSource) -> set[str]:
         return {name for name, effect in source.known_effects.items() if source.offers(effect)}
 
-    encoders = {"encoder_offset", "encoder_scale", "torque_sensor_lag", "torque_delay"}
+    encoders = {"encoder_offset", "encoder_scale", "torque_sensor_lag", "torque_sensor_butterworth", "torque_delay"}
     assert encoders <= offered(at_motors) & offered(at_links)
     assert offered(at_links) - offered(at_motors) >= {
-        "torque_sensor_crosstalk", "velocity_lag", "velocity_delay", "velocity_gain"
+        "torque_sensor_crosstalk", "velocity_lag", "velocity_butterworth", "velocity_delay", "velocity_gain"
     }  # fmt: skip
     assert not offered(at_links) & {"command_clock", "motor_encoder_offset", "torque_sensor_drift"}

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+import scipy.signal
 
 from impact_rs_sim.effects import library
 from impact_rs_sim.robots.robot import Array
@@ -38,6 +39,12 @@ def filtered(values: Array, lag: float) -> Array:
     for k in range(1, len(values)):
         found[k] = ((lag - 5e-4) * found[k - 1] + 5e-4 * (values[k] + values[k - 1])) / (lag + 5e-4)
     return found
+
+
+def butterworth(values: Array, delay: float) -> Array:
+    b, a = scipy.signal.butter(2, np.sqrt(2.0) / (2.0 * np.pi * delay), fs=1000.0)
+    found, _ = scipy.signal.lfilter(b, a, values, axis=0, zi=np.outer(scipy.signal.lfilter_zi(b, a), values[0]))
+    return np.asarray(found)
 
 
 def late(values: Array, samples: int) -> Array:
@@ -97,11 +104,19 @@ FAULTS: dict[str, tuple[Fault, dict[str, float]]] = {
     ),
     "torque_sensor_crosstalk": (of_arm(crosstalk), {"from_previous_joint3": 0.04, "from_next_joint2": -0.03}),
     "torque_sensor_lag": (of_arm(lambda arm: replace(arm, torque=filtered(arm.torque, 0.015))), {"lag": 0.015}),
+    "torque_sensor_butterworth": (
+        of_arm(lambda arm: replace(arm, torque=butterworth(arm.torque, 0.015))),
+        {"lag": 0.015},
+    ),
     "command_clock_offset": (
         lambda run: run.commands_later(dict.fromkeys(run.signals.arms, 0.004)),
         {"offset": -0.004},
     ),
     "velocity_lag": (of_arm(lambda arm: replace(arm, velocity=filtered(arm.velocity, 0.012))), {"lag": 0.012}),
+    "velocity_butterworth": (
+        of_arm(lambda arm: replace(arm, velocity=butterworth(arm.velocity, 0.012))),
+        {"lag": 0.012},
+    ),
     "velocity_delay": (of_arm(lambda arm: replace(arm, velocity=late(arm.velocity, 6))), {"delay": 0.006}),
     "velocity_gain": (
         of_arm(lambda arm: replace(arm, velocity=changed(arm.velocity, 1, 1.05))),

@@ -132,6 +132,7 @@ def test_effects_of_the_contact_are_not_seen_in_free_motion():
         "tracked_point",
         "tracker_delay",
         "tracker_lag",
+        "tracker_butterworth",
         "stiff_control",
         "neighbour_mass",
         "object_friction",

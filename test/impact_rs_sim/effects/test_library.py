@@ -96,7 +96,7 @@ CHANGED = {  # what of the physics, or of an arm, an effect is on
     "gravity": ("base_tilt",),
     "loads": ("external_spring",),
     "twist_readings": ("spin_axes", "mirrored_spins", "twist_axes", "tracked_point_of_impact"),
-    "tracker": ("tracker_frame", "tracked_point", "tracker_delay", "tracker_lag"),
+    "tracker": ("tracker_frame", "tracked_point", "tracker_delay", "tracker_lag", "tracker_butterworth"),
     "readings": tuple(
         name for name, effect in library().items() if effect.acts_on == "sensing" and isinstance(effect, ArmEffect)
     ),
