@@ -58,12 +58,21 @@ class Learning:
         self.hits: HitModel | None = None
 
     def enough(self, layout: str, count: int) -> bool:
-        """Whether the first hits of a layout teach its scatter, after so many hits of all."""
+        """Whether the first hits of a layout teach its scatter, after so many hits of all.
+
+        Repeats are awaited until there are twice as many hits as needed.
+        """
         own = [hit for hit in self.first if hit.layout == layout]
         if count < self.learnt or len(own) < self.learnt // 2:
             return False
-        _, freedom = deviations_of([hit.measured for hit in own], [hit.condition for hit in own])
-        return freedom >= min(MIN_SCATTER_FREEDOM, self.learnt // 2 - 1)
+        least = self._least_freedom if len(own) >= 2 * self.learnt else 1
+        measured, conditions = [hit.measured for hit in own], [hit.condition for hit in own]
+        return deviations_of(measured, conditions, least)[1] >= self._least_freedom
+
+    @property
+    def _least_freedom(self) -> int:
+        """Degrees of freedom from which the scatter of a layout is known."""
+        return min(MIN_SCATTER_FREEDOM, self.learnt // 2 - 1)
 
     def begin(self, layout: str, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
         """Learn the scatter of a layout from its first hits; the hypotheses with what these say.
@@ -90,7 +99,7 @@ class Learning:
             raise InputError(f"the first {len(first)} hits show none of the followed effects: {names}")
         self.hits, self.first = own, [hit for hit in self.first if hit.layout != layout]
         limits = self.hit_source.limits(first, layout)
-        own.whiten[layout], freedom = _scatter(residuals, limits)
+        own.whiten[layout], freedom = _scatter(residuals, limits, self._least_freedom)
         calibration, freedom = own.calibration, max(freedom, 2)
         calibration.freedom = float(freedom) if not hypotheses else min(calibration.freedom, float(freedom))
         own.look_at(sorted({*known, *np.flatnonzero(moving).tolist()}))
@@ -145,7 +154,7 @@ class Learning:
         for left, (hit, residual) in enumerate(residuals):
             others = [one for n, one in enumerate(residuals) if n != left]
             alike = [value for one, value in others if one.condition == hit.condition] or [v for _, v in others]
-            whiten, _ = _scatter(others, limits)
+            whiten, _ = _scatter(others, limits, self._least_freedom)
             whitened = whiten @ (residual - np.mean(alike, axis=0)) / math.sqrt(1.0 + 1.0 / len(alike))
             square, expected = square + float(whitened @ whitened), expected + whitened.size
             jacobian = whiten @ jacobians[left]
@@ -157,9 +166,10 @@ class Learning:
         calibration.whole = square, expected
 
 
-def _scatter(residuals: Sequence[tuple[Hit, Array]], limits: Array) -> tuple[Array, int]:
+def _scatter(residuals: Sequence[tuple[Hit, Array]], limits: Array, least: int) -> tuple[Array, int]:
     """Whitening matrix of the hits of one layout, ``(F, F)``, and the degrees of freedom of their scatter."""
-    deviations, freedom = deviations_of([value for _, value in residuals], [hit.condition for hit, _ in residuals])
+    values, conditions = [value for _, value in residuals], [hit.condition for hit, _ in residuals]
+    deviations, freedom = deviations_of(values, conditions, least)
     stated = np.max([hit.noise for hit, _ in residuals], axis=0)
     return Noise(repeats_of(deviations, freedom, stated), np.square(limits / 2.0)).whitening(), freedom
 

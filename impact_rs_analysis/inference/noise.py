@@ -92,14 +92,19 @@ def _shrunk(scaled: Array, freedom: int) -> Array:
     return np.asarray(shrunk)
 
 
-def deviations_of(residuals: Sequence[Array], conditions: Sequence[str]) -> tuple[Array, int]:
+def deviations_of(residuals: Sequence[Array], conditions: Sequence[str], least: int = 1) -> tuple[Array, int]:
     """Residuals minus the mean of their condition, ``(n, F)``, and their degrees of freedom.
 
     Args:
         residuals: Residuals of every measurement, ``(F,)``.
-        conditions: Condition of each. Conditions without repeats are left out, or pooled if there are no repeats.
+        conditions: Condition of each; empty: it repeats nothing.
+        least: Degrees of freedom. Where repeats have fewer, measurements without a repeat are deviations from the mean
+            of them all.
     """
     rows, names = np.array(residuals), np.array(conditions)
     repeated = [name for name in dict.fromkeys(conditions) if name and np.sum(names == name) > 1]
-    groups = [rows[names == name] for name in repeated] or [rows]
+    groups = [rows[names == name] for name in repeated]
+    single = rows[~np.isin(names, repeated)]
+    if not groups or sum(len(own) - 1 for own in groups) < least and len(single):
+        groups.append(single)
     return np.concatenate([own - own.mean(axis=0) for own in groups]), sum(len(own) - 1 for own in groups)

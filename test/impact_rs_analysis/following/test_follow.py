@@ -195,6 +195,19 @@ def test_the_scatter_is_learnt_from_hits_enough_and_from_repeats_enough(tmp_path
     assert all(document.error is None for document in list(following(tmp_path / "hits.csv").arrived()))
 
 
+def test_one_repeated_condition_among_others_does_not_keep_the_follower_learning(tmp_path: Path) -> None:
+    """Twice the hits that are needed teach the scatter; kills a wait for repeats that never come."""
+    path = write(tmp_path / "hits.csv", QUIET[:20])
+    with path.open(newline="", encoding="utf-8") as file:
+        names, *rows = csv.reader(file)
+    place = names.index("condition")
+    rows.sort(key=lambda row: row[names.index("object")])
+    single = [[*r[:place], "again" if n < 2 else f"condition {n}", *r[place + 1 :]] for n, r in enumerate(rows)]
+    hit_source = TableHitSource(lambda: read_impact_table(write_csv(path, names, single), PUSH), NOMINAL)
+    documents = list(Follower(hit_source, NOMINAL, ["object_mass"], learnt=8).arrived())
+    assert [document.error is None for document in documents] == [True] * 16 + [False] * 4
+
+
 def test_a_model_that_predicts_hardly_any_of_the_first_hits_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

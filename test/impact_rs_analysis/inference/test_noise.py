@@ -41,9 +41,13 @@ def test_scatter_is_no_less_than_what_a_measurement_states() -> None:
     assert np.diag(repeats_of(np.array([[1.0, 1.0], [-1.0, -1.0]]), 1, np.array([0.0, 9.0]))) == pytest.approx([2, 81])
 
 
-def test_hits_that_repeat_nothing_teach_the_scatter_only_where_none_repeats_any() -> None:
-    rows = [np.array([value]) for value in (1.0, 3.0, 10.0, 20.0)]
-    deviations, freedom = deviations_of([*rows, np.array([30.0])], ["a", "a", "", "b", ""])
+def test_hits_that_repeat_nothing_teach_the_scatter_only_where_repeats_are_too_few() -> None:
+    """Kills one repeated condition that silences all others, and differences of conditions beside enough repeats."""
+    rows = [np.array([value]) for value in (1.0, 3.0, 10.0, 20.0, 30.0)]
+    conditions = ["a", "a", "", "b", ""]
+    deviations, freedom = deviations_of(rows, conditions)
     assert deviations.ravel() == pytest.approx([-1.0, 1.0]) and freedom == 1
-    deviations, freedom = deviations_of(rows, ["a", "", "b", "c"])
+    deviations, freedom = deviations_of(rows, conditions, least=2)
+    assert deviations.ravel() == pytest.approx([-1.0, 1.0, -10.0, 0.0, 10.0]) and freedom == 3
+    deviations, freedom = deviations_of(rows[:4], ["a", "", "b", "c"])
     assert deviations.ravel() == pytest.approx(np.array([1.0, 3.0, 10.0, 20.0]) - 8.5) and freedom == 3
