@@ -334,12 +334,15 @@ class _Lag:
 
     def __init__(self, lag: complex, period: float) -> None:
         self._a, self._b0, self._b1 = _hold(lag, period)
-        self._input, self._output = None, np.zeros(0)
+        self._input: Array | None = None
+        self._output = np.zeros(0)
 
     def __call__(self, values: Array) -> Array:
         """Output ``(m,)`` of the next sample; that of the first is the input."""
-        before = values if self._input is None else self._output
-        self._output = before if self._input is None else self._a * before + self._b0 * self._input + self._b1 * values
+        if self._input is None:
+            self._output = values
+        else:
+            self._output = self._a * self._output + self._b0 * self._input + self._b1 * values
         self._input = values
         return self._output
 
