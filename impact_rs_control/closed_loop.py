@@ -19,7 +19,7 @@ from impact_rs_control.controller import ArmCommand, Controller
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant.mechanics import Simulator
-from impact_rs_sim.plant.plant import Measurement, Plant, PlantExtension
+from impact_rs_sim.plant.plant import Measurement, Plant, PlantExtension, check_hidden
 from impact_rs_sim.plant.sensors import ArmMeasurement
 from impact_rs_sim.robots.robot import Array
 
@@ -75,8 +75,13 @@ def make_plant(
         physics: True physics; None: the scenario's.
         extension: Effects of the plant beyond its physics; of Bullet only.
         simulator: Simulator of its mechanics.
+
+    Raises:
+        InputError: As :func:`~impact_rs_sim.plant.plant.check_hidden`, of the true physics.
     """
     scene = plan.scene
+    if physics is not None:
+        check_hidden(physics)
     return Plant.for_trial(
         scene.scenario,
         scene.physics if physics is None else physics,

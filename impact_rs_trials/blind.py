@@ -23,6 +23,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
 from impact_rs_sim.physics import Physics
+from impact_rs_sim.plant.plant import check_hidden
 from impact_rs_sim.plant.unmodelled import LAWS, OUTSIDE
 from impact_rs_sim.robots.robot import JointType
 from impact_rs_sim.scenarios.scenario import load_scenario
@@ -200,6 +201,8 @@ class Secret:
         joints = _joints(scenarios)
         worlds = [spec.plan.scene.physics for spec, _ in specs(size, scenarios)]
         hidden = draw_truth(seed, kind, effect, magnitude, joints, worlds)
+        for world in worlds:
+            check_hidden(hide(world, hidden))
         outside, strength = (None, 0.0) if kind != "outside" else draw_outside(seed, effect, magnitude, outsides)
         truth = {
             "kind": kind,
@@ -361,8 +364,8 @@ def make(
         scenarios: Names or paths of the scenarios to record, with arms of one kind: hits, and motions there and back.
 
     Raises:
-        InputError: Unknown kind, effect, size or scenario, arms with different numbers of joints, or a folder that
-            holds another blind campaign.
+        InputError: Unknown kind, effect, size or scenario, an effect that no plant shows, arms with different numbers
+            of joints, or a folder that holds another blind campaign.
     """
     secret = Secret.drawn(seed, kind, effect, magnitude, size, outsides, scenarios)
     todo = tasks(directory, seed, size, list(secret.hidden), secret.outside, secret.strength, scenarios)

@@ -293,6 +293,22 @@ class Plant:
         self._mechanics.close()
 
 
+def check_hidden(physics: Physics) -> None:
+    """Refuse readings that the trials of a plant do not show.
+
+    Raises:
+        InputError: A torque sensor drifts with the time since the first run, which no plant knows, or commands act
+            before or after their stamps.
+    """
+    for name, arm in physics.arms.items():
+        if np.any(arm.readings.torque_drift) or arm.readings.command_delay != 0.0:
+            raise InputError(
+                f"arm {name!r}: a plant cannot hide torque_sensor_drift and command_clock_offset, because it knows no "
+                "time since the first run and its commands act at their stamps; hide torque_sensor_offset or "
+                "actuation_delay instead"
+            )
+
+
 def _tracker_ticks(scenario: Scenario) -> int:
     """Control ticks from one sample of the object tracker to the next."""
     return max(1, round(scenario.sensors.object_period / scenario.timing.control_period))

@@ -179,3 +179,10 @@ def test_a_seed_keeps_what_it_hid_before_effects_were_added() -> None:
     """Tutorials and boards rest on it. Kills a draw among effects that are only hidden by name."""
     hidden = {seed: draw_truth(seed, "single", None, None)[0].name for seed in (3, 7, 8)}
     assert hidden == {3: "rolling_resistance", 7: "torque_gain", 8: "pad_tilt"}
+
+
+@pytest.mark.parametrize("name", ["torque_sensor_drift", "command_clock_offset"])
+def test_what_no_plant_shows_is_not_hidden(name: str) -> None:
+    """Kills a truth that is not in the trials."""
+    with pytest.raises(InputError, match="a plant cannot hide torque_sensor_drift and command_clock_offset"):
+        Secret.drawn(3, "single", name, 3.0)
