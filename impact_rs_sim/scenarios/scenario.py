@@ -864,20 +864,19 @@ class Scenario(Schema):
         return self
 
     @model_validator(mode="after")
-    def _hands_with_names_of_their_own(self) -> Self:
-        taken = {"object", "support", *self.robots, *self.neighbours}
-        for name, robot in self.robots.items():
-            if twice := taken & set(robot.hands):
-                raise ValueError(f"robots.{name}.hands.{min(twice)}: another body has this name")
-            taken |= set(robot.hands)
+    def _bodies_with_names_of_their_own(self) -> Self:
+        taken = {"object", "support"}
+        hands = {f"robots.{name}.hands": set(robot.hands) for name, robot in self.robots.items()}
+        for key, bodies in {"robots": set(self.robots), "neighbours": set(self.neighbours), **hands}.items():
+            if twice := taken & bodies:
+                raise ValueError(f"{key}.{min(twice)}: another body has this name; choose another one")
+            taken |= bodies
         return self
 
     @model_validator(mode="after")
     def _neighbours_of_a_free_object(self) -> Self:
         if not self.neighbours:
             return self
-        if taken := {"object", "support", *self.robots} & set(self.neighbours):
-            raise ValueError(f"neighbours.{min(taken)}: another body has this name")
         if fixed := [name for name, one in self.objects.items() if one.fixed]:
             raise ValueError(f"objects.{fixed[0]} is fixed and hits no neighbour: leave neighbours out")
         if guided := [name for name, one in self.objects.items() if one.freedom is not None]:

@@ -341,3 +341,11 @@ def test_a_recorded_scenario_holds_and_checks_its_compensation(tmp_path, content
 def test_a_scenario_without_compensation_is_recorded_without_the_key():
     assert "friction_compensation" not in load_scenario("push").model_dump()
     assert "friction_compensation" not in load_scenario("push").model_dump_json()
+
+
+@pytest.mark.parametrize("name", ["object", "support"])
+def test_a_robot_called_as_another_body_is_refused(name):
+    """Kills pads that get the friction of the support, and maps with two bodies of one name."""
+    data = yaml.safe_load(PUSH.read_text(encoding="utf-8").replace(" arm:", f" {name}:"))
+    with pytest.raises(InputError, match=f"robots.{name}: another body has this name; choose another one"):
+        validate(Scenario, data, "mine.yaml")
