@@ -486,6 +486,10 @@ class ObjectSpec(Schema):
         description="principal moments about the centre of mass, in its axes; absent: homogeneous, about the "
         "geometric centre [kg m^2]",
     )
+    moments_per_mass: PositiveVector3 | None = omitted(
+        None,
+        description="in place of inertia: principal moments over the mass; mesh has those of an even density [m^2]",
+    )
 
     @field_validator("mass")
     @classmethod
@@ -497,7 +501,7 @@ class ObjectSpec(Schema):
             raise ValueError("missing; of an object that nothing moves, as a wall, say fixed: true")
         return mass
 
-    @field_validator("inertia")
+    @field_validator("inertia", "moments_per_mass")
     @classmethod
     def _inertia_of_a_body(cls, inertia: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
         if inertia is not None and not is_physically_consistent(1.0, np.diag(inertia)):
@@ -514,14 +518,14 @@ class ObjectSpec(Schema):
             far = np.maximum(corners.max(axis=0), -corners.min(axis=0))
             if np.max(np.abs(2.0 * far - self.size)) > CORNER_TOLERANCE_M:
                 raise ValueError(f"size must be the extents of the corners, {(2.0 * far).tolist()} [m]")
-            if self.inertia is None and not self.fixed:
+            if self.inertia is None and self.moments_per_mass is None and not self.fixed:
                 raise ValueError("inertia is required for a hull; mesh has that of an even density [kg m^2]")
         return self
 
     @model_validator(mode="after")
     def _fixed_without_inertia(self) -> Self:
-        if self.fixed and (self.inertia is not None or any(self.com_offset)):
-            raise ValueError("nothing moves a fixed object: leave com_offset and inertia out")
+        if self.fixed and (self.inertia or self.moments_per_mass or any(self.com_offset)):
+            raise ValueError("nothing moves a fixed object: leave com_offset, inertia and moments_per_mass out")
         return self
 
     @model_validator(mode="after")
@@ -551,7 +555,11 @@ class ObjectSpec(Schema):
         """Principal moments about its centre of mass, ``(3,)`` [kg m^2]; of a fixed object infinite."""
         if self.mass is None:
             return np.full(3, np.inf)
-        return self.form.moments(self.mass, np.array(self.size)) if self.inertia is None else np.array(self.inertia)
+        if self.inertia is not None:
+            return np.array(self.inertia)
+        if self.moments_per_mass is not None:
+            return self.mass * np.array(self.moments_per_mass)
+        return self.form.moments(self.mass, np.array(self.size))
 
     @property
     def rotation(self) -> Array:
@@ -1069,10 +1077,9 @@ def _read_meshes(data: dict[str, Any], directory: Path) -> None:
             raise InputError("mesh has shape, corners and size: leave these out", key=f"{key}.{min(given)}")
         found = read_object_mesh(directory / spec.pop("mesh"))
         spec |= {"shape": "hull", "corners": found.corners.tolist(), "size": found.size.tolist()}
-        if isinstance(spec.get("mass"), (int, float)):
-            spec.setdefault("inertia", (spec["mass"] * found.moments).tolist())
         if not spec.get("fixed"):
             spec.setdefault("com_offset", found.com.tolist())
+            spec.setdefault("moments_per_mass", found.moments.tolist())
 
 
 @functools.lru_cache(maxsize=32)

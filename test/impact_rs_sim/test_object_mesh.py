@@ -81,6 +81,13 @@ def test_a_box_as_a_mesh_is_the_box(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.joint_velocity["arm"], expected.joint_velocity["arm"], atol=1e-6)
 
 
+def test_moments_of_a_mesh_grow_with_a_mass_that_is_set_later(tmp_path: Path) -> None:
+    """Kills an inertia that is fixed with the mass of the file."""
+    scenario = scenario_with(tmp_path, CUBE * BOX)
+    heavier = scenario.with_settings({"objects.thing.mass": 2.6}).object("thing")
+    np.testing.assert_allclose(heavier.moments, 2.0 * scenario.object("thing").moments)
+
+
 def test_a_recorded_scenario_holds_its_mesh(tmp_path: Path) -> None:
     scenario = scenario_with(tmp_path, egg())
     again = Scenario.model_validate(json.loads(scenario.model_dump_json()))
