@@ -1053,6 +1053,24 @@ def _check_compensation(compensation: FrictionCompensation, scenario: Scenario) 
     compensation.check(scenario.name, scenario.digest, sets, scenario.timing.duration)
 
 
+@functools.lru_cache(maxsize=32)
+def _named_files(path: Path, modified: int) -> tuple[Path, ...]:
+    """Files of robots and meshes of objects that a scenario names."""
+    del modified
+    data, found = load_mapping(path), []
+    for section, key in (("robots", "facts"), ("objects", "mesh"), ("neighbours", "mesh")):
+        entries = data.get(section)
+        specs = entries.values() if isinstance(entries, dict) else ()
+        named = [spec.get(key) for spec in specs if isinstance(spec, dict)]
+        found += [path.parent / name for name in named if isinstance(name, str)]
+    return tuple(found)
+
+
+def _modified(path: Path) -> int:
+    """When a file was written last [ns since 1970]; 0: there is none."""
+    return path.stat().st_mtime_ns if is_file(path) else 0
+
+
 def _read_robot_files(data: dict[str, Any], directory: Path) -> None:
     """Replace paths to facts of robots by the facts, so that bags contain them."""
     robots = data.get("robots")
@@ -1083,8 +1101,13 @@ def _read_meshes(data: dict[str, Any], directory: Path) -> None:
 
 
 @functools.lru_cache(maxsize=32)
-def _load_cached(path: Path, modified: int) -> tuple[Scenario, Path | None]:
-    """The scenario of a file, and the file of its friction compensation."""
+def _load_cached(path: Path, modified: tuple[int, ...]) -> tuple[Scenario, Path | None]:
+    """The scenario of a file, and the file of its friction compensation.
+
+    Args:
+        path: The file.
+        modified: When it and the files that it names were written, for the cache.
+    """
     del modified
     data = load_mapping(path)
     named = data.get("friction_compensation")
@@ -1096,7 +1119,9 @@ def _load_cached(path: Path, modified: int) -> tuple[Scenario, Path | None]:
 
 
 @functools.lru_cache(maxsize=32)
-def _compensated(path: Path, modified: int, compensation_path: Path, compensation_modified: int) -> Scenario:
+def _compensated(
+    path: Path, modified: tuple[int, ...], compensation_path: Path, compensation_modified: int
+) -> Scenario:
     del compensation_modified
     scenario, _ = _load_cached(path, modified)
     compensation = load(FrictionCompensation, compensation_path)
@@ -1110,7 +1135,8 @@ def _compensated(path: Path, modified: int, compensation_path: Path, compensatio
 def load_scenario(name: str) -> Scenario:
     """Load a scenario by name or path, and the friction compensation that it names."""
     path = scenario_path(name).resolve()
-    modified = path.stat().st_mtime_ns
+    own = _modified(path)
+    modified = (own, *map(_modified, _named_files(path, own)))
     scenario, compensation = _load_cached(path, modified)
     if compensation is None:
         return scenario

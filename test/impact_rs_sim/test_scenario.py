@@ -3,6 +3,7 @@
 
 import copy
 import json
+import os
 import re
 import shutil
 from pathlib import Path
@@ -349,3 +350,15 @@ def test_a_robot_called_as_another_body_is_refused(name):
     data = yaml.safe_load(PUSH.read_text(encoding="utf-8").replace(" arm:", f" {name}:"))
     with pytest.raises(InputError, match=f"robots.{name}: another body has this name; choose another one"):
         validate(Scenario, data, "mine.yaml")
+
+
+def test_a_changed_robot_file_is_read_again(tmp_path: Path) -> None:
+    """Kills a cache that asks the time of the scenario file alone."""
+    path = scenario_with_a_robot_beside_it(tmp_path)
+    assert load_scenario(str(path)).robots["arm"].robot_facts.links[6].mass != 2.0
+    facts = path.parent / "robots" / "mine.yaml"
+    content = yaml.safe_load(facts.read_text())
+    content["links"][6]["mass"] = 2.0
+    facts.write_text(yaml.safe_dump(content))
+    os.utime(facts, ns=(0, facts.stat().st_mtime_ns + 1_000_000))
+    assert load_scenario(str(path)).robots["arm"].robot_facts.links[6].mass == 2.0
