@@ -11,7 +11,7 @@ Spring and damper ``m x'' = -k x - c x'``, which part when the force is 0 (Schwa
 Spring and damper of Hunt and Crossley (1975), ``m x'' = -k x (1 + d x')``: the integral of ``v dv / (1 + d v)`` from v
 to -e v vanishes, so that
 
-    d v (1 + e) = ln((1 + d v) / (1 - d v e))
+    d v (1 + e) = ln((1 + d v) / (1 - d v e)),        d v = 3 (1 - e) / (2 e)    near e = 1, to third order
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import math
 
 import scipy
 
+NEARLY_ELASTIC = 1.0 - 1e-4  # restitution from which the series of d v is exact to 1e-8 [-]
 MIN_RESTITUTION = 1e-3  # smallest restitution that gets a damping of its own; 0 would need an infinite one
 
 
@@ -52,12 +53,12 @@ def dissipation_of(restitution: float, speed: float) -> float:
 
     A smaller restitution is replaced by :data:`MIN_RESTITUTION`.
     """
-    if restitution >= 1.0:
-        return 0.0
+    if restitution >= NEARLY_ELASTIC:
+        return 1.5 * max(1.0 / restitution - 1.0, 0.0) / speed
     e = max(restitution, MIN_RESTITUTION)
 
     def missing(product: float) -> float:
-        return product * (1.0 + e) - math.log((1.0 + product) / (1.0 - product * e))
+        return product * (1.0 + e) - math.log1p(product) + math.log1p(-product * e)
 
     low, high = (
         1.0 - e,

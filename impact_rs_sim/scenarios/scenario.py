@@ -921,8 +921,12 @@ class Scenario(Schema):
             return self
         if self.object_gap <= 0.0:
             raise ValueError("an excursion is a motion without contact: object_gap must be > 0 [m]")
+        if self.excursion.start == self.excursion.end:
+            raise ValueError("excursion.end must differ from start [m]: the motion has the speed of ante_velocity")
         for name, case in self.cases.items():
             for robot in case.robots.values():
+                if not any(robot.ante_velocity):
+                    raise ValueError(f"cases.{name}: ante_velocity, the speed of the excursion, must not be 0 [m/s]")
                 if self.excursion.joint_1 != 0.0 and 0 not in robot.held:
                     raise ValueError(f"excursion.joint_1 moves joint 1, which cases.{name} does not hold: give joint_1")
                 end = self.excursion_end(robot)

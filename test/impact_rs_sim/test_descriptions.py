@@ -135,6 +135,12 @@ def test_restitution_of_the_model_is_that_of_the_hit() -> None:
     assert hit(exported, 4e-3)[1][1] == pytest.approx(predicted.object_twist[1], rel=0.03)
 
 
+@pytest.mark.parametrize("loss", [1e-3, 1e-5, 5e-7, 1e-12])
+def test_little_loss_has_a_dissipation_in_proportion(loss: float) -> None:
+    """Kills an error of the root search where rounding hides its bracket."""
+    assert dissipation_of(1.0 - loss, 0.5) == pytest.approx(1.5 * loss / (1.0 - loss) / 0.5, rel=1e-3)
+
+
 def test_compliant_pad_has_its_stiffness_in_newtons_per_metre() -> None:
     """An object held against the pad by a force sinks in by F / K."""
     scene = scene_of("push", "cat_food", "2")

@@ -362,3 +362,16 @@ def test_a_changed_robot_file_is_read_again(tmp_path: Path) -> None:
     facts.write_text(yaml.safe_dump(content))
     os.utime(facts, ns=(0, facts.stat().st_mtime_ns + 1_000_000))
     assert load_scenario(str(path)).robots["arm"].robot_facts.links[6].mass == 2.0
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ({"excursion.end": list(load_scenario("excite").excursion.start)}, "excursion.end must differ from start"),
+        ({"cases.slow.robots.arm.ante_velocity": [0.0, 0.0, 0.0]}, "cases.slow: ante_velocity"),
+    ],
+)
+def test_an_excursion_without_a_way_or_a_speed_is_refused(settings, expected):
+    """Kills a duration of 0 / v or s / 0 seconds, which ends in joints at nan."""
+    with pytest.raises(InputError, match=expected):
+        load_scenario("excite").with_settings(settings)
