@@ -19,7 +19,6 @@ from enum import Enum
 
 import numpy as np
 
-from impact_rs_sim.damping_of_restitution import restitution_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.problem import ImpactProblem, check_physics
 from impact_rs_sim.model import Model
@@ -151,17 +150,14 @@ class ExportedScene:
 
         ``1 / m = n^T J (M + B)^-1 J^T n + 1 / m_object``
         """
-        mobility = self.physics.robot_model(name).mobility(
-            self.arms[name].position, self._axis(name), self.motor_inertia[name]
-        )
-        return 1.0 / (mobility + 1.0 / self.physics.object.mass)
+        return 1.0 / (self._mobility(name) + 1.0 / self.physics.object.mass)
 
     def restitution_of_pad(self, name: str) -> float:
         """Coefficient of restitution of a central pad impact: the scene's, or from stiffness and damping [-]."""
         arm = self.physics.arms[name]
         if self.pads == "rigid" or arm.pad_stiffness is None:
             return self.restitution
-        return restitution_of(arm.pad_damping / (2.0 * math.sqrt(arm.pad_stiffness * self.impact_mass(name))))
+        return replace(arm, pad_mobility=self._mobility(name)).pad_restitution(self.physics.object)
 
     @property
     def support_contact(self) -> tuple[float, float]:
@@ -264,6 +260,11 @@ class ExportedScene:
         """Outward normal of the pad in A, ``(3,)``."""
         placement = self.physics.robot_model(name).placement(self.arms[name].position)
         return np.asarray((placement * self.physics.arms[name].end_effector.pad_placement).rotation[:, 2])
+
+    def _mobility(self, name: str) -> float:
+        """n^T J (M + B)^-1 J^T n of the pad [1/kg]."""
+        model, inertia = self.physics.robot_model(name), self.motor_inertia[name]
+        return model.mobility(self.arms[name].position, self._axis(name), inertia)
 
     def _jacobian(self, name: str) -> Array:
         """Linear part of the Jacobian of E, ``(3, n)``."""

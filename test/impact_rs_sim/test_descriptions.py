@@ -135,6 +135,15 @@ def test_restitution_of_the_model_is_that_of_the_hit() -> None:
     assert hit(exported, 4e-3)[1][1] == pytest.approx(predicted.object_twist[1], rel=0.03)
 
 
+def test_a_ball_meets_a_quarter_of_the_pad_in_the_words_of_the_export() -> None:
+    """zeta = (C / 4) / (2 sqrt(K / 4 m)). Kills the restitution of the whole face, half as large."""
+    exported = ExportedScene.of(scene_of("hit_ball", "solid", "1"), NOMINAL, pads="compliant")
+    arm, mass = exported.physics.arms["arm"], exported.impact_mass("arm")
+    assert arm.pad_stiffness is not None
+    expected = restitution_of(0.25 * arm.pad_damping / (2.0 * np.sqrt(0.25 * arm.pad_stiffness * mass)))
+    assert exported.restitution_of_pad("arm") == pytest.approx(expected)
+
+
 @pytest.mark.parametrize("loss", [1e-3, 1e-5, 5e-7, 1e-12])
 def test_little_loss_has_a_dissipation_in_proportion(loss: float) -> None:
     """Kills an error of the root search where rounding hides its bracket."""
