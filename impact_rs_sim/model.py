@@ -130,8 +130,8 @@ class Model(Schema):
         return physics
 
     def with_effect(self, item: ModelEffect, name: str, parent: str, formulas: tuple[FormulaSpec, ...] = ()) -> Model:
-        """Child model with one more effect, or with a new estimate of an existing effect."""
-        kept = tuple(effect for effect in self.effects if effect.name != item.name)
+        """Child model with one more effect, or with a new estimate of an existing effect, in its place."""
+        effects = {effect.name: effect for effect in (*self.effects, item)}  # a name keeps its first place
         own = {spec.name: spec for spec in (*self.formulas, *formulas)}
         return Model(
             name=name,
@@ -140,7 +140,7 @@ class Model(Schema):
             note="",
             arms=self.arms,
             formulas=tuple(own.values()),
-            effects=(*kept, item),
+            effects=tuple(effects.values()),
         )
 
 

@@ -14,10 +14,12 @@ from impact_rs_sim.physics import Physics
 
 
 def item(name, **values):
-    units = {"offset": "N m", "coulomb": "N m", "breakaway": "N m", "stribeck": "rad/s", "scale": "-"}
+    units = {"offset": "N m", "coulomb": "N m", "breakaway": "N m", "stribeck": "rad/s"}
     return {
         "name": name,
-        "parameters": {key: {"estimate": value, "unit": units[key.split("_")[0]]} for key, value in values.items()},
+        "parameters": {
+            key: {"estimate": value, "unit": units.get(key.split("_")[0], "-")} for key, value in values.items()
+        },
     }
 
 
@@ -98,10 +100,18 @@ def test_every_effect_of_a_model_is_applied_on_top_of_those_before(physics):
 def test_a_child_replaces_an_estimate_and_names_its_parent(physics):
     parent = checked(mass(1.2), offsets(*range(1, 8)))
     child = parent.with_effect(ModelEffect.model_validate(mass(1.1)), "child", "parent.yaml")
-    assert [effect.name for effect in child.effects] == ["torque_offset", "object_mass"]
+    assert [effect.name for effect in child.effects] == ["object_mass", "torque_offset"]
     assert child.apply(physics).object.mass == pytest.approx(1.1 * physics.object.mass)
     assert (child.parent, child.parent_digest) == ("parent.yaml", parent.digest)
     assert parent.apply(physics).object.mass == pytest.approx(1.2 * physics.object.mass)
+
+
+def test_an_estimate_that_stays_changes_no_prediction(physics):
+    """Restitution and stiffness of a pad do not commute. Kills a child that puts the new estimate last."""
+    parent = checked(item("restitution", restitution=0.3), item("pad_compliance", scale=0.25))
+    child = parent.with_effect(parent.effects[0], "child", "parent.yaml")
+    before, after = (model.apply(physics).arms["arm"].pad_damping for model in (parent, child))
+    assert after == before
 
 
 def test_the_digest_is_of_the_physics_and_of_nothing_else():
