@@ -82,9 +82,10 @@ def _payload(arm: ArmPhysics, values: Values) -> ArmPhysics:
         return arm
     if added < 0.0:
         _check_removable(arm, added, position)
-    before, own = arm.end_effector, added * number(values, "gyration") ** 2 * IDENTITY
-    mass = before.mass + added
-    mass = mass if abs(mass) > MIN_MASS_KG else MIN_MASS_KG
+    before = arm.end_effector
+    if abs(before.mass + added) < MIN_MASS_KG:
+        added = MIN_MASS_KG - before.mass
+    mass, own = before.mass + added, added * number(values, "gyration") ** 2 * IDENTITY
     com = (before.mass * before.com + added * position) / mass
     inertia = before.inertia + before.mass * _steiner(before.com - com) + own + added * _steiner(position - com)
     return replace(arm, end_effector=replace(before, mass=mass, com=com, inertia=inertia))

@@ -75,6 +75,17 @@ def test_payload_that_is_no_point_resists_being_turned_by_its_radius_of_gyration
     assert body - point == pytest.approx(PAYLOAD["mass"] * 0.07**2, rel=1e-9)
 
 
+def test_a_payload_may_take_the_whole_tool_away():
+    """Kills a tool of another mass in the Steiner terms than in the sum, off by mass times centre squared."""
+    place = {name: 0.2 * value for name, value in PAYLOAD.items()}
+    nearly, wholly = (
+        switched_on(bench(), "end_effector_payload", **place | {"mass": less - TOOL_MASS}).robot_model("arm")
+        for less in (3e-6, 0.0)
+    )
+    matrices = [model.mass_matrix(np.array([0.3])) for model in (nearly, wholly)]
+    np.testing.assert_allclose(matrices[1], matrices[0], atol=1e-5)
+
+
 def test_payload_follows_the_parallel_axis_theorem_about_every_axis():
     """About the origin of E, inertia and first moment of the point mass add to those of the tool."""
     bare = bench()
