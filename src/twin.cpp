@@ -229,7 +229,7 @@ void Twin::update_symbols(double time) {
     std::copy(velocity.begin(), velocity.end(), &symbols_[of_object_velocity]);
     std::copy(object.angular.begin(), object.angular.end(), &symbols_[of_object_angular_velocity]);
     symbols_[of_object_speed] = norm(velocity);
-    const ContactResultant& support = resultants_[arms_.size()];
+    const ContactResultant& support = object_on_support();
     symbols_[of_support_force] = support.force;
     symbols_[of_support_slip] = support.slip;
   }
@@ -261,7 +261,7 @@ void Twin::apply_formulas(double time) {
     moment_ = moment_ + cross(resultant.position - centre, force);
     return force;
   };
-  const ContactResultant& support = resultants_.back();
+  const ContactResultant& support = object_on_support();
   Vector at_middle{};
   for (std::size_t i = 0; i < model_.formulas.size(); ++i) {
     const FormulaLoad& load = model_.formulas[i];

@@ -150,6 +150,7 @@ class Twin {
   void find_support_contacts(int number);
   void step(double length, double time);
   void update_symbols(double time);
+  const ContactResultant& object_on_support() const { return resultants_[arms_.size()]; }
   void apply_formulas(double time);
   void contact_step(double velocity_step, double time);
   void assemble_arm(const Partner& partner, const TwinArm& arm);

@@ -15,7 +15,7 @@ from impact_rs_sim import _kernel
 from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.effects.formula import SYMBOLS, FormulaEffect, FormulaSpec
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.physics import Physics
+from impact_rs_sim.physics import Neighbour, Physics
 from impact_rs_sim.plant.bullet_mechanics import BulletMechanics
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.scenarios.scenario import load_scenario
@@ -74,6 +74,21 @@ def test_friction_that_grows_with_load_and_speed_decays_exponentially() -> None:
     box = resting(twist=np.array([0.3, 0.4, 0.0, 0.0, 0.0, 0.0]))
     result = run(with_law(physics, c, support_tangential="c * support_force * support_slip"), [0.0], box, time)
     np.testing.assert_allclose(result.twists[-1, :2], np.exp(-c * G * time) * box.twist[:2], rtol=2e-3)
+
+
+@pytest.mark.parametrize("law", ["support_normal", "support_tangential", "object_force"])
+def test_a_neighbour_out_of_reach_changes_no_law_of_the_object(law: str) -> None:
+    """Kills laws of the support that act at the last contact pair, which is that with the neighbour."""
+    table = scene({"far": FAR}, support_height=-SIZE[2] / 2.0, gravity=np.array([0.0, 0.0, -G]))
+    beside = replace(table, neighbours=(Neighbour("beside", table.object, np.array([0.0, 0.5, 0.0]), np.eye(3)),))
+    formula: Any = {"x": "-c * support_force"} if law == "object_force" else "c * support_force"
+    box = resting(twist=np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    free, alone, together = (
+        run(with_law(physics, c, **{law: formula}), [0.0], box, 0.05)
+        for physics, c in ((table, 0.0), (table, 0.3), (beside, 0.3))
+    )
+    np.testing.assert_allclose(together.twists, alone.twists, atol=1e-9)
+    assert abs(alone.twists[-1, 0] - free.twists[-1, 0]) > 0.01
 
 
 @pytest.mark.parametrize("law", ["contact_normal", "contact_tangential"])
