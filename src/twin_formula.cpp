@@ -44,7 +44,7 @@ double Lag::step(double now, double u, double constant, double start) {
 }
 
 double Formula::operator()(const std::vector<double>& symbols, std::vector<Lag>& memory) const {
-  double values[DEEPEST] = {};
+  double values[DEEPEST];
   int top = -1;
   auto next = memory.begin();
   for (std::size_t i = 0; i < code_.size(); ++i) {
@@ -76,14 +76,14 @@ double Formula::operator()(const std::vector<double>& symbols, std::vector<Lag>&
       case absolute: a = std::abs(a); break;
       case sign: a = a > 0.0 ? 1.0 : a < 0.0 ? -1.0 : 0.0; break;
     }
-    if (!std::isfinite(a)) return std::numeric_limits<double>::quiet_NaN();
+    if (std::isnan(a)) return a;  // min, max and sign would lose it
   }
   return values[0];
 }
 
 double FormulaLoad::at(const std::vector<double>& symbols, std::vector<Lag>& memory) const {
   const double value = formula(symbols, memory);
-  if (std::isnan(value)) {
+  if (!std::isfinite(value)) {
     char when[32];
     std::snprintf(when, sizeof when, "%.3f", symbols[of_time]);
     throw std::runtime_error("effect '" + effect + "' blows up at t = " + when + " s");

@@ -46,12 +46,12 @@ class Formula {
       "constant", "symbol",
       "Add", "Sub", "Mult", "Div", "Pow", "min", "max", "lag", "lag_from",
       "USub", "sin", "cos", "tan", "exp", "log", "sqrt", "tanh", "abs", "sign"};
-  static constexpr int DEEPEST = 64;
+  static constexpr int DEEPEST = 512;  // operands at once; formulas of 1000 characters need up to 334: 1**1**1**...
 
   // `code` is valid for an arm of `joints` joints, else std::invalid_argument.
   Formula(std::vector<int> code, std::vector<double> constants, int joints);
 
-  // Its value for these symbols; NaN where any part of it is not finite. `memory` has an entry for each of its lags.
+  // Its value for these symbols; NaN where any part of it is NaN. `memory` has an entry for each of its lags.
   double operator()(const std::vector<double>& symbols, std::vector<Lag>& memory) const;
 
   int lags() const { return lags_; }

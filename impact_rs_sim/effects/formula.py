@@ -88,8 +88,8 @@ _BINARY: dict[type[ast.operator], Callable[[Value, Value], Value]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
-    ast.Div: operator.truediv,
-    ast.Pow: operator.pow,
+    ast.Div: np.divide,  # of numbers as of arrays: x / 0 is infinite
+    ast.Pow: np.power,
 }
 SYMBOLS = {
     "t": "s",  # since the start of the trial

@@ -91,6 +91,24 @@ def test_a_neighbour_out_of_reach_changes_no_law_of_the_object(law: str) -> None
     assert abs(alone.twists[-1, 0] - free.twists[-1, 0]) > 0.01
 
 
+def test_only_the_value_of_a_formula_must_be_finite() -> None:
+    """c / (1 + exp(large)) is 0. Kills a twin that gives up where an intermediate value overflows."""
+    box = resting(twist=np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    result = run(
+        with_law(scene({"far": FAR}), 1.0, object_force={"x": "-c / (1 + exp(1e4 * object_vx))"}), [0.0], box, 0.01
+    )
+    assert result.twists[-1, 0] == 0.3
+
+
+def test_a_formula_nested_as_deep_as_its_text_allows_acts() -> None:
+    """Kills a stack of the twin that is smaller than a formula of 1000 characters."""
+    nested = "c" + "**(1" * 150 + ")" * 150
+    chain = "c" + "**1" * 300
+    for text in (nested, chain):
+        result = run(with_law(scene({"far": FAR}), 1.0, object_force={"x": text}), [0.0], resting(), 0.01)
+        assert result.twists[-1, 0] == pytest.approx(0.01 / BOX_MASS)
+
+
 @pytest.mark.parametrize("law", ["contact_normal", "contact_tangential"])
 def test_a_law_between_pad_and_object_has_its_reaction(law: str) -> None:
     """Momentum of rail and box together along the rail stays; it moves between them."""
