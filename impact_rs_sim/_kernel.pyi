@@ -344,8 +344,8 @@ SYMBOLS: Sequence[str]
 OPERATIONS: Sequence[str]
 """What the code of a formula may contain, by number: ``Formula`` in src/twin_formula.hpp."""
 
-TwinLoad = Callable[[float, Array, Array], tuple[Array, Array]]
-"""Torques on links and motors, ``(n,)`` each [N m], from time [s], q and dq."""
+TwinLoad = Callable[[Array, Array, Array, Array], tuple[Array, Array]]
+"""Torques on links and motors, ``(n,)`` each [N m], from values of ``SYMBOLS``, q, dq and tau_J."""
 
 TwinFormula = tuple[str, int, int, Sequence[int], Sequence[float]]
 """Name of the effect; what it acts on, ``Acts`` in src/twin_formula.hpp; joint or axis from 0; code, as there, and the

@@ -7,7 +7,7 @@ step methods (``docs/physics.md``, "The twin"). Many jobs run in one call, on se
 any number of threads; :mod:`impact_rs_sim.plant.twin_mechanics` runs one tick by tick.
 
 Loads of formulas and springs are compiled. A load that is a Python class works as well, at the price of a call into
-Python in every tick, during which no other thread calls into Python.
+Python in every tick, during which no other thread calls into Python; between pad and object only formulas act.
 
 Pads touch the object, not each other; links touch nothing.
 """
@@ -116,7 +116,7 @@ def simulate(jobs: Sequence[TwinJob], threads: int = 1) -> list[Result]:
         threads: Largest number of threads.
 
     Raises:
-        InputError: Raised by a load of a Python class.
+        InputError: Raised by a load of a Python class, or there is one between pad and object.
     """
     models: dict[tuple[int, float, bool, int], _kernel.Twin] = {}
     prepared = []
@@ -296,10 +296,21 @@ def _steiner(offset: Array) -> Array:
 
 
 def _call(physics: Physics, name: str, loads: tuple[Load, ...]) -> _kernel.TwinLoad:
-    """Torques on links and motors of an arm's loads of Python classes, from time, q and dq."""
+    """Torques on links and motors of an arm's loads of Python classes, from the scene's symbols, q, dq and tau_J."""
+    for load in loads:
+        if load.touches:
+            raise InputError(
+                f"robots.{name}: the twin has no load between pad and object from a Python class, got "
+                f"{type(load).__name__}; expected formulas, contact_normal or contact_tangential"
+            )
     only = replace(physics, arms={name: replace(physics.arms[name], loads=loads)})
     model = only.robot_model(name)
-    return lambda time, position, velocity: only.load_torques(name, model, time, position, velocity)
+
+    def call(symbols: Array, position: Array, velocity: Array, torque: Array) -> tuple[Array, Array]:
+        scene = dict(zip(_kernel.SYMBOLS, symbols.tolist(), strict=True))
+        return only.load_torques(name, model, scene["t"], position, velocity, torque, scene)
+
+    return call
 
 
 def _arm_formulas(load: FormulaLoad, joints: int) -> list[_kernel.TwinFormula]:

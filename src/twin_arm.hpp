@@ -43,8 +43,8 @@ struct CartesianSpring {
   Vector position;      // p_impact [m]
 };
 
-// Torque on links and motors that Python computes: time, q, dq, and the two torques, added to.
-using PythonLoad = std::function<void(double, const double*, const double*, double*, double*)>;
+// Torque on links and motors that Python computes: symbols of the scene, q, dq, tau_J, and the two torques, added to.
+using PythonLoad = std::function<void(const double*, const double*, const double*, const double*, double*, double*)>;
 
 // What does not change over a simulation.
 struct ArmModel {

@@ -33,12 +33,15 @@ Matrix matrix_of(const Numbers& values, const char* name) {
   return found;
 }
 
-// Torques of a function of time, q and dq.
+// Torques of a function of the symbols of the scene, q, dq and tau_J.
 PythonLoad load_of(const py::function& function, std::size_t n) {
-  return [function, n](double time, const double* q, const double* dq, double* on_links, double* on_motors) {
+  return [function, n](const double* symbols, const double* q, const double* dq, const double* torque, double* on_links,
+                       double* on_motors) {
     const py::gil_scoped_acquire acquire;
     const auto count = static_cast<py::ssize_t>(n);
-    const auto torques = function(time, Numbers(count, q), Numbers(count, dq)).cast<std::tuple<Numbers, Numbers>>();
+    const auto torques =
+        function(Numbers(of_joints, symbols), Numbers(count, q), Numbers(count, dq), Numbers(count, torque))
+            .cast<std::tuple<Numbers, Numbers>>();
     const double* parts[] = {checked(std::get<0>(torques), count, "torque on the links"),
                              checked(std::get<1>(torques), count, "torque on the motors")};
     for (std::size_t i = 0; i < n; ++i) {

@@ -22,7 +22,7 @@ from impact_rs_control.closed_loop import make_plant, run_closed_loop
 from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.physics import Physics
+from impact_rs_sim.physics import Load, LoadState, Physics
 from impact_rs_sim.plant.bullet_mechanics import BulletMechanics
 from impact_rs_sim.plant.mechanics import Mechanics, Simulator
 from impact_rs_sim.plant.plant import SIMULATORS, PlantExtension
@@ -242,6 +242,55 @@ def test_a_load_that_blows_up_is_the_users_mistake() -> None:
     with pytest.raises(InputError, match=r"effect 'root' blows up at t = 0\.005 s"):
         for _ in range(9):
             plant.step({"arm": hold})
+
+
+class Pull(Load):
+    """A share of the joint torque on the motor, and a force that grows with the height of the object."""
+
+    @property
+    def reads_scene(self) -> bool:
+        return True
+
+    def motor_torque(self, state: LoadState) -> Array | None:
+        assert state.joint_torque is not None
+        return 0.5 * state.joint_torque
+
+    def joint_torque(self, state: LoadState) -> Array | None:
+        return np.array([3.0 * state.scene["object_z"]])
+
+
+class Touching(Pull):
+    """A load between pad and object."""
+
+    @property
+    def touches(self) -> bool:
+        return True
+
+
+def test_a_load_of_a_python_class_acts_as_its_formula() -> None:
+    """Kills a twin that calls it with time, q and dq alone."""
+    law = {"motor_torque": {"joint1": "0.5 * tau1"}, "joint_torque": {"joint1": "c * object_z"}}
+    number = {"c": {"unit": "N/m", "lower": 0.0, "upper": 9.0, "scale": 1.0}}
+    formula = FormulaEffect(
+        FormulaSpec.model_validate({"name": "law", "sentence": "A law.", "parameters": number, **law})
+    )
+    physics, speeds = table(), []
+    of_class = {name: replace(arm, loads=(Pull(),)) for name, arm in physics.arms.items()}
+    for own in (replace(physics, arms=of_class), formula.apply_vector(physics, np.array([3.0]))):
+        with started("twin", own, box()) as mechanics:
+            for tick in range(50):
+                mechanics.step({"rail": np.full(1, 2.0)}, TICK, tick * TICK * PERIOD)
+            speeds.append(mechanics.arm("rail").velocity)
+    np.testing.assert_allclose(speeds[0], speeds[1], rtol=1e-12)
+    assert abs(speeds[0][0]) > 0.01
+
+
+def test_a_load_of_a_python_class_between_pad_and_object_is_refused() -> None:
+    """Kills a twin that leaves it out without a word."""
+    physics = table()
+    physics = replace(physics, arms={name: replace(arm, loads=(Touching(),)) for name, arm in physics.arms.items()})
+    with pytest.raises(InputError, match="robots.rail: the twin has no load between pad and object"):
+        TwinMechanics.load(physics, PERIOD)
 
 
 def test_an_extension_of_bullet_is_refused() -> None:
