@@ -259,6 +259,8 @@ class FormulaParameter(Schema):
     def _limits_in_order(self) -> Self:
         if self.lower >= self.upper:
             raise ValueError(f"lower = {self.lower:g} must be below upper = {self.upper:g} [{self.unit}]")
+        if not self.lower <= self.nominal <= self.upper:
+            raise ValueError(f"nominal = {self.nominal:g} must lie within lower and upper [{self.unit}]")
         return self
 
 

@@ -209,6 +209,11 @@ def test_limits_of_a_parameter_are_in_order() -> None:
         FormulaParameter(unit="N m", lower=3.0, upper=0.0, scale=0.1)
 
 
+def test_the_nominal_value_lies_within_the_limits() -> None:
+    with pytest.raises(ValueError, match="nominal = 0 must lie within lower and upper"):
+        FormulaParameter(unit="N m", lower=1.0, upper=3.0, scale=0.1)
+
+
 # ---- units: right ones pass, wrong ones are named, and a number leaves them open ------------------------------------
 
 
