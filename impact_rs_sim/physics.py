@@ -20,7 +20,7 @@ from impact_rs_sim.damping_of_restitution import damping_ratio_of, restitution_o
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.memory import Memory
 from impact_rs_sim.readings import EXACT, ArmReadings, TrackerReadings
-from impact_rs_sim.robots.robot import Array, EndEffector, JointType, RobotFacts, SigmoidFriction
+from impact_rs_sim.robots.robot import Array, EndEffector, JointType, RobotFacts, SigmoidFriction, travel_per_rad
 from impact_rs_sim.robots.robot_model import STANDARD_GRAVITY, RobotModel
 from impact_rs_sim.robots.tool_spring import ToolSpring
 from impact_rs_sim.robots.urdf import write_description
@@ -31,7 +31,7 @@ from impact_rs_sim.twist_readings import TwistReadings
 MOTOR_INERTIA_MODELS = ("reduced", "rotor", "zero")
 RESTITUTION_LAWS = ("newton", "poisson")
 # Width of dry friction at a reversal that no effect widens: sharp against the speeds of a motion, and smooth against
-# the change of a motor's velocity within one period of its torque loop.
+# the change of a motor's velocity within one period of its torque loop. A prismatic joint has it behind a pinion.
 SHARP_WIDTH_RAD_S = 0.005
 
 
@@ -105,10 +105,11 @@ class JointFriction:
     shafts: tuple[ShaftFriction, ...] = ()
 
     @staticmethod
-    def none(joint_count: int) -> JointFriction:
-        """No friction."""
-        zero = np.zeros(joint_count)
-        return JointFriction(zero, zero, zero, np.full(joint_count, 0.05))
+    def none(joints: int | Sequence[JointType]) -> JointFriction:
+        """No friction, of joints of these types, or of a number of revolute joints."""
+        zero = np.zeros(joints if isinstance(joints, int) else len(joints))
+        travel = np.ones_like(zero) if isinstance(joints, int) else travel_per_rad(joints)
+        return JointFriction(zero, zero, zero, 0.05 * travel, smoothing=SHARP_WIDTH_RAD_S * travel)
 
     @property
     def is_zero(self) -> bool:
@@ -610,7 +611,7 @@ class Physics:
             facts, drive, pad = robot.robot_facts, robot.drive, robot.end_effector.pad
             if robot.reflexes is not None:
                 facts = facts.model_copy(update={"reflexes": robot.reflexes})
-            friction = JointFriction.none(facts.joint_count)
+            friction = JointFriction.none(facts.joint_types)
             if drive.friction == "identified":
                 friction = replace(friction, sigmoid=facts.friction)
             effector, base = robot.end_effector.build(), robot.base.placement

@@ -302,7 +302,7 @@ def problems_of(conditions: DesignConditions, stance: RobotPose) -> Iterator[tup
             motor_inertia_reduced=reduced,
             stiffness=np.array(drive["stiffness"]),
             damping=np.array(drive["damping"]),
-            friction=JointFriction.none(facts.joint_count),
+            friction=JointFriction.none(facts.joint_types),
             torque_offset=np.zeros(facts.joint_count),
             torque_gain=np.ones(facts.joint_count),
             impact_position=placement.translation,

@@ -23,7 +23,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.problem import ImpactProblem, check_physics
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import SHARP_WIDTH_RAD_S, ArmPhysics, Physics
-from impact_rs_sim.robots.robot import Array, joined_units
+from impact_rs_sim.robots.robot import Array, joined_units, travel_per_rad
 from impact_rs_sim.robots.robot_model import STANDARD_GRAVITY
 from impact_rs_sim.scene import ArmState, BodyState, Scene
 from impact_rs_sim.version import package_version
@@ -295,7 +295,7 @@ def _friction_left_out(name: str, arm: ArmPhysics) -> Iterator[str]:
             f"at {_list(friction.stribeck_velocity)} {velocities}"
         )
     widths = np.broadcast_to(friction.smoothing, friction.coulomb.shape)
-    if np.any(widths > SHARP_WIDTH_RAD_S):
+    if np.any(widths > SHARP_WIDTH_RAD_S * travel_per_rad(arm.facts.joint_types)):
         yield f"{name}: width of dry friction at a reversal, {_list(widths)} {velocities}"
     if friction.asymmetry is not None:
         yield f"{name}: asymmetry of friction, {_list(friction.asymmetry)} {efforts} more forward and less backward"

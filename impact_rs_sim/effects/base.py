@@ -25,16 +25,16 @@ import numpy as np
 from impact_rs_sim.effects.changed_bodies import check_bodies, differ
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robots.robot import Array, JointType
+from impact_rs_sim.robots.robot import PINION_RADIUS_M, Array, JointType
 
 if TYPE_CHECKING:
     from impact_rs_sim.proportion import Proportion
 
 # Parameters per joint have units and ranges of a revolute joint. A prismatic joint has those behind a
 # pinion of this radius: revolute unit -> prismatic unit, and the factor of the range.
-PINION_RADIUS_M = 0.05  # m
 PRISMATIC_UNITS = {
     "N m": ("N", 1.0 / PINION_RADIUS_M),
+    "N m/s": ("N/s", 1.0 / PINION_RADIUS_M),
     "N m s/rad": ("N s/m", 1.0 / PINION_RADIUS_M**2),
     "N m/rad": ("N/m", 1.0 / PINION_RADIUS_M**2),
     "rad/s": ("m/s", PINION_RADIUS_M),
@@ -79,6 +79,7 @@ class Parameter:
         hidden: Range of values in blind campaigns; None: some scales away from nominal.
         prior: Prior standard deviation about nominal; None: weakly informative. A parameter with a prior may be missing
             in a model: it is nominal then.
+        of_link: Whether it is a property of the link, in one unit however its joint moves.
         joint: Joint of a scalar, counted from 0; None: the effect as a whole.
         arm: Arm that it belongs to; empty: all arms share it.
     """
@@ -99,6 +100,7 @@ class Parameter:
     far: tuple[float, ...] = ()
     hidden: tuple[float, float] | None = None
     prior: float | None = None
+    of_link: bool = False
     joint: int | None = None
     arm: str = ""
 
@@ -169,7 +171,7 @@ class Parameter:
 
     def _of(self, kind: JointType) -> Parameter:
         """The parameter in the units of a joint type."""
-        if kind == "revolute" or self.unit not in PRISMATIC_UNITS:
+        if kind == "revolute" or self.of_link or self.unit not in PRISMATIC_UNITS:
             return self
         unit, factor = PRISMATIC_UNITS[self.unit]
         return replace(self.times(factor), unit=unit)

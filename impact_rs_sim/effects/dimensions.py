@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dimensional analysis of formula effects: does a formula yield a torque or a force?
 
-A unit is a product of powers of kg, m and s (rad is a number). A number in a formula may carry an unwritten
+A unit is a product of powers of kg, m and s (rad is a number). A joint turns or slides; a formula is right if it is so
+for one of both. A number in a formula may carry an unwritten
 unit, ``tanh(dq2 / 0.02)`` for example, so a product with a number has an unknown unit. A formula is refused only if two
 known units disagree.
 """
@@ -9,14 +10,28 @@ known units disagree.
 from __future__ import annotations
 
 import ast
+from collections.abc import Iterator
 from fractions import Fraction
+from itertools import islice, product
 
-from impact_rs_sim.effects.formula import CONTACT_SYMBOLS, FUNCTIONS, JOINT_SYMBOL, LAG, SYMBOLS, FormulaSpec
+from impact_rs_sim.effects.formula import (
+    CONTACT_SYMBOLS,
+    FUNCTIONS,
+    JOINT_KEY,
+    JOINT_SYMBOL,
+    LAG,
+    SYMBOLS,
+    FormulaSpec,
+)
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.units import BASE, FORCE, NUMBER, TORQUE, Dimension, dimension_of, of, text_of, times
 
 Unit = Dimension | None  # None: not known
-JOINT_SYMBOL_UNITS = {"q": NUMBER, "dq": BASE["Hz"], "tau": TORQUE}  # of a revolute joint: rad, rad/s, N m
+JOINT_SYMBOL_UNITS = (
+    {"q": NUMBER, "dq": BASE["Hz"], "tau": TORQUE},  # of a revolute joint: rad, rad/s, N m
+    {"q": of(0, 1, 0), "dq": of(0, 1, -1), "tau": FORCE},  # of a prismatic joint: m, m/s, N
+)
+MAX_WAYS = 64  # in which six joints of a formula turn or slide
 UNIT_PRESERVING_FUNCTIONS = ("abs", "min", "max")  # functions that give what they are given
 
 
@@ -48,19 +63,44 @@ def check_units(spec: FormulaSpec) -> dict[str, str]:
                 continue
             formula_key = f"{table}.{key}".removesuffix(".")
             symbols = of_contact if table == "contact" else known
-            found = _unit(ast.parse(text.strip(), mode="eval").body, symbols, text)
-            if found is not None and found != wanted:
-                raise InputError(
-                    f"formula {text!r} gives {text_of(found)}, expected {text_of(wanted)}", key=formula_key
-                )
+            found = _fitting(text, formula_key, symbols, wanted)
             units[formula_key] = "" if found is None else text_of(found)
     return units
 
 
+def _fitting(text: str, key: str, symbols: dict[str, Dimension], wanted: Dimension) -> Unit:
+    """Unit of a formula, for the first types of its joints for which it is the wanted one."""
+    errors, tree = [], ast.parse(text.strip(), mode="eval").body
+    for known, expected in _ways(text, key, symbols, wanted):
+        try:
+            found = _unit(tree, known, text)
+        except InputError as error:
+            errors.append(error)
+            continue
+        if found is None or found == expected:
+            return found
+        errors.append(InputError(f"formula {text!r} gives {text_of(found)}, expected {text_of(expected)}", key=key))
+    raise errors[0]
+
+
+def _ways(
+    text: str, key: str, symbols: dict[str, Dimension], wanted: Dimension
+) -> Iterator[tuple[dict[str, Dimension], Dimension]]:
+    """Units of the symbols and of the formula, for each way in which the joints that it names may move."""
+    own = JOINT_KEY.fullmatch(key.partition(".")[2])
+    joints = list(dict.fromkeys(([own[1]] if own else []) + [found[2] for found in JOINT_SYMBOL.finditer(text)]))
+    for units in islice(product(JOINT_SYMBOL_UNITS, repeat=len(joints)), MAX_WAYS):
+        of_joints = {
+            f"{symbol}{joint}": unit
+            for joint, table in zip(joints, units, strict=True)
+            for symbol, unit in table.items()
+        }
+        yield symbols | of_joints, units[0]["tau"] if own else wanted
+
+
 def _unit(node: ast.AST, known: dict[str, Dimension], text: str) -> Unit:
     if isinstance(node, ast.Name):
-        joint = JOINT_SYMBOL.fullmatch(node.id)
-        return JOINT_SYMBOL_UNITS[joint[1]] if joint else known.get(node.id)
+        return known.get(node.id)
     if isinstance(node, ast.UnaryOp):
         return _unit(node.operand, known, text)
     if isinstance(node, ast.BinOp):

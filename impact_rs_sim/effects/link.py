@@ -247,7 +247,7 @@ LINK_INERTIA = LinkInertiaEffect(
     acts_on="link inertia",
     sentence="A link resists turning about its joint axis more or less than the model says.",
     parameters=(
-        Parameter("inertia", "kg m^2", 0.0, -1.0, 1.0, 0.02, "added moment about the joint axis", per_joint=True),
+        Parameter("inertia", "kg m^2", 0.0, -1.0, 1.0, 0.02, "added moment about the joint axis", True, of_link=True),
     ),
     law=_link_inertia,
     calibrates=True,

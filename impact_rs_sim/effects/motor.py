@@ -40,6 +40,7 @@ import numpy as np
 from impact_rs_sim.effects.base import SINGLE_IMPACT, ArmEffect, Parameter, Values, number
 from impact_rs_sim.effects.quantity_laws import Added, Multiplied
 from impact_rs_sim.physics import ArmPhysics, ShaftFriction
+from impact_rs_sim.robots.robot import PINION_RADIUS_M, travel_per_rad
 
 
 def _stribeck(arm: ArmPhysics, values: Values) -> ArmPhysics:
@@ -48,7 +49,7 @@ def _stribeck(arm: ArmPhysics, values: Values) -> ArmPhysics:
     friction = replace(
         arm.friction,
         stribeck=arm.friction.stribeck + values["breakaway"],
-        stribeck_velocity=np.full(arm.stiffness.size, number(values, "stribeck_velocity")),
+        stribeck_velocity=number(values, "stribeck_velocity") * travel_per_rad(arm.facts.joint_types),
     )
     return replace(arm, friction=friction)
 
@@ -102,7 +103,7 @@ STRIBECK_FRICTION = ArmEffect(
             0.01,
             0.5,
             0.02,
-            "speed at which the excess has fallen to 1/e",
+            f"speed at which the excess has fallen to 1/e; prismatic: behind a pinion of {PINION_RADIUS_M:g} m",
             shape=True,
             grid=(0.01, 0.02, 0.035, 0.05, 0.08, 0.12, 0.2, 0.35, 0.5),
             hidden=(0.03, 0.15),

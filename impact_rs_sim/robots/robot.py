@@ -66,6 +66,12 @@ UNITS: dict[JointType, JointUnits] = {
     "revolute": JointUnits("rad", "rad/s", "rad/s^2", "N m", "kg m^2", "N m/rad", "N m s/rad"),
     "prismatic": JointUnits("m", "m/s", "m/s^2", "N", "kg", "N/m", "N s/m"),
 }
+PINION_RADIUS_M = 0.05  # of a pinion that drives a prismatic joint; its ranges are those of a revolute one behind it
+
+
+def travel_per_rad(kinds: Iterable[JointType]) -> Array:
+    """Travel of joints that a revolute joint makes in 1 rad, with the pinion where they slide, ``(n,)`` [rad or m]."""
+    return np.array([1.0 if kind == "revolute" else PINION_RADIUS_M for kind in kinds])
 
 
 BASE = "base"  # name of the base where robot facts name links

@@ -253,7 +253,7 @@ def nominal_physics(mapping: Mapping, position: Array, model: RobotModel) -> Phy
         motor_inertia_reduced=inertia,
         stiffness=np.full(count, np.inf),
         damping=np.zeros(count),
-        friction=JointFriction.none(count),
+        friction=JointFriction.none(facts.joint_types),
         torque_offset=np.zeros(count),
         torque_gain=np.ones(count),
         actuation_delay=0.0,

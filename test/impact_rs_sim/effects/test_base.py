@@ -86,6 +86,9 @@ def test_joints_that_slide_have_newtons_and_ranges_of_a_pinion():
     (rail, _) = library()["joint_viscous_friction"].scalars(kinds)
     assert (rail.unit, rail.upper) == ("N s/m", pytest.approx(2000.0))
     assert [scalar.unit for scalar in library()["torque_gain"].scalars(kinds)] == ["-", "-"]
+    (drift, _) = library()["torque_sensor_drift"].scalars(kinds)
+    assert (drift.unit, drift.upper) == ("N/s", pytest.approx(0.1))
+    assert [scalar.unit for scalar in library()["link_inertia"].scalars(kinds)] == ["kg m^2", "kg m^2"]
     assert coulomb.scalars(2) == coulomb.scalars(("revolute",) * 2)
     facts = bench().arms["arm"].facts
     rails = facts.model_copy(update={"joints": tuple(j.model_copy(update={"type": "prismatic"}) for j in facts.joints)})

@@ -243,6 +243,15 @@ def test_a_torque_is_a_torque_however_its_unit_is_written(formula: str, unit: st
     assert check_units(with_unit(formula, unit)) == {"joint_torque.joint1": "N m"}
 
 
+@pytest.mark.parametrize(
+    ("formula", "unit", "effort"),
+    [("-c * dq1", "N s/m", "N"), ("c * q2 * dq1", "N s/m", "N"), ("-c * dq2", "N s", "N m")],
+)
+def test_a_joint_may_slide(formula: str, unit: str, effort: str) -> None:
+    """Kills rad/s and N m for every joint."""
+    assert check_units(with_unit(formula, unit)) == {"joint_torque.joint1": effort}
+
+
 def test_a_force_at_the_end_effector_is_a_force() -> None:
     assert check_units(with_unit("-c * vy", "N s/m", "end_effector_force", "y")) == {"end_effector_force.y": "N"}
 
@@ -251,7 +260,7 @@ def test_a_force_at_the_end_effector_is_a_force() -> None:
     ("formula", "unit", "expected"),
     [
         ("-c * dq1", "N m", "gives kg m^2 s^-3, expected N m"),
-        ("c", "N", "gives N, expected N m"),
+        ("c", "kg", "gives kg, expected N m"),
         ("c * sin(x)", "N m", "sin takes a number, got m"),
         ("c + dq1", "N m", "adds or compares N m and s^-1"),
         ("c * max(x, t)", "N", "adds or compares m and s"),

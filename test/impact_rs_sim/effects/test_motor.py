@@ -182,3 +182,15 @@ def test_an_arm_under_very_stiff_control_is_a_wall(scene: Scene) -> None:
         pad = (scene.models[name].jacobian(state.position) @ after[:7])[:3]
     assert jumps[0] > 0.01 and jumps[1] < 1e-4
     assert after[7:10] @ pad > 0.9 * pad @ pad
+
+
+def test_a_joint_that_slides_has_velocities_of_friction_behind_a_pinion():
+    """5 mrad/s and 0.1 rad/s behind a pinion of 50 mm are 0.25 mm/s and 5 mm/s. Kills rad/s as m/s."""
+    arm = bench().arms["arm"]
+    facts = arm.facts.model_copy(
+        update={"joints": tuple(joint.model_copy(update={"type": "prismatic"}) for joint in arm.facts.joints)}
+    )
+    assert JointFriction.none(facts.joint_types).smoothing == pytest.approx(0.005 * 0.05)
+    slide = replace(bench(), arms={"arm": replace(arm, facts=facts)})
+    sticky = switched_on(slide, "joint_stribeck_friction", breakaway_joint1=1.0, stribeck_velocity=0.1)
+    assert sticky.arms["arm"].friction.stribeck_velocity == pytest.approx(0.1 * 0.05)
