@@ -112,6 +112,7 @@ def import_urdf(
         InputError: The file is no URDF, has no such chain, or lacks a number that is needed.
     """
     tree = UrdfTree(file)
+    movable = list(_movable(tree).values())
     positions = _given_positions(tree, lock)
     notes = [*tree.notes, *_held_notes(tree, positions)]
     _hold(tree, positions)
@@ -119,7 +120,7 @@ def import_urdf(
     _hold(tree, still)
     chain = tree.chain(base, tip, floating)
     _check_inertials(tree, chain)
-    notes += [*_still_note(tree, still), *_recentred_inertias(tree, chain, inertia_at)]
+    notes += [*_still_note(tree, still), *_recentred_inertias(tree, chain, movable, inertia_at)]
     chain = tree.chain(base, tip, floating)
     moving = [joint for joint in chain.joints if tree.mimic(joint) is None]
     names = [joint.get("name", "") for joint in moving]
@@ -493,11 +494,17 @@ def _still_note(tree: UrdfTree, still: Mapping[str, float]) -> Iterable[str]:
         )
 
 
-def _recentred_inertias(tree: UrdfTree, chain: Chain, inertia_at: str) -> list[str]:
-    """Notes on moments that look as if they were about joints, which are moved to the centres of mass if asked for."""
+def _recentred_inertias(tree: UrdfTree, chain: Chain, movable: Iterable[Xml.Element], inertia_at: str) -> list[str]:
+    """Notes on moments that look as if they were about joints, which are moved to the centres of mass if asked for.
+
+    ``movable`` are the joints of the file that turn or slide, those that are held here as well.
+    """
     notes, suspects = [], []
-    length = sum(float(np.linalg.norm(_origin(tree, joint))) for joint in chain.joints)
-    for joint in chain.joints:
+    kept = {link.get("name") for link in Xml.fromstring(chain.urdf).findall("link")} - {chain.base}
+    joints = [joint for joint in movable if child_of(joint) in kept]
+    path = tree.path(chain.base, chain.tip)
+    length = sum(float(np.linalg.norm(_origin(tree, joint))) for joint in path if joint in joints)
+    for joint in joints:
         name = child_of(joint)
         inertial = tree.links[name].find("inertial")
         if inertial is None:

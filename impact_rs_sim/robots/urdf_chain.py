@@ -130,7 +130,7 @@ class UrdfTree:
         """
         start = self.root if base is None else self._link(base, "--base")
         end = self._only_tip(start) if tip is None else self._link(tip, "--tip")
-        path = self._path(start, end)
+        path = self.path(start, end)
         moved = path if floating else path[next((i for i, one in enumerate(path) if _moves(one)), len(path)) :]
         if not moved and not floating:
             self._fail(f"no joint moves between {start!r} and {end!r}; expected at least one that turns or slides")
@@ -154,6 +154,23 @@ class UrdfTree:
             dynamics=tuple(_name(joint) for joint in joints if _has_losses(joint)),
             urdf=self._pruned(start, kept),
         )
+
+    def path(self, base: str, tip: str) -> list[Xml.Element]:
+        """Joints from link ``base`` to link ``tip``, fixed ones as well.
+
+        Raises:
+            InputError: No chain of joints leads there.
+        """
+        path: list[Xml.Element] = []
+        link = tip
+        while link != base:
+            if link not in self.above:
+                self._fail(
+                    f"no chain leads from {base!r} to {tip!r}; expected a tip below the base in the tree of links"
+                )
+            path.insert(0, self.above[link])
+            link = self._end(self.above[link], "parent")
+        return path
 
     def mimic(self, joint: Xml.Element) -> tuple[str, float, float] | None:
         """The joint that a joint follows in the end, ratio and offset; None: it moves by itself.
@@ -248,18 +265,6 @@ class UrdfTree:
             yield link
         for joint in self.below[link]:
             yield from self._tips(child_of(joint), moves or joint.get("type") != "fixed")
-
-    def _path(self, base: str, tip: str) -> list[Xml.Element]:
-        path: list[Xml.Element] = []
-        link = tip
-        while link != base:
-            if link not in self.above:
-                self._fail(
-                    f"no chain leads from {base!r} to {tip!r}; expected a tip below the base in the tree of links"
-                )
-            path.insert(0, self.above[link])
-            link = self._end(self.above[link], "parent")
-        return path
 
     def _check(self, joint: Xml.Element) -> None:
         key = f"joint {_name(joint)}"

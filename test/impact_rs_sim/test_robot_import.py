@@ -532,6 +532,15 @@ def test_moments_about_the_joint_are_moved_to_the_centre_of_mass(tmp_path: Path)
     assert "Moments of inertia of fore were moved from the joint to the centre of mass (Steiner)." in moved.notes
 
 
+def test_moments_of_a_locked_link_are_moved_from_its_joint_as_well(tmp_path: Path) -> None:
+    """Kills the shift of moments after joints were locked: the forearm kept m l^2 / 3 about its end."""
+    true = import_urdf(pendulum(tmp_path, rod(2.0, 0.6, False)), lock=["elbow=0.4"])
+    moved = import_urdf(pendulum(tmp_path, rod(2.0, 0.6, True)), lock=["elbow=0.4"], inertia_at="joint")
+    np.testing.assert_allclose(true.facts.links[0].inertia, moved.facts.links[0].inertia, atol=1e-12)
+    suspected = import_urdf(pendulum(tmp_path, rod(2.0, 0.6, True)), lock=["elbow=0.4"]).notes
+    assert any("upper (1.33 m r^2), fore (1.33 m r^2)" in note for note in suspected)
+
+
 def test_a_slender_link_with_moments_about_its_joint_is_noticed() -> None:
     """A rod of 0.08 kg m^2 = m r^2 with 0.1 across and next to nothing along it; about its middle it has a third."""
     centre, axis = np.array([0.2, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
