@@ -7,6 +7,7 @@ other motions.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -66,10 +67,20 @@ def _values(path: Path, table: Columns, one: SignalCandidate, joints: Sequence[s
     """Numbers of one signal, in the order of the joints, ``(k, n)``."""
     pattern = one.source.get("column", "")
     names = one.source.get("columns") or [pattern.replace("{joint}", str(n + 1)) for n in range(len(joints))]
-    named = [[column for column in names if joint in column] for joint in joints]
-    if all(len(own) == 1 for own in named):
-        names = [own[0] for own in named]
+    named = {joint: column for column in names if (joint := _joint_of(column, joints)) is not None}
+    if named and len(named) < len(joints):
+        bare = ", ".join(joint for joint in joints if joint not in named)
+        expected = f"of columns {', '.join(names)} none is named after {bare}; name every column after its joint"
+        raise InputError(expected, file=path, key="--measured")
+    if named:
+        names = [named[joint] for joint in joints]
     try:
         return np.array([[float(cell) for cell in table.cells[name]] for name in names]).T
     except ValueError as error:
         raise InputError(f"column {one.label}: {error}", file=path, key="--measured") from None
+
+
+def _joint_of(column: str, joints: Sequence[str]) -> str | None:
+    """Longest name of a joint that is a whole word or several of ``column``: ``_`` parts words."""
+    found = [joint for joint in joints if re.search(rf"(?<![^\W_]){re.escape(joint)}(?![^\W_])", column)]
+    return max(found, key=len, default=None)

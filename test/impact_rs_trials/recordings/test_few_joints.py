@@ -12,6 +12,7 @@ from builders import mapping_in
 from joint_recordings import Columns, swinging, write_bag
 from measured_data import measured_data
 
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import RobotFacts, load_facts
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.recordings.importing.import_recordings import ImportOptions, draft_import
@@ -108,6 +109,20 @@ def test_limits_of_one_joint_are_taken_from_a_table(tmp_path: Path) -> None:
     limits = measured_limits(written("named", tmp_path, motion), ["hinge"])
     assert limits["hinge", "position"] == pytest.approx((motion["position"].min(), motion["position"].max()))
     assert limits["hinge", "velocity"] == pytest.approx((np.abs(motion["velocity"]).max(),))
+
+
+@pytest.mark.parametrize("names", [("shoulder_pan", "pan"), ("joint_10", "joint_1")])
+def test_limits_go_to_the_joint_whose_whole_name_the_column_has(tmp_path: Path, names: tuple[str, str]) -> None:
+    """Kills the search for a name within a name, after which the order of the columns decided."""
+    file = tmp_path / "log.csv"
+    heads = ["time", *(f"{quantity}_{name}" for quantity in ("position", "velocity") for name in names)]
+    rows = np.column_stack((TIME, *(size * np.sin(TIME) for size in (1.5, 0.1, 15.0, 1.3))))
+    np.savetxt(file, rows, delimiter=",", header=",".join(heads), comments="", fmt="%.15g")
+    limits = measured_limits(file, names[::-1])
+    assert limits[names[0], "velocity"] == pytest.approx((15.0,), rel=1e-3)
+    assert limits[names[1], "velocity"] == pytest.approx((1.3,), rel=1e-3)
+    with pytest.raises(InputError, match=f"position_{names[1]} none is named after elbow; name every column"):
+        measured_limits(file, [names[0], "elbow"])
 
 
 @pytest.mark.parametrize(
