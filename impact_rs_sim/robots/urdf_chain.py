@@ -2,8 +2,9 @@
 """Chain from base to tip of a URDF, with its side branches: moving joints, merged fixed links, and omitted links.
 
 A URDF is a tree of links. An arm is the path from its base to its tip, with the branches that hang on its moving links,
-and on a base that floats. Links fixed to others are merged into them; links beyond the tip are omitted: they are the
-end effector of a scenario. Joints stand in depth-first order, the path before side branches.
+and on a base that floats; of the branches on a fixed base, those in which a joint follows one of these (``mimic``).
+Links fixed to others are merged into them; links beyond the tip are omitted: they are the end effector of a scenario.
+Joints stand in depth-first order, the path before side branches.
 """
 
 from __future__ import annotations
@@ -138,6 +139,9 @@ class UrdfTree:
         if floating:
             carriers = [start, *carriers]
         beside = [joint for carrier in carriers for joint in self._side_branches(carrier, path)]
+        if not floating:
+            still = [start, *(child_of(joint) for joint in path[: -len(moved)])]
+            beside += self._following_branches(still, path, {_name(joint) for joint in (*moved, *beside)})
         kept = list(self._depth_first(start, [*path, *beside], path))
         joints = tuple(joint for joint in kept if _moves(joint))
         for joint in joints:
@@ -280,6 +284,15 @@ class UrdfTree:
             if joint not in path:
                 yield joint
                 yield from self._side_branches(child_of(joint), path)
+
+    def _following_branches(
+        self, links: list[str], path: list[Xml.Element], leaders: set[str]
+    ) -> Iterator[Xml.Element]:
+        """Joints of those side branches of ``links`` in which a joint follows one of ``leaders``."""
+        for joint in (one for link in links for one in self.below[link] if one not in path):
+            branch = [joint, *self._side_branches(child_of(joint), path)]
+            if any(_moves(one) and (self.mimic(one) or ("",))[0] in leaders for one in branch):
+                yield from branch
 
     def _depth_first(self, link: str, kept: list[Xml.Element], path: list[Xml.Element]) -> Iterator[Xml.Element]:
         """Joints below ``link`` branch by branch: first along the path, last those that follow another."""

@@ -219,6 +219,20 @@ def test_a_mast_follows_its_first_stage_through_the_others(tmp_path: Path) -> No
     np.testing.assert_allclose(model.mass_matrix(np.zeros(1)), [[2.0 * (1.0 + 9.0 + 16.0)]])  # speeds 1, 3 and 4
 
 
+def test_a_follower_on_the_fixed_base_moves_with_its_leader(tmp_path: Path) -> None:
+    """Kills the loss of joints on a fixed base: a gantry of two columns of 2 kg moves both, with a beam of 2 kg."""
+    follow = '<mimic joint="lift_1"/>'
+    joints = [MAST_STAGE.format(1, 0, ""), MAST_STAGE.format(2, 1, ""), MAST_STAGE.format(3, 0, follow)]
+    links = [TREE_URDF_LINK.format(number) for number in (1, 2, 3)]
+    text = f'<robot name="gantry"><link name="stage_0"/>{"".join(links + joints)}</robot>'
+    facts, names, _ = imported(tmp_path, text, tip="stage_2")
+    assert names == ("lift_1", "lift_2")
+    np.testing.assert_allclose(RobotModel(facts, weightless_pad()).mass_matrix(np.zeros(2)), [[6.0, 2.0], [2.0, 2.0]])
+    (tmp_path / "held").mkdir()
+    held, _, _ = imported(tmp_path / "held", text, tip="stage_2", lock=["lift_3=0"])
+    assert held.is_chain
+
+
 def test_a_locked_joint_holds_those_that_follow_it(tmp_path: Path) -> None:
     _, names, notes = imported(tmp_path, DUAL_ARM, tip="left_hand_pad", lock=["left_finger_1=0.05"])
     assert "Joint left_finger_1 is held at 0.05 m, as given." in notes
