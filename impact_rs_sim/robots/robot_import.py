@@ -218,7 +218,7 @@ def facts_text(robot: ImportedRobot, title: str) -> str:
         title: First comment line.
     """
     facts, limits = robot.facts, robot.facts.limits
-    slides = "prismatic" in facts.joint_types
+    slides, empty = "prismatic" in facts.joint_types, "" if facts.joints else " []"
     lines = [f"# {title}"]
     lines += [f"# {note}" for note in robot.notes]
     lines += [
@@ -230,7 +230,7 @@ def facts_text(robot: ImportedRobot, title: str) -> str:
         "#   robots.NAME.drive.friction               none, or identified with a section friction: in this file",
         f"source: {json.dumps(facts.source, ensure_ascii=False)}",
         "joint_torque_loop: false   # ASSUMED, a URDF does not say; true where joints have torque sensors",
-        "joints:   # origin of joint i in link i-1 [m], roll-pitch-yaw [rad]; every axis is +z",
+        f"joints:{empty}   # origin of joint i in link i-1 [m], roll-pitch-yaw [rad]; every axis is +z",
     ]
     names = iter(robot.joints)
     lines += [
@@ -244,7 +244,7 @@ def facts_text(robot: ImportedRobot, title: str) -> str:
         lines += [f"  - {{name: {_text(hand.name)}, {_flange_text(hand)}}}" for hand in facts.hands]
     lines.append("limits:")
     lines += [f"  {name}: {_row(getattr(limits, name))}" for name in Limits.model_fields]
-    lines.append("links:    # mass [kg], com [m], inertia [ixx, ixy, ixz, iyy, iyz, izz] [kg m^2]")
+    lines.append(f"links:{empty}    # mass [kg], com [m], inertia [ixx, ixy, ixz, iyy, iyz, izz] [kg m^2]")
     lines += [f"  - {_link_row(link)}" for link in facts.links]
     if facts.floating_base is not None:
         lines.append(f"floating_base: {{{_body_text(facts.floating_base)}}}")

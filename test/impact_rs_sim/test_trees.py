@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -57,6 +58,7 @@ from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.scene import ArmState, BodyState, Scene
 from impact_rs_sim.schema import validate
 from impact_rs_sim.twin import TwinJob, simulate
+from impact_rs_trials.recordings.importing.measured_limits import measured_limits
 from impact_rs_trials.scenario_draft import draft
 from impact_rs_workbench import prediction
 
@@ -522,6 +524,18 @@ def test_effects_of_links_move_those_that_follow_as_well(tmp_path: Path) -> None
     by_name = {link.name: value for link, value in zip(facts.links, ratio, strict=True)}
     assert {name for name, value in by_name.items() if value == 2.0} == {"left_finger_1_link", "left_finger_2_link"}
     assert sum(value != 1.0 for value in ratio) == 2
+
+
+def test_a_drone_and_a_floating_robot_whose_joints_are_locked_are_imported(tmp_path: Path) -> None:
+    """Kills ``joints:`` without rows in the written file, which YAML reads as null; a table has no limits of them."""
+    drone = f'<robot name="drone">{TREE_URDF_LINK.format(0)}</robot>'
+    shown = partial(measured_limits, tmp_path / "log.csv")
+    facts, names, _ = imported(tmp_path, drone, tip="stage_0", floating=True, measured=shown)
+    assert names == () and facts.floating_base is not None and facts.floating_base.mass == 2.0
+    (tmp_path / "locked").mkdir()
+    locked = drone.replace("</robot>", TREE_URDF_LINK.format(1) + MAST_STAGE.format(1, 0, "") + "</robot>")
+    facts, names, _ = imported(tmp_path / "locked", locked, tip="stage_1", floating=True, lock=["*=0"])
+    assert names == () and facts.floating_base is not None and facts.floating_base.mass == 4.0
 
 
 def test_a_scenario_of_a_floating_robot_needs_its_joints() -> None:

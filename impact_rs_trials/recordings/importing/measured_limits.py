@@ -35,6 +35,8 @@ def measured_limits(path: Path, joints: Sequence[str]) -> Limits:
     Raises:
         InputError: It is no table, has no such columns, or positions that are not in rad.
     """
+    if not joints:
+        return {}
     if path.suffix not in TABLE_SUFFIXES:
         expected = f"expected a table ({', '.join(TABLE_SUFFIXES)}) of positions, velocities and efforts of the joints"
         raise InputError(expected, file=path, key="--measured")
