@@ -91,7 +91,7 @@ Share3 = tuple[Share, Share, Share]
 class Mimic(Schema):
     """The joint that another one follows: ``q = ratio q_followed + offset``."""
 
-    joint: str = Field(description="name of that joint, which stands before it and follows no other")
+    joint: str = Field(description="name of that joint, which follows no other")
     ratio: float = Field(1.0, description="its motion per motion of that joint [-, m/rad or rad/m]")
     offset: float = Field(0.0, description="its position where that joint is at 0 [rad], prismatic [m]")
 
@@ -261,6 +261,7 @@ class RobotFacts(Schema):
             raise ValueError("joints is empty, expected at least one, or floating_base: the base moves")
         if len(self.links) != len(self.joints):
             raise ValueError(f"links has {len(self.links)} entries, expected one per joint ({len(self.joints)})")
+        leaders = [joint.name for joint in self.moving if joint.name]
         branch = [0]  # the links from the base to the last joint
         for number, (joint, parent) in enumerate(zip(self.joints, self.parents, strict=True), start=1):
             key = f"joints.{number - 1}"
@@ -270,10 +271,9 @@ class RobotFacts(Schema):
                     f"each to its end; before it: {self._names_of_links(number - 1)}"
                 )
             branch = [*branch[: branch.index(parent) + 1], number]
-            leaders = [one.name for one in self.joints[: number - 1] if one.mimic is None and one.name]
             if joint.mimic is not None and leaders.count(joint.mimic.joint) != 1:
                 raise ValueError(
-                    f"{key}.mimic.joint: {joint.mimic.joint!r} is no joint before it that moves by itself; there are: "
+                    f"{key}.mimic.joint: {joint.mimic.joint!r} is no joint that moves by itself; there are: "
                     f"{', '.join(leaders) or 'none with a name'}"
                 )
         if self.flange_link < 0:

@@ -36,7 +36,6 @@ from impact_rs_sim.robots.robot import (
     UNITS,
     Array,
     Flange,
-    Hand,
     Inertial,
     JointOrigin,
     JointType,
@@ -131,17 +130,18 @@ def import_urdf(
     rows = [_limits(tree, joint, given, shown, notes) for joint in moving]
     columns = [tuple(row[place] for row in rows) for place in range(len(Limits.model_fields))]
     of_base = meshes.get(int(floating), [])
-    facts = RobotFacts(
-        source=source or f"imported from {file.name}",
-        joints=tuple(joints),
-        flange=flange,
-        hands=tuple(Hand(name=name, **dict(other)) for name, other in zip(hands, others, strict=True)),
-        limits=Limits(**dict(zip(Limits.model_fields, columns, strict=True))),
-        links=tuple(links),
-        floating_base=_body(tree, model.inertias[1], np.eye(3), chain.base) if floating else None,
-        base_meshes=tuple(_mesh(one, np.eye(3)) for one in of_base),
-        joint_torque_loop=False,
-    )
+    content = {
+        "source": source or f"imported from {file.name}",
+        "joints": tuple(joints),
+        "flange": flange,
+        "hands": tuple({"name": name, **dict(other)} for name, other in zip(hands, others, strict=True)),
+        "limits": dict(zip(Limits.model_fields, columns, strict=True)),
+        "links": tuple(links),
+        "floating_base": _body(tree, model.inertias[1], np.eye(3), chain.base) if floating else None,
+        "base_meshes": tuple(_mesh(one, np.eye(3)) for one in of_base),
+        "joint_torque_loop": False,
+    }
+    facts = validate(RobotFacts, content, file)
     return ImportedRobot(facts, tuple(names), (*_notes(chain), *notes, *_missing_meshes(facts), NOT_IN_URDF_NOTE))
 
 

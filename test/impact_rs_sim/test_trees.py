@@ -280,7 +280,7 @@ def changed(facts: RobotFacts, **keys: Any) -> dict[str, Any]:
         ({"joints__4__parent": "left_hand"}, "joints.4.parent"),  # right_2 after right_1, which closed that branch
         ({"flange__link": "nowhere"}, "flange.link: 'nowhere'"),
         ({"flange__link": "base"}, "flange.link: the base is fixed"),
-        ({"joints__1__mimic": {"joint": "right_2"}}, "joints.1.mimic.joint: 'right_2' is no joint before it"),
+        ({"joints__1__mimic": {"joint": "right_9"}}, "joints.1.mimic.joint: 'right_9' is no joint that moves"),
         ({"joints": [], "links": []}, "joints is empty, expected at least one, or floating_base"),
     ],
 )
@@ -524,6 +524,22 @@ def test_effects_of_links_move_those_that_follow_as_well(tmp_path: Path) -> None
     by_name = {link.name: value for link, value in zip(facts.links, ratio, strict=True)}
     assert {name for name, value in by_name.items() if value == 2.0} == {"left_finger_1_link", "left_finger_2_link"}
     assert sum(value != 1.0 for value in ratio) == 2
+
+
+def test_a_tip_that_follows_a_joint_beside_the_path_is_imported(tmp_path: Path) -> None:
+    """Kills the rule that a joint stands behind the one it follows: fingers of 2 kg on a lift of 2 kg."""
+    stages = [TREE_URDF_LINK.format(number) for number in (0, 1, 2, 3)]
+    joints = [MAST_STAGE.format(1, 0, ""), MAST_STAGE.format(2, 1, '<mimic joint="lift_3"/>')]
+    text = f'<robot name="lift">{"".join([*stages, *joints, MAST_STAGE.format(3, 1, "")])}</robot>'
+    facts, names, _ = imported(tmp_path, text, tip="stage_2", move=["lift_3"])
+    assert names == ("lift_1", "lift_3")
+    np.testing.assert_allclose(RobotModel(facts, weightless_pad()).mass_matrix(np.zeros(2)), [[6.0, 4.0], [4.0, 4.0]])
+
+
+def test_a_hand_named_twice_is_refused_in_one_line(tmp_path: Path) -> None:
+    """Kills facts that are built unchecked: the exception of the schema came through."""
+    with pytest.raises(InputError, match=r"robot.urdf: hands.1.name: another hand is called 'right_hand'"):
+        imported(tmp_path, DUAL_ARM, tip="left_hand_pad", move=["right_*"], hands=["right_hand", "right_hand"])
 
 
 def test_a_drone_and_a_floating_robot_whose_joints_are_locked_are_imported(tmp_path: Path) -> None:

@@ -49,8 +49,8 @@ def measured_limits(path: Path, joints: Sequence[str]) -> Limits:
         if quantity is None or one.width != len(joints) or (joints[0], quantity) in found:
             continue
         for joint, values in zip(joints, _values(path, table, one, joints).T, strict=True):
-            most = (float(np.abs(values).max()),)
-            found[joint, quantity] = (float(values.min()), float(values.max())) if quantity == "position" else most
+            low, high = float(np.nanmin(values)), float(np.nanmax(values))
+            found[joint, quantity] = (low, high) if quantity == "position" else (max(-low, high),)
     if not found:
         raise InputError(
             f"no {len(joints)} columns of positions, velocities or efforts; name them after the joints or number them: "
@@ -66,7 +66,7 @@ def measured_limits(path: Path, joints: Sequence[str]) -> Limits:
 
 
 def _values(path: Path, table: Columns, one: SignalCandidate, joints: Sequence[str]) -> Array:
-    """Numbers of one signal, in the order of the joints, ``(k, n)``."""
+    """Numbers of one signal, in the order of the joints, ``(k, n)``; nan where the table has no finite one."""
     pattern = one.source.get("column", "")
     names = one.source.get("columns") or [pattern.replace("{joint}", str(n + 1)) for n in range(len(joints))]
     named = {joint: column for column in names if (joint := _joint_of(column, joints)) is not None}
@@ -77,9 +77,13 @@ def _values(path: Path, table: Columns, one: SignalCandidate, joints: Sequence[s
     if named:
         names = [named[joint] for joint in joints]
     try:
-        return np.array([[float(cell) for cell in table.cells[name]] for name in names]).T
+        values = np.array([[float(cell) for cell in table.cells[name]] for name in names]).T
     except ValueError as error:
         raise InputError(f"column {one.label}: {error}", file=path, key="--measured") from None
+    values[~np.isfinite(values)] = np.nan
+    if np.isnan(values).all(axis=0).any():
+        raise InputError(f"column {one.label}: expected a finite number in it", file=path, key="--measured")
+    return values
 
 
 def _joint_of(column: str, joints: Sequence[str]) -> str | None:

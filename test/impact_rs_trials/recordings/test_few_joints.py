@@ -111,6 +111,14 @@ def test_limits_of_one_joint_are_taken_from_a_table(tmp_path: Path) -> None:
     assert limits["hinge", "velocity"] == pytest.approx((np.abs(motion["velocity"]).max(),))
 
 
+def test_limits_are_taken_from_a_table_with_gaps(tmp_path: Path) -> None:
+    """Kills ends of nan: one sample that is missing made a limit nan."""
+    rows = "0,0.1,-2.0\n0.01,nan,1.5\n0.02,-0.3,inf\n"
+    (tmp_path / "log.csv").write_text(f"time,position,velocity\n{rows}", encoding="utf-8")
+    limits = measured_limits(tmp_path / "log.csv", ["hinge"])
+    assert limits["hinge", "position"] == (-0.3, 0.1) and limits["hinge", "velocity"] == (2.0,)
+
+
 @pytest.mark.parametrize("names", [("shoulder_pan", "pan"), ("joint_10", "joint_1")])
 def test_limits_go_to_the_joint_whose_whole_name_the_column_has(tmp_path: Path, names: tuple[str, str]) -> None:
     """Kills the search for a name within a name, after which the order of the columns decided."""
