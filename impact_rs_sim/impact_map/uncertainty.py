@@ -7,9 +7,10 @@ With independent uncertainties of the standard deviations sigma_k and the Jacobi
     var(u^+_i) = sum_k (J_ik sigma_k)^2,       interval u^+_i -+ 1.96 sqrt(var),      budget (J_ik sigma_k)^2 / var
 
 Draws from the stated uncertainties check the linearisation. Where more than ``SWITCHES`` of them end in other contact
-states (or other contact points), the interval is taken from the draws, and the budget is the variance when one source
-alone is drawn, over the sum of these. Where most draws end in another contact state than the prediction, their
-quantiles can leave the prediction out; the interval is then extended to it, and ``switches`` says what else happens.
+states (or other contact points), or leave the range of a parameter (restitution below 0) and are moved to its end, the
+interval is taken from the draws, and the budget is the variance when one source alone is drawn, over the sum of these.
+Where most draws end in another contact state than the prediction, their quantiles can leave the prediction out; the
+interval is then extended to it, and ``switches`` says what else happens.
 
 In the draws a pad that touches in the prediction comes on until it touches: an impact comes later or sooner, but it
 comes. A pad that touches nothing in the prediction stays where the draw puts it.
@@ -37,7 +38,8 @@ from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.rotations import AXES
 from impact_rs_sim.scenarios.scenario import Uncertainties
 
-SWITCHES = 0.02  # share of draws in other contact states from which the linear interval is not taken
+# Share of draws in other contact states, or beyond the range of a parameter, from which the interval is not linear [-]
+SWITCHES = 0.02
 SEED = 0  # of the draws
 DRAWS = 200  # the ends of an interval scatter by about a tenth of its width
 HITS = ("hits the object", "does not hit the object")
@@ -211,7 +213,8 @@ def predict(
         for source in sources
     }
     variances = {name: np.sum(np.square(rows.reshape(-1, nominal.size)), axis=0) for name, rows in parts.items()}
-    method = "linear" if found.smooth and switched <= SWITCHES else "monte_carlo"
+    smooth = found.smooth and max(switched, _share_beyond(problem, sources, draws)) <= SWITCHES
+    method = "linear" if smooth else "monte_carlo"
     if method == "linear":
         deviation = np.sqrt(np.sum(list(variances.values()), axis=0))
         low, high = nominal - NORMAL_95 * deviation, nominal + NORMAL_95 * deviation
@@ -323,6 +326,13 @@ def _sample(
         sample.append(velocities)
         found.append(there)
     return np.array(sample), found, count - len(sample)
+
+
+def _share_beyond(problem: ImpactProblem, sources: Sequence[UncertaintySource], count: int) -> float:
+    """Share of the draws of :func:`predict` that leave the range of a parameter [-]."""
+    rng = np.random.default_rng(SEED)
+    drawn = [draw(sources, rng) for _ in range(count)]
+    return float(np.mean([possible(problem, amounts) != amounts for amounts in drawn]))
 
 
 def _check_answered(sample: Array, lost: int) -> None:

@@ -62,6 +62,15 @@ def test_no_draw_of_an_assumed_motor_inertia_is_a_joint_without_motor() -> None:
     assert least == pytest.approx(0.1) and most > 3.0
 
 
+def test_a_restitution_below_zero_is_in_no_interval() -> None:
+    """Kills linear propagation across the end of a range: restitution of 0 and more makes the object faster only."""
+    told = predict(PROBLEM, Uncertainties(**NONE | {"restitution": 0.2}), MODELS, draws=24)
+    assert (told.method, told.switched) == ("monte_carlo", 0.0)
+    index = told.names.index("object.velocity.y")
+    slow, fast = sorted((abs(told.low[index]), abs(told.high[index])))
+    assert slow == pytest.approx(abs(told.nominal[index]), rel=1e-6) and fast > 1.1 * slow
+
+
 def test_draws_of_a_smooth_problem_scatter_as_linear_propagation_says() -> None:
     stated = Uncertainties(**NONE | {"object_mass": 0.02, "motor_inertia": 0.1, "link_inertia": 0.05})
     told = predict(PROBLEM, stated, MODELS, draws=8)
