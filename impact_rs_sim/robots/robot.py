@@ -422,7 +422,8 @@ class RobotFacts(Schema):
             raise InputError(
                 f"{what} takes serial arms on a fixed base, and the facts of this robot ({self.source}) have "
                 "parent, mimic, hands or floating_base; impact-rs map and tables of impacts take it, and impact-rs "
-                "robot import makes a serial arm of it without --move, --hand and --floating",
+                "robot import makes a serial arm of it without --move, --hand and --floating, and with --lock "
+                "JOINT=PLACE of every joint that follows another",
                 key=key,
                 file=file,
             )

@@ -542,6 +542,15 @@ def test_a_hand_named_twice_is_refused_in_one_line(tmp_path: Path) -> None:
         imported(tmp_path, DUAL_ARM, tip="left_hand_pad", move=["right_*"], hands=["right_hand", "right_hand"])
 
 
+def test_a_chain_with_a_follower_is_said_to_need_a_lock(tmp_path: Path) -> None:
+    """Kills a remedy that changes nothing: without --move, --hand and --floating it was imported already."""
+    stages = [TREE_URDF_LINK.format(number) for number in (0, 1, 2)]
+    joints = [MAST_STAGE.format(1, 0, ""), MAST_STAGE.format(2, 1, '<mimic joint="lift_1"/>')]
+    facts, _, _ = imported(tmp_path, f'<robot name="mast">{"".join([*stages, *joints])}</robot>')
+    with pytest.raises(InputError, match="with --lock JOINT=PLACE of every joint that follows"):
+        facts.check_chain("the plant", "robots.arm.model")
+
+
 def test_a_drone_and_a_floating_robot_whose_joints_are_locked_are_imported(tmp_path: Path) -> None:
     """Kills ``joints:`` without rows in the written file, which YAML reads as null; a table has no limits of them."""
     drone = f'<robot name="drone">{TREE_URDF_LINK.format(0)}</robot>'
