@@ -58,6 +58,7 @@ NOT_IN_URDF_NOTE = (
 )
 # Over the largest moment [-]; rounding of a URDF puts a principal moment of a flat body below 0
 NEGATIVE_MOMENT_TOLERANCE = 1e-6
+FREE_FLYER = "free flyer of the base"  # Pinocchio's own name, root_joint, may be one of the file's joints
 _FoundMesh = tuple[str, pin.SE3, list[float]]  # address, placement at the joint and scale
 INERTIA_ATTRIBUTES = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
@@ -148,7 +149,7 @@ def import_urdf(
 def _model(chain: Chain, floating: bool) -> pin.Model:
     """The kept part of the URDF, whose joints all move by themselves."""
     try:
-        return pin.buildModelFromXML(chain.urdf, *([pin.JointModelFreeFlyer()] if floating else []))
+        return pin.buildModelFromXML(chain.urdf, *([pin.JointModelFreeFlyer(), FREE_FLYER] if floating else []))
     except ValueError as error:
         raise InputError(f"Pinocchio does not read it: {error}", file=chain.file) from None
 

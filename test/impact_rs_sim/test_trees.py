@@ -551,6 +551,15 @@ def test_a_chain_with_a_follower_is_said_to_need_a_lock(tmp_path: Path) -> None:
         facts.check_chain("the plant", "robots.arm.model")
 
 
+def test_a_joint_called_as_pinocchios_free_flyer_is_a_joint_of_the_file(tmp_path: Path) -> None:
+    """Kills the search of joints by name: base and first link changed places."""
+    links = [TREE_URDF_LINK.format(number) for number in (0, 1, 2)]
+    joints = [MAST_STAGE.format(1, 0, "").replace("lift_1", "root_joint"), MAST_STAGE.format(2, 1, "")]
+    facts, _, _ = imported(tmp_path, f'<robot name="mast">{"".join([*links, *joints])}</robot>', floating=True)
+    mass = RobotModel(facts, weightless_pad()).mass_matrix(np.array([0, 0, 0, 0, 0, 0, 1.0, 0, 0]))
+    assert mass[2, 2] == pytest.approx(6.0) and mass[2, 6] == pytest.approx(4.0)
+
+
 def test_a_drone_and_a_floating_robot_whose_joints_are_locked_are_imported(tmp_path: Path) -> None:
     """Kills ``joints:`` without rows in the written file, which YAML reads as null; a table has no limits of them."""
     drone = f'<robot name="drone">{TREE_URDF_LINK.format(0)}</robot>'
