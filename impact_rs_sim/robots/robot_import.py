@@ -128,8 +128,9 @@ def import_urdf(
     model = _model(chain, floating)
     meshes = _meshes(tree, chain, model, packages, notes)
     joints, links, (flange, *others) = _bodies(tree, chain, model, meshes, hands)
-    rows = [_limits(tree, joint, given, shown, notes) for joint in moving]
-    columns = [tuple(row[place] for row in rows) for place in range(len(Limits.model_fields))]
+    rows = {joint.get("name", ""): _limits(tree, joint, given, shown, notes) for joint in moving}
+    notes += _narrowed(tree, chain.joints, rows, given)
+    columns = [tuple(row[place] for row in rows.values()) for place in range(len(Limits.model_fields))]
     of_base = meshes.get(int(floating), [])
     content = {
         "source": source or f"imported from {file.name}",
@@ -411,6 +412,35 @@ def _limits(
             raise InputError(said, file=tree.file, key=f"{key} {quantity}")
         most.append(value)
     return lower, upper, most[0], most[1]
+
+
+def _narrowed(
+    tree: UrdfTree,
+    joints: Iterable[Xml.Element],
+    rows: dict[str, tuple[float, float, float, float]],
+    given: GivenLimits,
+) -> Iterable[str]:
+    """Notes on position and velocity limits in ``rows`` that joints which follow narrow; given limits stay."""
+    for joint in joints:
+        limit, mimic, name = joint.find("limit"), tree.mimic(joint), joint.get("name", "")
+        if limit is None or mimic is None or mimic[1] == 0.0:
+            continue
+        leader, ratio, offset = mimic
+        lower, upper, fastest, effort = rows[leader]
+        own = [
+            tree.numbers(limit, key, 1, "0", f"joint {name}: limit {key}")[0] for key in ("lower", "upper", "velocity")
+        ]
+        low, high = sorted((end - offset) / ratio for end in own[:2])
+        if own[0] < own[1] and joint.get("type") != "continuous" and (leader, "position") not in given:
+            if max(lower, low) < min(upper, high):
+                lower, upper = max(lower, low), min(upper, high)
+            else:
+                yield f"Position limits of joint {name} are left out: {leader}, which it follows, is never in them."
+        if own[2] > 0.0 and (leader, "velocity") not in given:
+            fastest = min(fastest, own[2] / abs(ratio))
+        if (lower, upper, fastest, effort) != rows[leader]:
+            yield f"Limits of joint {leader} are narrower than in the URDF: those of {name}, which follows it, count."
+        rows[leader] = lower, upper, fastest, effort
 
 
 def _movable(tree: UrdfTree) -> dict[str, Xml.Element]:

@@ -560,6 +560,29 @@ def test_a_joint_called_as_pinocchios_free_flyer_is_a_joint_of_the_file(tmp_path
     assert mass[2, 2] == pytest.approx(6.0) and mass[2, 6] == pytest.approx(4.0)
 
 
+def test_limits_of_a_follower_narrow_those_of_its_leader(tmp_path: Path) -> None:
+    """Kills followers beyond their hard stops: q_2 = -2 q_1 + 0.2 within -1 ... 1 m, at most 2 m/s."""
+    stages = [TREE_URDF_LINK.format(number) for number in (0, 1, 2)]
+    joints = [
+        MAST_STAGE.format(1, 0, ""),
+        MAST_STAGE.format(2, 1, '<mimic joint="lift_1" multiplier="-2" offset="0.2"/>'),
+    ]
+    text = f'<robot name="mast">{"".join([*stages, *joints])}</robot>'
+    facts, _, notes = imported(tmp_path, text)
+    limits = facts.limits
+    found = (*limits.position_min_rad, *limits.position_max_rad, *limits.velocity_rad_s, *limits.torque_Nm)
+    assert found == pytest.approx((-0.4, 0.6, 1.0, 50.0))
+    assert any("Limits of joint lift_1 are narrower than in the URDF: those of lift_2" in note for note in notes)
+    apart = text.replace('offset="0.2"', 'offset="9"')
+    (tmp_path / "apart").mkdir()
+    facts, _, notes = imported(tmp_path / "apart", apart)
+    assert facts.limits.position_max_rad == (1.0,)
+    assert any("Position limits of joint lift_2 are left out: lift_1" in note for note in notes)
+    (tmp_path / "given").mkdir()
+    facts, _, _ = imported(tmp_path / "given", text, limits=["lift_1.position=-1:1"])
+    assert facts.limits.position_max_rad == (1.0,)
+
+
 def test_a_drone_and_a_floating_robot_whose_joints_are_locked_are_imported(tmp_path: Path) -> None:
     """Kills ``joints:`` without rows in the written file, which YAML reads as null; a table has no limits of them."""
     drone = f'<robot name="drone">{TREE_URDF_LINK.format(0)}</robot>'
