@@ -452,8 +452,17 @@ def _given_positions(tree: UrdfTree, lock: Sequence[str]) -> dict[str, float]:
     """Positions of joints that the user locks, and of those that follow them [rad, m]."""
     movable = _movable(tree)
     given = locked_joints(lock, list(movable), tree.file)
+    for name, position in given.items():
+        low, high = _range(tree, movable[name])
+        if not low <= position <= high:
+            unit = UNITS[_type(movable[name])].position
+            raise InputError(
+                f"joint {name} is held at {position:g} {unit}, expected {low:g} to {high:g} {unit}, its limits",
+                file=tree.file,
+                key="--lock",
+            )
     for name, joint in movable.items():
-        if name not in given and (mimic := tree.mimic(joint)) is not None and mimic[0] in given:
+        if (mimic := tree.mimic(joint, given)) is not None and mimic[0] in given:
             given[name] = mimic[1] * given[mimic[0]] + mimic[2]
     return given
 
@@ -485,11 +494,17 @@ def _still_joints(tree: UrdfTree, chain: Chain, move: Sequence[str], given: Mapp
 def _rest(tree: UrdfTree, name: str) -> float:
     """Position of a joint nearest to 0 within its limits [rad, m]."""
     joint = _movable(tree).get(name)
-    limit = None if joint is None or joint.get("type") == "continuous" else joint.find("limit")
-    if limit is None:
-        return 0.0
-    (lower,), (upper,) = (tree.numbers(limit, end, 1, "0", f"joint {name}: limit {end}") for end in ("lower", "upper"))
-    return min(max(0.0, lower), upper) if lower < upper else 0.0
+    low, high = (0.0, 0.0) if joint is None else _range(tree, joint)
+    return min(max(0.0, low), high)
+
+
+def _range(tree: UrdfTree, joint: Xml.Element) -> tuple[float, float]:
+    """Position limits of a joint [rad, m]; infinite without any."""
+    limit, key = joint.find("limit"), f"joint {joint.get('name')}: limit"
+    if joint.get("type") == "continuous":
+        limit = None
+    (low,), (high,) = (tree.numbers(limit, end, 1, "0", f"{key} {end}") for end in ("lower", "upper"))
+    return (low, high) if low < high else (-math.inf, math.inf)
 
 
 def _hold(tree: UrdfTree, positions: Mapping[str, float]) -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import copy
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
@@ -176,15 +176,19 @@ class UrdfTree:
             link = self._end(self.above[link], "parent")
         return path
 
-    def mimic(self, joint: Xml.Element) -> tuple[str, float, float] | None:
+    def mimic(self, joint: Xml.Element, held: Container[str] = ()) -> tuple[str, float, float] | None:
         """The joint that a joint follows in the end, ratio and offset; None: it moves by itself.
+
+        Args:
+            joint: The joint.
+            held: Names of joints that follow no other, whatever the file says.
 
         Raises:
             InputError: It follows a joint that is not there, or joints follow each other.
         """
         ratio, offset, name, passed = 1.0, 0.0, _name(joint), [_name(joint)]
         joints = {_name(one): one for one in self.above.values()}
-        while (element := joints[name].find("mimic")) is not None:
+        while name not in held and (element := joints[name].find("mimic")) is not None:
             key = f"joint {passed[0]}: mimic"
             (own,) = self.numbers(element, "multiplier", 1, "1", f"{key} multiplier")
             (shift,) = self.numbers(element, "offset", 1, "0", f"{key} offset")

@@ -77,7 +77,7 @@ def locked_joints(texts: Sequence[str], joints: Sequence[str], file: Path) -> di
     """Positions of locked joints by joint [rad or m].
 
     Args:
-        texts: ``head_1=0.2``, ``head_*=0``; ``*`` matches any text, and a joint by its name goes first.
+        texts: ``head_1=0.2``, ``head_*=0``; ``*`` matches any text. A joint by its name goes first, then the last text.
         joints: Names of the joints that move.
         file: The URDF, for messages.
 
@@ -85,7 +85,7 @@ def locked_joints(texts: Sequence[str], joints: Sequence[str], file: Path) -> di
         InputError: A text says something else, or no joint is called so.
     """
     found: dict[str, float] = {}
-    for text in sorted(texts, key=lambda text: ALL_JOINTS in text):
+    for text in sorted(texts, key=lambda text: text.rpartition("=")[0] in joints):
         name, _, value = text.rpartition("=")
         try:
             position = decimal(value)
@@ -93,11 +93,11 @@ def locked_joints(texts: Sequence[str], joints: Sequence[str], file: Path) -> di
             position = math.nan
         if not name or not math.isfinite(position):
             raise InputError("expected JOINT=PLACE, a number in rad or m; * matches any text", key="--lock", value=text)
-        matching = fnmatch.filter(joints, name)
+        matching = [name] if name in joints else fnmatch.filter(joints, name)
         if not matching:
             near = did_you_mean(name, joints)
             raise InputError(f"no joint {name!r} moves{near}; it has: {', '.join(joints)}", file=file, key="--lock")
-        found = dict.fromkeys(matching, position) | found
+        found |= dict.fromkeys(matching, position)
     return found
 
 

@@ -242,6 +242,23 @@ def test_a_locked_joint_holds_those_that_follow_it(tmp_path: Path) -> None:
     assert not any("left_finger" in name for name in names)
 
 
+def test_a_lock_is_a_name_before_a_pattern_the_last_of_two_and_within_the_limits(tmp_path: Path) -> None:
+    """Kills names with brackets as patterns, the first of two places, 57 rad for degrees, leaders of held joints."""
+    stages = [TREE_URDF_LINK.format(number) for number in (0, 1, 2, 3)]
+    follow = '<mimic joint="lift[{}]" multiplier="2"/>'
+    joints = [
+        MAST_STAGE.format(number, number - 1, mimic).replace(f"lift_{number}", f"lift[{number}]")
+        for number, mimic in ((1, ""), (2, follow.format(1)), (3, follow.format(2)))
+    ]
+    text = f'<robot name="mast">{"".join(stages + joints)}</robot>'
+    _, names, notes = imported(tmp_path, text, lock=["lift[2]=0.9", "lift[2]=0.2"])
+    assert names == ("lift[1]",)
+    held = {"Joint lift[2] is held at 0.2 m, as given.", "Joint lift[3] is held at 0.4 m, as given."}
+    assert held <= set(notes)
+    with pytest.raises(InputError, match=r"joint lift\[2\] is held at 57 m, expected -1 to 1 m"):
+        imported(tmp_path, text, lock=["lift[2]=57"])
+
+
 TREE_URDF_LINK = (
     '<link name="stage_{0}"><inertial><mass value="2"/>'
     '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/></inertial></link>'
