@@ -21,6 +21,7 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -309,12 +310,14 @@ def save_facts(robot: ImportedRobot, title: str, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         unfinished.write_text(text, encoding="utf-8")
         os.link(unfinished, path)  # whole or not at all, and never over another file
-    except FileExistsError:
-        raise InputError("this file exists already; robot facts are never overwritten", file=path) from None
     except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror}", file=path) from None
+        if path.exists():
+            raise InputError("this file exists already; robot facts are never overwritten", file=path) from None
+        reason = error.strerror if path.parent.is_dir() else f"{path.parent} is no folder ({error.strerror})"
+        raise InputError(f"cannot be written: {reason}", file=path) from None
     finally:
-        unfinished.unlink(missing_ok=True)
+        with suppress(OSError):  # it may not be there
+            unfinished.unlink()
 
 
 def _check_inertials(tree: UrdfTree, chain: Chain) -> None:

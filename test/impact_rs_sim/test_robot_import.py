@@ -391,6 +391,13 @@ def test_facts_are_never_overwritten_and_never_half_written(tmp_path: Path) -> N
     assert sorted(path.name for path in tmp_path.iterdir()) == ["arm.urdf", "arm.yaml"]
 
 
+def test_a_folder_that_is_a_file_is_named_and_no_temporary_file(tmp_path: Path) -> None:
+    """Kills the removal of a file that was never made, whose error hid the reason."""
+    (tmp_path / "folder").write_text("a file", encoding="utf-8")
+    with pytest.raises(InputError, match=r"folder/arm.yaml: cannot be written: \S*/folder is no folder"):
+        save_facts(import_urdf(write(tmp_path, *ARM)), "An arm.", tmp_path / "folder" / "arm.yaml")
+
+
 @settings(max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(2, 5))
 def test_meshes_are_described_where_the_urdf_has_them(
