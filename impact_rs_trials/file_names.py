@@ -9,6 +9,7 @@ BAG_METADATA = "metadata.yaml"  # of a rosbag2 bag; written last
 EXPERIMENT_FILE = "experiment.yaml"  # describes the runs of a laboratory
 EXPERIMENT_FILES = (EXPERIMENT_FILE, "experiment.yml")
 MAPPING_FILE = "mapping.yaml"  # signals of a recording
+SENSITIVITY = "sensitivity"  # folder of campaigns with one setting varied
 RUN_TABLE = "runs.csv"  # of a laboratory; no recording
 
 

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, TextIO
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
-from impact_rs_trials.file_names import BAG_METADATA
+from impact_rs_trials.file_names import BAG_METADATA, SENSITIVITY
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
@@ -69,12 +69,16 @@ def trials_in(folder: Path) -> list[Path]:
 def trials_below(folder: Path) -> list[Path]:
     """Trials at any depth below a folder, also damaged ones: folders with files of a bag.
 
-    Hidden ones are half-written.
+    Hidden ones are half-written. Trials with a varied setting are left out: they are no repeats of those they are
+    compared with.
 
     Raises:
         InputError: There is no such folder.
     """
-    return sorted(folder / name for name in Folder(folder).stamps())
+    found = Folder(folder)
+    return sorted(
+        folder / name for name in found.stamps() if not Path(found.path.name, name).match(f"{SENSITIVITY}/*_x*/*")
+    )
 
 
 def _is_of_bag(name: str) -> bool:

@@ -16,9 +16,8 @@ from typing import Any
 
 from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.campaign import Manifest
+from impact_rs_trials.file_names import SENSITIVITY
 from impact_rs_trials.store import Folder, Store
-
-FOLDER = "sensitivity"
 
 
 @dataclass(frozen=True)
@@ -84,16 +83,16 @@ def sensitivity_manifests(manifest: Manifest) -> dict[tuple[str, float], Manifes
 
 def folder_name(setting: str, factor: float) -> str:
     """Folder of a varied campaign inside the campaign that it is held against."""
-    return f"{FOLDER}/{setting}_x{factor:g}"
+    return f"{SENSITIVITY}/{setting}_x{factor:g}"
 
 
 def varied_folders(directory: Path) -> dict[tuple[str, float], str]:
     """Paths of the varied campaigns in the folder of a campaign, by setting and factor."""
     found = {}
-    for path in sorted((directory / FOLDER).glob("*_x*")):
+    for path in sorted((directory / SENSITIVITY).glob("*_x*")):
         setting, _, factor = path.name.rpartition("_x")
         with suppress(ValueError):
-            found[setting, float(factor)] = f"{FOLDER}/{path.name}"
+            found[setting, float(factor)] = f"{SENSITIVITY}/{path.name}"
     return found
 
 

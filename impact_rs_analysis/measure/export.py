@@ -25,7 +25,7 @@ from impact_rs_sim.version import package_version
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag, reason_of
 from impact_rs_trials.bags.trial_info import TrialInfo
-from impact_rs_trials.store import trials_below
+from impact_rs_trials.store import Folder
 from impact_rs_trials.workers import Map
 
 PACKAGE_BY_SUFFIX = {".parquet": "pyarrow", ".h5": "h5py", ".hdf5": "h5py"}
@@ -88,7 +88,7 @@ def export(directory: Path, path: Path, map_tasks: Map, progress: Callable[[int,
         InputError: As :func:`check_target`, no readable trial in the folder, or a file that cannot be written.
     """
     check_target(path)
-    bags = trials_below(directory)
+    bags = sorted(directory / name for name in Folder(directory).stamps())
     trials, skipped = 0, []
     write = _parquet if path.suffix == ".parquet" else _hdf5
     with whole(path) as partial:
@@ -161,15 +161,19 @@ def _identity(info: TrialInfo) -> dict[str, Any]:
 def _parquet(directory: Path, bags: list[Path], target: Path, map_tasks: Map) -> Iterator[SkippedBag | None]:
     import pyarrow.parquet
 
-    del directory
     rows = []
-    for row in map_tasks(trial_row, bags):
+    for bag, row in zip(bags, map_tasks(trial_row, bags), strict=True):
         if isinstance(row, SkippedBag):
             yield row
         else:
-            rows.append(row)
+            rows.append({**row, "bag": _place(directory, bag)})
             yield None
     pyarrow.parquet.write_table(table_of(rows), target)
+
+
+def _place(directory: Path, bag: Path) -> str:
+    """Path of a bag below the campaign."""
+    return bag.name if bag == directory else str(bag.relative_to(directory))
 
 
 def table_of(rows: list[dict[str, Any]]) -> Any:
@@ -202,7 +206,7 @@ def _hdf5(directory: Path, bags: list[Path], target: Path, map_tasks: Map) -> It
     with _Target(target) as raw, raw.failing_in_words(), h5py.File(raw, "w") as file:
         file.attrs["made_by"] = f"impact-rs {package_version()}"
         for path in bags:
-            name = path.name if path == directory else str(path.relative_to(directory))
+            name = _place(directory, path)
             try:
                 _hdf5_trial(file.create_group(name), TrialBag.open(path))
                 skip = None

@@ -165,3 +165,14 @@ def test_trials_are_found_in_a_campaign_and_below_a_folder(tmp_path: Path) -> No
     assert trials_below(tmp_path) == [tmp_path / name for name in ("a", "b", "varied/x")]
     with pytest.raises(InputError, match="no such folder"):
         trials_below(tmp_path / "none")
+
+
+def test_trials_with_a_varied_setting_are_no_repeats(tmp_path: Path) -> None:
+    """Kills a search that takes every bag, so that halved gains with the seed of a trial pass for its repeats."""
+    for name in ("t", "sensitivity/pad_stiffness_x0.5/t", "sensitivity/own/t"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "metadata.yaml").write_text("")
+    assert trials_below(tmp_path) == [tmp_path / name for name in ("sensitivity/own/t", "t")]
+    varied = tmp_path / "sensitivity" / "pad_stiffness_x0.5"
+    assert trials_below(varied) == [varied / "t"]
+    assert varied / "t" not in trials_below(varied.parent)

@@ -48,6 +48,16 @@ def test_parquet_has_a_row_per_trial(with_cut_off: Path, tmp_path: Path) -> None
     assert row["reference_post_velocity_m_s"] == bag.info.reference_post_velocity
 
 
+def test_a_varied_trial_of_the_same_name_is_known_by_its_bag(campaign: Path, tmp_path: Path) -> None:
+    """Kills a table in which trials with a varied setting look like those of the campaign, or are missing."""
+    parquet = pytest.importorskip("pyarrow.parquet")
+    varied = f"sensitivity/pad_stiffness_x0.5/{NAME}"
+    shutil.copytree(campaign / NAME, campaign / varied)
+    exported(campaign, tmp_path / "push.parquet")
+    rows = parquet.read_table(tmp_path / "push.parquet").to_pylist()
+    assert {row["bag"] for row in rows if row["trial"] == NAME} == {NAME, varied}
+
+
 def test_hdf5_has_every_measured_signal_with_its_unit(with_cut_off: Path, tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     assert exported(with_cut_off, tmp_path / "push.h5").trials == 4
