@@ -51,11 +51,11 @@ def is_bag(folder: Path) -> bool:
 def trials_in(folder: Path) -> list[Path]:
     """Trials directly in a campaign, also damaged ones: folders with files of a bag or without any, bare files.
 
-    Hidden ones are half-written.
+    Hidden ones are half-written, and a link to one of the others is no further trial.
     """
     found = []
     for path in sorted(folder.iterdir()):
-        if path.name.startswith("."):
+        if path.name.startswith(".") or (path.is_symlink() and path.resolve().parent == folder.resolve()):
             continue
         if path.is_dir():
             names = [entry.name for entry in path.iterdir()]
@@ -79,6 +79,22 @@ def trials_below(folder: Path) -> list[Path]:
     return sorted(
         folder / name for name in found.stamps() if not Path(found.path.name, name).match(f"{SENSITIVITY}/*_x*/*")
     )
+
+
+def folders_below(folder: Path) -> Iterator[tuple[Path, list[str]]]:
+    """A folder and all folders below it with the names of their files, linked ones last; each once, no hidden ones."""
+    waiting, visited = [folder], set()
+    while waiting:
+        for path, folders, files in os.walk(waiting.pop(0)):
+            fact = os.stat(path)
+            folders[:] = sorted(name for name in folders if not name.startswith("."))
+            if (fact.st_dev, fact.st_ino) in visited:
+                folders.clear()
+                continue
+            visited.add((fact.st_dev, fact.st_ino))
+            here = Path(path)
+            waiting += [here / name for name in folders if (here / name).is_symlink()]
+            yield here, files
 
 
 def _is_of_bag(name: str) -> bool:
@@ -160,11 +176,10 @@ class Folder(Store):
         if not self.path.is_dir():
             raise InputError("no such file or folder" if self.path.suffix else "no such folder", file=self.path)
         found = {}
-        for folder, folders, files in os.walk(self.path):
-            folders[:] = [name for name in folders if not name.startswith(".")]
+        for folder, files in folders_below(self.path):
             if any(map(_is_of_bag, files)):
                 with suppress(FileNotFoundError):  # it was removed since
-                    facts = [(name, os.stat(os.path.join(folder, name))) for name in files]
+                    facts = [(name, (folder / name).stat()) for name in files]
                     found[os.path.relpath(folder, self.path)] = _stamp(
                         (name, fact.st_size, fact.st_mtime_ns) for name, fact in facts
                     )

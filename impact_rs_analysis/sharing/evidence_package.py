@@ -24,6 +24,7 @@ from impact_rs_sim.files import write_whole
 from impact_rs_sim.model import Model, check_model
 from impact_rs_sim.schema import Schema, read_json, validate
 from impact_rs_sim.version import git_revision, package_version
+from impact_rs_trials.store import folders_below
 
 LIBRARIES = ("numpy", "scipy", "pin")
 
@@ -149,7 +150,7 @@ def _check_model(diagnosis: DiagnosisDocument, model: Model) -> None:
 
 
 def digests_of(data: Path, progress: Callable[[int, int], None] = lambda *_: None) -> tuple[FileDigest, ...]:
-    """Digests of a file, or of all files below a folder but hidden ones.
+    """Digests of a file, or of all files below a folder but hidden ones; linked folders are followed.
 
     Raises:
         InputError: There is no file, or one cannot be read.
@@ -158,11 +159,8 @@ def digests_of(data: Path, progress: Callable[[int, int], None] = lambda *_: Non
         root, files = data.parent, [data]
     else:
         root = data
-        files = sorted(
-            path
-            for path in data.rglob("*")
-            if path.is_file() and not any(part.startswith(".") for part in path.relative_to(data).parts)
-        )
+        shown = (folder / name for folder, names in folders_below(data) for name in names if not name.startswith("."))
+        files = sorted(path for path in shown if path.is_file())
     if not files:
         raise InputError("no measurements here; expected the file or folder that was diagnosed", file=data)
     found = []

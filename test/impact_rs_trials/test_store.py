@@ -11,6 +11,7 @@ from pathlib import Path
 import fsspec
 import pytest
 
+from impact_rs_analysis.sharing.evidence_package import digests_of
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.campaign import Manifest, Trial, TrialReport, make_manifest, run_campaign, run_in
 from impact_rs_trials.store import LOCK, Folder, Remote, Store, local_copy, open_store, owned, trials_below, trials_in
@@ -176,3 +177,17 @@ def test_trials_with_a_varied_setting_are_no_repeats(tmp_path: Path) -> None:
     varied = tmp_path / "sensitivity" / "pad_stiffness_x0.5"
     assert trials_below(varied) == [varied / "t"]
     assert varied / "t" not in trials_below(varied.parent)
+
+
+def test_linked_trials_are_read_once_by_every_search(tmp_path: Path) -> None:
+    """Kills a search that overlooks links to bags, reads one bag twice, or walks in a circle."""
+    campaign, disk = tmp_path / "campaign", tmp_path / "disk"
+    for bag in (campaign / "b", disk / "c"):
+        bag.mkdir(parents=True)
+        (bag / "metadata.yaml").write_text("")
+    (campaign / "a_latest").symlink_to("b")
+    (campaign / "c").symlink_to(disk / "c")
+    (campaign / "round").mkdir()
+    (campaign / "round" / "up").symlink_to(campaign)
+    assert trials_below(campaign) == trials_in(campaign) == [campaign / "b", campaign / "c"]
+    assert [one.path for one in digests_of(campaign)] == ["b/metadata.yaml", "c/metadata.yaml"]
