@@ -6,8 +6,8 @@ With y_kd(v) the quantity k of the draw d at the closing speed v and b_k its bou
     Q_0.99 over d of  max_k y_kd(v) / b_k  <=  1,
 
 and of a kind of quantities alone the same with the maximum over those. Between the speeds that were simulated y is
-interpolated linearly, and beyond the last one extrapolated: hits are nearly proportional to their speed. The search
-ends where the speed differs by less than 1 % from one that was simulated.
+interpolated linearly, and beyond the last one extrapolated: hits are nearly proportional to their speed. Each of these
+searches ends where the speed differs by less than 1 % from one that was simulated.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_rs_analysis.limits.drawn_hits import Hits
 from impact_rs_analysis.limits.hit_bounds import KINDS
@@ -24,9 +25,9 @@ from impact_rs_sim.robots.robot import Array
 
 HOLD_PROBABILITY = 0.99  # share of the draws in which all bounds hold
 SPEED_TOLERANCE = 0.01  # relative change of the speed that ends the search
-MAX_SIMULATED_SPEEDS = 5  # speeds that are simulated at most
+MAX_SIMULATED_SPEEDS = 5  # speeds that one search simulates at most
 MIN_STABLE_SHARE = 0.9  # of the draws
-MAX_SPEED_RATIO = 20.0  # over the speed of the scene; no relevant bound lies beyond
+MAX_SPEED_M_S = 10.0  # of the fastest industrial robots (ABB IRB 360); bounds beyond do not matter
 
 
 @dataclass(frozen=True)
@@ -84,23 +85,19 @@ def speed_limit(hits: Hits) -> SpeedLimit:
         Infeasible: Too many draws are unstable at the period of the torque loop.
     """
     curve = _Curve(hits)
-    everything = tuple(range(len(hits.bounds.names)))
-    scale = 1.0
-    for _ in range(MAX_SIMULATED_SPEEDS):
-        curve.add(scale)
-        found = curve.limit(everything, HOLD_PROBABILITY)
-        if found in (0.0, MAX_SPEED_RATIO) or abs(found - scale) <= SPEED_TOLERANCE * scale:
-            break
-        scale = found
-    of_kind = {
-        kind: curve.limit(tuple(k for k in everything if hits.bounds.kinds[k] == kind), HOLD_PROBABILITY)
-        for kind in KINDS
-        if kind not in hits.bounds.unknown
-    }
+    curve.add(1.0)
+    kinds = np.array(hits.bounds.kinds)
+    everything = np.arange(kinds.size)
+    of_kind = {kind: np.flatnonzero(kinds == kind) for kind in KINDS if kind not in hits.bounds.unknown}
+    curve.settle(everything, HOLD_PROBABILITY)
+    curve.settle(everything, 0.5)
+    for which in sorted(of_kind.values(), key=lambda which: curve.limit(which, HOLD_PROBABILITY)):
+        curve.settle(which, HOLD_PROBABILITY)
+    found = curve.limit(everything, HOLD_PROBABILITY)
     scene = hits.scene
 
     def speed(scale: float) -> float:
-        return float("inf") if scale >= MAX_SPEED_RATIO else scale * hits.speed
+        return float("inf") if scale >= curve.highest else scale * hits.speed
 
     return SpeedLimit(
         object_name=scene.object_name,
@@ -108,7 +105,7 @@ def speed_limit(hits: Hits) -> SpeedLimit:
         planned=hits.speed,
         speed=speed(found),
         middle=speed(curve.limit(everything, 0.5)),
-        by_kind={kind: speed(value) for kind, value in of_kind.items()},
+        by_kind={kind: speed(curve.limit(which, HOLD_PROBABILITY)) for kind, which in of_kind.items()},
         binding=hits.bounds.names[curve.worst(found)],
         unknown=hits.bounds.unknown,
         draws=curve.draws,
@@ -116,11 +113,16 @@ def speed_limit(hits: Hits) -> SpeedLimit:
 
 
 class _Curve:
-    """Quantities over their bounds at some speeds, and between them."""
+    """Quantities over their bounds at some speeds, and between them.
+
+    Attributes:
+        highest: Scale of the highest speed of interest [-].
+    """
 
     def __init__(self, hits: Hits) -> None:
         self._hits = hits
         self._known = {0.0: hits.rest}
+        self.highest = MAX_SPEED_M_S / hits.speed
 
     def add(self, scale: float) -> None:
         """Simulate one more speed."""
@@ -131,6 +133,14 @@ class _Curve:
                 f"only {self.draws} of {self._usable.size} draws of the hit are stable; expected more damping in joints"
                 " or pads, or a shorter timing.drive_period (impact-rs robot check says which)"
             )
+
+    def settle(self, which: NDArray[np.intp], level: float) -> None:
+        """Simulate the limit of some quantities, until it hardly differs from a simulated speed."""
+        for _ in range(MAX_SIMULATED_SPEEDS):
+            found = self.limit(which, level)
+            if any(abs(found - scale) <= SPEED_TOLERANCE * found for scale in self._known):
+                return
+            self.add(found)
 
     @property
     def draws(self) -> int:
@@ -145,17 +155,17 @@ class _Curve:
         share = (scale - low) / (high - low)
         return np.asarray(((1.0 - share) * self._known[low] + share * self._known[high])[self._usable])
 
-    def quantile(self, scale: float, which: tuple[int, ...], level: float) -> float:
+    def quantile(self, scale: float, which: NDArray[np.intp], level: float) -> float:
         """Quantile over the draws of the largest of some ratios."""
         return float(np.quantile(self.at(scale)[:, which].max(axis=1), level, method="higher"))
 
-    def limit(self, which: tuple[int, ...], level: float) -> float:
-        """Largest scale at which the quantile is at most 1, by bisection; 0: not even at rest; HIGHEST: beyond."""
+    def limit(self, which: NDArray[np.intp], level: float) -> float:
+        """Largest scale at which the quantile is at most 1, by bisection; 0: not even at rest; ``highest``: beyond."""
         if self.quantile(0.0, which, level) > 1.0:
             return 0.0
-        if self.quantile(MAX_SPEED_RATIO, which, level) <= 1.0:
-            return MAX_SPEED_RATIO
-        low, high = 0.0, MAX_SPEED_RATIO
+        if self.quantile(self.highest, which, level) <= 1.0:
+            return self.highest
+        low, high = 0.0, self.highest
         while high - low > 1e-4 * high:
             middle = 0.5 * (low + high)
             low, high = (middle, high) if self.quantile(middle, which, level) <= 1.0 else (low, middle)
@@ -163,7 +173,7 @@ class _Curve:
 
     def worst(self, scale: float) -> int:
         """Number of the quantity whose quantile is largest."""
-        return int(np.argmax(np.quantile(self.at(min(scale, MAX_SPEED_RATIO)), HOLD_PROBABILITY, axis=0)))
+        return int(np.argmax(np.quantile(self.at(min(scale, self.highest)), HOLD_PROBABILITY, axis=0)))
 
 
 def _finite(value: float) -> float | None:

@@ -105,6 +105,25 @@ def test_the_limit_is_that_speed_at_which_99_of_100_draws_keep_every_bound() -> 
     assert found.by_kind["force"] == pytest.approx(0.5 / 0.2, rel=1e-3) and found.binding == "a"
 
 
+@pytest.mark.parametrize("planned", [0.01, 0.5, 3.0])
+def test_the_limit_of_every_kind_is_simulated_whatever_speed_is_planned(planned: float) -> None:
+    """Of y = v + v^2 / 2 and its multiples; kills a kind extrapolated from the joint search, and a plan as its cap."""
+
+    class Bent:
+        scene, speed = scene_of(), planned
+        bounds = Bounds(("a", "b", "c"), ("jump", "force", "reflex"), ("rad/s", "N", "N m"), np.ones(3))
+        rest = np.zeros((1, 3))
+
+        def ratios(self, scale: float) -> np.ndarray:
+            v = scale * self.speed
+            return (v + 0.5 * v**2) * np.array([[4.0, 0.5, 0.01]])
+
+    found = speed_limit(cast(Hits, Bent()))
+    exact = {"jump": np.sqrt(1.5) - 1.0, "force": np.sqrt(5.0) - 1.0, "reflex": np.inf}
+    assert found.by_kind == pytest.approx(exact, rel=0.01)
+    assert found.speed == found.by_kind["jump"]
+
+
 def test_draws_scatter_by_the_discrepancy_of_the_twin_and_by_springs_as_stated(monkeypatch: pytest.MonkeyPatch) -> None:
     """Jumps by share v_n / l, logarithms of others by their share, springs by theirs; kills widths times two."""
     scene = scene_of()
