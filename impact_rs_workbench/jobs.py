@@ -17,6 +17,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import signal
 import socket
 import subprocess
@@ -158,7 +159,7 @@ class Jobs:
         """Start a command.
 
         Raises:
-            InputError: A job that runs writes to the same place.
+            InputError: A job that runs writes to the same place, or the process cannot be started.
         """
         with self._lock:
             for other in self._jobs.values():
@@ -168,17 +169,33 @@ class Jobs:
                     )
             taken = [int(path.name) for path in self.folder.glob("*") if path.name.isdecimal()]  # unreadable ones, too
             number = max(taken, default=0) + 1
-            command = self.line(order.arguments)
             writes = tuple(str(path) for path in order.writes)
-            job = Job(number, order.step, command, order.arguments, writes, time.time())
-            folder = self._folder(number)
-            folder.mkdir(parents=True)
+            job = Job(number, order.step, self.line(order.arguments), order.arguments, writes, time.time())
+            try:
+                process, ours = self._launched(job)
+            except (OSError, ValueError) as error:
+                shutil.rmtree(self._folder(number), ignore_errors=True)
+                raise InputError(f"the job cannot be started: {error}") from None
             self._jobs[number] = job
-            self._keep(job)
-            ours, its = socket.socketpair()
+            self._processes[number] = process
+            self._asking[number] = _Asking(ours)
+            threading.Thread(target=self._hear, args=(number,), daemon=True).start()
+            thread = threading.Thread(target=self._wait, args=(number, process), daemon=True)
+            self._waiting[number] = thread
+            thread.start()
+        self.changed()
+        return job
+
+    def _launched(self, job: Job) -> tuple[subprocess.Popen[bytes], socket.socket]:
+        """The process of a new job, and our end of the socket for its questions."""
+        folder = self._folder(job.number)
+        folder.mkdir(parents=True)
+        self._keep(job)
+        ours, its = socket.socketpair()
+        try:
             with (folder / OUTPUT).open("wb") as output, its:
                 process = subprocess.Popen(
-                    [*self.executable, *order.arguments],
+                    [*self.executable, *job.arguments],
                     stdin=subprocess.DEVNULL,
                     stdout=output,
                     stderr=subprocess.STDOUT,
@@ -188,14 +205,10 @@ class Jobs:
                     pass_fds=(its.fileno(),),
                     start_new_session=True,  # so that stopping it reaches its workers, and Ctrl-C of ours does not
                 )
-            self._processes[number] = process
-            self._asking[number] = _Asking(ours)
-            threading.Thread(target=self._hear, args=(number,), daemon=True).start()
-            thread = threading.Thread(target=self._wait, args=(number, process), daemon=True)
-            self._waiting[number] = thread
-            thread.start()
-        self.changed()
-        return job
+        except (OSError, ValueError):
+            ours.close()
+            raise
+        return process, ours
 
     def line(self, arguments: Sequence[str]) -> str:
         """Arguments of ``impact-rs`` as a line for a terminal."""

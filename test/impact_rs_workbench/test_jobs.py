@@ -209,6 +209,15 @@ def test_a_job_that_runs_is_not_started_again_and_one_that_is_killed_ends_as_in_
     assert jobs.wait(number).exit_code == 137
 
 
+def test_a_job_that_cannot_start_leaves_its_folder_free(workbench: Workbench, stub: Stub, tmp_path: Path) -> None:
+    """Kills a job that is known before its process: it would run for ever, lock its folder, and break the end."""
+    jobs = workbench.jobs
+    with pytest.raises(InputError, match="cannot be started: embedded null byte"):
+        jobs.start(Order("blind make", ("a\0b",), (tmp_path,)))
+    assert jobs.all() == [] and jobs.close() == []
+    assert jobs.wait(jobs.start(Order("blind make", ("ab",), (tmp_path,))).number).exit_code == 0
+
+
 def test_a_number_that_was_given_is_not_given_again(workbench: Workbench, stub: Stub) -> None:
     for name in ("0002", "0005"):
         (workbench.jobs.folder / name).mkdir(parents=True)
