@@ -60,11 +60,13 @@ class Order:
         step: Name of the command.
         arguments: Arguments of ``impact-rs``, with paths as the job's working directory sees them.
         writes: Files and folders that it writes.
+        directory: Its working directory; empty: that of the workbench.
     """
 
     step: str
     arguments: tuple[str, ...]
     writes: tuple[Path, ...]
+    directory: str = ""
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,7 @@ class Job:
         exit_code: 0 done, 1 not done, 2 a mistake in the input, 130 stopped; None: it runs.
         line: What went wrong, in one line; empty: nothing.
         stopping: Whether it was asked to stop.
+        directory: Its working directory; empty in records of earlier versions.
     """
 
     number: int
@@ -94,6 +97,7 @@ class Job:
     exit_code: int | None = None
     line: str = ""
     stopping: bool = False
+    directory: str = ""
 
     @property
     def runs(self) -> bool:
@@ -170,7 +174,11 @@ class Jobs:
             taken = [int(path.name) for path in self.folder.glob("*") if path.name.isdecimal()]  # unreadable ones, too
             number = max(taken, default=0) + 1
             writes = tuple(str(path) for path in order.writes)
-            job = Job(number, order.step, self.line(order.arguments), order.arguments, writes, time.time())
+            here = os.getcwd()
+            directory = order.directory or here
+            line = self.line(order.arguments)
+            line = line if directory == here else f"cd {shlex.quote(directory)} && {line}"
+            job = Job(number, order.step, line, order.arguments, writes, time.time(), directory=directory)
             try:
                 process, ours = self._launched(job)
             except (OSError, ValueError) as error:
@@ -202,6 +210,7 @@ class Jobs:
                     env=os.environ
                     | {VARIABLE: str(folder / PROGRESS), QUESTIONS: str(its.fileno())}
                     | {"COLUMNS": "96", "PYTHONUNBUFFERED": "1"},
+                    cwd=job.directory,
                     pass_fds=(its.fileno(),),
                     start_new_session=True,  # so that stopping it reaches its workers, and Ctrl-C of ours does not
                 )
@@ -223,7 +232,7 @@ class Jobs:
         job = self.get(number)
         if job.runs:
             raise InputError(f"job {number} is still running")
-        return self.start(Order(job.step, job.arguments, tuple(Path(path) for path in job.writes)))
+        return self.start(Order(job.step, job.arguments, tuple(Path(path) for path in job.writes), job.directory))
 
     def stop(self, number: int) -> Job:
         """Stop a job as Ctrl-C would; one that has ended stays as it is.

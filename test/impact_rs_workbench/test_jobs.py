@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -237,6 +238,23 @@ def test_records_outlive_the_workbench_and_lost_jobs_have_ended(workbench: Workb
     assert (later.get(2).exit_code, later.get(2).line) == (130, LOST)
     assert [job["number"] for job in later.all()] == [2, 1]
     assert later.wait(later.again(2).number).exit_code == 0
+
+
+def test_a_job_goes_on_where_it_began_whatever_folder_the_workbench_starts_in(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Kills a relative path that is read from the folder of a later workbench."""
+    pwd = (sys.executable, "-c", "import os; print(os.getcwd())")
+    (tmp_path / "inner").mkdir()
+    monkeypatch.chdir(tmp_path)
+    first = Jobs(tmp_path / "jobs", "impact-rs", executable=pwd)
+    first.wait(first.start(order("trial")).number)
+    monkeypatch.chdir(tmp_path / "inner")
+    later = Jobs(tmp_path / "jobs", "impact-rs", executable=pwd)
+    job = later.wait(later.again(1).number)
+    assert later.log(2) == str(tmp_path)
+    assert job.command == f"cd {tmp_path} && impact-rs trial"
+    assert later.wait(later.again(2).number).directory == str(tmp_path)
 
 
 def test_the_end_of_the_workbench_stops_its_jobs(workbench: Workbench, stub: Stub) -> None:
