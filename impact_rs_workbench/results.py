@@ -190,7 +190,7 @@ def _revealed(campaign: Path, file: Path, document: DiagnosisDocument) -> dict[s
         measured = document.effect(effect["name"])
         for name, hidden in effect["parameters"].items():
             estimate = None if measured is None else measured.parameters.get(name)
-            low, high = (None, None) if estimate is None else estimate.interval
+            low, high = (estimate and estimate.ci95) or (None, None)
             value = None if estimate is None else estimate.estimate
             row = {"name": name, "unit": hidden["unit"], "hidden": hidden["value"]}
             rows.append(row | {"estimate": value, "low": low, "high": high})
@@ -201,8 +201,9 @@ def _revealed(campaign: Path, file: Path, document: DiagnosisDocument) -> dict[s
 def estimates(workspace: Workspace) -> list[dict[str, Any]]:
     """Every estimate of a parameter in the diagnoses of the folder, in the order of measurement.
 
-    ``when`` is when the last of the diagnosed trials was recorded [s of the wall clock], where the diagnosis says it
-    (``measured``), else when the diagnosis was written.
+    ``low`` and ``high`` are the ends of the 95 % interval, null where it is not known. ``when`` is when the last of the
+    diagnosed trials was recorded [s of the wall clock], where the diagnosis says it (``measured``), else when the
+    diagnosis was written.
     """
     contents = workspace.contents()
     found = []
@@ -211,7 +212,7 @@ def estimates(workspace: Workspace) -> list[dict[str, Any]]:
         last = document.runs.recorded
         for effect in document.effects:
             for name, value in effect.parameters.items():
-                low, high = value.interval
+                low, high = value.ci95 or (None, None)
                 found.append(
                     {
                         "parameter": f"{effect.name}: {name}",

@@ -88,6 +88,15 @@ def test_an_estimate_stands_at_the_time_of_its_measurement(
     assert [row["when"] for row in rows] == sorted(row["when"] for row in rows)
 
 
+def test_an_estimate_without_an_interval_has_no_ends(tmp_path: Path) -> None:
+    """Kills infinite ends, which JSON cannot hold, so that one such diagnosis hides all."""
+    shutil.copy(documents.OLD_DIAGNOSIS, tmp_path / "d.json")
+    rows = estimates(Workspace(tmp_path))
+    (row,) = [row for row in rows if row["parameter"] == "end_effector_payload: com_z"]
+    assert (row["low"], row["high"]) == (None, None)
+    json.dumps(rows, allow_nan=False)
+
+
 def test_a_diagnosis_names_the_practice_campaign_of_its_runs_alone(
     tmp_path: Path, hidden_campaign: Path, diagnosed: Path
 ) -> None:
