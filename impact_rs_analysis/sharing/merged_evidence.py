@@ -5,7 +5,7 @@ Packages of the same measurements are one piece of evidence, whatever laboratori
 digests of their files. Packages that have less than half of their measurements in common are named.
 
 A parameter of an effect is pooled over all packages that estimate it (:mod:`impact_rs_analysis.sharing.meta_analysis`);
-a standard error is the 95 % interval over 2 x 1.96.
+a standard error is the width of the 95 % interval over 2 x 1.96, whatever its place about the estimate.
 
 Outlier laboratories come first: their studentised residual from all other laboratories has a p-value that, times the
 number of residuals tested (Bonferroni), is below ``ODD_SIGNIFICANCE``, and others have measured the same robot and
@@ -110,8 +110,13 @@ class _Study:
     parameter: str
     unit: str
     value: float
-    error: float
+    ci95: tuple[float, float]
     verdict: DiagnosisVerdict
+
+    @property
+    def error(self) -> float:
+        """Standard error of a normal distribution with an interval of this width."""
+        return (self.ci95[1] - self.ci95[0]) / (2.0 * NORMAL_95)
 
     def label(self, factor: str) -> str:
         return str(getattr(self.package, factor))
@@ -199,8 +204,7 @@ def _studies(
                     left_out.append(f"{package.name}: {effect.name}.{name}: {reason}")
                     continue
                 assert value.ci95 is not None
-                error = (value.ci95[1] - value.ci95[0]) / (2.0 * NORMAL_95)
-                study = _Study(package, effect.name, name, value.unit, value.estimate, error, effect.verdict)
+                study = _Study(package, effect.name, name, value.unit, value.estimate, value.ci95, effect.verdict)
                 found[effect.name, name].append(study)
     result = {}
     for key, own in found.items():
@@ -293,7 +297,7 @@ def _merged(own: Sequence[_Study], kept: Sequence[int], odd: Mapping[int, float]
             robot=study.package.robot,
             object=study.package.object,
             estimate=study.value,
-            ci95=(study.value - NORMAL_95 * study.error, study.value + NORMAL_95 * study.error),
+            ci95=study.ci95,
             verdict=study.verdict,
             residual=None if np.isnan(r := odd.get(index, left.get(index, np.nan))) else r,
             odd=index in odd,

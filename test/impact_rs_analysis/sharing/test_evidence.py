@@ -206,3 +206,20 @@ def test_estimates_without_interval_or_company_are_listed() -> None:
     assert any("no other package estimates it" in text for text in merged.left_out)
     assert any("no interval" in text for text in merged.left_out)
     assert [one.effect for one in merged.parameters] == ["law"]
+
+
+def test_the_merged_file_shows_the_interval_of_each_package() -> None:
+    """Kills an interval that is mirrored about the estimate, with masses below zero."""
+    skew = {"north": (0.05, (0.0, 0.4)), "south": (0.06, (0.01, 0.45))}
+    packages = []
+    for laboratory, (value, ends) in skew.items():
+        diagnosis = diagnosis_of({"law": (value, ERROR)})
+        (effect,) = diagnosis.effects
+        size = effect.parameters["size"].model_copy(update={"ci95": ends})
+        effects = (effect.model_copy(update={"parameters": {"size": size}}),)
+        package = package_of(laboratory, {"law": (value, ERROR)})
+        packages.append(
+            package.model_copy(update={"diagnosis": diagnosis.model_copy(update={"effects": effects})}).sealed()
+        )
+    (merged,) = merge_packages(packages).parameters
+    assert [one.ci95 for one in merged.contributions] == [ends for _, ends in skew.values()]
