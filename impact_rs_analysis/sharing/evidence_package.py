@@ -19,11 +19,13 @@ from pathlib import Path
 from pydantic import Field
 
 from impact_rs_analysis.diagnosis.document import MAX_JSON_BYTES, DiagnosisDocument
+from impact_rs_analysis.evidence.replays.measured_runs import runs_digest
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.model import Model, check_model
 from impact_rs_sim.schema import Schema, read_json, validate
 from impact_rs_sim.version import git_revision, package_version
+from impact_rs_trials.file_names import experiment_file_in
 from impact_rs_trials.store import folders_below
 
 LIBRARIES = ("numpy", "scipy", "pin")
@@ -121,9 +123,10 @@ def make_package(
         progress: Called with the number of files read, and of all files.
 
     Raises:
-        InputError: The diagnosis is of another model, or there are no measurements.
+        InputError: The diagnosis is of another model or of other trials, or there are no measurements.
     """
     _check_model(diagnosis, model)
+    _check_trials(diagnosis, data)
     return EvidencePackage(
         laboratory=laboratory,
         robot=robot,
@@ -146,6 +149,19 @@ def _check_model(diagnosis: DiagnosisDocument, model: Model) -> None:
         raise InputError(
             f"the diagnosis is of model {diagnosis.model.name!r} (digest {diagnosis.model.digest}), not of "
             f"{model.name!r} (digest {model.digest}); give the model that was diagnosed"
+        )
+
+
+def _check_trials(diagnosis: DiagnosisDocument, data: Path) -> None:
+    """Check for the trials of the diagnosis; digests of a part, and of runs of another controller, are not compared."""
+    options, wanted = diagnosis.options, diagnosis.runs.digest
+    if not wanted or "runs" not in options or options.keys() & {"since", "experiment"} or experiment_file_in(data):
+        return
+    if (digest := runs_digest(data)) != wanted:
+        raise InputError(
+            f"these are not the trials of the diagnosis (digest {digest}, expected {wanted}); give the folder that was "
+            "diagnosed",
+            file=data,
         )
 
 

@@ -11,6 +11,7 @@ import scipy
 from evidence_packages import diagnosis_of, file_of, package_of
 from intervals import assert_covers
 
+from impact_rs_analysis.evidence.replays.measured_runs import runs_digest
 from impact_rs_analysis.sharing.evidence_package import (
     EvidencePackage,
     check_package,
@@ -223,3 +224,19 @@ def test_the_merged_file_shows_the_interval_of_each_package() -> None:
         )
     (merged,) = merge_packages(packages).parameters
     assert [one.ci95 for one in merged.contributions] == [ends for _, ends in skew.values()]
+
+
+def test_a_diagnosis_is_packed_with_its_own_trials(runs: Path) -> None:
+    """Kills a seal over whatever folder is given, and a digest asked of the runs of another controller."""
+    of_trials = diagnosis_of(
+        {"law": (1.0, ERROR)},
+        runs={"digest": "0" * 16, "trials": 9, "conditions": ("a",)},
+        options={"runs": "/home/someone/runs"},
+    )
+    who = ("north", "arm", "box")
+    with pytest.raises(InputError, match="not the trials of the diagnosis .*; give the folder that was diagnosed"):
+        make_package(of_trials, load_model("nominal"), runs, *who)
+    own = of_trials.model_copy(update={"runs": of_trials.runs.model_copy(update={"digest": runs_digest(runs)})})
+    assert len(make_package(own, load_model("nominal"), runs, *who).data) == 2
+    (runs / "experiment.yaml").write_text("")
+    assert len(make_package(of_trials, load_model("nominal"), runs, *who).data) == 3
