@@ -485,9 +485,8 @@ def _scores(path: Path) -> list[dict[str, Any]]:
         if path.name == COMPARISON_DATA:
             entry = {"name": "", "digest": document["model"]["digest"], "fit": document["score"], "held_out": None}
             measured = [document["source"], *sorted((one["name"], one["repeats"]) for one in document["conditions"])]
-            found.append(
-                entry | {"floor": document["noise_floor"], "unit": document["score_unit"], "data": str(measured)}
-            )
+            data = document.get("runs_digest") or str(measured)
+            found.append(entry | {"floor": document["noise_floor"], "unit": document["score_unit"], "data": data})
         else:
             for item in document["history"]:
                 entry = {"name": item["model"], "digest": item.get("digest"), "fit": item["error_fit"]}
@@ -495,7 +494,7 @@ def _scores(path: Path) -> list[dict[str, Any]]:
                     "held_out": item["error_held_out"],
                     "floor": item["noise_floor"],
                     "unit": "",
-                    "data": str(path),
+                    "data": item.get("runs_digest") or str(path),
                 }
                 found.append(entry)
     except (KeyError, TypeError):

@@ -50,6 +50,7 @@ class ComparisonDocument(Schema):
     model: ModelIdentity = Field(description="compared model")
     calibration: CalibrationIdentity | None = omitted(None, description="faults of the readings that are known")
     trials: int = Field(description="trials, or recordings")
+    runs_digest: str = omitted("", description="digest of the measurements; empty for recordings")
     conditions: tuple[ConditionScore, ...] = Field(description="by condition or recording")
     score: float = Field(description="score of the model")
     score_is: str = Field(description="definition of the score")
@@ -88,12 +89,13 @@ def compare(
     skipped = source.left_out
     if runs is not None:
         skipped = tuple((path.removeprefix(f"{runs.directory}/"), why) for path, why in runs.skipped)
-    arms, rollouts = arms_of(source.worlds), source.rollouts()
+    arms, rollouts, identity = arms_of(source.worlds), source.rollouts(), source.identity
     return ComparisonDocument(
         source=source.kind,
         model=ModelIdentity.of(model),
         calibration=CalibrationIdentity.of(calibration),
-        trials=source.identity.count,
+        trials=identity.count,
+        runs_digest=identity.digest,
         conditions=found.conditions,
         score=rounded(source.size()),
         score_is=source.size_is,

@@ -63,6 +63,7 @@ class VersionError:
         noise_floor: Both errors if only noise were left; None if nothing was repeated.
         unit: Unit of the errors, ``TIMES`` for multiples of repeatability.
         rollouts: Open-loop predictions with the parameters of its file; None: none was possible.
+        runs_digest: Digest of the measurements; empty for recordings.
     """
 
     version: Version
@@ -71,10 +72,12 @@ class VersionError:
     noise_floor: float | None
     unit: str = TIMES
     rollouts: RolloutDocument | None = None
+    runs_digest: str = ""
 
     def to_json(self) -> dict[str, Any]:
         """One entry of ``history --json``."""
-        document = {} if self.rollouts is None else {"rollouts": self.rollouts.model_dump(mode="json")}
+        document: dict[str, Any] = {"runs_digest": self.runs_digest} if self.runs_digest else {}
+        document |= {} if self.rollouts is None else {"rollouts": self.rollouts.model_dump(mode="json")}
         return {
             "model": self.version.model.name,
             "digest": self.version.model.digest,
@@ -165,7 +168,8 @@ def history(
             held_out = _held_out(version, source, source_of)
         rollouts = source.rollouts()
         document = None if rollouts is None else rollouts.document()
-        found.append(VersionError(version, error, held_out, noise, source.size_unit, document))
+        digest = found[0].runs_digest if found else source.identity.digest  # opens every bag
+        found.append(VersionError(version, error, held_out, noise, source.size_unit, document, digest))
     return found
 
 

@@ -53,6 +53,7 @@ def test_the_hidden_effect_is_named_with_its_interval_and_the_score_falls(
     assert after["score"] < 0.5 * history[0]["error_fit"]
     assert history[1]["error_fit"] == pytest.approx(after["score"], rel=1e-6)
     assert history[1]["error_held_out"] < 0.1 * history[0]["error_held_out"]
+    assert history[1]["runs_digest"] == after["runs_digest"] == found.runs.digest
     assert history[1]["rollouts"]["horizons"] == after["rollouts"]["horizons"]
 
 

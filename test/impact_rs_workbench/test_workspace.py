@@ -65,12 +65,15 @@ def test_models_are_a_family_with_their_errors(workspace: Workspace, diagnosed: 
     assert child.score == child.scores[0]
 
 
-def scored(workspace: Workspace, report: str, *, digest: str, score: float, condition: str, when: float) -> None:
+def scored(
+    workspace: Workspace, report: str, *, digest: str, score: float, condition: str, when: float, runs: str = ""
+) -> None:
     """A comparison of a model with one condition, written at some time."""
     folder = workspace.root / report
     folder.mkdir()
     model = {"name": "m", "digest": digest}
     document = {"model": model, "score": score, "noise_floor": 1.0, "score_unit": "", "source": "trials"}
+    document["runs_digest"] = runs
     document["conditions"] = [{"name": condition, "repeats": 3, "score": score}]
     (folder / "compare.json").write_text(json.dumps(document))
     os.utime(folder / "compare.json", (when, when))
@@ -95,6 +98,21 @@ def test_the_tree_of_models_shows_errors_on_the_same_measurements(workspace: Wor
     assert (second.score["fit"], second.score["report"]) == (3.0, "push_2")  # and not 0.5, of other measurements
     assert [one["report"] for one in second.scores] == ["other", "push_2"]
     assert [one["report"] for one in first.scores] == ["push_1", "old"]
+
+
+def test_campaigns_of_equal_conditions_are_other_measurements(workspace: Workspace) -> None:
+    """Kills measurements known by their conditions, so that a tree shows a fall of the error that nobody measured."""
+    effects = [{"name": "object_mass", "parameters": {"scale": {"estimate": 1.1, "unit": "-"}}}]
+    (workspace.root / "m.yaml").write_text(yaml.safe_dump({"name": "m", "effects": effects}))
+    nominal, own = workspace.contents().models
+    scored(workspace, "x", digest=nominal.digest, score=7.0, condition="push", when=1.0, runs="x")
+    scored(workspace, "y", digest=own.digest, score=0.9, condition="push", when=2.0, runs="y")
+    assert [model.score is None for model in workspace.contents().models] == [True, False]
+    (workspace.root / "history").mkdir()
+    entry = {"model": "nominal", "digest": nominal.digest, "error_fit": 8.0, "error_held_out": None, "noise_floor": 1.0}
+    document = {"history": [entry | {"runs_digest": "y"}]}
+    (workspace.root / "history" / "history.json").write_text(json.dumps(document))
+    assert [(model.score or {}).get("fit") for model in workspace.contents().models] == [8.0, 0.9]
 
 
 def test_errors_of_a_history_are_those_of_the_model_as_it_was(workspace: Workspace) -> None:
