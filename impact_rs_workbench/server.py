@@ -303,15 +303,22 @@ def _done(work: Callable[[int], Any]) -> Endpoint:
 async def _answered(work: Work, given: Any) -> Response:
     """What ``work`` gives, beside the event loop; mistakes as one line."""
     try:
-        return JSONResponse(await run_in_threadpool(work, given))
+        return _Answer(await run_in_threadpool(work, given))
     except (InputError, ImpactMapError) as error:
         return _mistake(str(error))
     except OSError as error:
         return _mistake(f"{error.filename or ''}: {error.strerror or error}")
 
 
-def _mistake(text: str) -> JSONResponse:
-    return JSONResponse({"error": text}, 400)
+def _mistake(text: str) -> Response:
+    return _Answer({"error": text}, 400)
+
+
+class _Answer(JSONResponse):
+    """A JSON document in ASCII, which also holds names of files that are not UTF-8."""
+
+    def render(self, content: Any) -> bytes:
+        return json.dumps(content, allow_nan=False).encode("ascii")
 
 
 async def _page(request: Request) -> Response:

@@ -294,3 +294,13 @@ def test_a_trial_that_is_none_is_refused_in_one_line(client: TestClient, tmp_pat
         answer = client.get("/api/trial", params={"path": path})
         assert (answer.status_code, "\n" in answer.json()["error"]) == (400, False)
     assert "truth.json" in client.get("/api/reveal", params={"path": "empty"}).json()["error"]
+
+
+def test_a_file_name_that_is_not_utf_8_is_shown(client: TestClient, workbench: Workbench) -> None:
+    """Kills an answer in UTF-8, which cannot hold such a name and fails as a whole."""
+    folder = workbench.workspace.root / "messung_\udcfc" / "bag"  # of byte 0xfc, as Latin-1 has it
+    folder.mkdir(parents=True)
+    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information")
+    answer = client.get("/api/workspace")
+    assert answer.status_code == 200
+    assert "messung_\\udcfc" in answer.text
