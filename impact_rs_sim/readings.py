@@ -32,6 +32,7 @@ from impact_rs_sim.robots.robot import Array
 
 Values = Array | float  # one for every joint, ``(n,)``, or the same for all
 Lags = tuple[float, float]  # T1 and T2 [s]
+Start = tuple[Array, Array]  # a value and its slope
 # With c = (1 + i) / 2 the output of 1 / (1 + T s + (T s)^2 / 2) is the real part of that of (1 - i) / (1 + c T s).
 COMPLEX_LAG = 0.5 + 0.5j
 
@@ -105,13 +106,14 @@ class ArmReadings:
         """Positions for readings of link encoders, ``(..., n)`` [rad]."""
         return (reading - self.position_offset) / self.position_scale
 
-    def velocity(self, time: Array, true: Array, first: Array | None = None) -> Array:
+    def velocity(self, time: Array, true: Array, first: Start | None = None) -> Array:
         """Readings of velocities, ``(k, n)`` [rad/s].
 
         Args:
             time: Samples, ``(k,)`` [s].
             true: dq, ``(k, n)`` [rad/s].
-            first: First output of the filter, ``(n,)`` [rad/s]; None: its input has been a ramp before.
+            first: First output of the filters [rad/s] and its slope [rad/s^2], ``(n,)`` each; None: their input has
+                been a ramp before.
         """
         seen = self.position_scale * self.velocity_gain * true
         return filtered(time, delayed(time, seen, self.velocity_delay), self.velocity_filters, first)
@@ -125,14 +127,14 @@ class ArmReadings:
             + np.diag((self.torque_from_next * every)[:-1], 1)
         )
 
-    def torque(self, time: Array, true: Array, age: float, first: Array | None = None) -> Array:
+    def torque(self, time: Array, true: Array, age: float, first: Start | None = None) -> Array:
         """Readings of torques, ``(k, n)`` [N m], as :meth:`velocity`.
 
         Args:
             time: Samples, ``(k,)`` [s].
             true: tau_J, ``(k, n)`` [N m].
             age: Time since the first run of the campaign [s].
-            first: First output of the filter, ``(n,)`` [N m]; None: its input has been a ramp before.
+            first: First output of the filters [N m] and its slope [N m/s], ``(n,)`` each; None: as of velocities.
         """
         if self.exact:
             return true
@@ -259,24 +261,26 @@ def delayed(time: Array, values: Array, delay: float) -> Array:
     return found
 
 
-def filtered(time: Array, values: Array, lags: Lags, first: Array | None = None) -> Array:
+def filtered(time: Array, values: Array, lags: Lags, first: Start | None = None) -> Array:
     """Output of the filters H, ``(k, m)``, with an input that is linear between samples and has been a ramp before.
 
     Args:
         time: Samples on an even grid, ``(k,)`` [s].
         values: Input, ``(k, m)``.
         lags: T1 and T2 [s].
-        first: Output at the first sample, ``(m,)``, which has had the slope of the input; None: that of a ramp.
+        first: Output at the first sample and its slope, ``(m,)`` each; None: those of a ramp.
     """
     period = float(time[-1] - time[0]) / (time.size - 1)
     lag, butterworth = lags
+    if first is None:
+        slope = _slope(time[:4], values[:4])
+        first = values[0] - (lag + butterworth) * slope, slope
+    start, slope = first
     if lag > 0.0:  # a fit that ends at its bound may miss 0 by the rounding
-        start = values[0] - lag * _slope(time[:4], values[:4]) if first is None else first
-        values = _lagged(values, lag, period, start)
+        values = _lagged(values, lag, period, start + butterworth * slope)
     if butterworth > 0.0:
-        slope = butterworth * _slope(time[:4], values[:4])
-        start = values[0] - slope if first is None else first
-        values = _real(_lagged(values, butterworth * COMPLEX_LAG, period, start + slope * COMPLEX_LAG.conjugate()))
+        before = start + butterworth * slope * COMPLEX_LAG.conjugate()
+        values = _real(_lagged(values, butterworth * COMPLEX_LAG, period, before))
     return values
 
 

@@ -42,14 +42,13 @@ def test_the_cut_off_of_a_butterworth_filter():
     np.testing.assert_allclose(found, -np.cos(angle[2000:]) / np.sqrt(2.0), atol=1e-3)
 
 
-def test_a_filter_starts_at_its_first_reading_with_the_slope_of_its_input():
-    """Kills a start of the Butterworth filter at rest, and one at another value."""
-    fine = 1e-3 * TIME
-    ramp = np.column_stack((0.3 * fine, -0.1 * fine))
-    first = np.array([1e-7, -2e-7])
-    found = filtered(fine, ramp, (0.0, T), first)
-    np.testing.assert_allclose(found[0], first, atol=1e-15)
-    np.testing.assert_allclose((found[1] - found[0]) / fine[1], [0.3, -0.1], rtol=1e-3)
+def test_a_filter_goes_on_from_its_first_reading_and_slope():
+    """From the middle of a transient as the whole; kills a start at rest, and one with the slope of the input."""
+    step = np.vstack((np.zeros((50, 2)), np.ones((350, 2))))
+    for lags in ((T, 0.0), (0.0, T)):
+        whole = filtered(TIME, step, lags, (np.zeros(2), np.zeros(2)))
+        slope = np.gradient(whole, PERIOD, axis=0)[60]
+        np.testing.assert_allclose(filtered(TIME[60:], step[60:], lags, (whole[60], slope)), whole[60:], atol=1e-3)
 
 
 def test_a_filter_much_faster_than_the_samples_changes_nothing():

@@ -65,8 +65,8 @@ class Window:
         seen_beside: Likewise its neighbours, by name.
         before: By arm, samples from the begin of the run to the start (:attr:`TwinJob.before`).
         from_velocity: By arm, what velocity readings contribute to position and velocity of the start, what their
-            slopes would contribute in their place, and the reading itself, ``(5, n)`` [rad, rad/s, rad/s, rad/s^2,
-            rad/s].
+            slopes would contribute in their place, and the reading itself with its slope, ``(6, n)`` [rad, rad/s,
+            rad/s, rad/s^2, rad/s, rad/s^2].
         age: Time of the run since the first one of the campaign [s].
     """
 
@@ -244,7 +244,7 @@ def _near(time: Array, moment: float) -> slice:
 def _joint_fit(time: Array, position: Array, velocity: Array, moment: float) -> tuple[Array, Array, Array]:
     """q and dq at a moment, ``(n,)`` each, by one cubic of both, each weighted by its own noise.
 
-    The third is :attr:`Window.from_velocity`, as ``(5, n)``.
+    The third is :attr:`Window.from_velocity`, as ``(6, n)``.
     """
     rows = _near(time, moment)
     t = time[rows] - moment
@@ -261,7 +261,7 @@ def _joint_fit(time: Array, position: Array, velocity: Array, moment: float) -> 
         q[joint], dq[joint] = solution[0] + a[0], solution[1]
         of_velocity = np.concatenate((np.zeros((t.size, 2)), wb * np.column_stack((b, slopes[joint] * one))))
         parts[:, joint] = np.linalg.lstsq(design, of_velocity, rcond=None)[0][:2].T.ravel()
-    return q, dq, np.vstack((parts, readings))
+    return q, dq, np.vstack((parts, readings, slopes))
 
 
 def _slope_fit(time: Array, values: Array, moment: float) -> tuple[Array, Array]:
@@ -327,7 +327,7 @@ def _job(window: Window, physics: Physics, drive_period: float, drive: DriveName
 
 def _true_start(window: Window, name: str, readings: ArmReadings) -> ArmState:
     """State of the arm from the readings at the start; the fit is linear in them."""
-    start, (q_v, dq_v, q_a, dq_a, _) = window.arms[name], window.from_velocity[name]
+    start, (q_v, dq_v, q_a, dq_a, *_) = window.arms[name], window.from_velocity[name]
     late, scale = readings.velocity_late, readings.position_scale * readings.velocity_gain
     return ArmState(
         readings.position_of(start.position - q_v) + (q_v + late * q_a) / scale,
@@ -372,12 +372,13 @@ def _signals(window: Window, physics: Physics, result: Result) -> Signals:
     arms = {}
     for name, path in result.arms.items():
         true = (path.position, path.velocity, path.torque, path.motor_position, path.motor_velocity)
-        readings = physics.arms[name].readings
+        readings, drive = physics.arms[name].readings, window.drives[name]
         if not readings.exact:
+            *_, velocity, acceleration = window.from_velocity[name]
             true = (
                 readings.position(path.position),
-                readings.velocity(window.time, path.velocity, window.from_velocity[name][4]),
-                readings.torque(window.time, path.torque, window.age, window.drives[name].torque),
+                readings.velocity(window.time, path.velocity, (velocity, acceleration)),
+                readings.torque(window.time, path.torque, window.age, (drive.torque, drive.torque_rate)),
                 path.motor_position + readings.motor_offset,
                 path.motor_velocity,
             )
