@@ -4,11 +4,12 @@
 Two checks per joint over the window w = ``WINDOW_S``:
 
     |q(t) - q(t - w) - integral of dq| <= T_lag dq_max     position and velocity agree
-    q and dq unchanged for w  =>  torque varies <= r tau_max   a frozen sensor of a joint that is not driven
+    q and dq unchanged for w  =>  |dq| <= v and torque varies <= r tau_max   the joint rests and is not driven
 
 The first finds position jumps and stuck velocity sensors; it allows for a filtered or differentiated velocity, delayed
-by T_lag = ``MAX_VELOCITY_LAG_S``. The second finds frozen encoders behind live messages, r = ``FROZEN_TORQUE_RATIO``.
-Both scale with the limits of the joint, not with an absolute angle.
+by T_lag = ``MAX_VELOCITY_LAG_S``, and scales with the limits of the joint, not with an absolute angle. The second finds
+frozen encoders behind live messages, v = ``MAX_UNCHANGED_SPEED``, r = ``FROZEN_TORQUE_RATIO``. A joint stays frozen
+until its signals change, also when it is no longer driven: a brake on a frozen velocity would accelerate it for ever.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from impact_rs_sim.robots.robot_model import RobotModel
 
 WINDOW_S = 0.1  # s
 MAX_VELOCITY_LAG_S = 0.01  # s
+MAX_UNCHANGED_SPEED = 0.02  # rad/s, m/s; a joint at rest: a brake on it is a thousandth of the gravity torque
 FROZEN_TORQUE_RATIO = 0.05  # variation of the torque over the torque limit [-]
 
 
@@ -36,16 +38,16 @@ class MotionMonitor:
 
     def __init__(self, model: RobotModel, joints: Sequence[str]) -> None:
         self._joints = joints
-        self._units = [unit.position for unit in model.facts.units]
-        self._efforts = [unit.effort for unit in model.facts.units]
+        self._units = model.facts.units
         self._largest_gap = MAX_VELOCITY_LAG_S * model.velocity_max
         self._largest_range = FROZEN_TORQUE_RATIO * model.torque_max
         self._offsets: deque[tuple[float, Array]] = deque()  # time, position less the integral of velocity
         self._last: tuple[float, Array, Array] | None = None
         self._integral = np.zeros(model.joint_count)
-        self._led = False
+        self._frozen = np.zeros(model.joint_count, dtype=bool)
         self._unchanged_since = np.zeros(model.joint_count)
-        self._least = self._greatest = np.zeros(model.joint_count)
+        self._least = np.full(model.joint_count, np.inf)  # torque since then
+        self._greatest = -self._least
 
     def complaint(self, time: float, position: Array, velocity: Array, torque: Array | None) -> str:
         """Joint whose signals are inconsistent; empty if all are consistent. A decreasing time resets the monitor.
@@ -61,7 +63,7 @@ class MotionMonitor:
             self._offsets.clear()
         disagreement, frozen = (
             self._disagreement(time, position, velocity),
-            self._frozen(time, position, velocity, torque),
+            self._frozen_joint(time, position, velocity, torque),
         )
         self._last = time, position, velocity
         return disagreement or frozen
@@ -77,30 +79,32 @@ class MotionMonitor:
         began, first = self._offsets[0]
         gap = offset - first
         for index in np.flatnonzero(~(np.abs(gap) <= self._largest_gap)).tolist():
-            unit, limit = self._units[index], self._largest_gap[index]
+            unit, limit = self._units[index].position, self._largest_gap[index]
             return (
                 f"position of {self._joints[index]} changed by {gap[index]:.4g} {unit} more than its velocity says, "
                 f"within {time - began:.3f} s; {limit:.2g} {unit} are allowed"
             )
         return ""
 
-    def _frozen(self, time: float, position: Array, velocity: Array, torque: Array | None) -> str:
-        """Joint with bitwise constant signals under a varying torque."""
-        last, led, self._led = self._last, self._led, torque is not None
+    def _frozen_joint(self, time: float, position: Array, velocity: Array, torque: Array | None) -> str:
+        """Joint with bitwise constant signals though it moves or its torque varies."""
+        changed, moving = np.ones_like(position, dtype=bool), np.abs(velocity) > MAX_UNCHANGED_SPEED
+        if self._last is not None:
+            changed = (position != self._last[1]) | (velocity != self._last[2])
         if torque is None:
-            return ""
-        changed = np.ones_like(position, dtype=bool)
-        if last is not None and led:
-            changed = (position != last[1]) | (velocity != last[2])
+            changed |= ~self._frozen & ~moving  # held at rest
         self._unchanged_since = np.where(changed, time, self._unchanged_since)
-        self._least = np.where(changed, torque, np.minimum(self._least, torque))
-        self._greatest = np.where(changed, torque, np.maximum(self._greatest, torque))
+        self._least, self._greatest = np.where(changed, np.inf, self._least), np.where(changed, -np.inf, self._greatest)
+        if torque is not None:
+            self._least, self._greatest = np.minimum(self._least, torque), np.maximum(self._greatest, torque)
         varied = self._greatest - self._least
-        frozen = (time - self._unchanged_since >= WINDOW_S) & (varied > self._largest_range)
-        for index in np.flatnonzero(frozen).tolist():
+        lasted, driven = time - self._unchanged_since, varied > self._largest_range
+        self._frozen = (lasted >= WINDOW_S) & (moving | driven)
+        for index in np.flatnonzero(self._frozen).tolist():
+            unit, speed = self._units[index], abs(velocity[index])
+            cause = f"torque varied by {varied[index]:.3g} {unit.effort}"
             return (
-                f"{self._joints[index]} reports the same position and velocity for "
-                f"{time - self._unchanged_since[index]:.3f} s while its torque varied by {varied[index]:.3g} "
-                f"{self._efforts[index]}: a frozen sensor"
+                f"{self._joints[index]} reports the same position and velocity for {lasted[index]:.3f} s while its "
+                f"{cause if driven[index] else f'velocity is {speed:.3g} {unit.velocity}'}: a frozen sensor"
             )
         return ""

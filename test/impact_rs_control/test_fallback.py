@@ -175,6 +175,23 @@ def test_a_joint_that_reports_the_same_while_it_is_driven_is_frozen(joints: list
     assert complaint.startswith(f"arm_joint{joints[0] + 1} reports the same position and velocity for 0.1")
 
 
+def test_a_joint_that_was_found_frozen_stays_so_until_its_signals_change() -> None:
+    """Kills a check that forgets it once no controller drives the joint."""
+    monitor, still, complaints = MotionMonitor(MODEL, JOINTS), np.zeros(7), []
+    for time in np.arange(0.0, 0.5, STEP):
+        torque = 0.5 * MODEL.torque_max * np.sin(10.0 * time) if time < 0.2 else None
+        complaints.append(monitor.complaint(float(time), still + 1e-9 * (time >= 0.4), still, torque))
+    assert all("a frozen sensor" in complaint for complaint in complaints[110:400])
+    assert not any(complaints[:90] + complaints[401:])
+
+
+@pytest.mark.parametrize(("speed", "frozen"), [(0.05, True), (-0.05, True), (0.015, False)])
+def test_a_held_joint_that_reports_one_position_at_speed_is_frozen(speed: float, frozen: bool) -> None:
+    when, complaint = first_complaint(lambda time: (np.zeros(7), one(speed), None))
+    assert when == (pytest.approx(WINDOW_S) if frozen else np.inf)
+    assert ("while its velocity is 0.05 rad/s: a frozen sensor" in complaint) is frozen
+
+
 def test_a_resting_or_braked_joint_is_not_taken_as_frozen() -> None:
     steady = 0.9 * MODEL.torque_max
     assert first_complaint(lambda time: (np.zeros(7), np.zeros(7), steady)) == (np.inf, "")

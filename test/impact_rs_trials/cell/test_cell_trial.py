@@ -81,6 +81,10 @@ class Bench(Wires):
         self.step += 1
         self.bring(STATES, self.robot.message(**changes))  # type: ignore[arg-type]
 
+    def sway(self) -> None:
+        """The next state of an arm that is not at rest."""
+        self.state(velocity=SWAY * (-1.0) ** self.step)
+
     def pose(self, taken: int, x: float = 0.5, frame: str = "tracker") -> None:
         """A pose of the object, ``taken`` [ns] after the robot was switched on."""
         message = PoseStamped()
@@ -127,7 +131,7 @@ def test_a_robot_that_adds_no_gravity_is_sent_the_whole_torque() -> None:
 def test_a_trial_is_over_when_its_last_tick_has_its_answer() -> None:
     bench = Bench().under_way()
     while not bench.trial.over:
-        bench.state(velocity=SWAY)
+        bench.sway()
         bench.answer(WEIGHT)
     assert bench.asked == list(range(LAST + 1))
     assert bench.trial.failure == ""
@@ -294,7 +298,7 @@ def test_states_that_are_missing_end_the_trial() -> None:
 def test_a_last_state_that_is_missing_ends_the_trial() -> None:
     bench = Bench().under_way()
     while bench.asked[-1] < LAST - 1 and not bench.trial.over:
-        bench.state(velocity=SWAY)
+        bench.sway()
         bench.answer(WEIGHT)
     bench.step += 1
     bench.state()
@@ -402,7 +406,7 @@ def test_poses_are_passed_on_in_world_with_their_own_stamps() -> None:
 def test_a_trial_whose_object_was_never_seen_is_no_success(seen: bool) -> None:
     bench = Bench(mocap=True).under_way()
     while not bench.trial.over:
-        bench.state(velocity=SWAY)
+        bench.sway()
         if seen and bench.asked[-1] == 900:
             bench.pose(800_000_000)
         bench.answer(WEIGHT)

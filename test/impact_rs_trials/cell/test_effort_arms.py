@@ -180,6 +180,22 @@ def test_one_state_that_is_repeated_for_ever_does_not_drive_the_arm() -> None:
     assert max(energies) <= energies[0] * 1.001
 
 
+def test_fresh_states_of_a_frozen_encoder_do_not_drive_the_arm() -> None:
+    """Kills a check for frozen sensors that ends with the torques of the controller: 2 rad/s after 1.5 s."""
+    robot = Robot()
+    robot.state(velocity=np.full(7, 0.1))
+    robot.arms.rest()
+    arm = MovingArm(robot, 0.1)
+    energies = [arm.energy]
+    for _ in range(1000):
+        arm.step()
+        robot.states.read(robot.message(velocity=np.full(7, 0.1)))
+        robot.arms.rest()
+        energies.append(arm.energy)
+    assert max(energies) <= energies[0] * 1.001
+    assert not robot.arms.held
+
+
 def test_an_arm_whose_weight_is_assumed_wrongly_creeps_instead_of_falling() -> None:
     """Near dq = T (M + B)^-1 dtau, here -0.1 rad/s; a released arm would have -0.5 rad/s by then."""
     robot = Robot()
