@@ -87,6 +87,7 @@ class EffortArms:
         known = self.states.latest is not None and wanted.shape == (self.states.models[arm].joint_count,)
         if not known or not np.isfinite(wanted).all():
             return False
+        self.states.commanded[arm] = wanted
         self.held = False
         self._braked = None
         self._limited(arm, wanted)

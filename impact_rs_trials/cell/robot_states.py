@@ -153,7 +153,7 @@ class RobotStates:
     Attributes:
         models, joints, period, clock: As above.
         latest: The last usable state; None: not yet.
-        commanded: Torque of a controller by arm, ``(n,)`` [N m]; empty: the arms are held.
+        commanded: Torque of a controller by arm, with or without gravity, ``(n,)`` [N m]; empty: the arms are held.
         oldest: Largest age of a state when it came [s].
     """
 

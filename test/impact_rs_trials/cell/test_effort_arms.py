@@ -196,6 +196,15 @@ def test_fresh_states_of_a_frozen_encoder_do_not_drive_the_arm() -> None:
     assert not robot.arms.held
 
 
+def test_a_frozen_encoder_is_noticed_behind_torques_that_are_passed_on() -> None:
+    """Kills a watchdog that finds states usable which the cell refuses."""
+    robot, complaints = Robot(), set()
+    for step in range(200):
+        complaints.add(robot.state().complaint)
+        robot.arms.pass_on("arm", 0.2 * MODEL.torque_max * np.sin(0.05 * step))
+    assert any("a frozen sensor" in complaint for complaint in complaints)
+
+
 def test_an_arm_whose_weight_is_assumed_wrongly_creeps_instead_of_falling() -> None:
     """Near dq = T (M + B)^-1 dtau, here -0.1 rad/s; a released arm would have -0.5 rad/s by then."""
     robot = Robot()
