@@ -83,13 +83,13 @@ class Arming:
                 them, or too late to this process.
         """
         period = self._plan.scene.scenario.timing.control_period
-        began, arrivals, stamps = self._monotonic(), [], []
+        arrivals, stamps = [], []
         for states in self._states(self._holder):
             if complaint := start_complaint(self._plan, states, self._limits.start):
                 raise InputError(f"not armed: {complaint}")
             arrivals.append(self._monotonic())
             stamps.append(states.stamp)
-            if arrivals[-1] > began + MIN_OBSERVED_S and len(stamps) >= MIN_OBSERVED_STATES:
+            if arrivals[-1] > arrivals[0] + MIN_OBSERVED_S and len(stamps) >= MIN_OBSERVED_STATES:
                 break
         if not stamps and self._timeless:
             raise InputError(f"not armed: no time on {CLOCK}, which use_sim_time asks for")

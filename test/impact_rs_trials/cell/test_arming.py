@@ -48,11 +48,12 @@ class Bench:
         period: float = PERIOD,
         late: Callable[[int], float] = lambda step: 0.0,
         until: float = 1.2,
+        since: float = 0.0,
         mocap: TrackerPoses | None = None,
     ) -> None:
         self.robot = Robot()
         self.wire = Wire(self.robot.clock)
-        for step in range(round(until / period)):
+        for step in range(round(since / period), round(until / period)):
             time = step * period
             stamp = SWITCHED_ON + round(1e9 * time)
             self.wire.put(100.0 + time + late(step), STATES, state_message(stamp, **motion(time)))
@@ -112,6 +113,12 @@ def test_one_late_state_that_delays_others_is_jitter_enough(pause: float, armed:
         assert bench.run().startswith("jitter 1.500 ms")
     else:
         assert refusal(bench) == "not armed: states come with a jitter of 3.500 ms, arm_jitter_limit is 2 ms"
+
+
+def test_a_robot_that_is_found_late_is_observed_as_long() -> None:
+    """Kills an observation that begins before the robot is found, and ends after 50 states."""
+    bench = Bench(late=lambda step: 1e-3 * max(0.0, 3.5 - (step - 800)) if step >= 800 else 0.0, since=0.6, until=2.0)
+    assert refusal(bench) == "not armed: states come with a jitter of 3.500 ms, arm_jitter_limit is 2 ms"
 
 
 @pytest.mark.parametrize(("age", "complaint"), [(0.02, "0.0200 s old"), (-0.02, "stamped 0.0200 s in the future")])
