@@ -143,7 +143,7 @@ class Arming:
     def _object(self) -> str:
         if self._mocap is None:
             return ""
-        if self._pose is None:
+        if self._pose is None or self._age_of(self._pose) > MAX_POSE_AGE_S:
             raise InputError(f"not armed: no pose of the object on {MOCAP} in the last {MAX_POSE_AGE_S:g} s")
         return f", object {distance_from_scenario(self._plan, self._pose)}"
 
@@ -154,7 +154,7 @@ class Arming:
             self._inbox.wait(ARMING_POLL_S)
             for topic, data in self._inbox.take():
                 if topic == MOCAP and self._mocap is not None:
-                    self._see(self._mocap.read(data))
+                    self._pose = self._mocap.read(data) or self._pose
                 if topic != STATES:
                     continue
                 if not self._arms.states.clock.known:
@@ -173,10 +173,10 @@ class Arming:
             if holder is not None:
                 holder.rest()
 
-    def _see(self, pose: TrackedPose | None) -> None:
-        if pose is not None:
-            stamp = pose.header.stamp.sec * 10**9 + pose.header.stamp.nanosec
-            self._pose = pose if abs(1e-9 * (self._arms.states.clock.now() - stamp)) <= MAX_POSE_AGE_S else None
+    def _age_of(self, pose: TrackedPose) -> float:
+        """Difference between now and its timestamp [s]."""
+        stamp = pose.header.stamp.sec * 10**9 + pose.header.stamp.nanosec
+        return abs(1e-9 * (self._arms.states.clock.now() - stamp))
 
 
 def start_complaint(plan: TrialPlan, states: ArmStates, tolerance: float) -> str:

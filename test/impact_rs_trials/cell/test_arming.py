@@ -198,6 +198,13 @@ def test_an_object_that_mocap_shall_see_must_have_been_seen_lately(taken: tuple[
         assert refusal(bench) == "not armed: no pose of the object on /mocap/object_pose in the last 0.5 s"
 
 
+def test_an_object_that_was_seen_before_a_late_robot_was_found_is_not_seen_lately() -> None:
+    """Kills an age that is compared when the pose comes and not when it is used."""
+    bench = Bench(mocap=TrackerPoses("tracker", np.zeros(6)), since=1.0, until=2.5)
+    bench.wire.put(100.1, MOCAP, pose_message(SWITCHED_ON + 10**8))
+    assert refusal(bench) == "not armed: no pose of the object on /mocap/object_pose in the last 0.5 s"
+
+
 def test_a_pose_in_another_frame_is_refused() -> None:
     bench = Bench(mocap=TrackerPoses("tracker", np.zeros(6)))
     bench.wire.put(100.1, MOCAP, pose_message(SWITCHED_ON, frame="world"))
