@@ -36,10 +36,15 @@ class RobotClock:
         """Time for comparisons with timestamps [ns]."""
         if self._inbox is None:
             return int(self._node.get_clock().now().nanoseconds)
-        self._inbox.gather()
-        for _, message in self._inbox.take():
-            self._simulated = message.clock.sec * 10**9 + message.clock.nanosec
+        self._listen()
         return max(self._simulated, self._seen) if self._simulated else 0
+
+    def _listen(self) -> None:
+        """Read what has come on ``/clock``."""
+        if self._inbox is not None:
+            self._inbox.gather()
+            for _, message in self._inbox.take():
+                self._simulated = message.clock.sec * 10**9 + message.clock.nanosec
 
     def steady(self) -> float:
         """Monotonic time for differences [s], also when the clock of the machine is set.
@@ -59,8 +64,13 @@ class RobotClock:
         return self._steady
 
     def saw(self, stamp: int) -> None:
-        """Note the timestamp [ns] of a received state: a lower bound of the simulated time, as ``/clock`` may lag."""
-        self._seen = max(self._seen, stamp)
+        """Note the timestamp [ns] of a received state: a lower bound of the simulated time, as ``/clock`` may lag.
+
+        It lags by no more than ``MAX_CLOCK_SILENCE_S``; a state from further ahead is not of this clock.
+        """
+        self._listen()
+        if stamp - self._simulated <= 1e9 * MAX_CLOCK_SILENCE_S:
+            self._seen = max(self._seen, stamp)
 
     @property
     def known(self) -> bool:

@@ -62,12 +62,20 @@ def test_simulated_time_is_unknown_until_published_and_after_a_restart(
 def test_simulated_time_is_not_before_the_newest_state(simulator: Simulator) -> None:
     """Else states would come from the future wherever ``/clock`` takes longer; a robot's stamps alone are no clock."""
     clock = simulator.clock
-    clock.saw(7 * 10**9)
+    clock.saw(6_300_000_000)
     assert not clock.known and clock.now() == 0
     simulator.tick(6.0)
-    assert clock.now() == 7 * 10**9
+    clock.saw(6_300_000_000)
+    assert clock.now() == 6_300_000_000
     simulator.tick(8.0)
     assert clock.now() == 8 * 10**9
+
+
+def test_one_state_from_far_ahead_does_not_move_the_simulated_time(simulator: Simulator) -> None:
+    """Kills the newest stamp of all as the time: all states after it were an hour old, until the node was restarted."""
+    simulator.tick(5.0)
+    simulator.clock.saw(3600 * 10**9)
+    assert simulator.clock.now() == 5 * 10**9
 
 
 def test_time_follows_a_slow_simulator_and_the_machine_once_it_stops(simulator: Simulator) -> None:
