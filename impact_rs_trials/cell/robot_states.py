@@ -226,7 +226,7 @@ class RobotStates:
             return None
         complaint = (
             f"{extra} of the last {len(self._extra)} states repeat one or come between two: are there two publishers "
-            "of these joints?"
+            f"of these joints? Or do the states come faster than timing.control_period, {1e3 * self.period:g} ms?"
         )
         return replace(states, complaint=complaint)
 

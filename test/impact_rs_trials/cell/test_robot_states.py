@@ -142,6 +142,16 @@ def test_joints_of_two_arms_need_names_of_their_own(pattern: str, missing: str) 
     assert len(set(sum(joint_names("{arm}_{number}", {"a": 7, "b": 7}).values(), []))) == 14
 
 
+def test_states_that_come_faster_than_the_scenarios_period_are_told_so() -> None:
+    """Kills a complaint that blames a second publisher alone."""
+    robot, complaints = Robot(), []
+    for _ in range(60):
+        robot.clock.time += 0.5 * PERIOD
+        states = robot.states.read(robot.message())
+        complaints.append(states.complaint if states else "")
+    assert complaints[-1].endswith("Or do the states come faster than timing.control_period, 1 ms?")
+
+
 def test_a_state_that_was_overtaken_is_no_new_one() -> None:
     robot = Robot()
     newest = robot.state()
