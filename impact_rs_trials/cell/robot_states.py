@@ -54,7 +54,7 @@ def joint_names(pattern: str, arms: Mapping[str, int]) -> dict[str, list[str]]:
         arms: Number of joints by name of the arm in the scenario.
 
     Raises:
-        InputError: Two joints would have one name, or there is not one name per joint.
+        InputError: Two joints would have one name, a name is empty, or there is not one name per joint.
     """
     joints = {}
     for arm, count in arms.items():
@@ -69,6 +69,8 @@ def joint_names(pattern: str, arms: Mapping[str, int]) -> dict[str, list[str]]:
             name.replace("{arm}", arm).replace("{number}", str(number)) for number, name in enumerate(own, start=1)
         ]
     names = [name for own in joints.values() for name in own]
+    if "" in names:
+        raise InputError("a name is empty: expected one joint between two commas", key="joints", value=pattern)
     if len(set(names)) < len(names):
         missing = "{number}" if any(len(set(own)) < len(own) for own in joints.values()) else "{arm}"
         wanted = f"{missing} in it: {len(names)} joints of {', '.join(arms)} need names of their own"

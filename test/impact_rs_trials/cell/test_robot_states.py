@@ -142,6 +142,13 @@ def test_joints_of_two_arms_need_names_of_their_own(pattern: str, missing: str) 
     assert len(set(sum(joint_names("{arm}_{number}", {"a": 7, "b": 7}).values(), []))) == 14
 
 
+@pytest.mark.parametrize(("pattern", "count"), [("a,,b", 3), ("a,b,", 3), ("a, ", 2)])
+def test_a_joint_without_a_name_is_refused(pattern: str, count: int) -> None:
+    """Kills a joint named "", which no message has."""
+    with pytest.raises(InputError, match="a name is empty: expected one joint between two commas"):
+        joint_names(pattern, {"arm": count})
+
+
 def test_states_that_come_faster_than_the_scenarios_period_are_told_so() -> None:
     """Kills a complaint that blames a second publisher alone."""
     robot, complaints = Robot(), []
