@@ -256,7 +256,8 @@ class CellTrial(LeadingTrial):
             return  # as if it had not come: answer_timeout ends the trial if it stays so
         tick = round((signals.stamp - (self._origin or 0)) / self._period_ns)
         torque = signals.values[2]
-        if tick == self._answered[arm] and not signals.complaint and not np.array_equal(torque, self._torques[arm]):
+        repeated = arm in self._torques and np.array_equal(torque, self._torques[arm])
+        if tick == self._answered[arm] and not signals.complaint and not repeated:
             self.stop(
                 f"{topics.joint_command(arm)} {self._time}: two torques for one state; are there two controllers?"
             )

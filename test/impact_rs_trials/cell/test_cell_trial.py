@@ -385,6 +385,14 @@ def test_two_torques_for_one_state_are_of_two_controllers() -> None:
     assert bench.trial.failure.endswith("two torques for one state; are there two controllers?")
 
 
+def test_a_torque_from_before_the_first_state_is_of_another_controller() -> None:
+    """Kills a look-up of an answer that was not given yet: KeyError."""
+    bench = Bench()
+    bench.state()
+    bench.answer(WEIGHT, tick=-1)
+    assert bench.trial.failure.endswith("two torques for one state; are there two controllers?")
+
+
 def test_poses_are_passed_on_in_world_with_their_own_stamps() -> None:
     bench = Bench(mocap=True)
     bench.pose(0)  # before the trial
