@@ -7,7 +7,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -425,35 +426,35 @@ def values_for(profile: DriverProfile, arms: Collection[str]) -> dict[str, dict[
 
 
 FORMER_SECTIONS = {"cell": "plant"}  # what nodes were called up to 0.2, by their names now
-EVERY_NODE = "/**"  # section of a parameter file
 
 
 def values_of(path: Path, kind: str) -> dict[str, Any]:
     """Values of all parameters that a node has when it is started with ``--params-file``.
 
-    The node itself passes over a parameter that it does not know; here it is a mistake.
+    All sections that match the name of the node, ``/KIND``, apply in the order of the file, as in ROS. The node itself
+    passes over a parameter that it does not know; here it is a mistake.
 
     Args:
         path: File in the format of ROS 2; sections of other nodes are theirs.
         kind: Node, a key of ``PARAMETERS``.
 
     Raises:
-        InputError: The file cannot be read, has no section of the node, or one with an unknown name or a value that
-            the node refuses.
+        InputError: The file cannot be read, has no section of the node, one of this node in a namespace, or one with an
+            unknown name or a value that the node refuses.
     """
     known = {parameter.name: parameter for parameter in PARAMETERS[kind]}
     values, content = defaults_of(kind), load_mapping(path)
     _refuse_former_section(path, kind, content)
-    own = {section: _own(content, section) for section in content if section.rpartition("/")[2] in (kind, "**")}
-    if not any(own.values()):
+    own = [(section, given) for section, given in _sections(content) if _applies(section, kind, path)]
+    if not any(given for _, given in own):
         raise InputError(f"no section of the {kind}, expected /**/{kind} with ros__parameters in it", file=path)
-    for section in sorted(own, key=len):  # the node's own section overrides the common one
-        for key, wanted in own[section].items():
+    for section, given in own:
+        for key, wanted in given.items():
             place = f"{section}.{key}"
             if key in known:
                 _check(known[key], kind, wanted, path, place)
                 values[key] = wanted
-            elif section != EVERY_NODE:
+            elif _node_of(section) == kind and key != "use_sim_time":
                 hint = did_you_mean(str(key), known) or f"; known: {', '.join(known)}"
                 raise InputError(f"the {kind} has no such parameter{hint}", file=path, key=place)
     return values
@@ -481,17 +482,39 @@ def refuse_former_sections(arguments: Sequence[str], kind: str) -> None:
 
 
 def _refuse_former_section(path: Path, kind: str, content: Mapping[str, Any]) -> None:
-    names, former = {section.rpartition("/")[2] for section in content}, FORMER_SECTIONS.get(kind)
+    names, former = {_node_of(section) for section, _ in _sections(content)}, FORMER_SECTIONS.get(kind)
     if former in names and kind not in names:
         raise InputError(
             f"the {kind} is called {kind} and no longer {former}: rename the section", file=path, key=former
         )
 
 
-def _own(content: dict[str, Any], section: str) -> dict[str, Any]:
-    """Values of a section of a parameter file; empty without ``ros__parameters``."""
-    given = content[section].get("ros__parameters") if isinstance(content[section], dict) else None
-    return given if isinstance(given, dict) else {}
+def _sections(content: Mapping[Any, Any], namespace: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
+    """Names or patterns of nodes in a parameter file, and their values."""
+    for name, inside in content.items():
+        section = f"{namespace}/{str(name).strip('/')}"
+        if name == "ros__parameters" or not isinstance(inside, dict):
+            continue
+        if isinstance(given := inside.get("ros__parameters"), dict):
+            yield section, given
+        yield from _sections(inside, section)
+
+
+def _node_of(section: str) -> str:
+    return section.rpartition("/")[2]
+
+
+def _applies(section: str, kind: str, path: Path) -> bool:
+    """Whether a section is of the node ``/KIND``; ``/*`` stands for one name and ``/**`` for any number of them."""
+    pattern = re.escape(section).replace(r"/\*\*", r"(/\w+)*").replace(r"/\*", r"/\w+")
+    matches = re.fullmatch(pattern, f"/{kind}") is not None
+    if not matches and _node_of(section) == kind:
+        raise InputError(
+            f"of a {kind} in a namespace: expected /**/{kind}, which is the {kind} in every namespace",
+            file=path,
+            key=section,
+        )
+    return matches
 
 
 def _check(parameter: NodeParameter, kind: str, wanted: Any, path: Path, place: str) -> None:

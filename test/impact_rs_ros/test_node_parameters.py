@@ -216,13 +216,24 @@ def test_a_file_for_the_cell_under_its_former_name_is_refused_and_not_passed_ove
 
 
 def test_values_of_a_file_are_those_that_the_node_has(tmp_path: Path) -> None:
-    """Section by section as rclpy resolves them: that of all nodes, then that of the node in any namespace."""
+    """Kills an order by length: ROS applies the sections in the order of the file, and the last one wins."""
     file = tmp_path / "cell.yaml"
     sections = {
-        "/**/cell": {"ros__parameters": {"state_timeout": 0.02, "joints": "a{number}"}},
+        1: {"ros__parameters": {}},
+        "/**/cell": {"ros__parameters": {"state_timeout": 0.02, "joints": "a{number}", "use_sim_time": True}},
         "/**": {"ros__parameters": {"state_timeout": 0.03, "scenario": "grab", "of_another_node": 1}},
+        "/lab/**": {"ros__parameters": {"state_timeout": 0.04}},
         "other": {"ros__parameters": {"scenario": "nonsense"}},
     }
     file.write_text(yaml.safe_dump(sections, sort_keys=False))
-    wanted = {"state_timeout": 0.02, "joints": "a{number}", "scenario": "grab"}
+    wanted = {"state_timeout": 0.03, "joints": "a{number}", "scenario": "grab"}
     assert node_parameters.values_of(file, "cell") == node_parameters.defaults_of("cell") | wanted
+
+
+@pytest.mark.parametrize("content", ["/lab/cell: {ros__parameters: {}}", "lab: {cell: {ros__parameters: {}}}"])
+def test_a_section_of_a_cell_in_a_namespace_is_refused(content: str, tmp_path: Path) -> None:
+    """Kills a rehearsal with the parameters of another cell, its gravity convention among them."""
+    file = tmp_path / "cell.yaml"
+    file.write_text(content + "\n/**: {ros__parameters: {state_timeout: 0.02}}")
+    with pytest.raises(InputError, match=r"/lab/cell: of a cell in a namespace: expected /\*\*/cell"):
+        node_parameters.values_of(file, "cell")
