@@ -13,6 +13,8 @@ Soc. 25, 1950): a brake on old states is worse than none.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from impact_rs_sim.robots.robot import Array
@@ -36,3 +38,12 @@ def holding_torque(model: RobotModel, motor_inertia: Array, position: Array, vel
     excess = float(np.max(np.abs(brake) / (MAX_BRAKE_SHARE * model.torque_max)))
     torque = model.gravity_torque(position) - brake / max(1.0, excess)
     return np.asarray(np.clip(torque, -model.torque_max, model.torque_max))
+
+
+def braked_state(position: Array, velocity: Array, elapsed: float) -> tuple[Array, Array]:
+    """Position and velocity of a braked arm after ``elapsed`` [s], dq' = -dq / T, ``(n,)`` [rad], [rad/s] each.
+
+    A brake on this prediction gives the arm no more than the impulse (M + B) dq in all, on the last state without end.
+    """
+    left = math.exp(-elapsed / SETTLING_TIME_S)
+    return position + SETTLING_TIME_S * (1.0 - left) * velocity, left * velocity

@@ -8,6 +8,7 @@ import time
 import numpy as np
 
 from impact_rs_control.controller import ArmCommand, Controller, fallback_command
+from impact_rs_control.fallback import braked_state
 from impact_rs_control.plan import TrialPlan
 from impact_rs_control.qp import QpStatus
 from impact_rs_sim.plant.sensors import ArmMeasurement
@@ -39,7 +40,7 @@ class ControllerTrial(LockstepTrial):
         self._outbox = outbox
         self._arm_of = {topics.joint_states(arm): arm for arm in plan.arms}
         self._readers = {arm: JointReader(names) for arm, names in self._maker.joints.items()}
-        # Last valid position and velocity.
+        # Last valid position and velocity, and from there on those of an arm that is braked.
         self._known = {arm: (own.initial, np.zeros_like(own.initial)) for arm, own in plan.arms.items()}
         self._plan = plan
         self._period_ns = round(plan.scene.scenario.timing.control_period * 1e9)
@@ -106,11 +107,11 @@ class ControllerTrial(LockstepTrial):
             self._gathering, self._gathered = tick, {}
         if signals.complaint:
             self._fail(f"{topics.joint_states(arm)} at t = {1e-9 * tick * self._period_ns:.3f} s: {signals.complaint}")
-            position, velocity = self._known[arm]
+            position, velocity = braked_state(*self._known[arm], 1e-9 * (tick - self._tick) * self._period_ns)
             torque = np.zeros_like(position)
         else:
             position, velocity, torque = signals.values
-            self._known[arm] = position, velocity
+        self._known[arm] = position, velocity
         # The controller does not use the motor's state, so the joint's stands in for it.
         self._gathered[arm] = ArmMeasurement(position, velocity, torque, position, velocity)
         if len(self._gathered) == len(self._arm_of):

@@ -74,6 +74,19 @@ def test_what_cannot_be_used_is_answered_with_a_torque_that_holds_the_arm(
     assert len(bench.kept) == 7
 
 
+def test_an_arm_whose_state_is_lost_comes_to_rest() -> None:
+    """Kills a fallback that brakes on the last valid velocity for ever: it goes backwards at 0.38 rad/s by then."""
+    bench, velocity = Bench(), np.array([0.0, 0.5, 0.0, 0.5, 0.0, 0.0, 0.0])
+    position = START.copy()
+    for tick in range(200):
+        bench.send(position=position, velocity=velocity if tick < 5 else np.full(7, np.nan))
+        inertia = MODEL.mass_matrix(position) + np.diag(MOTORS)
+        bias = MODEL.terms(position, velocity).bias
+        velocity = velocity + 1e-3 * np.linalg.solve(inertia, bench.torques[-1] - bias)
+        position = position + 1e-3 * velocity
+    assert np.abs(velocity).max() < 0.1
+
+
 def test_a_first_state_that_cannot_be_used_is_answered_as_well() -> None:
     bench = Bench()
     bench.send(effort=[np.nan] * 7)
