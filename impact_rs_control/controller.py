@@ -160,7 +160,8 @@ class ArmController:
         self._position = plan.initial  # the last one that was finite
         self._period = timing.control_period
         self._last_tick = timing.ticks
-        self._window = timing.window
+        # First tick of the measurement window, and the first one after it.
+        self._window = np.searchsorted(timing.control_period * np.arange(timing.ticks + 1), timing.window)
         self._armed_from = timing.nominal_impact - control.detection.arm_before
         self._interim_ticks = control.interim_duration / timing.control_period
         self._interim_from: int | None = None
@@ -183,7 +184,8 @@ class ArmController:
         limits = JointLimits(model.position_min, model.position_max, model.velocity_max, model.torque_max)
         self._qp = AccelerationQp(limits, timing.control_period)
         self._detector = ImpactDetector(model, control.detection, plan.approach_direction, timing.control_period)
-        self._net = np.zeros(3)
+        self._net = self._feedback = np.zeros(3)  # integral, and the integrand at the last tick
+        self._watched = self._commanded = -1  # the last ticks
         self.detection: ImpactDetection | None = None
 
     def watch(self, tick: int, measured: ArmMeasurement) -> TickObservation:
@@ -194,7 +196,9 @@ class ArmController:
             measured: Measured state of the arm.
         """
         terms = self._model.terms(measured.position, measured.velocity)
-        return TickObservation(terms, self._detect(tick * self._period, measured, terms))
+        steps = tick - self._watched if self._watched >= 0 else 1
+        self._watched = tick
+        return TickObservation(terms, self._detect(tick * self._period, measured, terms, steps))
 
     def begin_interim(self, tick: int) -> None:
         """Leave the ante mode: some arm has hit; later calls change nothing."""
@@ -203,7 +207,6 @@ class ArmController:
 
     def command(self, tick: int, measured: ArmMeasurement, watched: TickObservation) -> ArmCommand:
         """Second half of a control tick: compute the command; arguments as for :meth:`watch`, and its result."""
-        now = tick * self._period
         q, dq, terms = measured.position, measured.velocity, watched.terms
         mode, gamma = self._mode(tick)
         feedback, tasks, targets, inertia = self._law.decide(
@@ -217,8 +220,7 @@ class ArmController:
             self._position = q
         if solution.status is QpStatus.RELAXED:
             torque = np.clip(torque, -self._model.torque_max, self._model.torque_max)
-        if self._window[0] <= now < self._window[1]:
-            self._net = self._net + self._period * feedback[:3]
+        self._integrate(tick, feedback[:3])
         return ArmCommand(
             torque=torque,
             mode=mode,
@@ -234,14 +236,24 @@ class ArmController:
             detection=watched.detection,
         )
 
+    def _integrate(self, tick: int, feedback: Array) -> None:
+        """Advance the net feedback to the end of this tick; the feedback is held over ticks that were missed."""
+        start, end = self._window
+        missed = min(tick, end) - max(self._commanded + 1, start)
+        if missed > 0:
+            self._net = self._net + missed * self._period * self._feedback
+        if start <= tick < end:
+            self._net = self._net + self._period * feedback
+        self._commanded, self._feedback = tick, feedback.copy()
+
     def _brake(self, q: Array, dq: Array) -> Array:
         """Fallback torque if the QP failed."""
         if np.isfinite(q).all() and np.isfinite(dq).all():
             return holding_torque(self._model, self._motor_inertia, q, dq)
         return self._model.gravity_torque(self._position)
 
-    def _detect(self, now: float, measured: ArmMeasurement, terms: RigidTerms) -> ImpactDetection | None:
-        hit = self._detector.update(measured.position, measured.velocity, measured.torque, terms)
+    def _detect(self, now: float, measured: ArmMeasurement, terms: RigidTerms, steps: int) -> ImpactDetection | None:
+        hit = self._detector.update(measured.position, measured.velocity, measured.torque, terms, steps)
         if self.detection is not None or not hit or now < self._armed_from:
             return None
         self.detection = ImpactDetection(

@@ -12,7 +12,7 @@ the residual to a wrench at the end effector,
 
 with n the direction of the ante-impact velocity. A slow force, as from a wrong payload, is thus removed by a high-pass
 filter with the time constant T; an impact is detected when F exceeds the threshold. The integral and F_slow advance by
-the control period (explicit Euler) in ``src/control.cpp``.
+the control period (explicit Euler) in ``src/control.cpp``; over ticks without a measurement p is interpolated.
 
 Near a singular pose this inverse amplifies noise of the residual to hundreds of newtons. The rows of J are therefore
 orthogonalised in order, the force along n first, then the forces across it, then the moments, and a linearly dependent
@@ -101,7 +101,7 @@ class ImpactDetector:
         """Sudden part of the force against ``direction`` [N]."""
         return self._observer.force
 
-    def update(self, q: Array, dq: Array, torque: Array, terms: RigidTerms) -> bool:
+    def update(self, q: Array, dq: Array, torque: Array, terms: RigidTerms, steps: int = 1) -> bool:
         """Take one measurement; True when the sudden force is above the threshold.
 
         Args:
@@ -109,6 +109,7 @@ class ImpactDetector:
             dq: Measured joint velocities, ``(n,)`` [rad/s].
             torque: Measured joint torques tau_J, ``(n,)`` [N m].
             terms: Rigid-body terms at ``q``, ``dq``.
+            steps: Control periods since the last measurement.
         """
         coriolis = pin.computeCoriolisMatrix(self._model.pinocchio, self._model.data, q, dq)
-        return self._observer.update(dq, torque, terms, coriolis)
+        return self._observer.update(dq, torque, terms, coriolis, steps)

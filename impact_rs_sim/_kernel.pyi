@@ -253,8 +253,11 @@ class Observer:
     def force(self) -> float:
         """Sudden part against the direction [N]."""
 
-    def update(self, velocity: Array, torque: Array, terms: RigidTerms, coriolis: Array) -> bool:
-        """Take one measurement: dq, tau_J, and the terms and C there; whether the force is above the threshold."""
+    def update(self, velocity: Array, torque: Array, terms: RigidTerms, coriolis: Array, steps: int = 1) -> bool:
+        """Take a measurement: dq, tau_J, and the terms and C there; whether the force is above the threshold.
+
+        ``steps``: periods since the last one.
+        """
 
 _Phase = tuple[Array, Array, Array, Array]
 """References of E's position and the posture joints ``(ticks, 3 + k)``; velocities and accelerations of the tasks,

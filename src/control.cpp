@@ -101,12 +101,14 @@ Observer::Observer(int joints, double gain, double period, double threshold, dou
       axes_(axes_along(direction)),
       residual_(joints, 0.0) {}
 
-bool Observer::update(const double* dq, const double* torque, const RigidTerms& terms, const double* coriolis) {
+bool Observer::update(const double* dq, const double* torque, const RigidTerms& terms, const double* coriolis,
+                      int steps) {
   const int n = joints_;
+  momentum_before_ = momentum_;
   momentum_.resize(n);
   multiply(terms.inertia, dq, momentum_.data(), n, n);
   if (!started_) {
-    integral_ = momentum_;
+    integral_ = momentum_before_ = momentum_;
     started_ = true;
   }
   right_.resize(7 * n);
@@ -118,8 +120,11 @@ bool Observer::update(const double* dq, const double* torque, const RigidTerms& 
       straight += coriolis[n * i + j] * dq[j];
     }
     const double known = torque[i] + transposed - (terms.bias[i] - straight);
-    integral_[i] += period_ * (known + residual_[i]);
-    residual_[i] = gain_ * (momentum_[i] - integral_[i]);
+    for (int left = steps - 1; left >= 0; --left) {  // the momentum is interpolated over periods without a measurement
+      const double momentum = momentum_[i] - left * (momentum_[i] - momentum_before_[i]) / steps;
+      integral_[i] += period_ * (known + residual_[i]);
+      residual_[i] = gain_ * (momentum - integral_[i]);
+    }
     const double* column = terms.jacobian + i;
     const Vector along = axes_ * Vector{column[0], column[n], column[2 * n]};
     for (int row = 0; row < 6; ++row) {
@@ -141,7 +146,7 @@ bool Observer::update(const double* dq, const double* torque, const RigidTerms& 
   const Vector linear = transposed_times(axes_, vector(wrench.data()));
   std::copy_n(linear.data(), 3, wrench.data());
   force = -dot(direction_, linear) - baseline_;
-  if (force < threshold_) baseline_ += forgetting_ * force;
+  if (force < threshold_) baseline_ += std::min(1.0, steps * forgetting_) * force;
   return force > threshold_;
 }
 

@@ -31,8 +31,9 @@ class Observer {
 
   int joints() const { return joints_; }
 
-  // Take one measurement; `coriolis` is C, (n, n). True: the force is above the threshold.
-  bool update(const double* dq, const double* torque, const RigidTerms& terms, const double* coriolis);
+  // Take a measurement `steps` periods after the last one; `coriolis` is C, (n, n). True: the force is above the
+  // threshold.
+  bool update(const double* dq, const double* torque, const RigidTerms& terms, const double* coriolis, int steps);
 
   std::array<double, 6> wrench{};  // on E, in E[A] [N, N m]
   double force = 0.0;              // sudden part against the direction [N]
@@ -44,7 +45,7 @@ class Observer {
   Matrix axes_;  // of forces, the direction first
   bool started_ = false;
   double baseline_ = 0.0;
-  std::vector<double> integral_, residual_, momentum_, factor_, rows_, right_;
+  std::vector<double> integral_, residual_, momentum_, momentum_before_, factor_, rows_, right_;
 };
 
 // References of one phase at all ticks; t = 6 + k tasks.

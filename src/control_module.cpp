@@ -14,14 +14,15 @@ class ObserverOfPython {
       : observer_(joints, gain, period, threshold, forgetting, vector(checked(direction, 3, "direction"))) {}
 
   // `terms`: a RigidTerms of Python.
-  bool update(const Numbers& velocity, const Numbers& torque, const py::object& terms, const Numbers& coriolis) {
+  bool update(const Numbers& velocity, const Numbers& torque, const py::object& terms, const Numbers& coriolis,
+              int steps) {
     const py::ssize_t n = observer_.joints();
     const Columns inertia(terms.attr("mass_matrix"));
     const Numbers bias(terms.attr("bias")), jacobian(terms.attr("jacobian"));
     const RigidTerms rigid{checked(inertia, n * n, "mass_matrix"), checked(bias, n, "bias"),
                            checked(jacobian, 6 * n, "jacobian")};
     return observer_.update(checked(velocity, n, "velocity"), checked(torque, n, "torque"), rigid,
-                            checked(coriolis, n * n, "coriolis"));
+                            checked(coriolis, n * n, "coriolis"), steps);
   }
 
   Numbers wrench() const { return Numbers(6, observer_.wrench.data()); }
@@ -120,7 +121,7 @@ void add_control(py::module_& module) {
       .def(py::init<int, double, double, double, double, const Numbers&>(), py::arg("joints"), py::arg("gain"),
            py::arg("period"), py::arg("threshold"), py::arg("forgetting"), py::arg("direction"))
       .def("update", &ObserverOfPython::update, py::arg("velocity"), py::arg("torque"), py::arg("terms"),
-           py::arg("coriolis"))
+           py::arg("coriolis"), py::arg("steps") = 1)
       .def_property_readonly("wrench", &ObserverOfPython::wrench)
       .def_property_readonly("force", &ObserverOfPython::force);
   py::class_<TaskLawOfPython>(module, "TaskLaw")

@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from trials import plan_of
 
+from impact_rs_analysis.measure.net_feedback import held_integral
 from impact_rs_control.closed_loop import make_plant, run_closed_loop
 from impact_rs_control.controller import IDLE_TASK_WEIGHT, ArmCommand, Controller, Mode
 from impact_rs_control.detection import BASELINE_TIME_S
@@ -215,6 +216,17 @@ def test_net_feedback_is_the_sum_of_the_feedback_over_the_window(plan: TrialPlan
     np.testing.assert_allclose(commands[-1].net_feedback, PERIOD * feedback[inside].sum(axis=0), atol=1e-12)
     assert not np.any(commands[799].net_feedback)
     np.testing.assert_array_equal(commands[1500].net_feedback, commands[-1].net_feedback)
+
+
+@pytest.mark.parametrize("every", [2, 7])
+def test_feedback_is_held_over_ticks_that_are_missed(plan: TrialPlan, every: int) -> None:
+    """Kills one period per call, which recorded a net feedback too small by the share of missed ticks."""
+    controller, state = Controller(plan), measured(plan)
+    ticks = range(3, TIMING.ticks + 1, every)
+    commands = [controller.update(tick, {ARM: state})[ARM] for tick in ticks]
+    feedback = np.array([command.feedback for command in commands])
+    _, expected = held_integral(PERIOD * np.array(ticks), feedback[:, 1], 0.8, 1.5)
+    assert commands[-1].net_feedback[1] == pytest.approx(expected, rel=1e-9)
 
 
 def limited(plan: TrialPlan, **changes: np.ndarray) -> TrialPlan:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -129,6 +130,18 @@ def test_what_counts_as_an_impact_is_not_forgotten_while_it_lasts() -> None:
     found = [push_at_rest(observer, -2.0 * SETTINGS.threshold * DIRECTION) for _ in range(500)]
     assert all(found[5:])
     assert observer.force == pytest.approx(2.0 * SETTINGS.threshold, rel=0.1)
+
+
+@pytest.mark.parametrize(("missed", "error"), [(1, 3.0), (10, 20.0)])
+def test_measurements_that_are_missed_leave_little_force(missed: int, error: float) -> None:
+    """Kills one period per call: 6 N behind one missed state of a fast arm, and 68 N behind ten."""
+    observer, last, forces = detector(), 0, []
+    for tick, (q, dq, torque) in enumerate(islice(motion(fast, np.zeros(3), 2000), 0, None, round(PERIOD / FINE))):
+        if tick % 50 < 50 - missed:
+            observer.update(q, dq, torque, MODEL.terms(q, dq), max(1, tick - last))
+            last = tick
+            forces.append(observer.force)
+    assert np.abs(forces).max() < error  # N
 
 
 def bent(elbow: float | None) -> np.ndarray:
