@@ -424,14 +424,14 @@ def _wrench(scene: Scene, name: str, post: SampledPath) -> Array:
 
 
 def _pushing_wrench(scene: Scene, name: str, post: SampledPath) -> Array:
-    """Wrench that a pushed object needs to follow the reference across its support.
+    """Wrench of one arm on a pushed object that follows the reference across its support.
 
-    In the plane of the support f = m a_d + mu m g v_d / |v_d|: the object slides along the reference against friction.
-    The component across n is limited by the friction cone of the pad; a pulling force is 0. The force acts at E and the
-    object shall not rotate, so the vertical moment about its centre of mass is compensated; the support carries the
-    tipping moment.
+    In the plane of the support f = m a_d + mu m g v_d / |v_d|, with this arm's share of the mass as m: the object
+    slides along the reference against friction. The component across n is limited by the friction cone of the pad; a
+    pulling force is 0. The force acts at E and the object shall not rotate, so the vertical moment about its centre of
+    mass is compensated; the support carries the tipping moment.
     """
-    physics, mass = scene.physics, scene.physics.moved_mass
+    physics, mass = scene.physics, scene.physics.moved_mass / len(scene.arms)
     normal = scene.scenario.robots[name].impact_placement.rotation[:, 2]
     gravity = np.asarray(physics.gravity, dtype=float)
     weight = mass * float(np.linalg.norm(gravity))

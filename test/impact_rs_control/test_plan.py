@@ -12,7 +12,7 @@ import pytest
 from trials import scene_of
 
 from impact_rs_control.arm_limits import MAX_MEASURED_TORQUE_RATIO, rate_limited, state_complaint, torque_complaint
-from impact_rs_control.plan import TrialPlan, plan_trial, tick_times
+from impact_rs_control.plan import TrialPlan, _pushing_wrench, plan_trial, tick_times
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map, settle
 from impact_rs_sim.physics import Physics
@@ -97,6 +97,13 @@ def test_a_pushed_box_gets_support_friction_and_inertial_force(push: TrialPlan) 
     assert (-needed[:, 1]).min() > 0.0
     assert np.abs(needed[:, 0]).max() > 0.1  # the predicted velocity has a part across the normal
     np.testing.assert_allclose(arm.wrench[moving, :3], needed, atol=1e-9)
+
+
+def test_arms_that_push_one_box_share_its_mass(push: TrialPlan) -> None:
+    """Kills the whole mass for each of them."""
+    arm = push.arms["arm"]
+    both = replace(PUSH, arms=dict.fromkeys(("arm", "other"), PUSH.arms["arm"]))
+    np.testing.assert_allclose(2.0 * _pushing_wrench(both, "arm", arm.post_position), arm.wrench, atol=1e-12)
 
 
 def test_the_force_on_a_pushed_box_does_not_turn_it(push: TrialPlan) -> None:
