@@ -51,7 +51,7 @@ class ArmPlan:
         ante_friction: Friction compensation of the ante mode per tick, ``(ticks + 1, 6 + k)`` [m/s^2, rad/s^2]; see
             TASKS.
         post_friction: Friction compensation of interim and post mode, ``(ticks + 1, 6 + k)`` [m/s^2, rad/s^2].
-        approach_direction: Direction of the ante-impact velocity, ``(3,)``.
+        approach_direction: Direction of the ante-impact velocity, the pad's normal if the arm waits, ``(3,)``.
         initial: Initial joint positions, ``(n,)`` [rad].
     """
 
@@ -321,7 +321,7 @@ def _plan_hit(scene: Scene, name: str, impact: ImpactResult, scale: float) -> Ar
         wrench=_wrench(scene, name, post_position),
         ante_friction=ante_friction,
         post_friction=post_friction,
-        approach_direction=velocity / np.linalg.norm(velocity),
+        approach_direction=velocity / np.linalg.norm(velocity) if np.any(velocity) else normal,
         initial=initial_position(scene, name, pose.rotation, ante_position, held, ante_posture),
     )
 

@@ -924,9 +924,11 @@ class Scenario(Schema):
         if self.excursion.start == self.excursion.end:
             raise ValueError("excursion.end must differ from start [m]: the motion has the speed of ante_velocity")
         for name, case in self.cases.items():
-            for robot in case.robots.values():
+            for arm, robot in case.robots.items():
                 if not any(robot.ante_velocity):
-                    raise ValueError(f"cases.{name}: ante_velocity, the speed of the excursion, must not be 0 [m/s]")
+                    raise ValueError(
+                        f"cases.{name}.robots.{arm}.ante_velocity is 0: expected the excursion's peak speed, > 0 [m/s]"
+                    )
                 if self.excursion.joint_1 != 0.0 and 0 not in robot.held:
                     raise ValueError(f"excursion.joint_1 moves joint 1, which cases.{name} does not hold: give joint_1")
                 end = self.excursion_end(robot)

@@ -17,7 +17,7 @@ from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map, settle
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenarios.friction_compensation import TASKS, AccelerationSamples, ArmFriction, FrictionCompensation
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.spec import TrialSpec
 
@@ -143,6 +143,22 @@ def test_two_arms_share_the_weight_and_clamp_with_opposite_forces(grab: TrialPla
     last = [arm.wrench[-1, :3] @ arm.pad_normal for arm in (left, right)]
     np.testing.assert_allclose(last, clamp, atol=1e-6)
     np.testing.assert_allclose(left.wrench[-1, 2], mass * GRAVITY / 2.0, atol=1e-6)
+
+
+def test_an_arm_that_waits_is_approached_along_its_pads_normal() -> None:
+    """Kills a direction 0 / 0, with which it never detects that it is hit."""
+    content = GRAB.scenario.model_dump(mode="json")
+    content["cases"][GRAB.case_name]["robots"]["right"]["ante_velocity"] = [0.0, 0.0, 0.0]
+    waits = TrialSpec.of(Scenario.model_validate(content), GRAB.object_name, GRAB.case_name).plan.arms["right"]
+    np.testing.assert_array_equal(waits.approach_direction, waits.pad_normal)
+
+
+def test_an_excursion_without_speed_is_refused() -> None:
+    """Kills legs of infinite duration."""
+    content = load_scenario("excite").model_dump(mode="json")
+    next(iter(content["cases"].values()))["robots"]["arm"]["ante_velocity"] = [0.0, 0.0, 0.0]
+    with pytest.raises(ValueError, match=r"robots\.arm\.ante_velocity is 0: expected the excursion's peak speed"):
+        Scenario.model_validate(content)
 
 
 def test_pads_that_clamp_a_box_rise_and_the_lift_is_that_of_their_mean(grab: TrialPlan, push: TrialPlan) -> None:
