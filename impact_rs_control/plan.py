@@ -97,11 +97,16 @@ class TrialPlan:
     @property
     def expected_lift(self) -> float:
         """Planned lift of a clamped object [m]; 0 if it is pushed."""
+        return self.expected_lift_at(self.scene.scenario.timing.duration)
+
+    def expected_lift_at(self, time: float) -> float:
+        """Planned lift of a clamped object up to a time in the trial [m]; 0 if it is pushed."""
+        timing = self.scene.scenario.timing
         if self.scene.scenario.control.clamp_force == 0.0:
             return 0.0
-        at_impact = round(self.scene.scenario.timing.nominal_impact / self.scene.scenario.timing.control_period)
+        tick, at_impact = (round(at / timing.control_period) for at in (time, timing.nominal_impact))
         paths = [arm.post_position.position[:, 2] for arm in self.arms.values()]
-        return float(np.mean([path[-1] - path[at_impact] for path in paths]))
+        return float(np.mean([path[min(tick, timing.ticks)] - path[at_impact] for path in paths]))
 
     @property
     def ante_velocity(self) -> float:

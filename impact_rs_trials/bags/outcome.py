@@ -23,7 +23,7 @@ from impact_rs_trials.bags.reader import JointColumns
 from impact_rs_trials.bags.trial_info import OUTCOMES, Outcome
 from impact_rs_trials.runs import Poses
 
-MIN_LIFT_SHARE = 0.5  # of the commanded lift; below it the object slipped or fell
+MAX_SUNK_SHARE = 0.5  # of the commanded lift, below the commanded height; beyond it the object slipped or fell
 MAX_VIOLATION_S = 0.005  # beyond a limit of position, speed or tilt; a shorter violation is a spike of a sensor
 MAX_TORQUE_VIOLATION_S = 0.05  # the impact of a healthy grab takes 6 ms, with up to 1.9 times the limit
 MAX_UNSOLVED_S = 0.05  # without a solution of the QP
@@ -302,14 +302,13 @@ def _tipped(seen: Poses, about_axis: bool) -> Iterator[_Finding]:
 
 
 def _dropped(plan: TrialPlan, seen: Poses) -> Iterator[_Finding]:
-    """An object that was to be lifted and did not rise enough."""
+    """An object that was to be lifted and did not rise enough until it was seen last."""
     if not seen.time.size:  # it was not tracked
         return
-    meant = plan.expected_lift
+    last = float(seen.time[-1])
+    meant = plan.expected_lift_at(last)
     lift = float(seen.position[-1, 2] - seen.position[0, 2])
-    if meant > 0.0 and lift < MIN_LIFT_SHARE * meant:
+    if meant - lift > MAX_SUNK_SHARE * plan.expected_lift > 0.0:
         yield _Finding(
-            "DROPPED",
-            float(seen.time[-1]),
-            f"the object rose {lift:.3f} m, it was to rise {meant:.3f} m",
+            "DROPPED", last, f"the object rose {lift:.3f} m until {last:.3f} s, it was to rise {meant:.3f} m"
         )

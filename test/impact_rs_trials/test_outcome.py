@@ -16,7 +16,7 @@ from impact_rs_control.controller import Mode
 from impact_rs_control.plan import TrialPlan
 from impact_rs_control.qp import QpStatus
 from impact_rs_sim.scenarios.scenario import load_scenario
-from impact_rs_trials.bags.outcome import MIN_LIFT_SHARE, ArmRecord, TickLog, TrialRecord, Verdict, judge
+from impact_rs_trials.bags.outcome import MAX_SUNK_SHARE, ArmRecord, TickLog, TrialRecord, Verdict, judge
 from impact_rs_trials.bags.reader import JointColumns, PoseColumns, TrialBag
 from impact_rs_trials.spec import TrialSpec
 
@@ -183,13 +183,28 @@ def test_a_pushed_object_cannot_be_dropped(lift: float) -> None:
     assert judge(PUSH, record(PUSH, lift=lift)) == Verdict("OK")
 
 
+def seen_until(end: float, lift: float) -> TrialRecord:
+    """A grab whose object is seen until ``end`` [s], risen by ``lift`` [m]."""
+    whole = record(GRAB, lift=lift)
+    return replace(whole, object=replace(whole.object, time=np.linspace(0.0, end, TICKS)))
+
+
 def test_a_clamped_object_that_rises_too_little_was_dropped() -> None:
-    enough = MIN_LIFT_SHARE * GRAB.expected_lift
-    assert judge(GRAB, record(GRAB, lift=1.01 * enough)) == Verdict("OK")
+    end, enough = GRAB.scene.scenario.timing.duration, (1.0 - MAX_SUNK_SHARE) * GRAB.expected_lift
+    assert judge(GRAB, seen_until(end, 1.01 * enough)) == Verdict("OK")
     unseen = replace(record(GRAB), object=PoseColumns(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4))))
     assert judge(GRAB, unseen) == Verdict("OK")  # a laboratory without a tracker
-    told = f"the object rose {0.99 * enough:.3f} m, it was to rise {GRAB.expected_lift:.3f} m"
-    assert judge(GRAB, record(GRAB, lift=0.99 * enough)) == Verdict("DROPPED", told)
+    told = f"the object rose {0.99 * enough:.3f} m until {end:.3f} s, it was to rise {GRAB.expected_lift:.3f} m"
+    assert judge(GRAB, seen_until(end, 0.99 * enough)) == Verdict("DROPPED", told)
+
+
+def test_an_object_that_is_lost_from_sight_on_its_way_up_was_not_dropped() -> None:
+    """Kills a comparison of the last pose seen with the lift at the end of the trial."""
+    lost = GRAB.scene.scenario.timing.nominal_impact + 0.2
+    risen = GRAB.expected_lift_at(lost)
+    assert 0.0 < risen < MAX_SUNK_SHARE * GRAB.expected_lift
+    assert judge(GRAB, seen_until(lost, risen)) == Verdict("OK")
+    assert judge(GRAB, seen_until(lost, risen - 0.6 * GRAB.expected_lift)).outcome == "DROPPED"
 
 
 def test_without_impact_nothing_is_said_of_the_object() -> None:
