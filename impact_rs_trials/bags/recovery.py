@@ -37,6 +37,7 @@ def recover(cut: Path, whole: Path) -> bool:
     info = TrialInfo.from_message(typestore().deserialize_cdr(recorded, topics.TRIAL_INFO_TYPE))
     with BagWriter.create(whole, list(info.robots), origin_ns=origin, neighbours=info.neighbours) as bag:
         bag.describe(info)
+        bag.date(cut.stat().st_mtime)
         for topic, nanoseconds, data in messages:
             bag.write_raw(topic, nanoseconds - origin, data)
         last = max(nanoseconds for _, nanoseconds, _ in messages) - origin

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import shutil
 import struct
+import time
 from collections import defaultdict
 from collections.abc import Sequence
 from contextlib import suppress
@@ -195,7 +196,6 @@ class BagWriter:
             writer = SealedWriter(hidden, version=9, storage_plugin=StoragePlugin.MCAP)
             writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             writer.open()
-            writer.set_custom_data(RECORDED, datetime.now(UTC).isoformat(timespec="seconds"))
         except OSError as error:
             shutil.rmtree(hidden, ignore_errors=True)
             raise InputError(f"cannot be written: {error.strerror}", file=path) from None
@@ -205,6 +205,7 @@ class BagWriter:
             for topic, kind in topics.recorded(arms, truth, neighbours).items()
         }
         bag = cls(path, writer, (arms, neighbours), connections, store)
+        bag.date(time.time())
         if origin_ns is None:
             bag._early = []
         else:
@@ -219,6 +220,10 @@ class BagWriter:
         early, self._early = self._early or [], None
         for message in early:
             self.write_raw(*message)
+
+    def date(self, recorded: float) -> None:
+        """Write the time of the recording, seconds since 1970, to the metadata."""
+        self._writer.set_custom_data(RECORDED, datetime.fromtimestamp(recorded, UTC).isoformat(timespec="seconds"))
 
     def describe(self, info: TrialInfo) -> None:
         """Write the trial's identity to the metadata of the bag; texts of files are in ``/trial_info`` only."""

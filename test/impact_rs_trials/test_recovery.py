@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import signal
 import sys
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +16,8 @@ import pytest
 from rosbags.rosbag2 import Reader
 
 from impact_rs_trials.bags import checksums, topics
-from impact_rs_trials.bags.reader import BagError, TrialBag
-from impact_rs_trials.bags.writer import BagWriter, partial_path
+from impact_rs_trials.bags.reader import BagError, TrialBag, stamped_at
+from impact_rs_trials.bags.writer import RECORDED, BagWriter, partial_path
 
 STATES = topics.joint_states("arm")
 SAVED = 5  # times that the bag is saved
@@ -69,6 +71,13 @@ def test_a_bag_that_was_cut_off_is_aborted_and_says_when(cut: tuple[Path, list[i
     assert bag.outcome == "ABORTED"
     assert bag.reason.startswith("the recording was cut off at t = 1.") or "cut off at t = 0." in bag.reason
     assert f"{bag.joints(STATES).time[-1]:.2f}" in bag.reason
+
+
+def test_a_bag_that_was_cut_off_was_recorded_when_it_was_written(cut: tuple[Path, list[int]]) -> None:
+    """Kills the time of reading as the time of the recording."""
+    os.utime(cut[0], (1.6e9, 1.6e9))
+    assert stamped_at(cut[0]) is None
+    assert datetime.fromisoformat(TrialBag.open(cut[0]).metadata[RECORDED]).timestamp() == 1.6e9
 
 
 def test_wherever_a_bag_breaks_off_it_is_read_up_to_the_save_before(cut: tuple[Path, list[int]]) -> None:
