@@ -222,7 +222,7 @@ class RecorderNode(TrialServices):
         else:
             try:
                 bag.finish(verdict.outcome, verdict.reason)
-            except OSError as error:
+            except (OSError, InputError) as error:
                 verdict = Verdict("ABORTED", f"the bag cannot be closed: {error}")
             self._recording = None
             self._open.close()

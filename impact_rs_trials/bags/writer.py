@@ -187,11 +187,11 @@ class BagWriter:
         Raises:
             InputError: The folder exists already or cannot be made.
         """
-        if path.exists():
-            raise InputError("this bag exists already", file=path)
         hidden = partial_path(path)
-        shutil.rmtree(hidden, ignore_errors=True)
         try:
+            if path.exists():
+                raise InputError("this bag exists already", file=path)
+            shutil.rmtree(hidden, ignore_errors=True)
             path.parent.mkdir(parents=True, exist_ok=True)
             writer = SealedWriter(hidden, version=9, storage_plugin=StoragePlugin.MCAP)
             writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
@@ -291,11 +291,18 @@ class BagWriter:
         Args:
             outcome: How the trial ended.
             reason: Reason of the outcome, in one line; may be empty.
+
+        Raises:
+            InputError: The folder has been made by another program meanwhile.
         """
         if lacking := topics.lacking(self._arms, self._present, self._neighbours):
             self._writer.set_custom_data(MISSING, ", ".join(lacking))
         self._close(outcome, reason)
-        partial_path(self.path).rename(self.path)
+        hidden = partial_path(self.path)
+        try:
+            hidden.rename(self.path)
+        except OSError as error:
+            raise InputError(f"cannot be made: {error.strerror}; the bag is in {hidden}", file=self.path) from None
         self._tidy()
 
     def _close(self, outcome: Outcome, reason: str = "") -> None:

@@ -175,3 +175,20 @@ def test_a_bag_says_its_offers_and_when_it_was_recorded(tmp_path: Path) -> None:
     assert found[topics.CLOCK] == found[topics.DIAGNOSTICS] == found[topics.impact_event("arm")] == (10, "volatile")
     assert found[topics.TF_STATIC] == found[topics.OBJECT_DESCRIPTION] == (1, "transient_local")
     assert {profiles[0]["reliability"] for profiles in offered.values()} == {"reliable"}
+
+
+def test_a_name_that_no_folder_can_have_is_refused(tmp_path: Path) -> None:
+    """Kills a raw OSError of a name with more than 255 bytes."""
+    with pytest.raises(InputError, match="cannot be written: File name too long"):
+        BagWriter.create(tmp_path / ("x" * 256), ["arm"])
+
+
+def test_a_folder_that_appears_while_its_bag_is_recorded_is_left_alone(tmp_path: Path) -> None:
+    """Kills a raw OSError, which did not say where the bag is."""
+    path = tmp_path / "trial"
+    with pytest.raises(InputError, match=r"cannot be made: Directory not empty; the bag is in .*/\.partial/trial"):  # noqa: SIM117
+        with BagWriter.create(path, ["arm"]) as bag:
+            bag.write(TOPIC, 0, message(0))
+            (path / "of_another_program").mkdir(parents=True)
+            bag.finish("OK")
+    assert read(partial_path(path)) == [(TOPIC, 0)]
