@@ -49,7 +49,6 @@ MIN_PEAK_DROP = 0.05  # of the correlation beside its peak; with less, several o
 MAX_GRID_SAMPLES = 200_000  # of the common grid
 REFINED_SAMPLES = 3.0  # of the grid about the largest correlation, in which the offset is fitted
 MIN_TRACKER_NOISE_M = 5e-5  # no tracker resolves less
-MEDIAN_SECOND_DIFFERENCE = 3.77  # of unit noise on three axes, length: sqrt(6) times the median of chi with 3 degrees
 MIN_MOTION_SIGMA = 5.0  # standard deviations of the noise, beyond which an object moves
 MIN_MOVING_SAMPLES = 4  # in a row
 MIN_REST_SAMPLES = 5  # before the start
@@ -117,10 +116,9 @@ def start_of_motion(pose: Series, path: Path, key: str) -> tuple[float, float]:
         InputError: It does not rest at first, or never moves.
     """
     place = pose.values[:, :3]
-    bend = np.linalg.norm(np.diff(place, n=2, axis=0), axis=1)
-    noise = float(np.median(bend)) / MEDIAN_SECOND_DIFFERENCE + MIN_TRACKER_NOISE_M
-    rest = np.median(place[: max(MIN_REST_SAMPLES, place.shape[0] // 20)], axis=0)
-    clear = np.linalg.norm(place - rest, axis=1) > MIN_MOTION_SIGMA * noise
+    at_first = place[: max(MIN_REST_SAMPLES, place.shape[0] // 20)]
+    noise = _scatter_about_a_line(at_first) + MIN_TRACKER_NOISE_M
+    clear = np.linalg.norm(place - np.median(at_first, axis=0), axis=1) > MIN_MOTION_SIGMA * noise
     steady = clear.copy()
     for later in range(1, MIN_MOVING_SAMPLES):
         steady[:-later] &= clear[later:]
@@ -148,6 +146,13 @@ def start_of_motion(pose: Series, path: Path, key: str) -> tuple[float, float]:
     scatter = max(float(np.sqrt(np.sum(np.square(s - design @ fit)) / max(len(s) - 3, 1))), noise)
     error = scatter * float(np.sqrt(at @ covariance @ at)) / max(speed, 1e-9)
     return float(time[0] + start), min(error, float(t[1]))
+
+
+def _scatter_about_a_line(place: Array) -> float:
+    """Standard deviation per axis of places ``(k, 3)`` about a constant velocity [m]."""
+    number = np.arange(len(place), dtype=float)
+    squares = np.polyfit(number, place, 1, full=True)[1]
+    return float(np.sqrt(np.sum(squares) / (place.shape[1] * max(len(place) - 2, 1))))
 
 
 @dataclass(frozen=True)
