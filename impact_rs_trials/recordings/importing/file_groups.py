@@ -24,6 +24,7 @@ from pathlib import Path
 
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.importing.candidates import guess_of
+from impact_rs_trials.recordings.importing.joint_streams import COMMANDED
 from impact_rs_trials.recordings.readers.run_finder import name_of, natural_key
 
 NUMBER = re.compile(r"\d+")
@@ -95,31 +96,34 @@ def group_files(files: Sequence[Path]) -> FileGroups:
 
 
 def whole_runs(groups: FileGroups, columns: Callable[[Path], frozenset[str]], bodies: bool) -> FileGroups | None:
-    """A run of several files as a run per file, if each is whole: all have the same names of columns.
+    """A run per file, if kinds of files have the same names of columns, so that each file is a whole run.
 
-    Every file has positions and another signal of joints, or no signal of joints where a body may move alone. Files
-    that are named after signals, as q.csv and tau.csv, stay one run, whatever their columns are called.
+    Every kind has positions and another signal of joints, or no signal of joints where a body may move alone. Files
+    that are named after signals, as q.csv and tau.csv, or of which some are named after targets, as measured_1.csv
+    and desired_1.csv, stay one run, whatever their columns are called.
 
     Args:
         groups: Files by name.
-        columns: Names of the columns of a file; empty: it names none.
+        columns: Names of the columns of a file, asked of the first of each kind; empty: it names none.
         bodies: Whether the recordings may be those of a body without a robot.
 
     Returns:
         The same files, or None.
     """
-    files = [file for by_run in groups.kinds.values() for file in by_run.values()]
-    if not groups.spread or len(groups.runs) > 1 or len(files) < 2 or _are_signals([file.stem for file in files]):
+    kinds = [Path(kind).stem for kind in groups.kinds]
+    targets = sum(COMMANDED.search(kind) is not None for kind in kinds)
+    if not groups.spread or len(kinds) < 2 or _are_signals(kinds) or 0 < targets < len(kinds):
         return None
-    named = {columns(file) for file in files}
+    named = {columns(next(iter(by_run.values()))) for by_run in groups.kinds.values()}
     if len(named) > 1 or not (names := named.pop()):
         return None
     hints = {guess_of(name) for name in names} - {""}
     if not ({"position"} < hints or (bodies and not hints)):
         return None
+    files = sorted((file for by_run in groups.kinds.values() for file in by_run.values()), key=natural_key)
     root = Path(os.path.commonpath([file.parent for file in files]))
     by_run = {str(file.relative_to(root)): file for file in files}
-    return FileGroups(root, {"": by_run}, tuple(by_run), False)
+    return FileGroups(root, {"": by_run}, tuple(by_run), False, left_out=groups.left_out)
 
 
 def _shape(name: str) -> str:
