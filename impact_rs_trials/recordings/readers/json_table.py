@@ -89,11 +89,13 @@ def _cells(column: Sequence[Any]) -> list[str] | NDArray[Any]:
     """Numbers as an array, anything else as text."""
     if all(isinstance(cell, int | float) and not isinstance(cell, bool) for cell in column):
         return np.array(column)
-    return ["" if cell is None else _text(cell) for cell in column]
+    return [cell_text(cell) for cell in column]
 
 
-def _text(cell: Any) -> str:
-    """A cell that is no number; the numbers of a list are joined by blanks."""
+def cell_text(cell: Any) -> str:
+    """Text of a cell that is no number; the numbers of a list are joined by blanks, ``nan`` for a null among them."""
+    if cell is None:
+        return ""
     if isinstance(cell, list):
-        return " ".join(map(_text, cell))
+        return " ".join("nan" if one is None else cell_text(one) for one in cell)
     return str(int(cell)) if isinstance(cell, bool) else str(cell)

@@ -19,7 +19,7 @@ from impact_rs_sim.optional_packages import require
 from impact_rs_trials.recordings.mapping import TableLayout
 from impact_rs_trials.recordings.readers.csv_rows import csv_rows, decimal_sign, read_lines
 from impact_rs_trials.recordings.readers.inner_runs import runs_of
-from impact_rs_trials.recordings.readers.json_table import JSON_SUFFIXES, read_json_table
+from impact_rs_trials.recordings.readers.json_table import JSON_SUFFIXES, cell_text, read_json_table
 from impact_rs_trials.recordings.readers.read_once import once
 
 Cells = dict[str, list[str] | NDArray[Any]]
@@ -217,10 +217,5 @@ def _of_parquet(path: Path, rows: tuple[int, int] | None = None, names: list[str
         elif pyarrow.types.is_integer(column.type) or pyarrow.types.is_floating(column.type):
             cells[name] = column.to_numpy(zero_copy_only=False)
         else:
-            cells[name] = ["" if cell is None else _text(cell) for cell in column.to_pylist()]
+            cells[name] = [cell_text(cell) for cell in column.to_pylist()]
     return Columns(_each_once(path, names, cells), dates=frozenset(dates))
-
-
-def _text(cell: object) -> str:
-    """A non-numeric cell as text; the numbers of a list are joined by blanks."""
-    return " ".join(map(str, cell)) if isinstance(cell, list) else str(cell)

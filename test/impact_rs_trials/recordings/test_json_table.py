@@ -18,6 +18,7 @@ from slender_arm import FLAT, mapping_of, slender_arm
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.readers.json_table import read_json_table
 from impact_rs_trials.recordings.readers.run_finder import find_runs
+from impact_rs_trials.recordings.readers.table_columns import read_columns
 from impact_rs_trials.recordings.recording import ARM, read_recordings
 from impact_rs_trials.recordings.remarks import merged
 
@@ -56,6 +57,18 @@ def test_one_record_a_line_and_objects_inside_of_records(tmp_path: Path) -> None
     assert list(cells) == ["t", "state.q", "state.mode"]
     assert cells["state.q"] == ["0.0", "0.02", "0.04", "", "0.08"]
     assert cells["state.mode"][3] == ""
+
+
+@pytest.mark.parametrize("ending", ["json", "parquet"])
+def test_a_null_among_the_numbers_of_a_cell_is_no_number(tmp_path: Path, ending: str) -> None:
+    """Kills: the text None in the cell, by which the whole file is refused."""
+    path, q = tmp_path / f"log.{ending}", [[0.1, None], [0.2, 0.3], [0.3, 0.4]]
+    if ending == "json":
+        path.write_text(json.dumps([{"t": 0.1 * number, "q": one} for number, one in enumerate(q)]))
+    else:
+        pyarrow = pytest.importorskip("pyarrow")
+        pytest.importorskip("pyarrow.parquet").write_table(pyarrow.table({"t": [0.0, 0.1, 0.2], "q": q}), path)
+    assert list(read_columns(path).cells["q"]) == ["0.1 nan", "0.2 0.3", "0.3 0.4"]
 
 
 @pytest.mark.parametrize(
