@@ -43,6 +43,7 @@ class DescribedRuns:
 
     def __init__(self, groups: FileGroups, scenario: str | None, notes: Notes) -> None:
         self._groups, self._scenario, self._notes = groups, scenario, notes
+        self._refused: list[InputError] = []
 
     def rows(self, mapping: Mapping) -> list[FoundRun]:
         """Every readable run; the others are noted."""
@@ -60,11 +61,13 @@ class DescribedRuns:
             try:
                 moves = has_object and object_moves(groups.folder / run, mapping, row.names)
             except InputError as error:
-                self._notes.remarks.append(f"{run} is left out, for the reader refuses it: {error}")
+                self._leave_out(run, error)
                 continue
             rows.append(replace(row, hit=moves or mapping.robot == NO_ROBOT))
         if missing:
             self._notes.remarks.append(f"left out, for a file is missing: {'; '.join(missing)}")
+        if not rows and self._refused:
+            raise self._refused[0]
         if not rows:
             raise InputError(f"no run has all of its files: {'; '.join(missing)}", file=groups.folder)
         self._say_unread(needed)
@@ -94,9 +97,13 @@ class DescribedRuns:
             try:
                 inside = find_runs(self._groups.folder / run, mapping)
             except InputError as error:
-                self._notes.remarks.append(f"{run} is left out, for the reader refuses it: {error}")
+                self._leave_out(run, error)
                 continue
             yield from ((str(path.relative_to(self._groups.folder)), session) for path in inside)
+
+    def _leave_out(self, run: str, error: InputError) -> None:
+        self._refused.append(error)
+        self._notes.remarks.append(f"{run} is left out, for the reader refuses it: {error}")
 
     def _say_unread(self, needed: set[str]) -> None:
         """Files that hold no signal of the mapping."""

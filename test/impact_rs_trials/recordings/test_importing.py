@@ -514,6 +514,16 @@ def test_groups_that_may_be_robots_are_not_left_out_in_silence(tmp_path: Path, m
     assert "groups arm_001, arm_002" in said and "{run} in place of their name" in said
 
 
+def test_runs_that_no_path_can_name_are_refused_with_the_reason(tmp_path: Path, motion: Columns) -> None:
+    """Kills: no run has all of its files, with nothing behind it."""
+    file = write(tmp_path / "a.csv", ["time", *numbered("q"), *numbered("dq"), *numbered("tau")],
+                 [TIME, motion["position"], motion["velocity"], motion["effort"]])  # fmt: skip
+    head, *rows = file.read_text().splitlines()
+    named = [f"{row},a/{1 + number // 400}" for number, row in enumerate(rows)]
+    file.write_text("\n".join([f"{head},run", *named]) + "\n")
+    assert "expected the name of a run in every row, without /" in refusal(iiwa, file, tmp_path)
+
+
 def test_episodes_of_one_table_are_runs(tmp_path: Path, motion: Columns) -> None:
     names = ["timestamp", "episode_index", "frame_index", *numbered("q"), *numbered("dq"), *numbered("tau")]
     half = [signal.reshape(2, 400, -1) for signal in (motion["position"], motion["velocity"], motion["effort"])]
