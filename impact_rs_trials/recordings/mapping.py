@@ -74,6 +74,7 @@ TorqueMeaning = Literal["whole", "without_gravity", "external", "target"]
 JOINT_SIGNALS: tuple[SignalName, ...] = tuple(name for name in get_args(SignalName) if name not in WIDTHS)
 
 
+TimeUnit = Literal["s", "ms", "us", "ns", "date", "frames"]
 StampNames = str | tuple[str, str]  # column or array of stamps; or of whole seconds and of nanoseconds beside them
 
 
@@ -121,6 +122,7 @@ class SignalSource(Schema):
     time_column: StampNames | None = Field(None, description="its own time, as time.column; absent: as in the mapping")
     array: str | None = Field(None, description="array of an NPZ, HDF5, MAT or PyTorch file, samples x joints")
     time_array: StampNames | None = Field(None, description="its own time, as time.array; absent: as in the mapping")
+    time_unit: TimeUnit | None = Field(None, description="its own time, as time.unit; absent: as in the mapping")
     file: str | None = Field(None, description="file in the folder of a run; absent: the run's own file")
     table: TableLayout | None = Field(None, description="as table, for its file; absent: as in the mapping")
     quaternion_order: Literal["xyzw", "wxyz"] = Field("xyzw", description="order of a quaternion in a table")
@@ -154,7 +156,7 @@ class TimeSource(Schema):
     )
     column: StampNames = Field("time", description="column of a table; or two, whole seconds and nanoseconds")
     array: StampNames = Field("time", description="array of an NPZ, HDF5, MAT or PyTorch file; or two, as columns")
-    unit: Literal["s", "ms", "us", "ns", "date", "frames"] = Field(
+    unit: TimeUnit = Field(
         "s",
         description="unit of the timestamps except in bags; date: 2026-11-25 12:00:00.5, a zone may follow; frames: "
         "numbers of camera frames, over rate",
@@ -243,15 +245,16 @@ class Mapping(Schema):
 
     @model_validator(mode="after")
     def _pairs_are_seconds(self) -> Self:
-        named: dict[str, StampNames | None] = {"time.column": self.time.column, "time.array": self.time.array}
-        for name, source in self.signals.items():
-            own = {"time_column": source.time_column, "time_array": source.time_array}
-            named |= {f"signals.{name}.{key}": names for key, names in own.items()}
-        for key, names in named.items():
-            if not isinstance(names, str | None) and (self.time.unit != "s" or self.time.steps):
-                raise ValueError(f"{key} names whole seconds and nanoseconds, expected time.unit: s and no time.steps")
-        if self.time.steps and self.time.unit in ("date", "frames"):
-            raise ValueError(f"time.steps has time.unit {self.time.unit!r}, expected s, ms, us or ns")
+        clocks = [("time.", self.time, "time.unit")]
+        clocks += [(f"signals.{name}.time_", self.clock(one), "time_unit") for name, one in self.signals.items()]
+        for before, clock, unit in clocks:
+            for key, names in (("column", clock.column), ("array", clock.array)):
+                if not isinstance(names, str) and (clock.unit != "s" or clock.steps):
+                    raise ValueError(
+                        f"{before}{key} names whole seconds and nanoseconds, expected {unit}: s and no time.steps"
+                    )
+            if clock.steps and clock.unit in ("date", "frames"):
+                raise ValueError(f"time.steps has {unit} {clock.unit!r}, expected s, ms, us or ns")
         return self
 
     @model_validator(mode="after")
@@ -348,6 +351,11 @@ class Mapping(Schema):
             raise ValueError(f"signals has both object_pose and {parts[0]}, expected one of them")
         if len(parts) == 1 and not (self.robot == NO_ROBOT and parts == ["object_position"]):
             raise ValueError(f"signals.{parts[0]} stands alone, expected object_position and object_quaternion")
+
+    def clock(self, source: SignalSource) -> TimeSource:
+        """Timestamps of a signal: its own, and the mapping's where it has none."""
+        own = {"column": source.time_column, "array": source.time_array, "unit": source.time_unit}
+        return self.time.model_copy(update={key: value for key, value in own.items() if value is not None})
 
     @property
     def spread(self) -> bool:

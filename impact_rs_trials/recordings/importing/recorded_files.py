@@ -127,9 +127,20 @@ class RecordedFile:
         if self is not main:
             if self.layout != main.layout:
                 own["table"] = self.layout.model_dump(exclude_defaults=True)
-            if self.clock is not None and main.clock is not None and self.clock.value != main.clock.value:
-                own["time_array" if self.is_array_file else "time_column"] = self.clock.value
+            if self.clock is not None and main.clock is not None:
+                own |= self._own_time(self.clock, main.clock)
         return own
+
+    def _own_time(self, clock: Guess, main: Guess) -> dict[str, Any]:
+        """Keys of a signal for timestamps that differ from the main file's."""
+        if clock.further.get("steps") != main.further.get("steps"):
+            raise InputError(
+                f"its time {flow(clock.value)} and that of the joints are not both time stamps or both times since the "
+                "row before, expected one kind in all files of a run; add a column of time stamps",
+                file=self.path,
+            )
+        own = {} if clock.value == main.value else {f"time_{'array' if self.is_array_file else 'column'}": clock.value}
+        return own | ({} if clock.further["unit"] == main.further["unit"] else {"time_unit": clock.further["unit"]})
 
 
 @dataclass(frozen=True)

@@ -125,7 +125,7 @@ class ArrayFile:
 
     def _time(self, source: SignalSource, name: SignalName, values: Array) -> Array:
         """Timestamps of the samples of a signal [s]."""
-        clock = self._mapping.time
+        clock = self._mapping.clock(source)
         if clock.rate is not None:
             width = self._mapping.width(name)
             count = values.size // width if values.ndim == 2 and width in values.shape else 0
@@ -134,7 +134,7 @@ class ArrayFile:
         if clock.unit == "date":
             text = "arrays hold numbers, expected their unit: s, ms, us or ns"
             raise InputError(text, file=self._path, key="time.unit", value=clock.unit)
-        named = source.time_array or clock.array
+        named = clock.array
         key = f"signals.{name}.time_array" if source.time_array else TIME_KEY
         if not isinstance(named, str):
             pair = [self._names.fill(one) for one in named]
@@ -167,7 +167,7 @@ class ArrayFile:
 
 def _arrays_of(source: SignalSource, mapping: Mapping) -> list[str]:
     """Names of the arrays of a signal and of its timestamps."""
-    time = source.time_array or mapping.time.array
+    time = mapping.clock(source).array
     return [*([source.array] if source.array else []), *([time] if isinstance(time, str) else time)]
 
 

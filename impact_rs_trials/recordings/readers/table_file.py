@@ -93,10 +93,10 @@ class TableFile:
 
     def _seconds(self, source: SignalSource, name: SignalName, samples: int) -> Array:
         """Stamps of a signal [s]."""
-        clock = self._mapping.time
+        clock = self._mapping.clock(source)
         if clock.rate is not None and clock.unit != "frames":
             return np.asarray(np.arange(samples) / clock.rate)
-        named = source.time_column or clock.column
+        named = clock.column
         key = "time.column" if source.time_column is None else f"signals.{name}.time_column"
         if not isinstance(named, str):
             pair = [self._names.fill(one) for one in named]

@@ -777,6 +777,20 @@ def test_runs_that_contradict_the_first_are_named(tmp_path: Path, motion: Column
     assert "the reader refuses it" in said[3] and "no column 'tau1'" in said[3]
 
 
+def test_a_file_has_its_own_unit_of_time(tmp_path: Path, motion: Columns) -> None:
+    """Kills: the unit of the main file for all files, by which torques in ms lie 1000 times later than positions."""
+    (tmp_path / "run").mkdir()
+    names = [f"j{joint}" for joint in range(1, 8)]
+    for name, time in (("position", TIME), ("velocity", TIME), ("effort", 1e3 * TIME)):
+        write(tmp_path / "run" / f"{name}.csv", ["time", *names], [time, motion[name]])
+    draft = iiwa(tmp_path / "run", tmp_path)
+    mapping = mapping_in(draft, tmp_path / "lab")
+    assert {name: source.time_unit for name, source in mapping.signals.items()} == {
+        "position": None, "velocity": None, "torque": "ms",
+    }  # fmt: skip
+    check_reading(draft, tmp_path / "lab", tmp_path / "run", motion)
+
+
 def test_a_run_that_cannot_be_read_is_named(tmp_path: Path, motion: Columns) -> None:
     hits(tmp_path / "raw", motion, (0, 1))
     (tmp_path / "raw" / "object_1_hit_1.csv").write_text("RosTime,Position,Orientation\n1,none,0 0 0 1\n")

@@ -226,8 +226,8 @@ def test_a_folder_per_run_with_a_file_per_group(laboratory: LaboratoryFolder) ->
     write_csv(folder / "command.csv", {"stamp": 1e-9 * signals.time, **command})
     pose = dict(zip(["x", "y", "z", "w", "i", "j", "k"], signals.pose[:, [0, 1, 2, 6, 3, 4, 5]].T, strict=True))
     pose |= {name: 1e3 * pose[name] for name in "xyz"}
-    write_csv(folder / "run_1_box.csv", {"time": 1e-9 * signals.object_time, **pose})
-    box = {"file": "{run}_box.csv", "columns": list(pose), "quaternion_order": "wxyz", "unit": "mm"}
+    write_csv(folder / "run_1_box.csv", {"time": 1e-6 * signals.object_time, **pose})
+    box = {"file": "{run}_box.csv", "columns": list(pose), "quaternion_order": "wxyz", "unit": "mm", "time_unit": "ms"}
     laboratory.mapping(
         {name: {"file": "joints.csv"} for name in ("position", "velocity", "torque")}
         | {"command": {"file": "command.csv", "column": "tau_{joint}", "time_column": "stamp"}, "object_pose": box}
