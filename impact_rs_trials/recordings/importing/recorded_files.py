@@ -35,7 +35,15 @@ from impact_rs_trials.recordings.mapping import IN_A_PLANE, NO_ROBOT, Mapping, S
 from impact_rs_trials.recordings.readers.array_file import ArrayFile
 from impact_rs_trials.recordings.readers.bag_file import read_topics
 from impact_rs_trials.recordings.readers.clock_steps import without_steps_back
-from impact_rs_trials.recordings.readers.guesses import FRAME, Guess, clock_of, other_units, steps_back
+from impact_rs_trials.recordings.readers.guesses import (
+    FRAME,
+    Guess,
+    clock_of,
+    numbers_of,
+    other_units,
+    steps_back,
+    strange_stamp,
+)
 from impact_rs_trials.recordings.readers.inner_runs import RUN, run_column_of, run_groups_of, runs_of
 from impact_rs_trials.recordings.readers.run_finder import ARRAY_SUFFIXES, BAG_SUFFIXES, is_bag_folder
 from impact_rs_trials.recordings.readers.series import Names
@@ -100,6 +108,12 @@ class RecordedFile:
             if (back := steps_back(self.columns)) is not None:
                 evidence = f"{back}; sort the rows by time, or cut the recording there into several"
                 raise InputError(evidence, file=self.path)
+            if (strange := strange_stamp(self.columns)) is not None:
+                raise InputError(
+                    f"no column holds time stamps: {strange}, expected seconds or another unit in numbers, or dates as "
+                    "2026-11-25 12:00:00.5; rewrite this column",
+                    file=self.path,
+                )
             raise InputError(
                 "no column holds time stamps: none increases at a rate of 1 Hz to 100 kHz; --rate says the sampling "
                 "rate of files without stamps",
@@ -273,7 +287,7 @@ def settle_clock(part: RecordedFile, model: RobotModel) -> None:
     clock = part.clock
     if clock is None or clock.sure or "steps" in clock.further:
         return
-    assumed, stamps = UNITS["time"][clock.further["unit"]], np.asarray(part.columns[clock.value], dtype=float)
+    assumed, stamps = UNITS["time"][clock.further["unit"]], numbers_of(part.columns[clock.value])
     tried = []
     for unit in (clock.further["unit"], *other_units(clock, stamps)):
         scale = UNITS["time"][unit] / assumed

@@ -19,7 +19,7 @@ from impact_rs_sim.optional_packages import require
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.recordings.file_units import UNITS
 from impact_rs_trials.recordings.mapping import WIDTHS, Mapping, SignalName, SignalSource
-from impact_rs_trials.recordings.readers.clock import seconds_of, seconds_of_pair, since_first
+from impact_rs_trials.recordings.readers.clock import seconds_of, seconds_of_dates, seconds_of_pair, since_first
 from impact_rs_trials.recordings.readers.mat_file import read_mat
 from impact_rs_trials.recordings.readers.read_once import once
 from impact_rs_trials.recordings.readers.series import MissingSignal, Names, Series
@@ -32,6 +32,7 @@ UNSEALED = (
 )
 TIME_KEY = "time.array"
 HDF5 = (".h5", ".hdf5")
+DATES = "mM"  # kinds of NumPy types that are durations and dates, which have their own unit
 REAL = "iuf"  # kinds of NumPy types that are real numbers: neither complex numbers, booleans, texts nor durations
 
 
@@ -144,22 +145,27 @@ class ArrayFile:
         stamps = self._stamps(array, f"time of {name}", key)
         if stamps.ndim != 1:
             raise InputError(f"array {array!r} (time) is {stamps.shape}, expected one number a sample", file=self._path)
+        if stamps.dtype.kind in DATES:
+            return seconds_of_dates(stamps)
         seconds = seconds_of(stamps, UNITS["time"][clock.unit])
         return since_first(seconds) if clock.steps else seconds
 
     def _stamps(self, name: str, meaning: str, key: str) -> NDArray[Any]:
-        """An array of time, as integers if it holds integers; a vector of MATLAB has one axis."""
-        as_numbers, as_stored = self._array(name, meaning, key), self._arrays[name.strip("/")]
-        stamps = as_stored if np.issubdtype(as_stored.dtype, np.integer) else as_numbers
+        """An array of time, as it is if it holds integers or dates; a vector of MATLAB has one axis."""
+        stored = self._stored(name, meaning, key)
+        stamps = stored if stored.dtype.kind in "iu" + DATES else self._array(name, meaning, key)
         return stamps.ravel() if stamps.ndim == 2 and 1 in stamps.shape else stamps
 
-    def _array(self, name: str, meaning: str, key: str) -> Array:
+    def _stored(self, name: str, meaning: str, key: str) -> NDArray[Any]:
         name = name.strip("/")
         if name not in self._arrays:
             near, found = did_you_mean(name, self._arrays), ", ".join(self._arrays)
             text = f"no array {name!r} ({meaning}){near}; found: {found}"
             raise MissingSignal(text, file=self._path, key=f"{key} of the mapping")
-        stored = self._arrays[name]
+        return self._arrays[name]
+
+    def _array(self, name: str, meaning: str, key: str) -> Array:
+        stored = self._stored(name, meaning, key)
         if stored.dtype.kind not in REAL:
             raise InputError(f"array {name!r} ({meaning}) holds {stored.dtype}, expected real numbers", file=self._path)
         return np.asarray(stored, dtype=float)

@@ -117,6 +117,12 @@ def seconds_of(stamps: NDArray[Any], unit: float) -> Array:
     return np.asarray(stamps // each + (stamps % each) * unit)
 
 
+def seconds_of_dates(stamps: NDArray[Any]) -> Array:
+    """Dates or durations of NumPy in seconds, ``(k,)``; NaT is not a number."""
+    nanoseconds = stamps.astype(f"{stamps.dtype.kind}8[ns]").astype(np.int64)
+    return np.where(np.isnat(stamps), np.nan, seconds_of(nanoseconds, 1e-9))
+
+
 def since_first(steps: Array) -> Array:
     """Timestamps from the times since the sample before, ``(k,)`` [s]; the first sample has none before it."""
     return np.concatenate(([0.0], np.cumsum(steps[1:])))

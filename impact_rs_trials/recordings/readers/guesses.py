@@ -18,12 +18,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rs_sim.errors import shortened
 from impact_rs_sim.robots.robot import Array, RobotFacts
 from impact_rs_sim.robots.robot_model import GRAVITY_M_S2
 from impact_rs_sim.rotations import MAX_NORM_ERROR
 from impact_rs_trials.recordings.file_units import UNITS
-from impact_rs_trials.recordings.readers.clock import seconds_of
+from impact_rs_trials.recordings.readers.clock import seconds_of, seconds_of_dates
 from impact_rs_trials.recordings.readers.clock_steps import MAX_STEPS_BACK
+from impact_rs_trials.recordings.readers.series import MAX_UNSTAMPED_SHARE
 from impact_rs_trials.recordings.readers.table_file import DATE
 from impact_rs_trials.recordings.relations import (
     MIN_AVERAGED_SAMPLES,
@@ -45,6 +47,7 @@ MIN_RANGE_SHARE = 1e-3  # of a joint's range, travelled by a joint that moves; e
 MAX_SHOWN_STEPS = 3  # backwards in time, in a message
 MAX_CLOCK_JITTER = 0.1  # of the usual step, within which a step is even
 MIN_EVEN_SHARE = 0.95  # of the steps of a clock, by which it is one whatever its name
+MIN_STAMPED_SHARE = 1.0 - MAX_UNSTAMPED_SHARE  # of the rows of a clock
 OUTLIERS = np.errstate(over="ignore", invalid="ignore")  # may be of any size; what they spoil fits nothing
 MIN_TURN = 0.1  # travelled by two numbers of the quaternion of a body that turns
 FALL_HALF_WIDTH_S = 0.04  # of second differences, in which a fall bends a track by 16 mm
@@ -111,6 +114,23 @@ def steps_back(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> s
     return None
 
 
+def strange_stamp(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> str | None:
+    """First cell of a column with the name of a clock that is neither number nor date; None: not found."""
+    for name, cells in columns.items():
+        for row, cell in enumerate(cells if STAMP.search(name) and isinstance(cells, list) else (), start=1):
+            if cell.strip() and not DATE.fullmatch(cell.strip()) and not _is_number(cell):
+                return f"{name!r} has {shortened(cell, 40)!r} in row {row}"
+    return None
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
 def _clock_of_two(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> Guess | None:
     """Whole seconds that stay for many samples, and nanoseconds that begin anew with each second."""
     whole = {name: stamps for name, cells in columns.items() if (stamps := _whole(cells)) is not None}
@@ -147,12 +167,17 @@ def _clock(name: str, cells: Sequence[str] | NDArray[Any], steps_back: int) -> G
         return None
     if isinstance(cells, list) and cells and all(DATE.fullmatch(cell.strip()) for cell in cells):
         return Guess(name, "holds dates", further={"unit": "date"})
+    possible: Sequence[str] = STAMP_UNITS
+    if isinstance(cells, np.ndarray) and cells.dtype.kind in "mM":
+        cells, possible = 1e9 * seconds_of_dates(cells), ("ns",)
     try:
-        stamps = np.asarray(cells, dtype=float)
+        stamps = numbers_of(cells)
     except (ValueError, TypeError):
         return None
-    if stamps.ndim != 1 or stamps.size < 3 or not np.isfinite(stamps).all():
+    known = np.isfinite(stamps)
+    if stamps.ndim != 1 or stamps.size < 3 or np.mean(known) < MIN_STAMPED_SHARE:
         return None
+    stamps = stamps[known]
     steps = np.diff(stamps)
     usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
     if usual == 0.0 or float(np.mean(np.abs(steps[steps > 0.0] / usual - 1.0) < 0.9)) < 0.5:
@@ -160,7 +185,7 @@ def _clock(name: str, cells: Sequence[str] | NDArray[Any], steps_back: int) -> G
     even = float(np.mean(np.abs(steps / usual - 1.0) < MAX_CLOCK_JITTER)) > MIN_EVEN_SHARE
     if np.count_nonzero(steps < 0.0) > steps_back * (even or bool(STAMP.search(name))):
         return None
-    units = [unit for unit in STAMP_UNITS if _plausible(unit, stamps, usual)]
+    units = [unit for unit in possible if _plausible(unit, stamps, usual)]
     named = [unit for unit in units if re.search(rf"(^|[^a-z]){unit}([^a-z]|$)", name, re.IGNORECASE)]
     if not units:
         return None
@@ -190,6 +215,11 @@ def _steps(name: str, cells: Sequence[str] | NDArray[Any]) -> Guess | None:
     rate = 1.0 / (usual * UNITS["time"][units[0]])
     said = f"times since the row before, by its name; in {units[0]} that is {rate:.4g} Hz"
     return Guess(name, said, len(units) == 1, {"unit": units[0], "steps": True})
+
+
+def numbers_of(cells: Sequence[str] | NDArray[Any]) -> Array:
+    """Numbers of a column, ``(k,)``; an empty cell is not a number."""
+    return np.asarray(cells if isinstance(cells, np.ndarray) else [cell or "nan" for cell in cells], dtype=float)
 
 
 def other_units(clock: Guess, stamps: Array) -> list[str]:

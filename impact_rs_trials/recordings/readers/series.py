@@ -14,6 +14,7 @@ from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.recordings.remarks import remark
 
 MAX_BRIDGED_PERIODS = 5.0  # between two samples, beyond which nothing is interpolated or differentiated
+MAX_UNSTAMPED_SHARE = 0.1  # of the rows; more are a fault of the clock, which is refused
 MAX_HELD_CHANGE = 0.25  # of the usual number of rows for which a value is held, or one row
 MIN_HELD_SHARE = 0.8  # of the values, held for about as many rows
 MIN_HELD_PERIODS = 1.5  # of the samples, from which on a command is held from one to the next
@@ -62,9 +63,13 @@ class Series:
     remarks: tuple[str, ...] = ()
 
     def sampled(self) -> Series:
-        """Without the rows that hold no sample (all NaN), as in tables with a slower signal."""
-        kept = np.any(~np.isnan(self.values), axis=1)
-        return self if kept.all() else self.in_rows(np.asarray(kept))
+        """Without the rows that hold no sample (all NaN), as in tables with a slower signal, or no timestamp."""
+        own = self.in_rows(np.any(~np.isnan(self.values), axis=1))
+        stamped = ~np.isnan(own.time)
+        if stamped.all() or np.mean(~stamped) > MAX_UNSTAMPED_SHARE:
+            return own
+        words = "{}: {:d} of {:d} samples have no time stamp: left out"
+        return own.in_rows(stamped).with_remark(words, int(np.sum(~stamped)), stamped.size)
 
     def without_held(self) -> Series:
         """One row of each value, if values are held for several rows, as of a slow signal in a fast table.

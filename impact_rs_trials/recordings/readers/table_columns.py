@@ -37,7 +37,7 @@ class Columns:
     Attributes:
         cells: Texts or numbers by name of a column.
         lines: Line of every row in a text file; empty: not a text file.
-        dates: Columns that hold dates, as nanoseconds since 1970.
+        dates: Columns that hold dates or durations, as nanoseconds.
         remarks: Warnings about reading it.
         header: Line of the names in a text file; 0: no names.
     """
@@ -204,9 +204,10 @@ def _of_parquet(path: Path, rows: tuple[int, int] | None = None, names: list[str
     cells: Cells = {}
     dates = set()
     for name, column in zip(names, table.columns, strict=True):
-        if pyarrow.types.is_timestamp(column.type):
+        if pyarrow.types.is_timestamp(column.type) or pyarrow.types.is_duration(column.type):
+            kind = pyarrow.timestamp if pyarrow.types.is_timestamp(column.type) else pyarrow.duration
             try:
-                nanoseconds = column.cast(pyarrow.timestamp("ns")).cast(pyarrow.int64())
+                nanoseconds = column.cast(kind("ns")).cast(pyarrow.int64())
             except pyarrow.ArrowInvalid:
                 message = (
                     f"column {name!r} has a stamp outside the years 1678 to 2262, which 64 bits of nanoseconds hold"

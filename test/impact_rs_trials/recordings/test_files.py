@@ -7,6 +7,7 @@ import os
 import pickle
 import warnings
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -119,13 +120,24 @@ def test_two_columns_of_a_parquet_file_with_one_name_are_refused(tmp_path: Path)
         ({"position": VALUES + 1j}, "complex128"),
         ({"position": VALUES > 0.0}, "bool"),
         ({"position": VALUES.astype(str)}, "<U"),
-        ({"time": np.arange(24).astype("m8[ms]")}, "timedelta64[ms]"),
-        ({"time": np.arange(24).astype("M8[ms]")}, "datetime64[ms]"),
+        ({"position": np.ones((24, 7)).astype("m8[ms]")}, "timedelta64[ms]"),
+        ({"position": np.ones((24, 7)).astype("M8[ms]")}, "datetime64[ms]"),
     ],
 )
 def test_arrays_hold_real_numbers(tmp_path: Path, changes: dict[str, object], kind: str) -> None:
     said = refused(npz_file(tmp_path / "a.npz", **changes))
     assert f"holds {kind}" in said and "expected real numbers" in said
+
+
+@pytest.mark.parametrize("kind", ["M8[ms]", "m8[ms]"])
+@pytest.mark.parametrize("write", [npz_file, parquet_file])
+def test_dates_and_durations_have_their_own_unit(tmp_path: Path, write: Callable[..., Path], kind: str) -> None:
+    """Kills: refused dates of NumPy and durations of Arrow, and the unit of the mapping for them."""
+    stamps = (10 * np.arange(24)).astype(kind)
+    stamps[5] = "NaT"
+    found = read(write(tmp_path / f"a.{write.__name__.split('_')[0]}", time=stamps))
+    np.testing.assert_allclose(found.time, np.delete(TIME, 5), atol=1e-12)
+    assert any("1 of 24 samples have no time stamp: left out" in one for one in found.remarks)
 
 
 @pytest.mark.parametrize("kind", ["f4", "i4", "u2"])

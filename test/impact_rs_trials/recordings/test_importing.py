@@ -777,6 +777,20 @@ def test_runs_that_contradict_the_first_are_named(tmp_path: Path, motion: Column
     assert "the reader refuses it" in said[3] and "no column 'tau1'" in said[3]
 
 
+def test_a_clock_lacks_some_stamps_or_is_named(tmp_path: Path, motion: Columns) -> None:
+    """Kills: no clock because of one blank stamp, and --rate proposed for times of day, which replaces real stamps."""
+    file = write(tmp_path / "a.csv", ["time", *numbered("q"), *numbered("dq"), *numbered("tau")], usual(motion))
+    head, *rows = file.read_text().splitlines()
+    rows[100] = "," + rows[100].split(",", 1)[1]
+    file.write_text("\n".join([head, *rows]))
+    draft = iiwa(file, tmp_path)
+    assert any("1 of 800 samples have no time stamp: left out" in remark for remark in draft.remarks)
+    assert read_recordings(file, mapping_in(draft, tmp_path / "lab"))[0].signals.arms["arm"].position.shape[0] >= 799
+    file.write_text("\n".join([head, *(f"01:59:5{row}" for row in rows)]))
+    said = refusal(iiwa, file, tmp_path)
+    assert "'time' has '01:59:50'" in said and "in row 1, expected" in said and "--rate" not in said
+
+
 def test_a_file_has_its_own_unit_of_time(tmp_path: Path, motion: Columns) -> None:
     """Kills: the unit of the main file for all files, by which torques in ms lie 1000 times later than positions."""
     (tmp_path / "run").mkdir()
