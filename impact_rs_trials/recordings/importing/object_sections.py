@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.recordings.importing.candidates import vector_width, width_of
 from impact_rs_trials.recordings.importing.file_groups import OBJECT
 from impact_rs_trials.recordings.importing.flange_path import MAX_RMS_RATIO, MAX_RMS_RATIO_OF_TARGET, FlangePath
@@ -19,7 +18,14 @@ from impact_rs_trials.recordings.importing.joint_streams import COMMANDED
 from impact_rs_trials.recordings.importing.moving_objects import moving_objects
 from impact_rs_trials.recordings.importing.recorded_files import ImportedFiles, RecordedFile, axes_of, source_in
 from impact_rs_trials.recordings.mapping import HEIGHT_ALONE, IN_A_PLANE, NO_ROBOT, SignalName, SignalSource
-from impact_rs_trials.recordings.readers.guesses import Guess, fall_in, pose_of, quaternion_order, unit_of_length
+from impact_rs_trials.recordings.readers.guesses import (
+    Guess,
+    fall_in,
+    quaternion_order,
+    unit_of_flight,
+    unit_of_length,
+)
+from impact_rs_trials.recordings.readers.series import Series
 from impact_rs_trials.recordings.readers.sources import open_file
 from impact_rs_trials.recordings.readers.transforms import are_transforms
 
@@ -128,7 +134,7 @@ class ObjectSections:
                     up, length = falling
                     columns = [*columns[:up], *columns[up + 1 :], columns[up]]
                 else:
-                    length = unit_of_length(track.values)
+                    length = unit_of_flight(track.time, track.values)
                 self._notes.add("signals.object_position", ", ".join(columns), length.evidence, length.sure)
                 self._notes.remarks.append(
                     "no column is its orientation: enough for a ball only, with its spin (body.spin)"
@@ -141,46 +147,53 @@ class ObjectSections:
                 return part
         return None
 
+    def _length(self, track: Series) -> Guess:
+        """Unit of a body's positions; one near a robot slides, and its friction may resemble g in another unit."""
+        place = track.values[:, :3]
+        return unit_of_flight(track.time, place) if self._flange is None else unit_of_length(place)
+
     def _pose_sections(
         self, part: RecordedFile, place: dict[str, Any], quaternion: dict[str, Any] | None, named: bool
     ) -> dict[str, dict[str, Any]] | None:
         source = place if quaternion is None else None
         file = open_file(part.path, part.raw_mapping(NO_ROBOT, (), self._rate, source), part.names, ("object_pose",))
 
-        def numbers(name: SignalName, source: dict[str, Any]) -> Array | None:
+        def track(name: SignalName, source: dict[str, Any]) -> Series | None:
             unit = "-" if name == "object_quaternion" else "m"
             try:
-                return file.series(name, SignalSource.model_validate({"unit": unit, **source})).values
+                return file.series(name, SignalSource.model_validate({"unit": unit, **source}))
             except InputError:
                 return None
 
         label = place.get("column") or place.get("array") or place.get("topic") or ", ".join(place.get("columns", ()))
         if quaternion is None:
-            pose = numbers("object_pose", place)
-            matrices = are_transforms(np.shape(part.columns.get(place.get("array", ""), ())))
-            guess = None if pose is None else pose_of(pose)
-            if guess is None or pose is None:
+            pose = track("object_pose", place)
+            order = None if pose is None else quaternion_order(pose.values[:, 3:])
+            if order is None or pose is None:
                 return None
+            length = self._length(pose)
+            matrices = are_transforms(np.shape(part.columns.get(place.get("array", ""), ())))
             if matrices:
-                length = unit_of_length(pose)
-                guess = Guess(length.value, length.evidence)
+                order = Guess("xyzw", "")
             evidence = "holds homogeneous matrices" if matrices else "holds a position and a unit quaternion"
             self._notes.add("signals.object_pose", label, evidence)
-            self._notes.add("signals.object_pose.unit", guess.value, guess.evidence, guess.sure)
-            return {"object_pose": {**source_in(part, place, self.groups), "unit": guess.value, **guess.further}}
-        where, turned = numbers("object_position", place), numbers("object_quaternion", quaternion)
-        order = None if turned is None else quaternion_order(turned)
+            evidence = "; ".join(filter(None, (length.evidence, order.evidence)))
+            self._notes.add("signals.object_pose.unit", length.value, evidence, length.sure and order.sure)
+            further = {} if order.value == "xyzw" else {"quaternion_order": order.value}
+            return {"object_pose": {**source_in(part, place, self.groups), "unit": length.value, **further}}
+        where, turned = track("object_position", place), track("object_quaternion", quaternion)
+        order = None if turned is None else quaternion_order(turned.values)
         if where is None or order is None:
             return None
-        length = unit_of_length(where)
+        length = self._length(where)
         if names := quaternion.get("columns"):
             order = Guess("wxyz" if names[0].lower().endswith("w") else "xyzw", "the names of its columns")
         further = {} if order.value == "xyzw" else {"quaternion_order": order.value}
         turned_label = quaternion.get("column") or quaternion.get("array") or ", ".join(names or ())
-        by_order = (
-            "" if named else f"; taken for the position of the body with the orientation {turned_label}, by order alone"
-        )
-        self._notes.add("signals.object_position", label, f"{length.evidence}{by_order}", named)
+        how = "by their names" if named else "by order alone"
+        evidence = f"taken for the position of the body with the orientation {turned_label}, {how}"
+        self._notes.add("signals.object_position", label, evidence, named)
+        self._notes.add("signals.object_position.unit", length.value, length.evidence, length.sure)
         self._notes.add("signals.object_quaternion", order.value, order.evidence, order.sure and named)
         return {
             "object_position": {**source_in(part, place, self.groups), "unit": length.value},

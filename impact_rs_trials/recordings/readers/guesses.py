@@ -2,7 +2,7 @@
 """Detection of clocks and poses in raw numbers, each with its evidence.
 
     clock     the column that increases and gives a sampling rate of 1 Hz to 100 kHz in its unit
-    pose      a unit quaternion and three numbers within reach
+    pose      a unit quaternion and three numbers, in the unit in which they fall by g or are within reach
 
 Roles of the joints' streams are found by their likelihood (:mod:`hypotheses`).
 """
@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping as AbstractMapping
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -276,22 +276,26 @@ def are_derivatives(time: Array, values: Array, raw: Array) -> NDArray[np.bool_]
     return np.asarray(one_unit & (found.correlation > MIN_CORRELATION_OF_COLUMNS))
 
 
-def pose_of(raw: Array) -> Guess | None:
-    """Unit and quaternion order of poses ``(k, 7)``; None: they hold no unit quaternion."""
-    place, quaternion = raw[:, :3], raw[:, 3:]
-    order = quaternion_order(quaternion)
-    if order is None:
-        return None
-    length = unit_of_length(place)
-    further = {} if order.value == "xyzw" else {"quaternion_order": order.value}
-    return Guess(length.value, f"{length.evidence}; {order.evidence}", order.sure, further)
-
-
 def unit_of_length(place: Array) -> Guess:
     """Unit of positions ``(k, 3)`` of an object near a robot."""
     largest = float(np.nanmax(np.abs(place)))
     unit = "mm" if largest > MAX_DISTANCE_M else "m"
     return Guess(unit, f"up to {largest:.3g} from the origin, which is a position near a robot in {unit}")
+
+
+def unit_of_flight(time: Array, place: Array) -> Guess:
+    """Unit of positions ``(k, 3)`` of a body without a robot: that in which it falls by g, else an assumed one.
+
+    Args:
+        time: Stamps, ``(k,)`` [s].
+        place: Along any axes, one of which is vertical.
+    """
+    seen = np.isfinite(place).all(axis=1)
+    falling = fall_in(time[seen], place[seen])
+    if falling is not None and falling[1].sure:
+        return Guess(falling[1].value, falling[1].evidence)
+    length = unit_of_length(place)
+    return replace(length, evidence=f"nothing falls freely; {length.evidence}", sure=False)
 
 
 def fall_in(time: Array, place: Array) -> tuple[int, Guess] | None:

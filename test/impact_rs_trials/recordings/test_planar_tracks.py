@@ -13,7 +13,7 @@ from refusals import refusal
 from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.recordings.impacts.found_impacts import FoundImpacts, find_impacts
 from impact_rs_trials.recordings.importing.import_recordings import ImportOptions, draft_import
-from impact_rs_trials.recordings.readers.guesses import fall_in
+from impact_rs_trials.recordings.readers.guesses import fall_in, unit_of_flight
 
 DROPS = ((0.2, 0.4), (0.35, 0.3), (0.5, 0.45))  # speed along and height [m/s, m]
 G, RADIUS, RESTITUTION, FRICTION = 9.81, 0.008, 0.82, 0.15  # m/s^2, m, -, -
@@ -117,6 +117,17 @@ def test_a_place_that_increases_is_no_clock(tmp_path: Path) -> None:
     mapping = yaml.safe_load(draft.texts["mapping.yaml"])
     assert mapping["time"] == {"column": "dt", "unit": "s", "steps": True}
     assert mapping["signals"]["object_position"] == {"columns": ["x", "y"], "unit": "m"}
+
+
+@pytest.mark.parametrize(("unit", "size"), [("m", 1.0), ("cm", 0.01), ("mm", 1e-3)])
+def test_the_unit_of_a_ball_in_space_is_that_in_which_it_falls_by_g(tmp_path: Path, unit: str, size: float) -> None:
+    """Kills: mm for a ball up to 106 cm from the origin, as if there were a robot."""
+    x, z = bounces(0.3, 0.8)[0].T / size
+    rows = [f"{n / RATE:.6f},{one:.6f},{0.0:.6f},{up:.6f}" for n, (one, up) in enumerate(zip(x, z, strict=True))]
+    (tmp_path / "ball.csv").write_text("\n".join(["time,x,y,z", *rows]) + "\n")
+    draft = draft_import([tmp_path / "ball.csv"], tmp_path, ImportOptions(robot="none"))
+    assert yaml.safe_load(draft.texts["mapping.yaml"])["signals"]["object_position"]["unit"] == unit
+    assert unit_of_flight(np.arange(90) / RATE, np.full((90, 3), 0.5)).sure is False
 
 
 def test_a_body_on_a_table_is_sent_to_a_table_of_impacts(tmp_path: Path) -> None:
