@@ -54,6 +54,15 @@ def test_a_right_recording_raises_no_doubt_whatever_its_friction(friction: float
     assert arm_warnings(TIME, arm, MAPPING, MODEL) == []
 
 
+def test_zeros_of_encoders_at_right_angles_are_named_by_their_offsets() -> None:
+    """Kills: a factor of one joint's torque as the remedy where two encoders have another zero."""
+    columns, moved = swung(), 0.5 * np.pi * np.array([0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    arm = ArmSignals(columns["position"] + moved, columns["velocity"], columns["effort"])
+    said = [str(doubt) for doubt in arm_warnings(TIME, arm, MAPPING, MODEL)]
+    assert any("signals.position.offset: [0, -1.5708, 0, -1.5708, 0, 0, 0]" in one for one in said), said
+    assert not any("torque.factor" in one for one in said)
+
+
 @pytest.mark.parametrize("joint", range(7))
 def test_the_sign_of_a_velocity_is_named(joint: int) -> None:
     (doubt,) = doubts({"velocity": (joint, -1.0)})
