@@ -14,8 +14,10 @@ A prediction passes forward through the sensor models; the measured start of a r
 with T2 = sqrt(2) / (2 pi f) and the cut-off f. T1, T2 and d are delays at low frequencies: both denominators are
 starts of the series of exp(T s).
 
-A filter acts on predictions, which have no noise. Of a measured start it is inverted to first order in T1 + T2 + d,
-with the slope of the reading: x(t) = x_r + (T1 + T2 + d) dx_r/dt (exact for a ramp).
+A filter acts on predictions, which have no noise. Of a measured start it is inverted to second order, with slope and
+curvature of the reading (exact for a parabola; torques to first order):
+
+    x(t) = x_r + L dx_r/dt + C d2x_r/dt2,       L = T1 + T2 + d,       C = (T2 + d)^2 / 2 + T1 (T2 + d)
 """
 
 from __future__ import annotations
@@ -169,6 +171,12 @@ class ArmReadings:
     def velocity_late(self) -> float:
         """T1 + T2 + d of velocities [s]."""
         return sum(self.velocity_filters) + self.velocity_delay
+
+    @property
+    def velocity_curvature(self) -> float:
+        """C of velocities [s^2]."""
+        second = self.velocity_butterworth + self.velocity_delay
+        return second * (0.5 * second + self.velocity_lag)
 
     @property
     def torque_late(self) -> float:

@@ -81,7 +81,7 @@ class Setup:
                 arrays += [arm.position, arm.velocity, drive.torque, drive.torque_rate]
                 arrays += [np.append(moment, torque) for moment, torque in drive.earlier]
                 arrays += [window.torque[name], window.acting[name].astype(float), window.before.get(name, np.zeros(0))]
-                arrays += [window.from_velocity.get(name, np.zeros(0)), np.array([window.age])]
+                arrays += [window.start_from_velocity(name), np.array([window.age])]
             text += [hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest() for array in arrays]
         return hashlib.sha256("\n".join(text).encode()).hexdigest()
 

@@ -43,6 +43,7 @@ MIN_MOVING_SPEED_SHARE = 0.05  # of the largest joint speed; a slower arm rests
 WINDOW_BEFORE_IMPACT_S = 0.02  # from the begin of the window about the impact to the impact
 WINDOW_AFTER_IMPACT_S = 0.4  # from the impact to the end of that window
 START_FIT_HALF_WIDTH_S = 0.008  # of the local fit for the start; ends before the impact begins
+CURVATURE_FIT_S = 0.04  # from the begin of the fit of a curvature to the start; shorter ones are mostly noise
 RESTING_POSE_SAMPLES = 25  # averaged for the pose of the object before the impact
 MAX_HISTORY_SAMPLES = 60  # before the start, for formulas with memory; from the begin of the run
 COMMAND_HISTORY_S = 0.03  # before the start: commands that a delayed actuation may still deliver
@@ -64,9 +65,9 @@ class Window:
         seen: Times at which the object was tracked, ``(m,)`` [s].
         seen_beside: Likewise its neighbours, by name.
         before: By arm, samples from the begin of the run to the start (:attr:`TwinJob.before`).
-        from_velocity: By arm, what velocity readings contribute to position and velocity of the start, what their
-            slopes would contribute in their place, and the reading itself with its slope, ``(6, n)`` [rad, rad/s,
-            rad/s, rad/s^2, rad/s, rad/s^2].
+        from_velocity: By arm, what velocity readings, their slopes and their curvatures contribute to position and
+            velocity of the start, ``(3, 2, n)`` [rad and rad/s over s^0, s^1, s^2].
+        velocity: By arm, reading of the velocity at the start and its slope, ``(2, n)`` [rad/s, rad/s^2].
         age: Time of the run since the first one of the campaign [s].
     """
 
@@ -81,6 +82,7 @@ class Window:
     seen: Array
     before: dict[str, Array] = field(default_factory=dict)
     from_velocity: dict[str, Array] = field(default_factory=dict)
+    velocity: dict[str, Array] = field(default_factory=dict)
     age: float = 0.0
     seen_beside: dict[str, Array] = field(default_factory=dict)
 
@@ -88,6 +90,12 @@ class Window:
     def substeps(self) -> int:
         """Periods of the torque loop from tick to tick."""
         return len(next(iter(self.acting.values()))) // (self.time.size - 1)
+
+    def start_from_velocity(self, arm: str) -> Array:
+        """Contributions of velocity readings and their slopes to a start, and the reading, ``(5, n)``, for digests."""
+        if arm not in self.from_velocity:
+            return np.zeros(0)
+        return np.vstack((*self.from_velocity[arm][:2], self.velocity[arm][0]))
 
     def commanded(self, arm: str) -> Array:
         """Driving torque at every tick, ``(k, n)`` [N m]."""
@@ -161,10 +169,10 @@ def _window(run: Run, start: float, end: float, box: BodyState, number: int | No
     ticks = time[first : last + 1]
     substeps = max(1, round(run.period / run.drive_period))
     grid = (ticks[:-1, None] + np.arange(substeps) * (run.period / substeps)).ravel()
-    arms, drives, torques, acting, before, from_velocity = {}, {}, {}, {}, {}, {}
+    arms, drives, torques, acting, before, from_velocity, velocity = {}, {}, {}, {}, {}, {}, {}
     rows = np.arange(first - 1, -1, -max(1, math.ceil(first / MAX_HISTORY_SAMPLES)))[::-1]
     for name, arm in run.signals.arms.items():
-        q, dq, from_velocity[name] = _joint_fit(time, arm.position, arm.velocity, ticks[0])
+        q, dq, from_velocity[name], velocity[name] = _joint_fit(time, arm.position, arm.velocity, ticks[0])
         torque, rate = _slope_fit(time, arm.torque, ticks[0])
         before[name] = np.column_stack((time[rows], arm.position[rows], arm.velocity[rows], arm.torque[rows]))
         arms[name] = ArmState(q, dq)
@@ -183,7 +191,19 @@ def _window(run: Run, start: float, end: float, box: BodyState, number: int | No
     for name, poses in run.signals.neighbours.items():
         beside[name] = _within_ticks(poses.time, ticks, contact)
     return Window(
-        contact, number or 0, ticks, arms, drives, box, torques, acting, seen, before, from_velocity, seen_beside=beside
+        contact,
+        number or 0,
+        ticks,
+        arms,
+        drives,
+        box,
+        torques,
+        acting,
+        seen,
+        before,
+        from_velocity,
+        velocity,
+        seen_beside=beside,
     )
 
 
@@ -241,27 +261,38 @@ def _near(time: Array, moment: float) -> slice:
     return slice(first, last)
 
 
-def _joint_fit(time: Array, position: Array, velocity: Array, moment: float) -> tuple[Array, Array, Array]:
+def _joint_fit(time: Array, position: Array, velocity: Array, moment: float) -> tuple[Array, Array, Array, Array]:
     """q and dq at a moment, ``(n,)`` each, by one cubic of both, each weighted by its own noise.
 
-    The third is :attr:`Window.from_velocity`, as ``(6, n)``.
+    Behind them :attr:`Window.from_velocity` and :attr:`Window.velocity`.
     """
     rows = _near(time, moment)
     t = time[rows] - moment
     one, zero = np.ones_like(t), np.zeros_like(t)
     on_position = np.column_stack((one, t, t**2 / 2.0, t**3 / 6.0))
     on_velocity = np.column_stack((zero, one, t, t**2 / 2.0))
-    q, dq, parts = np.empty(position.shape[1]), np.empty(position.shape[1]), np.empty((4, position.shape[1]))
+    q, dq, parts = np.empty(position.shape[1]), np.empty(position.shape[1]), np.empty((3, 2, position.shape[1]))
     readings, slopes = np.linalg.lstsq(np.column_stack((one, t)), velocity[rows], rcond=None)[0]
+    curvatures = _curvature(time, velocity, moment)
     for joint in range(q.size):
         a, b = position[rows, joint], velocity[rows, joint]
         wa, wb = 1.0 / _noise(position[:, joint], 1e-7), 1.0 / _noise(velocity[:, joint], 1e-5)
         design = np.vstack((wa * on_position, wb * on_velocity))
         solution = np.linalg.lstsq(design, np.concatenate((wa * (a - a[0]), wb * b)), rcond=None)[0]
         q[joint], dq[joint] = solution[0] + a[0], solution[1]
-        of_velocity = np.concatenate((np.zeros((t.size, 2)), wb * np.column_stack((b, slopes[joint] * one))))
-        parts[:, joint] = np.linalg.lstsq(design, of_velocity, rcond=None)[0][:2].T.ravel()
-    return q, dq, np.vstack((parts, readings, slopes))
+        of_velocity = wb * np.column_stack((b, slopes[joint] * one, curvatures[joint] * one))
+        of_both = np.concatenate((np.zeros_like(of_velocity), of_velocity))
+        parts[:, :, joint] = np.linalg.lstsq(design, of_both, rcond=None)[0][:2].T
+    return q, dq, parts, np.stack((readings, slopes))
+
+
+def _curvature(time: Array, values: Array, moment: float) -> Array:
+    """Second derivative at a moment, ``(n,)``, by a parabola through samples before it: an impact may follow."""
+    first, last = np.searchsorted(time, (moment - CURVATURE_FIT_S, moment + START_FIT_HALF_WIDTH_S + 1e-9))
+    t = time[first:last] - moment
+    if t.size < 5:
+        return np.zeros(values.shape[1])
+    return np.asarray(2.0 * np.polyfit(t, values[first:last], 2)[0])
 
 
 def _slope_fit(time: Array, values: Array, moment: float) -> tuple[Array, Array]:
@@ -327,11 +358,13 @@ def _job(window: Window, physics: Physics, drive_period: float, drive: DriveName
 
 def _true_start(window: Window, name: str, readings: ArmReadings) -> ArmState:
     """State of the arm from the readings at the start; the fit is linear in them."""
-    start, (q_v, dq_v, q_a, dq_a, *_) = window.arms[name], window.from_velocity[name]
-    late, scale = readings.velocity_late, readings.position_scale * readings.velocity_gain
+    start, parts = window.arms[name], window.from_velocity[name]
+    q_v, dq_v = parts[0]
+    q_true, dq_true = np.tensordot((1.0, readings.velocity_late, readings.velocity_curvature), parts, 1)
+    scale = readings.position_scale * readings.velocity_gain
     return ArmState(
-        readings.position_of(start.position - q_v) + (q_v + late * q_a) / scale,
-        (start.velocity - dq_v) / readings.position_scale + (dq_v + late * dq_a) / scale,
+        readings.position_of(start.position - q_v) + q_true / scale,
+        (start.velocity - dq_v) / readings.position_scale + dq_true / scale,
     )
 
 
@@ -374,7 +407,7 @@ def _signals(window: Window, physics: Physics, result: Result) -> Signals:
         true = (path.position, path.velocity, path.torque, path.motor_position, path.motor_velocity)
         readings, drive = physics.arms[name].readings, window.drives[name]
         if not readings.exact:
-            *_, velocity, acceleration = window.from_velocity[name]
+            velocity, acceleration = window.velocity[name]
             true = (
                 readings.position(path.position),
                 readings.velocity(window.time, path.velocity, (velocity, acceleration)),
