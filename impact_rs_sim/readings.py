@@ -136,7 +136,7 @@ class ArmReadings:
             time: Samples, ``(k,)`` [s].
             true: tau_J, ``(k, n)`` [N m].
             age: Time since the first run of the campaign [s].
-            first: First output of the filters [N m] and its slope [N m/s], ``(n,)`` each; None: as of velocities.
+            first: First output of the filters [N m] and its slope [N m/s], ``(n,)`` each; None: as for velocities.
         """
         if self.exact:
             return true
@@ -276,7 +276,7 @@ def filtered(time: Array, values: Array, lags: Lags, first: Start | None = None)
         time: Samples on an even grid, ``(k,)`` [s].
         values: Input, ``(k, m)``.
         lags: T1 and T2 [s].
-        first: Output at the first sample and its slope, ``(m,)`` each; None: those of a ramp.
+        first: Output at the first sample and its slope, ``(m,)`` each; None: the input has been a ramp before.
     """
     period = float(time[-1] - time[0]) / (time.size - 1)
     lag, butterworth = lags

@@ -111,7 +111,9 @@ void TwinArm::update_loads() {
     }
   }
   for (int i = 0; i < n; ++i) on_links_[i] += dot(axis(i).linear + cross(axis(i).angular, position), force);
-  if (model_.python) model_.python(symbols.data(), q.data(), dq.data(), drive_.elastic.data(), on_links_.data(), on_motors_.data());
+  if (model_.python) {
+    model_.python(symbols.data(), q.data(), dq.data(), drive_.elastic.data(), on_links_.data(), on_motors_.data());
+  }
 }
 
 void TwinArm::apply_force(const Vector& position, const Vector& force) {

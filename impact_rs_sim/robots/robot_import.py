@@ -442,7 +442,7 @@ def _narrowed(
         if own[2] > 0.0 and (leader, "velocity") not in given:
             fastest = min(fastest, own[2] / abs(ratio))
         if (lower, upper, fastest, effort) != rows[leader]:
-            yield f"Limits of joint {leader} are narrower than in the URDF: those of {name}, which follows it, count."
+            yield f"Limits of joint {leader} are narrowed by the limits of {name}, which follows it."
         rows[leader] = lower, upper, fastest, effort
 
 

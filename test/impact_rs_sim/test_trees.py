@@ -589,7 +589,7 @@ def test_limits_of_a_follower_narrow_those_of_its_leader(tmp_path: Path) -> None
     limits = facts.limits
     found = (*limits.position_min_rad, *limits.position_max_rad, *limits.velocity_rad_s, *limits.torque_Nm)
     assert found == pytest.approx((-0.4, 0.6, 1.0, 50.0))
-    assert any("Limits of joint lift_1 are narrower than in the URDF: those of lift_2" in note for note in notes)
+    assert any("Limits of joint lift_1 are narrowed by the limits of lift_2" in note for note in notes)
     apart = text.replace('offset="0.2"', 'offset="9"')
     (tmp_path / "apart").mkdir()
     facts, _, notes = imported(tmp_path / "apart", apart)
