@@ -280,7 +280,7 @@ def track_of_recording(run: Run) -> Track:
 
 
 def track_of_bag(bag: TrialBag) -> Track:
-    """A trial as far as it was recorded, from the robot's own topics; ``/truth`` is not read.
+    """A trial as far as all of its arms were recorded, from the robot's own topics; ``/truth`` is not read.
 
     Raises:
         BagError: An arm's joint states are missing or damaged.
@@ -288,10 +288,12 @@ def track_of_bag(bag: TrialBag) -> Track:
     """
     physics = bag.info.spec.scene.physics
     columns = {arm: _joint_states(bag, arm) for arm in bag.info.robots}
+    first, last = max(own[0] for own, _ in columns.values()), min(own[-1] for own, _ in columns.values())
     time = next(iter(columns.values()))[0]
+    time = time[(time >= first) & (time <= last)]
     arms = {}
     for name, (own, arm) in columns.items():
-        at = {key: _at(time, own, values) for key in arm.measured for values in [getattr(arm, key)]}
+        at = {key: _at(time, own, getattr(arm, key)) for key in arm.measured}
         arms[name] = ArmSignals(**({"velocity": NONE, "torque": NONE} | at))
     tracked = bag.info.spec.scenario.excursion is None
     poses = {

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Multiple-model estimation: every hypothesis predicts a hit, is updated with it, and is tested for a change.
+"""Multiple-model estimation: every hypothesis predicts a hit and is updated with it.
 
-A change replaces the hypotheses by its causes (:mod:`.causes`). Later hits update their probabilities (Magill 1965),
-and predictions are their mixture.
+The likeliest one is tested for a change. A change replaces the hypotheses by its causes (:mod:`.causes`). Later hits
+update their probabilities (Magill 1965), and predictions are their mixture.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ class HitWatch:
     """Hypotheses about the cell.
 
     Attributes:
-        hits: Predicts hits.
+        hits: Model that predicts the features of a hit.
         hypotheses: The hypotheses.
-        announced: Effects that changes were named by, in order.
+        announced: Effects announced as the likeliest cause of a change, in order.
     """
 
     hits: HitModel
@@ -56,16 +56,17 @@ class HitWatch:
         return np.asarray(scipy.special.softmax([one.log_weight for one in self.hypotheses]))
 
     def prediction(self, hit: Hit) -> NextHit | None:
-        """Prediction for such a hit; None: no hypothesis predicts a contact."""
+        """Features of a hit with this initial state if it makes contact; None: no hypothesis predicts a contact."""
         found = [self.hits.predicted(one, hit) for one in self.hypotheses]
         known = [(share, *one) for share, one in zip(self.probabilities(), found, strict=True) if one is not None]
         if not known:
             return None
         total = sum(share for share, _, _ in known)
         mean = sum(share * value for share, value, _ in known) / total
-        variance = sum(share * (own + np.square(value - mean)) for share, value, own in known) / total
         calibration = self.hits.calibration
-        half = scipy.special.stdtrit(calibration.freedom, 0.975) * np.sqrt(variance * calibration.of_hits)
+        within = sum(share * calibration.of_hits * own for share, _, own in known) / total
+        between = sum(share * np.square(value - mean) for share, value, _ in known) / total
+        half = scipy.special.stdtrit(calibration.freedom, 0.975) * np.sqrt(within + between)
         return NextHit(
             condition=hit.condition,
             like=hit.name,
@@ -91,12 +92,12 @@ class HitWatch:
             last: The last hit of every condition.
 
         Returns:
-            Prediction error of each hit, by its name, and the hits since a detected change; none: no change.
+            Documents of the hits by name, and the hits since the detected change; empty: no change.
         """
         begun = time.perf_counter()
         errors = self._learnt(fresh)
         resolved = self._weigh()
-        # Hits that nothing predicts change nothing.
+        # Without a prediction by the likeliest hypothesis there is nothing to test.
         statistic, change, since = self._tested(fresh[-1], last) if errors else (self._statistic(), None, [])
         spent = 1e3 * (time.perf_counter() - begun) / len(fresh)
         documents = {}
@@ -117,7 +118,12 @@ class HitWatch:
         return documents, since
 
     def _learnt(self, fresh: Sequence[Hit]) -> dict[str, tuple[float, float, bool]]:
-        """Errors of the prediction and of the model as it was given, and whether a hit is odd, by its name."""
+        """Update every hypothesis with simultaneous hits.
+
+        Returns:
+            By name of a hit: errors of the likeliest hypothesis and of the model as it was given, and whether the hit
+            is an outlier.
+        """
         errors: dict[str, tuple[float, float, bool]] = {}
         best, own, calibration = self.likeliest, self.hits, self.hits.calibration
         for one in self.hypotheses:
@@ -164,7 +170,7 @@ class HitWatch:
         return f"it is {best.effect}" if best.effect else ""
 
     def _statistic(self) -> float:
-        """Logarithm of the statistic as it is."""
+        """Logarithm of the statistic of the likeliest hypothesis; 0 with an empty window."""
         best = self.likeliest
         return self.hits.test(best).statistics()[0] if best.posterior.window else 0.0
 
@@ -178,7 +184,7 @@ class HitWatch:
         if statistic < test.threshold:
             best.tried = -math.inf
         elif statistic > best.tried + RETRY_LOG_GROWTH:
-            if best.origin is not None:  # or a linearisation error?
+            if best.origin is not None:  # the statistic may show a linearisation error alone
                 refined = causes.refined(best)
                 self.hypotheses[self.hypotheses.index(best)] = best = refined
                 test = self.hits.test(best)

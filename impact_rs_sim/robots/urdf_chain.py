@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Chain from base to tip of a URDF, with its side branches: moving joints, merged fixed links, and omitted links.
 
-A URDF is a tree of links. An arm is the path from its base to its tip, with the branches that hang on its moving links,
-and on a base that floats; of the branches on a fixed base, those in which a joint follows one of these (``mimic``).
-Links fixed to others are merged into them; links beyond the tip are omitted: they are the end effector of a scenario.
-Joints stand in depth-first order, the path before side branches.
+A URDF is a tree of links. An arm is the path from base to tip, with these side branches:
+
+* on links that move with the arm, and on a floating base, all of them;
+* on a fixed base, those with a joint that mimics a joint of the arm.
+
+Links beyond the tip are omitted: a scenario adds its own end effector. Joints stand in depth-first order, the path
+before side branches.
 """
 
 from __future__ import annotations
@@ -26,10 +29,10 @@ MOVABLE_JOINT_TYPES: dict[str, JointType] = {"revolute": "revolute", "continuous
 URDF_JOINT_TYPES = (*MOVABLE_JOINT_TYPES, "fixed", "planar", "floating")
 COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 XACRO_COMMAND = "xacro {file} > robot.urdf"
-WORLD = "world"  # link that simulators know without its being in the file
+WORLD = "world"  # implicit ground link of simulators, which the file may lack
 KEPT_ELEMENTS = ("origin", "parent", "child", "axis", "inertial")  # those that rigid-body dynamics need; no meshes
 MAX_MESSAGE_LENGTH = 1000  # characters; a large arm has many links to list
-UNIQUE_ELEMENTS = {  # elements that may stand once in an element; of two a reader would take either
+UNIQUE_ELEMENTS = {  # children allowed once in an element; of two, parsers differ in which one they use
     "link": ("inertial",),
     "inertial": ("origin", "mass", "inertia"),
     "visual": ("origin", "geometry"),
@@ -44,14 +47,14 @@ class Chain:
 
     Attributes:
         file: The URDF.
-        base: Link that the arm is mounted with.
-        tip: Link that the flange is the frame of.
-        joints: Joints that move, as in the file: depth first, along the path before side branches.
-        beside: Those of them in side branches.
+        base: Base link.
+        tip: Link whose frame is the flange.
+        joints: Movable joints, depth first; at a fork path, side branches, and joints that mimic others.
+        beside: Movable joints in side branches.
         merged: Links with mass that are fixed to a moving link, on the path or in a side branch.
         left_out: Links beyond the tip.
-        dynamics: Joints that the file says damping or friction of.
-        urdf: A URDF of base, path and merged links, without shapes; every moving joint is revolute or prismatic.
+        dynamics: Joints with damping or friction in the file.
+        urdf: URDF of base, path and side branches, without shapes; every moving joint is revolute or prismatic.
     """
 
     file: Path

@@ -257,7 +257,7 @@ def held_out_misfit(basis: Array, measured: Array, odd: NDArray[np.bool_]) -> Ar
 
 
 def cross_correlation(first: Array, second: Array) -> tuple[Array, Array, Array]:
-    """Normalised cross-correlation of all columns together over their overlap.
+    """Normalised cross-correlation over the overlap, absolute and summed over columns: their factors differ in sign.
 
     Args:
         first: Columns less their means, ``(k, c)``.
@@ -275,7 +275,7 @@ def cross_correlation(first: Array, second: Array) -> tuple[Array, Array, Array]
         sized = (a / max(np.linalg.norm(a), 1e-300), b / max(np.linalg.norm(b), 1e-300))
         if w == 0.0:
             continue
-        total += scipy.signal.correlate(*sized, method="fft")
+        total += np.abs(scipy.signal.correlate(*sized, method="fft"))
         powers[0] += scipy.signal.correlate(np.square(sized[0]), ones[1], method="fft")
         powers[1] += scipy.signal.correlate(ones[0], np.square(sized[1]), method="fft")
     lags = scipy.signal.correlation_lags(len(first), len(second))

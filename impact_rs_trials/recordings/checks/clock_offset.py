@@ -238,7 +238,7 @@ def offset_between(expected: Series, measured: Series, path: Path, key: str) -> 
         raise InputError(f"streams of more than {MAX_GRID_SAMPLES} samples; cut them first", file=path, key=key)
     correlation, lags, overlap = cross_correlation(first, second)
     allowed = overlap >= MIN_OVERLAP_SHARE * min(len(first), len(second))
-    correlation = np.where(allowed, np.abs(correlation), 0.0)
+    correlation = np.where(allowed, correlation, 0.0)
     best = int(np.argmax(correlation))
     width = _peak_width(correlation, best)
     beside = np.abs(np.arange(correlation.size) - best) > width
@@ -293,7 +293,7 @@ def _expected(name: SignalName, position: Series, model: RobotModel) -> Series:
 
 
 def _evenly(series: Series, period: float) -> Array:
-    """Columns less their mean and over their size, on an even grid."""
+    """Columns on an even grid, each minus its mean, ``(m, c)``."""
     grid = np.arange(series.time[0], series.time[-1], period)
     values = series.at(grid)
     return np.asarray(values - values.mean(axis=0))

@@ -94,7 +94,9 @@ class ArrayFile:
             InputError: It cannot be used.
         """
         if source.array is None:
-            raise MissingSignal(f"the mapping says no array for {name}", file=self._path, key=f"signals.{name}")
+            raise MissingSignal(
+                f"signals.{name}.array is missing in the mapping", file=self._path, key=f"signals.{name}"
+            )
         place, width = f"array {source.array!r} ({name})", self._mapping.width(name)
         values = self._array(self._names.fill(source.array), name, f"signals.{name}.array")
         if width == 1 and values.ndim == 1:
@@ -102,15 +104,16 @@ class ArrayFile:
         if name == "object_pose" and are_transforms(values.shape):
             poses = poses_of(values)
             if poses is None:
-                text = f"{place} is {values.shape}, expected matrices of a rotation and a place above 0 0 0 1"
+                text = f"{place} is {values.shape}, expected homogeneous transforms, with the last row 0 0 0 1"
                 raise InputError(text, file=self._path)
             values = poses
         time = self._time(source, name, values)
-        remarks: tuple[str, ...] = (UNSEALED.format(self._path.name),) if self.unsealed else ()
+        own = {self._names.fill(array).strip("/") for array in _arrays_of(source, self._mapping)}
+        remarks: tuple[str, ...] = (UNSEALED.format(self._path.name),) if self.unsealed & own else ()
         whole = values.shape[1] if source.entries is not None and values.ndim == 2 else width
         if values.ndim == 2 and values.shape[0] != time.size == values.shape[1]:
             whole, values = values.shape[0] if source.entries is not None else width, values.T
-            remarks += (f"{place} is joints x samples, and was turned",)
+            remarks += (f"{place} has its samples in columns: transposed",)
         if values.shape != (time.size, whole):
             expected = f"{time.size} samples x {width} {'numbers' if name in WIDTHS else 'joints'}"
             more = ""
@@ -127,13 +130,14 @@ class ArrayFile:
     def _time(self, source: SignalSource, name: SignalName, values: Array) -> Array:
         """Timestamps of the samples of a signal [s]."""
         clock = self._mapping.clock(source)
-        if clock.rate is not None:
+        if clock.rate is not None and clock.unit != "frames":
             width = self._mapping.width(name)
-            count = values.size // width if values.ndim == 2 and width in values.shape else 0
-            count = len(values) if source.entries is not None else count
+            one_by_width = source.entries is None and values.ndim == 2 and width in values.shape
+            # A recording has more samples than numbers a sample.
+            count = values.size // width if one_by_width else max(values.shape, default=0)
             return np.asarray(np.arange(count) / clock.rate)
         if clock.unit == "date":
-            text = "arrays hold numbers, expected their unit: s, ms, us or ns"
+            text = "dates in arrays need no unit (datetime64); expected the unit of numbers: s, ms, us or ns"
             raise InputError(text, file=self._path, key="time.unit", value=clock.unit)
         named = clock.array
         key = f"signals.{name}.time_array" if source.time_array else TIME_KEY
@@ -147,6 +151,10 @@ class ArrayFile:
             raise InputError(f"array {array!r} (time) is {stamps.shape}, expected one number a sample", file=self._path)
         if stamps.dtype.kind in DATES:
             return seconds_of_dates(stamps)
+        if clock.unit == "frames":
+            if clock.rate is None:
+                raise InputError("is missing; expected the frame rate [Hz]", file=self._path, key="time.rate")
+            return seconds_of(stamps, 1.0 / clock.rate)
         seconds = seconds_of(stamps, UNITS["time"][clock.unit])
         return since_first(seconds) if clock.steps else seconds
 

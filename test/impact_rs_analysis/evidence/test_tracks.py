@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from trials import plan_of, recorded
 
+from impact_rs_analysis.evidence import tracks
 from impact_rs_analysis.evidence.replays.impacts import observe
 from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun
 from impact_rs_analysis.evidence.replays.simulated_trials import simulated
@@ -28,7 +30,7 @@ from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.bags.types import typestore
-from impact_rs_trials.runs import Run, Signals
+from impact_rs_trials.runs import ArmSignals, Run, Signals
 from impact_rs_trials.spec import TrialSpec
 
 from .conftest import with_signals
@@ -107,6 +109,24 @@ def test_two_arms_are_named_in_their_curves() -> None:
     plan = TrialSpec.of(load_scenario("grab"), "juice", "case_1")
     grabbed = track_of_run(MeasuredRun.of(simulated(plan, plan.scene.physics, "bullet")), load_model("nominal"))
     assert {"left: torque of joint 1", "right: torque of joint 1"} <= set(curves_of(grabbed))
+
+
+def test_a_trial_is_shown_where_all_of_its_arms_were_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kills an arm that stands still after its last state."""
+    recorded(plan_of("grab", "juice", "case_1"), tmp_path / "grab")
+    bag, read = TrialBag.open(tmp_path / "grab"), tracks._joint_states
+
+    def cut(bag: TrialBag, arm: str) -> tuple[np.ndarray, ArmSignals]:
+        time, signals = read(bag, arm)
+        rows = np.arange(time.size)
+        kept = (rows >= 100) & (rows < time.size - 200) if arm == "right" else rows >= 0
+        return time[kept], signals.at(kept)
+
+    whole = track_of_bag(bag)
+    monkeypatch.setattr(tracks, "_joint_states", cut)
+    shown = track_of_bag(bag)
+    np.testing.assert_array_equal(shown.time, whole.time[100:-200])
+    np.testing.assert_array_equal(seen(shown).arms["left"].position, seen(whole).arms["left"].position[100:-200])
 
 
 def test_recorded_run_looks_like_the_trial_it_is(bag: TrialBag, track: Track) -> None:

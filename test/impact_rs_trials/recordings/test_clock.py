@@ -123,6 +123,14 @@ def test_a_planted_offset_is_found_whatever_factor_and_zero(offset: float) -> No
     assert found == pytest.approx(-offset, abs=2e-4)
 
 
+def test_columns_may_have_factors_of_either_sign() -> None:
+    """As motor encoders and currents have; kills a sum of correlations with their signs."""
+    position, velocity = streams(0.3)
+    mirrored = replace(velocity, values=velocity.values * [1.0, -1.0])
+    found, _ = offset_between(position, mirrored, FILE, "signals.velocity.clock")
+    assert found == pytest.approx(-0.3, abs=2e-4)
+
+
 def test_the_standard_error_is_that_of_repeated_recordings() -> None:
     found = np.array([offset_between(*streams(0.3, 0.3, seed), FILE, "k") for seed in range(40)])
     scatter, said = float(np.std(found[:, 0])), float(np.mean(found[:, 1]))

@@ -140,6 +140,37 @@ def test_dates_and_durations_have_their_own_unit(tmp_path: Path, write: Callable
     assert any("1 of 24 samples have no time stamp: left out" in one for one in found.remarks)
 
 
+def rated(path: Path, unit: str, **source: object) -> Series:
+    """Joint positions of arrays at a rate of 100 Hz."""
+    mapping = load_mapping("joint_state")
+    clock = mapping.time.model_copy(update={"rate": 100.0, "unit": unit})
+    position = SignalSource(**{**mapping.signals["position"].model_dump(), **source})
+    file = ArrayFile(path, mapping.model_copy(update={"time": clock}), Names())
+    return file.series("position", position)
+
+
+@pytest.mark.parametrize("entries", [None, list(range(1, 8))])
+def test_arrays_of_joints_by_samples_are_transposed_at_a_rate_too(tmp_path: Path, entries: list[int] | None) -> None:
+    """Kills a count of the rows, with which joints were samples where entries choose among them."""
+    path = npz_file(tmp_path / "a.npz", position=VALUES.T)
+    found = rated(path, "s", entries=entries)
+    np.testing.assert_array_equal(found.values, VALUES)
+    np.testing.assert_allclose(found.time, 0.01 * np.arange(len(VALUES)))
+
+
+def test_frame_numbers_of_arrays_count_dropped_frames(tmp_path: Path) -> None:
+    """Kills even times of arrays whose frames have numbers."""
+    frames = np.delete(np.arange(len(VALUES) + 1), 5)
+    found = rated(npz_file(tmp_path / "a.npz", time=frames), "frames")
+    np.testing.assert_allclose(found.time, 0.01 * frames)
+
+
+def test_a_wrong_width_at_a_rate_names_the_remedy(tmp_path: Path) -> None:
+    path = npz_file(tmp_path / "a.npz", position=np.hstack((VALUES, VALUES)))
+    said = refusal(rated, path, "s")
+    assert "expected 24 samples x 7 joints; entries in the mapping says which of the 14 numbers" in said
+
+
 @pytest.mark.parametrize("kind", ["f4", "i4", "u2"])
 def test_real_numbers_of_any_kind_are_read(tmp_path: Path, kind: str) -> None:
     values = np.round(10.0 * np.abs(VALUES)).astype(kind)

@@ -975,7 +975,7 @@ def test_matrices_that_are_no_rigid_motion_are_refused(tmp_path: Path) -> None:
     for number, scale in enumerate((1.5, -1.0)):  # stretched, and a mirror
         np.savez(tmp_path / f"{number}.npz", T=np.tile(np.diag([scale, 1.0, 1.0, 1.0]), (20, 1, 1)))
         said = refusal(read_series, tmp_path / f"{number}.npz", mapping, ["object_pose"], ["object_pose"])
-        assert "expected matrices of a rotation and a place above 0 0 0 1" in said
+        assert "expected homogeneous transforms, with the last row 0 0 0 1" in said
 
 
 def test_an_object_alone_needs_no_robot(tmp_path: Path) -> None:
