@@ -84,25 +84,25 @@ class HitWatch:
             ),
         )
 
-    def take(self, fresh: Sequence[Hit], last: Mapping[str, Hit]) -> tuple[dict[str, HitDocument], list[Hit]]:
+    def take(self, instant: Sequence[Hit], last: Mapping[str, Hit]) -> tuple[dict[str, HitDocument], list[Hit]]:
         """Predict, update and test.
 
         Args:
-            fresh: Simultaneous hits.
+            instant: Simultaneous hits.
             last: The last hit of every condition.
 
         Returns:
             Documents of the hits by name, and the hits since the detected change; empty: no change.
         """
         begun = time.perf_counter()
-        errors = self._learnt(fresh)
-        resolved = self._weigh()
+        errors = self._updated(instant)
+        resolved = self._pruned()
         # Without a prediction by the likeliest hypothesis there is nothing to test.
-        statistic, change, since = self._tested(fresh[-1], last) if errors else (self._statistic(), None, [])
-        spent = 1e3 * (time.perf_counter() - begun) / len(fresh)
+        statistic, change, since = self._tested(instant[-1], last) if errors else (self._statistic(), None, [])
+        spent = 1e3 * (time.perf_counter() - begun) / len(instant)
         documents = {}
-        for hit in fresh:
-            (error, of_model, odd), final = errors.get(hit.name, (None, None, False)), hit is fresh[-1]
+        for hit in instant:
+            (error, of_model, odd), final = errors.get(hit.name, (None, None, False)), hit is instant[-1]
             documents[hit.name] = HitDocument(
                 name=hit.name,
                 stamp=hit.stamp,
@@ -117,7 +117,7 @@ class HitWatch:
             )
         return documents, since
 
-    def _learnt(self, fresh: Sequence[Hit]) -> dict[str, tuple[float, float, bool]]:
+    def _updated(self, instant: Sequence[Hit]) -> dict[str, tuple[float, float, bool]]:
         """Update every hypothesis with simultaneous hits.
 
         Returns:
@@ -125,36 +125,36 @@ class HitWatch:
             is an outlier.
         """
         errors: dict[str, tuple[float, float, bool]] = {}
-        best, own, calibration = self.likeliest, self.hits, self.hits.calibration
+        best, hit_model, calibration = self.likeliest, self.hits, self.hits.calibration
         for one in self.hypotheses:
-            taken = []
-            for hit in fresh:
-                evidence = own.evidence(hit, one.point)
+            observations = []
+            for hit in instant:
+                evidence = hit_model.evidence(hit, one.point)
                 if evidence is None:
                     one.log_weight += unpredicted_log_density(len(hit.features), calibration.freedom)
                     if one is best:
-                        own.hit_source.skipped[hit.name] = UNPREDICTED_REASON
+                        hit_model.hit_source.skipped[hit.name] = UNPREDICTED_REASON
                     continue
                 innovation, covariance = one.posterior.now.predictive(evidence)
                 distance = squared_distance(innovation, covariance, calibration.of_hits)
                 weight = huber_weight(distance, innovation.size)
-                volume = float(np.linalg.slogdet(covariance)[1])
-                one.log_weight += log_density(distance, volume, innovation.size, calibration.freedom)
-                taken.append(replace(evidence, weight=weight))
-                left = innovation - one.recent.expected(hit.group, innovation.size)
+                log_determinant = float(np.linalg.slogdet(covariance)[1])
+                one.log_weight += log_density(distance, log_determinant, innovation.size, calibration.freedom)
+                observations.append(replace(evidence, weight=weight))
+                corrected = innovation - one.recent.expected(hit.group, innovation.size)
                 one.recent.take(hit.group, innovation, weight)
                 if one is best:
-                    size = math.sqrt(float(np.mean(np.square(left))))
+                    rms_error = math.sqrt(float(np.mean(np.square(corrected))))
                     calibration.hits += 1
                     calibration.odd += weight < 1.0
-                    errors[hit.name] = size, own.error_at_start(evidence, one.point), weight < 1.0
-            if taken:
-                one.posterior.add(taken)
-            if len(one.posterior.window) == WINDOW_INSTANTS:
+                    errors[hit.name] = rms_error, hit_model.error_at_start(evidence, one.point), weight < 1.0
+            if observations:
+                one.posterior.add(observations)
+            if len(one.posterior.window) == WINDOW_INSTANTS:  # the last change is too old to be revised
                 one.origin = None
         return errors
 
-    def _weigh(self) -> str:
+    def _pruned(self) -> str:
         """Drop improbable hypotheses; returns the cause that has become certain."""
         several, shares = len(self.hypotheses) > 1, self.probabilities()
         self.hypotheses = [
@@ -204,12 +204,18 @@ class HitWatch:
         return statistic, None, []
 
     def _changed(
-        self, before: Hypothesis, held: Held, statistic: float, hit: Hit, last: Mapping[str, Hit], instead: str = ""
+        self,
+        before: Hypothesis,
+        explained: Held,
+        statistic: float,
+        hit: Hit,
+        last: Mapping[str, Hit],
+        instead: str = "",
     ) -> tuple[Change, list[Hit]]:
         """Replace the hypotheses by the explanations of a change; the change, and the hits since then."""
-        own, calibration, window = self.hits, self.hits.calibration, before.posterior.window
-        found, complete = [one for one, _ in held], Causes(own).complete
-        self.hypotheses = [complete(one) for _, one in held]  # the likeliest first
+        hit_model, calibration, window = self.hits, self.hits.calibration, before.posterior.window
+        found, complete = [one for one, _ in explained], Causes(hit_model).complete
+        self.hypotheses = [complete(one) for _, one in explained]  # the likeliest first
         for one, hypothesis in zip(found, self.hypotheses, strict=True):
             hypothesis.log_weight = one.log_ratio
         evidence = before.posterior.since(found[0].start)
@@ -218,14 +224,14 @@ class HitWatch:
         since = [e.hit for e in evidence]
         first = since[0]
         scenes = [one.physics for one in since if one.hits] or [first.physics]
-        shares, old = self.probabilities(), own.values(before)
+        shares, old = self.probabilities(), hit_model.values(before)
         causes = []
         for one, share, hypothesis in zip(found, shares, self.hypotheses, strict=True):
-            part = own.candidate.part(one.effect)
-            parameters = own.followed(hypothesis, range(part.start, part.stop), old)
+            part = hit_model.candidate.part(one.effect)
+            parameters = hit_model.followed(hypothesis, range(part.start, part.stop), old)
             new = old.copy()  # of this effect alone
-            new[part] = own.values(hypothesis)[part]
-            pairs = [(own.scene(old, scene), own.scene(new, scene)) for scene in scenes]
+            new[part] = hit_model.values(hypothesis)[part]
+            pairs = [(hit_model.scene(old, scene), hit_model.scene(new, scene)) for scene in scenes]
             causes.append(
                 Cause(
                     effect=one.effect, share=float(share), since=window[one.start][0].hit.name, parameters=parameters,
@@ -234,7 +240,7 @@ class HitWatch:
             )  # fmt: skip
         again = found[0].effect in self.announced
         self.announced.append(found[0].effect)
-        apart = distinguishing(own, self.hypotheses, shares.tolist()[1:], last) if len(causes) > 1 else ""
+        measurement = distinguishing(hit_model, self.hypotheses, shares.tolist()[1:], last) if len(causes) > 1 else ""
         words = f"since {_when(first)} {' or '.join(cause.words for cause in causes)}"
         words = f"{words}, and not {instead}" if instead else words
         change = Change(
@@ -247,8 +253,8 @@ class HitWatch:
             causes=tuple(causes),
             again=again,
             instead=instead,
-            apart=apart,
-            words=f"{words}; {apart}" if apart else words,
+            apart=measurement,
+            words=f"{words}; {measurement}" if measurement else words,
         )
         return change, since
 

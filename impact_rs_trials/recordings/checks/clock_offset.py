@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clocks that differ by a constant: the offset of a stream by cross-correlation of the motion that two streams share.
 
-A stream with timestamps of another clock (``clock: own`` in the mapping) is shifted to fit the joint
-positions q(t) best. They predict it: velocities are dq/dt, motor positions follow q, torques and
-commands contain the gravity torque g(q). The offset d maximises the correlation of both over their overlap,
+A stream with timestamps of another clock (``clock: own`` in the mapping) is shifted to fit the joint positions q(t)
+best, which predict it: dq/dt its velocities, q its motor positions, g(q) the gravity part of its torques. The offset d
+maximises the correlation of prediction x and stream y over their overlap,
 
-    c(d) = sum x(t) y(t - d) / sqrt(sum x(t)^2 sum y(t - d)^2),
+    c(d) = sum_j |sum_t x_j(t) y_j(t - d)| / sqrt(sum_jt x_j(t)^2 sum_jt y_j(t - d)^2),
 
-with x and y less their means; around its maximum y = a x + b is fitted to every column by least squares. Objects do not
-move with the joints: in a hit the object starts to move when the joint velocities jump.
+where every column j is less its mean, over its size; around the maximum y = a x + b is fitted to every column by least
+squares. Objects do not move with the joints: in a hit the object starts to move when the joint velocities jump.
 
-The standard error follows from least squares with residuals r of the samples, sigma_d^-2 = sum (a dx/dt)^2 / mean r^2
-over samples and columns.
+The standard error follows from least squares with residuals r, sigma_d^-2 = sum (a dx/dt)^2 / mean r^2 over samples and
+columns. It assumes independent residuals: friction, which lasts, makes it too small for torques.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ OBJECT_SIGNALS: tuple[SignalName, ...] = ("object_pose", "object_position", "obj
 MAX_START_DIFFERENCE = (0.010, 1.5)  # s, and periods of the pose, between the impact and the start of the object,
 MAX_START_SIGMA = 5.0  # and standard deviations
 MIN_OVERLAP_SHARE = 0.5  # of the shorter stream
-MIN_LAG_CORRELATION = 0.7  # of an offset that is believed
-MIN_PEAK_DROP = 0.05  # of the correlation beside its peak; with less, several offsets fit
+MIN_LAG_CORRELATION = 0.7  # from which an offset is accepted
+MIN_PEAK_DROP = 0.05  # from the highest to the second peak of the correlation; less is ambiguous
 MAX_GRID_SAMPLES = 200_000  # of the common grid
 REFINED_SAMPLES = 3.0  # of the grid about the largest correlation, in which the offset is fitted
 MIN_TRACKER_NOISE_M = 5e-5  # no tracker resolves less
@@ -93,8 +93,8 @@ def shifted_to_impact(path: Path, pose: Series, position: Series, key: str) -> S
     jump = next(jumps_of(position), None)
     if jump is None:
         raise InputError(
-            "the joint velocities never jump beyond their noise, so that nothing says when the object is hit: set "
-            "signals.NAME.delay and leave the key out", file=path, key=key, value="own",
+            "no jump of the joint velocities exceeds their noise, so the time of the impact is unknown: set "
+            f"{_delay_of(key)} and remove clock", file=path, key=key, value="own",
         )  # fmt: skip
     start, error = start_of_motion(pose, path, key)
     error = float(np.hypot(error, jump.time_error))
@@ -105,7 +105,8 @@ def start_of_motion(pose: Series, path: Path, key: str) -> tuple[float, float]:
     """Time at which an object that rests at first starts to move, and its standard error [s].
 
     The displacement s along the motion is fitted by s = v (t - t_0) - a (t - t_0)^2 / 2 to the first samples that are
-    clear of the noise; t_0 is where the parabola is zero.
+    clear of the noise; t_0 is the last root of the parabola before the second of them, not before the last sample at
+    rest. The error is at most a period of the pose.
 
     Args:
         pose: Position first, ``(k, 3 or more)``.
@@ -127,25 +128,30 @@ def start_of_motion(pose: Series, path: Path, key: str) -> tuple[float, float]:
     if not steady.any() or first < MIN_REST_SAMPLES:
         raise InputError(
             "the object does not rest at first and move later, so its motion does not determine the offset of its "
-            "clock: set signals.NAME.delay and leave the key out", file=path, key=key, value="own",
+            f"clock: set {_delay_of(key)} and remove clock", file=path, key=key, value="own",
         )  # fmt: skip
     rest = np.median(place[max(0, first - 5 * MIN_REST_SAMPLES) : first - 1], axis=0)
     rows = slice(first, first + FITTED_SAMPLES)
-    time, way = pose.time[rows], place[rows] - rest
-    direction = way[-1] / np.linalg.norm(way[-1])
-    t, s = time - time[0], way @ direction
+    time, displacement = pose.time[rows], place[rows] - rest
+    direction = displacement[-1] / np.linalg.norm(displacement[-1])
+    t, s = time - time[0], displacement @ direction
     design = np.column_stack((np.ones_like(t), t, t**2))
-    fit, covariance = np.linalg.lstsq(design, s, rcond=None)[0], np.linalg.inv(design.T @ design)
-    roots = np.roots(fit[::-1])
+    parabola, covariance = np.linalg.lstsq(design, s, rcond=None)[0], np.linalg.inv(design.T @ design)
+    roots = np.roots(parabola[::-1])
     real = roots[np.isreal(roots)].real
     before = real[real < t[1]]
-    start = float(before.max()) if before.size else -float(fit[0] / fit[1])
+    start = float(before.max()) if before.size else -float(parabola[0] / parabola[1])
     start = float(np.clip(start, pose.time[first - 2] - time[0], t[1]))
     at = np.array([1.0, start, start**2])
-    speed = abs(float(fit[1] + 2.0 * fit[2] * start))
-    scatter = max(float(np.sqrt(np.sum(np.square(s - design @ fit)) / max(len(s) - 3, 1))), noise)
+    speed = abs(float(parabola[1] + 2.0 * parabola[2] * start))
+    scatter = max(float(np.sqrt(np.sum(np.square(s - design @ parabola)) / max(len(s) - 3, 1))), noise)
     error = scatter * float(np.sqrt(at @ covariance @ at)) / max(speed, 1e-9)
     return float(time[0] + start), min(error, float(t[1]))
+
+
+def _delay_of(key: str) -> str:
+    """Key of the delay of a signal, from the key of its clock."""
+    return f"{key.rpartition('.')[0]}.delay"
 
 
 def _scatter_about_a_line(place: Array) -> float:
@@ -246,8 +252,8 @@ def offset_between(expected: Series, measured: Series, path: Path, key: str) -> 
     if correlation[best] < MIN_LAG_CORRELATION or second_best > correlation[best] - MIN_PEAK_DROP:
         raise InputError(
             f"the motion does not determine the offset of this clock (correlation {correlation[best]:.2f}, elsewhere "
-            f"{second_best:.2f}; expected at least {MIN_LAG_CORRELATION} at one lag): set signals.NAME.delay and leave "
-            "the key out",
+            f"{second_best:.2f}; expected at least {MIN_LAG_CORRELATION} at one lag): set {_delay_of(key)} and remove "
+            "clock",
             file=path,
             key=key,
             value="own",

@@ -47,13 +47,12 @@ class Bench:
         motion: Motion = STEADY,
         period: float = PERIOD,
         late: Callable[[int], float] = lambda step: 0.0,
-        until: float = 1.2,
-        since: float = 0.0,
+        span: tuple[float, float] = (0.0, 1.2),
         mocap: TrackerPoses | None = None,
     ) -> None:
         self.robot = Robot()
         self.wire = Wire(self.robot.clock)
-        for step in range(round(since / period), round(until / period)):
+        for step in range(*(round(end / period) for end in span)):
             time = step * period
             stamp = SWITCHED_ON + round(1e9 * time)
             self.wire.put(100.0 + time + late(step), STATES, state_message(stamp, **motion(time)))
@@ -89,7 +88,7 @@ def test_a_robot_at_its_start_is_armed_and_told_of_and_held_since() -> None:
 
 
 def test_a_robot_that_is_silent_or_stops_is_not_armed() -> None:
-    silent, stops = Bench(until=0.0), Bench(until=0.03)
+    silent, stops = Bench(span=(0.0, 0.0)), Bench(span=(0.0, 0.03))
     assert "no state of fr3_joint1 and the other joints on /joint_states: is the robot running?" in refusal(silent)
     assert silent.robot.clock.time == pytest.approx(100.0 + ARMING_TIMEOUT_S, abs=0.01)
     assert "/joint_states: 30 states in 3 s, expected 50" in refusal(stops)
@@ -117,7 +116,7 @@ def test_one_late_state_that_delays_others_is_jitter_enough(pause: float, armed:
 
 def test_a_robot_that_is_found_late_is_observed_as_long() -> None:
     """Kills an observation that begins before the robot is found, and ends after 50 states."""
-    bench = Bench(late=lambda step: 1e-3 * max(0.0, 3.5 - (step - 800)) if step >= 800 else 0.0, since=0.6, until=2.0)
+    bench = Bench(late=lambda step: 1e-3 * max(0.0, 3.5 - (step - 800)) if step >= 800 else 0.0, span=(0.6, 2.0))
     assert refusal(bench) == "not armed: states come with a jitter of 3.500 ms, arm_jitter_limit is 2 ms"
 
 
@@ -175,7 +174,8 @@ def test_an_arm_that_falls_when_held_is_not_armed_and_stays_braked() -> None:
 
 
 def test_an_arm_that_is_held_must_go_on_reporting() -> None:
-    assert "less than 0.2 s of states in 3 s while the robot was held" in refusal(Bench(until=MIN_OBSERVED_S + 0.1))
+    bench = Bench(span=(0.0, MIN_OBSERVED_S + 0.1))
+    assert "less than 0.2 s of states in 3 s while the robot was held" in refusal(bench)
 
 
 def test_arms_of_the_trial_before_are_held_during_the_look() -> None:
@@ -200,7 +200,7 @@ def test_an_object_that_mocap_shall_see_must_have_been_seen_lately(taken: tuple[
 
 def test_an_object_that_was_seen_before_a_late_robot_was_found_is_not_seen_lately() -> None:
     """Kills an age that is compared when the pose comes and not when it is used."""
-    bench = Bench(mocap=TrackerPoses("tracker", np.zeros(6)), since=1.0, until=2.5)
+    bench = Bench(mocap=TrackerPoses("tracker", np.zeros(6)), span=(1.0, 2.5))
     bench.wire.put(100.1, MOCAP, pose_message(SWITCHED_ON + 10**8))
     assert refusal(bench) == "not armed: no pose of the object on /mocap/object_pose in the last 0.5 s"
 
