@@ -368,7 +368,7 @@ def test_a_changed_robot_file_is_read_again(tmp_path: Path) -> None:
     ("settings", "expected"),
     [
         ({"excursion.end": list(load_scenario("excite").excursion.start)}, "excursion.end must differ from start"),
-        ({"cases.slow.robots.arm.ante_velocity": [0.0, 0.0, 0.0]}, "cases.slow: ante_velocity"),
+        ({"cases.slow.robots.arm.ante_velocity": [0.0, 0.0, 0.0]}, "cases.slow.robots.arm.ante_velocity is 0"),
     ],
 )
 def test_an_excursion_without_a_way_or_a_speed_is_refused(settings, expected):
