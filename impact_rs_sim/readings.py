@@ -35,7 +35,7 @@ from impact_rs_sim.robots.robot import Array
 Values = Array | float  # one for every joint, ``(n,)``, or the same for all
 Lags = tuple[float, float]  # T1 and T2 [s]
 Start = tuple[Array, Array]  # a value and its slope
-# With c = (1 + i) / 2 the output of 1 / (1 + T s + (T s)^2 / 2) is the real part of that of (1 - i) / (1 + c T s).
+# For real signals 1 / (1 + T s + (T s)^2 / 2) is the real part of (1 - i) / (1 + c T s), with c = (1 + i) / 2.
 COMPLEX_LAG = 0.5 + 0.5j
 
 
@@ -300,7 +300,7 @@ def _lagged(values: Array, lag: complex, period: float, first: Array) -> Array:
 
 
 def _real(values: Array) -> Array:
-    """Output of the Butterworth filter from that of the first-order filter with ``COMPLEX_LAG``."""
+    """Butterworth output: real part of (1 - i) times the output of the first-order filter with ``COMPLEX_LAG``."""
     return np.asarray(values.real + values.imag)
 
 
@@ -350,7 +350,7 @@ class _Lag:
         self._output = np.zeros(0)
 
     def __call__(self, values: Array) -> Array:
-        """Output ``(m,)`` of the next sample; that of the first is the input."""
+        """Output ``(m,)`` of the next sample; the first output equals the input."""
         if self._input is None:
             self._output = values
         else:

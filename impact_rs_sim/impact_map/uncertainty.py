@@ -205,7 +205,8 @@ def predict(
     nominal, usual = answer_of(problem, models, {})
     slopes = dict(zip((one.name for one in found.parameters), found.jacobian.T, strict=True))
     rng = np.random.default_rng(SEED)
-    sample, states_of, lost = _sample(problem, models, sources, draws, rng, stopped)
+    drawn = [draw(sources, rng) for _ in range(draws)]
+    sample, states_of, lost = _sample(problem, models, drawn, stopped)
     _check_answered(sample, lost)
     switched = float(np.mean([one != usual for one in states_of]))
     parts = {
@@ -213,7 +214,8 @@ def predict(
         for source in sources
     }
     variances = {name: np.sum(np.square(rows.reshape(-1, nominal.size)), axis=0) for name, rows in parts.items()}
-    smooth = found.smooth and max(switched, _share_beyond(problem, sources, draws)) <= SWITCHES
+    beyond = float(np.mean([possible(problem, amounts) != amounts for amounts in drawn]))
+    smooth = found.smooth and max(switched, beyond) <= SWITCHES
     method = "linear" if smooth else "monte_carlo"
     if method == "linear":
         deviation = np.sqrt(np.sum(list(variances.values()), axis=0))
@@ -222,7 +224,8 @@ def predict(
         low, high = _ends(sample, nominal)
         deviation = np.std(sample, axis=0)
         for source in sources:
-            alone, _, _ = _sample(problem, models, (source,), max(draws // 4, 2), rng, stopped)
+            own = [draw((source,), rng) for _ in range(max(draws // 4, 2))]
+            alone, _, _ = _sample(problem, models, own, stopped)
             variances[source.name] = np.var(alone, axis=0) if len(alone) > 1 else np.zeros_like(nominal)
     total = np.maximum(np.sum(list(variances.values()), axis=0), 1e-300)
     return UncertainPrediction(
@@ -264,7 +267,8 @@ def interval_of_draws(
     """
     rng = np.random.default_rng(SEED)
     nominal, _ = answer_of(problem, models, {})
-    sample, _, lost = _sample(problem, models, sources_of(problem, stated), draws, rng)
+    sources = sources_of(problem, stated)
+    sample, _, lost = _sample(problem, models, [draw(sources, rng) for _ in range(draws)])
     _check_answered(sample, lost)
     low, high = _ends(sample, nominal)
     return velocity_names(problem), low, high
@@ -308,31 +312,22 @@ def answer_of(
 def _sample(
     problem: ImpactProblem,
     models: Mapping[str, RobotModel],
-    sources: Sequence[UncertaintySource],
-    count: int,
-    rng: np.random.Generator,
+    drawn: Sequence[Mapping[str, float]],
     stopped: Callable[[], bool] = lambda: False,
 ) -> tuple[Array, list[tuple[str, ...]], int]:
     """Velocities of draws ``(n, k)``, partner and state of their contact points, and how many draws have no answer."""
     sample, found = [], []
     pads = touching_pads(problem, models)
-    for _ in range(count):
+    for amounts in drawn:
         if stopped():
             raise Stopped
         try:
-            velocities, there = answer_of(problem, models, draw(sources, rng), pads)
+            velocities, there = answer_of(problem, models, amounts, pads)
         except ImpactMapError:
             continue
         sample.append(velocities)
         found.append(there)
-    return np.array(sample), found, count - len(sample)
-
-
-def _share_beyond(problem: ImpactProblem, sources: Sequence[UncertaintySource], count: int) -> float:
-    """Share of the draws of :func:`predict` that leave the range of a parameter [-]."""
-    rng = np.random.default_rng(SEED)
-    drawn = [draw(sources, rng) for _ in range(count)]
-    return float(np.mean([possible(problem, amounts) != amounts for amounts in drawn]))
+    return np.array(sample), found, len(drawn) - len(sample)
 
 
 def _check_answered(sample: Array, lost: int) -> None:

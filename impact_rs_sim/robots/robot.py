@@ -66,7 +66,7 @@ UNITS: dict[JointType, JointUnits] = {
     "revolute": JointUnits("rad", "rad/s", "rad/s^2", "N m", "kg m^2", "N m/rad", "N m s/rad"),
     "prismatic": JointUnits("m", "m/s", "m/s^2", "N", "kg", "N/m", "N s/m"),
 }
-PINION_RADIUS_M = 0.05  # of a pinion that drives a prismatic joint; its ranges are those of a revolute one behind it
+PINION_RADIUS_M = 0.05  # a prismatic joint has the ranges of a revolute joint that drives it by this pinion
 
 
 def travel_per_rad(kinds: Iterable[JointType]) -> Array:

@@ -40,7 +40,7 @@ class ControllerTrial(LockstepTrial):
         self._outbox = outbox
         self._arm_of = {topics.joint_states(arm): arm for arm in plan.arms}
         self._readers = {arm: JointReader(names) for arm, names in self._maker.joints.items()}
-        # Last valid position and velocity, and from there on those of an arm that is braked.
+        # Last valid position and velocity; without valid states, the prediction for a braked arm.
         self._known = {arm: (own.initial, np.zeros_like(own.initial)) for arm, own in plan.arms.items()}
         self._plan = plan
         self._period_ns = round(plan.scene.scenario.timing.control_period * 1e9)

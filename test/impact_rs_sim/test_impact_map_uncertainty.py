@@ -28,16 +28,16 @@ MODELS = {"arm": PROBLEM.physics.robot_model("arm")}
 
 
 def test_mass_alone_gives_the_interval_of_its_derivative() -> None:
-    told = predict(PROBLEM, Uncertainties(**NONE | {"object_mass": 0.02}), MODELS, draws=8)
-    assert told.method == "linear"
+    predicted = predict(PROBLEM, Uncertainties(**NONE | {"object_mass": 0.02}), MODELS, draws=8)
+    assert predicted.method == "linear"
     found = differentiate(PROBLEM)
     thing = PROBLEM.physics.object
     column = found.of("object.mass") * thing.mass
     column = column + sum(thing.inertia[axis] * found.of(f"object.inertia.{name}") for axis, name in enumerate("xyz"))
-    index = told.names.index("object.velocity.y")
+    index = predicted.names.index("object.velocity.y")
     half = 0.02 * abs(column[index])
-    assert told.high[index] - told.low[index] == pytest.approx(2.0 * half, rel=1e-6)
-    assert told.budget["object_mass"][index] == pytest.approx(1.0)
+    assert predicted.high[index] - predicted.low[index] == pytest.approx(2.0 * half, rel=1e-6)
+    assert predicted.budget["object_mass"][index] == pytest.approx(1.0)
 
 
 def test_shares_of_a_budget_add_up_and_intervals_add_in_squares() -> None:
@@ -64,29 +64,29 @@ def test_no_draw_of_an_assumed_motor_inertia_is_a_joint_without_motor() -> None:
 
 def test_a_restitution_below_zero_is_in_no_interval() -> None:
     """Kills linear propagation across the end of a range: restitution of 0 and more makes the object faster only."""
-    told = predict(PROBLEM, Uncertainties(**NONE | {"restitution": 0.2}), MODELS, draws=24)
-    assert (told.method, told.switched) == ("monte_carlo", 0.0)
-    index = told.names.index("object.velocity.y")
-    slow, fast = sorted((abs(told.low[index]), abs(told.high[index])))
-    assert slow == pytest.approx(abs(told.nominal[index]), rel=1e-6) and fast > 1.1 * slow
+    predicted = predict(PROBLEM, Uncertainties(**NONE | {"restitution": 0.2}), MODELS, draws=24)
+    assert (predicted.method, predicted.switched) == ("monte_carlo", 0.0)
+    index = predicted.names.index("object.velocity.y")
+    slow, fast = sorted((abs(predicted.low[index]), abs(predicted.high[index])))
+    assert slow == pytest.approx(abs(predicted.nominal[index]), rel=1e-6) and fast > 1.1 * slow
 
 
 def test_draws_of_a_smooth_problem_scatter_as_linear_propagation_says() -> None:
     stated = Uncertainties(**NONE | {"object_mass": 0.02, "motor_inertia": 0.1, "link_inertia": 0.05})
-    told = predict(PROBLEM, stated, MODELS, draws=8)
+    predicted = predict(PROBLEM, stated, MODELS, draws=8)
     rng, sources = np.random.default_rng(1), sources_of(PROBLEM, stated)
     sample = np.array([answer_of(PROBLEM, MODELS, draw(sources, rng))[0] for _ in range(150)])
-    index = told.names.index("object.velocity.y")
-    assert np.std(sample[:, index]) == pytest.approx(told.deviation[index], rel=0.2)
+    index = predicted.names.index("object.velocity.y")
+    assert np.std(sample[:, index]) == pytest.approx(predicted.deviation[index], rel=0.2)
 
 
 def test_where_contacts_switch_the_interval_is_that_of_the_draws() -> None:
     # Yaw of a few mrad lets an edge of the pad hit first.
-    told = predict(PROBLEM, Uncertainties(**NONE | {"object_yaw": 0.012}), MODELS, draws=24)
-    assert told.method == "monte_carlo"
-    assert told.switched > 0.5
-    index = told.names.index("object.velocity.y")
-    assert told.budget["object_pose"][index] == pytest.approx(1.0)
+    predicted = predict(PROBLEM, Uncertainties(**NONE | {"object_yaw": 0.012}), MODELS, draws=24)
+    assert predicted.method == "monte_carlo"
+    assert predicted.switched > 0.5
+    index = predicted.names.index("object.velocity.y")
+    assert predicted.budget["object_pose"][index] == pytest.approx(1.0)
 
 
 def test_pads_come_on_until_they_touch() -> None:
@@ -101,10 +101,10 @@ def test_pads_come_on_until_they_touch() -> None:
 
 
 def test_every_velocity_has_a_name() -> None:
-    told = predict(PROBLEM, Uncertainties(**NONE), MODELS, draws=2)
-    assert len(told.names) == len(told.nominal) == 7 + 6 + 6
-    assert told.names == velocity_names(PROBLEM)
-    np.testing.assert_array_equal(told.low, told.high)
+    predicted = predict(PROBLEM, Uncertainties(**NONE), MODELS, draws=2)
+    assert len(predicted.names) == len(predicted.nominal) == 7 + 6 + 6
+    assert predicted.names == velocity_names(PROBLEM)
+    np.testing.assert_array_equal(predicted.low, predicted.high)
 
 
 def test_the_interval_of_a_combination_includes_covariance() -> None:
@@ -122,8 +122,8 @@ def test_the_interval_of_a_combination_includes_covariance() -> None:
     parts = {"object_mass": 0.02, "motor_inertia": 0.1}  # sources are independent: their widths add in squares
     squares = []
     for stated in (parts, *({key: value} for key, value in parts.items())):
-        told = predict(PROBLEM, Uncertainties(**NONE | stated), MODELS, draws=8)
-        squares.append(np.diff(told.interval_of({one: 1.0, other: 1.0}))[0] ** 2)
+        predicted = predict(PROBLEM, Uncertainties(**NONE | stated), MODELS, draws=8)
+        squares.append(np.diff(predicted.interval_of({one: 1.0, other: 1.0}))[0] ** 2)
     assert squares[0] == pytest.approx(squares[1] + squares[2], rel=1e-9)
 
 
@@ -138,11 +138,11 @@ def test_the_interval_of_a_combination_of_draws_is_theirs() -> None:
 
 
 def test_few_draws_give_nearly_the_interval_of_many_repeatably() -> None:
-    told = predict(PROBLEM, Uncertainties(), MODELS)
+    predicted = predict(PROBLEM, Uncertainties(), MODELS)
     names, low, high = interval_of_draws(PROBLEM, Uncertainties(), MODELS, 16)
     place = names.index("arm.velocity.y")
-    assert names == told.names
-    assert high[place] - low[place] == pytest.approx(told.high[place] - told.low[place], rel=0.5)
+    assert names == predicted.names
+    assert high[place] - low[place] == pytest.approx(predicted.high[place] - predicted.low[place], rel=0.5)
     again = interval_of_draws(PROBLEM, Uncertainties(), MODELS, 16)
     assert np.array_equal(low, again[1])
     assert np.array_equal(high, again[2])
@@ -155,37 +155,37 @@ def at_impact(name: str, thing: str, case: str, **settings: float) -> tuple[Impa
 
 def test_a_box_out_of_reach_is_hit_in_no_draw() -> None:
     problem, stated = at_impact("excite", "none", "slow")
-    told = predict(problem, stated, draws=16)
+    predicted = predict(problem, stated, draws=16)
     before = problem.physics.robot_model("arm").jacobian(problem.arms["arm"].position) @ problem.arms["arm"].velocity
-    index = told.names.index("arm.velocity.y")
-    assert told.nominal[index] == pytest.approx(before[1])
-    assert (told.method, told.switched, dict(told.switches)) == ("linear", 0.0, {})
-    assert told.high[index] - told.low[index] < 0.02
-    np.testing.assert_array_equal(told.sample[:, -6:], 0.0)  # the box stays where it is
+    index = predicted.names.index("arm.velocity.y")
+    assert predicted.nominal[index] == pytest.approx(before[1])
+    assert (predicted.method, predicted.switched, dict(predicted.switches)) == ("linear", 0.0, {})
+    assert predicted.high[index] - predicted.low[index] < 0.02
+    np.testing.assert_array_equal(predicted.sample[:, -6:], 0.0)  # the box stays where it is
 
 
 def test_a_box_almost_in_reach_is_hit_in_some_draws_and_that_is_said() -> None:
     """A gap of 2.5 mm, a position known to 2 mm, a millimetre at which contacts close."""
     problem, stated = at_impact("excite", "none", "slow", object_gap=0.0025)
-    told = predict(problem, stated, draws=60)
-    share = told.switches["arm hits the object, in the prediction not"]
+    predicted = predict(problem, stated, draws=60)
+    share = predicted.switches["arm hits the object, in the prediction not"]
     assert 0.05 < share < 0.5
-    index = told.names.index("object.velocity.y")
-    assert told.nominal[index] == told.high[index] == 0.0
-    assert np.mean(told.sample[:, index] < -0.1) == pytest.approx(share)
+    index = predicted.names.index("object.velocity.y")
+    assert predicted.nominal[index] == predicted.high[index] == 0.0
+    assert np.mean(predicted.sample[:, index] < -0.1) == pytest.approx(share)
 
 
 @pytest.mark.parametrize("draws", [4, 24])
 def test_an_interval_contains_its_own_prediction(draws: int) -> None:
     """Yaw of either sign lets an edge of the pad hit first: the prediction, a flat pad, is the end of all draws."""
     stated = Uncertainties(**NONE | {"object_yaw": 0.012})
-    told = predict(PROBLEM, stated, MODELS, draws=draws)
+    predicted = predict(PROBLEM, stated, MODELS, draws=draws)
     _, low, high = interval_of_draws(PROBLEM, stated, MODELS, draws)
-    assert told.method == "monte_carlo"
-    assert np.all((told.low <= told.nominal) & (told.nominal <= told.high))
-    assert np.all((low <= told.nominal) & (told.nominal <= high))
-    for index, name in enumerate(told.names):
-        assert told.interval_of({name: 1.0}) == pytest.approx((told.low[index], told.high[index]))
+    assert predicted.method == "monte_carlo"
+    assert np.all((predicted.low <= predicted.nominal) & (predicted.nominal <= predicted.high))
+    assert np.all((low <= predicted.nominal) & (predicted.nominal <= high))
+    for index, name in enumerate(predicted.names):
+        assert predicted.interval_of({name: 1.0}) == pytest.approx((predicted.low[index], predicted.high[index]))
 
 
 def test_contacts_that_switch_are_said_in_words() -> None:

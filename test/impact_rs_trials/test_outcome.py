@@ -194,8 +194,8 @@ def test_a_clamped_object_that_rises_too_little_was_dropped() -> None:
     assert judge(GRAB, seen_until(end, 1.01 * enough)) == Verdict("OK")
     unseen = replace(record(GRAB), object=PoseColumns(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4))))
     assert judge(GRAB, unseen) == Verdict("OK")  # a laboratory without a tracker
-    told = f"the object rose {0.99 * enough:.3f} m until {end:.3f} s, it was to rise {GRAB.expected_lift:.3f} m"
-    assert judge(GRAB, seen_until(end, 0.99 * enough)) == Verdict("DROPPED", told)
+    message = f"the object rose {0.99 * enough:.3f} m until {end:.3f} s, it was to rise {GRAB.expected_lift:.3f} m"
+    assert judge(GRAB, seen_until(end, 0.99 * enough)) == Verdict("DROPPED", message)
 
 
 def test_an_object_that_is_lost_from_sight_on_its_way_up_was_not_dropped() -> None:

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.optional_packages import require
 from impact_rs_sim.robots.robot import Array
-from impact_rs_trials.recordings.file_units import UNITS
 from impact_rs_trials.recordings.mapping import WIDTHS, Mapping, SignalName, SignalSource
-from impact_rs_trials.recordings.readers.clock import seconds_of, seconds_of_dates, seconds_of_pair, since_first
+from impact_rs_trials.recordings.readers.clock import seconds_by, seconds_of_dates, seconds_of_pair
 from impact_rs_trials.recordings.readers.mat_file import read_mat
 from impact_rs_trials.recordings.readers.read_once import once
 from impact_rs_trials.recordings.readers.series import MissingSignal, Names, Series
@@ -151,12 +150,7 @@ class ArrayFile:
             raise InputError(f"array {array!r} (time) is {stamps.shape}, expected one number a sample", file=self._path)
         if stamps.dtype.kind in DATES:
             return seconds_of_dates(stamps)
-        if clock.unit == "frames":
-            if clock.rate is None:
-                raise InputError("is missing; expected the frame rate [Hz]", file=self._path, key="time.rate")
-            return seconds_of(stamps, 1.0 / clock.rate)
-        seconds = seconds_of(stamps, UNITS["time"][clock.unit])
-        return since_first(seconds) if clock.steps else seconds
+        return seconds_by(self._path, clock, stamps)
 
     def _stamps(self, name: str, meaning: str, key: str) -> NDArray[Any]:
         """An array of time, as it is if it holds integers or dates; a vector of MATLAB has one axis."""

@@ -5,13 +5,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array
+from impact_rs_trials.recordings.file_units import UNITS
+
+if TYPE_CHECKING:
+    from impact_rs_trials.recordings.mapping import TimeSource
 
 MAX_GRID_ERROR_PERIODS = 0.02  # of a timestamp on a regular grid
 MAX_SHOWN_GAPS = 5  # in a message
@@ -121,6 +125,25 @@ def seconds_of_dates(stamps: NDArray[Any]) -> Array:
     """Dates or durations of NumPy in seconds, ``(k,)``; NaT is not a number."""
     nanoseconds = stamps.astype(f"{stamps.dtype.kind}8[ns]").astype(np.int64)
     return np.where(np.isnat(stamps), np.nan, seconds_of(nanoseconds, 1e-9))
+
+
+def seconds_by(path: Path, clock: TimeSource, stamps: NDArray[Any]) -> Array:
+    """Timestamps in seconds from numbers in the unit of a clock, frames or times since the row before, ``(k,)``.
+
+    Args:
+        path: File, for messages.
+        clock: Unit of the numbers, not date; with the frame rate, and whether they are steps.
+        stamps: The numbers, ``(k,)``.
+
+    Raises:
+        InputError: The rate of frames is missing.
+    """
+    if clock.unit == "frames":
+        if clock.rate is None:
+            raise InputError("is missing; expected the frame rate [Hz]", file=path, key="time.rate")
+        return seconds_of(stamps, 1.0 / clock.rate)
+    seconds = seconds_of(stamps, UNITS["time"][clock.unit])
+    return since_first(seconds) if clock.steps else seconds
 
 
 def since_first(steps: Array) -> Array:

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from impact_rs_sim.decimals import decimal
 from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.robots.robot import Array
-from impact_rs_trials.recordings.file_units import UNITS
 from impact_rs_trials.recordings.mapping import Mapping, SignalName, SignalSource, TableLayout
-from impact_rs_trials.recordings.readers.clock import seconds_of, seconds_of_pair, since_first
+from impact_rs_trials.recordings.readers.clock import seconds_by, seconds_of, seconds_of_pair
 from impact_rs_trials.recordings.readers.series import MissingSignal, Names, Series
 from impact_rs_trials.recordings.readers.table_columns import read_columns, read_rows
 
@@ -113,12 +112,7 @@ class TableFile:
                 message = f"column {column!r} holds numbers, expected their unit: s, ms, us or ns"
                 raise InputError(message, file=self._path, key="time.unit", value=clock.unit)
             return seconds_of(np.array([self._date(cell, row, column) for row, cell in enumerate(cells)]), 1e-9)
-        if clock.unit == "frames":
-            if clock.rate is None:
-                raise InputError("is missing; expected the frame rate [Hz]", file=self._path, key="time.rate")
-            return seconds_of(self._stamps(column, key), 1.0 / clock.rate)
-        stamps = seconds_of(self._stamps(column, key), UNITS["time"][clock.unit])
-        return since_first(stamps) if clock.steps else stamps
+        return seconds_by(self._path, clock, self._stamps(column, key))
 
     def _stamps(self, column: str, key: str) -> NDArray[Any]:
         """A column of time, as integers if it holds nothing else."""
