@@ -33,6 +33,7 @@ from impact_rs_trials.recordings.readers.guesses import at_rest
 from impact_rs_trials.recordings.readers.run_finder import BAG_SUFFIXES, FILE_SUFFIXES, find_recordings, find_runs
 from impact_rs_trials.recordings.readers.series import MAX_BRIDGED_PERIODS, Series
 from impact_rs_trials.recordings.readers.sources import read_series
+from impact_rs_trials.recordings.readers.text_file import suffix_of
 from impact_rs_trials.recordings.relations import PLAUSIBLE_FACTORS, pooled
 from impact_rs_trials.runs import ArmSignals, Run, Signals
 
@@ -57,7 +58,7 @@ class TooShort(InputError):
 def is_foreign(path: Path) -> bool:
     """Whether ``path`` is a recording, or a folder of recordings, without a trial of ours (no ``/trial_info``)."""
     if path.is_file():
-        found = [path] if path.suffix in FILE_SUFFIXES else []
+        found = [path] if suffix_of(path) in FILE_SUFFIXES else []
     else:
         try:
             found = find_recordings(path)
@@ -68,7 +69,7 @@ def is_foreign(path: Path) -> bool:
 
 
 def _is_trial(path: Path) -> bool:
-    if path.is_file() and path.suffix not in BAG_SUFFIXES:
+    if path.is_file() and suffix_of(path) not in BAG_SUFFIXES:
         return False
     try:
         with open_bag(path) as reader:

@@ -47,6 +47,7 @@ from impact_rs_trials.recordings.impacts.impact_cells import ImpactCells, name_o
 from impact_rs_trials.recordings.impacts.impact_columns import ColumnGroup, arm_label, name_and_unit
 from impact_rs_trials.recordings.impacts.impact_contents import TableContents, read_with_contents, unread
 from impact_rs_trials.recordings.impacts.unsure_scene import nominal_values, with_value
+from impact_rs_trials.recordings.readers.text_file import suffix_of
 from impact_rs_trials.since import measured_since
 
 SUFFIXES = (".csv", ".parquet")
@@ -230,7 +231,7 @@ def read_impact_table(
 
 def _digest(path: Path) -> str:
     """Digest of the bytes of a file, which is a table."""
-    if path.suffix not in SUFFIXES:
+    if suffix_of(path) not in SUFFIXES:
         raise InputError(f"expected a table of impacts ({' or '.join(SUFFIXES)})", file=path)
     try:
         data = path.read_bytes()

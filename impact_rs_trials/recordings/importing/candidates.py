@@ -34,6 +34,7 @@ from impact_rs_trials.recordings.readers.lerobot import DESIRED, MEASURED, data_
 from impact_rs_trials.recordings.readers.run_finder import ARRAY_SUFFIXES, BAG_SUFFIXES, TABLE_SUFFIXES, is_bag_folder
 from impact_rs_trials.recordings.readers.table_columns import read_columns
 from impact_rs_trials.recordings.readers.table_file import BETWEEN, BRACKETS
+from impact_rs_trials.recordings.readers.text_file import suffix_of
 from impact_rs_trials.recordings.readers.transforms import are_transforms
 
 MAX_JOINT_NUMBERS = 40  # in a sample of a stream that may hold joints
@@ -103,11 +104,11 @@ def candidates_of(path: Path, layout: TableLayout | None = None) -> list[SignalC
     Raises:
         InputError: It cannot be read.
     """
-    if is_bag_folder(path) or path.suffix in BAG_SUFFIXES:
+    if is_bag_folder(path) or suffix_of(path) in BAG_SUFFIXES:
         return _in_bag(path)
-    if path.suffix in TABLE_SUFFIXES:
+    if suffix_of(path) in TABLE_SUFFIXES:
         return _in_table(path, layout or TableLayout())
-    if path.suffix in ARRAY_SUFFIXES:
+    if suffix_of(path) in ARRAY_SUFFIXES:
         return _in_arrays(path)
     raise InputError("no recording that can be looked at", file=path)
 

@@ -20,6 +20,7 @@ from impact_rs_trials.recordings.importing.candidates import SignalCandidate, ca
 from impact_rs_trials.recordings.importing.table_layout import find_layout
 from impact_rs_trials.recordings.readers.run_finder import TABLE_SUFFIXES
 from impact_rs_trials.recordings.readers.table_columns import Columns, read_columns
+from impact_rs_trials.recordings.readers.text_file import suffix_of
 
 QUANTITIES = {"position": "position", "velocity": "velocity", "torque": "effort"}  # of a URDF, by signal
 MAX_POSITION_RAD = 4.0 * np.pi  # positions beyond are degrees
@@ -37,7 +38,7 @@ def measured_limits(path: Path, joints: Sequence[str]) -> Limits:
     """
     if not joints:
         return {}
-    if path.suffix not in TABLE_SUFFIXES:
+    if suffix_of(path) not in TABLE_SUFFIXES:
         expected = f"expected a table ({', '.join(TABLE_SUFFIXES)}) of positions, velocities and efforts of the joints"
         raise InputError(expected, file=path, key="--measured")
     layout = find_layout(path).value

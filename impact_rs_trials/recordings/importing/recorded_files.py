@@ -49,6 +49,7 @@ from impact_rs_trials.recordings.readers.run_finder import ARRAY_SUFFIXES, BAG_S
 from impact_rs_trials.recordings.readers.series import Names
 from impact_rs_trials.recordings.readers.sources import open_file
 from impact_rs_trials.recordings.readers.table_columns import read_columns, read_rows
+from impact_rs_trials.recordings.readers.text_file import suffix_of
 from impact_rs_trials.recordings.relations import DECISIVE_LOG_ODDS
 
 MAX_SHOWN_GROUPS = 3  # in a message
@@ -90,12 +91,12 @@ class RecordedFile:
     @property
     def is_bag(self) -> bool:
         """Whether it is a bag, whose messages have timestamps."""
-        return is_bag_folder(self.path) or self.path.suffix in BAG_SUFFIXES
+        return is_bag_folder(self.path) or suffix_of(self.path) in BAG_SUFFIXES
 
     @property
     def is_array_file(self) -> bool:
         """Whether it holds arrays by name."""
-        return self.path.suffix in ARRAY_SUFFIXES
+        return suffix_of(self.path) in ARRAY_SUFFIXES
 
     def clock_keys(self, rate: float | None) -> dict[str, Any]:
         """Section ``time`` of a mapping."""
@@ -186,9 +187,9 @@ def open_recorded(pattern: str, path: Path, spread: bool, notes: Notes) -> Recor
     Raises:
         InputError: It cannot be read.
     """
-    if is_bag_folder(path) or path.suffix in BAG_SUFFIXES:
+    if is_bag_folder(path) or suffix_of(path) in BAG_SUFFIXES:
         return RecordedFile(pattern, path, TableLayout(), {}, candidates_of(path), None)
-    if path.suffix in ARRAY_SUFFIXES:
+    if suffix_of(path) in ARRAY_SUFFIXES:
         return _of_arrays(pattern, path, spread, notes)
     found = find_layout(path)
     layout = found.value
@@ -231,9 +232,9 @@ def column_names(path: Path) -> frozenset[str]:
     Raises:
         InputError: The file cannot be read.
     """
-    if is_bag_folder(path) or path.suffix in BAG_SUFFIXES:
+    if is_bag_folder(path) or suffix_of(path) in BAG_SUFFIXES:
         return frozenset(one.label for one in candidates_of(path))
-    if path.suffix in ARRAY_SUFFIXES:
+    if suffix_of(path) in ARRAY_SUFFIXES:
         return frozenset(ArrayFile.shapes_of(path))
     try:
         layout = find_layout(path).value
@@ -325,7 +326,7 @@ def _add_windows(part: RecordedFile, count: int) -> None:
     numeric = [name for name in names if name not in part.clock_columns]
     if not names or any(one.source.get("columns") for one in part.candidates):
         return
-    if part.layout.header != 0 and part.path.suffix != ".npy":
+    if part.layout.header != 0 and suffix_of(part.path) != ".npy":
         if len(numeric) == count and not axes_of(numeric)[1] and not any(one.width == count for one in part.candidates):
             label = f"{numeric[0]} … {numeric[-1]}"
             part.candidates.append(SignalCandidate(label, {"columns": numeric}, False, "", count))

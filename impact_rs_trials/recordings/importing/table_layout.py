@@ -17,6 +17,7 @@ from impact_rs_trials.recordings.mapping import TableLayout
 from impact_rs_trials.recordings.readers.csv_rows import decimal_sign, read_lines, separator_of, split_line
 from impact_rs_trials.recordings.readers.guesses import Guess
 from impact_rs_trials.recordings.readers.json_table import JSON_SUFFIXES
+from impact_rs_trials.recordings.readers.text_file import suffix_of
 
 MAX_HEADER_LINES = 60  # before the first row of numbers
 MIN_TABLE_ROWS = 3  # consecutive lines of numbers that make a table
@@ -33,7 +34,7 @@ def find_layout(path: Path) -> Guess:
     Raises:
         NoTable: No table begins in its first lines.
     """
-    if path.suffix in (".parquet", ".npy", *JSON_SUFFIXES):
+    if suffix_of(path) in (".parquet", ".npy", *JSON_SUFFIXES):
         return Guess(TableLayout(), "")
     lines = [(number, line) for number, line in read_lines(path)[:MAX_HEADER_LINES] if line.strip()]
     texts = dict(lines)

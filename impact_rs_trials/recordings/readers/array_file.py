@@ -22,6 +22,7 @@ from impact_rs_trials.recordings.readers.clock import seconds_by, seconds_of_dat
 from impact_rs_trials.recordings.readers.mat_file import read_mat
 from impact_rs_trials.recordings.readers.read_once import once
 from impact_rs_trials.recordings.readers.series import MissingSignal, Names, Series
+from impact_rs_trials.recordings.readers.text_file import suffix_of
 from impact_rs_trials.recordings.readers.torch_file import read_torch
 from impact_rs_trials.recordings.readers.transforms import are_transforms, poses_of
 
@@ -83,7 +84,7 @@ class ArrayFile:
         Raises:
             InputError: It is no such file.
         """
-        return list(_read(path, set())[0]) if path.suffix in HDF5 else list(_read(path)[0])
+        return list(_read(path, set())[0]) if suffix_of(path) in HDF5 else list(_read(path)[0])
 
     def series(self, name: SignalName, source: SignalSource) -> Series:
         """One signal in SI units.
@@ -182,11 +183,11 @@ def _arrays_of(source: SignalSource, mapping: Mapping) -> list[str]:
 @once
 def _read(path: Path, within: set[str] | None = None) -> tuple[dict[str, Array], frozenset[str]]:
     """Arrays by name, and the names without checksums; HDF5 arrays not in ``within`` are not loaded (left empty)."""
-    if path.suffix == ".npz":
+    if suffix_of(path) == ".npz":
         return _read_npz(path), frozenset()
-    if path.suffix == ".pt":
+    if suffix_of(path) == ".pt":
         return read_torch(path), frozenset()
-    if path.suffix in HDF5:
+    if suffix_of(path) in HDF5:
         return _read_hdf5(path, within)
     with path.open("rb") as file:
         newest = file.read(128).startswith(b"MATLAB 7.3")

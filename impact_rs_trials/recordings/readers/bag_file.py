@@ -35,6 +35,7 @@ from impact_rs_trials.recordings.readers.mcap_messages import McapMessages, is_w
 from impact_rs_trials.recordings.readers.read_once import once
 from impact_rs_trials.recordings.readers.run_finder import ROS1_SUFFIX
 from impact_rs_trials.recordings.readers.series import MissingSignal, Names, Series
+from impact_rs_trials.recordings.readers.text_file import suffix_of
 from impact_rs_trials.recordings.remarks import remark
 
 MAX_STAMP_DRIFT_S = 0.002  # between log and header timestamps without a warning
@@ -53,7 +54,7 @@ BagReader = Reader | Ros1Reader | McapMessages
 
 def open_bag(path: Path) -> BagReader:
     """Reader of a bag of ROS 2, of one of ROS 1 (``.bag``), or of an MCAP file without ROS."""
-    if path.suffix == ROS1_SUFFIX:
+    if suffix_of(path) == ROS1_SUFFIX:
         return Ros1Reader(path)
     return McapMessages(path) if is_without_ros(path) else Reader(path)
 
@@ -79,7 +80,7 @@ def deserialized(store: Typestore, path: Path, data: Any, kind: str) -> Any:
     """A message of a bag from its bytes; one that its reader has decoded is returned."""
     if not isinstance(data, bytes):
         return data
-    return store.deserialize_ros1(data, kind) if path.suffix == ROS1_SUFFIX else store.deserialize_cdr(data, kind)
+    return store.deserialize_ros1(data, kind) if suffix_of(path) == ROS1_SUFFIX else store.deserialize_cdr(data, kind)
 
 
 def typestore_for(path: Path, definitions: Sequence[str] = ()) -> Typestore:
@@ -88,7 +89,7 @@ def typestore_for(path: Path, definitions: Sequence[str] = ()) -> Typestore:
     Raises:
         InputError: There are no such definitions.
     """
-    store = get_typestore(Stores.ROS1_NOETIC if path.suffix == ROS1_SUFFIX else Stores.ROS2_JAZZY)
+    store = get_typestore(Stores.ROS1_NOETIC if suffix_of(path) == ROS1_SUFFIX else Stores.ROS2_JAZZY)
     for package in definitions:
         folder = config_directory() / "mappings" / "messages" / package
         if not folder.is_dir():
@@ -183,7 +184,7 @@ class OpenedBag:
     def _recorded(self, rows: list[tuple[int, str, Any]]) -> Recorded:
         """Messages of a topic from log times [ns], types and bytes, or messages that were decoded."""
         logs = np.array([log for log, _, _ in rows], dtype=np.int64)
-        in_cdr = self._path.suffix != ROS1_SUFFIX and all(isinstance(data, bytes) for _, _, data in rows)
+        in_cdr = suffix_of(self._path) != ROS1_SUFFIX and all(isinstance(data, bytes) for _, _, data in rows)
         if in_cdr and len({kind for _, kind, _ in rows}) == 1:
             one = stacked(self._store, rows[0][1], [data for _, _, data in rows])
             if one is not None:
@@ -510,7 +511,7 @@ class BagFile:
 def _check_pages(path: Path) -> None:
     """Refuse a truncated SQLite file by the page count in its header; SQLite itself reads the rest without an error."""
     for file in sorted(path.glob("*.db3")) if path.is_dir() else [path]:
-        if file.suffix != ".db3":
+        if suffix_of(file) != ".db3":
             continue
         with file.open("rb") as opened:
             head = opened.read(100)
@@ -530,7 +531,7 @@ def _files_beside(path: Path, reader: BagReader) -> tuple[str, ...]:
     storage = getattr(reader, "storage", None)
     named = {Path(str(one.path)).name for one in getattr(storage, "storages", ())}
     others = sorted(
-        file.name for file in path.iterdir() if {file.name, file.stem}.isdisjoint(named) and file.suffix in STORED
+        file.name for file in path.iterdir() if {file.name, file.stem}.isdisjoint(named) and suffix_of(file) in STORED
     )
     return (f"not read, for metadata.yaml does not name them: {', '.join(others)}",) if others else ()
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.readers.read_once import once
+from impact_rs_trials.recordings.readers.text_file import read_text
 
 DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
 WITH_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
@@ -65,13 +66,7 @@ def read_lines(path: Path) -> list[tuple[int, str]]:
     Raises:
         InputError: It cannot be read.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"not a table in UTF-8: {error}", file=path) from None
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror or error}", file=path) from None
-    return list(enumerate(text.split("\n"), 1))
+    return list(enumerate(read_text(path).split("\n"), 1))
 
 
 def decimal_sign(lines: Sequence[str]) -> str:

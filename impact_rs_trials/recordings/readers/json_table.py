@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError
+from impact_rs_trials.recordings.readers.text_file import read_text
 
 JSON_SUFFIXES = (".json", ".jsonl")
 MIN_JSON_ROWS = 3  # fewer are a description, as the limits of a joint
@@ -36,15 +37,15 @@ def read_json_table(path: Path) -> tuple[dict[str, list[str] | NDArray[Any]], tu
     Raises:
         InputError: It cannot be read, or holds no table or several.
     """
+    text = read_text(path)
     try:
-        text = path.read_text(encoding="utf-8-sig")
         try:
             found = json.loads(text)
         except json.JSONDecodeError as error:
             if error.msg != "Extra data":
                 raise
             found = [json.loads(line) for line in text.splitlines() if line.strip()]
-    except (OSError, ValueError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"not a readable JSON file ({str(error).splitlines()[0]})", file=path) from None
     tables = list(_tables("", found))
     if len(tables) != 1:

@@ -31,6 +31,7 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefiniti
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.optional_packages import require
+from impact_rs_trials.recordings.readers.text_file import suffix_of
 
 logger = logging.getLogger(__name__)
 
@@ -42,7 +43,7 @@ COUNTED = re.compile(r"^(\D*)(\d+)(\D*)$")
 
 def is_without_ros(path: Path) -> bool:
     """Whether a path is an MCAP file that ROS 2 did not record; a damaged one is not."""
-    if path.suffix != ".mcap" or not path.is_file():
+    if suffix_of(path) != ".mcap" or not path.is_file():
         return False
     try:
         with path.open("rb") as stream:

@@ -27,6 +27,7 @@ from impact_rs_trials.recordings.readers.inner_runs import RUN
 from impact_rs_trials.recordings.readers.json_table import JSON_SUFFIXES
 from impact_rs_trials.recordings.readers.lerobot import INFO
 from impact_rs_trials.recordings.readers.table_columns import run_names
+from impact_rs_trials.recordings.readers.text_file import suffix_of
 
 ROS1_SUFFIX = ".bag"
 BAG_SUFFIXES = (".db3", ".mcap", ROS1_SUFFIX)
@@ -53,7 +54,7 @@ def is_bag_folder(path: Path) -> bool:
 
 def name_of(path: Path) -> str:
     """Name of a run, without the ending of a file."""
-    return path.stem if path.suffix in FILE_SUFFIXES and not path.is_dir() else path.name
+    return path.stem if suffix_of(path) in FILE_SUFFIXES and not path.is_dir() else path.name
 
 
 def unique_names(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
@@ -85,7 +86,7 @@ def find_recordings(path: Path, notes: bool = False) -> list[Path]:
         InputError: There is nothing here that can be read.
     """
     if path.is_file():
-        if path.suffix not in FILE_SUFFIXES:
+        if suffix_of(path) not in FILE_SUFFIXES:
             known = ", ".join(FILE_SUFFIXES)
             raise InputError(f"expected a recording ({known}), or a folder of them; spreadsheets as .csv", file=path)
         return [path]
@@ -98,10 +99,10 @@ def find_recordings(path: Path, notes: bool = False) -> list[Path]:
     files = {
         file
         for file in path.rglob("*")
-        if file.suffix in FILE_SUFFIXES and file.name != RUN_TABLE and file.parent not in bags and file.is_file()
+        if suffix_of(file) in FILE_SUFFIXES and file.name != RUN_TABLE and file.parent not in bags and file.is_file()
         if described.isdisjoint(file.parents)
     }
-    searched = {file for file in files if file.suffix in SEARCHED_SUFFIXES}
+    searched = {file for file in files if suffix_of(file) in SEARCHED_SUFFIXES}
     found = bags | (searched if searched or bags or not notes else files)
     if not found:
         expected = f"{', '.join(FILE_SUFFIXES if notes else SEARCHED_SUFFIXES)} or the folder of a bag"
@@ -165,14 +166,13 @@ def find_run(folder: Path, name: str, mappings: Sequence[Mapping]) -> Path:
             return path
     except (OSError, ValueError):  # a name that no file can have
         raise InputError("expected the name of a recording") from None
-    endings = [path.with_name(path.name + suffix) for suffix in FILE_SUFFIXES]
-    found = [file for file in endings if file.is_file()]
+    beside = sorted(path.parent.iterdir()) if path.parent.is_dir() else []
+    found = [file for file in beside if file.name != name_of(file) == path.name]
     if len(found) == 1:
         return found[0]
     if found:
         raise InputError(f"{', '.join(file.name for file in found)} are all there; name one of them")
-    others = [item.name for item in path.parent.iterdir()] if path.parent.is_dir() else []
-    others += [Path(item).stem for item in others]
+    others = [item.name for item in beside] + [item.stem for item in beside]
     raise InputError(f"no such recording in {path.parent}{did_you_mean(path.name, others)}")
 
 
@@ -207,14 +207,14 @@ def _run_folders(folder: Path, mapping: Mapping) -> list[Path]:
 
 def _runs_inside(file: Path, mapping: Mapping) -> list[Path]:
     """Runs inside a file (:mod:`inner_runs`), each named as a file in a folder; the file itself if it is one run."""
-    if mapping.run_column is not None and file.suffix in TABLE_SUFFIXES:
+    if mapping.run_column is not None and suffix_of(file) in TABLE_SUFFIXES:
         named = dict.fromkeys(run_names(file, mapping.table, mapping.run_column))
         if strange := [run for run in named if "/" in run or run in ("", ".", "..")]:
             message = "expected the name of a run in every row, without /"
             raise InputError(message, file=file, key=f"column {mapping.run_column}", value=strange[0])
         return [file / run for run in named]
     arrays = {source.array for source in mapping.signals.values() if source.array is not None and RUN in source.array}
-    if not arrays or file.suffix not in ARRAY_SUFFIXES:
+    if not arrays or suffix_of(file) not in ARRAY_SUFFIXES:
         return [file]
     found: set[str] = set()
     names = ArrayFile.names_of(file)

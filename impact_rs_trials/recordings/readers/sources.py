@@ -22,6 +22,7 @@ from impact_rs_trials.recordings.readers.run_finder import (
 )
 from impact_rs_trials.recordings.readers.series import MissingSignal, Names, Series
 from impact_rs_trials.recordings.readers.table_file import TableFile
+from impact_rs_trials.recordings.readers.text_file import suffix_of
 
 
 class SignalFile(Protocol):
@@ -111,7 +112,7 @@ def _file_of(path: Path, source: SignalSource, names: Names) -> Path:
         return path.parent
     if not path.is_dir() or is_bag_folder(path):
         return path
-    inside = sorted(file for file in path.iterdir() if file.suffix in SEARCHED_SUFFIXES)
+    inside = sorted(file for file in path.iterdir() if suffix_of(file) in SEARCHED_SUFFIXES)
     if len(inside) == 1:  # a bag that has lost its metadata.yaml, or a table in a folder of its own
         return inside[0]
     if not inside:
@@ -144,10 +145,10 @@ def open_file(file: Path, mapping: Mapping, names: Names, wanted: tuple[SignalNa
         raise InputError(f"no such file{near} (it should have {', '.join(wanted)})", file=file)
     if file.is_file() and file.stat().st_size == 0:
         raise InputError("this file is empty", file=file)
-    if file.is_dir() or file.suffix in BAG_SUFFIXES:
+    if file.is_dir() or suffix_of(file) in BAG_SUFFIXES:
         return BagFile(file, mapping, names, wanted)
-    if file.suffix in TABLE_SUFFIXES:
+    if suffix_of(file) in TABLE_SUFFIXES:
         return TableFile(file, mapping, names)
-    if file.suffix in ARRAY_SUFFIXES:
+    if suffix_of(file) in ARRAY_SUFFIXES:
         return ArrayFile(file, mapping, names)
     raise InputError(f"no recording; expected a bag, {', '.join(FILE_SUFFIXES)}", file=file)

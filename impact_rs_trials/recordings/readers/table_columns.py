@@ -21,6 +21,7 @@ from impact_rs_trials.recordings.readers.csv_rows import csv_rows, decimal_sign,
 from impact_rs_trials.recordings.readers.inner_runs import runs_of
 from impact_rs_trials.recordings.readers.json_table import JSON_SUFFIXES, cell_text, read_json_table
 from impact_rs_trials.recordings.readers.read_once import once
+from impact_rs_trials.recordings.readers.text_file import suffix_of
 
 Cells = dict[str, list[str] | NDArray[Any]]
 
@@ -71,12 +72,12 @@ def read_columns(path: Path, layout: TableLayout = DEFAULT_LAYOUT, recorded: boo
     Raises:
         InputError: It cannot be read, a line has another number of cells, or two columns share a name.
     """
-    if path.suffix == ".parquet":
+    if suffix_of(path) == ".parquet":
         return _of_parquet(path)
-    if path.suffix in JSON_SUFFIXES:
+    if suffix_of(path) in JSON_SUFFIXES:
         cells, remarks = read_json_table(path)
         return Columns(cells, remarks=remarks)
-    return _of_npy(path) if path.suffix == ".npy" else _of_text(path, layout, recorded)
+    return _of_npy(path) if suffix_of(path) == ".npy" else _of_text(path, layout, recorded)
 
 
 def read_rows(path: Path, layout: TableLayout, column: str, run: str) -> Columns:
@@ -97,7 +98,7 @@ def read_rows(path: Path, layout: TableLayout, column: str, run: str) -> Columns
         known = list(dict.fromkeys(every))
         listed = ", ".join(known[:MAX_SHOWN_RUNS]) + (" ..." if len(known) > MAX_SHOWN_RUNS else "")
         raise InputError(f"no row is of run {run!r}{did_you_mean(run, known)}; found: {listed}", file=path, key=column)
-    if path.suffix == ".parquet":
+    if suffix_of(path) == ".parquet":
         return _of_parquet(path, (int(rows[0]), int(rows[-1]) + 1)).in_rows(rows - rows[0])
     return read_columns(path, layout).in_rows(rows)
 
@@ -108,7 +109,7 @@ def run_names(path: Path, layout: TableLayout, column: str) -> list[str]:
     Raises:
         InputError: The file cannot be read, or has no such column.
     """
-    columns = _of_parquet(path, names=[column]) if path.suffix == ".parquet" else read_columns(path, layout)
+    columns = _of_parquet(path, names=[column]) if suffix_of(path) == ".parquet" else read_columns(path, layout)
     if column not in columns.cells:
         found = ", ".join(columns.cells)
         message = f"no column {column!r}{did_you_mean(column, columns.cells)}; found: {found}"
