@@ -10,7 +10,7 @@
 * *Torque* includes the gravity torque g(q), known by positions alone: sum g tau / sum g^2 = 1. A load that the mapping
   lacks is no factor of a joint: if mass and first moments at the end effector predict the other half of the poses
   better, the load is the remedy.
-  Nor are zeros of encoders that lie right angles away: they explain the torques of all joints together.
+  Nor are directions and zeros of another convention (:mod:`joint_conventions`): they explain all torques together.
 * *Energy*: a torque drives a joint against its friction, so that the power (tau - g) v is rarely negative. Without
   gravity torque, as at a vertical axis, the sign of that correlation decides.
 * *Lag of torque*: tau(t + L) is fitted by rigid-body torque, inertia of the motor, Coulomb and viscous friction and an
@@ -24,15 +24,13 @@ do not invert its sign.
 
 from __future__ import annotations
 
-from itertools import combinations
-
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
+from impact_rs_trials.recordings.checks.joint_conventions import convention_warning
 from impact_rs_trials.recordings.checks.plausibility import GRAVITY_SAMPLES, gravity_torques, noticed
-from impact_rs_trials.recordings.file_units import factors_of
 from impact_rs_trials.recordings.mapping import Mapping, SignalName
 from impact_rs_trials.recordings.relations import (
     DECISIVE_LOG_LIKELIHOOD,
@@ -62,9 +60,6 @@ MIN_LAG_SAMPLES = 100
 MAX_TORQUE_SAMPLES = 1000  # in which torques are compared
 MAX_REPEATED_SHARE = 0.02  # of the samples: a moving joint repeats none, whatever its encoder
 MIN_MISSED_STEPS = 10.0  # of the resolution; a larger change was missed by the samples before
-POSES_FOR_ZEROS = 30  # in which zeros of encoders are tried
-MIN_GAIN = 1.0  # of the sum of logarithms, by a turned zero
-MAX_MISFIT_OF_ZEROS = 0.1  # of the squares that factors of the torques leave; friction is in both
 MIN_REST_S = 0.2  # of equal samples that are a rest
 
 
@@ -111,9 +106,9 @@ def arm_warnings(time: Array, arm: ArmSignals, mapping: Mapping, model: RobotMod
         if moving[joint] and not heavy and against < MAX_CORRELATION_DRIVING:
             torques[joint] = remark("points against its motion (correlation {:.2f}), as if friction drove it", against)
             factors["torque"][joint] = -1.0
-    load = None
-    if torques:
-        load = _zeros(model, arm, rows, gravity, mapping) or _load(model, arm, rows, gravity, torques)
+    load = None if contact else convention_warning(model, motion, averaged(time, arm.torque)[1], mapping)
+    if torques and load is None:
+        load = _load(model, arm, rows, gravity, torques)
     is_not = "velocity {} is not the derivative of its position: columns of other joints?"
     period = float(np.median(np.diff(time)))
     return [
@@ -152,45 +147,6 @@ def _load(
         "better ({:.2g} N m rms left) than factors of joints {} do ({:.2g} N m). Remedy in the mapping: end_effector, "
         "if it is known; diagnose finds it, if it is not",
         mass, rms["load"], ", ".join(str(joint + 1) for joint in flagged), rms["factors"],
-    )  # fmt: skip
-
-
-def _zeros(
-    model: RobotModel, arm: ArmSignals, rows: NDArray[np.signedinteger], gravity: Array, mapping: Mapping
-) -> Remark | None:
-    """Warning about encoders whose zeros are right angles away, with which gravity explains the torques; None: not so.
-
-    Every step turns the one or two zeros that lower sum_j log sum r_j^2 most, so that small joints are heard as well.
-    The rival is the best factor of every torque.
-    """
-    measured, torque = np.ptp(arm.torque, axis=0) > 0.0, arm.torque[rows]
-    factors = float(np.sum(fit(gravity[:, measured], torque[:, measured]).misfit)) / rows.size
-    few = evenly(rows.size, POSES_FOR_ZEROS)
-
-    def squares(zeros: Array) -> Array:
-        beyond = torque[few] - gravity_torques(model, arm.position[rows[few]] + zeros)
-        return np.asarray(np.mean(np.square(beyond[:, measured]), axis=0))
-
-    def misfit(zeros: Array) -> float:
-        turned = np.count_nonzero(np.round(np.cos(zeros)) != 1.0)
-        return float(np.sum(np.log(np.maximum(squares(zeros), 1e-12))) + MIN_GAIN * turned)
-
-    turns = [joint for joint, one in enumerate(mapping.facts.joints) if one.type != "prismatic"]
-    zeros = np.zeros(arm.position.shape[1])
-    single = [0.5 * np.pi * turn * np.eye(zeros.size)[joint] for joint in turns for turn in (-1, 1, 2)]
-    steps = [*single, *(one + other for one, other in combinations(single, 2) if one @ other == 0.0)]
-    while misfit(zeros + (best := min(steps, key=lambda step: misfit(zeros + step)))) < misfit(zeros):
-        zeros = zeros + best
-    left = float(np.sum(squares(zeros)))
-    if left > MAX_MISFIT_OF_ZEROS * factors:
-        return None
-    turned = zeros - 2.0 * np.pi * np.round(zeros / (2.0 * np.pi))
-    offsets = (mapping.offset("position") + turned) / factors_of("position", mapping.signals["position"].unit)
-    return remark(
-        "torques are the gravity torques of other zeros of the encoders ({:.2g} N m rms left, {:.2g} N m with factors "
-        "of the torques). Remedy in the mapping: signals.position.offset: [{}]",
-        np.sqrt(left), np.sqrt(factors),
-        joined(", ", [remark("{!r:.5g}", offset) for offset in offsets.tolist()]),
     )  # fmt: skip
 
 
