@@ -3,10 +3,10 @@
 
 * :mod:`.problem`: the impact problem, its checks and its result; :mod:`.contacts`: contact points of boxes
 * :mod:`.laws`: terms, contact laws and residuals; :mod:`.solve`: Newton's and Poisson's law of restitution;
-  :mod:`.settled`: the contact that lasts; :mod:`.uniqueness`: spread where the laws have several solutions
+  :mod:`.settled`: the settled contact; :mod:`.uniqueness`: spread of several solutions of the laws
 * :mod:`.measured`: impacts of a table, with the laws of :mod:`.contact_laws`
 * :mod:`.derivatives` and :mod:`.uncertainty`: parameters, derivatives and intervals of a prediction
-* :mod:`.bullet`: the independent check, from single steps of a physics engine; nothing else builds on it
+* :mod:`.bullet`: independent check by single steps of a physics engine; no other module depends on it
 """
 
 from __future__ import annotations
@@ -56,13 +56,13 @@ PinocchioEngine = ExactEngine  # its name up to version 0.1.0
 
 CONTACTS = ("first", "settled")  # just after the first impact, or when the contact has settled
 
-_KEPT = 8  # engines kept warm; a Bullet world is a few MB
+_MAX_WARM = 8  # engines kept for the next problem; a Bullet world is a few MB
 _warm: OrderedDict[tuple[int, str], Engine] = OrderedDict()
 _lock = threading.Lock()
 
 
 def engine_name(name: str) -> str:
-    """The present name of an engine that may have been named by an older version."""
+    """Present name of an engine; ``name`` may be that of an older version."""
     return FORMER_NAMES.get(name, name)
 
 
@@ -83,13 +83,13 @@ def compute_impact_map(problem: ImpactProblem, engine: str = DEFAULT_ENGINE) -> 
     if engine not in ENGINES:
         raise InputError(f"no impact-map engine {engine!r}; known engines: {', '.join(ENGINES)}")
     with _lock:
-        # An entry holds its physics, so an id cannot come to mean another object while it is in the table.
+        # An engine refers to its physics, so no other object can get this id while the entry exists.
         key = (id(problem.physics), engine)
         if key not in _warm:
             check_problem(problem)
             _warm[key] = ENGINES[engine](problem.physics)
         _warm.move_to_end(key)
-        while len(_warm) > _KEPT:
+        while len(_warm) > _MAX_WARM:
             _warm.popitem(last=False)[1].close()
         return _warm[key].solve(problem)
 
@@ -100,8 +100,8 @@ def predict_impact(problem: ImpactProblem, contact: str = "first", engine: str =
     Args:
         problem: The problem.
         contact: ``first``: just after the first simultaneous impact, :func:`compute_impact_map`; ``settled``: when the
-            contact that lasts is closed, :func:`~impact_rs_sim.impact_map.settled.settle`.
-        engine: Engine of the first; the second has one solver.
+            contact has settled, :func:`~impact_rs_sim.impact_map.settled.settle`.
+        engine: Engine for ``first``; ``settled`` has one solver.
 
     Raises:
         InputError: There is no such contact or engine, or the problem is refused.

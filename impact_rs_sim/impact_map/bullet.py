@@ -15,14 +15,15 @@ iteration for c, from p = 0: with B = 0 and no sliding the first step is the ans
 * **M'**: every link carries its rotor as a thin disc about the joint axis, which is M + B up to couplings between
   joints. With M' = M the iteration diverges at the wrist, where B is a hundred times M.
 * **c**: Bullet's friction cone scales each of its two friction axes with the inverse mass along it, so that its
-  friction opposes ``D^-1 v_t`` and not the sliding velocity ``v_t``. c turns it back; sticking points need none.
+  friction opposes ``D^-1 v_t`` and not the sliding velocity ``v_t``. c corrects the direction; it is 0 at sticking
+  points.
 
 Settings and their reasons:
 
 * The step is so short that Coriolis forces and the motion within the step drop out.
 * Bullet's box-box detector sees overlapping boxes only. The base of every arm that touches is moved ``GAP_TOLERANCE``
-  towards the object, and the support as much upwards: a translation, which changes no Jacobian, and every point that
-  counts as touching overlaps. Contact ERP is 0, so no overlap turns into velocity.
+  towards the object, and the support upwards by as much, so that all touching points overlap. A translation changes no
+  Jacobian. Contact ERP is 0, so no overlap turns into velocity.
 * Bullet applies joint torques before it evaluates Newton's restitution, whose approach velocity would contain p. Its
   restitution is 0. Instead the step starts from u^- + s and s is taken off its answer, with J_n s = e min(J_n u^-, 0)
   and J_t s = 0 at the contact points: the normal velocity that Bullet keeps from being negative is then
@@ -52,7 +53,7 @@ from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.scene import ArmState, BodyState
 
 _STEP_S = 1e-7  # Coriolis forces and the motion within it drop out
-_SETTLED_M2_S2 = 1e-20  # Bullet's solver stops where no row changes by more
+_SETTLED_M2_S2 = 1e-20  # largest squared change of a row at which Bullet's solver stops
 _DISC_INERTIA = np.array([0.5, 0.0, 0.0, 0.5, 0.0, 1.0])  # thin, about the joint axis; order of Link.inertia
 _FAR = BodyState(np.array([0.0, 0.0, 1e3]), np.eye(3), np.zeros(6))
 
@@ -87,7 +88,7 @@ class BulletEngine(Engine):
         _Effort(solver_iterations=200, steps=16, patience=5, damping=1.0, accepted=1e-4),
         _Effort(solver_iterations=1000, steps=60, patience=15, damping=0.5, accepted=np.inf),
     )
-    _KEPT = 4  # worlds kept warm, one per motor inertia
+    _MAX_WORLDS = 4  # worlds kept for the next problem, one per motor inertia
 
     def __init__(self, physics: Physics) -> None:
         super().__init__(physics)
@@ -102,7 +103,7 @@ class BulletEngine(Engine):
         key = b"".join(np.asarray(motor_inertia[name], dtype=float).tobytes() for name in self.physics.arms)
         if key not in self._worlds:
             self._worlds[key] = _World.load(self.physics, motor_inertia)
-            while len(self._worlds) > self._KEPT:
+            while len(self._worlds) > self._MAX_WORLDS:
                 self._worlds.popitem(last=False)[1].bullet.close()
         self._worlds.move_to_end(key)
         return self._worlds[key]
@@ -119,7 +120,7 @@ class BulletEngine(Engine):
             )
         world = self._world(problem.motor_inertia)
         world.bring_together(pairs)
-        world.place(problem, system.velocity)
+        world.set_state(problem, system.velocity)
         world.bullet.client.performCollisionDetection()
         contacts = world.contacts()
         terms = ContactTerms.of(system, contacts, problem.restitution)
@@ -155,10 +156,10 @@ class BulletEngine(Engine):
             total = _coulomb(terms, impulses, extra, answer.velocity)
             change = effort.damping * (total - impulses - extra)
             extra = extra + change
-            moved = answer.velocity - system.velocity
+            jump = answer.velocity - system.velocity
             slope = _response(terms, run.inertia, impulses, answer.velocity)
-            defect = inertial + missing @ (moved + slope @ (terms.jacobian.T @ change.ravel()))
-            inertial = inertial - effort.damping * np.linalg.solve(np.eye(moved.size) + missing @ slope, defect)
+            defect = inertial + missing @ (jump + slope @ (terms.jacobian.T @ change.ravel()))
+            inertial = inertial - effort.damping * np.linalg.solve(np.eye(jump.size) + missing @ slope, defect)
         return best, count
 
 
@@ -173,7 +174,7 @@ class _Attempt:
 
 @dataclass(frozen=True)
 class _Run:
-    """One problem in one world: M' as ``inertia``, and u^- + s as ``start``."""
+    """One problem in one world; ``inertia`` is M', and ``start`` is u^- + s."""
 
     problem: ImpactProblem
     system: System
@@ -185,19 +186,19 @@ class _Run:
         """One step of Bullet with a generalised impulse ``(nv,)`` and extra friction ``(m, 3)``.
 
         Returns:
-            The answer that follows, and Bullet's own share of its impulses, ``(m, 3)`` [N s].
+            The resulting attempt, and the part of its impulses that Bullet applied, ``(m, 3)`` [N s].
         """
-        push = inertial + self.terms.jacobian.T @ extra.ravel()
-        moved = world.step(self.problem, self.system, self.inertia, self.start, push) - self.start
+        generalised_impulse = inertial + self.terms.jacobian.T @ extra.ravel()
+        jump = world.step(self.problem, self.system, self.inertia, self.start, generalised_impulse) - self.start
         impulses = world.impulses(self.terms.contacts)
-        velocity = self.system.velocity + moved
+        velocity = self.system.velocity + jump
         error = self.terms.residual(impulses + extra, velocity).largest
         return _Attempt(error if np.isfinite(error) else np.inf, impulses + extra, velocity), impulses
 
 
 @dataclass(frozen=True)
 class _Partner:
-    """A contact partner in the world: its body there, and its shift from the scene, ``(3,)`` [m]."""
+    """A contact partner: its body in Bullet, and the shift of this body from the scene, ``(3,)`` [m]."""
 
     body: int
     shift: Array
@@ -243,8 +244,8 @@ class _World:
         """M' of the whole system, ``(nv, nv)``."""
         inertia = system.inertia.copy()
         for name, model in self._models.items():
-            where = system.columns[name]
-            inertia[where, where] = model.mass_matrix(problem.arms[name].position)
+            block = system.columns[name]
+            inertia[block, block] = model.mass_matrix(problem.arms[name].position)
         return inertia
 
     def bring_together(self, pairs: Sequence[ContactPair]) -> None:
@@ -264,7 +265,7 @@ class _World:
             client.resetBasePositionAndOrientation(body, (origin + shift).tolist(), rotation)
             self._partners[name] = _Partner(body, shift)
 
-    def place(self, problem: ImpactProblem, velocity: Array) -> None:
+    def set_state(self, problem: ImpactProblem, velocity: Array) -> None:
         """Set all configurations, and the velocity u, ``(nv,)``."""
         start = 0
         for name, state in problem.arms.items():
@@ -278,7 +279,7 @@ class _World:
         object_ = system.columns["object"]
         start = start.copy()
         start[object_] += np.linalg.solve(inertia[object_, object_], push[object_])
-        self.place(problem, start)
+        self.set_state(problem, start)
         for name in problem.arms:
             self.bullet.apply_torque(name, push[system.columns[name]] / _STEP_S)
         self.bullet.step()
@@ -286,9 +287,9 @@ class _World:
         return np.concatenate((*arms, self.bullet.object_state().twist))
 
     def contacts(self) -> list[ContactPoint]:
-        """Bullet's contact points, moved back to where they belong."""
+        """Bullet's contact points, with the shifts of arms and support removed from the gaps."""
         physics = self.bullet.physics
-        names = {place.body: name for name, place in self._partners.items()}
+        names = {partner.body: name for name, partner in self._partners.items()}
         contacts = []
         for point in self._points():
             first = point[1] == self.bullet.object
@@ -327,41 +328,43 @@ def _restitution_shift(terms: ContactTerms) -> Array:
     """s with J_n s = e min(J_n u^-, 0) and J_t s = 0, ``(nv,)``."""
     if not np.any(terms.rebound):
         return np.zeros_like(terms.before)
-    wanted = terms.rebound[:, None] * terms.normals
-    return np.asarray(np.linalg.lstsq(terms.jacobian, wanted.ravel(), rcond=1e-10)[0])
+    rebounds = terms.rebound[:, None] * terms.normals
+    return np.asarray(np.linalg.lstsq(terms.jacobian, rebounds.ravel(), rcond=1e-10)[0])
 
 
 def _coulomb(terms: ContactTerms, impulses: Array, extra: Array, velocity: Array) -> Array:
-    """Impulses with Bullet's normal parts and friction after Coulomb, ``(m, 3)`` [N s]."""
+    """Impulses with Bullet's normal components and Coulomb friction, ``(m, 3)`` [N s]."""
     pressing = np.maximum(terms.split(impulses)[0], 0.0)
     radius = terms.friction * pressing
     slides, opposed = terms.sliding(impulses, velocity)
-    _, held = terms.split(impulses + extra)
-    held = held * np.minimum(1.0, radius / np.maximum(np.linalg.norm(held, axis=1), 1e-300))[:, None]
-    return np.asarray(pressing[:, None] * terms.normals + np.where(slides[:, None], radius[:, None] * opposed, held))
+    _, friction = terms.split(impulses + extra)
+    friction = friction * np.minimum(1.0, radius / np.maximum(np.linalg.norm(friction, axis=1), 1e-300))[:, None]
+    return np.asarray(
+        pressing[:, None] * terms.normals + np.where(slides[:, None], radius[:, None] * opposed, friction)
+    )
 
 
 def _response(terms: ContactTerms, inertia: Array, impulses: Array, velocity: Array) -> Array:
     """du^+ / dp of Bullet's step while every contact point keeps its mode, ``(nv, nv)``.
 
-    With the rows C of the velocities that the modes hold at zero (all three where a point sticks, the normal one where
-    it slides) and D of the impulses that hold them, ``M'^-1 - M'^-1 D^T (C M'^-1 D^T)^+ C M'^-1``.
+    ``M'^-1 - M'^-1 D^T (C M'^-1 D^T)^+ C M'^-1``, with the rows C of the velocities that the modes keep at zero (all
+    three of a sticking point, the normal one of a sliding point), and D of the corresponding impulses.
     """
     pressing, _ = terms.split(impulses)
     jacobian = terms.jacobian.reshape(len(pressing), 3, -1)
     slides, opposed = terms.sliding(impulses, velocity)
-    held, holding = [], []
+    rows, impulse_rows = [], []
     for index in np.flatnonzero(pressing > 1e-9 * np.max(pressing, initial=0.0)):
         if slides[index]:
             normal = terms.normals[index]
-            held.append(normal @ jacobian[index])
-            holding.append((normal + terms.friction[index] * opposed[index]) @ jacobian[index])
+            rows.append(normal @ jacobian[index])
+            impulse_rows.append((normal + terms.friction[index] * opposed[index]) @ jacobian[index])
         else:
-            held.extend(jacobian[index])
-            holding.extend(jacobian[index])
+            rows.extend(jacobian[index])
+            impulse_rows.extend(jacobian[index])
     inverse: Array = np.asarray(np.linalg.inv(inertia), dtype=float)
-    if not held:
+    if not rows:
         return inverse
-    of_velocity, of_impulse = np.array(held) @ inverse, inverse @ np.array(holding).T
-    held_by = np.linalg.pinv(np.array(held) @ of_impulse, rcond=1e-9)
-    return np.asarray(inverse - of_impulse @ held_by @ of_velocity, dtype=float)
+    velocity_response, impulse_response = np.array(rows) @ inverse, inverse @ np.array(impulse_rows).T
+    inverse_constraint = np.linalg.pinv(np.array(rows) @ impulse_response, rcond=1e-9)
+    return np.asarray(inverse - impulse_response @ inverse_constraint @ velocity_response, dtype=float)

@@ -7,13 +7,12 @@ best is the contact normal. The nearest face of the other box is clipped to the 
 within ``GAP_TOLERANCE`` of it touch: face, edge and corner contacts come out as polygon, segment and point. Two edges
 touch in one point, where they cross; where their common normal is within 6 degrees of that of a face, that point is a
 corner of the clipped face. Bullet's box-box detector follows the same rules, so that both engines see the same
-contacts, and so does the twin. Of aligned faces the one is taken that separates after a tilt too: a tilt by dphi costs
-the direction of a face the extent of the other box along that face, times dphi; of two faces that lie on each other,
-that of the larger box keeps the normal on either side.
+contacts, and so does the twin. If faces are aligned, the face that still separates after a tilt gives the normal: a
+tilt by dphi reduces the separation along the normal of a face by dphi times the extent of the other box along that
+face, so the normal of the larger of two touching faces stays the same on either side.
 
-Our own clipping, because the contact patches of a general collision library start from a penetration direction found
-by an iterative search, which is ill-defined exactly here: at faces that touch without overlap. It is compiled
-(``src/boxes.cpp``).
+Clipping is implemented here (``src/boxes.cpp``), because general collision libraries start contact patches from a
+penetration direction that an iterative search finds. At faces that touch without overlap it is ill-defined.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from impact_rs_sim.shapes import BOX, ConvexShape
 
 SUPPORT = "support"  # name of the support among the object's partners
 OBJECT = "object"  # name of the object that is hit first, among the bodies
-ALIGNED = 1e-9  # m; separations that differ by less are those of parallel faces
+ALIGNED = 1e-9  # m; smaller differences of separations are rounding of parallel faces
 GAP_TOLERANCE = 1e-3  # m; points closer than this take part in the impact
 SUPPORT_THICKNESS = 0.1  # m, of the box that stands for the support; only its upper face is ever touched
 
@@ -55,7 +54,7 @@ class ConvexBody:
 
     @property
     def parts(self) -> tuple[Array, Array, Array, _kernel.Shape | None]:
-        """All of them, for the compiled geometry."""
+        """Centre, axes, half extents and shape, in the form of the compiled geometry."""
         return self.centre, self.rotation, self.half, self.shape.kernel
 
 
@@ -95,8 +94,9 @@ class ContactPair:
         object: The object.
         separation: Distance along the direction that separates them best, negative: overlap [m].
         normal: Unit normal of the contact from the partner into the object, in A, ``(3,)``.
-        on_object: Whether the face that the normal belongs to is the object's.
-        edges: Axes of partner and object along which the edges run that cross and own the normal; None: a face does.
+        on_object: Whether the normal is that of a face of the object, not of the partner.
+        edges: Axes of partner and object along which two crossing edges run, if these give the normal; None: a face
+            gives it.
         body: The object: ``object``, or name of a neighbour.
     """
 
@@ -116,7 +116,7 @@ def contact_pairs(
     placements: Mapping[str, pin.SE3],
     neighbours: Sequence[BodyState] = (),
 ) -> list[ContactPair]:
-    """Contact pairs of the object, and of its neighbours where their states are given.
+    """Contact pairs of the object, and of its neighbours if their states are given.
 
     Args:
         physics: Shapes of all bodies.
@@ -135,16 +135,17 @@ def contact_pairs(
     if support is not None:
         partners[SUPPORT] = support
     bodies = {OBJECT: (physics.object, state)}
-    bodies |= {one.name: (one.body, own) for one, own in zip(physics.neighbours, neighbours, strict=False)}
-    found = []
-    for name, (physical, own) in bodies.items():
-        body = ConvexBody(own.position, own.rotation, physical.size / 2.0, physical.shape)
-        found += [
-            ContactPair(partner, other, body, *_kernel.meet(other.parts, body.parts, ALIGNED), name)
-            for partner, other in partners.items()
+    for neighbour, neighbour_state in zip(physics.neighbours, neighbours, strict=False):
+        bodies[neighbour.name] = (neighbour.body, neighbour_state)
+    pairs = []
+    for name, (physical, body_state) in bodies.items():
+        body = ConvexBody(body_state.position, body_state.rotation, physical.size / 2.0, physical.shape)
+        pairs += [
+            ContactPair(partner, partner_body, body, *_kernel.meet(partner_body.parts, body.parts, ALIGNED), name)
+            for partner, partner_body in partners.items()
         ]
         partners[name] = body
-    return found
+    return pairs
 
 
 def support_box(physics: Physics) -> ConvexBody | None:
@@ -163,7 +164,7 @@ def find_contacts(
     Args:
         physics: Friction coefficients.
         pairs: Contact pairs of the objects.
-        tolerance: Largest gap that still counts as touching [m].
+        tolerance: Largest gap of a touching point [m].
     """
     contacts: list[ContactPoint] = []
     for pair in pairs:

@@ -20,7 +20,7 @@ name                                  unit      quantity
 ``restitution``                       -         Newton restitution
 ====================================  ========  ==============================================================
 
-A prismatic joint has kg, m and m/s in the place of kg m^2, rad and rad/s.
+A prismatic joint has kg, m and m/s instead of kg m^2, rad and rad/s.
 
 **Derivatives.** Every contact point keeps its state, open, stick or slide. With the laws F(L, s, mu) = 0 of
 :mod:`impact_rs_sim.impact_map.laws`, s = J u^+ + e min(J_n u^-, 0) n + (rho / m) L and u^+ = u^- + H^-1 J^T L, the
@@ -75,11 +75,12 @@ from impact_rs_sim.rotations import AXES
 from impact_rs_sim.scene import ArmState, BodyState, pad_placements
 
 COMPLIANCES = (COMPLIANCE, 1e-5)  # rho of the derivatives; the second where Newton's method fails with the first
-RELATIVE_STEP = 1e-4  # of a difference, in units of the parameter's scale: both errors are near 1e-8 of a derivative
+# Step of a central difference over the scale of the parameter: truncation and rounding are near 1e-8 of a derivative.
+RELATIVE_STEP = 1e-4
 LENGTH_SCALE_M = 0.1  # of pads and objects
-MAX_SHIFT_M = 5e-3  # a contact point that a step moves further is another corner
-MAX_GAP_AFTER_STEP_M = 2.0 * GAP_TOLERANCE  # within which a contact point is found again after a step
-OF_OBJECT = {
+MAX_SHIFT_M = 5e-3  # a contact point that is further away after a step is another corner
+MAX_GAP_AFTER_STEP_M = 2.0 * GAP_TOLERANCE  # largest gap of a contact point after a step
+OBJECT_QUANTITIES = {
     "inertia": "kg m^2",
     "com_offset": "m",
     "position": "m",
@@ -87,9 +88,10 @@ OF_OBJECT = {
     "velocity": "m/s",
     "angular_velocity": "rad/s",
 }
-OF_PLACE = ("position", "rotation")  # all that a fixed object has
-OF_VELOCITY = ("velocity", "angular_velocity")  # quantities without a parameter where an object is guided
-OF_JOINTS = {"motor_inertia": "inertia", "position": "position", "velocity": "velocity"}  # and the unit of each
+POSE_QUANTITIES = ("position", "rotation")  # the only parameters of a fixed object
+TWIST_QUANTITIES = ("velocity", "angular_velocity")  # no parameters of an object on a hinge or slide
+# Attribute of :class:`~impact_rs_sim.robots.robot.JointUnits` with the unit, by quantity.
+JOINT_QUANTITIES = {"motor_inertia": "inertia", "position": "position", "velocity": "velocity"}
 
 
 @dataclass(frozen=True)
@@ -101,24 +103,24 @@ class MapParameter:
 
 
 def parameters_of(problem: ImpactProblem) -> tuple[MapParameter, ...]:
-    """All parameters of a problem; a fixed object has a pose alone, a guided one no parameters of its velocity."""
+    """All parameters of a problem; a fixed object has only those of its pose, a guided one none of its velocity."""
     fixed = problem.physics.object.fixed
-    found = [] if fixed else [MapParameter("object.mass", "kg")]
+    parameters = [] if fixed else [MapParameter("object.mass", "kg")]
     guided = problem.physics.object.freedom is not None
-    held = {*OF_OBJECT} - {*OF_PLACE} if fixed else {*OF_VELOCITY} if guided else set()
-    of_object = {kind: unit for kind, unit in OF_OBJECT.items() if kind not in held}
-    found += [MapParameter(f"object.{kind}.{axis}", unit) for kind, unit in of_object.items() for axis in AXES]
+    absent = {*OBJECT_QUANTITIES} - {*POSE_QUANTITIES} if fixed else {*TWIST_QUANTITIES} if guided else set()
+    quantities = {kind: unit for kind, unit in OBJECT_QUANTITIES.items() if kind not in absent}
+    parameters += [MapParameter(f"object.{kind}.{axis}", unit) for kind, unit in quantities.items() for axis in AXES]
     for name in problem.arms:
-        found += [
+        parameters += [
             MapParameter(f"{name}.{kind}.{joint}", getattr(units, quantity))
-            for kind, quantity in OF_JOINTS.items()
+            for kind, quantity in JOINT_QUANTITIES.items()
             for joint, units in enumerate(problem.physics.arms[name].facts.units, start=1)
         ]
-        found.append(MapParameter(f"{name}.link_inertia", "-"))
-        pads = [pad for pad, own in problem.physics.pads.items() if own.arm == name]
-        found += [MapParameter(f"{pad}.contact_point.{axis}", "m") for pad in pads for axis in "xy"]
-    found += [MapParameter(name, "-") for name in ("pad_friction", "support_friction", "restitution")]
-    return tuple(found)
+        parameters.append(MapParameter(f"{name}.link_inertia", "-"))
+        pads = [pad_name for pad_name, pad in problem.physics.pads.items() if pad.arm == name]
+        parameters += [MapParameter(f"{pad_name}.contact_point.{axis}", "m") for pad_name in pads for axis in "xy"]
+    parameters += [MapParameter(name, "-") for name in ("pad_friction", "support_friction", "restitution")]
+    return tuple(parameters)
 
 
 @dataclass(frozen=True)
@@ -142,48 +144,48 @@ class Changed:
             return system
         extra = np.zeros_like(system.inertia)
         for name, factor in self.link_inertia.items():
-            where = system.columns[name]
-            extra[where, where] = factor * system.link_inertia[where, where]
+            block = system.columns[name]
+            extra[block, block] = factor * system.link_inertia[block, block]
         return replace(system, inertia=system.inertia + extra, link_inertia=system.link_inertia + extra)
 
     def contacts(
         self,
         models: Mapping[str, RobotModel],
-        found: Sequence[ContactPair] | None = None,
+        pairs: Sequence[ContactPair] | None = None,
         tolerance: float = GAP_TOLERANCE,
     ) -> list[ContactPoint]:
         """Contact points.
 
         Args:
             models: Rigid-body models by arm, without the change.
-            found: Relative placement of the object and its partners, where already known.
+            pairs: Contact pairs, where the caller has them already.
             tolerance: Largest gap [m].
         """
-        if found is None:
-            found = self._pairs(models)
+        if pairs is None:
+            pairs = self._pairs(models)
         placements = pad_placements(self.problem.physics, models, self.problem.arms) if self.contact_point else {}
         shifts = {name: placements[name].rotation[:, :2] @ along for name, along in self.contact_point.items()}
         return [
             replace(point, position=point.position + shifts[point.partner]) if point.partner in shifts else point
-            for point in find_contacts(self.problem.physics, found, tolerance)
+            for point in find_contacts(self.problem.physics, pairs, tolerance)
         ]
 
     def _pairs(self, models: Mapping[str, RobotModel]) -> list[ContactPair]:
         """Contact pairs by geometry."""
         problem = self.problem
         placements = pad_placements(problem.physics, models, problem.arms)
-        return contact_pairs(problem.physics, problem.object, placements, problem.beside)
+        return contact_pairs(problem.physics, problem.object, placements, problem.neighbour_states)
 
     def terms(
-        self, models: Mapping[str, RobotModel], found: Sequence[ContactPair] | None = None
+        self, models: Mapping[str, RobotModel], pairs: Sequence[ContactPair] | None = None
     ) -> tuple[System, ContactTerms]:
-        """Terms of the contact laws; arguments as above."""
+        """Terms of the contact laws; arguments as for :meth:`contacts`."""
         system = self.system(models)
-        return system, ContactTerms.of(system, self.contacts(models, found), self.problem.restitution)
+        return system, ContactTerms.of(system, self.contacts(models, pairs), self.problem.restitution)
 
     def touching_terms(self, models: Mapping[str, RobotModel], pads: Collection[str]) -> tuple[System, ContactTerms]:
-        """The same with some pads moved along the normal until they touch."""
-        system, found = self.system(models), []
+        """As :meth:`terms`, with some pads moved along the contact normal until they touch."""
+        system, pairs = self.system(models), []
         positions = dict(system.end_effector_position)
         for pair in self._pairs(models):
             if pair.partner in pads and pair.body == OBJECT:
@@ -191,9 +193,9 @@ class Changed:
                 positions[pair.partner] = positions[pair.partner] + step
                 box = replace(pair.box, centre=pair.box.centre + step)
                 pair = replace(pair, box=box, separation=0.0)
-            found.append(pair)
+            pairs.append(pair)
         system = replace(system, end_effector_position=positions)
-        return system, ContactTerms.of(system, self.contacts(models, found), self.problem.restitution)
+        return system, ContactTerms.of(system, self.contacts(models, pairs), self.problem.restitution)
 
 
 def change(problem: ImpactProblem, amounts: Mapping[str, float]) -> Changed:
@@ -202,34 +204,39 @@ def change(problem: ImpactProblem, amounts: Mapping[str, float]) -> Changed:
     Raises:
         InputError: There is no such parameter.
     """
-    units = {parameter.name for parameter in parameters_of(problem)}
+    names = {parameter.name for parameter in parameters_of(problem)}
     for name in amounts:
-        if name not in units:
-            raise InputError(f"no parameter {name!r} of the impact map; known are: {', '.join(sorted(units))}")
+        if name not in names:
+            raise InputError(f"no parameter {name!r} of the impact map; known are: {', '.join(sorted(names))}")
     physics = problem.physics
-    of_object = {kind: np.array([amounts.get(f"object.{kind}.{axis}", 0.0) for axis in AXES]) for kind in OF_OBJECT}
+    object_changes = {
+        kind: np.array([amounts.get(f"object.{kind}.{axis}", 0.0) for axis in AXES]) for kind in OBJECT_QUANTITIES
+    }
     object_, body = physics.object, problem.object
     object_ = replace(
         object_,
         mass=object_.mass + amounts.get("object.mass", 0.0),
-        inertia=object_.inertia + of_object["inertia"],
-        com_offset=object_.com_offset + of_object["com_offset"],
+        inertia=object_.inertia + object_changes["inertia"],
+        com_offset=object_.com_offset + object_changes["com_offset"],
     )
     body = BodyState(
-        body.position + of_object["position"],
-        pin.exp3(of_object["rotation"]) @ body.rotation,
-        body.twist + np.concatenate((of_object["velocity"], of_object["angular_velocity"])),
+        body.position + object_changes["position"],
+        pin.exp3(object_changes["rotation"]) @ body.rotation,
+        body.twist + np.concatenate((object_changes["velocity"], object_changes["angular_velocity"])),
     )
     arms, motors, factors, points = {}, {}, {}, {}
     for name, state in problem.arms.items():
         motor = problem.motor_inertia[name]
-        joints = {
+        joint_changes = {
             kind: np.array([amounts.get(f"{name}.{kind}.{joint + 1}", 0.0) for joint in range(motor.size)])
-            for kind in OF_JOINTS
+            for kind in JOINT_QUANTITIES
         }
-        moved = (_behind(joints["position"], state.position), _behind(joints["velocity"], state.velocity))
-        arms[name] = ArmState(*moved)
-        motors[name] = motor + joints["motor_inertia"]
+        moved_state = (
+            _with_joint_changes(joint_changes["position"], state.position),
+            _with_joint_changes(joint_changes["velocity"], state.velocity),
+        )
+        arms[name] = ArmState(*moved_state)
+        motors[name] = motor + joint_changes["motor_inertia"]
         if factor := amounts.get(f"{name}.link_inertia", 0.0):
             factors[name] = factor
     for name in physics.pads:
@@ -252,9 +259,9 @@ def change(problem: ImpactProblem, amounts: Mapping[str, float]) -> Changed:
     return Changed(changed, factors, points)
 
 
-def _behind(change: Array, values: Array) -> Array:
-    """Values changed by ``change`` at their end: the joints, which stand behind a floating base."""
-    return values + np.concatenate((np.zeros(values.size - change.size), change))
+def _with_joint_changes(joint_change: Array, values: Array) -> Array:
+    """``values`` with changed joints; these come last, behind the components of a floating base."""
+    return values + np.concatenate((np.zeros(values.size - joint_change.size), joint_change))
 
 
 @dataclass(frozen=True)
@@ -269,7 +276,7 @@ class Derivatives:
         states: State of every contact point, ``open``, ``stick`` or ``slide``.
         margin: Distance of the nearest contact from another state, or with e > 0 of a moving point from the change
             between closing and opening, as a velocity [m/s].
-        smooth: Whether every contact point moves smoothly with the bodies; one that does not is kept in its place.
+        smooth: Whether every contact point moves smoothly with the bodies; a point that does not is kept in its place.
     """
 
     parameters: tuple[MapParameter, ...]
@@ -286,18 +293,18 @@ class Derivatives:
         Raises:
             InputError: There is no such parameter.
         """
-        known = [parameter.name for parameter in self.parameters]
-        if name not in known:
-            raise InputError(f"no parameter {name!r}; known: {', '.join(known)}")
-        return np.asarray(self.jacobian[:, known.index(name)])
+        names = [parameter.name for parameter in self.parameters]
+        if name not in names:
+            raise InputError(f"no parameter {name!r}; known: {', '.join(names)}")
+        return np.asarray(self.jacobian[:, names.index(name)])
 
 
 def velocity_names(problem: ImpactProblem) -> tuple[str, ...]:
     """Names of all predicted velocities.
 
-    ``ARM.joint_velocity.1`` ... [rad/s] of every arm (with a floating base before them its twist in its own axes,
-    ``ARM.base_vx`` ...), ``ARM.velocity.x`` ... [m/s] and ``ARM.angular_velocity.x`` ... [rad/s] of frame E of every
-    pad, and the same two of ``object``.
+    ``ARM.joint_velocity.1`` ... [rad/s] of every arm (behind the twist of a floating base in its own axes,
+    ``ARM.base_vx`` ...), ``PAD.velocity.x`` ... [m/s] and ``PAD.angular_velocity.x`` ... [rad/s] of frame E of every
+    pad, and ``object.velocity.x`` ... and ``object.angular_velocity.x`` ....
     """
     joints = [
         f"{name}.{column.replace('joint', 'joint_velocity.')}"
@@ -337,9 +344,9 @@ def differentiate(
     """
     if models is None:
         models = problem.physics.robot_models()
-    found = check_problem(problem, models)
+    pairs = check_problem(problem, models)
     system = build_system(problem, models)
-    contacts = find_contacts(problem.physics, found)
+    contacts = find_contacts(problem.physics, pairs)
     terms = ContactTerms.of(system, contacts, problem.restitution)
     guess, _ = solve_contacts(terms)
     for compliance in compliances:
@@ -347,13 +354,13 @@ def differentiate(
         if converged:
             break
     else:
-        raise ImpactMapError("Newton's method found no contact states to differentiate at")
+        raise ImpactMapError("Newton's method did not converge: there are no contact states to differentiate at")
     after = terms.before + terms.response @ impulses.ravel()
     opening = np.sum(terms.normals * (terms.jacobian @ terms.before).reshape(-1, 3), axis=1)
     point = _Point(problem, models, contacts, impulses, after, opening <= 0.0, compliance * terms.mobility)
     parameters = parameters_of(problem)
-    steps = {one.name: RELATIVE_STEP * _scale_of(one.name, problem, system) for one in parameters}
-    partial = [_differences(point, name, step) for name, step in steps.items()]
+    names = [parameter.name for parameter in parameters]
+    partial = [_differences(point, name, RELATIVE_STEP * _scale_of(name, problem, system)) for name in names]
     jacobian = np.array([rate.velocities for rate in partial]).T
     states: tuple[str, ...] = ()
     margin = np.inf
@@ -365,8 +372,10 @@ def differentiate(
             + linear.by_friction * rate.friction[:, None]
             for rate in partial
         ]
-        moved = np.linalg.solve(slope(linear, operator), -np.array(shifts).reshape(len(shifts), -1).T)
-        jacobian = jacobian + np.array([all_velocities(system, column) for column in (terms.response @ moved).T]).T
+        impulse_rates = np.linalg.solve(slope(linear, operator), -np.array(shifts).reshape(len(shifts), -1).T)
+        jacobian = (
+            jacobian + np.array([all_velocities(system, column) for column in (terms.response @ impulse_rates).T]).T
+        )
         states, margin = linear.state, float(np.min(linear.margin))
         if problem.restitution > 0.0:
             margin = float(np.min(np.abs(opening[opening != 0.0]), initial=margin))
@@ -384,7 +393,11 @@ def differentiate(
 class _Point(NamedTuple):
     """Solution at which derivatives are taken.
 
-    Impulses ``(m, 3)``, u^+ ``(nv,)``, which points close ``(m,)``, and the velocity they yield per impulse [1/kg].
+    Attributes:
+        impulses: Impulses on the object, ``(m, 3)`` [N s].
+        after: u^+, ``(nv,)`` [rad/s, m/s].
+        closes: Mask of the points that close before the impact, ``(m,)``.
+        yields: rho / m, velocity by which a point yields per impulse [1/kg].
     """
 
     problem: ImpactProblem
@@ -404,7 +417,7 @@ class _Terms(NamedTuple):
         velocities: All velocities at this u^+, ``(k,)`` [rad/s, m/s].
         slip: s at the nominal u^+, in axes that rotate with the normals, ``(m, 3)`` [m/s].
         friction: Coulomb coefficients, ``(m,)`` [-].
-        smooth: Whether the contact points were found again.
+        smooth: Whether every contact point has a counterpart after the step.
     """
 
     velocity: Array
@@ -427,7 +440,7 @@ def _terms_at(point: _Point, name: str, amount: float) -> _Terms:
     """The terms with one parameter changed."""
     changed = change(point.problem, {name: amount})
     system = changed.system(point.models)
-    contacts, smooth = _found_again(point.contacts, changed.contacts(point.models, tolerance=MAX_GAP_AFTER_STEP_M))
+    contacts, smooth = _match_contacts(point.contacts, changed.contacts(point.models, tolerance=MAX_GAP_AFTER_STEP_M))
     jacobian, yields = system.jacobian(contacts), point.yields
     if system.free:
         yields *= point.problem.physics.object.mass / changed.problem.physics.object.mass
@@ -448,27 +461,30 @@ def _terms_at(point: _Point, name: str, amount: float) -> _Terms:
     )
 
 
-def _found_again(contacts: Sequence[ContactPoint], found: Sequence[ContactPoint]) -> tuple[list[ContactPoint], bool]:
-    """The contact points after a step, in the order of ``contacts``, and whether all of them are still there."""
+def _match_contacts(
+    contacts: Sequence[ContactPoint], changed: Sequence[ContactPoint]
+) -> tuple[list[ContactPoint], bool]:
+    """The counterparts of ``contacts`` after a step, and whether each has one; a point without is kept."""
     moved, smooth = [], True
     for contact in contacts:
-        others = [other for other in found if (other.body, other.partner) == (contact.body, contact.partner)]
-        shifts = [float(np.linalg.norm(other.position - contact.position)) for other in others]
-        least = min(shifts, default=np.inf)
-        smooth = smooth and least <= MAX_SHIFT_M
-        moved.append(others[shifts.index(least)] if least <= MAX_SHIFT_M else contact)
+        bodies = (contact.body, contact.partner)
+        candidates = [candidate for candidate in changed if (candidate.body, candidate.partner) == bodies]
+        distances = [float(np.linalg.norm(candidate.position - contact.position)) for candidate in candidates]
+        nearest = min(distances, default=np.inf)
+        smooth = smooth and nearest <= MAX_SHIFT_M
+        moved.append(candidates[distances.index(nearest)] if nearest <= MAX_SHIFT_M else contact)
     return moved, smooth
 
 
-def _rotation_between(normal: Array, other: Array) -> Array:
-    """The smallest rotation that takes one unit vector to another near it, ``(3, 3)``."""
-    axis = np.cross(normal, other)
+def _rotation_between(normal: Array, target: Array) -> Array:
+    """The smallest rotation of one unit vector to another near it, ``(3, 3)``."""
+    axis = np.cross(normal, target)
     sine = float(np.linalg.norm(axis))
     return np.eye(3) if sine == 0.0 else np.asarray(pin.exp3(np.arcsin(min(sine, 1.0)) / sine * axis))
 
 
 def _scale_of(name: str, problem: ImpactProblem, system: System) -> float:
-    """Amount of a parameter over which terms change by their own size, in its unit."""
+    """Change of a parameter that changes terms by about their own size, in its unit."""
     owner, _, kind = name.partition(".")
     kind, _, which = kind.partition(".")
     if owner == "object" and kind == "mass":

@@ -7,8 +7,8 @@ the twist of the object at its geometric centre (then of its neighbours), ``u = 
     H = blockdiag(M_1 + B_1, ..., M_k + B_k, M_object),      H (u^+ - u^-) = J_c^T L
 
 with the laws of :mod:`impact_rs_sim.impact_map.problem` for the impulses L. Every engine shares these terms. Two hands
-of one robot share its block: their rows are J_left and J_right times its v, and J_left (M + B)^-1 J_right^T is the
-mobility between them, the velocity of one hand per impulse on the other.
+of one robot share its block of H: their rows of J_c are those of J_left and J_right, and J_left (M + B)^-1 J_right^T
+is the mobility between the hands, the velocity of the left hand per impulse on the right one.
 An object on a hinge or slide has a twist S dz, with one velocity dz in place of six: its block is S^T M_object S, its
 columns of J_c are multiplied by S, and the impulses of the bearing, which do no work, are not unknowns.
 
@@ -58,18 +58,17 @@ from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.scene import BodyState
 
-COMPLIANCE = 1e-8  # rho [-]; ten times less, and rounding errors begin to decide the shares of the load
+COMPLIANCE = 1e-8  # rho [-]; at a tenth of it rounding errors begin to determine the shares of the load
 SLIDING = 1e-7  # m/s, slower points stick
 _AXES = (0, 1, 2)
 
 
 @dataclass(frozen=True)
 class System:
-    """Inertia and kinematics at the moment of impact.
+    """Inertia and kinematics at the impact.
 
     Attributes:
-        columns: Where the velocities of each pad's arm, and under its name (``object``) the twist of each object,
-            stand in u.
+        columns: Columns of u by name: velocities of the arm for every pad, twist for every object (``object`` ...).
         inertia: H, ``(nv, nv)`` [kg m^2, kg m, kg]; a fixed object has unit inertia there, which no impulse moves.
         link_inertia: H with B = 0, ``(nv, nv)``.
         velocity: u^-, ``(nv,)`` [rad/s, m/s].
@@ -78,9 +77,9 @@ class System:
         object_position: Geometric centre of the object in A, ``(3,)`` [m].
         fixed: Whether the object is fixed: no contact point then has columns of it in J_c.
         neighbour_position: Geometric centres of its neighbours likewise, by name.
-        hands: Pads of further hands, which have the velocities of their arms.
-        freedom: Twist of the object per velocity that its hinge or slide leaves it, axes of A, ``(6, d)``: u has these
-            velocities, and H their inertia; None: it is free, or fixed.
+        hands: Pads of further hands; they share the velocities of their arms.
+        freedom: Twist of the object per velocity along its hinge or slide, axes of A, ``(6, d)``; u then contains these
+            d velocities instead of a twist, and H their inertia. None: the object is free or fixed.
     """
 
     columns: Mapping[str, slice]
@@ -97,7 +96,7 @@ class System:
 
     @property
     def free(self) -> bool:
-        """Whether nothing holds the object."""
+        """Whether the object is neither fixed nor guided."""
         return not self.fixed and self.freedom is None
 
     @property
@@ -110,32 +109,32 @@ class System:
         size = self.velocity.size
         jacobian = np.zeros((len(contacts), 3, size))
         positions = np.array([contact.position for contact in contacts]).reshape(-1, 3)
-        middles = {OBJECT: self.object_position, **self.neighbour_position}
-        for name, middle in () if self.fixed else middles.items():
-            own = [row for row, contact in enumerate(contacts) if contact.body == name]
-            jacobian[own, :, self.columns[name]] = self._maps(name, positions[own] - middle)
-            other = [row for row, contact in enumerate(contacts) if contact.partner == name]
-            there = np.array([contacts[row].partner_position for row in other]).reshape(-1, 3)
-            jacobian[other, :, self.columns[name]] = -self._maps(name, there - middle)
-        for name, of_pad in self.end_effector_jacobian.items():
+        centres = {OBJECT: self.object_position, **self.neighbour_position}
+        for name, centre in {} if self.fixed else centres.items():
+            own_rows = [row for row, contact in enumerate(contacts) if contact.body == name]
+            jacobian[own_rows, :, self.columns[name]] = self._maps(name, positions[own_rows] - centre)
+            partner_rows = [row for row, contact in enumerate(contacts) if contact.partner == name]
+            partner_points = np.array([contacts[row].partner_position for row in partner_rows]).reshape(-1, 3)
+            jacobian[partner_rows, :, self.columns[name]] = -self._maps(name, partner_points - centre)
+        for name, pad_jacobian in self.end_effector_jacobian.items():
             rows = [row for row, contact in enumerate(contacts) if contact.partner == name]
             levers = np.array([contacts[row].partner_position for row in rows]).reshape(-1, 3)
             levers -= self.end_effector_position[name]
-            jacobian[rows, :, self.columns[name]] = -point_maps(levers) @ of_pad
+            jacobian[rows, :, self.columns[name]] = -point_maps(levers) @ pad_jacobian
         return jacobian.reshape(3 * len(contacts), size)
 
     def _maps(self, name: str, levers: Array) -> Array:
-        """Velocities of points at ``levers`` from an object's middle per its velocities in u, ``(m, 3, d)``."""
+        """Velocities of points at ``levers`` from the centre of an object, per its velocities in u, ``(m, 3, d)``."""
         maps = point_maps(levers)
         return maps if self.freedom is None or name != OBJECT else np.asarray(maps @ self.freedom)
 
     def split(self, velocity: Array) -> tuple[dict[str, Array], dict[str, Array], Array]:
         """Joint velocity by arm, twist of frame E by pad, and twist of the object, out of u ``(nv,)``."""
-        of_pads = {name: velocity[self.columns[name]] for name in self.end_effector_jacobian}
-        twists = {name: self.end_effector_jacobian[name] @ dq for name, dq in of_pads.items()}
-        joints = {name: dq for name, dq in of_pads.items() if name not in self.hands}
-        own = velocity[self.columns[OBJECT]]
-        return joints, twists, own if self.freedom is None else self.freedom @ own
+        velocities = {name: velocity[self.columns[name]] for name in self.end_effector_jacobian}
+        twists = {name: self.end_effector_jacobian[name] @ dq for name, dq in velocities.items()}
+        joints = {name: dq for name, dq in velocities.items() if name not in self.hands}
+        object_velocity = velocity[self.columns[OBJECT]]
+        return joints, twists, object_velocity if self.freedom is None else self.freedom @ object_velocity
 
     def neighbour_twists(self, velocity: Array) -> dict[str, Array]:
         """Twists of the neighbours of the object by name, out of u ``(nv,)``."""
@@ -169,21 +168,21 @@ def build_system(problem: ImpactProblem, models: Mapping[str, RobotModel]) -> Sy
     motor = np.zeros(start)
     positions, jacobians = {}, {}
     for name, state in problem.arms.items():
-        where = columns[name]
-        link_inertia[where, where] = models[name].mass_matrix(state.position)
-        motor[where] = models[name].facts.columns_of(problem.motor_inertia[name])
-        velocity[where] = state.velocity
+        block = columns[name]
+        link_inertia[block, block] = models[name].mass_matrix(state.position)
+        motor[block] = models[name].facts.columns_of(problem.motor_inertia[name])
+        velocity[block] = state.velocity
     for name, pad in problem.physics.pads.items():
         model, q = models[pad.arm], problem.arms[pad.arm].position
         columns[name] = columns[pad.arm]
         jacobians[name] = model.jacobian(q, pad.hand)
         positions[name] = model.placement(q, pad.hand).translation
     for name, (object_, body) in bodies.items():
-        own, twist = _object_inertia(object_, body), body.twist
+        object_inertia, twist = _object_inertia(object_, body), body.twist
         if freedom is not None and name == OBJECT:
-            own = freedom.T @ own @ freedom
+            object_inertia = freedom.T @ object_inertia @ freedom
             twist = np.asarray(np.linalg.lstsq(freedom, twist, rcond=None)[0], dtype=np.float64)
-        link_inertia[columns[name], columns[name]] = own
+        link_inertia[columns[name], columns[name]] = object_inertia
         velocity[columns[name]] = twist
     return System(
         columns=columns,
@@ -219,12 +218,12 @@ class ContactTerms:
     Attributes:
         contacts: The m contact points.
         restitution: Newton restitution e [-].
-        before: u^-, ``(nv,)`` [rad/s, m/s].
+        before: Ante-impact velocity u^-, ``(nv,)`` [rad/s, m/s].
         jacobian: J_c, ``(3 m, nv)``.
         response: H^-1 J_c^T, ``(nv, 3 m)``.
         normals: Unit normals into the object, ``(m, 3)``.
         friction: Coulomb coefficients, ``(m,)`` [-].
-        rebound: e min(J_n u^-, 0): a point that opens before the impact has no restitution, ``(m,)`` [m/s].
+        rebound: e min(J_n u^-, 0), 0 for points that open before the impact, ``(m,)`` [m/s].
         inverse_mass: Mean over the directions of a point of its J_c H^-1 J_c^T, ``(m,)`` [1/kg].
         mobility: 1 / m of the object, or mean of ``inverse_mass`` where it is fixed or guided [1/kg].
     """
@@ -289,7 +288,7 @@ class ContactTerms:
         return along, vectors - along[:, None] * self.normals
 
     def sliding(self, impulses: Array, velocity: Array) -> tuple[Array, Array]:
-        """Which points slide with their friction at its limit ``(m,)``, and unit vectors against sliding ``(m, 3)``."""
+        """Mask of points that slide with friction at its limit ``(m,)``; unit vectors against sliding ``(m, 3)``."""
         pressing, tangential = self.split(impulses)
         _, sliding = self.split((self.jacobian @ velocity).reshape(-1, 3))
         speed = np.linalg.norm(sliding, axis=1)
@@ -297,19 +296,19 @@ class ContactTerms:
         slides = (np.linalg.norm(tangential, axis=1) >= limit * (1.0 - 1e-9)) & (speed > SLIDING)
         return slides, -sliding / np.maximum(speed, SLIDING)[:, None]
 
-    def residual(self, impulses: Array, velocity: Array, least: Array | float = 0.0) -> Residual:
+    def residual(self, impulses: Array, velocity: Array, lower_bound: Array | float = 0.0) -> Residual:
         """Residuals of a solution.
 
         Args:
             impulses: L on the object in axes of A, ``(m, 3)`` [N s].
             velocity: u^+, ``(nv,)`` [rad/s, m/s].
-            least: Lower bound of the normal impulses; L_n beyond it is complementary to opening [N s].
+            lower_bound: Lower bound of the normal impulses; L_n beyond it is complementary to opening [N s].
         """
         jump = velocity - self.before
         momentum = float(np.max(np.abs(jump - self.response @ impulses.ravel())))
         if not len(impulses):
             return Residual(0.0, 0.0, 0.0, momentum)
-        return Residual(*self.kernel.judge(impulses, self.jacobian @ velocity, least), momentum)
+        return Residual(*self.kernel.judge(impulses, self.jacobian @ velocity, lower_bound), momentum)
 
 
 @dataclass(frozen=True)
@@ -341,15 +340,15 @@ def delassus(terms: ContactTerms, compliance: float = COMPLIANCE) -> Array:
     return np.asarray((operator + operator.T) / 2.0 + compliance * terms.mobility * np.eye(len(operator)))
 
 
-def linearise(terms: ContactTerms, impulses: Array, velocity: Array, least: Array | float = 0.0) -> Linearisation:
-    """The laws at impulses ``(m, 3)`` [N s] and velocities s ``(m, 3)`` [m/s], with L_n >= ``least`` [N s]."""
-    return Linearisation(*terms.kernel.linearise(impulses, velocity, least))
+def linearise(terms: ContactTerms, impulses: Array, velocity: Array, lower_bound: Array | float = 0.0) -> Linearisation:
+    """The laws at impulses ``(m, 3)`` [N s] and velocities s ``(m, 3)`` [m/s], with L_n >= ``lower_bound`` [N s]."""
+    return Linearisation(*terms.kernel.linearise(impulses, velocity, lower_bound))
 
 
 def yielding_velocity(terms: ContactTerms, operator: Array, impulses: Array) -> Array:
     """s at impulses ``(m, 3)``, ``(m, 3)`` [m/s]; ``operator`` by :func:`delassus`."""
-    moved = (terms.jacobian @ terms.before + operator @ impulses.ravel()).reshape(-1, 3)
-    return np.asarray(moved + terms.rebound[:, None] * terms.normals)
+    velocity = (terms.jacobian @ terms.before + operator @ impulses.ravel()).reshape(-1, 3)
+    return np.asarray(velocity + terms.rebound[:, None] * terms.normals)
 
 
 def slope(linear: Linearisation, operator: Array) -> Array:
@@ -358,8 +357,8 @@ def slope(linear: Linearisation, operator: Array) -> Array:
     matrix = np.einsum("mij,mjk->mik", linear.by_velocity, operator.reshape(count, 3, 3 * count))
     matrix = matrix.reshape(3 * count, 3 * count)
     for index, block in enumerate(linear.by_impulse):
-        where = slice(3 * index, 3 * index + 3)
-        matrix[where, where] += block
+        rows = slice(3 * index, 3 * index + 3)
+        matrix[rows, rows] += block
     return np.asarray(matrix)
 
 
@@ -373,34 +372,36 @@ def states(terms: ContactTerms, impulses: Array, compliance: float = COMPLIANCE)
 def solve_contacts(terms: ContactTerms) -> tuple[Array, int]:
     """Impulses on the object that obey the laws, ``(m, 3)`` [N s], and the number of sweeps and Newton steps.
 
-    A compliance of a tenth of its inverse mass at every point gives a unique solution that shares loads evenly, to
-    which a few Gauss-Seidel sweeps are a good first guess; from there the compliance is reduced to ``COMPLIANCE``, and
-    its effect removed. Whether the iteration converged is for the caller to judge, by the residual.
+    With a compliance of a tenth of the inverse mass at every point the solution is unique and shares loads evenly. A
+    few Gauss-Seidel sweeps give a first guess of it. The compliance is then reduced to ``COMPLIANCE`` and its effect
+    removed. The caller judges convergence by the residual.
     """
     impulses, _, steps = terms.kernel.solve(COMPLIANCE)
     return impulses, steps
 
 
 def newton(
-    terms: ContactTerms, impulses: Array, least: Array | float = 0.0, compliance: float = COMPLIANCE
+    terms: ContactTerms, impulses: Array, lower_bound: Array | float = 0.0, compliance: float = COMPLIANCE
 ) -> tuple[Array, bool]:
     """The solution that Newton's method reaches from a first guess.
 
     Args:
         terms: The problem at its m contact points.
         impulses: First guess on the object, ``(m, 3)`` [N s].
-        least: Bound a of the normal impulses, ``(m,)`` [N s].
+        lower_bound: Bound a of the normal impulses, ``(m,)`` [N s].
         compliance: rho [-].
 
     Returns:
-        Impulses ``(m, 3)`` [N s], and whether the iteration converged; else they are the first guess.
+        Impulses ``(m, 3)`` [N s], and whether the iteration converged; if not, they are the first guess.
     """
-    return terms.kernel.newton(impulses, least, compliance)
+    return terms.kernel.newton(impulses, lower_bound, compliance)
 
 
-def harden(terms: ContactTerms, impulses: Array, least: Array | float = 0.0, compliance: float = COMPLIANCE) -> Array:
+def harden(
+    terms: ContactTerms, impulses: Array, lower_bound: Array | float = 0.0, compliance: float = COMPLIANCE
+) -> Array:
     """The solution of :func:`newton` without the velocity that the compliance lets points yield, ``(m, 3)`` [N s].
 
-    Where that does not converge, the impulses stay as they are. Arguments as there.
+    Without convergence the given impulses are returned. Arguments as for :func:`newton`.
     """
-    return terms.kernel.harden(impulses, least, compliance)
+    return terms.kernel.harden(impulses, lower_bound, compliance)

@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The impact map at a measured state: one arm or two and an object, or one free body on a plane.
+"""The impact map at a measured state: one or two arms and an object, or one free body on a plane.
 
-The laws of :mod:`impact_rs_sim.impact_map.problem` are solved by the compiled map of
-:mod:`impact_rs_sim.impact_map.solve`, at all impacts of a table in one call. One impact is looked at by itself, so its
-contact points have more laws than the points of a push that goes on (:mod:`impact_rs_sim.impact_map.contact_laws`).
+The compiled map of :mod:`impact_rs_sim.impact_map.solve` solves the laws of :mod:`impact_rs_sim.impact_map.problem` for
+all impacts of a table in one call. A table has single impacts, not a continued push, so its contact points have the
+further laws of :mod:`impact_rs_sim.impact_map.contact_laws`.
 
-The contact points have another source than in a planned impact. Poses are measured to a millimetre or so, and
-bodies that touch seem to overlap or to stay apart; so the nearest points of two bodies are taken for touching, whatever
-their distance, and all points with them that are no more than a tolerance further off.
+Poses are measured to about a millimetre, and touching bodies seem to overlap or to be apart. So the nearest points of
+two bodies touch, whatever their distance, and with them all points that are at most a tolerance further away.
 
-A body that hits something fixed is an object without arms: H is its own inertia, and what it hits is the support. Its
-mass cancels: H, and with it L, grows with the mass, and u^+ stays.
+A free body that hits something fixed is an object without arms: H is its inertia, and the fixed body is the support.
+Its mass cancels: H and L are proportional to the mass, and u^+ does not depend on it.
 """
 
 from __future__ import annotations
@@ -41,23 +40,23 @@ from impact_rs_sim.scene import ArmState, BodyState, pad_placements
 from impact_rs_sim.shapes import BOX, ConvexShape
 from impact_rs_sim.twist_readings import TwistReadings
 
-FRICTION, RESTITUTION = "friction", "restitution"  # what tables call the two numbers of a contact,
-SUPPORT_FRICTION = "support_friction"  # and the friction of the support on which an object slides on
-PAD_REACH = 0.02  # m, between pad and object; measured poses are off by less, and beyond it nothing was hit
-SUPPORT_REACH = 0.005  # m, between object and support; beyond it the object is in the air
-_MODELS = 64  # rigid-body models of arms, some ten effects on the links each way
-_KEPT = 8  # kinematics of all impacts with one set of links; 0.8 kB an impact
+FRICTION, RESTITUTION = "friction", "restitution"  # column names of the coefficients of a contact in tables,
+SUPPORT_FRICTION = "support_friction"  # and of the friction between an object and its support
+PAD_REACH = 0.02  # m, largest distance of a pad that hits the object; errors of measured poses are smaller
+SUPPORT_REACH = 0.005  # m, largest distance of an object from the support that it rests on
+_MAX_MODELS = 64  # cached rigid-body models of arms: some ten effects on the links, each with a step up and down
+_MAX_KINEMATICS = 8  # cached kinematics of all impacts, by set of links; 0.8 kB an impact
 
 
 @dataclass(frozen=True)
 class MeasuredImpact:
-    """The state just before an impact, and where it takes place.
+    """The state just before an impact, and its contact points.
 
     Attributes:
         arms: Configuration and ante-impact velocity by arm; empty: a free body hits something fixed.
         object: Pose and ante-impact twist of the object, or of the free body.
-        points: Contact points; their friction comes from the physics at hand.
-        points_measured: Whether the points were measured in A; if not, they belong to the body in its measured pose.
+        points: Contact points; their friction is taken from the physics, not from here.
+        points_measured: Whether the points were measured in A; if not, they follow from the measured pose of the body.
     """
 
     arms: dict[str, ArmState]
@@ -66,18 +65,19 @@ class MeasuredImpact:
     points_measured: bool = False
 
     def as_read(self, readings: TwistReadings) -> MeasuredImpact:
-        """The impact whose readings this one is: with the true twist, and the centre beside the tracked point."""
+        """The true impact, if this one has readings: true twist, and the centre instead of the tracked point."""
         body = self.object
-        off = readings.lever(body.rotation) if self.points_measured else np.zeros(3)  # else the points move as well
+        # Points that follow from the pose move with the centre: then nothing changes but the twist.
+        offset = readings.lever(body.rotation) if self.points_measured else np.zeros(3)
         twist = readings.twist_of(body.twist, body.rotation)
-        return replace(self, object=BodyState(body.position - off, body.rotation, twist))
+        return replace(self, object=BodyState(body.position - offset, body.rotation, twist))
 
     def system(self, physics: Physics, models: Mapping[str, RobotModel]) -> System:
         """Inertia and kinematics under some physics; ``models`` are the rigid-body models by arm."""
         return build_system(self._problem(physics), models)
 
     def closing_speed(self, physics: Physics, models: Mapping[str, RobotModel]) -> float:
-        """Largest closing speed of a contact, ``max_i -n_i . (J_c u^-)_i`` [m/s]; below 0: none closes."""
+        """Largest closing speed of a contact, ``max_i -n_i . (J_c u^-)_i`` [m/s]; below 0 all contacts open."""
         system = self.system(physics, models)
         relative = (system.jacobian(self.points) @ system.velocity).reshape(-1, 3)
         normals = np.array([point.normal for point in self.points])
@@ -96,19 +96,19 @@ class MeasuredImpact:
 class MeasuredImpacts:
     """Impacts with the same arms, solved together.
 
-    Physics of a fit differ little, and so do their impulses: all others begin at the impulses of the first solution,
-    which takes a tenth of the steps. The answer depends on the first physics and on its own, not on what was solved in
-    between.
+    A fit solves them many times, with slightly different physics. Every later solution starts from the impulses of the
+    first one, which takes a tenth of the steps. So an answer depends on the first physics and on its own, but not on
+    solutions in between.
 
     Args:
         impacts: The impacts; at least one.
-        physics: The physics of each.
+        physics_by_impact: The physics of every impact.
     """
 
-    def __init__(self, impacts: Sequence[MeasuredImpact], physics: Sequence[Physics]) -> None:
+    def __init__(self, impacts: Sequence[MeasuredImpact], physics_by_impact: Sequence[Physics]) -> None:
         self._impacts = tuple(impacts)
-        physics[0].object.check_free("a table of impacts")
-        self._pads = {name: pad for name, pad in physics[0].pads.items() if pad.arm in impacts[0].arms}
+        physics_by_impact[0].object.check_free("a table of impacts")
+        self._pads = {name: pad for name, pad in physics_by_impact[0].pads.items() if pad.arm in impacts[0].arms}
         self._names = tuple(self._pads)
         bodies = [impact.object for impact in impacts]
         self._body = (
@@ -126,94 +126,96 @@ class MeasuredImpacts:
         self._partner = np.array(
             [self._names.index(p.partner) if p.partner in self._names else len(self._names) for p in points]
         )
-        self._near: Array | None = None  # impulses of the first solution, (M, 3) [N s]
-        self._arms = Recent[tuple[list[RobotFacts], tuple[Array, ...]]](_KEPT)
-        self._closing, self._slip = self._approach(physics)
+        self._first_impulses: Array | None = None  # of the first solution, (M, 3) [N s]
+        self._arms = Recent[tuple[list[RobotFacts], tuple[Array, ...]]](_MAX_KINEMATICS)
+        self._closing, self._slip = self._approach(physics_by_impact)
 
     def __getstate__(self) -> dict[str, object]:
-        """All but the kinematics: their keys name objects of this process."""
-        return {**vars(self), "_arms": Recent[tuple[list[RobotFacts], tuple[Array, ...]]](_KEPT)}
+        """All attributes, with an empty cache of kinematics: its keys are ids of objects in this process."""
+        return {**vars(self), "_arms": Recent[tuple[list[RobotFacts], tuple[Array, ...]]](_MAX_KINEMATICS)}
 
     @property
     def closing_speeds(self) -> Array:
         """Largest closing speed of the contacts of every impact, ``(N,)`` [m/s]."""
         return np.maximum.reduceat(self._closing, self._first[:-1])
 
-    def _approach(self, physics: Sequence[Physics]) -> tuple[Array, Array]:
-        """Closing and sliding speed of every contact point, ``(M,)`` each [m/s]; inertia has no part in them."""
+    def _approach(self, physics_by_impact: Sequence[Physics]) -> tuple[Array, Array]:
+        """Closing and sliding speed of every contact point, ``(M,)`` each [m/s]; they do not depend on inertia."""
         position, _, twist = (values[self._owner] for values in self._body)
-        moving = twist[:, :3] + np.cross(twist[:, 3:], self._position - position)
+        relative = twist[:, :3] + np.cross(twist[:, 3:], self._position - position)
         on_partner = self._position - self._gap[:, None] * self._normal
         for number, name in enumerate(self._names):
-            _, jacobian, place, _ = self._kinematics(name, physics)
+            _, jacobian, frame_position, _ = self._kinematics(name, physics_by_impact)
             velocity = np.array([impact.arms[self._pads[name].arm].velocity for impact in self._impacts])
-            of_frame = np.einsum("nij,nj->ni", jacobian, velocity)[self._owner]
-            there = of_frame[:, :3] + np.cross(of_frame[:, 3:], on_partner - place[self._owner])
-            moving = np.where((self._partner == number)[:, None], moving - there, moving)
-        opening = np.sum(self._normal * moving, axis=1)
-        return -opening, np.linalg.norm(moving - opening[:, None] * self._normal, axis=1)
+            frame_twist = np.einsum("nij,nj->ni", jacobian, velocity)[self._owner]
+            pad_velocity = frame_twist[:, :3] + np.cross(frame_twist[:, 3:], on_partner - frame_position[self._owner])
+            relative = np.where((self._partner == number)[:, None], relative - pad_velocity, relative)
+        opening = np.sum(self._normal * relative, axis=1)
+        return -opening, np.linalg.norm(relative - opening[:, None] * self._normal, axis=1)
 
-    def _kinematics(self, name: str, physics: Sequence[Physics]) -> tuple[Array, ...]:
-        """M, J, and origin and axes of frame E of one pad at all impacts; kept for some sets of links."""
-        distinct, (arm, hand, _) = {id(one): one for one in physics}, self._pads[name]
-        key = (name, *(_links_of(one.arms[arm]) for one in distinct.values()))
+    def _kinematics(self, name: str, physics_by_impact: Sequence[Physics]) -> tuple[Array, ...]:
+        """M, J, origin and axes of frame E of one pad at all impacts; cached by set of links."""
+        distinct, (arm, hand, _) = {id(physics): physics for physics in physics_by_impact}, self._pads[name]
+        key = (name, *(_links_of(physics.arms[arm]) for physics in distinct.values()))
 
-        def made() -> tuple[list[RobotFacts], tuple[Array, ...]]:
-            models = {number: _model_of(one, arm) for number, one in distinct.items()}
-            found = [
-                tuple(np.array(part) for part in (inertia, jacobian, place.translation, place.rotation))
-                for impact, one in zip(self._impacts, physics, strict=True)
-                for inertia, jacobian, place in [models[id(one)].at_impact(impact.arms[arm].position, hand)]
+        def computed() -> tuple[list[RobotFacts], tuple[Array, ...]]:
+            models = {number: _model_of(physics, arm) for number, physics in distinct.items()}
+            terms = [
+                tuple(np.array(part) for part in (inertia, jacobian, placement.translation, placement.rotation))
+                for impact, physics in zip(self._impacts, physics_by_impact, strict=True)
+                for inertia, jacobian, placement in [models[id(physics)].at_impact(impact.arms[arm].position, hand)]
             ]
-            facts = [one.arms[arm].facts for one in distinct.values()]  # alive, for the key has their ids
-            return facts, tuple(np.array(parts) for parts in zip(*found, strict=True))
+            facts = [physics.arms[arm].facts for physics in distinct.values()]  # kept alive: the key has their ids
+            return facts, tuple(np.array(parts) for parts in zip(*terms, strict=True))
 
-        return self._arms.of(key, made)[1]
+        return self._arms.of(key, computed)[1]
 
-    def contacts(self, physics: Sequence[Physics]) -> ContactCondition:
+    def contacts(self, physics_by_impact: Sequence[Physics]) -> ContactCondition:
         """State and laws of all contact points, impact by impact, ``(M,)`` each."""
         on_support = self._partner == len(self._names)
-        distinct = {id(one): one for one in physics}
+        distinct = {id(physics): physics for physics in physics_by_impact}
         if len(distinct) == 1:
-            return laws_of(physics[0], self._closing, self._slip, on_support)
-        numbers = np.array([id(one) for one in physics])[self._owner]
-        found = {
-            number: vars(laws_of(one, self._closing[own], self._slip[own], on_support[own]))
-            for number, one in distinct.items()
-            for own in [numbers == number]
+            return laws_of(physics_by_impact[0], self._closing, self._slip, on_support)
+        numbers = np.array([id(physics) for physics in physics_by_impact])[self._owner]
+        laws = {
+            number: vars(laws_of(physics, self._closing[mask], self._slip[mask], on_support[mask]))
+            for number, physics in distinct.items()
+            for mask in [numbers == number]
         }
-        together = {name: np.empty(len(self._owner)) for name in next(iter(found.values()))}
-        for number, of_one in found.items():
-            for name, values in of_one.items():
-                together[name][numbers == number] = values
-        return ContactCondition(**together)
+        merged = {name: np.empty(len(self._owner)) for name in next(iter(laws.values()))}
+        for number, coefficients in laws.items():
+            for name, values in coefficients.items():
+                merged[name][numbers == number] = values
+        return ContactCondition(**merged)
 
-    def solve(self, physics: Sequence[Physics]) -> tuple[Array, Compiled]:
+    def solve(self, physics_by_impact: Sequence[Physics]) -> tuple[Array, Compiled]:
         """Post-impact velocities.
 
         Args:
-            physics: The physics of each impact.
+            physics_by_impact: The physics of every impact.
 
         Returns:
-            u^+, ``(N, nv)`` [rad/s, m/s], nan where no answer obeys the laws; and what the compiled map returns.
+            u^+, ``(N, nv)`` [rad/s, m/s], nan where no answer obeys the laws; and the solution of the compiled map.
         """
-        if any(not one.twist_readings.exact for one in physics):
-            return self._solve_readings(physics)
-        contact = self.contacts(physics)
+        if any(not physics.twist_readings.exact for physics in physics_by_impact):
+            return self._solve_readings(physics_by_impact)
+        contact = self.contacts(physics_by_impact)
         arms = []
         for name in self._names:
-            inertia, jacobian, place, axes = self._kinematics(name, physics)
+            inertia, jacobian, frame_position, axes = self._kinematics(name, physics_by_impact)
             arm = self._pads[name].arm
             states = [impact.arms[arm] for impact in self._impacts]
             velocity = np.array([state.velocity for state in states])
             position = np.zeros_like(velocity)  # limits are no part of a measured impact
             free = np.full(velocity.shape[1], np.finfo(float).max)
-            motor = np.array([one.arms[arm].motor_inertia_reduced for one in physics])
-            of_base = np.zeros((len(motor), velocity.shape[1] - motor.shape[1]))  # no motor drives a base that floats
-            motor = np.hstack((of_base, motor))
+            motor = np.array([physics.arms[arm].motor_inertia_reduced for physics in physics_by_impact])
+            no_motor = np.zeros((len(motor), velocity.shape[1] - motor.shape[1]))  # nothing drives a floating base
+            motor = np.hstack((no_motor, motor))
             no_pad = (np.zeros(3), np.eye(3), np.ones(3), None, self._names.index(arm))  # contact points are given
-            arms.append((position, velocity, motor, -free, free, free, inertia, jacobian, place, axes, *no_pad))
-        objects = [one.object for one in physics]
+            arms.append(
+                (position, velocity, motor, -free, free, free, inertia, jacobian, frame_position, axes, *no_pad)
+            )
+        objects = [physics.object for physics in physics_by_impact]
         body = (
             np.array([item.mass for item in objects]),
             np.ones(3),
@@ -221,7 +223,7 @@ class MeasuredImpacts:
             np.array([item.com_offset for item in objects]),
         )
         points = (self._first, self._partner.tolist(), self._position, self._normal, self._gap, table_of(contact))
-        found = Compiled(
+        compiled = Compiled(
             *_kernel.solve_impacts(
                 len(self._impacts),
                 arms,
@@ -230,30 +232,33 @@ class MeasuredImpacts:
                 None,
                 RULES,
                 points=points,
-                near=self._near,
+                near=self._first_impulses,
             )
         )
-        if self._near is None:
-            self._near = np.nan_to_num(found.impulse) if len(found.impulse) == len(self._owner) else None
-        answers = np.array(found.velocity)
-        answers[~(np.max(found.residual, axis=1) <= ExactEngine.tolerance)] = np.nan
-        return answers, found
+        if self._first_impulses is None and len(compiled.impulse) == len(self._owner):
+            self._first_impulses = np.nan_to_num(compiled.impulse)
+        answers = np.array(compiled.velocity)
+        answers[~(np.max(compiled.residual, axis=1) <= ExactEngine.tolerance)] = np.nan
+        return answers, compiled
 
-    def _solve_readings(self, physics: Sequence[Physics]) -> tuple[Array, Compiled]:
+    def _solve_readings(self, physics_by_impact: Sequence[Physics]) -> tuple[Array, Compiled]:
         """Solution for twists as sensors read them: the map takes true twists, and u^+ is converted to readings."""
-        impacts = [impact.as_read(one.twist_readings) for impact, one in zip(self._impacts, physics, strict=True)]
-        distinct = {id(one): replace(one, twist_readings=TwistReadings()) for one in physics}
-        exact = [distinct[id(one)] for one in physics]
-        true = MeasuredImpacts(impacts, exact)
-        true._near = self._near
-        velocity, found = true.solve(exact)
-        for own, impact, one in zip(velocity, self._impacts, physics, strict=True):
-            own[-6:] = one.twist_readings.twist(own[-6:], impact.object.rotation)
-        return velocity, found
+        impacts = [
+            impact.as_read(physics.twist_readings)
+            for impact, physics in zip(self._impacts, physics_by_impact, strict=True)
+        ]
+        distinct = {id(physics): replace(physics, twist_readings=TwistReadings()) for physics in physics_by_impact}
+        physics_without_readings = [distinct[id(physics)] for physics in physics_by_impact]
+        true_impacts = MeasuredImpacts(impacts, physics_without_readings)
+        true_impacts._first_impulses = self._first_impulses
+        velocity, compiled = true_impacts.solve(physics_without_readings)
+        for velocity_of_impact, impact, physics in zip(velocity, self._impacts, physics_by_impact, strict=True):
+            velocity_of_impact[-6:] = physics.twist_readings.twist(velocity_of_impact[-6:], impact.object.rotation)
+        return velocity, compiled
 
 
-# To make one takes a hundred times as long as to use it. Facts are kept alive, because the key has their id.
-_models = Recent[tuple[RobotFacts, RobotModel]](_MODELS)
+# Making a model takes a hundred times as long as using it. Facts are kept alive, because the key has their id.
+_models = Recent[tuple[RobotFacts, RobotModel]](_MAX_MODELS)
 
 
 def _model_of(physics: Physics, name: str) -> RobotModel:
@@ -285,7 +290,7 @@ def solve_measured(
         physics: Friction, restitution, object, motor inertia.
         impact: State just before, and contact points.
         models: Rigid-body models by arm under these physics, where the caller has them already.
-        may_gain_energy: Whether an answer with more energy than there was is given: a fit passes such on its way.
+        may_gain_energy: Whether an answer that gains energy is accepted: a fit may pass through such answers.
 
     Returns:
         u^+, ``(nv,)`` [rad/s, m/s], and the terms of the system.
@@ -295,22 +300,22 @@ def solve_measured(
         ImpactMapError: The answer breaks a law by more than the engine's tolerance.
     """
     system = impact.system(physics, physics.robot_models() if models is None else models)
-    (velocity,), found = MeasuredImpacts([impact], [physics]).solve([physics])
-    residual = Residual(*found.residual[0].tolist())
+    (velocity,), compiled = MeasuredImpacts([impact], [physics]).solve([physics])
+    residual = Residual(*compiled.residual[0].tolist())
     if not np.isfinite(velocity).all():
         law, amount = residual.worst
         count = len(impact.points)
         raise ImpactMapError(f"the impact map breaks {law} by {amount:.3g} m/s with {count} contact points")
     if not may_gain_energy:
-        before, gain = found.energy[0].tolist()
-        check_energy(before, gain, found.impulse, residual, restitution_of(physics))
+        before, gain = compiled.energy[0].tolist()
+        check_energy(before, gain, compiled.impulse, residual, restitution_of(physics))
     return velocity, system
 
 
 def points_that_touch(
     body: BodyState, size: Array, normal: Array, tolerance: float = GAP_TOLERANCE, shape: ConvexShape = BOX
 ) -> tuple[ContactPoint, ...]:
-    """Points of a body that come first to a plane: the lowest along its normal, and all as low up to the tolerance.
+    """Points of a body that touch a plane first: the lowest along its normal, up to a tolerance.
 
     Args:
         body: Pose of the body.
@@ -321,8 +326,8 @@ def points_that_touch(
     """
     points = body.position + shape.first_points(size, -body.rotation.T @ normal, tolerance) @ body.rotation.T
     height = points @ normal
-    near = points[height <= height.min() + tolerance]
-    return points_on_plane(near, normal)
+    touching = points[height <= height.min() + tolerance]
+    return points_on_plane(touching, normal)
 
 
 def points_on_plane(positions: Sequence[Array] | Array, normal: Array) -> tuple[ContactPoint, ...]:
@@ -350,15 +355,15 @@ def points_of_scene(
         arms: Configurations by arm.
         body: Pose of the object.
         models: Rigid-body models by arm.
-        on_pad: By arm, contact points in A that were measured, ``(3,)`` each [m], and the normal into the object, which
-            is that of the nearest faces where it is None; else all points come from the geometry.
-        tolerance: Largest gap of a touching point beyond the smallest gap of its two bodies [m].
+        on_pad: By arm, measured contact points in A, ``(3,)`` each [m], and the normal into the object (None: normal of
+            the nearest faces). The contact points of other arms follow from the geometry.
+        tolerance: Largest gap of a touching point minus the smallest gap between its two bodies [m].
 
     Raises:
         Infeasible: No pad is near the object.
     """
     placements = pad_placements(physics, models, arms)
-    found: list[ContactPoint] = []
+    points: list[ContactPoint] = []
     nearest = np.inf
     for pair in contact_pairs(physics, body, placements):
         name = pair.partner
@@ -367,14 +372,14 @@ def points_of_scene(
         if name != SUPPORT and on_pad is not None and name in on_pad:
             positions, normal = on_pad[name]
             normal = pair.normal if normal is None else normal
-            found += [ContactPoint(name, np.asarray(position), normal, 0.0, 0.0) for position in positions]
+            points += [ContactPoint(name, np.asarray(position), normal, 0.0, 0.0) for position in positions]
         elif abs(pair.separation) <= (SUPPORT_REACH if name == SUPPORT else PAD_REACH):
-            near = find_contacts(physics, [pair], PAD_REACH)
-            first = min((point.gap for point in near), default=0.0)
-            found += [point for point in near if point.gap <= first + tolerance]
-    if all(point.partner == SUPPORT for point in found):
+            candidates = find_contacts(physics, [pair], PAD_REACH)
+            smallest_gap = min((point.gap for point in candidates), default=0.0)
+            points += [point for point in candidates if point.gap <= smallest_gap + tolerance]
+    if all(point.partner == SUPPORT for point in points):
         raise Infeasible(
             f"no pad touches the object: the nearest is {1e3 * nearest:.3g} mm away, expected at most "
             f"{1e3 * PAD_REACH:.3g} mm"
         )
-    return tuple(found)
+    return tuple(points)

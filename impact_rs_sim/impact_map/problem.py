@@ -4,7 +4,7 @@
 Given the configuration, the ante-impact velocities v^- of all bodies and the motor inertia B, find v^+ and contact
 impulses L such that, with the generalised inertia of arms (M + B) and object,
 
-    (M + B) (v^+ - v^-) = J_c^T L                              momentum balance; of a fixed object v^+ = v^- = 0
+    (M + B) (v^+ - v^-) = J_c^T L                              momentum balance; v^+ = v^- = 0 for a fixed object
     0 <= L_n  perpendicular to  J_n v^+ + e min(J_n v^-, 0) >= 0   Newton restitution, per contact point (Poisson's:
                                                                :mod:`impact_rs_sim.impact_map.solve`)
     |L_t| <= mu L_n, opposing the sliding velocity J_t v^+     Coulomb friction
@@ -41,9 +41,9 @@ class ImpactProblem:
         object: Pose and ante-impact twist of the object.
         motor_inertia: Diagonal of B by arm, ``(n,)`` [kg m^2].
         restitution: Restitution e of every closing contact [-].
-        measured: Whether the state was measured: then a robot has been there, whatever its data sheet allows.
+        measured: Whether the state was measured; measured joint positions and velocities may exceed their limits.
         restitution_law: ``newton`` or ``poisson``.
-        neighbours: States of the neighbours of the object; None: at rest beside it.
+        neighbours: States of the neighbours of the object; None: each at rest at its place beside the object.
     """
 
     physics: Physics
@@ -56,16 +56,17 @@ class ImpactProblem:
     neighbours: tuple[BodyState, ...] | None = None
 
     @property
-    def beside(self) -> tuple[BodyState, ...]:
+    def neighbour_states(self) -> tuple[BodyState, ...]:
         """States of the neighbours of the object."""
         return standing(self.physics, self.object) if self.neighbours is None else self.neighbours
 
     @property
     def bodies(self) -> dict[str, tuple[ObjectPhysics, BodyState]]:
         """All objects with their states, by name: the one that is hit first as ``object``, then its neighbours."""
-        found = {OBJECT: (self.physics.object, self.object)}
-        return found | {
-            one.name: (one.body, state) for one, state in zip(self.physics.neighbours, self.beside, strict=True)
+        neighbours = zip(self.physics.neighbours, self.neighbour_states, strict=True)
+        return {
+            OBJECT: (self.physics.object, self.object),
+            **{neighbour.name: (neighbour.body, state) for neighbour, state in neighbours},
         }
 
     @staticmethod
@@ -82,24 +83,24 @@ class ImpactProblem:
         return ImpactProblem(
             physics=scene.physics,
             arms=scene.arms,
-            object=_touched(scene),
+            object=_object_at_first_contact(scene),
             motor_inertia={name: arm.motor_inertia(motor_inertia) for name, arm in scene.physics.arms.items()},
             restitution=scene.physics.restitution,
             restitution_law=scene.physics.restitution_law,
         )
 
 
-def _touched(scene: Scene) -> BodyState:
-    """The object, moved to where it touches round pads, the edge of tilted ones, or pads that are elsewhere."""
+def _object_at_first_contact(scene: Scene) -> BodyState:
+    """The object, moved until it touches the pads where these are round, tilted or offset, or belong to hands."""
     physics, object_ = scene.physics, scene.object
     pads = [pad.end_effector for pad in physics.pads.values()]
     curved = any(not pad.shape.is_box for pad in pads) or len(pads) > len(physics.arms)
     if not curved and not any(any((*pad.pad_tilt, *pad.pad_offset)) for pad in pads):
         return object_
-    gaps_too = curved or any(any(pad.pad_offset) for pad in pads)
+    close_gaps = curved or any(any(pad.pad_offset) for pad in pads)
     placements = pad_placements(physics, physics.robot_models(), scene.arms)
     depths = [
-        (-pair.separation if gaps_too else max(-pair.separation, 0.0)) * pair.normal
+        (-pair.separation if close_gaps else max(-pair.separation, 0.0)) * pair.normal
         for pair in contact_pairs(physics, object_, placements)
         if pair.partner != SUPPORT
     ]
@@ -110,7 +111,7 @@ def _touched(scene: Scene) -> BodyState:
 
 
 def _check_hands_touch(physics: Physics, object_: BodyState, placements: Mapping[str, pin.SE3]) -> None:
-    """Refuse a robot whose hands do not meet the object at once."""
+    """Refuse a robot whose hands do not all touch the object at the nominal impact."""
     for pair in contact_pairs(physics, object_, placements):
         if pair.partner != SUPPORT and not abs(pair.separation) <= GAP_TOLERANCE:
             raise Infeasible(
@@ -190,7 +191,7 @@ class ImpactResult:
         engine: Name of the engine.
         iterations: Iterations of the engine's outer loop.
         elapsed: Wall-clock time [s].
-        neighbour_twists: As ``object_twist``, of its neighbours by name.
+        neighbour_twists: Post-impact twists of the neighbours by name, as ``object_twist``.
     """
 
     joint_velocity: dict[str, Array]
@@ -217,7 +218,7 @@ class EnergyGain(ImpactMapError):
     """A solution obeys its laws and has more kinetic energy than the state before the impact."""
 
 
-GUIDE_SLACK = 1e-9  # m/s or rad/s; a twist that its hinge or slide forbids, from rounding
+GUIDE_SLACK = 1e-9  # m/s or rad/s; rounding of a twist across its hinge or slide
 LIMIT_SLACK = 1e-9  # rad or m; a configuration on its limit passes
 PENETRATION_TOLERANCE = 1e-3  # m, deepest accepted overlap of pad and object, or object and support
 
@@ -238,10 +239,10 @@ def check_problem(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
         Infeasible: Joint positions or velocities beyond their limits, or initial penetration.
     """
     physics = problem.physics
-    for table, label in ((problem.arms, "arms"), (problem.motor_inertia, "motor_inertia")):
+    for table, key in ((problem.arms, "arms"), (problem.motor_inertia, "motor_inertia")):
         if set(table) != set(physics.arms):
             raise InputError(
-                f"expected one entry per arm of the scene ({', '.join(physics.arms)}), got {sorted(table)}", key=label
+                f"expected one entry per arm of the scene ({', '.join(physics.arms)}), got {sorted(table)}", key=key
             )
     for name, state in problem.arms.items():
         _check_arm(problem, name, state)
@@ -251,21 +252,23 @@ def check_problem(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
         _check_body(name, physical, body)
     if models is None:
         models = physics.robot_models()
-    found = contact_pairs(physics, problem.object, pad_placements(physics, models, problem.arms), problem.beside)
-    for pair in found:
+    pairs = contact_pairs(
+        physics, problem.object, pad_placements(physics, models, problem.arms), problem.neighbour_states
+    )
+    for pair in pairs:
         depth = -pair.separation
         if depth > PENETRATION_TOLERANCE:
-            which = "the object" if pair.body == OBJECT else repr(pair.body)
+            label = "the object" if pair.body == OBJECT else repr(pair.body)
             raise Infeasible(
-                f"{which} penetrates {pair.partner!r} by {1e3 * depth:.3g} mm, accepted are "
+                f"{label} penetrates {pair.partner!r} by {1e3 * depth:.3g} mm, accepted are "
                 f"{1e3 * PENETRATION_TOLERANCE:.3g} mm",
                 key=f"{pair.body}.position",
             )
-    return found
+    return pairs
 
 
 def _check_body(name: str, physical: ObjectPhysics, body: BodyState) -> None:
-    """Refuse a state that is none."""
+    """Refuse an invalid state of an object."""
     _vector(body.position, 3, f"{name}.position", "m")
     _vector(body.twist, 6, f"{name}.twist", "m/s and rad/s")
     if physical.fixed and np.any(body.twist):
@@ -295,6 +298,7 @@ def _vector(values: Array, length: int, key: str, unit: str) -> None:
 
 
 def _check_arm(problem: ImpactProblem, name: str, state: ArmState) -> None:
+    """Refuse joint states and motor inertias that are invalid or beyond the limits of the arm."""
     facts = problem.physics.arms[name].facts
     limits, units = facts.limits, facts.units
     if facts.floating_base is not None:
@@ -332,13 +336,13 @@ def _check_arm(problem: ImpactProblem, name: str, state: ArmState) -> None:
 
 
 def _check_base(name: str, state: ArmState, count: int) -> ArmState:
-    """The joints alone of a robot whose base floats; its state must have pose and twist of the base in front."""
-    where = f"arms.{name}"
-    _vector(state.position, BASE_POSE_SIZE + count, f"{where}.position", "m, - and rad: pose of the base, then joints")
-    _vector(state.velocity, len(BASE_COLUMNS) + count, f"{where}.velocity", "m/s and rad/s: base, then joints")
+    """State of the joints alone of a robot with a floating base; refuses an invalid pose or twist of the base."""
+    key = f"arms.{name}"
+    _vector(state.position, BASE_POSE_SIZE + count, f"{key}.position", "m, - and rad: pose of the base, then joints")
+    _vector(state.velocity, len(BASE_COLUMNS) + count, f"{key}.velocity", "m/s and rad/s: base, then joints")
     length = float(np.linalg.norm(state.position[3:BASE_POSE_SIZE]))
     if abs(length - 1.0) > MAX_QUATERNION_ERROR:
-        raise InputError("expected a unit quaternion x, y, z, w of the base [-]", key=f"{where}.position", value=length)
+        raise InputError("expected a unit quaternion x, y, z, w of the base [-]", key=f"{key}.position", value=length)
     return ArmState(state.position[BASE_POSE_SIZE:], state.velocity[len(BASE_COLUMNS) :])
 
 
@@ -358,10 +362,13 @@ def check_physics(physics: Physics) -> None:
         InputError: Mass, size or moment of inertia that is not positive, a fixed or guided object on a support, or
             friction that is negative.
     """
-    held = physics.object.fixed or physics.object.freedom is not None
-    if held and physics.support_height is not None:
+    guided_or_fixed = physics.object.fixed or physics.object.freedom is not None
+    if guided_or_fixed and physics.support_height is not None:
         raise InputError("an object that is fixed or guided rests on no support: expected None", key="support_height")
-    for name, object_ in ((OBJECT, physics.object), *((one.name, one.body) for one in physics.neighbours)):
+    for name, object_ in (
+        (OBJECT, physics.object),
+        *((neighbour.name, neighbour.body) for neighbour in physics.neighbours),
+    ):
         if not object_.mass > 0.0:
             raise InputError(
                 "expected a mass > 0 kg, infinite for a fixed object", key=f"{name}.mass", value=object_.mass

@@ -6,7 +6,7 @@ velocities: contact points, Delassus operator, contact laws and residuals (:mod:
 
 **Poisson's law of restitution**: an impact in two phases, compression and expansion. Newton's law sets velocities, and
 the impulses that give these velocities may exceed the compression's: with friction u^+ can carry more energy than u^-.
-Poisson's law sets impulses. Compression ends where no contact point closes any more,
+Poisson's law sets impulses. Compression ends when no contact point closes any more,
 
     u^c = u^- + H^-1 J_c^T L^c,      0 <= L^c_n  perpendicular to  J_n u^c >= 0
 
@@ -15,9 +15,9 @@ and expansion returns the share e of every normal impulse, and more only where a
     u^+ = u^c + H^-1 J_c^T L^e,      0 <= L^e_n - e L^c_n  perpendicular to  J_n u^+ >= 0
 
 with Coulomb friction in either phase against the sliding velocity at its end (Glocker and Pfeiffer 1995, Anitescu and
-Potra 1997; no restitution along the face). Where sliding keeps its direction, or ends, this is Routh's diagram; where
-it reverses within a phase it is not, for no point of one phase slides in two directions. Without friction both laws
-agree at a single point. With several points they differ: a point without impulse in the compression returns none.
+Potra 1997; no tangential restitution). If sliding keeps its direction or ends, this is Routh's diagram; if it reverses
+within a phase it is not, because a point slides in one direction per phase. Without friction both laws agree at a
+single point. With several points they differ: a point without impulse in the compression has no restitution.
 
 **Energy.** An impact adds (u^+ + u^-)^T J_c^T L / 2 to the kinetic energy. More than 0 is an error.
 """
@@ -73,8 +73,8 @@ from impact_rs_sim.scene import ArmState
 ENERGY_TOLERANCE = 1e-9  # of the kinetic energy before the impact, for rounding
 SOLVED, REFUSED = 0, 1  # status of a solved problem, and of one with invalid data
 STATES = ("open", "stick", "slide")
-RULES = (ALIGNED, GAP_TOLERANCE, PENETRATION_TOLERANCE, COMPLIANCE)
-# Index of the first point of every problem; partner, position, normal and gap of all points, and their laws (m, 6).
+RULES = (ALIGNED, GAP_TOLERANCE, PENETRATION_TOLERANCE, COMPLIANCE)  # tolerances of the geometry, and rho
+# Index of the first point of every problem; partner, position, normal, gap and laws (m, 6) of all points.
 Points = tuple[Sequence[int], Sequence[int], Array, Array, Array, Array]
 
 
@@ -113,21 +113,21 @@ def check_energy(
     if gain > ENERGY_TOLERANCE * before + 2.0 * residual.largest * float(np.sum(np.abs(impulses))):
         hint = "'poisson' sets impulses instead" if law == "newton" else "a smaller e does not"
         raise EnergyGain(
-            f"the impact gains {gain:.3g} J, {gain / before:.2%} of the kinetic energy there was: restitution e = "
+            f"the impact gains {gain:.3g} J, {gain / before:.2%} of the kinetic energy before: restitution e = "
             f"{restitution:g} by the law of {law!r} with several contacts can; restitution_law {hint}"
         )
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Impulses and velocities that an engine found.
+    """Impulses and velocities of a solved problem.
 
     Attributes:
         terms: The problem at its m contact points.
         impulses: Impulses on the object, in axes of A, ``(m, 3)`` [N s].
         velocity: u^+, ``(nv,)`` [rad/s, m/s].
         iterations: Iterations of the engine's outer loop.
-        residual: Distance from the laws, if these are not Newton's.
+        residual: Distance from the laws; None: from Newton's law, and not yet computed.
     """
 
     terms: ContactTerms
@@ -139,8 +139,8 @@ class Solution:
     @property
     def energy_gain(self) -> float:
         """Kinetic energy with (M + B) after the impact minus before, ``(u^+ + u^-)^T J_c^T L / 2`` [J]."""
-        passed = self.terms.jacobian @ (self.velocity + self.terms.before)
-        return float(0.5 * passed @ self.impulses.ravel())
+        velocity_sum = self.terms.jacobian @ (self.velocity + self.terms.before)
+        return float(0.5 * velocity_sum @ self.impulses.ravel())
 
 
 def result_of(
@@ -202,25 +202,25 @@ class Engine(ABC):
 
         Raises:
             InputError: The problem is refused (see :func:`check_problem`).
-            ImpactMapError: The result breaks a law by more than ``tolerance``; the message names the law. Or it gains
-                energy, which Newton's law allows and nature does not.
+            ImpactMapError: The result breaks a law by more than ``tolerance``, and the message names the law; or it
+                gains energy, which Newton's law allows but no real impact does.
         """
         start = time.perf_counter()
         pairs = check_problem(problem, self.models)
         if problem.restitution_law not in self.laws:
             raise InputError(
-                f"engine {self.name!r} knows no restitution but that of {', '.join(self.laws)}; 'exact' does",
+                f"engine {self.name!r} has only the law of {', '.join(self.laws)}; 'exact' has both laws",
                 key="restitution_law",
                 value=problem.restitution_law,
             )
         system = build_system(problem, self.models)
-        found = self._solve(problem, system, pairs)
-        contacts, impulses = found.terms.contacts, found.impulses
-        residual = found.residual or found.terms.residual(impulses, found.velocity)
-        check_residual(residual, self.tolerance, self.name, len(contacts), found.iterations)
-        energy, gain = system.kinetic_energy, found.energy_gain
+        solution = self._solve(problem, system, pairs)
+        contacts, impulses = solution.terms.contacts, solution.impulses
+        residual = solution.residual or solution.terms.residual(impulses, solution.velocity)
+        check_residual(residual, self.tolerance, self.name, len(contacts), solution.iterations)
+        energy, gain = system.kinetic_energy, solution.energy_gain
         check_energy(energy, gain, impulses, residual, problem.restitution, problem.restitution_law)
-        return result_of(system, found.velocity, contacts, impulses, residual, self.name, found.iterations, start)
+        return result_of(system, solution.velocity, contacts, impulses, residual, self.name, solution.iterations, start)
 
     def close(self) -> None:
         """Free resources outside Python; does nothing by default."""
@@ -239,11 +239,10 @@ class Compiled(NamedTuple):
         velocity: u^+, ``(N, nv)`` [rad/s, m/s]; nan where the data are invalid.
         twists: Twists of frame E of every pad in E[A] after the impact, ``(N, 6 k)`` [m/s, rad/s].
         residual: In the order of :class:`~impact_rs_sim.impact_map.problem.Residual`, ``(N, 4)`` [m/s].
-        energy: Kinetic energy before the impact, and what the impact adds, ``(N, 2)`` [J].
+        energy: Kinetic energy before the impact, and its change by the impact, ``(N, 2)`` [J].
         steps: Steps of the solver, ``(N,)``.
         first: Index of the first contact point, ``(N + 1,)``.
-        partner: Index of the pad at every point; the number of pads stands for the support, the numbers beyond it for
-            the objects, ``(M,)``.
+        partner: Index of the partner at every point: pads from 0 on, then the support, then the objects, ``(M,)``.
         state: Index into ``STATES``, ``(M,)``.
         position: Positions on the object in A, ``(M, 3)`` [m].
         normal: Normals into the object, in A, ``(M, 3)``.
@@ -311,38 +310,42 @@ class CompiledMap:
             model, motor = self.models[name], problem.motor_inertia[name]
             if not model.takes(state.position, state.velocity, motor):
                 return None
-            inertia, jacobian, place = model.at_impact(state.position)
-            joints, motor = (model.facts.columns_of(own) for own in (model.facts.joints_of(state.position), motor))
-            moving = (joints, state.velocity, motor, *self._limits[name][problem.measured])
-            arms.append((*moving, inertia, jacobian, place.translation, place.rotation, *self._pads[name]))
-            arms += self._hands_of(name, state, (*moving, inertia), len(arms) - 1)
+            inertia, jacobian, placement = model.at_impact(state.position)
+            joints = model.facts.columns_of(model.facts.joints_of(state.position))
+            limits = self._limits[name][problem.measured]
+            shared = (joints, state.velocity, model.facts.columns_of(motor), *limits, inertia)
+            arms.append((*shared, jacobian, placement.translation, placement.rotation, *self._pads[name]))
+            arms += self._hands_of(name, state, shared, len(arms) - 1)
         objects = []
         for physical, body in problem.bodies.values():
             if body.position.shape != (3,) or body.rotation.shape != (3, 3) or body.twist.shape != (6,):
                 return None
-            own = (physical.mass, physical.size / 2.0, physical.inertia, physical.com_offset, physical.shape.kernel)
-            objects.append((body.position, body.rotation, body.twist, *own))
+            inertial = (physical.mass, physical.size / 2.0, physical.inertia, physical.com_offset)
+            objects.append((body.position, body.rotation, body.twist, *inertial, physical.shape.kernel))
         contact: tuple[float, ...] = (self.physics.pad_friction, self.physics.support_friction, problem.restitution)
         if len(objects) > 1:
             contact = (*contact, self.physics.object_friction)
-        given = None if points is None else self._given(points, tuple(self._pads), problem.restitution)
-        first, *others = objects
+        kernel_points = None if points is None else self._kernel_points(points, problem.restitution)
+        object_, *neighbours = objects
         return Compiled(
-            *_kernel.solve_impacts(1, arms, first, contact, self._support, RULES, points=given, neighbours=others)
+            *_kernel.solve_impacts(
+                1, arms, object_, contact, self._support, RULES, points=kernel_points, neighbours=neighbours
+            )
         )
 
     def _hands_of(self, arm: str, state: ArmState, shared: tuple[Any, ...], carrier: int) -> list[tuple[Any, ...]]:
-        """Further hands of an arm as the kernel takes them: they have its velocities and inertia."""
-        found = []
+        """Further hands of an arm in the form of the kernel; they share its state, limits and inertia."""
+        hands = []
         for name, pad in self._hands.items():
             if pad.arm == arm:
-                place = self.models[arm].placement(state.position, pad.hand)
+                placement = self.models[arm].placement(state.position, pad.hand)
                 jacobian = self.models[arm].jacobian(state.position, pad.hand)
-                found.append((*shared, jacobian, place.translation, place.rotation, *self._pads[name], carrier))
-        return found
+                hands.append((*shared, jacobian, placement.translation, placement.rotation, *self._pads[name], carrier))
+        return hands
 
-    def _given(self, points: Sequence[ContactPoint], names: tuple[str, ...], restitution: float) -> Points:
-        """Contact points as the kernel takes them."""
+    def _kernel_points(self, points: Sequence[ContactPoint], restitution: float) -> Points:
+        """Contact points in the form of the kernel."""
+        names = tuple(self._pads)
         partner = [names.index(point.partner) if point.partner in names else len(names) for point in points]
         law = np.zeros((len(points), 6))
         on_pad = np.array(partner) < len(names)
@@ -353,7 +356,7 @@ class CompiledMap:
 
 
 def _pad_fields(end_effector: EndEffector) -> tuple[Any, ...]:
-    """Middle, axes, half extents and shape of a pad in E, as the kernel takes them."""
+    """Centre, axes, half extents and shape of a pad in E, in the form of the kernel."""
     pad, half = end_effector.pad_placement, np.array(end_effector.pad_size) / 2.0
     return np.array(pad.translation), np.array(pad.rotation), half, end_effector.shape.kernel
 
@@ -374,22 +377,22 @@ class ExactEngine(Engine):
         self._compiled: CompiledMap | None = None
 
     def solve(self, problem: ImpactProblem, points: Sequence[ContactPoint] | None = None) -> ImpactResult:
-        """See :meth:`Engine.solve`; ``points`` stand in the place of the points where bodies touch (Newton's law)."""
+        """See :meth:`Engine.solve`; ``points`` replace the points where bodies touch (Newton's law only)."""
         guided = problem.physics.object.freedom is not None and points is None
         if problem.restitution_law == "poisson" or guided:
             return super().solve(problem)
         start = time.perf_counter()
         if self._compiled is None or problem.physics is not self._compiled.physics:
             self._compiled = CompiledMap(problem.physics, self.models)
-        found = self._compiled.solve(problem, points)
-        if found is None or found.status[0] == REFUSED:
+        compiled = self._compiled.solve(problem, points)
+        if compiled is None or compiled.status[0] == REFUSED:
             check_problem(problem, self.models)
             raise ImpactMapError("the inertia M + B of an arm is not positive definite")
-        residual, steps = Residual(*found.residual[0].tolist()), int(found.steps[0])
-        check_residual(residual, self.tolerance, self.name, len(found.gap), steps)
-        before, gain = found.energy[0].tolist()
-        check_energy(before, gain, found.impulse, residual, problem.restitution)
-        return _result(problem, found, residual, start)
+        residual, steps = Residual(*compiled.residual[0].tolist()), int(compiled.steps[0])
+        check_residual(residual, self.tolerance, self.name, len(compiled.gap), steps)
+        before, gain = compiled.energy[0].tolist()
+        check_energy(before, gain, compiled.impulse, residual, problem.restitution)
+        return _result(problem, compiled, residual, start)
 
     def _solve(self, problem: ImpactProblem, system: System, pairs: Sequence[ContactPair]) -> Solution:
         """Poisson's law, or Newton's of an object on a hinge or slide."""
@@ -400,9 +403,9 @@ class ExactEngine(Engine):
         return Solution(terms, impulses, terms.before + terms.response @ impulses.ravel(), steps)
 
 
-def _result(problem: ImpactProblem, found: Compiled, residual: Residual, start: float) -> ImpactResult:
+def _result(problem: ImpactProblem, compiled: Compiled, residual: Residual, start: float) -> ImpactResult:
     """The result of one problem from its compiled solution."""
-    velocity, twists = found.velocity[0], found.twists[0]
+    velocity, twists = compiled.velocity[0], compiled.twists[0]
     joints, column = {}, 0
     for name, state in problem.arms.items():
         joints[name] = velocity[column : column + state.velocity.size]
@@ -410,20 +413,22 @@ def _result(problem: ImpactProblem, found: Compiled, residual: Residual, start: 
     pads, bodies = list(problem.physics.pads), list(problem.bodies)
     of_frames = dict(zip(pads, twists.reshape(-1, 6), strict=True))
     partners = (*pads, SUPPORT, *bodies)
-    numbers = found.body.tolist(), found.partner.tolist()
-    points = zip(*numbers, found.position, found.normal, found.impulse, found.gap.tolist(), strict=True)
+    body_and_partner = compiled.body.tolist(), compiled.partner.tolist()
+    points = zip(
+        *body_and_partner, compiled.position, compiled.normal, compiled.impulse, compiled.gap.tolist(), strict=True
+    )
     after = dict(zip(bodies, velocity[column:].reshape(-1, 6), strict=True))
     return ImpactResult(
         joint_velocity=joints,
         end_effector_twist=of_frames,
         object_twist=after.pop(OBJECT),
         contacts=tuple(
-            ContactImpulse(bodies[body], partners[number], position, normal, impulse, gap)
-            for body, number, position, normal, impulse, gap in points
+            ContactImpulse(bodies[body], partners[partner], position, normal, impulse, gap)
+            for body, partner, position, normal, impulse, gap in points
         ),
         residual=residual,
         engine=ExactEngine.name,
-        iterations=int(found.steps[0]),
+        iterations=int(compiled.steps[0]),
         elapsed=time.perf_counter() - start,
         neighbour_twists=after,
     )
@@ -435,14 +440,14 @@ def solve_poisson(terms: ContactTerms) -> Solution:
     Raises:
         ImpactMapError: No solution of the expansion was found.
     """
-    first = replace(terms, restitution=0.0, rebound=np.zeros(len(terms.contacts)))
-    pressed, iterations = solve_contacts(first)
-    compressed = terms.before + terms.response @ pressed.ravel()
-    judged = first.residual(pressed, compressed)
-    least = terms.restitution * np.maximum(first.split(pressed)[0], 0.0)
-    second = replace(first, before=compressed)
-    for guess in (terms.restitution * pressed, least[:, None] * terms.normals):
-        returned, converged = newton(second, guess, least)
+    compression = replace(terms, restitution=0.0, rebound=np.zeros(len(terms.contacts)))
+    compressing, iterations = solve_contacts(compression)
+    velocity_compressed = terms.before + terms.response @ compressing.ravel()
+    residual_compression = compression.residual(compressing, velocity_compressed)
+    lower_bound = terms.restitution * np.maximum(compression.split(compressing)[0], 0.0)
+    expansion = replace(compression, before=velocity_compressed)
+    for guess in (terms.restitution * compressing, lower_bound[:, None] * terms.normals):
+        expanding, converged = newton(expansion, guess, lower_bound)
         if converged:
             break
     else:
@@ -450,8 +455,10 @@ def solve_poisson(terms: ContactTerms) -> Solution:
             f"no answer for the expansion of Poisson's law with {len(terms.contacts)} contact points; "
             "restitution_law 'newton' solves one phase only"
         )
-    returned = harden(second, returned, least)
-    velocity = compressed + terms.response @ returned.ravel()
-    again = second.residual(returned, velocity, least)
-    residual = Residual(*(max(vars(judged)[law], vars(again)[law]) for law in vars(judged)))
-    return Solution(terms, pressed + returned, velocity, iterations, residual)
+    expanding = harden(expansion, expanding, lower_bound)
+    velocity = velocity_compressed + terms.response @ expanding.ravel()
+    residual_expansion = expansion.residual(expanding, velocity, lower_bound)
+    residual = Residual(
+        *(max(vars(residual_compression)[law], vars(residual_expansion)[law]) for law in vars(residual_compression))
+    )
+    return Solution(terms, compressing + expanding, velocity, iterations, residual)

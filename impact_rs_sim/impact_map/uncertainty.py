@@ -6,13 +6,13 @@ With independent uncertainties of the standard deviations sigma_k and the Jacobi
 
     var(u^+_i) = sum_k (J_ik sigma_k)^2,       interval u^+_i -+ 1.96 sqrt(var),      budget (J_ik sigma_k)^2 / var
 
-Draws from the stated uncertainties check the linearisation. Where more than ``SWITCHES`` of them end in other contact
-states (or other contact points), or leave the range of a parameter (restitution below 0) and are moved to its end, the
-interval is taken from the draws, and the budget is the variance when one source alone is drawn, over the sum of these.
-Where most draws end in another contact state than the prediction, their quantiles can leave the prediction out; the
-interval is then extended to it, and ``switches`` says what else happens.
+Draws from the stated uncertainties check the linearisation. If more than the share ``SWITCHES`` of them end in other
+contact states (or with other contact points), or leave the range of a parameter (restitution below 0) and are moved to
+its end, the draws give the interval; the budget is then the variance of draws from one source alone, over the sum of
+these variances. If most draws end in another contact state than the prediction, it can lie outside of their quantiles;
+the interval is then extended to it, and ``switches`` names the other contact states.
 
-In the draws a pad that touches in the prediction comes on until it touches: an impact comes later or sooner, but it
+In a draw, every pad that touches in the prediction moves on until it touches: the impact comes later or sooner, but it
 comes. A pad that touches nothing in the prediction stays where the draw puts it.
 
 A scenario states half the width of a 95 % interval, 1.96 sigma. A source may have independent parts, such as the joints
@@ -38,7 +38,7 @@ from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.rotations import AXES
 from impact_rs_sim.scenarios.scenario import Uncertainties
 
-# Share of draws in other contact states, or beyond the range of a parameter, from which the interval is not linear [-]
+# Largest share of draws in other contact states, or beyond the range of a parameter, with a linear interval [-]
 SWITCHES = 0.02
 SEED = 0  # of the draws
 DRAWS = 200  # the ends of an interval scatter by about a tenth of its width
@@ -59,7 +59,7 @@ SOURCES = (
     "restitution",
 )
 _TAILS = ((1.0 - CONFIDENCE_LEVEL) / 2.0, (1.0 + CONFIDENCE_LEVEL) / 2.0)
-_LAWFUL = 1e-5  # m/s, residual of a draw that counts
+_LAWFUL = 1e-5  # m/s, largest residual of an accepted draw
 
 
 class Stopped(Exception):
@@ -93,8 +93,8 @@ class UncertainPrediction:
         method: ``linear`` or ``monte_carlo``.
         switched: Share of draws in other contact states [-].
         switches: Differences of contact states from the prediction, in words, with their share of the draws [-].
-        draws: Draws that have an answer.
-        without_answer: Draws without an answer.
+        draws: Number of draws with an answer.
+        without_answer: Number of draws without an answer.
         factors: Change by one standard deviation of every independent part, ``(k, p)``.
         sample: Velocities of the draws, ``(draws, k)``.
     """
@@ -154,13 +154,12 @@ def sources_of(problem: ImpactProblem, stated: Uncertainties) -> tuple[Uncertain
     parts["pad_friction"] = [{"pad_friction": stated.pad_friction * physics.pad_friction}]
     parts["support_friction"] = [{"support_friction": stated.support_friction * physics.support_friction}]
     parts["restitution"] = [{"restitution": stated.restitution}]
-    known = {parameter.name for parameter in parameters_of(problem)}  # a fixed object has no mass
-    return tuple(
-        UncertaintySource(
-            name, tuple(part for part in own if known >= set(part) and any(sigma > 0.0 for sigma in part.values()))
-        )
-        for name, own in parts.items()
-    )
+    names = {parameter.name for parameter in parameters_of(problem)}  # a fixed object has no mass
+
+    def uncertain(part: Mapping[str, float]) -> bool:
+        return names >= set(part) and any(sigma > 0.0 for sigma in part.values())
+
+    return tuple(UncertaintySource(name, tuple(filter(uncertain, deviations))) for name, deviations in parts.items())
 
 
 def draw(sources: Sequence[UncertaintySource], rng: np.random.Generator) -> dict[str, float]:
@@ -187,35 +186,37 @@ def predict(
         problem: The problem; Newton's law of restitution.
         stated: Uncertainties of the scenario.
         models: Rigid-body models by arm, where the caller has them already.
-        draws: From all uncertainties; a quarter as many of every source where the draws give the interval.
+        draws: Number of draws from all sources; a quarter as many from each source if the draws give the interval.
         stopped: Callback before every draw; True ends the prediction.
 
     Raises:
-        Stopped: ``stopped`` said so.
+        Stopped: ``stopped`` returned True.
         InputError: The problem is refused, or its law of restitution is Poisson's.
         ImpactMapError: No answer was found.
     """
     if problem.restitution_law != "newton":
-        raise InputError("intervals are those of Newton's law", key="restitution_law", value=problem.restitution_law)
+        raise InputError(
+            "expected 'newton', the only law with intervals", key="restitution_law", value=problem.restitution_law
+        )
     if models is None:
         models = problem.physics.robot_models()
     check_problem(problem, models)
     sources = sources_of(problem, stated)
-    found = differentiate(problem, models)
-    nominal, usual = answer_of(problem, models, {})
-    slopes = dict(zip((one.name for one in found.parameters), found.jacobian.T, strict=True))
+    derivatives = differentiate(problem, models)
+    nominal, nominal_contacts = answer_of(problem, models, {})
+    slopes = dict(zip((parameter.name for parameter in derivatives.parameters), derivatives.jacobian.T, strict=True))
     rng = np.random.default_rng(SEED)
-    drawn = [draw(sources, rng) for _ in range(draws)]
-    sample, states_of, lost = _sample(problem, models, drawn, stopped)
-    _check_answered(sample, lost)
-    switched = float(np.mean([one != usual for one in states_of]))
+    drawn_changes = [draw(sources, rng) for _ in range(draws)]
+    sample, contacts_of_draws, unanswered = _sample(problem, models, drawn_changes, stopped)
+    _check_answered(sample, unanswered)
+    switched = float(np.mean([contacts != nominal_contacts for contacts in contacts_of_draws]))
     parts = {
         source.name: np.array([sum(slopes[name] * sigma for name, sigma in part.items()) for part in source.deviations])
         for source in sources
     }
     variances = {name: np.sum(np.square(rows.reshape(-1, nominal.size)), axis=0) for name, rows in parts.items()}
-    beyond = float(np.mean([possible(problem, amounts) != amounts for amounts in drawn]))
-    smooth = found.smooth and max(switched, beyond) <= SWITCHES
+    out_of_range = float(np.mean([possible(problem, amounts) != amounts for amounts in drawn_changes]))
+    smooth = derivatives.smooth and max(switched, out_of_range) <= SWITCHES
     method = "linear" if smooth else "monte_carlo"
     if method == "linear":
         deviation = np.sqrt(np.sum(list(variances.values()), axis=0))
@@ -224,9 +225,9 @@ def predict(
         low, high = _ends(sample, nominal)
         deviation = np.std(sample, axis=0)
         for source in sources:
-            own = [draw((source,), rng) for _ in range(max(draws // 4, 2))]
-            alone, _, _ = _sample(problem, models, own, stopped)
-            variances[source.name] = np.var(alone, axis=0) if len(alone) > 1 else np.zeros_like(nominal)
+            source_draws = [draw((source,), rng) for _ in range(max(draws // 4, 2))]
+            source_sample, _, _ = _sample(problem, models, source_draws, stopped)
+            variances[source.name] = np.var(source_sample, axis=0) if len(source_sample) > 1 else np.zeros_like(nominal)
     total = np.maximum(np.sum(list(variances.values()), axis=0), 1e-300)
     return UncertainPrediction(
         names=velocity_names(problem),
@@ -237,9 +238,9 @@ def predict(
         budget={name: variance / total for name, variance in variances.items()},
         method=method,
         switched=switched,
-        switches=_switches(usual, states_of),
+        switches=_switches(nominal_contacts, contacts_of_draws),
         draws=len(sample),
-        without_answer=lost,
+        without_answer=unanswered,
         factors=np.concatenate([rows.reshape(-1, nominal.size) for rows in parts.values()]).T,
         sample=sample,
     )
@@ -253,14 +254,13 @@ def interval_of_draws(
 ) -> tuple[tuple[str, ...], Array, Array]:
     """Names and ends of intervals from few draws, faster than :func:`predict`.
 
-    Quantiles of the draws, extended to the prediction: as skew as by :func:`predict`, and from a few draws somewhat
-    too narrow.
+    The ends are quantiles of the draws, extended to the prediction; from few draws they are somewhat too narrow.
 
     Args:
         problem: The problem; Newton's law of restitution.
         stated: Uncertainties of the scenario.
         models: Rigid-body models by arm.
-        draws: From all uncertainties.
+        draws: Number of draws from all sources.
 
     Raises:
         ImpactMapError: Fewer than two draws have an answer.
@@ -268,15 +268,15 @@ def interval_of_draws(
     rng = np.random.default_rng(SEED)
     nominal, _ = answer_of(problem, models, {})
     sources = sources_of(problem, stated)
-    sample, _, lost = _sample(problem, models, [draw(sources, rng) for _ in range(draws)])
-    _check_answered(sample, lost)
+    sample, _, unanswered = _sample(problem, models, [draw(sources, rng) for _ in range(draws)])
+    _check_answered(sample, unanswered)
     low, high = _ends(sample, nominal)
     return velocity_names(problem), low, high
 
 
 def touching_pads(problem: ImpactProblem, models: Mapping[str, RobotModel]) -> frozenset[str]:
-    """Pads that touch where nothing is changed."""
-    return frozenset({one.partner for one in change(problem, {}).contacts(models)} & problem.physics.pads.keys())
+    """Pads that touch in the prediction, without changed parameters."""
+    return frozenset({point.partner for point in change(problem, {}).contacts(models)} & problem.physics.pads.keys())
 
 
 def answer_of(
@@ -285,9 +285,9 @@ def answer_of(
     amounts: Mapping[str, float],
     pads: frozenset[str] | None = None,
 ) -> tuple[Array, tuple[str, ...]]:
-    """All velocities ``(k,)`` with parameters changed, and the partner and state of every contact point.
+    """All velocities ``(k,)`` with changed parameters, and partner and state of every contact point.
 
-    Pads that touch where nothing is changed come on until they touch, wherever the changed poses leave them.
+    Pads that touch in the prediction move on until they touch.
 
     Args:
         problem: The problem.
@@ -306,34 +306,36 @@ def answer_of(
     if not terms.residual(impulses, velocity).largest <= _LAWFUL:
         raise ImpactMapError("no answer obeys the laws")
     states_ = zip((contact.partner for contact in terms.contacts), states(terms, impulses), strict=True)
-    return all_velocities(system, velocity), tuple(" ".join(one) for one in states_)
+    return all_velocities(system, velocity), tuple(" ".join(partner_and_state) for partner_and_state in states_)
 
 
 def _sample(
     problem: ImpactProblem,
     models: Mapping[str, RobotModel],
-    drawn: Sequence[Mapping[str, float]],
+    drawn_changes: Sequence[Mapping[str, float]],
     stopped: Callable[[], bool] = lambda: False,
 ) -> tuple[Array, list[tuple[str, ...]], int]:
-    """Velocities of draws ``(n, k)``, partner and state of their contact points, and how many draws have no answer."""
-    sample, found = [], []
+    """Velocities of draws ``(n, k)``, partners and states of their contact points, number of draws without answer."""
+    sample, contacts_of_draws = [], []
     pads = touching_pads(problem, models)
-    for amounts in drawn:
+    for amounts in drawn_changes:
         if stopped():
             raise Stopped
         try:
-            velocities, there = answer_of(problem, models, amounts, pads)
+            velocities, contacts = answer_of(problem, models, amounts, pads)
         except ImpactMapError:
             continue
         sample.append(velocities)
-        found.append(there)
-    return np.array(sample), found, len(drawn) - len(sample)
+        contacts_of_draws.append(contacts)
+    return np.array(sample), contacts_of_draws, len(drawn_changes) - len(sample)
 
 
-def _check_answered(sample: Array, lost: int) -> None:
+def _check_answered(sample: Array, unanswered: int) -> None:
     """Refuse an interval from fewer than two draws."""
     if len(sample) < 2:
-        raise ImpactMapError(f"of {len(sample) + lost} draws from the stated uncertainties {lost} have no answer")
+        raise ImpactMapError(
+            f"{unanswered} of {len(sample) + unanswered} draws from the stated uncertainties have no answer"
+        )
 
 
 def _ends(sample: Array, nominal: Array) -> tuple[Array, Array]:
@@ -342,46 +344,51 @@ def _ends(sample: Array, nominal: Array) -> tuple[Array, Array]:
     return np.minimum(low, nominal), np.maximum(high, nominal)
 
 
-def _switches(usual: tuple[str, ...], draws: Sequence[tuple[str, ...]]) -> dict[str, float]:
+def _switches(nominal_contacts: tuple[str, ...], draws: Sequence[tuple[str, ...]]) -> dict[str, float]:
     """Differences of contact states between draws and prediction, in words, with their share, most frequent first."""
-    words = Counter(text for there in draws for text in _differences(usual, there))
+    words = Counter(text for contacts in draws for text in _differences(nominal_contacts, contacts))
     return {text: count / len(draws) for text, count in words.most_common()}
 
 
-def _differences(usual: tuple[str, ...], there: tuple[str, ...]) -> list[str]:
+def _differences(nominal_contacts: tuple[str, ...], contacts: tuple[str, ...]) -> list[str]:
     """Differences of the contacts of one draw, in words; an open point transmits no impulse."""
-    found = []
-    for partner in dict.fromkeys(state.split()[0] for state in (*usual, *there)):
-        before, after = ([s.split()[1] for s in states_ if s.split()[0] == partner] for states_ in (usual, there))
-        loaded, now_loaded = ([state for state in one if state != "open"] for one in (before, after))
+    differences = []
+    for partner in dict.fromkeys(state.split()[0] for state in (*nominal_contacts, *contacts)):
+        before, after = (
+            [state.split()[1] for state in states if state.split()[0] == partner]
+            for states in (nominal_contacts, contacts)
+        )
+        loaded_before, loaded_now = (
+            [state for state in contact_states if state != "open"] for contact_states in (before, after)
+        )
         meets, not_meets = MEETS_SUPPORT if partner == SUPPORT else (f"{partner} {text}" for text in HITS)
-        if loaded and not now_loaded:
-            found.append(f"{not_meets}, in the prediction it does")
-        elif now_loaded and not loaded:
-            found.append(f"{meets}, in the prediction not")
-        elif len(loaded) != len(now_loaded):
-            points = "1 point" if len(now_loaded) == 1 else f"{len(now_loaded)} points"
-            found.append(f"{meets} at {points}, in the prediction at {len(loaded)}")
-        elif loaded != now_loaded:
-            found.append(f"{meets} and sticks or slides otherwise than in the prediction")
-        elif loaded and before != after:
-            found.append(f"{meets} at other points than in the prediction")
-    return found
+        if loaded_before and not loaded_now:
+            differences.append(f"{not_meets}, in the prediction it does")
+        elif loaded_now and not loaded_before:
+            differences.append(f"{meets}, in the prediction not")
+        elif len(loaded_before) != len(loaded_now):
+            points = "1 point" if len(loaded_now) == 1 else f"{len(loaded_now)} points"
+            differences.append(f"{meets} at {points}, in the prediction at {len(loaded_before)}")
+        elif loaded_before != loaded_now:
+            differences.append(f"{meets} and sticks or slides otherwise than in the prediction")
+        elif loaded_before and before != after:
+            differences.append(f"{meets} at other points than in the prediction")
+    return differences
 
 
 def possible(problem: ImpactProblem, amounts: Mapping[str, float]) -> dict[str, float]:
     """Amounts that leave masses, inertias and friction positive, and restitution between 0 and 1.
 
-    A tenth of a motor inertia is left: simulators with springs in the joints divide by it.
+    At least a tenth of a motor inertia remains: simulators with springs in the joints divide by it.
     """
     physics, object_ = problem.physics, problem.physics.object
-    least = {"object.mass": -0.99 * object_.mass, "pad_friction": -physics.pad_friction}
-    least |= {"support_friction": -physics.support_friction, "restitution": -problem.restitution}
-    least |= {f"object.inertia.{axis}": -0.99 * value for axis, value in zip(AXES, object_.inertia, strict=True)}
+    lower = {"object.mass": -0.99 * object_.mass, "pad_friction": -physics.pad_friction}
+    lower |= {"support_friction": -physics.support_friction, "restitution": -problem.restitution}
+    lower |= {f"object.inertia.{axis}": -0.99 * value for axis, value in zip(AXES, object_.inertia, strict=True)}
     for name, motor in problem.motor_inertia.items():
-        least |= {f"{name}.motor_inertia.{joint + 1}": -0.9 * value for joint, value in enumerate(motor)}
-        least[f"{name}.link_inertia"] = -0.99
-    possible = {name: max(amount, float(least.get(name, -np.inf))) for name, amount in amounts.items()}
-    if "restitution" in possible:
-        possible["restitution"] = min(possible["restitution"], 1.0 - problem.restitution)
-    return possible
+        lower |= {f"{name}.motor_inertia.{joint + 1}": -0.9 * value for joint, value in enumerate(motor)}
+        lower[f"{name}.link_inertia"] = -0.99
+    limited = {name: max(amount, float(lower.get(name, -np.inf))) for name, amount in amounts.items()}
+    if "restitution" in limited:
+        limited["restitution"] = min(limited["restitution"], 1.0 - problem.restitution)
+    return limited

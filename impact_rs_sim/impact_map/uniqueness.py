@@ -2,12 +2,12 @@
 """Spread of the solutions where the contact laws have several.
 
 A face that touches with more than three points can share a load among them in many ways. While its points stick or
-slide without friction, all ways give one u^+; where they slide, each point's friction follows its own load, and u^+ is
-one of a family. The loads of a family form a polytope, whose corners leave at most three points of a face loaded. So
-every choice of three points of every such face is solved by itself. The solutions among these that obey the laws of the
-whole problem span the **spread**. The first guess is the solution of the impact map.
+slide without friction, all of these give the same u^+. If they slide with friction, the friction of a point follows its
+load, and u^+ belongs to a family. The loads of a family form a polytope, at whose corners at most three points of a
+face are loaded. So the problem is solved for every choice of three points of every such face, with the solution of the
+impact map as first guess. The solutions that obey the laws of the whole problem span the **spread**.
 
-The impact map returns the one of points with equal compliance (:mod:`impact_rs_sim.impact_map.laws`).
+The impact map returns the solution for points of equal compliance (:mod:`impact_rs_sim.impact_map.laws`).
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from impact_rs_sim.impact_map.problem import ImpactProblem, check_problem
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
 
-WARNING = 1e-3  # of the ante-impact speed; above it a prediction comes with a warning
-LAWFUL = 1e-6  # m/s, residual up to which an answer of some points is one of all
+WARNING = 1e-3  # of the ante-impact speed; a prediction with a larger spread gets a warning
+LAWFUL = 1e-6  # m/s, largest residual at all points of a solution for some of them
 MAX_CHOICES = 200  # choices of points that are tried; two faces of four points have 25
 CHOICE = "contact points of equal compliance (least norm)"
 
@@ -36,7 +36,7 @@ class Uniqueness:
 
     Attributes:
         spread: Largest difference of two answers in a linear velocity of an end effector or the object [m/s].
-        relative: The same over the ante-impact speed, the largest of all bodies [-].
+        relative: Spread over the largest ante-impact speed of all bodies [-].
         answers: Number of lawful solutions found, including the solution of the impact map.
     """
 
@@ -51,17 +51,18 @@ class Uniqueness:
 
     @property
     def warning(self) -> str:
-        """Warning for the user; empty: none."""
+        """Warning for the user; empty if the solution is unique."""
         if self.unique:
             return ""
         return (
             f"u+ is not unique: answers that obey all laws differ by {self.spread:.2g} m/s ({self.relative:.2%} of the "
-            f"ante-impact speed), because sliding points can share their load in many ways; given is that of {CHOICE}"
+            f"ante-impact speed), because sliding points can share their load in many ways; shown is the answer for "
+            f"{CHOICE}"
         )
 
 
 def uniqueness_of(problem: ImpactProblem, models: Mapping[str, RobotModel] | None = None) -> Uniqueness:
-    """Spread of the solutions of a problem, under Poisson's law of its compression.
+    """Spread of the solutions of a problem; of its compression phase under Poisson's law.
 
     Args:
         problem: The problem.
@@ -72,10 +73,10 @@ def uniqueness_of(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
     """
     if models is None:
         models = problem.physics.robot_models()
-    found = check_problem(problem, models)
+    pairs = check_problem(problem, models)
     system = build_system(problem, models)
     restitution = problem.restitution if problem.restitution_law == "newton" else 0.0
-    terms = ContactTerms.of(system, find_contacts(problem.physics, found), restitution)
+    terms = ContactTerms.of(system, find_contacts(problem.physics, pairs), restitution)
     return spread_of(system, lawful_answers(terms))
 
 
@@ -83,11 +84,11 @@ def lawful_answers(terms: ContactTerms) -> list[Array]:
     """u^+ of every solution found, the solution of the impact map first, ``(nv,)`` each."""
     chosen, _ = solve_contacts(terms)
     answers = [terms.before + terms.response @ chosen.ravel()]
-    for points in itertools.islice(
+    for choice in itertools.islice(
         _choices([(contact.body, contact.partner) for contact in terms.contacts]), MAX_CHOICES
     ):
         impulses = np.zeros_like(chosen)
-        impulses[points], converged = newton(_of_points(terms, points), chosen[points])
+        impulses[choice], converged = newton(_at_points(terms, choice), chosen[choice])
         velocity = terms.before + terms.response @ impulses.ravel()
         if converged and terms.residual(impulses, velocity).largest <= LAWFUL:
             answers.append(velocity)
@@ -105,33 +106,33 @@ def spread_of(system: System, answers: Sequence[Array]) -> Uniqueness:
 def _linear(system: System, velocity: Array) -> Array:
     """Linear velocities of all end effectors and objects, in a row [m/s]."""
     _, twists, object_ = system.split(velocity)
-    others = system.neighbour_twists(velocity)
-    return np.concatenate([twist[:3] for twist in (*twists.values(), object_, *others.values())])
+    neighbours = system.neighbour_twists(velocity)
+    return np.concatenate([twist[:3] for twist in (*twists.values(), object_, *neighbours.values())])
 
 
 def _choices(partners: Sequence[tuple[str, str]]) -> itertools.chain[list[int]]:
-    """Choices of points in which every face with more than three keeps three of them, or all."""
+    """Choices of points: of every face with more than three points, three or all of them."""
     faces = []
     for name in dict.fromkeys(partners):
         points = [index for index, partner in enumerate(partners) if partner == name]
         corners = list(itertools.combinations(points, 3)) if len(points) > 3 else []
         faces.append([tuple(points), *corners])
     product = itertools.product(*faces)
-    next(product)  # all points of all faces are the problem itself
-    return itertools.chain(sorted(itertools.chain(*kept)) for kept in product)
+    next(product)  # all points of all faces: the problem itself
+    return itertools.chain(sorted(itertools.chain(*choice)) for choice in product)
 
 
-def _of_points(terms: ContactTerms, points: Sequence[int]) -> ContactTerms:
+def _at_points(terms: ContactTerms, points: Sequence[int]) -> ContactTerms:
     """The problem at some of its contact points."""
     rows = np.ravel([[3 * point, 3 * point + 1, 3 * point + 2] for point in points])
-    kept = list(points)
+    indices = list(points)
     return replace(
         terms,
         contacts=[terms.contacts[point] for point in points],
         jacobian=terms.jacobian[rows],
         response=terms.response[:, rows],
-        normals=terms.normals[kept],
-        friction=terms.friction[kept],
-        rebound=terms.rebound[kept],
-        inverse_mass=terms.inverse_mass[kept],
+        normals=terms.normals[indices],
+        friction=terms.friction[indices],
+        rebound=terms.rebound[indices],
+        inverse_mass=terms.inverse_mass[indices],
     )
