@@ -370,7 +370,7 @@ def _plan_excursion(scene: Scene, name: str) -> ArmPlan:
 
 def posture_of(scene: Scene, name: str) -> list[int]:
     """Joints of the posture task of an arm, counted from 0."""
-    return list(scene.scenario.cases[scene.case_name].robots[name].held)
+    return list(scene.scenario.cases[scene.case_name].robots[name].posture_joints)
 
 
 def initial_position(

@@ -50,7 +50,7 @@ def capsules(model: RobotModel, q: Array) -> list[Capsule]:
     names = ["base", *(f"link{index + 1}" for index in range(model.joint_count))]
     pad = model.placement(q)
     origins = [placements[name].translation for name in names] + [pad.translation - LINK_RADIUS_M * pad.rotation[:, 2]]
-    hull = []
+    shapes = []
     for name, start, end in zip(names, origins, origins[1:], strict=False):
         length = float(np.linalg.norm(end - start))
         if length < MIN_LINK_LENGTH_M:
@@ -58,8 +58,8 @@ def capsules(model: RobotModel, q: Array) -> list[Capsule]:
         along = (end - start) / length
         across = np.linalg.svd(along[None])[2][1:]
         rotation = np.column_stack((across[0], np.cross(along, across[0]), along))
-        hull.append((name, coal.Capsule(LINK_RADIUS_M, length), coal.Transform3s(rotation, 0.5 * (start + end))))
-    return hull
+        shapes.append((name, coal.Capsule(LINK_RADIUS_M, length), coal.Transform3s(rotation, 0.5 * (start + end))))
+    return shapes
 
 
 def check_clearance(models: dict[str, RobotModel], positions: dict[str, Array], when: str) -> None:
@@ -73,16 +73,14 @@ def check_clearance(models: dict[str, RobotModel], positions: dict[str, Array], 
     Raises:
         Infeasible: Two arms touch; names their links and by how much they overlap.
     """
-    hulls = {name: capsules(model, positions[name]) for name, model in models.items()}
-    for first, second in combinations(hulls, 2):
-        for name, shape, pose in hulls[first]:
-            for other, other_shape, other_placement in hulls[second]:
-                gap = coal.distance(
-                    shape, pose, other_shape, other_placement, coal.DistanceRequest(), coal.DistanceResult()
-                )
+    shapes_by_arm = {name: capsules(model, positions[name]) for name, model in models.items()}
+    for first, second in combinations(shapes_by_arm, 2):
+        for name, shape, pose in shapes_by_arm[first]:
+            for other_link, other_shape, other_pose in shapes_by_arm[second]:
+                gap = coal.distance(shape, pose, other_shape, other_pose, coal.DistanceRequest(), coal.DistanceResult())
                 if gap < 0.0:
                     raise Infeasible(
-                        f"arms {first!r} and {second!r} collide {when}: {name} and {other} overlap by {-gap:.3f} m; "
+                        f"arms {first!r} and {second!r} collide {when}: {name} and {other_link} overlap by {-gap:.3f} m; "
                         "move their bases apart or choose other impact poses"
                     )
 
@@ -118,23 +116,23 @@ def deepest_penetration(
         object_: Where the object stands.
         displacement: Displacement of the object on its support, in A, ``(3,)`` [m].
     """
-    model, surroundings = physics.robot_model(name), _obstacles(physics, object_, displacement)
+    model, obstacles = physics.robot_model(name), _obstacles(physics, object_, displacement)
     parts = _collision_bodies(model)
-    depths = np.zeros((len(surroundings), len(positions), len(parts)))
+    depths = np.zeros((len(obstacles), len(positions), len(parts)))
     for index, q in enumerate(positions):
         links = model.link_placements(q)
         for number, part in enumerate(parts):
-            for which, partner in enumerate(surroundings):
-                depths[which, index, number] = partner.depth(part, links[part.link])
+            for obstacle_index, obstacle in enumerate(obstacles):
+                depths[obstacle_index, index, number] = obstacle.depth(part, links[part.link])
     mounting = np.minimum.accumulate((depths[-1] > MAX_ROUNDING_OVERLAP_M).all(axis=0)) & [
         part.link != TIP for part in parts
     ]
     depths[-1][:, mounting] = 0.0
-    at = tuple(int(pose) for pose in np.unravel_index(np.argmax(depths), depths.shape))
-    if depths[at] <= MAX_ROUNDING_OVERLAP_M:
+    deepest = tuple(int(pose) for pose in np.unravel_index(np.argmax(depths), depths.shape))
+    if depths[deepest] <= MAX_ROUNDING_OVERLAP_M:
         return None
-    part, partner = parts[at[2]], surroundings[at[0]]
-    return Penetration(part.name, partner.name, partner.top, float(depths[at]), at[1])
+    part, obstacle = parts[deepest[2]], obstacles[deepest[0]]
+    return Penetration(part.name, obstacle.name, obstacle.top, float(depths[deepest]), deepest[1])
 
 
 Solid = tuple[coal.CollisionGeometry, coal.Transform3s]
@@ -169,33 +167,33 @@ class _Obstacle:
         centres, radii = part.spheres
         deepest, low = 0.0, centres @ link.rotation[2] + link.translation[2] - radii
         for index in np.flatnonzero(low < self.top):
-            shape, own = part.shapes[index]
-            at = link * own
-            pose = coal.Transform3s(at.rotation, at.translation)
+            shape, shape_placement = part.shapes[index]
+            placement = link * shape_placement
+            pose = coal.Transform3s(placement.rotation, placement.translation)
             deepest = max(deepest, min(_penetration_depth((shape, pose), solid) for solid in self.solids))
         return deepest
 
 
-def _penetration_depth(one: Solid, other: Solid) -> float:
+def _penetration_depth(first: Solid, second: Solid) -> float:
     """Penetration depth of two convex solids by GJK/EPA; negative: their distance [m]."""
-    return -float(coal.distance(*one, *other, coal.DistanceRequest(), coal.DistanceResult()))
+    return -float(coal.distance(*first, *second, coal.DistanceRequest(), coal.DistanceResult()))
 
 
 def _obstacles(physics: Physics, object_: BodyState, displacement: Array) -> list[_Obstacle]:
     """Obstacles: the known part of the support, if there is one, and the ground."""
-    height, found = physics.support_height, []
+    height, obstacles = physics.support_height, []
     ground = min(0.0, *(float(arm.base.translation[2]) for arm in physics.arms.values()))
     if height is not None:
-        ground, middle = min(ground, height), height - SUPPORT_THICKNESS / 2.0
+        ground, centre_height = min(ground, height), height - SUPPORT_THICKNESS / 2.0
         reach = np.abs(object_.rotation[:2]) @ physics.object.size / 2.0 + SUPPORT_RIM_M
         low, high = (ends(np.zeros(2), displacement[:2]) for ends in (np.minimum, np.maximum))
-        certain = coal.Box(*(high - low + 2.0 * reach), SUPPORT_THICKNESS)
-        below = np.append(object_.position[:2] + (low + high) / 2.0, middle)
+        certain_part = coal.Box(*(high - low + 2.0 * reach), SUPPORT_THICKNESS)
+        centre_below = np.append(object_.position[:2] + (low + high) / 2.0, centre_height)
         table = coal.Box(*physics.support_size, SUPPORT_THICKNESS)
-        placements = (coal.Transform3s(np.eye(3), pose) for pose in (below, np.array([0.0, 0.0, middle])))
-        found.append(_Obstacle("support", tuple(zip((certain, table), placements, strict=True)), height))
+        placements = (coal.Transform3s(np.eye(3), pose) for pose in (centre_below, np.array([0.0, 0.0, centre_height])))
+        obstacles.append(_Obstacle("support", tuple(zip((certain_part, table), placements, strict=True)), height))
     plane = coal.Halfspace(np.array([0.0, 0.0, 1.0]), ground)
-    return [*found, _Obstacle("ground", ((plane, coal.Transform3s.Identity()),), ground)]
+    return [*obstacles, _Obstacle("ground", ((plane, coal.Transform3s.Identity()),), ground)]
 
 
 def _collision_bodies(model: RobotModel) -> list[_MovingBody]:
@@ -205,7 +203,7 @@ def _collision_bodies(model: RobotModel) -> list[_MovingBody]:
     tube = Shape(effector.mount.inverse().translation, np.array([0.0, 0.0, -effector.pad_size[2]]), TOOL_RADIUS_M)
     return [
         *(
-            _MovingBody(f"link {number}", f"link{number}", [_collider(one) for one in shapes])
+            _MovingBody(f"link {number}", f"link{number}", [_collider(shape) for shape in shapes])
             for number, shapes in enumerate(links, start=1)
         ),
         _MovingBody("its end effector", TIP, [_collider(tube)]),

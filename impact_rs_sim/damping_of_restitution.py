@@ -57,13 +57,13 @@ def dissipation_of(restitution: float, speed: float) -> float:
         return 1.5 * max(1.0 / restitution - 1.0, 0.0) / speed
     e = max(restitution, MIN_RESTITUTION)
 
-    def missing(product: float) -> float:
+    def imbalance(product: float) -> float:
         return product * (1.0 + e) - math.log1p(product) + math.log1p(-product * e)
 
     low, high = (
         1.0 - e,
         (1.0 - 1e-12) / e,
     )  # positive after its trivial root 0, falls to -inf at 1 / e
-    if missing(high) > 0.0:
+    if imbalance(high) > 0.0:
         return high / speed
-    return float(scipy.optimize.brentq(missing, low, high, xtol=1e-13)) / speed
+    return float(scipy.optimize.brentq(imbalance, low, high, xtol=1e-13)) / speed

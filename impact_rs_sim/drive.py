@@ -144,15 +144,15 @@ def _on_motors(friction: JointFriction, shaping: Array) -> Friction | None:
     """tau_fric,m = B_rho B_theta^-1 tau_fric, in the form of the kernel; None: no friction."""
     if friction.is_zero:
         return None
-    sigmoid, none = friction.sigmoid, np.zeros_like(shaping)
+    sigmoid, zeros = friction.sigmoid, np.zeros_like(shaping)
     return (
         shaping * friction.coulomb,
         shaping * friction.viscous,
         shaping * friction.stribeck,
         friction.stribeck_velocity,
-        none + friction.smoothing,
-        none if friction.asymmetry is None else shaping * friction.asymmetry,
-        none if friction.load is None else shaping * friction.load,
+        zeros + friction.smoothing,
+        zeros if friction.asymmetry is None else shaping * friction.asymmetry,
+        zeros if friction.load is None else shaping * friction.load,
         None if sigmoid is None else (shaping * sigmoid.a, np.array(sigmoid.b), np.array(sigmoid.c)),
         _shafts(friction.shafts, shaping) if friction.shafts else None,
     )

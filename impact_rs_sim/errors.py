@@ -93,8 +93,8 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 def full_traceback(error: BaseException) -> str:
     """Traceback of an error and of all its causes, also of those hidden by ``from None``."""
-    link: BaseException | None = error
-    while link is not None:
-        link.__suppress_context__ = False
-        link = link.__cause__ or link.__context__
+    cause: BaseException | None = error
+    while cause is not None:
+        cause.__suppress_context__ = False
+        cause = cause.__cause__ or cause.__context__
     return "".join(traceback.format_exception(error)).rstrip()

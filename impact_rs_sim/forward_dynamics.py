@@ -74,9 +74,9 @@ class ForwardDynamics:
         """
         q, dq, slowed = [position], [velocity], np.zeros_like(velocity)
         for number, driving in enumerate(torque):
-            *found, slowed = self._step(time + number * step, q[-1], dq[-1], driving, step, slowed, servo)
-            q.append(found[0])
-            dq.append(found[1])
+            *state, slowed = self._step(time + number * step, q[-1], dq[-1], driving, step, slowed, servo)
+            q.append(state[0])
+            dq.append(state[1])
         return np.array(q), np.array(dq)
 
     def acceleration(self, position: Array, velocity: Array, torque: Array) -> Array:
@@ -116,25 +116,27 @@ class ForwardDynamics:
             momentum, resisting = np.einsum("sij,sj->si", inertia[rows], dq - explicit[rows]), resistance(dq, rows)
             return momentum - duration * resisting, resisting
 
-        found, rows = explicit + guess, np.arange(len(q))
-        now, resisting = imbalance(found, rows)
+        velocity, rows = explicit + guess, np.arange(len(q))
+        residual, resisting = imbalance(velocity, rows)
         for _ in range(MAX_NEWTON_STEPS):
-            dq = found[rows]
+            dq = velocity[rows]
             slope = (resistance(dq + SLOPE_CHANGE, rows) - resisting) / SLOPE_CHANGE
             implicit = inertia[rows] - duration * np.minimum(slope, 0.0)[:, :, None] * np.eye(q.shape[1])
-            change = np.linalg.solve(implicit, -now[:, :, None])[:, :, 0]
-            after, resisting = imbalance(dq + change, rows)
-            begin, end = (np.einsum("si,si->s", change, one) for one in (now, after))
-            long = end > -MAX_SLOPE_RATIO * begin
-            if np.any(long):
-                change[long] *= (begin[long] / (begin[long] - end[long]))[:, None]
-                after[long], resisting[long] = imbalance(dq[long] + change[long], rows[long])
-            found[rows] = dq + change
-            going = np.any(np.abs(change) > MAX_VELOCITY_ERROR, axis=1)
-            rows, now, resisting = rows[going], after[going], resisting[going]
+            change = np.linalg.solve(implicit, -residual[:, :, None])[:, :, 0]
+            residual_after, resisting = imbalance(dq + change, rows)
+            begin, end = (np.einsum("si,si->s", change, residual_at) for residual_at in (residual, residual_after))
+            overshoots = end > -MAX_SLOPE_RATIO * begin
+            if np.any(overshoots):
+                change[overshoots] *= (begin[overshoots] / (begin[overshoots] - end[overshoots]))[:, None]
+                residual_after[overshoots], resisting[overshoots] = imbalance(
+                    dq[overshoots] + change[overshoots], rows[overshoots]
+                )
+            velocity[rows] = dq + change
+            active = np.any(np.abs(change) > MAX_VELOCITY_ERROR, axis=1)
+            rows, residual, resisting = rows[active], residual_after[active], resisting[active]
             if not rows.size:
                 break
-        return found
+        return velocity
 
     def _resistance(self, time: Array, q: Array, driving: Array, servo: Servo | None) -> Callable[[Array, Rows], Array]:
         """Torque of servos, friction and loads by velocities in some rows, at their positions, ``(s, n)`` [N m]."""
@@ -143,26 +145,26 @@ class ForwardDynamics:
         def friction(dq: Array, rows: Rows) -> Array:
             if servo is None:
                 return arm.friction.torque(dq, driving[rows]) if with_drive else np.zeros_like(dq)
-            own = servo(time[rows], q[rows], dq)
-            return own + (arm.friction.torque(dq, driving[rows] + own) if with_drive else 0.0)
+            servo_torque = servo(time[rows], q[rows], dq)
+            return servo_torque + (arm.friction.torque(dq, driving[rows] + servo_torque) if with_drive else 0.0)
 
         if not arm.loads:
             return friction
         jacobian = np.array([self.model.jacobian(row)[:3] for row in q])
-        place = np.array([self.model.placement(row).translation for row in q])
+        positions = np.array([self.model.placement(row).translation for row in q])
 
         def torque(dq: Array, rows: Rows) -> Array:
-            rubbed = friction(dq, rows)
+            drive_torque = friction(dq, rows)
             state = LoadState(
                 time=time[rows],
                 joint_position=q[rows],
                 joint_velocity=dq,
-                position=place[rows],
+                position=positions[rows],
                 velocity=np.einsum("kan,kn->ka", jacobian[rows], dq),
                 impact_position=arm.impact_position,
-                joint_torque=driving[rows] + rubbed,
+                joint_torque=driving[rows] + drive_torque,
             )
             on_links, on_motors = arm.load_torques(state, jacobian[rows])
-            return rubbed + on_links + (on_motors if with_drive else 0.0)
+            return drive_torque + on_links + (on_motors if with_drive else 0.0)
 
         return torque

@@ -18,11 +18,11 @@ def lazy_names(package: str, modules: Mapping[str, Sequence[str]]) -> Callable[[
         package: Its ``__name__``.
         modules: Names by module, relative to the package.
     """
-    places = {name: module for module, names in modules.items() for name in names}
+    module_of_name = {name: module for module, names in modules.items() for name in names}
 
     def get(name: str) -> Any:
-        if name not in places:
+        if name not in module_of_name:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(f"{package}.{places[name]}"), name)
+        return getattr(import_module(f"{package}.{module_of_name[name]}"), name)
 
     return get

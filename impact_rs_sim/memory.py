@@ -46,11 +46,13 @@ class Memory:
             start: z at the first evaluation; None: u.
         """
         rate = float(_rate(constant))
-        before, last, slow, lagged = self._known.get(key, (time, value, rate, value if start is None else start))
-        if time > before:
-            kept, passed = _step((time - before) * (slow + rate) / 2.0)
-            lagged = float(value - (value - last) * passed + (lagged - last) * kept)
-        if time > before or key not in self._known:
+        last_time, last_value, last_rate, lagged = self._known.get(
+            key, (time, value, rate, value if start is None else start)
+        )
+        if time > last_time:
+            decay, mean_decay = _step((time - last_time) * (last_rate + rate) / 2.0)
+            lagged = float(value - (value - last_value) * mean_decay + (lagged - last_value) * decay)
+        if time > last_time or key not in self._known:
             self._known[key] = (time, value, rate, lagged)
         return lagged
 
@@ -66,9 +68,9 @@ def lag_along(time: Array, value: Any, constant: Any, start: Any = None) -> Arra
     """
     u = np.broadcast_to(np.asarray(value, dtype=float), time.shape)
     rate = np.broadcast_to(_rate(constant), time.shape)
-    kept, passed = _step(np.diff(time) * (rate[1:] + rate[:-1]) / 2.0)
-    added = u[1:] - np.diff(u) * passed - u[:-1] * kept
-    steps = zip(kept.tolist(), added.tolist(), strict=True)
+    decay, mean_decay = _step(np.diff(time) * (rate[1:] + rate[:-1]) / 2.0)
+    inputs = u[1:] - np.diff(u) * mean_decay - u[:-1] * decay
+    steps = zip(decay.tolist(), inputs.tolist(), strict=True)
     first = float(u[0] if start is None else np.broadcast_to(start, time.shape)[0])
     return np.array(list(accumulate(steps, lambda z, step: step[0] * z + step[1], initial=first)))
 

@@ -55,8 +55,8 @@ class ModelEffect(Schema):
 
     def vector(self, scalars: Sequence[Parameter]) -> Array:
         """Estimates of the scalars of the effect, ``(p,)``; nominal where one with a prior is missing."""
-        known = self.parameters
-        return np.array([known[s.name].estimate if s.name in known else s.nominal for s in scalars])
+        estimates = self.parameters
+        return np.array([estimates[s.name].estimate if s.name in estimates else s.nominal for s in scalars])
 
 
 class Model(Schema):
@@ -88,14 +88,14 @@ class Model(Schema):
             return FORMER[item.name]
         shared = self._shared_effects[item.name]
         each = of_each(shared, self.arms)
-        own = {scalar.name for scalar in each.scalars(0)}
-        return each if own & item.parameters.keys() else shared
+        own_names = {scalar.name for scalar in each.scalars(0)}
+        return each if own_names & item.parameters.keys() else shared
 
     def containing(self, names: Iterable[str]) -> Model:
         """The model reduced to its active or named formulas: the part that a simulation needs."""
         wanted = {*names, *(item.name for item in self.effects)}
-        kept = tuple(spec for spec in self.formulas if spec.name in wanted)
-        return self if len(kept) == len(self.formulas) else self.model_copy(update={"formulas": kept})
+        formulas = tuple(spec for spec in self.formulas if spec.name in wanted)
+        return self if len(formulas) == len(self.formulas) else self.model_copy(update={"formulas": formulas})
 
     @property
     def digest(self) -> str:
@@ -132,14 +132,14 @@ class Model(Schema):
     def with_effect(self, item: ModelEffect, name: str, parent: str, formulas: tuple[FormulaSpec, ...] = ()) -> Model:
         """Child model with one more effect, or with a new estimate of an existing effect, in its place."""
         effects = {effect.name: effect for effect in (*self.effects, item)}  # a name keeps its first place
-        own = {spec.name: spec for spec in (*self.formulas, *formulas)}
+        all_formulas = {spec.name: spec for spec in (*self.formulas, *formulas)}
         return Model(
             name=name,
             parent=parent,
             parent_digest=self.digest,
             note="",
             arms=self.arms,
-            formulas=tuple(own.values()),
+            formulas=tuple(all_formulas.values()),
             effects=tuple(effects.values()),
         )
 
@@ -151,12 +151,14 @@ def _joint_count(effect: Effect, item: ModelEffect) -> int | None:
     """
     if isinstance(effect, EachArm):
         return None
-    own = [parameter for parameter in effect.parameters if parameter.per_joint]
-    if not own:
+    parameters = [parameter for parameter in effect.parameters if parameter.per_joint]
+    if not parameters:
         return None
-    pattern = re.compile(f"(?:{'|'.join(re.escape(one.name) for one in own)})_joint([1-9][0-9]{{0,2}})")
-    last = max((int(found[1]) for name in item.parameters if (found := pattern.fullmatch(name))), default=0)
-    return max(last + all(one.except_joint == -1 for one in own), 1)
+    pattern = re.compile(
+        f"(?:{'|'.join(re.escape(parameter.name) for parameter in parameters)})_joint([1-9][0-9]{{0,2}})"
+    )
+    last = max((int(match[1]) for name in item.parameters if (match := pattern.fullmatch(name))), default=0)
+    return max(last + all(parameter.except_joint == -1 for parameter in parameters), 1)
 
 
 def _joints(effect: Effect, item: ModelEffect) -> Joints:
@@ -180,15 +182,15 @@ def check_model(model: Model, file: str | Path) -> Model:
             unequal numbers of joints.
     """
     try:
-        known = model.known_effects
+        known_effects = model.known_effects
     except InputError as error:
         raise error.in_file(file) from None
     joints: tuple[str, int] | None = None
     for index, item in enumerate(model.effects):
         key = f"effects.{index}"
-        if item.name not in known:
+        if item.name not in known_effects:
             raise InputError(
-                f"unknown effect; known effects: {', '.join(sorted(known))}",
+                f"unknown effect; known effects: {', '.join(sorted(known_effects))}",
                 file=file,
                 key=f"{key}.name",
                 value=item.name,
@@ -208,8 +210,8 @@ def check_model(model: Model, file: str | Path) -> Model:
             if name not in item.parameters and scalar.prior is not None:
                 continue
             if name not in item.parameters:
-                fewer = scalar.joint is not None and count not in (None, scalar.joint + 1)
-                last = f"; joint {count} is here" if fewer else ""
+                missing_last_joint = scalar.joint is not None and count not in (None, scalar.joint + 1)
+                last = f"; joint {count} is here" if missing_last_joint else ""
                 raise InputError(
                     f"this key is missing ({scalar.meaning} [{scalar.unit}]){last}", file=file, key=key_path
                 )

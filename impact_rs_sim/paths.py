@@ -29,13 +29,13 @@ def config_directory() -> Path:
     Raises:
         FileNotFoundError: No such folder exists; the message lists where it was looked for.
     """
-    looked_at = []
+    searched = []
     for candidate in _candidates():
         if candidate.is_dir():
             return candidate
-        looked_at.append(candidate)
-    places = "\n".join(f"  {place}" for place in looked_at)
+        searched.append(candidate)
+    folders = "\n".join(f"  {folder}" for folder in searched)
     raise FileNotFoundError(
-        f"no configuration folder of impact_rs found; looked at\n{places}\n"
+        f"no configuration folder of impact_rs found; looked at\n{folders}\n"
         "Set IMPACT_RS_CONFIG to the folder, or install impact_rs."
     )

@@ -58,10 +58,10 @@ class ShaftFriction:
         """
         speed = velocity[..., :-1] + self.ratio * velocity[..., 1:]
         smoothing = np.broadcast_to(smoothing, velocity.shape[-1:])[:-1]
-        own = -self.coulomb * np.tanh(speed / smoothing) - self.viscous * speed
+        shaft_torque = -self.coulomb * np.tanh(speed / smoothing) - self.viscous * speed
         torque = np.zeros_like(velocity)
-        torque[..., :-1] += own
-        torque[..., 1:] += self.ratio * own
+        torque[..., :-1] += shaft_torque
+        torque[..., 1:] += self.ratio * shaft_torque
         return torque
 
 
@@ -186,8 +186,8 @@ class LoadState:
             torques,
             strict=True,
         )
-        for time, q, dq, place, velocity, torque in rows:
-            yield LoadState(time, q, dq, place, velocity, self.impact_position, torque)
+        for time, q, dq, position, velocity, torque in rows:
+            yield LoadState(time, q, dq, position, velocity, self.impact_position, torque)
 
 
 class ObjectLoad(ABC):
@@ -372,8 +372,8 @@ class ArmPhysics:
         contact, s d = 2 sqrt(s k m).
         """
         whole = 2.0 * math.sqrt((self.pad_stiffness or 0.0) / (self.pad_mobility + 1.0 / object_.mass))
-        of_tool = 0.25 if self.end_effector.shape.kind == "sphere" else 1.0
-        return whole / math.sqrt(min(of_tool, object_.pad_share))
+        tool_share = 0.25 if self.end_effector.shape.kind == "sphere" else 1.0
+        return whole / math.sqrt(min(tool_share, object_.pad_share))
 
     def load_torques(self, state: LoadState, jacobian: Array) -> tuple[Array, Array]:
         """Torques of all loads.
@@ -388,9 +388,12 @@ class ArmPhysics:
         on_links, on_motors = np.zeros_like(state.joint_position), np.zeros_like(state.joint_position)
         for load in self.loads:
             if jacobian.ndim == 3 and not load.vectorised:
-                alone = replace(self, loads=(load,))
-                every = [alone.load_torques(one, own) for one, own in zip(state.samples, jacobian, strict=True)]
-                links, motors = zip(*every, strict=True)
+                single = replace(self, loads=(load,))
+                per_sample = [
+                    single.load_torques(sample, sample_jacobian)
+                    for sample, sample_jacobian in zip(state.samples, jacobian, strict=True)
+                ]
+                links, motors = zip(*per_sample, strict=True)
                 on_links, on_motors = on_links + np.array(links), on_motors + np.array(motors)
                 continue
             torque, force, motor = load.joint_torque(state), load.end_effector_force(state), load.motor_torque(state)
@@ -489,14 +492,14 @@ class ObjectPhysics:
         momentum = self.mass * (along[:3] @ velocity) + along[3:] @ (self.inertia * spin)
         return float(momentum) / self.guided_inertia
 
-    def check_free(self, what: str) -> None:
+    def check_free(self, consumer: str) -> None:
         """Refuse an object on a hinge or slide, for ``what`` takes free and fixed ones.
 
         Raises:
             InputError: It has a hinge or slide.
         """
         if self.freedom is not None:
-            raise guided_object(what, "object")
+            raise guided_object(consumer, "object")
 
     @property
     def fixed(self) -> bool:
@@ -527,8 +530,8 @@ def assumed_words(by_arm: Mapping[str, Sequence[str]]) -> str:
     for name, assumed in by_arm.items():
         if assumed:
             arms.setdefault(tuple(assumed), []).append(name)
-    of = [f"of {' and '.join(names)} {', '.join(assumed)}" for assumed, names in arms.items()]
-    return f"assumed, neither measured nor published: {'; '.join(of)}" if of else ""
+    texts = [f"of {' and '.join(names)} {', '.join(assumed)}" for assumed, names in arms.items()]
+    return f"assumed, neither measured nor published: {'; '.join(texts)}" if texts else ""
 
 
 @dataclass(frozen=True)
@@ -615,10 +618,10 @@ class Physics:
             if drive.friction == "identified":
                 friction = replace(friction, sigmoid=facts.friction)
             effector, base = robot.end_effector.build(), robot.base.placement
-            hands = {hand: one.end_effector.build() for hand, one in robot.hands.items()}
-            given = robot.impact.joint_position
+            hands = {hand: hand_spec.end_effector.build() for hand, hand_spec in robot.hands.items()}
+            joint_position = robot.impact.joint_position
             model = RobotModel(facts, effector, base, hands=hands)
-            pose = model.position_of(np.array(robot.impact.joint_guess if given is None else given))
+            pose = model.position_of(np.array(robot.impact.joint_guess if joint_position is None else joint_position))
             arms[name] = ArmPhysics(
                 facts=facts,
                 base=base,
@@ -678,12 +681,12 @@ class Physics:
     @property
     def bodies(self) -> dict[str, ObjectPhysics]:
         """The object, called ``object``, and its neighbours, by name."""
-        return {"object": self.object, **{one.name: one.body for one in self.neighbours}}
+        return {"object": self.object, **{neighbour.name: neighbour.body for neighbour in self.neighbours}}
 
     @property
     def moved_mass(self) -> float:
         """Mass of the objects that the first one pushes along, and its own [kg]."""
-        return self.object.mass + sum(one.body.mass for one in self.neighbours)
+        return self.object.mass + sum(neighbour.body.mass for neighbour in self.neighbours)
 
     @property
     def assumed(self) -> str:
@@ -704,13 +707,13 @@ class Physics:
         """
         kinds = dict(self.arm_joints)
         if len({len(kind) for kind in kinds.values()}) > 1:
-            found = ", ".join(f"{name} {len(kind)}" for name, kind in kinds.items())
+            text = ", ".join(f"{name} {len(kind)}" for name, kind in kinds.items())
             raise InputError(
-                f"arms with one number of joints are expected where they share a parameter per joint, found: {found}"
+                f"arms with one number of joints are expected where they share a parameter per joint, found: {text}"
             )
         if len(set(kinds.values())) > 1:
-            found = "; ".join(f"{name} {', '.join(kind)}" for name, kind in kinds.items())
-            raise InputError(f"arms whose joints turn and slide alike are expected, found: {found}")
+            text = "; ".join(f"{name} {', '.join(kind)}" for name, kind in kinds.items())
+            raise InputError(f"arms whose joints turn and slide alike are expected, found: {text}")
         return next(iter(kinds.values()), ())
 
     @property

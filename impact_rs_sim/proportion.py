@@ -110,8 +110,8 @@ def reach_of(facts: RobotFacts) -> float:
     links, start = _bodies(facts), facts.floating_base is None
     origins = [facts.joints[number].xyz for number in facts.path][start:]
     steps = np.linalg.norm([(0.0, 0.0, 0.0), *origins, facts.flange.xyz], axis=1)
-    *before, chain = np.cumsum(steps)
+    *lengths, chain = np.cumsum(steps)
     mass = np.array([link.mass for link in links])
-    about = [np.sum(np.square(link.com)) + np.trace(link.inertia_matrix) / (2.0 * link.mass) for link in links]
-    spread = float(mass @ np.square(np.array(before) + np.sqrt(about)) / np.sum(mass))
+    squared_radii = [np.sum(np.square(link.com)) + np.trace(link.inertia_matrix) / (2.0 * link.mass) for link in links]
+    spread = float(mass @ np.square(np.array(lengths) + np.sqrt(squared_radii)) / np.sum(mass))
     return max(float(chain), float(np.sqrt(spread)))

@@ -32,9 +32,9 @@ class PageQuestions:
     @classmethod
     def of_environment(cls) -> PageQuestions | None:
         """The question channel of this process; None if no page has started it."""
-        given = os.environ.pop(VARIABLE, "")
+        descriptor = os.environ.pop(VARIABLE, "")
         try:
-            return cls(int(given)) if given else None
+            return cls(int(descriptor)) if descriptor else None
         except (ValueError, OSError):  # no number, or no socket
             return None
 
@@ -52,7 +52,7 @@ class PageQuestions:
 def said(line: str) -> dict[str, Any] | None:
     """Content of a line; None if it is invalid."""
     try:
-        found = json.loads(line)
+        content = json.loads(line)
     except (ValueError, RecursionError):
         return None
-    return found if isinstance(found, dict) else None
+    return content if isinstance(content, dict) else None

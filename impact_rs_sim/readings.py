@@ -87,7 +87,7 @@ class ArmReadings:
     def same_as(self, other: ArmReadings) -> bool:
         """Whether both sensor models are equal."""
         pairs = ((value, getattr(other, name)) for name, value in vars(self).items())
-        return all(one is two or np.all(one == two) for one, two in pairs)
+        return all(value_here is value_there or np.all(value_here == value_there) for value_here, value_there in pairs)
 
     @property
     def exact_motion(self) -> bool:
@@ -117,8 +117,8 @@ class ArmReadings:
             first: First output of the filters [rad/s] and its slope [rad/s^2], ``(n,)`` each; None: their input has
                 been a ramp before.
         """
-        seen = self.position_scale * self.velocity_gain * true
-        return filtered(time, delayed(time, seen, self.velocity_delay), self.velocity_filters, first)
+        unfiltered = self.position_scale * self.velocity_gain * true
+        return filtered(time, delayed(time, unfiltered, self.velocity_delay), self.velocity_filters, first)
 
     def mixing(self, joints: int) -> Array:
         """G, ``(n, n)`` [-]."""
@@ -140,8 +140,8 @@ class ArmReadings:
         """
         if self.exact:
             return true
-        seen = true @ self.mixing(true.shape[-1]).T + self._bias(age)
-        return filtered(time, delayed(time, seen, self.torque_delay), self.torque_filters, first)
+        unfiltered = true @ self.mixing(true.shape[-1]).T + self._bias(age)
+        return filtered(time, delayed(time, unfiltered, self.torque_delay), self.torque_filters, first)
 
     def torque_of(self, reading: Array, rate: Array, age: float) -> Array:
         """Torque for a reading and its slope, ``(n,)`` or ``(k, n)`` [N m].
@@ -240,17 +240,17 @@ class TrackerReadings:
             moments: When a reading is stamped, ``(m,)`` [s].
         """
         turn, shift, point = self._placed
-        late = filtered(time, poses, self.filters)
-        found = np.column_stack([np.interp(moments - self.delay, time, column) for column in late.T])
-        x, y, z, w = found[:, 3:].T  # of a box that turns about z and is tracked at a point of it
+        filtered_poses = filtered(time, poses, self.filters)
+        readings = np.column_stack([np.interp(moments - self.delay, time, column) for column in filtered_poses.T])
+        x, y, z, w = readings[:, 3:].T  # of a box that turns about z and is tracked at a point of it
         scale = 2.0 / np.maximum(x * x + y * y + z * z + w * w, 1e-300)
         first = np.column_stack((1.0 - scale * (y * y + z * z), scale * (x * y + z * w), scale * (x * z - y * w)))
         second = np.column_stack((scale * (x * y - z * w), 1.0 - scale * (x * x + z * z), scale * (y * z + x * w)))
-        found[:, :3] = (found[:, :3] + first * point[0] + second * point[1]) @ turn.T + shift
+        readings[:, :3] = (readings[:, :3] + first * point[0] + second * point[1]) @ turn.T + shift
         half = 0.5 * self.yaw
         c, s = math.cos(half), math.sin(half)  # product of the quaternions of the turn and of the object
-        found[:, 3:] = np.column_stack((c * x - s * y, c * y + s * x, c * z + s * w, c * w - s * z))
-        return found
+        readings[:, 3:] = np.column_stack((c * x - s * y, c * y + s * x, c * z + s * w, c * w - s * z))
+        return readings
 
     @property
     def _placed(self) -> tuple[Array, Array, Array]:
@@ -262,11 +262,11 @@ def delayed(time: Array, values: Array, delay: float) -> Array:
     """Values at ``time - delay``, ``(k, m)``; before the first sample they follow its slope."""
     if delay == 0.0:
         return values
-    found = np.asarray(scipy.interpolate.CubicSpline(time, values)(time - delay))
+    values_delayed = np.asarray(scipy.interpolate.CubicSpline(time, values)(time - delay))
     early, late = time - delay < time[0], time - delay > time[-1]
-    found[early] = values[0] + np.outer((time - delay - time[0])[early], _slope(time[:4], values[:4]))
-    found[late] = values[-1] + np.outer((time - delay - time[-1])[late], _slope(time[-4:], values[-4:]))
-    return found
+    values_delayed[early] = values[0] + np.outer((time - delay - time[0])[early], _slope(time[:4], values[:4]))
+    values_delayed[late] = values[-1] + np.outer((time - delay - time[-1])[late], _slope(time[-4:], values[-4:]))
+    return values_delayed
 
 
 def filtered(time: Array, values: Array, lags: Lags, first: Start | None = None) -> Array:
@@ -335,9 +335,9 @@ class Filter:
         last = len(self._earlier) - 1
         older = max(last - int(self._back) - 1, 0)
         newer, share = max(last - int(self._back), 0), self._back % 1.0
-        late = (1.0 - share) * self._earlier[newer] + share * self._earlier[older]
-        once = self._lag(late) if self._lag else late
-        self._sample, self._output = sample, _real(self._butterworth(once)) if self._butterworth else once
+        delayed_value = (1.0 - share) * self._earlier[newer] + share * self._earlier[older]
+        first_stage = self._lag(delayed_value) if self._lag else delayed_value
+        self._sample, self._output = sample, _real(self._butterworth(first_stage)) if self._butterworth else first_stage
         return self._output
 
 

@@ -87,8 +87,8 @@ def failures_of(scenario: Scenario) -> list[Check]:
     """Failed checks of the arms of a scenario that need no simulator: inertias, limits, drives."""
     checks = []
     for name, robot in scenario.robots.items():
-        own = failures_of_facts(robot.robot_facts)
-        checks += own or _check_drive(name, robot, scenario.timing.drive_period)
+        facts_failures = failures_of_facts(robot.robot_facts)
+        checks += facts_failures or _check_drive(name, robot, scenario.timing.drive_period)
     return [check for check in checks if check.outcome == "failed"]
 
 
@@ -137,29 +137,30 @@ def _label(facts: RobotFacts, number: int) -> str:
 
 def _check_inertias(facts: RobotFacts) -> Check:
     """Moments of a body are positive, and none is larger than the sum of the other two."""
-    name, worst, wrong = "inertias are those of bodies", 0.0, []
+    name, largest_ratio, errors = "inertias are those of bodies", 0.0, []
     bodies: dict[str, Inertial] = {_label(facts, number): link for number, link in enumerate(facts.links, start=1)}
     if facts.floating_base is not None:
         bodies["floating_base"] = facts.floating_base
     for label, link in bodies.items():
         moments, axes = np.linalg.eigh(link.inertia_matrix)
         about = [f"about {_direction(axis)}" for axis in axes.T]
-        negative = [place for place in range(3) if moments[place] <= 0.0]
-        wrong += [
-            f"{label}: principal moment {moments[place]:.3g} kg m^2 {about[place]}, expected > 0" for place in negative
+        negative = [axis_index for axis_index in range(3) if moments[axis_index] <= 0.0]
+        errors += [
+            f"{label}: principal moment {moments[axis_index]:.3g} kg m^2 {about[axis_index]}, expected > 0"
+            for axis_index in negative
         ]
         if negative:
             continue
         ratio = moments[2] / (moments[0] + moments[1])
         if ratio > 1.0 + TRIANGLE_INEQUALITY_TOLERANCE:
-            wrong.append(
+            errors.append(
                 f"{label}: largest principal moment is {ratio:.3g} of the sum of the others "
                 f"({moments[2]:.3g} kg m^2 {about[2]}), expected <= 1"
             )
-        worst = max(worst, ratio)
-    if wrong:
-        return Check(name, "failed", "; ".join(wrong))
-    return Check(name, "ok", f"largest principal moment at most {worst:.3g} of the sum of the others")
+        largest_ratio = max(largest_ratio, ratio)
+    if errors:
+        return Check(name, "failed", "; ".join(errors))
+    return Check(name, "ok", f"largest principal moment at most {largest_ratio:.3g} of the sum of the others")
 
 
 def _direction(axis: Array) -> str:
@@ -169,7 +170,7 @@ def _direction(axis: Array) -> str:
 
 def _check_bodies(facts: RobotFacts) -> Check:
     """Check masses, sizes and densities of the links for plausibility; all findings in one check."""
-    name, wrong, densities = "links are like those of arms", [], []
+    name, findings, densities = "links are like those of arms", [], []
     masses = [link.mass for link in facts.links]
     steps: dict[int, list[float]] = {number: [] for number in range(len(facts.links) + 1)}
     for number, (joint, parent) in enumerate(zip(facts.joints, facts.parents, strict=True), start=1):
@@ -183,31 +184,31 @@ def _check_bodies(facts: RobotFacts) -> Check:
         density = density_lower_bound(link.mass, moments)
         densities.append(density)
         if density > MAX_DENSITY_KG_M3:
-            wrong.append(
+            findings.append(
                 f"{label}: a body of {link.mass:.3g} kg with principal moments of "
                 f"{', '.join(f'{moment:.2g}' for moment in moments)} kg m^2 is denser than {density:.2g} kg/m^3 "
                 f"somewhere, expected at most {MAX_DENSITY_KG_M3:g}: moments too small?"
             )
         ball = float((3.0 * link.mass / (4.0 * np.pi * MIN_DENSITY_KG_M3)) ** (1.0 / 3.0))
         length = max(*steps[number], float(np.linalg.norm(link.com)), ball)
-        long = [
+        too_long = [
             f"{moment:.3g} kg m^2 about {axis} (radius of gyration {np.sqrt(moment / link.mass):.2g} m)"
             for axis, moment in zip(AXES, np.diag(link.inertia_matrix), strict=True)
             if moment > link.mass * (MAX_GYRATION_RATIO * length) ** 2
         ]
-        if long:
-            wrong.append(
-                f"{label}: {', '.join(long)}, "
+        if too_long:
+            findings.append(
+                f"{label}: {', '.join(too_long)}, "
                 f"expected at most {MAX_GYRATION_RATIO:g} times the {length:.2g} m of the link"
             )
-        near = [*masses[max(0, number - 3) : number - 1], *masses[number : number + 2]]
-        if near and link.mass > MAX_MASS_RATIO * max(near):
-            wrong.append(
-                f"{label}: {link.mass:.3g} kg beside neighbours of {', '.join(f'{mass:.3g}' for mass in near)} kg, "
+        adjacent_masses = [*masses[max(0, number - 3) : number - 1], *masses[number : number + 2]]
+        if adjacent_masses and link.mass > MAX_MASS_RATIO * max(adjacent_masses):
+            findings.append(
+                f"{label}: {link.mass:.3g} kg beside neighbours of {', '.join(f'{mass:.3g}' for mass in adjacent_masses)} kg, "
                 f"expected at most {MAX_MASS_RATIO:g} times the heaviest of them"
             )
-    if wrong:
-        return Check(name, "warning", "; ".join(wrong))
+    if findings:
+        return Check(name, "warning", "; ".join(findings))
     if not densities:
         return Check(name, "ok", "no link moves on the base")
     return Check(
@@ -236,8 +237,8 @@ def _check_limits(facts: RobotFacts) -> Check:
     ranges = zip(facts.moving, limits.position_min_rad, limits.position_max_rad, strict=True)
     for number, (joint, lower, upper) in enumerate(ranges, start=1):
         if lower >= upper:
-            found = f"joint {number}: position from {lower:g} to {upper:g} {joint.units.position}"
-            return Check(name, "failed", f"{found}, expected lower < upper")
+            range_text = f"joint {number}: position from {lower:g} to {upper:g} {joint.units.position}"
+            return Check(name, "failed", f"{range_text}, expected lower < upper")
         spans.setdefault(joint.type, []).append(upper - lower)
     texts = (
         f"{MOTION_VERB[kind]} by {min(of):.3g} to {max(of):.3g} {UNITS[kind].position}" for kind, of in spans.items()
@@ -257,21 +258,21 @@ def _assumed_drive(arm: str, robot: Robot, stated: float) -> list[Check]:
     drive = robot.drive
     if not drive.assumed:
         return []
-    found = f"assumed: {', '.join(drive.assumed)}"
+    text = f"assumed: {', '.join(drive.assumed)}"
     if drive.assumes_motor_inertia:
-        found += f"; intervals of predictions take the motor inertia for known to {100.0 * stated:g} %"
+        text += f"; intervals of predictions take the motor inertia for known to {100.0 * stated:g} %"
         if stated < ASSUMED_MOTOR_INERTIA:
-            found += f": set uncertainty.motor_inertia to {ASSUMED_MOTOR_INERTIA:g}"
-    return [Check(f"drive of {arm} is measured or published", "warning", found)]
+            text += f": set uncertainty.motor_inertia to {ASSUMED_MOTOR_INERTIA:g}"
+    return [Check(f"drive of {arm} is measured or published", "warning", text)]
 
 
 def _check_engines(model: RobotModel, positions: Array) -> Check:
-    ours = np.array([model.mass_matrix(q) for q in positions])
-    theirs = mass_matrices(model.facts, model.end_effector, positions)
-    scale = np.abs(ours).max(axis=(1, 2))
-    worst = float((np.abs(ours - theirs).max(axis=(1, 2)) / scale).max())
-    outcome: Outcome = "ok" if worst <= MAX_ENGINE_DIFFERENCE else "failed"
-    return Check("Pinocchio and Bullet see the same arm", outcome, f"mass matrices differ by {worst:.1e} of M")
+    pinocchio_matrices = np.array([model.mass_matrix(q) for q in positions])
+    bullet_matrices = mass_matrices(model.facts, model.end_effector, positions)
+    scale = np.abs(pinocchio_matrices).max(axis=(1, 2))
+    difference = float((np.abs(pinocchio_matrices - bullet_matrices).max(axis=(1, 2)) / scale).max())
+    outcome: Outcome = "ok" if difference <= MAX_ENGINE_DIFFERENCE else "failed"
+    return Check("Pinocchio and Bullet see the same arm", outcome, f"mass matrices differ by {difference:.1e} of M")
 
 
 def _check_gravity(model: RobotModel, positions: Array) -> Check:
@@ -279,19 +280,19 @@ def _check_gravity(model: RobotModel, positions: Array) -> Check:
     share = np.abs([model.gravity_torque(q) for q in positions]) / model.torque_max
     joint = int(share.max(axis=0).argmax())
     kind = EFFORT_NOUN[model.facts.joints[joint].type]
-    found = f"joint {joint + 1}: gravity takes up to {100.0 * share.max():.3g} % of the {kind} limit"
-    unlikely = _placeholders(model, positions)
-    return Check(name, "warning" if share.max() > 1.0 or unlikely else "ok", "; ".join([found, *unlikely]))
+    text = f"joint {joint + 1}: gravity takes up to {100.0 * share.max():.3g} % of the {kind} limit"
+    warnings = _placeholders(model, positions)
+    return Check(name, "warning" if share.max() > 1.0 or warnings else "ok", "; ".join([text, *warnings]))
 
 
 def _placeholders(model: RobotModel, positions: Array) -> list[str]:
     """Warnings about limits that look like placeholders: all equal, or far beyond the needs of the arm."""
-    limits, found = model.facts.limits, []
+    limits, warnings = model.facts.limits, []
     if model.joint_count < MIN_EQUAL_LIMITS:
         return []  # a motor that is much too strong is usual there
     if len(set(limits.torque_Nm)) == len(set(limits.velocity_rad_s)) == 1:
         units = model.facts.units[0]
-        found.append(
+        warnings.append(
             f"all joints have the same limits, {limits.torque_Nm[0]:g} {units.effort} and {limits.velocity_rad_s[0]:g} "
             f"{units.velocity}: placeholders of a URDF?"
         )
@@ -301,11 +302,11 @@ def _placeholders(model: RobotModel, positions: Array) -> list[str]:
     mass = sum(link.mass for link in model.facts.links)
     load = (model.torque_max[carries] - weight[carries]) / (GRAVITY_M_S2 * lever[carries])
     if load.size and np.min(load) > MAX_LOAD_RATIO * mass:
-        found.append(
+        warnings.append(
             f"torque limits carry {np.min(load):.3g} kg at full reach, {np.min(load) / mass:.2g} times the {mass:.3g} "
             f"kg of the arm, expected at most {MAX_LOAD_RATIO:g} times: placeholders of a URDF, or masses too small?"
         )
-    return found
+    return warnings
 
 
 def _check_drive(arm: str, robot: Robot, period: float) -> list[Check]:
@@ -316,10 +317,10 @@ def _check_drive(arm: str, robot: Robot, period: float) -> list[Check]:
     checks = []
     for joint, link_inertia in enumerate(lightest):
         values = drive.reflected_inertia[joint], drive.stiffness[joint], drive.damping[joint]
-        found = joint_stability(float(link_inertia), *values, period)
-        if found.spectral_radius >= 1.0 - SPECTRAL_RADIUS_ROUNDING:
+        stability = joint_stability(float(link_inertia), *values, period)
+        if stability.spectral_radius >= 1.0 - SPECTRAL_RADIUS_ROUNDING:
             units = robot.robot_facts.units[joint]
-            checks.append(_instability_text(arm, joint, units, found, drive.damping[joint], period))
+            checks.append(_instability_text(arm, joint, units, stability, drive.damping[joint], period))
     motors, stiffness, damping = (
         np.array(values) for values in (drive.reflected_inertia, drive.stiffness, drive.damping)
     )
@@ -331,25 +332,27 @@ def _check_drive(arm: str, robot: Robot, period: float) -> list[Check]:
         if radius <= 1.0 + SPECTRAL_RADIUS_ROUNDING
         else "failed"
     )
-    found_all = f"spectral radius of all joints together {radius:.6g} at {1e3 * period:g} ms, expected < 1"
-    return [*checks, Check(f"drive of {arm} is stable", outcome, found_all)]
+    text = f"spectral radius of all joints together {radius:.6g} at {1e3 * period:g} ms, expected < 1"
+    return [*checks, Check(f"drive of {arm} is stable", outcome, text)]
 
 
 def _instability_text(
-    arm: str, joint: int, units: JointUnits, found: JointStability, damping: float, period: float
+    arm: str, joint: int, units: JointUnits, stability: JointStability, damping: float, period: float
 ) -> Check:
     """Description of an unstable joint, and remedies."""
     name = f"drive of {arm}, joint {joint + 1}"
-    radius = f"spectral radius {found.spectral_radius:.6g} with {found.link_inertia:.3g} {units.inertia} on the link"
+    radius = (
+        f"spectral radius {stability.spectral_radius:.6g} with {stability.link_inertia:.3g} {units.inertia} on the link"
+    )
     if damping == 0.0:
         return Check(
             name,
-            "failed" if found.spectral_radius > 1.0 + SPECTRAL_RADIUS_ROUNDING else "warning",
+            "failed" if stability.spectral_radius > 1.0 + SPECTRAL_RADIUS_ROUNDING else "warning",
             f"{radius}: no damping",
         )
-    remedies = [f"timing.drive_period < {found.period_below:.3g} s (now {period:g})"]
-    if found.damping_below > 0.0:
-        remedies.insert(0, f"drive.damping < {found.damping_below:.3g} {units.damping} (now {damping:g})")
-    if found.stiffness_below > 0.0:
-        remedies.insert(0, f"drive.stiffness < {found.stiffness_below:.3g} {units.stiffness}")
+    remedies = [f"timing.drive_period < {stability.period_below:.3g} s (now {period:g})"]
+    if stability.damping_below > 0.0:
+        remedies.insert(0, f"drive.damping < {stability.damping_below:.3g} {units.damping} (now {damping:g})")
+    if stability.stiffness_below > 0.0:
+        remedies.insert(0, f"drive.stiffness < {stability.stiffness_below:.3g} {units.stiffness}")
     return Check(name, "failed", f"{radius}; what would do: {', or '.join(remedies)}")

@@ -74,8 +74,10 @@ class BodyState:
 def standing(physics: Physics, object_: BodyState) -> tuple[BodyState, ...]:
     """Neighbours of the object (:attr:`Physics.neighbours`), at rest beside it wherever it is."""
     return tuple(
-        BodyState(object_.position + object_.rotation @ one.position, object_.rotation @ one.rotation, np.zeros(6))
-        for one in physics.neighbours
+        BodyState(
+            object_.position + object_.rotation @ neighbour.position, object_.rotation @ neighbour.rotation, np.zeros(6)
+        )
+        for neighbour in physics.neighbours
     )
 
 
@@ -133,9 +135,12 @@ class Scene:
         case = scenario.cases[case_name]
         models, arms = {}, {}
         for name, robot in scenario.robots.items():
-            wanted = case.robots[name]
+            motion = case.robots[name]
             model = physics.robot_model(name)
-            linear = {"": np.array(wanted.ante_velocity), **{one: np.array(own) for one, own in wanted.hands.items()}}
+            linear = {
+                "": np.array(motion.ante_velocity),
+                **{hand_name: np.array(hand_velocity) for hand_name, hand_velocity in motion.hands.items()},
+            }
             try:
                 if robot.impact.joint_position is not None:
                     q = model.position_of(_within_limits(model, np.array(robot.impact.joint_position)))
@@ -144,8 +149,8 @@ class Scene:
                     placement = scenario.impact_placement(name, object_name)
                     guess = np.array(robot.impact.joint_guess)
                     hands = {hand: scenario.impact_placement(name, object_name, hand) for hand in robot.hands}
-                    q = model.inverse_kinematics(placement, wanted.held, guess, hands=hands)
-                    dq = _impact_velocity(model, q, linear, wanted.joint_1_velocity)
+                    q = model.inverse_kinematics(placement, motion.posture_joints, guess, hands=hands)
+                    dq = _impact_velocity(model, q, linear, motion.joint_1_velocity)
             except UnreachablePose as error:
                 raise UnreachablePose(
                     f"cases.{case_name}, robots.{name}.impact of scenario {scenario.name!r}: {error}"
@@ -177,15 +182,15 @@ def _impact_velocity(model: RobotModel, q: Array, linear: Mapping[str, Array], j
         UnreachablePose: No solution: too few joints, or a singular pose.
     """
     tasks = np.vstack([model.jacobian(q, hand) for hand in linear])
-    wanted = np.concatenate([np.append(own, np.zeros(3)) for own in linear.values()])
+    target = np.concatenate([np.append(velocity, np.zeros(3)) for velocity in linear.values()])
     if joint_1 is not None:
-        tasks, wanted = np.vstack((tasks, np.eye(model.joint_count)[:1])), np.append(wanted, joint_1)
-    dq = np.linalg.pinv(tasks) @ wanted
-    missed = float(np.abs(tasks @ dq - wanted).max())
-    if missed > 1e-6 * max(1.0, float(np.abs(wanted).max())):
+        tasks, target = np.vstack((tasks, np.eye(model.joint_count)[:1])), np.append(target, joint_1)
+    dq = np.linalg.pinv(tasks) @ target
+    error = float(np.abs(tasks @ dq - target).max())
+    if error > 1e-6 * max(1.0, float(np.abs(target).max())):
         raise UnreachablePose(
             f"ante_velocity {_velocities_in_words(linear)} m/s without rotation is beyond these joints: the nearest "
-            f"velocity is off by {missed:.3g} (m/s or rad/s)"
+            f"velocity is off by {error:.3g} (m/s or rad/s)"
         )
     return np.asarray(dq)
 
@@ -219,23 +224,23 @@ def _velocity_of_given_joints(model: RobotModel, q: Array, linear: Mapping[str, 
     base = model.facts.base_size
     if base and len(linear) == 1:
         return np.concatenate((model.base.rotation.T @ linear[""], np.zeros(model.joint_count - 3)))
-    jacobians, wanted = [model.jacobian(q, hand)[:, base:] for hand in linear], np.concatenate(list(linear.values()))
-    moving, turning = (np.vstack([own[rows] for own in jacobians]) for rows in (slice(0, 3), slice(3, 6)))
-    dq = np.linalg.pinv(moving, rcond=SINGULAR_VALUE_TOLERANCE) @ wanted
-    missed = float(np.abs(moving @ dq - wanted).max())
-    if missed > 1e-6 * max(1.0, float(np.abs(wanted).max())):
+    jacobians, target = [model.jacobian(q, hand)[:, base:] for hand in linear], np.concatenate(list(linear.values()))
+    moving, turning = (np.vstack([jacobian[rows] for jacobian in jacobians]) for rows in (slice(0, 3), slice(3, 6)))
+    dq = np.linalg.pinv(moving, rcond=SINGULAR_VALUE_TOLERANCE) @ target
+    error = float(np.abs(moving @ dq - target).max())
+    if error > 1e-6 * max(1.0, float(np.abs(target).max())):
         raise UnreachablePose(
             f"ante_velocity {_velocities_in_words(linear)} m/s is beyond these joints there: the nearest is off by "
-            f"{missed:.3g} m/s"
+            f"{error:.3g} m/s"
         )
-    still = scipy.linalg.null_space(moving, rcond=SINGULAR_VALUE_TOLERANCE)
-    back = np.linalg.pinv(turning @ still, rcond=SINGULAR_VALUE_TOLERANCE) @ (turning @ dq)
-    return np.concatenate((np.zeros(base), dq - still @ back))
+    null_space = scipy.linalg.null_space(moving, rcond=SINGULAR_VALUE_TOLERANCE)
+    correction = np.linalg.pinv(turning @ null_space, rcond=SINGULAR_VALUE_TOLERANCE) @ (turning @ dq)
+    return np.concatenate((np.zeros(base), dq - null_space @ correction))
 
 
 def _velocities_in_words(linear: Mapping[str, Array]) -> str:
     """Velocities of the pads with the names of their hands."""
-    return " and ".join(f"{f'of {hand} ' if hand else ''}{own.tolist()}" for hand, own in linear.items())
+    return " and ".join(f"{f'of {hand} ' if hand else ''}{velocity.tolist()}" for hand, velocity in linear.items())
 
 
 def resting_pose(scenario: Scenario, object_name: str) -> BodyState:
@@ -276,9 +281,9 @@ def _square_to_given_pad(scenario: Scenario, name: str, pad: pin.SE3, size: Arra
     normal, extent = pad.rotation[:, 2], np.array(scenario.robots[name].end_effector.pad.size)
     level = np.append(normal[:2], 0.0)
     if (share := float(np.linalg.norm(level))) < MIN_HORIZONTAL_COSINE:
-        way = "up" if normal[2] > 0.0 else "down"
+        direction = "up" if normal[2] > 0.0 else "down"
         raise InputError(
-            f"the pad looks {way} there, by {np.degrees(np.arccos(share)):.0f} degrees; objects are hit from the side, "
+            f"the pad looks {direction} there, by {np.degrees(np.arccos(share)):.0f} degrees; objects are hit from the side, "
             f"expected at most {np.degrees(np.arccos(MIN_HORIZONTAL_COSINE)):.0f}",
             key=key,
         )

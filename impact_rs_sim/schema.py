@@ -107,8 +107,8 @@ class _Loader(yaml.SafeLoader):
         self._depth += 1
         self._nodes += 1
         if self._depth > MAX_DEPTH or self._nodes > MAX_NODES:
-            what = f"nested deeper than {MAX_DEPTH}" if self._depth > MAX_DEPTH else f"more than {MAX_NODES} entries"
-            raise _Mistake(what, self.peek_event().start_mark)
+            message = f"nested deeper than {MAX_DEPTH}" if self._depth > MAX_DEPTH else f"more than {MAX_NODES} entries"
+            raise _Mistake(message, self.peek_event().start_mark)
         node = super().compose_node(parent, index)
         self._depth -= 1
         return node
@@ -131,8 +131,8 @@ class _Loader(yaml.SafeLoader):
         if not isinstance(node, yaml.ScalarNode) or node.tag not in self.yaml_constructors:
             raise _Mistake(f"the type {shortened(kind)!r} is not understood", node.start_mark, path)
         if node.tag != _TEXT and len(node.value) > MAX_NUMBER_LENGTH:
-            found = f"{len(node.value)} characters"
-            raise _Mistake(f"{found}, expected at most {MAX_NUMBER_LENGTH} for a {kind}", node.start_mark, path)
+            length_text = f"{len(node.value)} characters"
+            raise _Mistake(f"{length_text}, expected at most {MAX_NUMBER_LENGTH} for a {kind}", node.start_mark, path)
         try:
             return self.construct_object(node)
         except Exception:  # any error of a constructor: int('x'), an invalid date
@@ -160,13 +160,13 @@ def parse_value(text: str, file: str | Path) -> Any:
         return loader.value(loader.get_single_node())
     except _Mistake as mistake:
         key, mark = ".".join(mistake.path) or None, mistake.mark
-        place = f" at line {mark.line + 1}, column {mark.column + 1}"
-        raise InputError(f"not valid YAML{place}: {shortened(str(mistake))}", file=file, key=key) from None
+        position = f" at line {mark.line + 1}, column {mark.column + 1}"
+        raise InputError(f"not valid YAML{position}: {shortened(str(mistake))}", file=file, key=key) from None
     except yaml.YAMLError as error:
-        found = getattr(error, "problem_mark", None)
-        place = f" at line {found.line + 1}, column {found.column + 1}" if found else ""
+        mark_of_error = getattr(error, "problem_mark", None)
+        position = f" at line {mark_of_error.line + 1}, column {mark_of_error.column + 1}" if mark_of_error else ""
         problem = getattr(error, "problem", None) or str(error)
-        raise InputError(f"not valid YAML{place}: {shortened(problem)}", file=file) from None
+        raise InputError(f"not valid YAML{position}: {shortened(problem)}", file=file) from None
     except Exception as error:  # the library has more of them than it says, for example of a version directive
         raise InputError(f"not valid YAML: {shortened(f'{type(error).__name__}: {error}')}", file=file) from None
 
@@ -275,8 +275,8 @@ def _input_error(schema: type[Schema], error: ValidationError, file: str | Path 
         message = f"unknown key{_did_you_mean(schema, location)}"
         meaning = ""
     else:
-        words = MISTAKE_TEXTS[kind].format_map(first.get("ctx", {})) if kind in MISTAKE_TEXTS else first["msg"]
-        message = words.removeprefix("Value error, ").removeprefix("Assertion failed, ")
+        template_text = MISTAKE_TEXTS[kind].format_map(first.get("ctx", {})) if kind in MISTAKE_TEXTS else first["msg"]
+        message = template_text.removeprefix("Value error, ").removeprefix("Assertion failed, ")
         message = shortened(message.replace("Input should be", "expected").replace("Field required", "missing"), 600)
         value = first["input"] if not isinstance(first["input"], dict) else None
     if meaning:

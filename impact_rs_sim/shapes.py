@@ -152,36 +152,36 @@ def hull_of(corners: tuple[tuple[float, float, float], ...]) -> ConvexShape:
     """
     points = np.array(corners, dtype=float)
     try:
-        found = scipy.spatial.ConvexHull(points)
+        hull = scipy.spatial.ConvexHull(points)
     except (scipy.spatial.QhullError, ValueError):
         raise ValueError("corners: expected four points or more that are not in a plane [m]") from None
     planes: dict[int, set[int]] = {}
-    owner = np.full(len(found.simplices), -1)
-    for start in range(len(found.simplices)):  # neighbours with one normal are one face
+    owner = np.full(len(hull.simplices), -1)
+    for start in range(len(hull.simplices)):  # neighbours with one normal are one face
         stack = [start] if owner[start] < 0 else []
         while stack:
             triangle = stack.pop()
             if owner[triangle] >= 0:
                 continue
             owner[triangle] = start
-            planes.setdefault(start, set()).update(found.simplices[triangle].tolist())
-            for other in found.neighbors[triangle]:
-                if found.equations[other, :3] @ found.equations[start, :3] > 1.0 - COPLANAR:
-                    stack.append(int(other))
+            planes.setdefault(start, set()).update(hull.simplices[triangle].tolist())
+            for neighbour in hull.neighbors[triangle]:
+                if hull.equations[neighbour, :3] @ hull.equations[start, :3] > 1.0 - COPLANAR:
+                    stack.append(int(neighbour))
     faces = []
     for start, numbers in planes.items():
-        normal = found.equations[start, :3]
-        own = np.array(sorted(numbers))
-        apart = points[own] - points[own].mean(axis=0)
-        first = apart[0] / np.linalg.norm(apart[0])
-        angle = np.arctan2(apart @ np.cross(normal, first), apart @ first)
-        faces.append(own[np.argsort(angle)])
-    kept = np.unique(np.concatenate(faces))
-    number = {int(old): new for new, old in enumerate(kept)}
+        normal = hull.equations[start, :3]
+        indices = np.array(sorted(numbers))
+        offsets = points[indices] - points[indices].mean(axis=0)
+        first = offsets[0] / np.linalg.norm(offsets[0])
+        angle = np.arctan2(offsets @ np.cross(normal, first), offsets @ first)
+        faces.append(indices[np.argsort(angle)])
+    vertices = np.unique(np.concatenate(faces))
+    new_index = {int(vertex): index for index, vertex in enumerate(vertices)}
     shape = ConvexShape(
         "hull",
-        tuple(tuple(points[old].tolist()) for old in kept),
-        tuple(tuple(number[int(old)] for old in face) for face in faces),
+        tuple(tuple(points[vertex].tolist()) for vertex in vertices),
+        tuple(tuple(new_index[int(vertex)] for vertex in face) for face in faces),
     )
     shape.kernel  # noqa: B018  refuses faces that do not close around the origin
     return shape

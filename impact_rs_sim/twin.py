@@ -125,7 +125,9 @@ def simulate(jobs: Sequence[TwinJob], threads: int = 1) -> list[Result]:
         if key not in models:
             models[key] = kernel_twin(job.physics, job.period, job.joint_torque, job.refinement)
         prepared.append(_prepared(models[key], job))
-    return [_result(job, *found) for job, found in zip(jobs, _kernel.run_twins(prepared, threads), strict=True)]
+    return [
+        _result(job, *task_result) for job, task_result in zip(jobs, _kernel.run_twins(prepared, threads), strict=True)
+    ]
 
 
 def rests(physics: Physics, state: BodyState) -> bool:
@@ -163,12 +165,12 @@ def box_starts(physics: Physics, object_: BodyState) -> list[_kernel.TwinBoxStar
 
 def motions(physics: Physics, rows: Array) -> tuple[dict[str, ArmMotion], Array]:
     """Split states of the kernel, ``(row,)`` or ``(k, row)``: motion of the arms, and columns of the objects."""
-    arms, at = {}, 0
+    arms, start = {}, 0
     for name, arm in physics.arms.items():
         n = arm.facts.joint_count
-        arms[name] = ArmMotion(*(rows[..., at + i * n : at + (i + 1) * n] for i in range(5)))
-        at += 5 * n
-    return arms, rows[..., at:]
+        arms[name] = ArmMotion(*(rows[..., start + i * n : start + (i + 1) * n] for i in range(5)))
+        start += 5 * n
+    return arms, rows[..., start:]
 
 
 def _result(
@@ -183,8 +185,8 @@ def _result(
     failure: str,
 ) -> Result:
     arms, bodies = motions(job.physics, rows)
-    (poses, twists), *others = [(body[:, :7], body[:, 7:]) for body in _bodies(bodies)]
-    neighbours = dict(zip((one.name for one in job.physics.neighbours), others, strict=False))
+    (poses, twists), *neighbour_bodies = [(body[:, :7], body[:, 7:]) for body in _bodies(bodies)]
+    neighbours = dict(zip((neighbour.name for neighbour in job.physics.neighbours), neighbour_bodies, strict=False))
     return Result(
         arms, poses, twists, neighbours, residual, steps, contact_steps, iterations, fallbacks, tuple(failed), failure
     )
@@ -198,7 +200,7 @@ def _bodies(columns: Array) -> list[Array]:
 def kernel_twin(physics: Physics, period: float, joint_torque: bool, refinement: int) -> _kernel.Twin:
     """A scene in the form of the kernel; arguments as the attributes of :class:`TwinJob`."""
     arms = [_arm(physics, name, period, joint_torque) for name in physics.arms]
-    boxes = (physics.object, *(one.body for one in physics.neighbours))
+    boxes = (physics.object, *(neighbour.body for neighbour in physics.neighbours))
     support = None
     if physics.support_height is not None:
         half_x, half_y = (extent / 2.0 for extent in physics.support_size)
@@ -228,7 +230,7 @@ def _arm(physics: Physics, name: str, period: float, joint_torque: bool) -> _ker
         force = np.sum([spring.pull for spring in springs], axis=0)
         pull = (force, sum(spring.stiffness for spring in springs), arm.impact_position)
     formulas = [formula for load in arm.loads if isinstance(load, FormulaLoad) for formula in _arm_formulas(load, n)]
-    others = tuple(load for load in arm.loads if not isinstance(load, (Spring, FormulaLoad)))
+    python_loads = tuple(load for load in arm.loads if not isinstance(load, (Spring, FormulaLoad)))
     return _kernel.TwinArm(
         links,
         Drive(arm, period),
@@ -252,7 +254,7 @@ def _arm(physics: Physics, name: str, period: float, joint_torque: bool) -> _ker
         None if arm.tool_spring is None else (arm.tool_spring.motions @ _turned_twists(tip).T, arm.tool_spring.lag),
         pull,
         formulas,
-        _call(physics, name, others) if others else None,
+        _call(physics, name, python_loads) if python_loads else None,
     )
 
 
@@ -267,15 +269,15 @@ def _links(arm: ArmPhysics, gravity: Array) -> tuple[_kernel.Chain, Array]:
     com = np.array([link.com for link in facts.links])
     inertia = np.array([link.inertia_matrix for link in facts.links])
     tip = flange @ end_effector.mount.rotation
-    place = np.array(facts.flange.xyz) + flange @ end_effector.mount.translation
-    own = place + tip @ end_effector.com
+    tip_position = np.array(facts.flange.xyz) + flange @ end_effector.mount.translation
+    tool_com = tip_position + tip @ end_effector.com
     total = mass[-1] + end_effector.mass
-    middle = (mass[-1] * com[-1] + end_effector.mass * own) / total
+    com_total = (mass[-1] * com[-1] + end_effector.mass * tool_com) / total
     inertia[-1] += tip @ end_effector.inertia @ tip.T
-    inertia[-1] += mass[-1] * _steiner(com[-1] - middle) + end_effector.mass * _steiner(own - middle)
-    mass[-1], com[-1] = total, middle
+    inertia[-1] += mass[-1] * _steiner(com[-1] - com_total) + end_effector.mass * _steiner(tool_com - com_total)
+    mass[-1], com[-1] = total, com_total
     slides = [joint.type == "prismatic" for joint in facts.joints]
-    return _kernel.Chain(rotations, origins, slides, mass, com, inertia, gravity, place), tip
+    return _kernel.Chain(rotations, origins, slides, mass, com, inertia, gravity, tip_position), tip
 
 
 def _turned_twists(rotation: Array) -> Array:
@@ -303,12 +305,12 @@ def _call(physics: Physics, name: str, loads: tuple[Load, ...]) -> _kernel.TwinL
                 f"robots.{name}: the twin has no load between pad and object from a Python class, got "
                 f"{type(load).__name__}; expected formulas, contact_normal or contact_tangential"
             )
-    only = replace(physics, arms={name: replace(physics.arms[name], loads=loads)})
-    model = only.robot_model(name)
+    physics_with_loads = replace(physics, arms={name: replace(physics.arms[name], loads=loads)})
+    model = physics_with_loads.robot_model(name)
 
     def call(symbols: Array, position: Array, velocity: Array, torque: Array) -> tuple[Array, Array]:
         scene = dict(zip(_kernel.SYMBOLS, symbols.tolist(), strict=True))
-        return only.load_torques(name, model, scene["t"], position, velocity, torque, scene)
+        return physics_with_loads.load_torques(name, model, scene["t"], position, velocity, torque, scene)
 
     return call
 
@@ -317,12 +319,14 @@ def _arm_formulas(load: FormulaLoad, joints: int) -> list[_kernel.TwinFormula]:
     """Formulas of a load on an arm in the form of the kernel."""
     tables: dict[int, Mapping[int, Formula | None]] = dict(enumerate((load.torque, load.motor, load.force)))
     tables |= {ON_PAD: {0: load.pad.get(0)}, ALONG_PAD: {0: load.pad.get(1)}}
-    return [found for acts, own in tables.items() for found in _formulas(load.name, acts, own, load.numbers, joints)]
+    return [
+        formula for acts, table in tables.items() for formula in _formulas(load.name, acts, table, load.numbers, joints)
+    ]
 
 
 def _object_formulas(physics: Physics) -> list[_kernel.TwinFormula]:
     """Formulas of the loads on the object in the form of the kernel."""
-    found: list[_kernel.TwinFormula] = []
+    formulas: list[_kernel.TwinFormula] = []
     for load in physics.object_loads:
         if not isinstance(load, FormulaObjectLoad):
             raise InputError(f"a load on the object that is no formula is unknown to the twin: {type(load).__name__}")
@@ -333,21 +337,21 @@ def _object_formulas(physics: Physics) -> list[_kernel.TwinFormula]:
             ALONG_SUPPORT: {0: load.support.get(1)},
         }
         for acts, table in tables.items():
-            found += _formulas(load.name, acts, table, load.numbers, 0)
-    return found
+            formulas += _formulas(load.name, acts, table, load.numbers, 0)
+    return formulas
 
 
 def _formulas(
     effect: str, acts: int, table: Mapping[int, Formula | None], numbers: Mapping[str, float], joints: int
 ) -> list[_kernel.TwinFormula]:
     """Formulas by joint or axis in the form of the kernel: effect, what it acts on, joint or axis, code, constants."""
-    found: list[_kernel.TwinFormula] = []
+    compiled: list[_kernel.TwinFormula] = []
     for index, formula in table.items():
         if formula is not None:
             code, constants = _postfix(formula.text, joints)
             values = [numbers[value] if isinstance(value, str) else value for value in constants]
-            found.append((effect, acts, index, code, values))
-    return found
+            compiled.append((effect, acts, index, code, values))
+    return compiled
 
 
 @functools.lru_cache(maxsize=4096)

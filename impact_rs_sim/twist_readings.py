@@ -65,15 +65,15 @@ class TwistReadings:
             true: v and omega.
             rotation: R, rotation matrix of the body.
         """
-        own, spins = self._rotations
+        axes, spin_axes = self._rotations
         velocity = true[:3] + np.cross(true[3:], self.lever(rotation))
-        return np.concatenate((own @ velocity, own @ (self.spin_factor * (spins @ true[3:]))))
+        return np.concatenate((axes @ velocity, axes @ (self.spin_factor * (spin_axes @ true[3:]))))
 
     def twist_of(self, reading: Array, rotation: Array) -> Array:
         """Twist of the centre for a reading: the inverse of :meth:`twist`, ``(6,)`` [m/s, rad/s]."""
-        own, spins = self._rotations
-        turning = spins.T @ (own.T @ reading[3:]) / self.spin_factor
-        return np.concatenate((own.T @ reading[:3] - np.cross(turning, self.lever(rotation)), turning))
+        axes, spin_axes = self._rotations
+        spin = spin_axes.T @ (axes.T @ reading[3:]) / self.spin_factor
+        return np.concatenate((axes.T @ reading[:3] - np.cross(spin, self.lever(rotation)), spin))
 
     @property
     def _rotations(self) -> tuple[Array, Array]:

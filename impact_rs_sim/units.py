@@ -33,26 +33,26 @@ def dimension_of(unit: str) -> Dimension:
         InputError: The unit is not understood.
     """
     total = NUMBER
-    for place, part in enumerate(unit.split("/")):
+    for index, part in enumerate(unit.split("/")):
         for word in part.strip("()").split():
-            found = re.fullmatch(r"([A-Za-z]+|1|-)(?:\^(-?\d+))?", word)
-            if found is None or found[1] not in BASE:
+            match = re.fullmatch(r"([A-Za-z]+|1|-)(?:\^(-?\d+))?", word)
+            if match is None or match[1] not in BASE:
                 raise InputError(f"unit {unit!r}: {word!r} is not understood; known: {', '.join(BASE)}, as in N s/m")
-            power = int(found[2] or 1) * (-1 if place else 1)
-            total = times(total, BASE[found[1]], power)
+            power = int(match[2] or 1) * (-1 if index else 1)
+            total = times(total, BASE[match[1]], power)
     return total
 
 
 def text_of(dimension: Dimension) -> str:
     """Text of a dimension: N or N m if it is one of these, else powers of kg, m and s."""
-    for name, known in (("N m", TORQUE), ("N", FORCE), ("-", NUMBER)):
-        if dimension == known:
+    for name, named in (("N m", TORQUE), ("N", FORCE), ("-", NUMBER)):
+        if dimension == named:
             return name
     parts = [f"{name}^{power}" if power != 1 else name for name, power in zip(("kg", "m", "s"), dimension, strict=True)]
     return " ".join(part for part, power in zip(parts, dimension, strict=True) if power)
 
 
-def times(one: Dimension, other: Dimension, power: int | Fraction) -> Dimension:
+def times(base: Dimension, factor: Dimension, power: int | Fraction) -> Dimension:
     """Product of one dimension and a power of the other."""
-    a, b, c = (mine + power * its for mine, its in zip(one, other, strict=True))
+    a, b, c = (exponent + power * factor_exponent for exponent, factor_exponent in zip(base, factor, strict=True))
     return a, b, c

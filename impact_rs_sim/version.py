@@ -21,8 +21,8 @@ def git_revision() -> str:
 
     That of the source tree this runs from, or, installed by colcon or pip, what was noted when it was built.
     """
-    here = Path(__file__).resolve().parent
-    return described_by_git(here) if (here.parent / ".git").exists() else recorded_revision(here)
+    folder = Path(__file__).resolve().parent
+    return described_by_git(folder) if (folder.parent / ".git").exists() else recorded_revision(folder)
 
 
 def recorded_revision(folder: Path) -> str:

@@ -284,7 +284,7 @@ def _pose(case: Case) -> str:
             (
                 name,
                 _rounded(np.array(robot.ante_velocity) / speed),
-                robot.held,
+                robot.posture_joints,
                 robot.joint_1_velocity and round(robot.joint_1_velocity / speed, 6),
             )
             for name, robot in sorted(case.robots.items())

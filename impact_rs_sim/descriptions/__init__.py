@@ -55,7 +55,7 @@ class DescriptionFormat:
         """A scene in this format."""
         body, remarks = self.body(scene)
         left_out = scene.left_out(self.held)
-        said = [
+        comments = [
             scene.title,
             *scene.source,
             "",
@@ -63,14 +63,14 @@ class DescriptionFormat:
             *(f"* {remark}" for remark in remarks),
             "",
             "Not in this file:" if left_out else "Nothing is left out.",
-            *(f"* {one}" for one in left_out),
+            *(f"* {quantity}" for quantity in left_out),
         ]
         if self.xml:
             # XML allows no double hyphen in a comment: options lose theirs, everything else is parted.
-            comment = re.sub(r"(?<![\w-])--(?=\w)", "", "\n".join(said)).replace("--", "- -")
+            comment = re.sub(r"(?<![\w-])--(?=\w)", "", "\n".join(comments)).replace("--", "- -")
             text = f'<?xml version="1.0"?>\n<!--\n{comment}\n-->\n{body}\n'
         else:
-            text = "#usda 1.0\n" + "".join(f"# {line}".rstrip() + "\n" for line in said) + body
+            text = "#usda 1.0\n" + "".join(f"# {line}".rstrip() + "\n" for line in comments) + body
         return ExportedFile(text, tuple(remarks), tuple(left_out))
 
 

@@ -87,7 +87,7 @@ def write(scene: ExportedScene) -> tuple[str, list[str]]:
 
 
 def _arm(world: Xml.Element, scene: ExportedScene, name: str, arm: ArmPhysics) -> list[str]:
-    facts, hand, limits = arm.facts, arm.end_effector, arm.facts.limits
+    facts, tool, limits = arm.facts, arm.end_effector, arm.facts.limits
     _, viscous = scene.friction(name)
     model = Xml.SubElement(world, "model", name=name)
     link = _link(model, "base", None, arm.base.translation, arm.base.rotation)
@@ -96,14 +96,14 @@ def _arm(world: Xml.Element, scene: ExportedScene, name: str, arm: ArmPhysics) -
     Xml.SubElement(fixed, "parent").text = "world"
     Xml.SubElement(fixed, "child").text = "base"
     previous = "base"
-    for index, (origin, own) in enumerate(zip(facts.joints, facts.links, strict=True)):
-        own_name, joint_name = f"link{index + 1}", f"joint{index + 1}"
-        turn = pin.rpy.rpyToMatrix(*origin.rpy)
-        link = _link(model, own_name, previous, np.array(origin.xyz), turn)
-        _inertial(link, own.mass, np.array(own.com), own.inertia_matrix)
+    for index, (origin, own_link) in enumerate(zip(facts.joints, facts.links, strict=True)):
+        link_name, joint_name = f"link{index + 1}", f"joint{index + 1}"
+        rotation = pin.rpy.rpyToMatrix(*origin.rpy)
+        link = _link(model, link_name, previous, np.array(origin.xyz), rotation)
+        _inertial(link, own_link.mass, np.array(own_link.com), own_link.inertia_matrix)
         joint = Xml.SubElement(model, "joint", name=joint_name, type=origin.type)
         Xml.SubElement(joint, "parent").text = previous
-        Xml.SubElement(joint, "child").text = own_name
+        Xml.SubElement(joint, "child").text = link_name
         axis = Xml.SubElement(joint, "axis")
         Xml.SubElement(axis, "xyz").text = "0 0 1"
         limit = Xml.SubElement(axis, "limit")
@@ -118,31 +118,31 @@ def _arm(world: Xml.Element, scene: ExportedScene, name: str, arm: ArmPhysics) -
         Xml.SubElement(dynamics, "damping").text = repr(float(viscous[index]))
         Xml.SubElement(joint, "drake:rotor_inertia").text = repr(float(scene.motor_inertia[name][index]))
         Xml.SubElement(joint, "drake:gear_ratio").text = "1"
-        previous = own_name
-    place = np.array(facts.flange.xyz) + facts.flange.rotation @ hand.mount.translation
-    turn = facts.flange.rotation @ hand.mount.rotation
-    link = _link(model, "end_effector", previous, place, turn)
-    _inertial(link, hand.mass, hand.com, hand.inertia)
+        previous = link_name
+    position = np.array(facts.flange.xyz) + facts.flange.rotation @ tool.mount.translation
+    rotation = facts.flange.rotation @ tool.mount.rotation
+    link = _link(model, "end_effector", previous, position, rotation)
+    _inertial(link, tool.mass, tool.com, tool.inertia)
     fixed = Xml.SubElement(model, "joint", name="end_effector_mount", type="fixed")
     Xml.SubElement(fixed, "parent").text = previous
     Xml.SubElement(fixed, "child").text = "end_effector"
-    pad = hand.pad_placement
+    pad = tool.pad_placement
     visual = Xml.SubElement(link, "visual", name="pad")
     _pose(visual, pad.translation, pad.rotation)
-    _box(visual, np.array(hand.pad_size))
-    stiffness, dissipation, relaxation, said = _pad_law(scene, name, arm)
-    half = np.array(hand.pad_size) / 2.0
+    _box(visual, np.array(tool.pad_size))
+    stiffness, dissipation, relaxation, remarks = _pad_law(scene, name, arm)
+    half = np.array(tool.pad_size) / 2.0
     for number, corner in enumerate(_corners(half[0], half[1])):
         centre = pad.translation + pad.rotation @ [*corner, half[2] - CORNER_SPHERE_RADIUS_M + INITIAL_OVERLAP_M]
         law = (stiffness / FACE_CORNERS, dissipation, relaxation)
         _sphere(link, f"corner{number}", centre, law, scene.physics.pad_friction)
     if scene.pads == "compliant" and arm.pad_stiffness is not None:
-        modulus = stiffness * hand.pad_size[2] / (2.0 * hand.pad_size[0] * hand.pad_size[1])
-        said.append(
-            f"{name}: for hydroelastic contact give the pad, a box of {_short(hand.pad_size)} m, the modulus "
+        modulus = stiffness * tool.pad_size[2] / (2.0 * tool.pad_size[0] * tool.pad_size[1])
+        remarks.append(
+            f"{name}: for hydroelastic contact give the pad, a box of {_short(tool.pad_size)} m, the modulus "
             f"{modulus:.6g} Pa and the same dissipation, and leave the spheres at its corners out"
         )
-    return said
+    return remarks
 
 
 def _pad_law(scene: ExportedScene, name: str, arm: ArmPhysics) -> tuple[float, float, float, list[str]]:

@@ -170,12 +170,12 @@ class ExportedScene:
         stiffness = 1.0 / compliance if compliance else RIGID_SUPPORT_STIFFNESS_OVER_MASS_PER_S2 * mass
         return stiffness, math.sqrt(stiffness * mass)
 
-    def left_out(self, held: frozenset[ExportedQuantity]) -> list[str]:
+    def left_out(self, supported: frozenset[ExportedQuantity]) -> list[str]:
         """Names of the physics of this scene that a format with the quantities ``held`` cannot represent."""
-        said = [text for name, arm in self.physics.arms.items() for text in self._of_arm(name, arm, held)]
-        return [*dict.fromkeys((*said, *self._of_scene(held)))]
+        texts = [text for name, arm in self.physics.arms.items() for text in self._of_arm(name, arm, supported)]
+        return [*dict.fromkeys((*texts, *self._of_scene(supported)))]
 
-    def _of_arm(self, name: str, arm: ArmPhysics, held: frozenset[ExportedQuantity]) -> Iterator[str]:
+    def _of_arm(self, name: str, arm: ArmPhysics, supported: frozenset[ExportedQuantity]) -> Iterator[str]:
         units = arm.facts.units
         yield (
             f"{name}: elasticity of the joints, K = {_list(arm.stiffness)} {joined_units(u.stiffness for u in units)}, "
@@ -184,7 +184,7 @@ class ExportedScene:
         efforts = joined_units(unit.effort for unit in units)
         inertia = self.motor_inertia[name]
         coulomb, viscous = self.friction(name)
-        unheld = {
+        quantities = {
             ExportedQuantity.MOTOR_INERTIA: (
                 inertia.any(),
                 f"{_list(inertia)} {joined_units(u.inertia for u in units)}",
@@ -197,20 +197,24 @@ class ExportedScene:
             ExportedQuantity.TORQUE_OFFSET: (arm.torque_offset.any(), f"{_list(arm.torque_offset)} {efforts}"),
             ExportedQuantity.TORQUE_GAIN: ((arm.torque_gain != 1.0).any(), f"{_list(arm.torque_gain)}"),
         }
-        for quantity, (there, values) in unheld.items():
-            if there and quantity not in held:
+        for quantity, (present, values) in quantities.items():
+            if present and quantity not in supported:
                 yield f"{name}: {quantity.value}, {values}"
         yield from _friction_left_out(name, arm)
-        if arm.pad_stiffness is not None and (self.pads == "rigid" or ExportedQuantity.PAD_COMPLIANCE not in held):
-            why = "; the pads of this file are rigid (--pads rigid)" if ExportedQuantity.PAD_COMPLIANCE in held else ""
-            yield f"{name}: stiffness and damping of the pad, {arm.pad_stiffness:g} N/m, {arm.pad_damping:g} N s/m{why}"
-        for what, value, unit in (
+        if arm.pad_stiffness is not None and (self.pads == "rigid" or ExportedQuantity.PAD_COMPLIANCE not in supported):
+            reason = (
+                "; the pads of this file are rigid (--pads rigid)"
+                if ExportedQuantity.PAD_COMPLIANCE in supported
+                else ""
+            )
+            yield f"{name}: stiffness and damping of the pad, {arm.pad_stiffness:g} N/m, {arm.pad_damping:g} N s/m{reason}"
+        for quantity_name, value, unit in (
             ("delay of the commanded torque", arm.actuation_delay, "s"),
             ("yield of the pad along its face", arm.pad_shear_compliance, "m/N"),
             ("creep of the pad along its face", arm.pad_creep, "m/(s N)"),
         ):
             if value:
-                yield f"{name}: {what}, {value:g} {unit}"
+                yield f"{name}: {quantity_name}, {value:g} {unit}"
         if arm.tool_spring is not None:
             compliance = _list(np.diag(arm.tool_spring.compliance))
             yield f"{name}: compliance of the tool, {compliance} m/N and rad/(N m), diagonal of its matrix at E"
@@ -219,13 +223,13 @@ class ExportedScene:
         for load in arm.loads:
             yield f"{name}: a load from outside the arm, {_named(load)}"
 
-    def _of_scene(self, held: frozenset[ExportedQuantity]) -> Iterator[str]:
+    def _of_scene(self, supported: frozenset[ExportedQuantity]) -> Iterator[str]:
         physics = self.physics
         tilts = {
             name: arm.end_effector.pad_tilt for name, arm in physics.arms.items() if any(arm.end_effector.pad_tilt)
         }
         level = np.allclose(physics.gravity, STANDARD_GRAVITY, rtol=0.0, atol=1e-12)
-        unheld = {
+        quantities = {
             ExportedQuantity.GRAVITY: "" if level else f"{_list(physics.gravity)} m/s^2",
             ExportedQuantity.PAD_TILT: ", ".join(
                 f"{name} {roll:g}, {pitch:g} rad" for name, (roll, pitch) in tilts.items()
@@ -237,15 +241,15 @@ class ExportedScene:
             if physics.support_compliance
             else "",
         }
-        for quantity, values in unheld.items():
-            if values and quantity not in held:
+        for quantity, values in quantities.items():
+            if values and quantity not in supported:
                 yield f"{quantity.value}, {values}"
         if self.pads == "compliant" and self.restitution:
             yield f"restitution {self.restitution:g}; it follows from stiffness and damping of the pads"
         if self.restitution and physics.restitution_law != "newton":
             yield f"restitution law of {physics.restitution_law.capitalize()}; compliant contacts have their own"
         for name, arm in physics.arms.items():
-            if any(arm.end_effector.pad_offset) and ExportedQuantity.PAD_TILT not in held:
+            if any(arm.end_effector.pad_offset) and ExportedQuantity.PAD_TILT not in supported:
                 yield f"{name}: where the pad is, {_list(np.array(arm.end_effector.pad_offset))} m from its place"
         if not physics.tracker.exact:
             yield f"sensor model of the object tracker, {physics.tracker}"

@@ -95,7 +95,7 @@ def _remarks(scene: ExportedScene) -> list[str]:
 
 
 def _arm(world: Xml.Element, actuators: Xml.Element, scene: ExportedScene, name: str, arm: ArmPhysics) -> None:
-    facts, hand, limits = arm.facts, arm.end_effector, arm.facts.limits
+    facts, tool, limits = arm.facts, arm.end_effector, arm.facts.limits
     coulomb, viscous = scene.friction(name)
     body = _body(world, f"{name}_base", arm.base.translation, arm.base.rotation)
     for index, (origin, link) in enumerate(zip(facts.joints, facts.links, strict=True)):
@@ -126,13 +126,13 @@ def _arm(world: Xml.Element, actuators: Xml.Element, scene: ExportedScene, name:
             forcelimited="true",
             forcerange=_text(-torque, torque),
         )
-    place = np.array(facts.flange.xyz) + facts.flange.rotation @ hand.mount.translation
-    turn = facts.flange.rotation @ hand.mount.rotation
-    body = _body(body, f"{name}_end_effector", place, turn)
-    _inertial(body, hand.mass, hand.com, hand.inertia)
+    position = np.array(facts.flange.xyz) + facts.flange.rotation @ tool.mount.translation
+    rotation = facts.flange.rotation @ tool.mount.rotation
+    body = _body(body, f"{name}_end_effector", position, rotation)
+    _inertial(body, tool.mass, tool.com, tool.inertia)
     Xml.SubElement(body, "site", name=f"{name}_E")
-    pad = hand.pad_placement
-    _geom(body, name, hand.shape, np.array(hand.pad_size), pad.translation, pad.rotation)
+    pad = tool.pad_placement
+    _geom(body, name, tool.shape, np.array(tool.pad_size), pad.translation, pad.rotation)
 
 
 def _object(root: Xml.Element, world: Xml.Element, scene: ExportedScene) -> None:
@@ -153,7 +153,7 @@ def _object(root: Xml.Element, world: Xml.Element, scene: ExportedScene) -> None
 
 def _contacts(root: Xml.Element, scene: ExportedScene) -> list[str]:
     """Add the contact pairs; returns notes on their numbers."""
-    physics, contact, said = scene.physics, Xml.SubElement(root, "contact"), []
+    physics, contact, remarks = scene.physics, Xml.SubElement(root, "contact"), []
     lightness = 1.0 / physics.object.mass
     ratio = max(damping_ratio_of(scene.restitution), MIN_DAMPING_RATIO)
     for name, arm in physics.arms.items():
@@ -161,7 +161,7 @@ def _contacts(root: Xml.Element, scene: ExportedScene) -> list[str]:
         if scene.pads == "rigid" or arm.pad_stiffness is None:
             pair.set("solref", _text(TIME_STEP_S * max(2.0, MIN_STEPS_PER_BOUNCE_RADIAN / ratio), ratio))
             pair.set("solimp", _text(MAX_IMPEDANCE, MAX_IMPEDANCE, 1e-3, 0.5, 2.0))
-            said.append(
+            remarks.append(
                 f"{name}: solref is (time constant [s], damping ratio); the ratio {ratio:.4g} has the restitution "
                 f"{restitution_of(ratio):.3g} of a single impact (the model's: {scene.restitution:g})"
             )
@@ -170,7 +170,7 @@ def _contacts(root: Xml.Element, scene: ExportedScene) -> list[str]:
         virtual = PAD_VIRTUAL_MASS_RATIO * scene.impact_mass(name)
         law = (arm.pad_stiffness, arm.pad_damping)
         impedance = _set_law(pair, law, virtual, weight, PAD_FRICTION_RATE_PER_S)
-        said.append(
+        remarks.append(
             f"{name}: solref is -(1 - d) w K / {FACE_CORNERS}, -(1 - d) w C / {FACE_CORNERS}: "
             f"the pad's K = {law[0]:g} N/m and "
             f"C = {law[1]:g} N s/m are shared by {FACE_CORNERS} corners, d = {impedance:.4g} is the impedance and "
@@ -181,12 +181,12 @@ def _contacts(root: Xml.Element, scene: ExportedScene) -> list[str]:
         pair = _pair(contact, SUPPORT, physics.support_friction, physics.rolling_arm)
         virtual = SUPPORT_VIRTUAL_MASS_RATIO * physics.object.mass
         _set_law(pair, scene.support_contact, virtual, lightness, SUPPORT_FRICTION_RATE_PER_S)
-        said.append("support: {:.6g} N/m and {:.6g} N s/m under the whole object".format(*scene.support_contact))
-    said.append(
+        remarks.append("support: {:.6g} N/m and {:.6g} N s/m under the whole object".format(*scene.support_contact))
+    remarks.append(
         "friction is convex in MuJoCo: where a point slides at v, its partner is pushed off at up to mu v, and the "
         "jump differs from that of Coulomb friction"
     )
-    return said
+    return remarks
 
 
 def _pair(contact: Xml.Element, partner: str, friction: float, rolling_arm: float) -> Xml.Element:

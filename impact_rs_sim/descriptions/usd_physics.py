@@ -43,7 +43,7 @@ def write(scene: ExportedScene) -> tuple[str, list[str]]:
         f'over "{name}"',
         "{",
     ]
-    said = [
+    remarks = [
         "physxJoint:armature is the motor inertia B seen from the joint",
         "materials combine by the smaller value, and the object has the larger ones",
         "custom attributes impact_rs:* are for readers; no simulator takes them",
@@ -52,8 +52,8 @@ def write(scene: ExportedScene) -> tuple[str, list[str]]:
         coulomb, viscous = scene.friction(arm_name)
         for index, link in enumerate(arm.facts.links, start=1):
             lines += _mass(f"{arm_name}_link{index}", link.mass, np.array(link.com), link.inertia_matrix)
-        hand = arm.end_effector
-        lines += _mass(f"{arm_name}_end_effector", hand.mass, hand.com, hand.inertia, f"/{name}/materials/{arm_name}")
+        tool = arm.end_effector
+        lines += _mass(f"{arm_name}_end_effector", tool.mass, tool.com, tool.inertia, f"/{name}/materials/{arm_name}")
         joints = []
         for index in range(arm.facts.joint_count):
             values = (
@@ -77,7 +77,7 @@ def write(scene: ExportedScene) -> tuple[str, list[str]]:
                 f"float physxMaterial:compliantContactStiffness = {arm.pad_stiffness / FACE_CORNERS!r}",
                 f"float physxMaterial:compliantContactDamping = {arm.pad_damping / FACE_CORNERS!r}",
             ]
-            said.append(
+            remarks.append(
                 f"{arm_name}: stiffness {arm.pad_stiffness:g} N/m and damping {arm.pad_damping:g} N s/m of the pad are "
                 f"shared by {FACE_CORNERS} corners; "
                 f"restitution {scene.restitution_of_pad(arm_name):.3g} follows from them"
@@ -87,7 +87,7 @@ def write(scene: ExportedScene) -> tuple[str, list[str]]:
         materials += _material(SUPPORT, physics.support_friction, 0.0)
         lines += _over(SUPPORT, ["MaterialBindingAPI"], [_binding(f"/{name}/materials/{SUPPORT}")])
     lines += [*_block("def Scope", "materials", materials), "}"]
-    return "\n".join(lines) + "\n", said
+    return "\n".join(lines) + "\n", remarks
 
 
 def _mass(name: str, mass: float, com: Array, inertia: Array, material: str = "") -> list[str]:

@@ -107,7 +107,7 @@ def library() -> dict[str, Effect]:
     """Every known effect by name: built-in ones, then those of installed packages.
 
     Raises:
-        InputError: An entry point that is no effect, or that takes a name that is taken.
+        InputError: An entry point is no effect, or has the name of another effect.
     """
     effects = {effect.name: effect for effect in BUILT_IN}
     for entry in entry_points(group=ENTRY_POINT_GROUP):

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from impact_rs_sim.effects.changed_bodies import check_bodies, differ
+from impact_rs_sim.effects.changed_bodies import bodies_differ, check_bodies
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import PINION_RADIUS_M, Array, JointType
@@ -30,8 +30,8 @@ from impact_rs_sim.robots.robot import PINION_RADIUS_M, Array, JointType
 if TYPE_CHECKING:
     from impact_rs_sim.proportion import Proportion
 
-# Parameters per joint have units and ranges of a revolute joint. A prismatic joint has those behind a
-# pinion of this radius: revolute unit -> prismatic unit, and the factor of the range.
+# Parameters per joint have units and ranges of a revolute joint. A pinion of this radius converts them for a prismatic
+# joint: revolute unit -> prismatic unit, and factor of the range.
 PRISMATIC_UNITS = {
     "N m": ("N", 1.0 / PINION_RADIUS_M),
     "N m/s": ("N/s", 1.0 / PINION_RADIUS_M),
@@ -43,11 +43,11 @@ PRISMATIC_UNITS = {
     "rad/(N m)": ("m/N", PINION_RADIUS_M**2),
 }
 
-MAX_SPELLED = 256  # lists of parameters that are kept joint by joint; the library has 60
+MAX_SPELLED = 256  # cached lists of scalars; the library has 60 effects
 
-SINGLE_IMPACT = ("impact",)  # phases of effects that only tables of impacts have
+SINGLE_IMPACT = ("impact",)  # phases of effects that act in tables of impacts only
 
-Joints = int | Sequence[JointType]  # of an arm: how many there are, if all of them turn, or how each of them moves
+Joints = int | Sequence[JointType]  # joints of an arm: their number if all are revolute, or the type of each
 Values = dict[str, Array]  # by parameter name: (n,) for a parameter per joint, (1,) otherwise, in its unit
 
 
@@ -65,23 +65,23 @@ class Parameter:
         name: Name, for example ``coulomb``; spelled out ``coulomb_joint2``.
         unit: Unit, ``-`` where it has none.
         nominal: Value at which the effect does nothing.
-        lower: Smallest meaningful value; a fit that ends there widens the range, where it is not 0.
-        upper: Largest meaningful value, likewise.
+        lower: Smallest meaningful value; a fit that ends there widens the range, unless it is 0.
+        upper: Largest meaningful value; a fit that ends there widens the range.
         scale: A noticeable change; unit of the weak prior.
         meaning: Meaning in words, for tables.
         per_joint: Whether there is one per joint.
-        except_joint: Joint that has none, counted from 0, or from the end as -1; None: all have one.
+        except_joint: Joint without this parameter, counted from 0, or from the end as -1; None: every joint has it.
         step: Step of the first finite difference; None: its scale.
-        firm: Whether a fit never leaves its range, which is one of physics or given by a user.
+        firm: Whether a fit never leaves its range, because physics or a user sets it.
         shape: Whether it has no influence while the effect is off (Stribeck velocity; position of a payload).
         grid: Starting values of a shape parameter.
-        far: Starting values for a second fit after a poor one, where the contact state changes on the way.
+        far: Starting values for a second fit after a poor one, for parameters that change the contact state.
         hidden: Range of values in blind campaigns; None: some scales away from nominal.
         prior: Prior standard deviation about nominal; None: weakly informative. A parameter with a prior may be missing
-            in a model: it is nominal then.
-        of_link: Whether it is a property of the link, in one unit however its joint moves.
+            in a model, and is then nominal.
+        of_link: Whether it is a property of the link, with the same unit for every joint type.
         joint: Joint of a scalar, counted from 0; None: the effect as a whole.
-        arm: Arm that it belongs to; empty: all arms share it.
+        arm: Arm of the parameter; empty: all arms share it.
     """
 
     name: str
@@ -122,13 +122,13 @@ class Parameter:
         return self.scale if self.step is None else self.step
 
     def difference_at(self, value: float) -> float:
-        """Step of a finite difference from ``value``; a shape parameter whose grid spans decades changes by a fifth."""
+        """Step of a finite difference from ``value``; with a grid at most a fifth of ``value``."""
         return min(self.difference, 0.2 * abs(value)) if self.grid and value != 0.0 else self.difference
 
     def widened(self) -> Parameter:
         """The parameter with a range twice as wide; a firm range and a (physical) bound at 0 stay.
 
-        A shape whose grid spans decades keeps its range: beyond, the effect is the limit of a simpler one.
+        A parameter with a grid keeps its range: beyond it, the effect is the limit of a simpler one.
         """
         if self.grid or self.firm:
             return self
@@ -184,23 +184,25 @@ class Effect(ABC):
 
     Attributes:
         name: Name in model files and on the command line.
-        acts_on: Where it acts: motor side, actuation, joint torque, link inertia, contact, object, scene, sensing.
+        acts_on: Part on which it acts: motor side, actuation, joint torque, link inertia, contact, object, scene or
+            sensing.
         sentence: One sentence for the user.
         parameters: Fitted quantities.
-        phases: Where it is observable: ``free`` motion, ``contact``, or both; ``impact``: in tables of impacts alone.
+        phases: Motions in which it is observable: ``free``, ``contact``, or both; ``impact``: only tables of impacts.
         calibrates: Whether it describes the bare arm, which recordings of free motion calibrate: a search in trials and
-            tables leaves it out unless it is named. A model that contains it predicts with it everywhere.
-        lasting: Whether it stays the same from one recording of a session to the next, as how a cell is mounted does:
-            no difference of two recordings shows it. What calibrates an arm is lasting.
-        shown_by_load: Whether it is lasting, but grows with the load: a difference of recordings with and without one
+            tables considers it only if it is named. A model that contains it predicts with it everywhere.
+        lasting: Whether it is constant within a session, such as the mounting of a cell: a difference of two recordings
+            does not show it. Effects that calibrate an arm are lasting too.
+        shown_by_load: Whether it is lasting but grows with the load: a difference of recordings with and without a load
             shows it.
-        drawn: Whether blind campaigns draw it; else it is hidden if named, so that seeds keep what they hid before it.
-        family: Name that the candidate laws of one form at several joints share; empty for effects of the library or
-            the model.
+        drawn: Whether blind campaigns draw it at random. Later effects are hidden only if named, so that the seeds of
+            earlier campaigns hide the same effects.
+        family: Common name of candidate laws of one form at several joints; empty for effects of the library or the
+            model.
         reading: For an effect of the measurement: clause on the fault of the reading, in which ``{joint}``, ``{size}``,
             ``{more}`` (too much, too little) and ``{late}`` (late, early) are filled in
-            (:mod:`impact_rs_analysis.diagnosis.verdicts.measurement`); empty: the meaning of its parameters says it.
-        calibration: Experiment that determines it, as an imperative without a full stop; empty: none is known.
+            (:mod:`impact_rs_analysis.diagnosis.verdicts.measurement`); empty: the meaning of its parameters is used.
+        calibration: Experiment that determines it, as an imperative without a full stop; empty: unknown.
     """
 
     name: str
@@ -232,7 +234,7 @@ class Effect(ABC):
 
     @property
     def of_measurement(self) -> bool:
-        """Whether it is a fault of a sensor or clock and not physics of the robot."""
+        """Whether it is a fault of a sensor or clock, not physics of the robot."""
         return self.acts_on == "sensing"
 
     @property
@@ -242,34 +244,35 @@ class Effect(ABC):
 
     def scalars(self, joints: Joints) -> list[Parameter]:
         """The parameters, joint by joint."""
-        return [scalar for _, own in self.spelled(joints) for scalar in own]
+        return [scalar for _, scalars in self.spelled(joints) for scalar in scalars]
 
     def spelled(self, joints: Joints) -> list[tuple[str, list[Parameter]]]:
-        """Every parameter by name, joint by joint; a search asks thousands of times."""
+        """Scalars of every parameter, with its name; cached, because a search calls this thousands of times."""
         return _spelled(self.parameters, joints)
 
     def apply_vector(self, physics: Physics, vector: Array) -> Physics:
         """As :meth:`apply`, with all scalars in one vector ordered as :meth:`scalars`.
 
-        Of the last ones those with a prior may be missing: they are nominal.
+        Scalars with a prior may be missing at the end of the vector; they are then nominal.
 
         Raises:
-            InputError: Wrong length or not finite; or one parameter per joint, and arms with unequal joint counts.
-            NotABody: No rigid body is left of a link, the object or a motor (:mod:`impact_rs_sim.robots.bodies`).
+            InputError: The vector has a wrong length or is not finite; or arms that share a parameter per joint have
+                unequal joint counts.
+            NotABody: A link, an object or a motor becomes physically inconsistent (:mod:`impact_rs_sim.robots.bodies`).
         """
-        spelled = self.spelled(self._joints(physics))
-        count = sum(len(own) for _, own in spelled)
+        scalars_by_parameter = self.spelled(self._joints(physics))
+        count = sum(len(scalars) for _, scalars in scalars_by_parameter)
         vector = np.asarray(vector, dtype=float)
         if vector.ndim == 1 and vector.size < count:
-            left_out = [scalar for _, own in spelled for scalar in own][vector.size :]
-            if all(scalar.prior is not None for scalar in left_out):
-                vector = np.append(vector, [scalar.nominal for scalar in left_out])
+            missing = [scalar for _, scalars in scalars_by_parameter for scalar in scalars][vector.size :]
+            if all(scalar.prior is not None for scalar in missing):
+                vector = np.append(vector, [scalar.nominal for scalar in missing])
         if vector.shape != (count,) or not np.isfinite(vector).all():
             raise InputError(f"effect {self.name!r} needs {count} finite numbers, got {vector.tolist()}")
         values, start = {}, 0
-        for name, own in spelled:
-            values[name] = vector[start : start + len(own)]
-            start += len(own)
+        for name, scalars in scalars_by_parameter:
+            values[name] = vector[start : start + len(scalars)]
+            start += len(scalars)
         changed = self.apply(physics, values)
         check_bodies(physics, changed, self.name)
         return changed
@@ -280,11 +283,11 @@ class Effect(ABC):
 
     def steps(self, joints: Joints, at: Array) -> Array:
         """Finite-difference steps from ``at`` ``(p,)``, backwards at an upper bound, ``(p,)``."""
-        found = []
+        steps = []
         for scalar, value in zip(self.scalars(joints), at, strict=True):
             step = scalar.difference_at(float(value))
-            found.append(step if scalar.lower <= value + step <= scalar.upper else -step)
-        return np.array(found)
+            steps.append(step if scalar.lower <= value + step <= scalar.upper else -step)
+        return np.array(steps)
 
     def bounds(self, physics: Physics) -> tuple[Array, Array]:
         """Lower and upper bound of every scalar under ``physics`` (without the effect), ``(p,)`` each."""
@@ -297,30 +300,30 @@ class Effect(ABC):
         return np.max([low for low, _ in bounds], axis=0), np.min([high for _, high in bounds], axis=0)
 
     def changes_bodies(self, physics: Physics) -> bool:
-        """Whether a step from nominal changes mass or inertia of a link, the end effector, a motor or the object."""
+        """Whether a step from nominal changes mass or inertia of a link, an end effector, a motor or an object."""
         joints = self._joints(physics)
         start = self.nominal(joints)
         try:
-            return differ(physics, self.apply_vector(physics, start + self.steps(joints, start)))
+            return bodies_differ(physics, self.apply_vector(physics, start + self.steps(joints, start)))
         except NotABody:
             return True
 
     def with_parameters(self, change: Callable[[Parameter], Parameter]) -> Effect:
         """The effect with other ranges and steps of its parameters, which keep their names and units."""
-        found = copy.copy(self)
-        object.__setattr__(found, "parameters", tuple(change(parameter) for parameter in self.parameters))
-        return found
+        changed = copy.copy(self)
+        object.__setattr__(changed, "parameters", tuple(change(parameter) for parameter in self.parameters))
+        return changed
 
     def in_proportion(self, size: Proportion) -> Effect:
         """The effect with ranges and steps for a robot of another size."""
         return self.with_parameters(lambda parameter: parameter.times(size.factor(parameter.unit)))
 
     def complexity(self, joints: Joints) -> int:
-        """Number of scalars without shape parameters; of two equivalent effects the one with fewer is preferred."""
+        """Number of scalars without shape parameters; a search prefers the simpler of two equivalent effects."""
         return sum(not scalar.shape for scalar in self.scalars(joints))
 
     def seen_in(self, contact: bool) -> bool:
-        """Whether it is observable in a motion with or without ``contact``; the former has free motion too."""
+        """Whether it is observable in a motion with ``contact`` (which includes free motion), or without."""
         return contact or "free" in self.phases
 
     @property
@@ -333,7 +336,7 @@ class Effect(ABC):
         return digest(kind.__qualname__, self.name, repr(self.parameters), _source(kind.__module__))
 
     def _joints(self, physics: Physics) -> Joints:
-        """Joints that have parameters; empty without a parameter per joint."""
+        """Joints of the arms; empty if no parameter is per joint."""
         return physics.joints if any(parameter.per_joint for parameter in self.parameters) else ()
 
 
@@ -342,7 +345,8 @@ class LawEffect(Effect):
     """An effect that consists of its parameters and a law; attributes as in :class:`Effect`.
 
     Attributes:
-        law: The arm or the physics with the effect, from the same without it and values as in :meth:`Effect.apply`.
+        law: Function from the arm or the physics without the effect, and values as in :meth:`Effect.apply`, to the arm
+            or the physics with it.
     """
 
     name: str
@@ -360,7 +364,7 @@ class LawEffect(Effect):
 
     @property
     def identity(self) -> str:
-        """See :attr:`Effect.identity`; the law is included with the module it stands in."""
+        """See :attr:`Effect.identity`; includes the law and the source of its module."""
         law = getattr(self.law, "__qualname__", repr(self.law))
         return digest(super().identity, law, _source(self.law.__module__))
 
@@ -387,7 +391,7 @@ class SceneEffect(LawEffect):
 @functools.lru_cache(MAX_SPELLED)
 def _spelled(parameters: tuple[Parameter, ...], joints: Joints) -> list[tuple[str, list[Parameter]]]:
     """Parameters by name, joint by joint."""
-    return [(one.name, one.scalars(joints)) for one in parameters]
+    return [(parameter.name, parameter.scalars(joints)) for parameter in parameters]
 
 
 def number(values: Values, name: str) -> float:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Physical consistency of the inertial parameters after an effect (:mod:`impact_rs_sim.robots.bodies`).
 
-Effects change masses and moments by parameters of their own (mass of a payload, density of a link), and several of them
-may change one body, so no parametrisation of the inertia (log-Cholesky: Rucker and Wensing 2022, IEEE RA-L 7(2)) covers
-all of them, nor effects of users. Instead an effect that leaves the set of physically consistent bodies is refused, and
-fits stop at the boundary of that set.
+Each effect has its own parameters of masses and moments (mass of a payload, density of a link), several effects may
+change one body, and users may add effects. So no parametrisation of the inertia (log-Cholesky: Rucker and Wensing 2022,
+IEEE RA-L 7(2)) covers all of them. Instead an effect that makes a body physically inconsistent is refused, and fits
+stop at the boundary of the set of consistent bodies.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from impact_rs_sim.robots.bodies import is_physically_consistent, second_moments
 from impact_rs_sim.robots.robot import Array, Link
 from impact_rs_sim.robots.robot_model import mounted_inertia
 
-# Of a covariate whose values may be levels with parameters of their own; with more it is taken as linear
+# Most values of a numeric covariate that may be levels with separate parameters; with more it is linear.
 MAX_COVARIATE_VALUES = 8
 
 
@@ -59,14 +59,16 @@ def check_bodies(before: Physics, after: Physics, effect: str) -> None:
         NotABody: The effect makes a mass, second moments or a motor inertia negative.
     """
     for name, arm in after.arms.items():
-        was = before.arms[name]
-        if arm.facts is not was.facts or arm.end_effector is not was.end_effector:
-            for number, (link, changed) in enumerate(zip(was.facts.links, arm.facts.links, strict=True), start=1):
+        arm_before = before.arms[name]
+        if arm.facts is not arm_before.facts or arm.end_effector is not arm_before.end_effector:
+            for number, (link, changed) in enumerate(
+                zip(arm_before.facts.links, arm.facts.links, strict=True), start=1
+            ):
                 if number != arm.facts.flange_link and (changed.mass, changed.inertia) != (link.mass, link.inertia):
                     _check(partial(_link, name, number, link), _link(name, number, changed), effect)
-            _check(partial(_last_link, name, was), _last_link(name, arm), effect)
-        if arm.motor_inertia_reduced is not was.motor_inertia_reduced:
-            negative = (arm.motor_inertia_reduced < 0.0) & (was.motor_inertia_reduced >= 0.0)
+            _check(partial(_last_link, name, arm_before), _last_link(name, arm), effect)
+        if arm.motor_inertia_reduced is not arm_before.motor_inertia_reduced:
+            negative = (arm.motor_inertia_reduced < 0.0) & (arm_before.motor_inertia_reduced >= 0.0)
             if np.any(negative):
                 joint = int(np.argmax(negative))
                 raise NotABody(
@@ -75,15 +77,15 @@ def check_bodies(before: Physics, after: Physics, effect: str) -> None:
                 )
     if after.object is not before.object and not after.object.fixed:
         _check(partial(_object, before.object), _object(after.object), effect)
-    for was_beside, beside in zip(before.neighbours, after.neighbours, strict=True):
-        if beside.body is not was_beside.body:
-            name = f"neighbour {beside.name!r}"
-            _check(partial(_object, was_beside.body, name), _object(beside.body, name), effect)
+    for neighbour_before, neighbour in zip(before.neighbours, after.neighbours, strict=True):
+        if neighbour.body is not neighbour_before.body:
+            name = f"neighbour {neighbour.name!r}"
+            _check(partial(_object, neighbour_before.body, name), _object(neighbour.body, name), effect)
 
 
-def differ(one: Physics, other: Physics) -> bool:
+def bodies_differ(before: Physics, after: Physics) -> bool:
     """Whether inertial parameters of arms or objects differ."""
-    return _numbers(one) != _numbers(other)
+    return _numbers(before) != _numbers(after)
 
 
 def of_other_bodies(worlds: Sequence[Physics]) -> list[Physics]:
@@ -92,22 +94,22 @@ def of_other_bodies(worlds: Sequence[Physics]) -> list[Physics]:
     A circumstance with many different numbers, on which parameters depend linearly, is kept at its smallest and
     largest.
     """
-    found: dict[str, dict[object, Physics]] = {}
+    by_bodies: dict[str, dict[object, Physics]] = {}
     for physics in worlds:
-        found.setdefault(repr(_numbers(physics)), {}).setdefault(tuple(physics.circumstances.items()), physics)
-    kept: dict[int, Physics] = {}
-    for alike in found.values():
-        for name in next(iter(alike.values())).circumstances or ("",):
-            by_value = {physics.circumstances.get(name, ""): physics for physics in alike.values()}
+        by_bodies.setdefault(repr(_numbers(physics)), {}).setdefault(tuple(physics.circumstances.items()), physics)
+    representatives: dict[int, Physics] = {}
+    for same_bodies in by_bodies.values():
+        for name in next(iter(same_bodies.values())).circumstances or ("",):
+            by_value = {physics.circumstances.get(name, ""): physics for physics in same_bodies.values()}
             numbers = sorted(value for value in by_value if isinstance(value, float))
             chosen = [numbers[0], numbers[-1]] if len(numbers) > MAX_COVARIATE_VALUES else list(by_value)
-            kept |= {id(by_value[value]): by_value[value] for value in chosen}
-    return list(kept.values())
+            representatives |= {id(by_value[value]): by_value[value] for value in chosen}
+    return list(representatives.values())
 
 
 def _numbers(physics: Physics) -> list[object]:
     """All inertial parameters."""
-    objects = (physics.object, *(one.body for one in physics.neighbours))
+    objects = (physics.object, *(neighbour.body for neighbour in physics.neighbours))
     numbers: list[object] = [number for body in objects for number in (body.mass, body.inertia.tobytes())]
     for arm in physics.arms.values():
         tool = arm.end_effector

@@ -34,10 +34,10 @@ MAX_OF_SERIES = 0.01  # of d v; the next term of the series is 3e-9 there, the r
 
 @dataclass(frozen=True)
 class RestitutionEffect(SceneEffect):
-    """More or less restitution than assumed; both together stay between 0 and 1."""
+    """More or less restitution than assumed; the sum stays between 0 and 1."""
 
     def bounds(self, physics: Physics) -> tuple[Array, Array]:
-        """See :meth:`Effect.bounds`; where some restitution is assumed, there may be less of it."""
+        """See :meth:`Effect.bounds`; the change may be negative, down to minus the assumed restitution."""
         lower, upper = super().bounds(physics)
         assumed = physics.restitution + physics.bounce
         return np.minimum(lower, 0.0 - assumed), np.minimum(upper, 1.0 - assumed)
@@ -45,24 +45,24 @@ class RestitutionEffect(SceneEffect):
 
 @dataclass(frozen=True)
 class FrictionEffect(SceneEffect):
-    """More or less friction than assumed; both together stay above 0.
+    """More or less friction than assumed; the sum is at least 0.
 
-    It adds and does not multiply: a contact that is assumed to be smooth may be rough.
+    It is a sum, not a factor, because a contact that is assumed to be frictionless may have friction.
     """
 
     def bounds(self, physics: Physics) -> tuple[Array, Array]:
-        """See :meth:`Effect.bounds`; there is never less than none."""
+        """See :meth:`Effect.bounds`; the coefficient stays at least 0."""
         lower, upper = super().bounds(physics)
         return np.maximum(lower, -float(getattr(physics, self.name))), upper
 
     def steps(self, joints: Joints, at: Array) -> Array:
-        """See :meth:`Effect.steps`; of a free body that hits once they reach from where it sticks to where it slips."""
+        """See :meth:`Effect.steps`; for single impacts of a free body they lead from sticking to slipping."""
         return super().steps(joints, at) if types_of(joints) else np.array([SLIP_FRICTION_STEP])
 
 
 @dataclass(frozen=True)
 class ReturningEffect(SceneEffect):
-    """Effect with a coefficient of restitution of some velocity, which never exceeds 1, however wide the range."""
+    """Effect with a coefficient of tangential or spin restitution, which never exceeds 1, however wide its range."""
 
     def bounds(self, physics: Physics) -> tuple[Array, Array]:
         """See :meth:`Effect.bounds`."""
@@ -72,25 +72,25 @@ class ReturningEffect(SceneEffect):
 
 
 def _restitution(physics: Physics, values: Values) -> Physics:
-    """Bounce of a single rigid impact, and damping of compliant pads.
+    """Effect law: bounce of a single rigid impact, and damping of compliant pads.
 
-    A single isolated impact has e = restitution + bounce. A plant has compliant pads and no e: the damping changes
-    (:func:`_with_restitution_added`), and the restitution results from it. The impact map of a whole push keeps its e:
-    a series of bounces under a constant push ends where a single inelastic impact ends (paper sec. Single-arm
+    A single impact has e = restitution + bounce. A plant has compliant pads and no e: their damping changes
+    (:func:`_with_restitution_added`), and the restitution results from it. The impact map of a whole push keeps its e,
+    because a series of bounces under a constant push has the same end as one inelastic impact (paper sec. Single-arm
     hit-and-push scenario).
     """
-    more = number(values, "restitution")
-    if more == 0.0:
+    increase = number(values, "restitution")
+    if increase == 0.0:
         return physics
-    arms = {name: _with_restitution_added(arm, more, physics.object) for name, arm in physics.arms.items()}
-    return replace(physics, arms=arms, bounce=physics.bounce + more)
+    arms = {name: _with_restitution_added(arm, increase, physics.object) for name, arm in physics.arms.items()}
+    return replace(physics, arms=arms, bounce=physics.bounce + increase)
 
 
-def _with_restitution_added(arm: ArmPhysics, more: float, object_: ObjectPhysics) -> ArmPhysics:
-    """The pad with less damping, for more restitution; e stays between 0 and 1."""
+def _with_restitution_added(arm: ArmPhysics, increase: float, object_: ObjectPhysics) -> ArmPhysics:
+    """The arm with the pad damping for a restitution larger by ``increase`` [-], between 0 and 1."""
     if arm.pad_stiffness is None:
         return arm
-    restitution = arm.pad_restitution(object_) + more
+    restitution = arm.pad_restitution(object_) + increase
     return replace(arm, pad_damping=arm.pad_damping_of(restitution, object_))
 
 
@@ -175,7 +175,7 @@ class RestitutionThreshold(ContactLaw):
 class TangentialRestitution(ContactLaw):
     """Tangential restitution of a sticking contact, u_t^+ = -beta u_t^- with beta = beta_0 - k s >= 0, s the slip.
 
-    (Garwin 1969; Walton 1993; Cross 2002.) Where friction is too weak for that it slides, by Coulomb's law.
+    (Garwin 1969; Walton 1993; Cross 2002.) If friction is too weak for that, the contact slides by Coulomb's law.
 
     Attributes:
         restitution: beta_0 [-].
@@ -214,7 +214,7 @@ class DrillingFriction(ContactLaw):
 
 @dataclass(frozen=True)
 class WithContactLaw:
-    """Law of an effect that adds a contact law; where the first parameter is 0, there is nothing to add.
+    """Effect law that adds a contact law, unless the first parameter is 0.
 
     Attributes:
         kind: The contact law.
@@ -248,7 +248,8 @@ PAD_COMPLIANCE = ArmEffect(
     phases=("contact",),
 )
 
-# Starts lie where contacts begin to slide, and the step of the pad: as long as all stick, friction has no influence.
+# Further starts (far), and the step of the pad, reach coefficients at which contacts slide: while all contacts stick,
+# friction has no influence.
 PAD_FRICTION = FrictionEffect(
     name="pad_friction",
     acts_on="contact",
@@ -258,7 +259,7 @@ PAD_FRICTION = FrictionEffect(
             "friction", "-", 0.0, -2.0, 2.0, 0.1, "coefficient beyond the assumed", step=-0.4, far=(-0.8, -0.4, 0.4)
         ),
     ),
-    law=Added("pad_friction", ("friction",), least=0.0),
+    law=Added("pad_friction", ("friction",), minimum=0.0),
     phases=("contact",),
 )
 
@@ -269,7 +270,7 @@ SUPPORT_FRICTION = FrictionEffect(
     parameters=(
         Parameter("friction", "-", 0.0, -2.0, 2.0, 0.03, "coefficient beyond the assumed", far=(-0.8, -0.4, 0.4)),
     ),
-    law=Added("support_friction", ("friction",), least=0.0),
+    law=Added("support_friction", ("friction",), minimum=0.0),
     phases=("contact",),
 )
 
@@ -278,7 +279,7 @@ OBJECT_FRICTION = FrictionEffect(
     acts_on="neighbour",
     sentence="The object slides along its neighbours with more or less friction than assumed.",
     parameters=(Parameter("friction", "-", 0.0, -2.0, 2.0, 0.03, "coefficient beyond the assumed", far=(-0.3, 0.4)),),
-    law=Added("object_friction", ("friction",), least=0.0),
+    law=Added("object_friction", ("friction",), minimum=0.0),
     phases=("contact",),
     drawn=False,
 )
@@ -296,8 +297,8 @@ FORMER = {
     for effect in (PAD_FRICTION, SUPPORT_FRICTION)
 }
 
-# Two effects and not one of two parameters: shear comes back when the load ends and creep does not, so that each can be
-# seen by itself, and one alone is a whole law. Together they are a Maxwell element.
+# Two effects, not one with two parameters: shear recovers when the load ends and creep does not, so each is observable
+# and a complete law by itself. Together they are a Maxwell element.
 PAD_SHEAR = ArmEffect(
     name="pad_shear",
     acts_on="contact",
@@ -364,7 +365,7 @@ RESTITUTION_FALL = SceneEffect(
     name="restitution_fall",
     acts_on="contact",
     sentence="The faster the object comes, the less it bounces.",
-    # No body is known to bounce more when it comes faster: a rise would stand for a restitution that is not assumed.
+    # No body is known to bounce more at a higher speed: a negative fall would only stand in for missing restitution.
     parameters=(Parameter("fall", "s/m", 0.0, 0.0, 0.5, 0.01, "fall of restitution with the closing speed"),),
     law=WithContactLaw(RestitutionFall, ("fall",)),
     phases=SINGLE_IMPACT,

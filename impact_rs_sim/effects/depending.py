@@ -5,13 +5,12 @@ A *covariate* is a level (``A``, ``B``) or a number. The parameters of an effect
 
     theta = sum_j w_j theta_j
 
-with w_j = 1 for the level at hand and 0 for the others, or, of a number x with mean m and standard deviation s over the
-measurements, w = (1, (x - m) / s): a value at the mean and a change per standard deviation. Where a line is not enough,
-theta_j are values at knots x_j, and w_j are the hat functions of linear interpolation between them. Under a level that
-has no value of its own the mean over all levels holds. Shape parameters do not depend on anything.
+For levels, w_j is 1 for the present level and 0 for the others; for a level without values of its own, the mean over
+all levels is used. For a number x with mean m and standard deviation s over the measurements, w = (1, (x - m) / s): a
+value at the mean and a change per standard deviation. For a curve, theta_j are values at knots x_j, and w_j the hat
+functions of linear interpolation between them. Shape parameters do not depend on the covariate.
 
-As with :class:`~impact_rs_sim.effects.each_arm.EachArm`, it is an effect like any other to those who fit it: a list of
-numbers.
+A fit treats such an effect as any other, a list of numbers, like :class:`~impact_rs_sim.effects.each_arm.EachArm`.
 """
 
 from __future__ import annotations
@@ -27,19 +26,19 @@ from impact_rs_sim.robots.robot import Array
 
 
 def level_name(value: float | str) -> str:
-    """Name of a level, of a number its text."""
+    """Name of a level; a number becomes text."""
     return value if isinstance(value, str) else f"{value:g}"
 
 
 @dataclass(frozen=True)
 class Levels:
-    """A covariate with names of levels, which may be numbers; every level has values of its own.
+    """A covariate with levels, named or numbers; every level has separate values.
 
     Attributes:
         names: The levels.
     """
 
-    way = "by level of"
+    relation = "by level of"
 
     names: tuple[str, ...]
 
@@ -63,14 +62,14 @@ class Levels:
 
 @dataclass(frozen=True)
 class Slope:
-    """A covariate that is a number, on which parameters depend linearly.
+    """A number as covariate; parameters depend linearly on it.
 
     Attributes:
-        mean: Over the measurements, in the unit of the covariate.
-        spread: Standard deviation, likewise.
+        mean: Mean over the measurements, in the unit of the covariate.
+        spread: Standard deviation over the measurements, in the unit of the covariate.
     """
 
-    way = "along"
+    relation = "along"
 
     mean: float
     spread: float
@@ -92,7 +91,7 @@ class Slope:
 
 @dataclass(frozen=True)
 class Knots:
-    """A covariate that is a number, along which parameters follow a curve: linear between knots, constant beyond them.
+    """A number as covariate; parameters are piecewise linear in it between knots and constant beyond them.
 
     Attributes:
         knots: In ascending order, in the unit of the covariate, ``k`` of them.
@@ -101,7 +100,7 @@ class Knots:
     knots: tuple[float, ...]
 
     @property
-    def way(self) -> str:
+    def relation(self) -> str:
         """Description of the dependence."""
         return f"as a curve of {len(self.knots)} values over"
 
@@ -127,7 +126,7 @@ Terms = Levels | Slope | Knots
 class Depending(Effect):
     """An effect whose parameters depend on a covariate.
 
-    Its scalars are the scalars of the effect term by term, without the shapes, which come last.
+    Its scalars are those of the effect except shapes, once per term, and then the shapes.
 
     Args:
         effect: The effect under one circumstance.
@@ -137,7 +136,7 @@ class Depending(Effect):
 
     def __init__(self, effect: Effect, covariate: str, terms: Terms) -> None:
         self.effect, self.covariate, self.terms = effect, covariate, terms
-        self.name = f"{effect.name} {terms.way} {covariate}"
+        self.name = f"{effect.name} {terms.relation} {covariate}"
         self.acts_on, self.sentence, self.phases = effect.acts_on, effect.sentence, effect.phases
         self.reading, self.calibration = effect.reading, effect.calibration
         self.calibrates, self.lasting, self.parameters = effect.calibrates, effect.lasting, effect.parameters
@@ -155,47 +154,47 @@ class Depending(Effect):
     def apply_vector(self, physics: Physics, vector: Array) -> Physics:
         """See :meth:`Effect.apply_vector`; under the circumstances of ``physics``."""
         weights, shapes = self.terms.weights(physics.circumstances[self.covariate]), self._shapes(self._joints(physics))
-        own = np.empty(shapes.size)
-        ends = weights.size * np.count_nonzero(~shapes)
-        own[~shapes] = weights @ np.asarray(vector[:ends], dtype=float).reshape(weights.size, -1)
-        own[shapes] = vector[ends:]
-        return self.effect.apply_vector(physics, own)
+        scalars = np.empty(shapes.size)
+        terms_size = weights.size * np.count_nonzero(~shapes)
+        scalars[~shapes] = weights @ np.asarray(vector[:terms_size], dtype=float).reshape(weights.size, -1)
+        scalars[shapes] = vector[terms_size:]
+        return self.effect.apply_vector(physics, scalars)
 
     def scalars(self, joints: Joints) -> list[Parameter]:
         """See :meth:`Effect.scalars`."""
-        own = self.effect.scalars(joints)
-        found = []
+        scalars = self.effect.scalars(joints)
+        terms = []
         for label, change in zip(self.terms.labels, self.terms.changes, strict=True):
-            for scalar in (scalar for scalar in own if not scalar.shape):
-                part = replace(scalar, name=f"{scalar.name} {label}")
-                reach = scalar.upper - scalar.lower
-                found.append(replace(part, nominal=0.0, lower=-reach, upper=reach, far=()) if change else part)
-        return found + [scalar for scalar in own if scalar.shape]
+            for scalar in (scalar for scalar in scalars if not scalar.shape):
+                term = replace(scalar, name=f"{scalar.name} {label}")
+                width = scalar.upper - scalar.lower
+                terms.append(replace(term, nominal=0.0, lower=-width, upper=width, far=()) if change else term)
+        return terms + [scalar for scalar in scalars if scalar.shape]
 
     def spelled(self, joints: Joints) -> list[tuple[str, list[Parameter]]]:
         """See :meth:`Effect.spelled`."""
         return [(scalar.name, [scalar]) for scalar in self.scalars(joints)]
 
     def at(self, values: Array, joints: Joints) -> Array:
-        """Scalars with which it is the effect itself under all circumstances, ``(p,)``.
+        """Scalars with which the effect is the same under all circumstances, ``(p,)``.
 
         Args:
             values: Scalars of the effect.
             joints: Joints of an arm.
         """
         shapes = self._shapes(joints)
-        own = [np.zeros(int((~shapes).sum())) if change else values[~shapes] for change in self.terms.changes]
-        return np.concatenate([*own, values[shapes]])
+        terms = [np.zeros(int((~shapes).sum())) if change else values[~shapes] for change in self.terms.changes]
+        return np.concatenate([*terms, values[shapes]])
 
     def steps(self, joints: Joints, at: Array) -> Array:
-        """See :meth:`Effect.steps`: as the effect."""
+        """See :meth:`Effect.steps`: the steps of the effect, for every term."""
         shapes, count = self._shapes(joints), len(self.terms.labels)
         terms, shape = np.split(np.asarray(at), [count * np.count_nonzero(~shapes)])
         steps = []
         for term in terms.reshape(count, -1):
-            own = np.empty(shapes.size)
-            own[~shapes], own[shapes] = term, shape
-            steps.append(self.effect.steps(joints, own))
+            scalars = np.empty(shapes.size)
+            scalars[~shapes], scalars[shapes] = term, shape
+            steps.append(self.effect.steps(joints, scalars))
         return np.concatenate([*(step[~shapes] for step in steps), steps[0][shapes]])
 
     def bounds(self, physics: Physics) -> tuple[Array, Array]:

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dimensional analysis of formula effects: does a formula yield a torque or a force?
 
-A unit is a product of powers of kg, m and s (rad is a number). A joint turns or slides; a formula is right if it is so
-for one of both. A number in a formula may carry an unwritten
-unit, ``tanh(dq2 / 0.02)`` for example, so a product with a number has an unknown unit. A formula is refused only if two
-known units disagree.
+A unit is a product of powers of kg, m and s (rad is a number). A joint turns or slides; a formula is accepted if its
+units fit either. A number in a formula may carry an unwritten unit, ``tanh(dq2 / 0.02)`` for example, so a product with
+a number has an unknown unit. A formula is refused only if two known units disagree.
 """
 
 from __future__ import annotations
@@ -31,18 +30,18 @@ JOINT_SYMBOL_UNITS = (
     {"q": NUMBER, "dq": BASE["Hz"], "tau": TORQUE},  # of a revolute joint: rad, rad/s, N m
     {"q": of(0, 1, 0), "dq": of(0, 1, -1), "tau": FORCE},  # of a prismatic joint: m, m/s, N
 )
-MAX_WAYS = 64  # in which six joints of a formula turn or slide
-UNIT_PRESERVING_FUNCTIONS = ("abs", "min", "max")  # functions that give what they are given
+MAX_TYPE_COMBINATIONS = 64  # of revolute and prismatic, for six joints in a formula
+UNIT_PRESERVING_FUNCTIONS = ("abs", "min", "max")  # functions whose value has the unit of their arguments
 
 
 def check_units(spec: FormulaSpec) -> dict[str, str]:
-    """Unit of every formula of an effect, by its key; empty: unknown because of its numbers.
+    """Unit of every formula of an effect, by its key; empty if a number in it makes the unit unknown.
 
     Raises:
         InputError: A unit is not understood, or two of them clash.
     """
     parameters = {name: dimension_of(parameter.unit) for name, parameter in spec.parameters.items()}
-    known = {name: dimension_of(unit) for name, unit in SYMBOLS.items()} | {"pi": NUMBER, **parameters}
+    symbol_units = {name: dimension_of(unit) for name, unit in SYMBOLS.items()} | {"pi": NUMBER, **parameters}
     tables = {
         "joint_torque": (spec.joint_torque, TORQUE),
         "motor_torque": (spec.motor_torque, TORQUE),
@@ -55,66 +54,67 @@ def check_units(spec: FormulaSpec) -> dict[str, str]:
         "support_tangential": ({"": spec.support_tangential}, FORCE),
         "contact": (spec.contact, NUMBER),
     }
-    of_contact = parameters | dict.fromkeys(CONTACT_SYMBOLS, of(0, 1, -1)) | {"pi": NUMBER}
+    contact_symbols = parameters | dict.fromkeys(CONTACT_SYMBOLS, of(0, 1, -1)) | {"pi": NUMBER}
     units = {}
-    for table, (formulas, wanted) in tables.items():
+    for table, (formulas, expected) in tables.items():
         for key, text in formulas.items():
             if not text:
                 continue
             formula_key = f"{table}.{key}".removesuffix(".")
-            symbols = of_contact if table == "contact" else known
-            found = _fitting(text, formula_key, symbols, wanted)
-            units[formula_key] = "" if found is None else text_of(found)
+            table_symbols = contact_symbols if table == "contact" else symbol_units
+            unit = _unit_for_joint_types(text, formula_key, table_symbols, expected)
+            units[formula_key] = "" if unit is None else text_of(unit)
     return units
 
 
-def _fitting(text: str, key: str, symbols: dict[str, Dimension], wanted: Dimension) -> Unit:
-    """Unit of a formula, for the first types of its joints for which it is the wanted one."""
+def _unit_for_joint_types(text: str, key: str, symbols: dict[str, Dimension], nominal: Dimension) -> Unit:
+    """Unit of a formula, for the first joint types with which it is the expected one."""
     errors, tree = [], ast.parse(text.strip(), mode="eval").body
-    for known, expected in _ways(text, key, symbols, wanted):
+    for symbol_units, expected_unit in _units_by_joint_types(text, key, symbols, nominal):
         try:
-            found = _unit(tree, known, text)
+            unit = _unit(tree, symbol_units, text)
         except InputError as error:
             errors.append(error)
             continue
-        if found is None or found == expected:
-            return found
-        errors.append(InputError(f"formula {text!r} gives {text_of(found)}, expected {text_of(expected)}", key=key))
+        if unit is None or unit == expected_unit:
+            return unit
+        errors.append(InputError(f"formula {text!r} gives {text_of(unit)}, expected {text_of(expected_unit)}", key=key))
     raise errors[0]
 
 
-def _ways(
-    text: str, key: str, symbols: dict[str, Dimension], wanted: Dimension
+def _units_by_joint_types(
+    text: str, key: str, symbols: dict[str, Dimension], nominal: Dimension
 ) -> Iterator[tuple[dict[str, Dimension], Dimension]]:
-    """Units of the symbols and of the formula, for each way in which the joints that it names may move."""
-    own = JOINT_KEY.fullmatch(key.partition(".")[2])
-    joints = list(dict.fromkeys(([own[1]] if own else []) + [found[2] for found in JOINT_SYMBOL.finditer(text)]))
-    for units in islice(product(JOINT_SYMBOL_UNITS, repeat=len(joints)), MAX_WAYS):
-        of_joints = {
+    """Units of symbols and formula for every combination of types of the joints in the formula and its key."""
+    acting_joint = JOINT_KEY.fullmatch(key.partition(".")[2])
+    named = [match[2] for match in JOINT_SYMBOL.finditer(text)]
+    joints = list(dict.fromkeys([acting_joint[1], *named] if acting_joint else named))
+    for units in islice(product(JOINT_SYMBOL_UNITS, repeat=len(joints)), MAX_TYPE_COMBINATIONS):
+        joint_symbols = {
             f"{symbol}{joint}": unit
             for joint, table in zip(joints, units, strict=True)
             for symbol, unit in table.items()
         }
-        yield symbols | of_joints, units[0]["tau"] if own else wanted
+        yield symbols | joint_symbols, units[0]["tau"] if acting_joint else nominal
 
 
-def _unit(node: ast.AST, known: dict[str, Dimension], text: str) -> Unit:
+def _unit(node: ast.AST, symbols: dict[str, Dimension], text: str) -> Unit:
     if isinstance(node, ast.Name):
-        return known.get(node.id)
+        return symbols.get(node.id)
     if isinstance(node, ast.UnaryOp):
-        return _unit(node.operand, known, text)
+        return _unit(node.operand, symbols, text)
     if isinstance(node, ast.BinOp):
-        return _combined(node, known, text)
+        return _unit_of_operation(node, symbols, text)
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-        given = [_unit(argument, known, text) for argument in node.args]
-        return _given_to(node.func.id, given, text)
+        argument_units = [_unit(argument, symbols, text) for argument in node.args]
+        return _unit_of_call(node.func.id, argument_units, text)
     return None  # a number
 
 
-def _combined(node: ast.BinOp, known: dict[str, Dimension], text: str) -> Unit:
-    left, right = _unit(node.left, known, text), _unit(node.right, known, text)
+def _unit_of_operation(node: ast.BinOp, symbols: dict[str, Dimension], text: str) -> Unit:
+    left, right = _unit(node.left, symbols, text), _unit(node.right, symbols, text)
     if isinstance(node.op, (ast.Add, ast.Sub)):
-        return _alike(left, right, text)
+        return _common_unit(left, right, text)
     if isinstance(node.op, ast.Pow):
         power = node.right
         if left is None or not (isinstance(power, ast.Constant) and isinstance(power.value, int)):
@@ -125,23 +125,25 @@ def _combined(node: ast.BinOp, known: dict[str, Dimension], text: str) -> Unit:
     return times(left, right, 1 if isinstance(node.op, ast.Mult) else -1)
 
 
-def _given_to(function: str, given: list[Unit], text: str) -> Unit:
+def _unit_of_call(function: str, arguments: list[Unit], text: str) -> Unit:
     if function in UNIT_PRESERVING_FUNCTIONS:
-        return _alike(given[0], given[-1], text)
+        return _common_unit(arguments[0], arguments[-1], text)
     if function == LAG:
-        if given[1] not in (None, BASE["s"]):
-            raise InputError(f"formula {text!r}: the time constant of {LAG} is in s, got {text_of(given[1] or NUMBER)}")
-        return _alike(given[0], given[2], text) if len(given) > 2 else given[0]
+        if arguments[1] not in (None, BASE["s"]):
+            raise InputError(
+                f"formula {text!r}: the time constant of {LAG} is in s, got {text_of(arguments[1] or NUMBER)}"
+            )
+        return _common_unit(arguments[0], arguments[2], text) if len(arguments) > 2 else arguments[0]
     if function == "sqrt":
-        return None if given[0] is None else times(NUMBER, given[0], Fraction(1, 2))
+        return None if arguments[0] is None else times(NUMBER, arguments[0], Fraction(1, 2))
     if function == "sign":
         return NUMBER
-    if given and given[0] not in (None, NUMBER) and function in FUNCTIONS:
-        raise InputError(f"formula {text!r}: {function} takes a number, got {text_of(given[0] or NUMBER)}")
+    if arguments and arguments[0] not in (None, NUMBER) and function in FUNCTIONS:
+        raise InputError(f"formula {text!r}: {function} takes a number, got {text_of(arguments[0] or NUMBER)}")
     return NUMBER
 
 
-def _alike(left: Unit, right: Unit, text: str) -> Unit:
+def _common_unit(left: Unit, right: Unit, text: str) -> Unit:
     if left is not None and right is not None and left != right:
         raise InputError(f"formula {text!r} adds or compares {text_of(left)} and {text_of(right)}")
     return left if right is None else right

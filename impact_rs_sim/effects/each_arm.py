@@ -2,8 +2,8 @@
 """Effects of arms that do not share their parameters.
 
 An :class:`~impact_rs_sim.effects.base.ArmEffect` has one set of parameters for all arms: a hypothesis about a robot
-type, which halves the number of unknowns. For arms of different types every arm has its own parameters,
-``coulomb_left_joint1`` and ``coulomb_right_joint1``, with the joint count of that arm.
+type, which halves the number of unknowns of two arms. Here every arm has its own parameters, ``coulomb_left_joint1``
+and ``coulomb_right_joint1``, for as many joints as that arm has; arms of different types need this.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from impact_rs_sim.robots.robot import Array, JointType
 
 
 class EachArm(Effect):
-    """An effect of arms with parameters of its own for every arm.
+    """An effect of arms with separate parameters for every arm.
 
     Args:
         effect: The effect on one arm.
@@ -41,20 +41,20 @@ class EachArm(Effect):
         )
 
     def apply(self, physics: Physics, values: Values) -> Physics:
-        """See :meth:`Effect.apply`; arms that are not in the scene are left out.
+        """See :meth:`Effect.apply`; parameters of arms that are not in the scene are ignored.
 
         Raises:
-            InputError: An arm that it has no parameters for, or with another number of joints.
+            InputError: An arm of the scene has no parameters here, or other joints.
         """
         self._check(physics)
         arms = {}
         for name in physics.arms:
-            own = {parameter.name: values[f"{parameter.name}_{name}"] for parameter in self.effect.parameters}
-            arms[name] = self.effect.apply(_alone(physics, name), own).arms[name]
+            arm_values = {parameter.name: values[f"{parameter.name}_{name}"] for parameter in self.effect.parameters}
+            arms[name] = self.effect.apply(_alone(physics, name), arm_values).arms[name]
         return replace(physics, arms=arms)
 
     def spelled(self, joints: Joints) -> list[tuple[str, list[Parameter]]]:
-        """See :meth:`Effect.spelled`; the joints of every arm are known."""
+        """See :meth:`Effect.spelled`; ``joints`` is ignored, because this effect has the joints of every arm."""
         del joints
         return [(parameter.name, parameter.scalars(self.joints[parameter.arm])) for parameter in self.parameters]
 
@@ -66,10 +66,10 @@ class EachArm(Effect):
         """
         self._check(physics)
         scalars = self.scalars(0)
-        lower, upper = np.array([one.lower for one in scalars]), np.array([one.upper for one in scalars])
+        lower, upper = np.array([scalar.lower for scalar in scalars]), np.array([scalar.upper for scalar in scalars])
         for name in physics.arms:
-            own = [number for number, scalar in enumerate(scalars) if scalar.arm == name]
-            lower[own], upper[own] = self.effect.bounds(_alone(physics, name))
+            indices = [index for index, scalar in enumerate(scalars) if scalar.arm == name]
+            lower[indices], upper[indices] = self.effect.bounds(_alone(physics, name))
         return lower, upper
 
     def with_parameters(self, change: Callable[[Parameter], Parameter]) -> EachArm:
@@ -89,9 +89,9 @@ class EachArm(Effect):
     def _check(self, physics: Physics) -> None:
         for name, joints in physics.arm_joints:
             if name not in self.joints or types_of(self.joints[name]) != joints:
-                known = ", ".join(f"{own} with {_text(types_of(has))}" for own, has in self.joints.items())
+                arms = ", ".join(f"{arm} with {_text(types_of(types))}" for arm, types in self.joints.items())
                 raise InputError(
-                    f"effect {self.name!r} has parameters for arms {known}; here is arm {name!r} with {_text(joints)}"
+                    f"effect {self.name!r} has parameters for arms {arms}; here is arm {name!r} with {_text(joints)}"
                 )
 
 

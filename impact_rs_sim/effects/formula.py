@@ -15,7 +15,7 @@ A law of the object, or of what it touches:
       object_force: {x: "-c * object_speed * object_vx", y: "-c * object_speed * object_vy"}
       parameters: {c: {unit: N s^2/m^2, nominal: 0, lower: 0, upper: 100, scale: 1}}
 
-A contact of a single impact, in tables of impacts:
+A contact of a single impact, in tables of impacts only:
 
     - name: plastic_contact
       sentence: The contact yields, so that restitution falls with the fourth root of the speed.
@@ -23,19 +23,19 @@ A contact of a single impact, in tables of impacts:
       parameters: {c: {unit: "-", nominal: 0, lower: -1, upper: 1, scale: 0.05}}
 
 ``contact`` adds to the coefficients ``restitution``, ``tangential_restitution`` and ``friction`` of a contact point, as
-functions of its closing speed ``v`` and its ``slip`` [m/s]. A normal impulse L_n(v) of a body with the inverse mass G_n
-there is the restitution G_n L_n(v) / v - 1.
+functions of its closing speed ``v`` and its ``slip`` [m/s]. With the inverse mass G_n of the body at this point, a
+normal impulse L_n(v) corresponds to the restitution G_n L_n(v) / v - 1.
 
-Where formulas act:
+Points of action:
 
-* ``joint_torque`` on a link, where the torque sensor sees it; ``motor_torque`` on the motor before the transmission, as
-  friction of a gear and errors of the command do; ``end_effector_force`` at the origin of E. They are evaluated at
-  every control tick, with position and velocity of the links.
-* ``object_force`` at the middle of the object, ``object_moment`` on it, along the axes of A.
-* ``contact_normal`` and ``contact_tangential`` between pad and object while they touch: a force that parts them, and
-  one against the sliding of the object on the pad. The pad feels the reaction. ``support_normal`` and
-  ``support_tangential`` likewise between support and object. They are evaluated in every step, with forces of the step
-  before.
+* ``joint_torque`` on a link, measured by the torque sensor; ``motor_torque`` on the motor before the transmission, like
+  friction of a gear and errors of the command; ``end_effector_force`` at the origin of E. They are evaluated at every
+  control tick, with position and velocity of the links.
+* ``object_force`` at the centre of the object, ``object_moment`` on it, along the axes of A.
+* ``contact_normal`` and ``contact_tangential`` between pad and object while they touch: a repulsive force, and a force
+  against the sliding of the object on the pad. The pad feels the reaction. ``support_normal`` and
+  ``support_tangential`` act between support and object in the same way. They are evaluated in every step, with forces
+  of the previous step.
 
 Symbols: :data:`SYMBOLS`; ``q1`` ... ``dq1`` ... ``tau1`` ... of the joints [rad, rad/s, N m]; ``pi``; and the named
 parameters. Formulas of object and support have the symbols of time, object and support, and ``normal_force`` and
@@ -83,12 +83,12 @@ FUNCTIONS: dict[str, tuple[int, Callable[..., Value]]] = {
     "min": (2, np.minimum),
     "max": (2, np.maximum),
 }
-LAG = "lag"  # of its first argument, with its second as time constant, from its third on; impact_rs_sim/memory.py
+LAG = "lag"  # of a quantity, with a time constant and, if given, an initial value; impact_rs_sim/memory.py
 _BINARY: dict[type[ast.operator], Callable[[Value, Value], Value]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
-    ast.Div: np.divide,  # of numbers as of arrays: x / 0 is infinite
+    ast.Div: np.divide,  # x / 0 is infinite, of numbers too
     ast.Pow: np.power,
 }
 SYMBOLS = {
@@ -104,7 +104,7 @@ SYMBOLS = {
     "penetration": "m",  # mean over the contact points, weighted with their forces
     "closing": "m/s",  # rate of the penetration
     "slip": "m/s",  # at which the object slides on the pad
-    "since_contact": "s",  # since they first touched; 0 before
+    "since_contact": "s",  # since the first contact of pad and object; 0 before
     "support_force": "N",  # normal, between support and object
     "support_slip": "m/s",
 }
@@ -149,7 +149,7 @@ class Formula:
         remembers: Whether it has memory (a lag).
 
     Raises:
-        InputError: The text does not parse, names an unknown symbol or function, or is no arithmetic.
+        InputError: The text does not parse, has an unknown symbol or function, or is not arithmetic.
     """
 
     def __init__(self, text: str, symbols: Iterable[str]) -> None:
@@ -166,7 +166,7 @@ class Formula:
             memory: State of its lags; not needed for samples along time.
 
         Raises:
-            InputError: It has memory, and there is a single state without one.
+            InputError: It has memory, and ``values`` are a single state without ``memory``.
         """
         return self._function(values, memory)
 
@@ -210,9 +210,9 @@ def _compile(node: ast.AST, symbols: frozenset[str], text: str) -> Expression:
         combine = _BINARY[type(node.op)]
         return lambda values, memory: combine(left(values, memory), right(values, memory))
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
-        known = [*FUNCTIONS, LAG]
-        if node.func.id not in known:
-            raise InputError(f"formula {text!r}: unknown function {node.func.id!r}; known: {', '.join(known)}")
+        functions = [*FUNCTIONS, LAG]
+        if node.func.id not in functions:
+            raise InputError(f"formula {text!r}: unknown function {node.func.id!r}; known: {', '.join(functions)}")
         if node.func.id == LAG:
             return _lag([_compile(argument, symbols, text) for argument in node.args], text)
         count, function = FUNCTIONS[node.func.id]
@@ -224,21 +224,21 @@ def _compile(node: ast.AST, symbols: frozenset[str], text: str) -> Expression:
 
 
 def _lag(arguments: Sequence[Expression], text: str) -> Expression:
-    """A lag node with its own state."""
+    """A lag as an expression; ``text`` is the formula, for messages."""
     if len(arguments) not in (2, 3):
         raise InputError(f"formula {text!r}: {LAG} takes a quantity, a time constant and, if it has one, a start")
     key = object()
 
     def lag(values: Symbols, memory: Memory | None) -> Value:
-        given, time = [argument(values, memory) for argument in arguments], values.get("t")
+        arguments_now, time = [argument(values, memory) for argument in arguments], values.get("t")
         if isinstance(time, np.ndarray) and time.ndim:
-            return lag_along(time, *given)
+            return lag_along(time, *arguments_now)
         if memory is None or time is None:
             raise InputError(
                 f"formula {text!r}: {LAG}() depends on what was before, and a single state has no past; "
                 "it acts in trials and recordings"
             )
-        return memory.lag(key, float(time), *map(float, given))
+        return memory.lag(key, float(time), *map(float, arguments_now))
 
     return lag
 
@@ -290,9 +290,9 @@ class FormulaSpec(Schema):
     @model_validator(mode="after")
     def _ranges_of_known_symbols(self) -> Self:
         for symbol, (low, high) in self.valid.items():
-            known = [*SYMBOLS, *(name for name in CONTACT_SYMBOLS if name not in SYMBOLS)]
-            if symbol not in known and not JOINT_SYMBOL.fullmatch(symbol):
-                raise ValueError(f"valid: unknown symbol {symbol!r}; known: q1, dq1, tau1, ..., {', '.join(known)}")
+            symbols = [*SYMBOLS, *(name for name in CONTACT_SYMBOLS if name not in SYMBOLS)]
+            if symbol not in symbols and not JOINT_SYMBOL.fullmatch(symbol):
+                raise ValueError(f"valid: unknown symbol {symbol!r}; known: q1, dq1, tau1, ..., {', '.join(symbols)}")
             if low >= high:
                 raise ValueError(f"valid.{symbol}: {low:g} must be below {high:g}")
         return self
@@ -325,8 +325,8 @@ class FormulaEffect(Effect):
             Parameter(name, p.unit, p.nominal, p.lower, p.upper, p.scale, p.meaning, shape=p.shape, grid=p.grid)
             for name, p in spec.parameters.items()
         )
-        taken = FUNCTIONS.keys() | SYMBOLS.keys() | {"pi", LAG}
-        clash = [name for name in spec.parameters if name in taken or JOINT_SYMBOL.fullmatch(name)]
+        reserved = FUNCTIONS.keys() | SYMBOLS.keys() | {"pi", LAG}
+        clash = [name for name in spec.parameters if name in reserved or JOINT_SYMBOL.fullmatch(name)]
         if clash:
             raise InputError(f"effect {spec.name!r}: {sorted(clash)} cannot be parameter names")
         self._torque = {self._joint(key): self._parse(text) for key, text in spec.joint_torque.items()}
@@ -338,19 +338,19 @@ class FormulaEffect(Effect):
         self._support = self._at_surface(spec.support_normal, spec.support_tangential, self._parse_object)
         self._contact = {self._coefficient(key): self._parse_contact(text) for key, text in spec.contact.items()}
         on_arms = self._torque or self._motor or self._force
-        touching = self._pad or self._object or self._support
-        if not (on_arms or touching or self._contact):
+        on_contacts = self._pad or self._object or self._support
+        if not (on_arms or on_contacts or self._contact):
             places = ", ".join(PLACES)
             raise InputError(f"effect {spec.name!r} needs a formula of one of: {places}")
         if not on_arms:
             self.acts_on = "object" if self._object or self._support else "contact"
-            self.phases = ("contact",) if touching else SINGLE_IMPACT
+            self.phases = ("contact",) if on_contacts else SINGLE_IMPACT
 
     def _joint(self, key: str) -> int:
-        found = JOINT_KEY.fullmatch(key)
-        if found is None:
+        match = JOINT_KEY.fullmatch(key)
+        if match is None:
             raise InputError(f"effect {self.name!r}: unknown {key!r}; expected joint1, joint2, ...")
-        return int(found[1]) - 1
+        return int(match[1]) - 1
 
     def _axis(self, key: str) -> int:
         if key not in AXES:
@@ -385,8 +385,8 @@ class FormulaEffect(Effect):
         return Formula(text, {*OBJECT_SYMBOLS, *self.spec.parameters})
 
     def _parse(self, text: str) -> Formula:
-        named = {found[0] for found in JOINT_SYMBOL.finditer(text)}
-        return Formula(text, {*SYMBOLS, "q1", "dq1", "tau1", *self.spec.parameters, *named})
+        joint_symbols = {match[0] for match in JOINT_SYMBOL.finditer(text)}
+        return Formula(text, {*SYMBOLS, "q1", "dq1", "tau1", *self.spec.parameters, *joint_symbols})
 
     def apply(self, physics: Physics, values: Values) -> Physics:
         """See :meth:`Effect.apply`.

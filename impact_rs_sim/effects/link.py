@@ -7,27 +7,27 @@ A payload of mass m with centre p and radius of gyration r on the end effector o
 
 with S(d) = |d|^2 1 - d d^T.
 
-m < 0 removes mass: the remainder must be physically consistent, and the position must lie in the homogeneous ellipsoid
-of last link and end effector. r is the same about all axes: one number for the rotational inertia of the payload, which
-slow motions hardly excite.
+m < 0 removes mass: the remainder must be physically consistent, and p must lie in the homogeneous ellipsoid of last
+link and end effector. One radius r for all axes suffices, because slow motions hardly excite the rotational inertia of
+a payload.
 
 A link whose moment about its joint axis z changes is stretched across z, by D = diag(s, s, 1) with s^2 = I'_zz / I_zz:
 its second moments of mass become D (tr(I)/2 1 - I) D, moments of a body for any I'_zz > 0.
 
-Torque is linear in the inertial parameters of the links, and depends on combinations of them only. Of link i behind a
-joint that turns about its z, the mass, m z and the moment about y can be moved into link i-1 (Gautier and Khalil 1990,
-direct calculation of minimum inertial parameters, eq. 21). Fitted are therefore the base parameters of a link: its
-centre of mass across the axis (:data:`LINK_COM`) and the moment of inertia about the axis (:data:`LINK_INERTIA`), or
-else its mass with a fixed centre (:data:`LINK_MASS`), which changes the same combinations with fewer numbers.
+Torque is linear in the inertial parameters of the links, and depends on combinations of them only. For a link i behind
+a joint about its z axis, the mass, m z and the moment about y can be moved into link i-1 (Gautier and Khalil 1990,
+direct calculation of minimum inertial parameters, eq. 21). So the base parameters of a link are fitted: its centre of
+mass across the axis (:data:`LINK_COM`) and its moment of inertia about the axis (:data:`LINK_INERTIA`); or its mass
+with a fixed centre (:data:`LINK_MASS`), which changes the same combinations with fewer numbers.
 
-No model of an arm is exact: masses of screws, cables and grease, simplified shapes. :data:`LINK_ERRORS` deforms every
-link, x' = c + d + (1 + E)(x - c) with E symmetric, and changes its density by 1 + s:
+No model of an arm is exact: screws, cables and grease have mass, and shapes are simplified. :data:`LINK_ERRORS` deforms
+every link, x' = c + d + (1 + E)(x - c) with E symmetric, and multiplies its density by 1 + s:
 
     m' = (1 + s) m,    c' = c + d,    S' = (1 + s) (1 + E) S (1 + E)    (second moments about the centre)
 
-which changes all ten inertial parameters of a link, and leaves a body for any s > -1 (the congruence of Rucker and
-Wensing 2022, IEEE RA-L 7(2)). A search does not look for it: it says how far the links of a model may be wrong
-(``link_deviation`` of the robot), so that what predicts no better than that is not taken for a load.
+which changes all ten inertial parameters of a link and keeps it physically consistent for any s > -1 (the congruence of
+Rucker and Wensing 2022, IEEE RA-L 7(2)). It is no candidate of a search. It states how wrong the links of a model may
+be (``link_deviation`` of the robot), so that errors of this size are not explained by a load.
 """
 
 from __future__ import annotations
@@ -46,19 +46,19 @@ from impact_rs_sim.robots.robot import Array, Link
 from impact_rs_sim.robots.robot_model import mounted_inertia
 
 MAX_REMOVABLE_MOMENT_SHARE = 0.99  # share of a link's moment of inertia about its axis; the rest may be a rod [-]
-MAX_LINK_DEVIATIONS = 3.0  # standard deviations, as of any calibration; worse links are named themselves
-MIN_MASS_KG = 1e-6  # for a nearly cancelled mass the centre of mass goes to infinity
+MAX_LINK_DEVIATIONS = 3.0  # standard deviations; larger errors are left to LINK_MASS, LINK_COM and LINK_INERTIA
+MIN_MASS_KG = 1e-6  # if payload and end effector nearly cancel, the centre of mass goes to infinity
 
 
 @dataclass(frozen=True)
 class PayloadEffect(ArmEffect):
-    """A body on the end effector: mass, centre (3 parameters), and one parameter of its inertia."""
+    """A body on the end effector: mass, centre of mass (3 parameters) and radius of gyration."""
 
     def bounds(self, physics: Physics) -> tuple[Array, Array]:
         """See :meth:`Effect.bounds`.
 
-        No more can be taken away than the last link weighs with its end effector, and nothing is longer than the tool
-        with the longest link of the arm that carries it. A range that a user gives for a length stays.
+        At most the mass of the last link with its end effector can be removed. Lengths are at most those of the tool
+        plus the longest link of the arm; a range that a user gives stays.
         """
         lower, upper = super().bounds(physics)
         for arm in physics.arms.values():
@@ -82,13 +82,13 @@ def _payload(arm: ArmPhysics, values: Values) -> ArmPhysics:
         return arm
     if added < 0.0:
         _check_removable(arm, added, position)
-    before = arm.end_effector
-    if abs(before.mass + added) < MIN_MASS_KG:
-        added = MIN_MASS_KG - before.mass
-    mass, own = before.mass + added, added * number(values, "gyration") ** 2 * IDENTITY
-    com = (before.mass * before.com + added * position) / mass
-    inertia = before.inertia + before.mass * _steiner(before.com - com) + own + added * _steiner(position - com)
-    return replace(arm, end_effector=replace(before, mass=mass, com=com, inertia=inertia))
+    tool = arm.end_effector
+    if abs(tool.mass + added) < MIN_MASS_KG:
+        added = MIN_MASS_KG - tool.mass
+    mass, gyration_inertia = tool.mass + added, added * number(values, "gyration") ** 2 * IDENTITY
+    com = (tool.mass * tool.com + added * position) / mass
+    inertia = tool.inertia + tool.mass * _steiner(tool.com - com) + gyration_inertia + added * _steiner(position - com)
+    return replace(arm, end_effector=replace(tool, mass=mass, com=com, inertia=inertia))
 
 
 def _check_removable(arm: ArmPhysics, added: float, position: Array) -> None:
@@ -103,11 +103,11 @@ def _check_removable(arm: ArmPhysics, added: float, position: Array) -> None:
 
 
 def _steiner(offset: Array) -> Array:
-    """S of the module's head, ``(3, 3)`` [m^2]."""
+    """S(d) = |d|^2 1 - d d^T of an offset d, ``(3, 3)`` [m^2]."""
     return np.asarray(offset @ offset * IDENTITY - offset[:, None] * offset)
 
 
-def _place(axis: str, nominal: float, hidden: tuple[float, float]) -> Parameter:
+def _com_parameter(axis: str, nominal: float, hidden: tuple[float, float]) -> Parameter:
     meaning = f"where the added mass sits, {axis} of frame E"
     return Parameter(f"com_{axis}", "m", nominal, -0.2, 0.2, 0.02, meaning, shape=True, hidden=hidden)
 
@@ -118,9 +118,9 @@ END_EFFECTOR_PAYLOAD = PayloadEffect(
     sentence="Something heavier or lighter than assumed is mounted on the end effector.",
     parameters=(
         Parameter("mass", "kg", 0.0, -0.5, 3.0, 0.1, "added mass"),
-        _place("x", 0.0, (-0.04, 0.04)),
-        _place("y", 0.0, (-0.04, 0.04)),
-        _place("z", -0.04, (-0.1, 0.02)),
+        _com_parameter("x", 0.0, (-0.04, 0.04)),
+        _com_parameter("y", 0.0, (-0.04, 0.04)),
+        _com_parameter("z", -0.04, (-0.1, 0.02)),
         Parameter(
             "gyration",
             "m",
@@ -144,7 +144,7 @@ def _with_links(arm: ArmPhysics, links: Sequence[Link]) -> ArmPhysics:
 
 
 def _of_links(arm: ArmPhysics, values: Array) -> list[float]:
-    """Values per joint ``(n,)`` for every link; a joint that follows another has its value."""
+    """Values per joint ``(n,)`` by link; the link of a joint that follows another has the value of the followed one."""
     return [float(values[coordinate]) for coordinate in arm.facts.coordinates]
 
 
@@ -183,7 +183,7 @@ def _link_inertia(arm: ArmPhysics, values: Values) -> ArmPhysics:
 
 
 def _with_axial_moment(link: Link, more: float) -> tuple[float, ...]:
-    """Moments of a link with ``more`` [kg m^2] about its axis; of one that has none there, alike along x and y."""
+    """Moments of a link with ``more`` [kg m^2] about its axis; without a moment there, equal shares along x and y."""
     if more == 0.0:
         return link.inertia
     moments, about_axis = second_moments(link.inertia_matrix), link.inertia[5]
@@ -201,7 +201,7 @@ class LinkInertiaEffect(ArmEffect):
     """Moments of inertia of the links about their joint axes."""
 
     def bounds(self, physics: Physics) -> tuple[Array, Array]:
-        """See :meth:`Effect.bounds`; only part of the least moment of inertia that a joint moves is removable."""
+        """See :meth:`Effect.bounds`; at most a share of the moment of a link about its axis is removable."""
         lower, upper = super().bounds(physics)
         for arm in physics.arms.values():
             for link, coordinate in zip(arm.facts.links, arm.facts.coordinates, strict=True):
@@ -255,7 +255,9 @@ LINK_INERTIA = LinkInertiaEffect(
 
 
 def _link_errors(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    changes = arm.facts.link_deviation * np.array([values[one.name] for one in LINK_ERRORS.parameters]).T  # (n, 10)
+    changes = (
+        arm.facts.link_deviation * np.array([values[parameter.name] for parameter in LINK_ERRORS.parameters]).T
+    )  # (n, 10)
     return _with_links(
         arm,
         [
@@ -266,7 +268,7 @@ def _link_errors(arm: ArmPhysics, values: Values) -> ArmPhysics:
 
 
 def _deformed(link: Link, change: Array) -> Link:
-    """A link with density, shift over its radius of gyration and strain (xx, yy, zz, xy, xz, yz) changed, ``(10,)``."""
+    """A link deformed by changes ``(10,)``: density, shift over radius of gyration, strain xx, yy, zz, xy, xz, yz."""
     if link.mass <= 0.0 or not np.any(change):
         return link
     moments, density = second_moments(link.inertia_matrix), 1.0 + change[0]
@@ -279,9 +281,9 @@ def _deformed(link: Link, change: Array) -> Link:
     return link.model_copy(update={"mass": density * link.mass, "com": (x, y, z), "inertia": inertia})
 
 
-def _in_deviations(name: str, meaning: str) -> Parameter:
-    end = MAX_LINK_DEVIATIONS
-    return Parameter(name, "-", 0.0, -end, end, 1.0, f"{meaning}, over link_deviation", True, firm=True, prior=1.0)
+def _deviation_parameter(name: str, meaning: str) -> Parameter:
+    limit = MAX_LINK_DEVIATIONS
+    return Parameter(name, "-", 0.0, -limit, limit, 1.0, f"{meaning}, over link_deviation", True, firm=True, prior=1.0)
 
 
 LINK_ERRORS = ArmEffect(
@@ -289,11 +291,14 @@ LINK_ERRORS = ArmEffect(
     acts_on="link inertia",
     sentence="Density, centre of mass and shape of the links are a little different from the model.",
     parameters=(
-        _in_deviations("density", "change of the density"),
-        *(_in_deviations(f"shift_{axis}", f"shift along {axis} over the radius of gyration") for axis in "xyz"),
-        *(_in_deviations(f"strain_{axes}", f"strain along {axes}") for axes in ("xx", "yy", "zz", "xy", "xz", "yz")),
+        _deviation_parameter("density", "change of the density"),
+        *(_deviation_parameter(f"shift_{axis}", f"shift along {axis} over the radius of gyration") for axis in "xyz"),
+        *(
+            _deviation_parameter(f"strain_{axes}", f"strain along {axes}")
+            for axes in ("xx", "yy", "zz", "xy", "xz", "yz")
+        ),
     ),
     law=_link_errors,
     calibrates=True,
 )
-LINK_EFFECTS = (LINK_MASS, LINK_COM, LINK_INERTIA)  # which name such errors
+LINK_EFFECTS = (LINK_MASS, LINK_COM, LINK_INERTIA)  # effects that name one wrong link

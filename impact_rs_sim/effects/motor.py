@@ -1,34 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects on the motor side of the joints: friction, and the inertia that the torque loop leaves.
 
-Friction is stated as the desired torque feels it (tau_fric of paper eq. EOM_motor_mod); the whole law is
-:class:`~impact_rs_sim.physics.JointFriction`. Its parts are effects of their own that add up:
+Friction is stated in terms of the desired torque (tau_fric of paper eq. EOM_motor_mod); the whole law is
+:class:`~impact_rs_sim.physics.JointFriction`. Its terms are separate effects that add up:
 
 * Coulomb and viscous friction, and the breakaway torque above sliding friction (Stribeck curve, Armstrong-Hélouvry et
   al. 1994, Automatica 30).
-* ``-k |tau_J| sign(dtheta)``: teeth that carry more rub more. Bittencourt and Gunnarsson (2012, J. Dyn. Sys. Meas.
-  Control 134) measured it on an industrial arm, with its dependence on temperature; servo models have it as the
-  load-dependent term (Duclusaud et al. 2025, ICRA: BAM, models M3 to M6). Where |tau_J| hardly varies along a motion
-  it is Coulomb friction, and where the motion reverses with the torque a gain of it. The same motion with and without
-  a load separates them: only this friction grows. A load drives a joint back with (1 - k) of its torque, so that from
-  k = 1 on the gear locks itself, as a worm does: a joint that moves both ways has less.
+* ``-k |tau_J| sign(dtheta)``: friction of gear teeth grows with the load. Bittencourt and Gunnarsson (2012, J. Dyn.
+  Sys. Meas. Control 134) measured it on an industrial arm, with its dependence on temperature; servo models have it as
+  the load-dependent term (Duclusaud et al. 2025, ICRA: BAM, models M3 to M6). If |tau_J| hardly varies along a motion
+  it resembles Coulomb friction, and if the motion reverses with the torque it resembles a torque gain. The same motion
+  with and without a load separates them: only this friction grows. A load drives a joint back with (1 - k) of its
+  torque; with k >= 1 the gear is self-locking, like a worm. A joint that moves both ways has k < 1.
 * ``-a |sign(dtheta)|``: friction that differs by direction, F_c + a forward and F_c - a backward, as of screws and of
-  belts under tension. In motion it equals an offset of the torque, which is still there under closed brakes.
-* The direction is no jump where a joint reverses: lubricated teeth and bearings yield before they slide, and friction
-  turns over a range of velocities, ``s = tanh(dtheta / v_r)`` (Andersson, Söderberg and Björklund 2007, Tribology
-  International 40). A width per joint is added to the v_r of the model, which is sharp against the speeds of a motion,
-  so that only wider reversals are searched for. It changes all dry friction of the joint, whichever effects that
-  consists of, and nothing without any.
+  belts under tension. In motion it equals a torque offset; under closed brakes only the offset remains.
+* At a reversal, friction does not jump: lubricated teeth and bearings yield before they slide, and friction changes its
+  sign over a range of velocities, ``s = tanh(dtheta / v_r)`` (Andersson, Söderberg and Björklund 2007, Tribology
+  International 40). The effect adds a width per joint to the v_r of the model, which is small against the speeds of a
+  motion; so a search finds only wider reversals. It acts on all dry friction of the joint, whatever its source.
 * Joints under stiff control resist an impact with more than their inertia (Wang, Dehio and Kheddar 2022,
-  arXiv:2202.12646, who count them as locked). A joint of inertia M under stiffness K and damping D, pushed for T by a
-  force of the shape of half a sine, moves to first order in K and D as one without control of the inertia
+  arXiv:2202.12646, who model them as locked). Under a half-sine force of duration T, a joint of inertia M with
+  stiffness K and damping D moves, to first order in K and D, like an uncontrolled joint of inertia
 
       M + c,    c = (1/4 - 1/pi^2) K T^2 + D T / 2
 
-  Stiff joints differ little in K, so that one c stands for all: 0 is a free arm, and a large one is locked.
+  Stiff joints differ little in K, so one c holds for all joints: c = 0 is a free arm, a large c a locked one.
 * Friction of a shaft that turns with two joints, as in a wrist whose last motor drives through the axis before it (fvm6
-  and fsm6 of a Staubli TX40 in FIGAROH's examples): both joints feel it, against ``dtheta_i + r dtheta_i+1`` with r = 1
-  or, where the axes of the model point the other way, -1.
+  and fsm6 of a Staubli TX40 in FIGAROH's examples): both joints feel it, against ``dtheta_i + r dtheta_i+1`` with
+  r = 1, or r = -1 if the axes of the model have opposite directions.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ from impact_rs_sim.robots.robot import PINION_RADIUS_M, travel_per_rad
 
 def _stribeck(arm: ArmPhysics, values: Values) -> ArmPhysics:
     if not np.any(values["breakaway"]):
-        return arm  # the velocity alone means nothing, and the arm may have one already
+        return arm  # keep the Stribeck velocity that the arm may have: without breakaway a new one has no meaning
     friction = replace(
         arm.friction,
         stribeck=arm.friction.stribeck + values["breakaway"],

@@ -14,7 +14,7 @@ from impact_rs_sim.robots.robot import Array
 
 @dataclass(frozen=True)
 class ComOffsetEffect(SceneEffect):
-    """An offset of the centre of mass, which stays inside the box; a ball and a fixed object have none."""
+    """An offset of the centre of mass, which stays inside the extents; no effect on a ball or a fixed object."""
 
     def bounds(self, physics: Physics) -> tuple[Array, Array]:
         """See :meth:`Effect.bounds`."""
@@ -31,7 +31,10 @@ def _mass(physics: Physics, values: Values) -> Physics:
 
 def _neighbour_mass(physics: Physics, values: Values) -> Physics:
     scale = number(values, "scale")
-    return replace(physics, neighbours=tuple(replace(one, body=_denser(one.body, scale)) for one in physics.neighbours))
+    return replace(
+        physics,
+        neighbours=tuple(replace(neighbour, body=_denser(neighbour.body, scale)) for neighbour in physics.neighbours),
+    )
 
 
 def _denser(body: ObjectPhysics, scale: float) -> ObjectPhysics:
@@ -69,7 +72,8 @@ OBJECT_COM_OFFSET = ComOffsetEffect(
     name="object_com_offset",
     acts_on="object",
     sentence="The weight of the object is not in its middle.",
-    # A box flat on its support and on the pad reveals little of its centre of mass; beyond some offset it tips.
+    # While a box stays flat on support and pad its motion hardly depends on its centre of mass; with some offset it
+    # tips, so a second fit starts there (far).
     parameters=tuple(
         Parameter(axis, "m", 0.0, -0.08, 0.08, 0.01, f"offset along the object's {axis} axis", far=(-0.03, 0.03))
         for axis in "xyz"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws that change one quantity of an arm or a scene: parameters are added to it, or it is multiplied by one."""
+"""Effect laws that add parameters to a quantity of an arm or a scene, or multiply it by a parameter."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from impact_rs_sim.effects.base import Values, number
 
 @dataclass(frozen=True)
 class Added:
-    """Law that adds parameters to a quantity; where the quantity is None, it is 0 so far.
+    """Law that adds parameters to a quantity; None stands for 0.
 
     Attributes:
-        quantity: Attribute of the arm or the scene, with dots where it belongs to a part: ``readings.torque_lag``.
-        parameters: Name of the parameter; of a quantity that is a tuple, one name per component.
+        quantity: Path of an attribute of the arm or the scene, such as ``readings.torque_lag``.
+        parameters: Name of the parameter; for a tuple, one name per component.
         per_joint: Whether the parameter has a value per joint.
-        least: Value below which a single quantity never falls.
+        minimum: Lower bound of a scalar quantity.
     """
 
     quantity: str
     parameters: tuple[str, ...]
     per_joint: bool = False
-    least: float | None = None
+    minimum: float | None = None
 
     def __call__(self, whole: Any, values: Values) -> Any:
         """The arm or the scene with the effect; without a change the same object."""
@@ -35,19 +35,19 @@ class Added:
         before = _quantity(whole, self.quantity)
         if isinstance(before, tuple):
             pairs = zip(before, self.parameters, strict=True)
-            return _replaced(whole, self.quantity, tuple(one + number(values, name) for one, name in pairs))
+            return _replaced(whole, self.quantity, tuple(component + number(values, name) for component, name in pairs))
         (name,) = self.parameters
-        more = values[name] if self.per_joint else number(values, name)
-        after = (0.0 if before is None else before) + more
-        return _replaced(whole, self.quantity, after if self.least is None else max(after, self.least))
+        increment = values[name] if self.per_joint else number(values, name)
+        after = (0.0 if before is None else before) + increment
+        return _replaced(whole, self.quantity, after if self.minimum is None else max(after, self.minimum))
 
 
 @dataclass(frozen=True)
 class Multiplied:
-    """Law that multiplies a quantity by a parameter; where the quantity is None, it stays so.
+    """Law that multiplies a quantity by a parameter; None stays None.
 
     Attributes:
-        quantity: As of :class:`Added`.
+        quantity: As for :class:`Added`.
         parameter: Name of the parameter.
         per_joint: Whether the parameter has a value per joint.
     """
@@ -66,11 +66,11 @@ class Multiplied:
 
 
 def _quantity(whole: Any, path: str) -> Any:
-    """Attribute of a part, by its path with dots."""
+    """Attribute by its dotted path."""
     return functools.reduce(getattr, path.split("."), whole)
 
 
 def _replaced(whole: Any, path: str, value: Any) -> Any:
-    """The same with another value of this attribute."""
+    """``whole`` with a new value of the attribute at a dotted path."""
     name, _, rest = path.partition(".")
     return replace(whole, **{name: _replaced(getattr(whole, name), rest, value) if rest else value})

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects of sensors: encoders, torque sensors, velocities, object tracker, clocks (:mod:`impact_rs_sim.readings`).
 
-They change the readings of a motion, not its physics; in closed loop the controller acts on the readings. Twists of a
-single impact: :mod:`impact_rs_sim.twist_readings`.
+They change the readings of a motion, not its physics; in closed loop the controller acts on the readings. Readings of
+the twist at a single impact: :mod:`impact_rs_sim.twist_readings`.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from impact_rs_sim.rotations import AXES
 
 SENSING = "sensing"
 CONTACT_PHASES = ("contact",)
-# Ranges of encoders are firm: a zero 6 degrees off and a gear ratio 10 % off are seen by eye; zeros of industrial arms
-# are known to some mrad.
+# Ranges of encoders are firm: errors of 6 degrees in a zero or 10 % in a gear ratio are visible to the eye; zeros of
+# industrial arms are accurate to some mrad.
 
 BUTTERWORTH_LAG = Parameter(
     "lag", "s", 0.0, 0.0, 0.2, 0.002, "sqrt(2) / (2 pi f) with the cut-off f, its delay at low frequencies"
@@ -307,13 +307,13 @@ TRACKER_BUTTERWORTH = SceneEffect(
 )
 
 
-def _rotation_vector(what: str) -> tuple[Parameter, ...]:
-    """Parameters of a rotation vector: its length is at most pi, with room beyond for a fit near half a revolution.
+def _rotation_vector(axes_text: str) -> tuple[Parameter, ...]:
+    """Parameters of a rotation vector; the range exceeds pi, so that a fit can approach half a revolution.
 
-    A rotation of 0.01 rad (0.6 deg) shows as 1 % of a velocity in another component, about the calibration error of
+    A rotation of 0.01 rad (0.6 deg) turns 1 % of a velocity into another component, about the calibration error of
     trackers.
     """
-    meaning = f"of the rotation vector from {what}"
+    meaning = f"of the rotation vector from {axes_text}"
     return tuple(Parameter(axis, "rad", 0.0, -4.0, 4.0, 0.01, f"component {axis} {meaning}") for axis in AXES)
 
 

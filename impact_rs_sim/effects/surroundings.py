@@ -14,7 +14,7 @@ from impact_rs_sim.robots.robot import Array
 
 
 def _base_tilt(physics: Physics, values: Values) -> Physics:
-    """The cell is rotated by R = Ry(pitch) Rx(roll) relative to the vertical: gravity is R^T g in its axes."""
+    """Effect law: in a cell rotated by R = Ry(pitch) Rx(roll) against the vertical, gravity is R^T g."""
     tilt = pin.rpy.rpyToMatrix(number(values, "roll"), number(values, "pitch"), 0.0)
     return replace(physics, gravity=tilt.T @ physics.gravity)
 

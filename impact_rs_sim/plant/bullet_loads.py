@@ -31,15 +31,15 @@ class LoadedPair:
 
     Attributes:
         force: Normal force on the object [N].
-        penetration: Mean over the contact points, weighted with their forces [m].
-        place: Position of the force, in A, ``(3,)`` [m].
+        penetration: Penetration, mean over the contact points, weighted with their forces [m].
+        point: Point of the force, in A, ``(3,)`` [m].
         normal: Into the object, ``(3,)``.
         velocity: Relative velocity of the object to the partner at that point, ``(3,)`` [m/s].
     """
 
     force: float
     penetration: float
-    place: Array
+    point: Array
     normal: Array
     velocity: Array
 
@@ -48,10 +48,10 @@ class LoadedPair:
         """Sliding velocity: tangential part of the relative velocity, ``(3,)`` [m/s]."""
         return self.velocity - (self.velocity @ self.normal) * self.normal
 
-    def load(self, parts: float, against: float) -> Array:
+    def load(self, normal_force: float, sliding_resistance: float) -> Array:
         """Force on the object in A from a repulsive normal force and a force against sliding [N], ``(3,)`` [N]."""
         sliding = self.sliding
-        return parts * self.normal - against * sliding / math.hypot(
+        return normal_force * self.normal - sliding_resistance * sliding / math.hypot(
             float(np.linalg.norm(sliding)), MIN_SLIDING_SPEED_M_S
         )
 
@@ -70,7 +70,7 @@ class BulletLoads:
 
     def __init__(self, physics: Physics, world: BulletWorld, models: Mapping[str, RobotModel]) -> None:
         self._physics, self._world, self._models = physics, world, models
-        self._first: dict[str, float] = {}  # s, when a pad first touched the object
+        self._first: dict[str, float] = {}  # time of the first contact of each pad with the object [s]
         arms = [load for arm in physics.arms.values() for load in arm.loads]
         self.any = bool(physics.object_loads) or any(load.touches for load in arms)
         self._touching: dict[str | None, LoadedPair | None] = {}
@@ -79,51 +79,51 @@ class BulletLoads:
         """Values of formula symbols: time, object, and its contacts with one arm (None: with all arms).
 
         Args:
-            time: Since the start of the trial [s].
-            arm: The arm.
+            time: Time since the start of the trial [s].
+            arm: Name of the arm; None: all arms.
             links: Joint states by arm.
         """
-        state, found = self._world.object_state(), {"t": time}
-        found |= {f"object_{axis}": float(value) for axis, value in zip(AXES, state.position, strict=True)}
-        found |= {f"object_v{axis}": float(value) for axis, value in zip(AXES, state.twist[:3], strict=True)}
-        found |= {f"object_w{axis}": float(value) for axis, value in zip(AXES, state.twist[3:], strict=True)}
-        found["object_speed"] = float(np.linalg.norm(state.twist[:3]))
+        state, symbols = self._world.object_state(), {"t": time}
+        symbols |= {f"object_{axis}": float(value) for axis, value in zip(AXES, state.position, strict=True)}
+        symbols |= {f"object_v{axis}": float(value) for axis, value in zip(AXES, state.twist[:3], strict=True)}
+        symbols |= {f"object_w{axis}": float(value) for axis, value in zip(AXES, state.twist[3:], strict=True)}
+        symbols["object_speed"] = float(np.linalg.norm(state.twist[:3]))
         self._touching = {name: self._touch(name, links) for name in (*self._physics.arms, None)}
         for name in self._physics.arms:
             if self._touching[name] is not None:
                 self._first.setdefault(name, time)
         if (support := self._touching[None]) is not None:
-            found |= {"support_force": support.force, "support_slip": float(np.linalg.norm(support.sliding))}
+            symbols |= {"support_force": support.force, "support_slip": float(np.linalg.norm(support.sliding))}
         if arm is None:
             pads = [self._touching[name] for name in self._physics.arms]
-            found["normal_force"] = sum(pad.force for pad in pads if pad is not None)
-            found["since_contact"] = max((time - first for first in self._first.values()), default=0.0)
+            symbols["normal_force"] = sum(pad.force for pad in pads if pad is not None)
+            symbols["since_contact"] = max((time - first for first in self._first.values()), default=0.0)
         elif (pad := self._touching[arm]) is not None:
-            found |= {"normal_force": pad.force, "penetration": pad.penetration}
-            found |= {"closing": -float(pad.velocity @ pad.normal), "slip": float(np.linalg.norm(pad.sliding))}
+            symbols |= {"normal_force": pad.force, "penetration": pad.penetration}
+            symbols |= {"closing": -float(pad.velocity @ pad.normal), "slip": float(np.linalg.norm(pad.sliding))}
         if arm in self._first:
-            found["since_contact"] = time - self._first[arm]
-        return found
+            symbols["since_contact"] = time - self._first[arm]
+        return symbols
 
     def push(self, time: float, links: Mapping[str, ArmState], torques: Mapping[str, Array], memory: Memory) -> None:
         """Apply the loads over the next step of the world.
 
         Args:
-            time: Since the start of the trial [s].
+            time: Time since the start of the trial [s].
             links: Joint states by arm.
             torques: tau_J by arm, ``(n,)`` [N m].
             memory: Memory of the loads in this simulation.
         """
-        scene, place = self.scene(time, None, links), self._world.object_state().position
+        scene, centre = self.scene(time, None, links), self._world.object_state().position
         support = self._touching[None]
         for load in self._physics.object_loads:
             wrench = load.wrench(scene, memory)
-            self._world.push(None, place, wrench[:3], wrench[3:])
+            self._world.push(None, centre, wrench[:3], wrench[3:])
             if support is None and not load.remembers:
                 continue
             at_support = load.support_force(scene, memory)
             if support is not None:
-                self._world.push(None, support.place, support.load(*at_support))
+                self._world.push(None, support.point, support.load(*at_support))
         for name, arm in self._physics.arms.items():
             pad, link, model = self._touching[name], links[name], self._models[name]
             loads = [load for load in arm.loads if pad is not None or load.remembers]
@@ -140,10 +140,10 @@ class BulletLoads:
                 scene=self.scene(time, name, links),
                 memory=memory.part(name),
             )
-            for own in loads:
-                if (forces := own.pad_force(state)) is not None and pad is not None:
-                    self._world.push(None, pad.place, pad.load(*forces))
-                    self._world.push(name, pad.place, -pad.load(*forces))
+            for load in loads:
+                if (forces := load.pad_force(state)) is not None and pad is not None:
+                    self._world.push(None, pad.point, pad.load(*forces))
+                    self._world.push(name, pad.point, -pad.load(*forces))
 
     def _touch(self, arm: str | None, links: Mapping[str, ArmState]) -> LoadedPair | None:
         """Contact of the object with an arm (None: its support); None without contact."""
@@ -153,13 +153,13 @@ class BulletLoads:
         if force <= 0.0:
             return None
         share = loads / force
-        place = share @ np.array([point[6] for point in points])
+        point = share @ np.array([point[6] for point in points])
         body = self._world.object_state()
-        velocity = body.twist[:3] + np.cross(body.twist[3:], place - body.position)
+        velocity = body.twist[:3] + np.cross(body.twist[3:], point - body.position)
         if arm is not None:
             link, model = links[arm], self._models[arm]
             twist = model.jacobian(link.position) @ link.velocity
-            velocity = velocity - twist[:3] - np.cross(twist[3:], place - model.placement(link.position).translation)
-        # Bullet's normal points out of its second body: of the object, or of the support.
+            velocity = velocity - twist[:3] - np.cross(twist[3:], point - model.placement(link.position).translation)
+        # Bullet's normal points out of its second body: the object for a pad, the support for the object.
         normal = np.array(points[0][7]) * (1.0 if arm is None else -1.0)
-        return LoadedPair(force, -float(share @ [point[8] for point in points]), place, normal, velocity)
+        return LoadedPair(force, -float(share @ [point[8] for point in points]), point, normal, velocity)

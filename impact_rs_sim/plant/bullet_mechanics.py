@@ -103,8 +103,8 @@ class BulletMechanics(Mechanics):
         for number in range(periods):
             if self._loads.any:
                 torques = {name: drive.elastic_torque for name, drive in drives.items()}
-                moment = time + number * next(iter(drives.values())).period
-                self._loads.push(moment, links, torques, self._memory)
+                now = time + number * next(iter(drives.values())).period
+                self._loads.push(now, links, torques, self._memory)
             for name, torque in desired.items():
                 drive = drives[name]
                 link_torque = drive.transmission_torque

@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """One Bullet world: arms, object and support, with explicit values for every setting that affects the result.
 
-Shared by the plant (many small steps with compliant pads) and the ``bullet`` impact map (single rigid steps). Bullet
-multiplies the friction coefficients of two bodies, so the object has 1 and its partner the coefficient of the pair; of
-several objects each has the root of the coefficient between them, and a partner its own over that root. It adds rolling
-frictions, each times the other body's friction coefficient, so only the partner has the lever of the pair. It adds
-compliances.
+Shared by the plant (many small steps with compliant pads) and the ``bullet`` impact map (single rigid steps). How
+Bullet combines the parameters of two bodies:
+
+* It multiplies friction coefficients. So the object has 1, and its partner the coefficient of the pair. Several objects
+  have the root of the coefficient between objects, and a partner the coefficient of the pair over this root.
+* It adds rolling frictions, each times the friction coefficient of the other body. So only the partner has the lever of
+  the pair.
+* It adds compliances.
 
 Its friction cone weights two fixed axes with the inverse mass along them, so that the friction of a sliding box has the
-magnitude of Coulomb's law but not the direction: it opposes ``D^-1 v_t`` instead of the sliding velocity ``v_t``, at
-most 13 degrees off for the boxes of the paper. A world with small steps corrects the direction: at every corner that
-slid in the previous step, an external force replaces Bullet's friction by ``-mu N v_t / |v_t|``.
+magnitude of Coulomb's law but not the direction: it opposes ``D^-1 v_t`` instead of the sliding velocity ``v_t``, an
+error of at most 13 degrees for the boxes of the paper. A world with small steps corrects the direction: at every corner
+that slid in the previous step, an external force replaces Bullet's friction by ``-mu N v_t / |v_t|``.
 
 An object on a hinge or slide is the only link of a multibody, on a fixed base at its pose. The state is the joint
 coordinate (Featherstone, Rigid Body Dynamics Algorithms, ch. 7), so that it does not drift from its hinge.
@@ -47,14 +50,14 @@ def _quiet() -> Iterator[None]:
     """Suppress Bullet's banners on the C-level standard output and error."""
     sys.stdout.flush()
     sys.stderr.flush()
-    kept, null = (os.dup(1), os.dup(2)), os.open(os.devnull, os.O_WRONLY)
+    saved, null = (os.dup(1), os.dup(2)), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(null, 1)
         os.dup2(null, 2)
         yield
     finally:
-        ctypes.CDLL(None).fflush(None)  # the banner lies in the C library's buffer where output is no terminal
-        for stream, original in enumerate(kept, start=1):
+        ctypes.CDLL(None).fflush(None)  # the C library buffers the banner if the output is no terminal
+        for stream, original in enumerate(saved, start=1):
             os.dup2(original, stream)
             os.close(original)
         os.close(null)
@@ -67,8 +70,8 @@ with _quiet():
 FACE_CONTACT_POINTS = 4  # Bullet keeps four points of a face contact; each gets a quarter of the face's stiffness
 SUPPORT_DAMPING_RATIO = 0.5  # of the object on a compliant support
 MAX_BULLET_STEPS = 8  # Bullet steps per step of a world
-GUIDED_LINK = 0  # of the multibody of an object on a hinge or slide
-# An empty interval switches Bullet's own joint stops off.
+GUIDED_LINK = 0  # link of the multibody of an object on a hinge or slide
+# An empty interval switches Bullet's joint stops off.
 FREE_JOINT = {"jointDamping": 0.0, "maxJointVelocity": 1e3, "jointLowerLimit": 1.0, "jointUpperLimit": -1.0}
 MARGIN_M = 1e-4  # radius at the rims of a cylinder and around a hull
 
@@ -83,9 +86,9 @@ class BulletWorld:
         object_: Body of the object.
         neighbours: Bodies of its neighbours.
         support: Body of the support; None: there is none.
-        shears: Shear of the pads that have any, by arm.
-        small_steps: Whether the friction of the support is turned, one step late.
-        substeps: Steps of Bullet in one of this world.
+        shears: Shear models of pads, by arm.
+        small_steps: Whether the direction of the support's friction is corrected, one step late.
+        substeps: Steps of Bullet per step of this world.
     """
 
     def __init__(
@@ -110,13 +113,13 @@ class BulletWorld:
         self.object = object_
         self.objects = (object_, *neighbours)
         self.support = support
-        self._own_friction = _object_friction(physics)
+        self._object_friction = _object_friction(physics)
         self._shears = shears
         self._substeps = substeps
         self._torques: dict[str, list[float]] = {}
         self._pushes: list[tuple[str | None, Array, Array, Array]] = []
         self._support_friction = physics.support_friction
-        self._turns = small_steps and support is not None and physics.support_friction > 0.0
+        self._corrects_friction = small_steps and support is not None and physics.support_friction > 0.0
         self._models = {name: physics.robot_model(name) for name in shears}
         self._com_is_offset = bool(np.any(physics.object.com_offset))
         guided = physics.object.guide is not None
@@ -147,15 +150,14 @@ class BulletWorld:
 
         Args:
             physics: Parameters of the scene.
-            time_step: Step [s]; Bullet takes several in one where a pad damps too little for it (:func:`_substeps`).
+            time_step: Step [s]; Bullet takes several substeps if a pad has little damping (:func:`_substeps`).
             gravity: Whether gravity acts.
-            compliant_pads: Whether contacts have what a rigid one lacks: stiffness and damping of pads and support,
-                shear of pads, resistance to rolling.
+            compliant_pads: Whether contacts have stiffness and damping of pads and support, shear of pads and
+                resistance to rolling, or are rigid.
             iterations: Largest number of solver iterations in a step.
             residual_threshold: The solver stops when the largest squared change of a row is below this.
             contact_erp: Share of a penetration that a rigid contact removes in one step.
-            small_steps: Whether many steps follow each other: what Bullet leaves out of a step is then made up for in
-                the next.
+            small_steps: Whether small steps follow each other; each then corrects the friction of the previous one.
 
         Raises:
             NotABody: Mass and inertia of an end effector are physically inconsistent; Bullet would continue with zero
@@ -184,9 +186,9 @@ class BulletWorld:
         )
         client.setGravity(*(physics.gravity if gravity else np.zeros(3)))
         arms = {name: _load_arm(client, physics, name, compliant_pads, step) for name in physics.arms}
-        own = _object_friction(physics)
-        object_ = _make_object(client, physics.object, own)
-        neighbours = tuple(_make_object(client, one.body, own) for one in physics.neighbours)
+        friction = _object_friction(physics)
+        object_ = _make_object(client, physics.object, friction)
+        neighbours = tuple(_make_object(client, neighbour.body, friction) for neighbour in physics.neighbours)
         support = _make_support(client, physics, arms, compliant_pads, step)
         shears = _shears(physics, step) if compliant_pads else {}
         for name in shears:
@@ -206,26 +208,30 @@ class BulletWorld:
             self.client.resetJointState(body, joint, float(q), float(dq))
 
     def set_object(self, state: BodyState) -> None:
-        """Set the state of the object, given at its geometric centre; its neighbours stand beside it."""
-        bodies = (self.physics.object, *(one.body for one in self.physics.neighbours))
-        for number, body, own in zip(self.objects, bodies, (state, *standing(self.physics, state)), strict=True):
+        """Set the state of the object at its geometric centre; its neighbours stand beside it at rest."""
+        bodies = (self.physics.object, *(neighbour.body for neighbour in self.physics.neighbours))
+        for number, body, body_state in zip(self.objects, bodies, (state, *standing(self.physics, state)), strict=True):
             if body.guide is not None:
-                self.client.resetBasePositionAndOrientation(number, own.position.tolist(), _quaternion(own.rotation))
-                self.client.resetJointState(number, GUIDED_LINK, 0.0, body.guided_speed(own.rotation, own.twist))
+                self.client.resetBasePositionAndOrientation(
+                    number, body_state.position.tolist(), _quaternion(body_state.rotation)
+                )
+                self.client.resetJointState(
+                    number, GUIDED_LINK, 0.0, body.guided_speed(body_state.rotation, body_state.twist)
+                )
                 continue
-            offset = own.rotation @ body.com_offset
-            velocity = own.twist[:3] + np.cross(own.twist[3:], offset)
+            offset = body_state.rotation @ body.com_offset
+            velocity = body_state.twist[:3] + np.cross(body_state.twist[3:], offset)
             self.client.resetBasePositionAndOrientation(
-                number, (own.position + offset).tolist(), _quaternion(own.rotation)
+                number, (body_state.position + offset).tolist(), _quaternion(body_state.rotation)
             )
-            self.client.resetBaseVelocity(number, velocity.tolist(), own.twist[3:].tolist())
+            self.client.resetBaseVelocity(number, velocity.tolist(), body_state.twist[3:].tolist())
         for shear in self._shears.values():
             shear.release()
 
     def rest_object(self) -> None:
-        """Put the objects to sleep until a body comes near; simulating it at rest costs as much as an arm.
+        """Put the objects to sleep until a body comes near; simulating an object at rest costs as much as an arm.
 
-        Bullet wakes it when its bounding box overlaps that of a moving body, which is before any contact.
+        Bullet wakes an object when its bounding box overlaps that of a moving body, before any contact.
         """
         for state in (pybullet.ACTIVATION_STATE_ENABLE_SLEEPING, pybullet.ACTIVATION_STATE_SLEEP):
             for body in self.objects:
@@ -237,7 +243,7 @@ class BulletWorld:
         return state[0], state[1]
 
     def _guided_velocity(self, body: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Velocity of its centre of mass and angular velocity, likewise."""
+        """Velocity of its centre of mass and angular velocity, in the form of ``getBaseVelocity``."""
         state = self.client.getLinkState(body, GUIDED_LINK, computeLinkVelocity=1, computeForwardKinematics=1)
         return state[6], state[7]
 
@@ -290,16 +296,16 @@ class BulletWorld:
         """Joint torque of an arm over the next step, ``(n,)`` [N m]."""
         self._torques[name] = torque.tolist()
 
-    def push(self, arm: str | None, place: Array, force: Array, moment: Array | None = None) -> None:
+    def push(self, arm: str | None, point: Array, force: Array, moment: Array | None = None) -> None:
         """Apply a force at a point, and a moment, over the next step; in A.
 
         Args:
             arm: The arm whose end effector it acts on; None: the object.
-            place: Where, ``(3,)`` [m].
-            force: ``(3,)`` [N].
-            moment: ``(3,)`` [N m].
+            point: Point of action, ``(3,)`` [m].
+            force: Force, ``(3,)`` [N].
+            moment: Moment, ``(3,)`` [N m]; None: 0.
         """
-        self._pushes.append((arm, place, force, np.zeros(3) if moment is None else moment))
+        self._pushes.append((arm, point, force, np.zeros(3) if moment is None else moment))
 
     def contact_points(self, arm: str | None) -> tuple[tuple[Any, ...], ...]:
         """Contact points of the last step between object and arm (None: support)."""
@@ -310,23 +316,23 @@ class BulletWorld:
     def set_support_friction(self, coefficient: float) -> None:
         """Set the friction coefficient of the support, from the next step on; for extensions of a plant."""
         self._support_friction = coefficient
-        self.client.changeDynamics(self.support, -1, lateralFriction=coefficient / self._own_friction)
+        self.client.changeDynamics(self.support, -1, lateralFriction=coefficient / self._object_friction)
 
     def step(self) -> None:
         """Advance by one step."""
         for _ in range(self._substeps):
-            for name, torque in self._torques.items():  # Bullet forgets them
+            for name, torque in self._torques.items():  # Bullet clears torques after every step
                 self._set_torques(self.arms[name], self.joints[name], pybullet.TORQUE_CONTROL, forces=torque)
             for name, shear in self._shears.items():
                 self._shear(name, shear)
-            for arm, place, force, moment in self._pushes:
+            for arm, point, force, moment in self._pushes:
                 body, link = (
                     (self.object, self._object_link) if arm is None else (self.arms[arm], self.end_effector_link[arm])
                 )
-                self._push(body, link, force.tolist(), place.tolist(), pybullet.WORLD_FRAME)
+                self._push(body, link, force.tolist(), point.tolist(), pybullet.WORLD_FRAME)
                 if np.any(moment):
                     self.client.applyExternalTorque(body, link, moment.tolist(), pybullet.WORLD_FRAME)
-            for body in self.objects if self._turns else ():
+            for body in self.objects if self._corrects_friction else ():
                 self._correct_friction_direction(body)
             self._step()
         self._torques.clear()
@@ -335,42 +341,42 @@ class BulletWorld:
     def _correct_friction_direction(self, body: int) -> None:
         """Correct the direction of the support's friction on a sliding object, over the next step.
 
-        In plain numbers, along z of A, the normal of every support: with arrays it would cost more than Bullet's step.
+        The normal of the support is z of A. Scalars are used, because arrays would cost more than Bullet's step.
         """
         (vx, vy, _), (wx, wy, wz) = self._get_velocity(body)
         if max(abs(vx), abs(vy), abs(wz)) < MIN_SLIDING_SPEED_M_S:
             return
         cx, cy, cz = self._get_pose(body)[0]
         for point in self._get_contacts(body, self.support):
-            place, first, second = point[5], point[11], point[13]
-            x, y, z = place[0] - cx, place[1] - cy, place[2] - cz
+            position, first, second = point[5], point[11], point[13]
+            x, y, z = position[0] - cx, position[1] - cy, position[2] - cz
             ux, uy = vx + wy * z - wz * y, vy + wz * x - wx * z
             speed, radius = math.hypot(ux, uy), self._support_friction * point[9]
-            given_x = point[10] * first[0] + point[12] * second[0]
-            given_y = point[10] * first[1] + point[12] * second[1]
-            if speed > MIN_SLIDING_SPEED_M_S and math.hypot(given_x, given_y) > 0.99 * radius:
-                force = (-radius * ux / speed - given_x, -radius * uy / speed - given_y, 0.0)
-                self._push(body, -1, force, place, pybullet.WORLD_FRAME)
+            friction_x = point[10] * first[0] + point[12] * second[0]
+            friction_y = point[10] * first[1] + point[12] * second[1]
+            if speed > MIN_SLIDING_SPEED_M_S and math.hypot(friction_x, friction_y) > 0.99 * radius:
+                force = (-radius * ux / speed - friction_x, -radius * uy / speed - friction_y, 0.0)
+                self._push(body, -1, force, position, pybullet.WORLD_FRAME)
 
     def _shear(self, name: str, shear: PadShear) -> None:
         """Friction of a pad that is compliant along its face, over the next step."""
         points = self._get_contacts(self.arms[name], self.object)
-        touch = PadContacts(
+        contacts = PadContacts(
             points=np.array([point[6] for point in points]).reshape(-1, 3),
             loads=np.array([max(point[9], 0.0) for point in points]),
             normal=np.array(points[0][7] if points else np.zeros(3)),
         )
-        if not np.any(touch.loads):
+        if not np.any(contacts.loads):
             shear.release()
             return
         position, velocity = self.joint_motion(name)
         upper, jacobian, placement = self._models[name].at_impact(np.array(position))
-        root = np.linalg.cholesky(upper.T)  # of which the lower triangle counts
-        moved = np.linalg.solve(root, jacobian.T)
-        pad = ContactBody(placement.translation, jacobian @ np.array(velocity), moved.T @ moved)
-        forces = shear.step(touch, self._object_side(), pad, placement.rotation)
+        factor = np.linalg.cholesky(upper.T)  # it reads the lower triangle only
+        half_mobility = np.linalg.solve(factor, jacobian.T)
+        pad = ContactBody(placement.translation, jacobian @ np.array(velocity), half_mobility.T @ half_mobility)
+        forces = shear.step(contacts, self._object_side(), pad, placement.rotation)
         arm, link = self.arms[name], self.end_effector_link[name]
-        for point, (x, y, z) in zip(touch.points.tolist(), forces.tolist(), strict=True):
+        for point, (x, y, z) in zip(contacts.points.tolist(), forces.tolist(), strict=True):
             self._push(self.object, self._object_link, (x, y, z), point, pybullet.WORLD_FRAME)
             self._push(arm, link, (-x, -y, -z), point, pybullet.WORLD_FRAME)
 
@@ -384,7 +390,7 @@ class BulletWorld:
             along = object_.guide_at(rotation, rotation @ object_.com_offset)
             mobility = np.outer(along, along) / object_.guided_inertia
         else:
-            mobility[:3, :3] = np.eye(3) / object_.mass  # of a fixed one 0, and so below
+            mobility[:3, :3] = np.eye(3) / object_.mass  # 0 for a fixed object, and so below
             mobility[3:, 3:] = rotation / object_.inertia @ rotation.T
         return ContactBody(np.array(position), np.array(linear + angular), mobility)
 
@@ -400,7 +406,7 @@ class BulletWorld:
 
 
 _idle: list[BulletClient] = []
-_MAX_IDLE_CONNECTIONS = 4  # kept for reuse; a new connection takes as long as half a window of a replay
+_MAX_IDLE_CONNECTIONS = 4  # kept for reuse; opening one takes as long as half a window of a replay
 
 
 def _connected() -> BulletClient:
@@ -431,9 +437,9 @@ def mass_matrices(facts: RobotFacts, end_effector: EndEffector, positions: Array
     """
     client = _connected()
     body = _load_urdf(client, facts, end_effector, pin.SE3.Identity())
-    found = np.array([client.calculateMassMatrix(body, row) for row in positions.tolist()])
+    matrices = np.array([client.calculateMassMatrix(body, row) for row in positions.tolist()])
     _give_back(client)
-    return found
+    return matrices
 
 
 def _load_urdf(client: BulletClient, facts: RobotFacts, end_effector: EndEffector, base: pin.SE3) -> int:
@@ -452,21 +458,21 @@ def _load_urdf(client: BulletClient, facts: RobotFacts, end_effector: EndEffecto
 
 def _substeps(physics: Physics, period: float) -> int:
     """Number of Bullet steps per period, so that the implicit spring does not overdamp a pad (:func:`_compliance`)."""
-    wanted = [
+    numbers = [
         period * arm.pad_stiffness / max(arm.pad_damping, 1e-9)
         for arm in physics.arms.values()
         if arm.pad_stiffness is not None
     ]
-    return min(math.ceil(max(wanted, default=1.0)), MAX_BULLET_STEPS)
+    return min(math.ceil(max(numbers, default=1.0)), MAX_BULLET_STEPS)
 
 
 def _compliance(stiffness: float, damping: float, step: float) -> dict[str, float]:
-    """Stiffness and damping of one of the contact points that share those of a face.
+    """Stiffness and damping of one of the contact points of a face, from those of the whole face.
 
-    Bullet's spring is implicit in the depth, k (d - h u): this adds the damping h k, which is subtracted here.
+    Bullet's spring is implicit in the depth, k (d - h u), which adds the damping h k; it is subtracted here.
     """
-    own = max(damping - step * stiffness, 0.0)
-    return {"contactStiffness": stiffness / FACE_CONTACT_POINTS, "contactDamping": own / FACE_CONTACT_POINTS}
+    remaining = max(damping - step * stiffness, 0.0)
+    return {"contactStiffness": stiffness / FACE_CONTACT_POINTS, "contactDamping": remaining / FACE_CONTACT_POINTS}
 
 
 def _load_arm(client: BulletClient, scene: Physics, name: str, compliant: bool, step: float) -> int:
@@ -529,8 +535,8 @@ def _make_object(client: BulletClient, object_: ObjectPhysics, friction: float) 
 
 
 def _set_dynamics(client: BulletClient, body: int, link: int, object_: ObjectPhysics, friction: float) -> None:
-    """Set what Bullet would choose for a link of an object by itself."""
-    if object_.shape.kind in ("cylinder", "hull"):  # Bullet rounds the rims of one, and adds a margin around the other
+    """Set all dynamic parameters of a link of an object, instead of Bullet's defaults."""
+    if object_.shape.kind in ("cylinder", "hull"):  # Bullet rounds the rims of a cylinder, and adds a margin to a hull
         client.changeDynamics(body, link, collisionMargin=MARGIN_M)
     client.changeDynamics(
         body,
@@ -571,7 +577,7 @@ def _make_guided(client: BulletClient, object_: ObjectPhysics, friction: float) 
     )
     _set_dynamics(client, body, GUIDED_LINK, object_, friction)
     client.changeDynamics(body, GUIDED_LINK, **FREE_JOINT)
-    # Calls of their own: together with activationState Bullet ignores them silently.
+    # Separate calls: together with activationState Bullet ignores them silently.
     client.changeDynamics(body, GUIDED_LINK, lateralFriction=friction)
     client.changeDynamics(body, GUIDED_LINK, localInertiaDiagonal=object_.inertia.tolist())
     client.changeDynamics(body, -1, activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING)
@@ -594,8 +600,8 @@ def _make_support(
     if physics.support_height is None:
         return None
     thickness, height = 0.1, physics.support_height
-    yields = compliant and physics.support_compliance > 0.0
-    if yields:  # unloaded it is higher by what the object's weight presses it down
+    yielding = compliant and physics.support_compliance > 0.0
+    if yielding:  # without load it is higher, by the compression under the weight of the object
         height -= float(physics.gravity[2]) * physics.object.mass * physics.support_compliance
     half = (physics.support_size[0] / 2.0, physics.support_size[1] / 2.0, thickness / 2.0)
     shape = client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half)
@@ -612,7 +618,7 @@ def _make_support(
         rollingFriction=physics.rolling_arm / _object_friction(physics) if compliant else 0.0,
         restitution=0.0,
     )
-    if yields:
+    if yielding:
         stiffness = 1.0 / physics.support_compliance
         damping = 2.0 * SUPPORT_DAMPING_RATIO * float(np.sqrt(stiffness * physics.object.mass))
         client.changeDynamics(body, -1, **_compliance(stiffness, damping, step))

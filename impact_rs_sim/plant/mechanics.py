@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Interface of the mechanics of a plant: arms with drives, object and support, without sensors, scatter and clock.
 
-Two simulators implement it: Bullet, with drives of its own (:mod:`impact_rs_sim.plant.bullet_mechanics`), and the
-compiled twin (:mod:`impact_rs_sim.plant.twin_mechanics`). They share the parameters
-(:class:`~impact_rs_sim.physics.Physics`), and solve contacts by methods of their own.
+Two simulators implement it: Bullet with separate drives (:mod:`impact_rs_sim.plant.bullet_mechanics`), and the compiled
+twin (:mod:`impact_rs_sim.plant.twin_mechanics`). They share the parameters (:class:`~impact_rs_sim.physics.Physics`),
+and solve contacts by different methods.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Mechanics(ABC):
 
     @abstractmethod
     def step(self, desired: Mapping[str, Array], periods: int, time: float) -> None:
-        """Advance by periods of the torque loop under held torques.
+        """Advance by periods of the torque loop with constant torques.
 
         Args:
             desired: Desired torque by arm, ``(n,)`` [N m].

@@ -8,16 +8,16 @@ contact point i, with its share w_i = N_i / N of the normal load and its place r
     F_i  = -w_i (d_i + tau dd_i/dt) / C,    d_i = s + phi n x r_i       on the object, while |F_i| <= mu N_i
     dd_i/dt = v_i + c F_i / w_i                                         v_i: object against flange, along the face
 
-so that all points together give F = -s / C at rest and v = -c F as steady creep; beyond its cone a point slips, and s
-is what its friction can hold (return mapping, as in elastoplasticity: Simo and Hughes 1998, ch. 1). Shares of the load
-make all points reach their cones together when the face is sheared without a twist. C is the compliance [m/N], c the
-creep [m/(s N)] and tau the time constant of a damper that a mass of ``REDUCED_MASS_KG`` on the spring meets with
-``DAMPING_RATIO``.
+so that all points together give F = -s / C at rest and v = -c F as steady creep. A point beyond its cone slips, and s
+is the shear that its friction can balance (return mapping, as in elastoplasticity: Simo and Hughes 1998, ch. 1). With
+these shares of the load all points reach their cones together when the face is sheared without a twist. C is the
+compliance [m/N], c the creep [m/(s N)], and tau the time constant of the damper; a mass of ``REDUCED_MASS_KG`` on
+spring and damper has the damping ratio ``DAMPING_RATIO``.
 
-Bullet has one regularisation of friction (``frictionERP``, ``frictionCFM``) for all contacts of a world, the support's
-among them. So this is integrated here, with the normal forces of the step before, and Bullet's own friction on the pad
-is zero. The spring is explicit. With the mobility W of the contact, ``C >= theta dt W``, theta = tau + dt, keeps that
-stable whatever else holds the bodies; a stiffer spring, with none at all as the limit, is as stiff as that.
+Bullet has one regularisation of friction (``frictionERP``, ``frictionCFM``) for all contacts of a world, including the
+support's. So this friction is integrated here, with the normal forces of the previous step, and Bullet's friction on
+the pad is zero. The spring is explicit. With the mobility W of the contact, the step is stable for C >= theta dt W,
+theta = tau + dt, whatever other forces act; a stiffer spring gets this smallest C.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class PadShear:
         creep: c [m/(s N)].
         friction: mu [-].
         period: Step [s].
-        pads: Number of pads that may push on the same object; together they must stay stable.
+        pads: Number of pads that may push on the same object, which must be stable together.
     """
 
     def __init__(self, compliance: float, creep: float, friction: float, period: float, pads: int = 1) -> None:
@@ -88,21 +88,21 @@ class PadShear:
         self._pull = np.zeros(3)  # F of the last step, axes of E [N]
         self._torque = 0.0  # about the normal, of the last step [N m]
 
-    def step(self, touch: PadContacts, object_: ContactBody, pad: ContactBody, rotation: Array) -> Array:
+    def step(self, contacts: PadContacts, object_: ContactBody, pad: ContactBody, rotation: Array) -> Array:
         """Forces on the object over the next step, axes of A, ``(m, 3)`` [N].
 
         Args:
-            touch: Contact points.
+            contacts: Contact points.
             object_: The object.
             pad: The pad, at the origin of E.
             rotation: Axes of E in A, ``(3, 3)``.
         """
-        normal, period, lag = touch.normal, self._period, self._time_constant
-        share = touch.loads / touch.loads.sum()
-        centre = share @ touch.points
+        normal, period, lag = contacts.normal, self._period, self._time_constant
+        share = contacts.loads / contacts.loads.sum()
+        centre = share @ contacts.points
         across = _skew(normal)
-        turning = (touch.points - centre) @ across.T  # n x r_i
-        radius = float(np.sqrt(share @ np.sum(np.square(turning), axis=1)))
+        turn_levers = (contacts.points - centre) @ across.T  # n x r_i
+        radius = float(np.sqrt(share @ np.sum(np.square(turn_levers), axis=1)))
         turns = radius > MIN_TWIST_LEVER_M
         along = _AXES - normal[:, None] * normal
         of_object, of_pad = (_rows(along, normal, radius, centre - side.position) for side in (object_, pad))
@@ -116,17 +116,17 @@ class PadShear:
         theta = lag + period
         compliance = max(self._compliance, self._pads * theta * period * float(np.linalg.eigvalsh(mobility)[-1]))
         stuck = deflection + period * (velocity + self._creep * last)
-        wanted = -(stuck + theta * velocity) / (compliance + theta * self._creep)
-        twisting = wanted[3] / radius if turns else 0.0
-        forces = share[:, None] * (wanted[:3] + twisting * turning)
-        size, limit = np.sqrt(np.einsum("mi,mi->m", forces, forces)), self._friction * touch.loads
+        sticking_force = -(stuck + theta * velocity) / (compliance + theta * self._creep)
+        twisting = sticking_force[3] / radius if turns else 0.0
+        forces = share[:, None] * (sticking_force[:3] + twisting * turn_levers)
+        size, limit = np.sqrt(np.einsum("mi,mi->m", forces, forces)), self._friction * contacts.loads
         slips = size > limit
         if np.any(slips):
             forces *= np.where(slips, limit / np.maximum(size, 1e-300), 1.0)[:, None]
-        self.force, self._torque = forces.sum(axis=0), float(np.sum(turning * forces))
+        self.force, self._torque = forces.sum(axis=0), float(np.sum(turn_levers * forces))
         if np.any(slips):
-            held = _shear_and_twist(self.force, self._torque / radius if turns else 0.0)
-            stuck = (lag * deflection - period * compliance * held) / theta
+            friction_now = _shear_and_twist(self.force, self._torque / radius if turns else 0.0)
+            stuck = (lag * deflection - period * compliance * friction_now) / theta
         self._twist = float(stuck[3]) / radius if turns else 0.0
         self._shift = rotation.T @ (stuck[:3] - self._twist * lever)
         self._pull = rotation.T @ self.force
@@ -144,9 +144,9 @@ def _skew(a: Array) -> Array:
 
 def _shear_and_twist(along: Array, twist: float) -> Array:
     """Shears in axes of A, and the twist as a length, ``(4,)``."""
-    found = np.empty(4)
-    found[:3], found[3] = along, twist
-    return found
+    vector = np.empty(4)
+    vector[:3], vector[3] = along, twist
+    return vector
 
 
 def _rows(along: Array, normal: Array, radius: float, lever: Array) -> Array:

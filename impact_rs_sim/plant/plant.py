@@ -41,7 +41,7 @@ class Measurement:
         time: Time since the start of the trial [s].
         arms: Measured arms by name.
         object: A new sample of the object tracker, or None between samples.
-        neighbours: Likewise of its neighbours by name; empty between samples.
+        neighbours: New samples of the neighbours by name; empty between samples.
     """
 
     time: float
@@ -68,8 +68,8 @@ class Truth:
     Attributes:
         time: Time since the start of the trial [s].
         arms: Arms by name.
-        object: The object whenever the tracker takes a sample, or None between samples.
-        neighbours: Likewise its neighbours by name; empty between samples.
+        object: State of the object when the tracker takes a sample; None between samples.
+        neighbours: States of the neighbours by name when their trackers take a sample; empty between samples.
     """
 
     time: float
@@ -103,10 +103,10 @@ class Plant:
         mechanics: Arms and object, in place.
         sensors: Sensors by arm.
         trackers: Tracker of the object, then of its neighbours.
-        extension: Behaviour outside the physics.
+        extension: Behaviour that the physics cannot express.
 
     Attributes:
-        free_motion: Whether the arms move without contact; the object stands out of reach then, as if there were none.
+        free_motion: Whether the arms move without contact; the object then stands out of reach.
     """
 
     def __init__(
@@ -148,17 +148,17 @@ class Plant:
             initial: Initial joint positions by arm, ``(n,)`` [rad].
             object_state: Nominal pose of the object; the scatter comes on top.
             seed: Seed of scatter and noise. Same seed, same trial, bit by bit.
-            extension: Behaviour outside the physics; of Bullet only.
-            simulator: Simulator of its mechanics.
+            extension: Behaviour that the physics cannot express, in Bullet only.
+            simulator: Simulator of the mechanics.
 
         Raises:
             NotABody: Mass and inertia of an end effector are physically inconsistent.
-            InputError: There is an extension, and the simulator is not Bullet.
+            InputError: There is an extension, but the simulator is not Bullet.
         """
         timing, samples = scenario.timing, scenario.timing.ticks + 1
         bodies, arms = 1 + len(physics.neighbours), len(physics.arms)
-        scatter_seed, first, *further = np.random.SeedSequence(seed).spawn(1 + arms + bodies)
-        arm_seeds, tracker_seeds = further[:arms], [first, *further[arms:]]
+        scatter_seed, first, *seeds = np.random.SeedSequence(seed).spawn(1 + arms + bodies)
+        arm_seeds, tracker_seeds = seeds[:arms], [first, *seeds[arms:]]
         physics, initial, object_state = _scatter(
             scenario.scatter, physics, initial, object_state, np.random.default_rng(scatter_seed)
         )
@@ -168,11 +168,11 @@ class Plant:
             mechanics = BulletMechanics.load(physics, timing.drive_period, may_sleep=False)
         else:
             raise InputError(f"an extension acts in the plant 'bullet' only, not in {simulator!r}")
-        still = {name: np.zeros_like(q) for name, q in initial.items()}
-        carried = {name: physics.robot_model(name).gravity_torque(q) for name, q in initial.items()}
+        at_rest = {name: np.zeros_like(q) for name, q in initial.items()}
+        gravity_torques = {name: physics.robot_model(name).gravity_torque(q) for name, q in initial.items()}
         mechanics.start(
-            {name: ArmState(q, still[name]) for name, q in initial.items()},
-            {name: DriveStart(carried[name], still[name]) for name in initial},
+            {name: ArmState(q, at_rest[name]) for name, q in initial.items()},
+            {name: DriveStart(gravity_torques[name], at_rest[name]) for name in initial},
             object_state,
         )
         sensors = {
@@ -186,11 +186,11 @@ class Plant:
             )
             for name, arm_seed in zip(physics.arms, arm_seeds, strict=True)
         }
-        tracked = samples // _tracker_ticks(scenario) + 1
+        samples_tracked = samples // _tracker_ticks(scenario) + 1
         trackers = [
             ObjectTracker(
                 scenario.sensors,
-                tracked,
+                samples_tracked,
                 np.random.default_rng(tracker_seed),
                 physics.tracker,
                 _tracker_ticks(scenario) * timing.control_period,
@@ -233,11 +233,11 @@ class Plant:
         }
         if not self._tracked:
             return Measurement(self.time, arms, None)
-        sample, seen = self._tick // self._tracker_ticks, []
+        sample, measurements = self._tick // self._tracker_ticks, []
         for number, tracker in enumerate(self._trackers):
             state = self.object_state(number)
-            seen.append(tracker.measure(sample, self.time, state.position, state.rotation))
-        return Measurement(self.time, arms, seen[0], self._by_neighbour(seen[1:]))
+            measurements.append(tracker.measure(sample, self.time, state.position, state.rotation))
+        return Measurement(self.time, arms, measurements[0], self._by_neighbour_name(measurements[1:]))
 
     def truth(self) -> Truth:
         """The true state now."""
@@ -248,16 +248,16 @@ class Plant:
         }
         if not self._tracked:
             return Truth(self.time, arms, None)
-        object_, *beside = map(self.object_state, range(len(self._trackers)))
-        return Truth(self.time, arms, object_, self._by_neighbour(beside))
+        object_, *neighbours = map(self.object_state, range(len(self._trackers)))
+        return Truth(self.time, arms, object_, self._by_neighbour_name(neighbours))
 
     def object_state(self, number: int = 0) -> BodyState:
         """True state of the object at its geometric centre, or of one of its neighbours, counted from 1."""
         return self._mechanics.object_state(number)
 
-    def _by_neighbour(self, values: Sequence[Tracked]) -> dict[str, Tracked]:
-        """What is known of the neighbours, by name."""
-        return dict(zip((one.name for one in self.physics.neighbours), values, strict=True))
+    def _by_neighbour_name(self, values: Sequence[Tracked]) -> dict[str, Tracked]:
+        """Samples or states of the neighbours, by name."""
+        return dict(zip((neighbour.name for neighbour in self.physics.neighbours), values, strict=True))
 
     def step(self, desired: dict[str, Array]) -> None:
         """Advance by one control period with desired torques ``(n,)`` [N m] by arm.
@@ -267,7 +267,7 @@ class Plant:
         """
         for name, arm in self.physics.arms.items():
             torque, count = desired[name], arm.facts.joint_count
-            # A sum of squares keeps every value that is not finite.
+            # The sum of squares is not finite if any value is not.
             if torque.shape != (count,) or not math.isfinite(torque @ torque):
                 raise InputError(
                     f"desired torque of arm {name!r} must be {count} finite numbers [N m], got {torque.tolist()}"
@@ -278,12 +278,12 @@ class Plant:
         if extension is None:
             self._mechanics.step(desired, self._substeps, self.time)
         else:
-            further = {name: extension.joint_torque(self, name) for name in desired}
+            further_torques = {name: extension.joint_torque(self, name) for name in desired}
             self.bullet.step(
                 desired,
                 self._substeps,
                 self.time,
-                {name: torque for name, torque in further.items() if torque is not None},
+                {name: torque for name, torque in further_torques.items() if torque is not None},
                 lambda name: extension.after_sense(self, name, self.bullet.drives[name]),
             )
         self._tick += 1
@@ -294,11 +294,11 @@ class Plant:
 
 
 def check_hidden(physics: Physics) -> None:
-    """Refuse readings that the trials of a plant do not show.
+    """Refuse sensor models that the trials of a plant cannot show.
 
     Raises:
-        InputError: A torque sensor drifts with the time since the first run, which no plant knows, or commands act
-            before or after their stamps.
+        InputError: A torque sensor drifts with the time since the first run, which a plant does not know, or commands
+            do not act at their stamps.
     """
     for name, arm in physics.arms.items():
         if np.any(arm.readings.torque_drift) or arm.readings.command_delay != 0.0:
@@ -310,7 +310,7 @@ def check_hidden(physics: Physics) -> None:
 
 
 def _tracker_ticks(scenario: Scenario) -> int:
-    """Control ticks from one sample of the object tracker to the next."""
+    """Control ticks per sample of the object tracker."""
     return max(1, round(scenario.sensors.object_period / scenario.timing.control_period))
 
 

@@ -39,7 +39,7 @@ class ObjectMeasurement:
     """Pose of the object's geometric centre from the tracker.
 
     Attributes:
-        time: When it was taken [s].
+        time: Time of the sample [s].
         position: Position in A, ``(3,)`` [m].
         quaternion: Orientation in A, x y z w, ``(4,)``.
     """
@@ -56,7 +56,7 @@ class ArmSensors:
         sensors: Resolution and noise.
         joint_count: Number of joints.
         samples: Number of control ticks.
-        rng: Draws the noise.
+        rng: Generator of the noise.
         readings: Sensor models; a negative delay is not causal and is treated as 0.
         period: Control period [s].
     """
@@ -94,13 +94,13 @@ class ArmSensors:
 
     def _read(self, tick: int, true: ArmMotion) -> ArmMotion:
         """Readings of the true motion by the sensor models."""
-        r = self._readings
+        readings = self._readings
         return replace(
             true,
-            position=r.position(true.position),
-            velocity=self._velocity(tick, r.position_scale * r.velocity_gain * true.velocity),
-            torque=self._torque(tick, self._mixing @ true.torque + r.torque_offset),
-            motor_position=true.motor_position + r.motor_offset,
+            position=readings.position(true.position),
+            velocity=self._velocity(tick, readings.position_scale * readings.velocity_gain * true.velocity),
+            torque=self._torque(tick, self._mixing @ true.torque + readings.torque_offset),
+            motor_position=true.motor_position + readings.motor_offset,
         )
 
     def _quantise(self, angle: Array) -> Array:
@@ -114,10 +114,10 @@ class ObjectTracker:
 
     Args:
         sensors: Noise.
-        samples: Number of its samples.
-        rng: Draws the noise.
+        samples: Number of samples.
+        rng: Generator of the noise.
         readings: Sensor model.
-        period: From sample to sample [s].
+        period: Time between samples [s].
     """
 
     def __init__(
@@ -129,7 +129,7 @@ class ObjectTracker:
         period: float = 4e-3,
     ) -> None:
         self._readings = readings or TrackerReadings()
-        self._late = Filter(self._readings.delay, self._readings.filters, period)
+        self._filter = Filter(self._readings.delay, self._readings.filters, period)
         self._position_noise = sensors.object_position_noise * rng.standard_normal((samples, 3))
         self._orientation_noise = sensors.object_orientation_noise * rng.standard_normal((samples, 3))
 
@@ -145,9 +145,9 @@ class ObjectTracker:
         )
 
     def _filtered(self, sample: int, position: Array, rotation: Array) -> tuple[Array, Array]:
-        """Pose after delay and filter; angles between samples are small."""
+        """Pose after delay and filter, for small rotations between samples."""
         if self._readings.delay == 0.0 and not any(self._readings.filters):
             return position, rotation
-        late = self._late(sample, np.concatenate((position, rotation.ravel())))
-        left, _, right = np.linalg.svd(late[3:].reshape(3, 3))  # the nearest rotation (Schoenemann 1966)
-        return late[:3], left @ right
+        filtered = self._filter(sample, np.concatenate((position, rotation.ravel())))
+        left, _, right = np.linalg.svd(filtered[3:].reshape(3, 3))  # the nearest rotation (Schoenemann 1966)
+        return filtered[:3], left @ right

@@ -59,7 +59,7 @@ class TwinMechanics(Mechanics):
             )
 
     def _update(self, state: Array) -> None:
-        """Take the parts of a state."""
+        """Split a state of the kernel into arms and objects."""
         self._arms, self._bodies = motions(self.physics, state)
 
     def arm(self, name: str) -> ArmMotion:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects that are *not* in the library: the diagnosis must report that no effect of the library explains them.
 
-Each acts inside the plant and is parametrised by a magnitude (1: noticeable) and the number of the repeat.
+Each acts inside the plant, with a magnitude (1: noticeable) and the number of the repeat as parameters.
 :data:`OUTSIDE` has whole mechanisms; :data:`LAWS` has forces as functions of the state, which ``impact-rs discover``
 may find.
 """
@@ -211,19 +211,19 @@ class HiddenLaw(PlantExtension):
         )
 
     def joint_torque(self, plant: Plant, arm: str) -> Array | None:
-        """Torque on the links over the next control period; on the motors it is set there."""
+        """Torque on the links over the next control period; None if the law acts on the motors or the object."""
         if self._acts_on == "object":
-            if plant.time == 0.0:  # afterwards every period ends with the force of the next
+            if plant.time == 0.0:  # later forces are set at the end of every period, by after_sense
                 self._on_object(plant, arm)
             return None
         state = self.state(plant, arm)
-        found = self._law(state)
+        load = self._law(state)
         if self._acts_on == "motor":
-            plant.bullet.drives[arm].load(found)
+            plant.bullet.drives[arm].load(load)
             return None
         if self._acts_on == "link":
-            return found
-        return np.asarray(self._models[arm].jacobian(state.q)[:3].T @ found)
+            return load
+        return np.asarray(self._models[arm].jacobian(state.q)[:3].T @ load)
 
     def after_sense(self, plant: Plant, arm: str, drive: Drive) -> None:
         """Force on the object over the next period of the torque loop."""
@@ -244,9 +244,9 @@ def _joint(acts_on: str, number: int, law: Callable[[State, float], float]) -> C
         del repeat
 
         def torques(state: State) -> Array:
-            found = np.zeros_like(state.q)
-            found[number - 1] = law(state, magnitude)
-            return found
+            vector = np.zeros_like(state.q)
+            vector[number - 1] = law(state, magnitude)
+            return vector
 
         return HiddenLaw(acts_on, torques)
 
@@ -263,9 +263,9 @@ def _beyond(value: float, limit: float) -> float:
 
 
 def _along(axis: int, value: float) -> Array:
-    found = np.zeros(3)
-    found[axis] = value
-    return found
+    vector = np.zeros(3)
+    vector[axis] = value
+    return vector
 
 
 def _horizontal(velocity: Array) -> Array:

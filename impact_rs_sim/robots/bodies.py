@@ -7,8 +7,8 @@ A mass density that is nowhere negative gives a body of mass m, centre c and ine
     P = [[S + m c c^T, m c], [m c^T, m]],    S = tr(I)/2 1 - I    (second moments of mass about c)
 
 which is positive definite. By the Schur complement this holds exactly if m > 0 and S is positive definite, for any c.
-Thin rods and point masses, whose S is singular, are limits of such bodies and are allowed. (Fits that parametrise P by
-its log-Cholesky factor stay inside this set; why effects do not: :mod:`impact_rs_sim.effects.changed_bodies`.)
+Thin rods and point masses, whose S is singular, are limits of such bodies and are allowed. (Fits with the log-Cholesky
+factor of P as parameters stay inside this set; effects do not, see :mod:`impact_rs_sim.effects.changed_bodies`.)
 """
 
 from __future__ import annotations
@@ -18,9 +18,8 @@ import numpy as np
 from impact_rs_sim.robots.robot import Array
 
 IDENTITY = np.eye(3)
-# Share of tr(S) by which an eigenvalue may be below 0 [-]; a body is a sum of 10 terms of 1e-16
-EIGENVALUE_ROUNDING = 1e-9
-SURE_MINOR_SHARE = 1e-6  # of a power of tr(S): minors above have the sign of exact ones, whose rounding is 1e-15
+EIGENVALUE_ROUNDING = 1e-9  # share of tr(S) by which an eigenvalue may be below 0, for rounding of sums [-]
+SURE_MINOR_SHARE = 1e-6  # of a power of tr(S); larger minors are positive beyond their rounding of 1e-15 [-]
 
 
 def second_moments(inertia: Array) -> Array:
@@ -44,16 +43,16 @@ def is_physically_consistent(mass: float, inertia: Array) -> bool:
 def _surely_positive(moments: Array) -> bool:
     """Whether a symmetric matrix ``(3, 3)`` is positive definite beyond rounding, by its minors (Sylvester)."""
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = moments.tolist()
-    least, second = SURE_MINOR_SHARE * (xx + yy + zz), xx * yy - xy * xy
+    threshold, second = SURE_MINOR_SHARE * (xx + yy + zz), xx * yy - xy * xy
     third = zz * second - yz * (xx * yz - xy * xz) + xz * (xy * yz - yy * xz)
-    return xx > least > 0.0 and second > least * (xx + yy + zz) and third > least * (xx + yy + zz) ** 2
+    return xx > threshold > 0.0 and second > threshold * (xx + yy + zz) and third > threshold * (xx + yy + zz) ** 2
 
 
 def ellipsoid_contains(mass: float, com: Array, inertia: Array, point: Array) -> bool:
     """Whether a point lies in the homogeneous ellipsoid with these inertial parameters.
 
-    With semi-axes a_i along its principal axes it has the second moments m a_i^2 / 5, so d = place - com lies in it
-    where d^T S^-1 d <= 5 / m.
+    With semi-axes a_i along its principal axes it has the second moments m a_i^2 / 5, so d = point - com lies in it if
+    d^T S^-1 d <= 5 / m.
 
     Args:
         mass: m [kg].
@@ -64,5 +63,5 @@ def ellipsoid_contains(mass: float, com: Array, inertia: Array, point: Array) ->
     moments, axes = np.linalg.eigh(second_moments(inertia))
     along = axes.T @ (point - com)
     semi = np.sqrt(5.0 * np.maximum(moments, 0.0) / mass)
-    within = np.abs(along) <= semi  # an axis without extent has no quotient
+    within = np.abs(along) <= semi  # checked separately, because an axis without extent has no quotient below
     return bool(np.all(within)) and float(np.sum(np.square(along[semi > 0.0] / semi[semi > 0.0]))) <= 1.0

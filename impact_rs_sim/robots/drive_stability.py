@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stability of a flexible joint in discrete time, at the period of the torque loop.
 
-The loop (:mod:`impact_rs_sim.drive`) makes a motor of inertia B_theta out of one of B_rho. With the stretch
+The loop (:mod:`impact_rs_sim.drive`) reduces the motor inertia from B_rho to B_theta. With the deflection
 s = theta - q, links of mass matrix M and the period h, one step of motors and links, both semi-implicit Euler, is
 
     ds+ = ds - h W (K s + D ds),   s+ = s + h ds+,   W = B_theta^-1 + M^-1
 
-Rigid motion and gravity do not matter to it. For a single joint, W = 1 / m, the two eigenvalues have the product
-1 - h D / m and the sum 2 - h D / m - h^2 K / m, so that both lie inside the unit circle (Jury) exactly if
+Rigid motion and gravity have no influence on s. For a single joint, W = 1 / m, the two eigenvalues have the product
+1 - h D / m and the sum 2 - h D / m - h^2 K / m; by Jury's criterion both lie inside the unit circle exactly if
 
     D > 0   and   h^2 K + 2 h D < 4 m.
 

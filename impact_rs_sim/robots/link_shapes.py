@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simple shapes of the links of an arm without meshes: tubes and housings, from the facts about the robot alone.
+"""Simple shapes of the links of an arm without meshes: tubes and housings, from robot facts.
 
-Two joint axes in space have a common normal (Denavit and Hartenberg 1955). A link runs from its own joint along its
-axis to that normal, along the normal, and along the next axis to the next joint; between parallel axes it runs beside
-the joint where its centre of mass is. Each joint has a housing along its axis. Radii fall from base to tip with the
-cube root of the torque limits, as a motor of twice the size in all directions gives about eight times the torque.
+Two joint axes in space have a common normal (Denavit and Hartenberg 1955). A link runs from its joint along the joint
+axis to that normal, along the normal, and along the next axis to the next joint; between parallel axes it runs across
+at the height of its centre of mass. Each joint has a housing along its axis. Radii decrease from base to tip with the
+cube root of the torque limits: a motor of twice the size has about eight times the torque.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ RING_LENGTH_RATIO = 0.22  # length of the ring at each end of a housing over its
 MIN_PARALLEL_COSINE = 0.999  # of the angle between two axes that are parallel
 MIN_TUBE_LENGTH_M = 1e-4  # m, of a tube
 TOOL_RADIUS_M = 0.03  # of the tube from flange to pad
-FOOT_RATIOS = (1.35, 0.06)  # radius of the foot over that of the first tube, its height over the length of the arm [-]
+FOOT_RATIOS = (1.35, 0.06)  # radius of the foot over radius of the first tube, height over length of the arm [-]
 
 
 @dataclass(frozen=True)
@@ -54,12 +54,12 @@ def link_shapes(facts: RobotFacts) -> list[list[Shape]]:
         MIN_TUBE_RADIUS_M, TUBE_RADIUS_RATIO * length * (MIN_RADIUS_SHARE + (1.0 - MIN_RADIUS_SHARE) * torque)
     )
     foot = Shape(np.zeros(3), np.array([0.0, 0.0, FOOT_RATIOS[1] * length]), FOOT_RATIOS[0] * float(radii[0]), "joint")
-    found = [[foot, *_tubes(np.zeros(3), origins[0], axes[0], np.zeros(3), float(radii[0]))]]
+    shapes = [[foot, *_tubes(np.zeros(3), origins[0], axes[0], np.zeros(3), float(radii[0]))]]
     for index, (link, joint) in enumerate(zip(facts.links, facts.joints, strict=True)):
         radius = float(radii[index])
-        own = _tubes(np.zeros(3), origins[index + 1], axes[index + 1], np.array(link.com), radius)
-        found.append([*(_housing(radius) if joint.type == "revolute" else ()), *own])
-    return found
+        tubes = _tubes(np.zeros(3), origins[index + 1], axes[index + 1], np.array(link.com), radius)
+        shapes.append([*(_housing(radius) if joint.type == "revolute" else ()), *tubes])
+    return shapes
 
 
 def _housing(radius: float) -> list[Shape]:
@@ -75,21 +75,21 @@ def _housing(radius: float) -> list[Shape]:
 def _tubes(start: Array, end: Array, axis: Array, com: Array, radius: float) -> list[Shape]:
     """Tubes from joint to joint, with a ball at every corner."""
     corners = [start, *_corners(end, axis, com), end]
-    kept = [corners[0]]
+    distinct = [corners[0]]
     for corner in corners[1:]:
-        if float(np.linalg.norm(corner - kept[-1])) > MIN_TUBE_LENGTH_M:
-            kept.append(corner)
-    tubes = [Shape(a, b, radius) for a, b in zip(kept, kept[1:], strict=False)]
-    return [*tubes, *(Shape(corner, corner, radius) for corner in kept[1:-1])]
+        if float(np.linalg.norm(corner - distinct[-1])) > MIN_TUBE_LENGTH_M:
+            distinct.append(corner)
+    tubes = [Shape(a, b, radius) for a, b in zip(distinct, distinct[1:], strict=False)]
+    return [*tubes, *(Shape(corner, corner, radius) for corner in distinct[1:-1])]
 
 
 def _corners(end: Array, axis: Array, com: Array) -> list[Array]:
     """Corners of the common-normal path of a link from its own axis z to the next axis."""
-    own = np.array([0.0, 0.0, 1.0])
-    if abs(float(own @ axis)) > MIN_PARALLEL_COSINE:
-        beside = float(com[2]) * own
-        return [beside, np.array([end[0], end[1], beside[2]])]
-    normal = np.cross(own, axis)
-    along_own, across, along_next = np.linalg.solve(np.column_stack((own, normal, axis)), end)
+    own_axis = np.array([0.0, 0.0, 1.0])
+    if abs(float(own_axis @ axis)) > MIN_PARALLEL_COSINE:
+        first = float(com[2]) * own_axis
+        return [first, np.array([end[0], end[1], first[2]])]
+    normal = np.cross(own_axis, axis)
+    along_own, across, along_next = np.linalg.solve(np.column_stack((own_axis, normal, axis)), end)
     del along_next
-    return [along_own * own, along_own * own + across * normal]
+    return [along_own * own_axis, along_own * own_axis + across * normal]

@@ -12,9 +12,9 @@ PACKAGE, FILE = "package://", "file://"
 
 
 def mesh_path(address: str) -> Path | None:
-    """The file at a ``file://`` or ``package://`` address; None: there is none.
+    """The file at a ``file://`` or ``package://`` address; None: it does not exist.
 
-    Packages are looked for where ROS 2 installs them, by ``AMENT_PREFIX_PATH``.
+    Packages are searched in ``AMENT_PREFIX_PATH``, where ROS 2 installs them.
     """
     if address.startswith(FILE):
         candidates = [Path(unquote(urlparse(address).path))]
@@ -26,10 +26,10 @@ def mesh_path(address: str) -> Path | None:
 
 
 def mesh_address(name: str, urdf: Path, packages: Iterable[Path] = ()) -> str | None:
-    """The ``file://`` or ``package://`` address of a mesh, whether it is there or not; None: of another kind.
+    """The ``file://`` or ``package://`` address of a mesh, whether the mesh exists or not; None: another kind.
 
-    A path is relative to the URDF. A package that ROS 2 does not know is looked for in ``packages`` and in the folders
-    above the URDF, for sources that are not installed; where it is found, the address becomes that of the file.
+    A path is relative to the URDF. A package that ROS 2 does not know is searched in ``packages`` and in the folders
+    above the URDF, for sources that are not installed; if the mesh exists there, the address of its file is returned.
 
     Args:
         name: Path or address in the URDF.
@@ -44,19 +44,20 @@ def mesh_address(name: str, urdf: Path, packages: Iterable[Path] = ()) -> str | 
         return name
     package, inside = _package(name)
     for folder in (*packages, *urdf.resolve().parents):
-        for candidate in _inside(folder, package):
+        for candidate in _package_folders(folder, package):
             if (candidate / inside).is_file():
                 return (candidate / inside).resolve().as_uri()
     return name
 
 
 def _package(address: str) -> tuple[str, str]:
-    """Package and path in it."""
+    """Package name, and path inside the package."""
     parts = urlparse(address)
     return parts.netloc, unquote(parts.path).lstrip("/")
 
 
-def _inside(folder: Path, package: str) -> Iterator[Path]:
+def _package_folders(folder: Path, package: str) -> Iterator[Path]:
+    """Folders that may be a package: ``folder`` itself if it has the name, and its subfolder."""
     if folder.resolve().name == package:
         yield folder
     yield folder / package

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robot facts and end effector: the data a URDF is written from, without derived values.
+"""Robot facts and end effector: the data of a URDF, without derived values.
 
 A joint rotates about the z axis of its frame (``revolute``) or translates along it (``prismatic``). Values per joint
 have the units of its coordinate, :data:`UNITS`; docstrings say rad, N m, kg m^2 for a prismatic joint's m, N, kg.
 
-An arm is a chain: every joint stands on the link of the joint before. A **tree** has joints that stand on other links
-(two arms on a torso), joints that follow others (fingers; URDF's ``mimic``), or a base that nothing holds (a humanoid,
-a drone). The joints that follow no other have its n coordinates, in the order of the file. With a floating base
-configuration and velocity have its pose and its twist in front, in Pinocchio's convention:
+An arm is a chain: every joint is mounted on the link of the previous joint. A **tree** has joints on other links (two
+arms on a torso), joints that follow others (fingers; URDF's ``mimic``), or a floating base (a humanoid, a drone). Its n
+coordinates are the positions of the joints that follow no other, in the order of the file. With a floating base,
+configuration and velocity begin with its pose and its twist, in Pinocchio's convention:
 
     q = (x, y, z, qx, qy, qz, qw, q_1 ... q_n),      v = (v_base, omega_base, dq_1 ... dq_n)
 
@@ -44,13 +44,13 @@ class JointUnits:
     """Units of the coordinate of a joint and of the quantities derived from it.
 
     Attributes:
-        position: Of q.
-        velocity: Of dq.
-        acceleration: Of ddq.
-        effort: Of its force or torque.
-        inertia: Of the inertia that it moves.
-        stiffness: Of its spring.
-        damping: Of its damper.
+        position: Unit of q.
+        velocity: Unit of dq.
+        acceleration: Unit of ddq.
+        effort: Unit of its force or torque.
+        inertia: Unit of the inertia that it moves.
+        stiffness: Unit of its spring.
+        damping: Unit of its damper.
     """
 
     position: str
@@ -66,11 +66,11 @@ UNITS: dict[JointType, JointUnits] = {
     "revolute": JointUnits("rad", "rad/s", "rad/s^2", "N m", "kg m^2", "N m/rad", "N m s/rad"),
     "prismatic": JointUnits("m", "m/s", "m/s^2", "N", "kg", "N/m", "N s/m"),
 }
-PINION_RADIUS_M = 0.05  # a prismatic joint has the ranges of a revolute joint that drives it by this pinion
+PINION_RADIUS_M = 0.05  # of the pinion that converts ranges of revolute joints to prismatic ones
 
 
 def travel_per_rad(kinds: Iterable[JointType]) -> Array:
-    """Travel of joints that a revolute joint makes in 1 rad, with the pinion where they slide, ``(n,)`` [rad or m]."""
+    """Travel of joints per radian of a revolute joint; a pinion drives sliding joints, ``(n,)`` [rad or m]."""
     return np.array([1.0 if kind == "revolute" else PINION_RADIUS_M for kind in kinds])
 
 
@@ -256,7 +256,7 @@ class RobotFacts(Schema):
 
     @model_validator(mode="after")
     def _one_tree(self) -> Self:
-        """Refuse joints and a flange on links that are not there, and branches that are not in depth-first order."""
+        """Refuse joints and a flange on unknown links, and branches that are not in depth-first order."""
         if not self.joints and self.floating_base is None:
             raise ValueError("joints is empty, expected at least one, or floating_base: the base moves")
         if len(self.links) != len(self.joints):
@@ -277,20 +277,20 @@ class RobotFacts(Schema):
                     f"{', '.join(leaders) or 'none with a name'}"
                 )
         if self.flange_link < 0:
-            known = self._names_of_links(len(self.links))
-            raise ValueError(f"flange.link: {self.flange.link!r} is no link, or several; there are: {known}")
+            link_names = self._names_of_links(len(self.links))
+            raise ValueError(f"flange.link: {self.flange.link!r} is no link, or several; there are: {link_names}")
         if not self.flange_link and self.floating_base is None:
             raise ValueError("flange.link: the base is fixed, expected a link that moves, or floating_base")
         return self
 
     @model_validator(mode="after")
     def _hands_on_links(self) -> Self:
-        """Refuse hands on links that are not there or do not move, and two hands of one name."""
+        """Refuse hands on links that are unknown or do not move, and two hands of one name."""
         for number, hand in enumerate(self.hands):
-            known = self._names_of_links(len(self.links))
+            link_names = self._names_of_links(len(self.links))
             if (link := self.link_of(hand)) < 0 or (not link and self.floating_base is None):
-                raise ValueError(f"hands.{number}.link: {hand.link!r} is no link that moves; there are: {known}")
-            if hand.name in [other.name for other in self.hands[:number]]:
+                raise ValueError(f"hands.{number}.link: {hand.link!r} is no link that moves; there are: {link_names}")
+            if hand.name in [earlier.name for earlier in self.hands[:number]]:
                 raise ValueError(f"hands.{number}.name: another hand is called {hand.name!r}")
         return self
 
@@ -311,7 +311,7 @@ class RobotFacts(Schema):
 
     @property
     def moving(self) -> tuple[JointOrigin, ...]:
-        """The joints that follow no other, in order: those with a coordinate."""
+        """The joints with a coordinate, which follow no other joint, in order."""
         return tuple(joint for joint in self.joints if joint.mimic is None)
 
     @property
@@ -331,10 +331,12 @@ class RobotFacts(Schema):
 
     @property
     def coordinates(self) -> tuple[int, ...]:
-        """Which coordinate moves each joint, from 0."""
+        """Index of the coordinate that moves each joint, from 0."""
         names = [joint.name for joint in self.moving]
-        own = iter(range(len(names)))
-        return tuple(next(own) if one.mimic is None else names.index(one.mimic.joint) for one in self.joints)
+        independent = iter(range(len(names)))
+        return tuple(
+            next(independent) if joint.mimic is None else names.index(joint.mimic.joint) for joint in self.joints
+        )
 
     @property
     def reduction(self) -> tuple[Array, Array]:
@@ -353,7 +355,7 @@ class RobotFacts(Schema):
 
     @property
     def parents(self) -> tuple[int, ...]:
-        """Number of the link that carries each joint; 0: the base, -1: there is none of that name."""
+        """Number of the link that carries each joint; 0: the base, -1: no link has the name."""
         return tuple(self._link(joint.parent, number) for number, joint in enumerate(self.joints))
 
     @property
@@ -366,24 +368,24 @@ class RobotFacts(Schema):
         return self._link(flange.link, len(self.links))
 
     def _link(self, name: str, absent: int) -> int:
-        """Number of a link, ``absent`` without a name; -1: there is none, or there are several."""
+        """Number of a link, ``absent`` without a name; -1: no link has the name, or several have."""
         if name in ("", BASE):
             return absent if not name else 0
-        found = [number for number, link in enumerate(self.links, start=1) if link.name == name]
-        return found[0] if len(found) == 1 else -1
+        numbers = [number for number, link in enumerate(self.links, start=1) if link.name == name]
+        return numbers[0] if len(numbers) == 1 else -1
 
     @property
     def path(self) -> tuple[int, ...]:
         """Numbers of the joints from base to flange, from 0."""
-        found, link, parents = [], self.flange_link, self.parents
+        joints, link, parents = [], self.flange_link, self.parents
         while link > 0:
-            found.append(link - 1)
+            joints.append(link - 1)
             link = parents[link - 1]
-        return tuple(reversed(found))
+        return tuple(reversed(joints))
 
     @property
     def is_chain(self) -> bool:
-        """Whether it is a serial arm on a fixed base, which simulators and controllers take."""
+        """Whether it is a serial arm on a fixed base, as simulators and controllers require."""
         if self.floating_base is not None or self.hands:
             return False
         return self.path == tuple(range(self.joint_count)) == self.coordinates
@@ -400,27 +402,27 @@ class RobotFacts(Schema):
         return (*base, *((f"joint{number}", unit.velocity) for number, unit in enumerate(self.units, start=1)))
 
     def columns_of(self, values: Array) -> Array:
-        """Values per joint ``(n,)``, motor inertia for example, per component of v: 0 of a floating base."""
+        """Values per joint ``(n,)``, motor inertia for example, per component of v; 0 for a floating base."""
         return values if self.floating_base is None else np.concatenate((np.zeros(self.base_size), values))
 
     def joints_of(self, position: Array) -> Array:
         """Positions of the joints ``(n,)`` in q, behind the pose of a floating base."""
         return position if self.floating_base is None else position[BASE_POSE_SIZE:]
 
-    def check_chain(self, what: str, key: str, file: str | None = None) -> None:
+    def check_chain(self, consumer: str, key: str, file: str | None = None) -> None:
         """Refuse a tree where only serial arms are computed.
 
         Args:
-            what: What takes serial arms alone.
-            key: Where the robot is named.
-            file: In which scenario.
+            consumer: Program part that takes only serial arms, for the message.
+            key: Key that names the robot.
+            file: Scenario with this key.
 
         Raises:
             InputError: It is a tree, or its base floats.
         """
         if not self.is_chain:
             raise InputError(
-                f"{what} takes serial arms on a fixed base, and the facts of this robot ({self.source}) have "
+                f"{consumer} takes serial arms on a fixed base, and the facts of this robot ({self.source}) have "
                 "parent, mimic, hands or floating_base; impact-rs map and tables of impacts take it, and impact-rs "
                 "robot import makes a serial arm of it without --move, --hand and --floating, and with --lock "
                 "JOINT=PLACE of every joint that follows another",
@@ -439,8 +441,8 @@ def load_facts(name: str) -> RobotFacts:
     directory = config_directory() / "robots"
     path = Path(name) if name.endswith((".yaml", ".yml")) else directory / f"{name}.yaml"
     if not is_file(path):
-        known = ", ".join(sorted(file.stem for file in directory.glob("*.yaml")))
-        raise InputError(f"no robot {shortened(name)!r}; known robots: {known}")
+        names = ", ".join(sorted(file.stem for file in directory.glob("*.yaml")))
+        raise InputError(f"no robot {shortened(name)!r}; known robots: {names}")
     return load(RobotFacts, path)
 
 
@@ -458,8 +460,8 @@ class EndEffector:
         mount_yaw: Rotation of E about the flange axis [rad].
         pad_size: Width (x), height (y) and thickness (z) of the pad [m].
         pad_tilt: Roll and pitch of the pad in E, about the centre of its outer face: about x, then about the y of E
-            [rad]. E stays where it is: the tilt is unknown to the controller.
-        pad_offset: Middle of the pad's outer face in E [m]; likewise unknown to the controller.
+            [rad]. E does not move: the tilt is unknown to the controller.
+        pad_offset: Centre of the pad's outer face in E [m], also unknown to the controller.
         shape: Shape of the pad within the extents ``pad_size``.
         mount_offset: Origin of E across the flange axis, along x and y of the flange [m].
         mount_tilt: Roll and pitch of E in the flange, before its yaw as rpy in a URDF [rad].
@@ -511,6 +513,6 @@ class EndEffector:
 
     @property
     def pad_placement(self) -> pin.SE3:
-        """Middle and axes of the pad in E."""
+        """Centre and axes of the pad in E."""
         rotation = pin.rpy.rpyToMatrix(*self.pad_tilt, 0.0)
         return pin.SE3(rotation, np.array(self.pad_offset) - self.pad_size[2] / 2.0 * rotation[:, 2])

@@ -7,11 +7,11 @@ the child link. With a rotation R_i that maps z to a_i, the frame of that link i
     T'_i = (R_{i-1}^T, 0) T_i (R_i, 0)          Rot(a_i, q) R_i = R_i Rot(z, q),  Trans(a_i q) R_i = R_i Trans(z q)
     c'_i = R_i^T c_i                            I'_i = R_i^T I_i R_i
 
-so that kinematics and dynamics are exactly those of the URDF. R_i is the smallest such rotation, and the identity where
+so that kinematics and dynamics are exactly those of the URDF. R_i is the smallest such rotation, and the identity if
 the axis is z; i-1 is the link that carries joint i. Pinocchio reads placements and inertias, and merges fixed links.
 
-Joints beside the path from base to tip (fingers, a second arm, a head) stand still while the robot hits, unless the
-user lets them move; a joint that mimics another one moves where that one does.
+Joints beside the path from base to tip (fingers, a second arm, a head) are fixed, unless the user lets them move
+(``--move``). A joint that mimics another one moves if that one moves.
 """
 
 from __future__ import annotations
@@ -57,8 +57,7 @@ NOT_IN_URDF_NOTE = (
     "A URDF does not say whether joints measure their torque behind the gears. Most do not, so joint_torque_loop is "
     "false: torques are taken for those of the motors. Arms that do, as Franka, KUKA LBR and Kinova Gen3, need true."
 )
-# Over the largest moment [-]; rounding of a URDF puts a principal moment of a flat body below 0
-NEGATIVE_MOMENT_TOLERANCE = 1e-6
+NEGATIVE_MOMENT_TOLERANCE = 1e-6  # over the largest moment, for the rounding of a flat body in a URDF [-]
 FREE_FLYER = "free flyer of the base"  # Pinocchio's own name, root_joint, may be one of the file's joints
 _FoundMesh = tuple[str, pin.SE3, list[float]]  # address, placement at the joint and scale
 INERTIA_ATTRIBUTES = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -66,7 +65,7 @@ INERTIA_ATTRIBUTES = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 @dataclass(frozen=True)
 class ImportedRobot:
-    """Facts, and notes on the rest of the URDF.
+    """Robot facts from a URDF, and notes on what was merged, omitted or assumed.
 
     Attributes:
         facts: The facts.
@@ -96,17 +95,17 @@ def import_urdf(
     """Facts of the robot that hits with link ``tip`` of a URDF and is mounted with link ``base``.
 
     Args:
-        file: The URDF; its meshes need not be there, those that are not found are noted.
-        base: Link that the arm is mounted with; None: the root.
-        tip: Link whose frame is the flange; None: the only one there is.
-        source: Where the numbers come from; None: the file's name.
-        limits: Limits in place of those of the URDF (:func:`~impact_rs_sim.robots.urdf_repairs.given_limits`).
-        inertia_at: Where its moments of inertia are about: the centre of mass, as the format says, or the joint.
+        file: The URDF; missing meshes are listed in the notes.
+        base: Link with which the arm is mounted; None: the root.
+        tip: Link whose frame is the flange; None: the only leaf of the tree.
+        source: Source of the numbers; None: the file's name.
+        limits: Limits that replace those of the URDF (:func:`~impact_rs_sim.robots.urdf_repairs.given_limits`).
+        inertia_at: Reference point of the moments of inertia: the centre of mass, as in the URDF format, or the joint.
         lock: Positions at which joints are locked (:func:`~impact_rs_sim.robots.urdf_repairs.locked_joints`).
-        measured: Limits that a recording shows, for the joints of the chain, in place of those that are missing or 0.
-        packages: Where packages of its meshes are (:func:`~impact_rs_sim.robots.mesh_files.mesh_address`).
+        measured: Function from joint names to limits in a recording, which replace limits that are missing or 0.
+        packages: Folders of mesh packages (:func:`~impact_rs_sim.robots.mesh_files.mesh_address`).
         move: Names of joints beside the path that move as well; ``*`` matches any text.
-        floating: Whether nothing holds the base.
+        floating: Whether the base floats.
         hands: Links whose frames are further flanges; a hand has the name of its link.
 
     Raises:
@@ -114,34 +113,36 @@ def import_urdf(
     """
     tree = UrdfTree(file)
     movable = list(_movable(tree).values())
-    positions = _given_positions(tree, lock)
-    notes = [*tree.notes, *_held_notes(tree, positions)]
-    _hold(tree, positions)
+    positions = _locked_positions(tree, lock)
+    notes = [*tree.notes, *_locked_notes(tree, positions)]
+    _fix_joints(tree, positions)
     still = _still_joints(tree, tree.chain(base, tip, floating), move, positions)
-    _hold(tree, still)
+    _fix_joints(tree, still)
     chain = tree.chain(base, tip, floating)
     _check_inertials(tree, chain)
     notes += [*_still_note(tree, still), *_recentred_inertias(tree, chain, movable, inertia_at)]
     chain = tree.chain(base, tip, floating)
     moving = [joint for joint in chain.joints if tree.mimic(joint) is None]
     names = [joint.get("name", "") for joint in moving]
-    given, shown = given_limits(limits, names, file), measured(names)
+    given_by_user, measured_limits = given_limits(limits, names, file), measured(names)
     model = _model(chain, floating)
     meshes = _meshes(tree, chain, model, packages, notes)
-    joints, links, (flange, *others) = _bodies(tree, chain, model, meshes, hands)
-    rows = {joint.get("name", ""): _limits(tree, joint, given, shown, notes) for joint in moving}
-    notes += _narrowed(tree, chain.joints, rows, given)
-    columns = [tuple(row[place] for row in rows.values()) for place in range(len(Limits.model_fields))]
-    of_base = meshes.get(int(floating), [])
+    joints, links, (flange, *hand_flanges) = _bodies(tree, chain, model, meshes, hands)
+    rows = {joint.get("name", ""): _limits(tree, joint, given_by_user, measured_limits, notes) for joint in moving}
+    notes += _narrow_limits(tree, chain.joints, rows, given_by_user)
+    columns = [tuple(row[column] for row in rows.values()) for column in range(len(Limits.model_fields))]
+    base_meshes = meshes.get(int(floating), [])
     content = {
         "source": source or f"imported from {file.name}",
         "joints": tuple(joints),
         "flange": flange,
-        "hands": tuple({"name": name, **dict(other)} for name, other in zip(hands, others, strict=True)),
+        "hands": tuple(
+            {"name": name, **dict(hand_flange)} for name, hand_flange in zip(hands, hand_flanges, strict=True)
+        ),
         "limits": dict(zip(Limits.model_fields, columns, strict=True)),
         "links": tuple(links),
         "floating_base": _body(tree, model.inertias[1], np.eye(3), chain.base) if floating else None,
-        "base_meshes": tuple(_mesh(one, np.eye(3)) for one in of_base),
+        "base_meshes": tuple(_mesh(mesh, np.eye(3)) for mesh in base_meshes),
         "joint_torque_loop": False,
     }
     facts = validate(RobotFacts, content, file)
@@ -149,7 +150,7 @@ def import_urdf(
 
 
 def _model(chain: Chain, floating: bool) -> pin.Model:
-    """The kept part of the URDF, whose joints all move by themselves."""
+    """Pinocchio's model of the chain, with an independent coordinate for every joint."""
     try:
         return pin.buildModelFromXML(chain.urdf, *([pin.JointModelFreeFlyer(), FREE_FLYER] if floating else []))
     except ValueError as error:
@@ -163,16 +164,16 @@ def _bodies(
     joints: list[JointOrigin] = []
     links: list[Link] = []
     names = [joint.get("name", "") for joint in chain.joints]
-    of_pinocchio = [model.getJointId(name) for name in names]
-    numbers = {own: number for number, own in enumerate(of_pinocchio, start=1)}  # others are the base
+    joint_ids = [model.getJointId(name) for name in names]
+    numbers = {joint_id: number for number, joint_id in enumerate(joint_ids, start=1)}  # others are the base
     turns = [np.eye(3), *(frame_of_axis(np.array(_axis(tree, joint))) for joint in chain.joints)]
-    simple = not any(tree.mimic(joint) for joint in chain.joints) and not chain.beside
+    simple = not any(tree.mimic(joint) for joint in chain.joints) and not chain.side_joints
     flanges: list[Flange] = []
-    for number, (joint, own) in enumerate(zip(chain.joints, of_pinocchio, strict=True), start=1):
-        carrier = numbers.get(model.parents[own], 0)
-        placement, turn, before = model.jointPlacements[own], turns[number], turns[carrier]
+    for number, (joint, joint_id) in enumerate(zip(chain.joints, joint_ids, strict=True), start=1):
+        carrier = numbers.get(model.parents[joint_id], 0)
+        placement, turn, carrier_turn = model.jointPlacements[joint_id], turns[number], turns[carrier]
         origin: dict[str, object] = {"type": _type(joint)}
-        origin |= _placement(before.T @ placement.translation, before.T @ placement.rotation @ turn)
+        origin |= _placement(carrier_turn.T @ placement.translation, carrier_turn.T @ placement.rotation @ turn)
         if not simple:
             origin["name"] = joint.get("name", "")
         if carrier != number - 1:
@@ -181,7 +182,7 @@ def _bodies(
             origin["mimic"] = dict(zip(Mimic.model_fields, mimic, strict=True))
         joints.append(JointOrigin.model_validate(origin))
         name = f"moving_{BASE}" if child_of(joint) == BASE else child_of(joint)  # robot facts call the base so
-        links.append(_link(tree, model.inertias[own], turn, meshes.get(own, []), name))
+        links.append(_link(tree, model.inertias[joint_id], turn, meshes.get(joint_id, []), name))
     for name in (chain.tip, *hands):
         if not model.existFrame(name, pin.FrameType.BODY):
             raise InputError(
@@ -192,10 +193,12 @@ def _bodies(
             )
         frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
         carrier = numbers.get(frame.parentJoint, 0)
-        before = turns[carrier]
-        placed = _placement(before.T @ frame.placement.translation, before.T @ frame.placement.rotation)
+        carrier_turn = turns[carrier]
+        placement_in_link = _placement(
+            carrier_turn.T @ frame.placement.translation, carrier_turn.T @ frame.placement.rotation
+        )
         link = "" if carrier == len(links) else links[carrier - 1].name if carrier else BASE
-        flanges.append(Flange.model_validate({**placed, "link": link}))
+        flanges.append(Flange.model_validate({**placement_in_link, "link": link}))
     return joints, links, flanges
 
 
@@ -214,7 +217,7 @@ def _smallest_rotation(start: Array, end: Array) -> Array:
 
 
 def facts_text(robot: ImportedRobot, title: str) -> str:
-    """The YAML file of the facts, with comments on what a URDF does not hold.
+    """The YAML file of the facts, with comments on data that a URDF lacks.
 
     Args:
         robot: The imported robot.
@@ -264,11 +267,11 @@ def _flange_text(flange: Flange) -> str:
 
 def _place_in_tree(joint: JointOrigin) -> str:
     """Keys of a joint of a tree."""
-    found = [f"{key}: {_text(getattr(joint, key))}" for key in ("name", "parent") if getattr(joint, key)]
+    entries = [f"{key}: {_text(getattr(joint, key))}" for key in ("name", "parent") if getattr(joint, key)]
     if (mimic := joint.mimic) is not None:
         numbers = f"ratio: {_number(mimic.ratio)}, offset: {_number(mimic.offset)}"
-        found.append(f"mimic: {{joint: {_text(mimic.joint)}, {numbers}}}")
-    return "".join(f", {one}" for one in found)
+        entries.append(f"mimic: {{joint: {_text(mimic.joint)}, {numbers}}}")
+    return "".join(f", {entry}" for entry in entries)
 
 
 def _link_row(link: Link) -> str:
@@ -289,8 +292,8 @@ def _shown(meshes: Sequence[Mesh]) -> str:
 
 def _mesh_rows(meshes: Sequence[Mesh]) -> str:
     rows = (
-        f"{{file: {json.dumps(one.file)}, xyz: {_row(one.xyz)}, rpy: {_row(one.rpy)}, scale: {_row(one.scale)}}}"
-        for one in meshes
+        f"{{file: {json.dumps(mesh.file)}, xyz: {_row(mesh.xyz)}, rpy: {_row(mesh.rpy)}, scale: {_row(mesh.scale)}}}"
+        for mesh in meshes
     )
     return f"[{', '.join(rows)}]"
 
@@ -347,14 +350,14 @@ def _check_inertials(tree: UrdfTree, chain: Chain) -> None:
 def _negative_moments(entries: Sequence[float]) -> list[str]:
     """Moments below 0 of a tensor ixx, ixy, ixz, iyy, iyz, izz [kg m^2], each with its axis."""
     diagonal = dict(zip("xyz", (entries[0], entries[3], entries[5]), strict=True))
-    found = [f"i{axis}{axis} = {moment:.3g} kg m^2" for axis, moment in diagonal.items() if moment < 0.0]
+    texts = [f"i{axis}{axis} = {moment:.3g} kg m^2" for axis, moment in diagonal.items() if moment < 0.0]
     upper = np.zeros((3, 3))
     upper[np.triu_indices(3)] = entries
     moments, axes = np.linalg.eigh(upper + np.triu(upper, 1).T)
-    if not found and moments[0] < -NEGATIVE_MOMENT_TOLERANCE * moments[2]:
+    if not texts and moments[0] < -NEGATIVE_MOMENT_TOLERANCE * moments[2]:
         axis = ", ".join(f"{value:.2f}" for value in axes[:, 0])
-        found.append(f"a principal moment of {moments[0]:.3g} kg m^2 about ({axis})")
-    return found
+        texts.append(f"a principal moment of {moments[0]:.3g} kg m^2 about ({axis})")
+    return texts
 
 
 def _axis(tree: UrdfTree, joint: Xml.Element) -> Array:
@@ -376,34 +379,34 @@ def _type(joint: Xml.Element) -> JointType:
 
 
 def _limits(
-    tree: UrdfTree, joint: Xml.Element, given: GivenLimits, shown: GivenLimits, notes: list[str]
+    tree: UrdfTree, joint: Xml.Element, user_limits: GivenLimits, measured_limits: GivenLimits, notes: list[str]
 ) -> tuple[float, float, float, float]:
-    """Lowest and highest position, velocity and effort, in the units of the joint; what was given or shown is noted."""
+    """Position limits, velocity and effort of a joint, in its units; adds notes on limits that are not of the URDF."""
     units, name = UNITS[_type(joint)], joint.get("name", "")
     limit, key = joint.find("limit"), f"joint {name}: limit"
     remedy = f"--limits {name}."
-    if (name, "position") in given:
-        lower, upper = given[name, "position"]
+    if (name, "position") in user_limits:
+        lower, upper = user_limits[name, "position"]
         notes.append(f"Limits of joint {name} as given: {lower:g} to {upper:g} {units.position}.")
     elif joint.get("type") == "continuous":
         lower, upper = -FULL_TURN_RAD, FULL_TURN_RAD
     else:
         (lower,), (upper,) = (tree.numbers(limit, end, 1, "0", f"{key} {end}") for end in ("lower", "upper"))
-        if lower == upper == 0.0 and (name, "position") in shown:
-            lower, upper = shown[name, "position"]
+        if lower == upper == 0.0 and (name, "position") in measured_limits:
+            lower, upper = measured_limits[name, "position"]
             notes.append(f"Limits of joint {name} as measured: {lower:g} to {upper:g} {units.position}.")
     if lower >= upper:
         message = f"expected lower < upper [{units.position}], found {lower:g} and {upper:g}; {remedy}position=LOW:HIGH"
         raise InputError(f"{message} gives it, or --measured RECORDING", file=tree.file, key=key)
-    most = []
+    maxima = []
     for quantity, unit in (("velocity", units.velocity), ("effort", units.effort)):
         missing = limit is None or limit.get(quantity) is None
         value = 0.0 if missing else tree.numbers(limit, quantity, 1, None, f"{key} {quantity}")[0]
-        if (name, quantity) in given:
-            (value,) = given[name, quantity]
+        if (name, quantity) in user_limits:
+            (value,) = user_limits[name, quantity]
             notes.append(f"{quantity.capitalize()} limit of joint {name} as given: {value:g} {unit}.")
-        elif value == 0.0 and (name, quantity) in shown:
-            (value,) = shown[name, quantity]
+        elif value == 0.0 and (name, quantity) in measured_limits:
+            (value,) = measured_limits[name, quantity]
             notes.append(f"{quantity.capitalize()} limit of joint {name} as measured: {value:g} {unit}.")
         if value <= 0.0:
             found = (
@@ -411,36 +414,36 @@ def _limits(
                 if missing
                 else f"expected > 0 [{unit}], found {value:g}"
             )
-            said = f"{found}; {remedy}{quantity}=MOST gives it, or --measured RECORDING"
-            raise InputError(said, file=tree.file, key=f"{key} {quantity}")
-        most.append(value)
-    return lower, upper, most[0], most[1]
+            message = f"{found}; {remedy}{quantity}=MOST gives it, or --measured RECORDING"
+            raise InputError(message, file=tree.file, key=f"{key} {quantity}")
+        maxima.append(value)
+    return lower, upper, maxima[0], maxima[1]
 
 
-def _narrowed(
+def _narrow_limits(
     tree: UrdfTree,
     joints: Iterable[Xml.Element],
     rows: dict[str, tuple[float, float, float, float]],
     given: GivenLimits,
 ) -> Iterable[str]:
-    """Notes on position and velocity limits in ``rows`` that joints which follow narrow; given limits stay."""
+    """Narrow limits in ``rows`` so that following joints keep theirs, and yield notes; limits of the user stay."""
     for joint in joints:
         limit, mimic, name = joint.find("limit"), tree.mimic(joint), joint.get("name", "")
         if limit is None or mimic is None or mimic[1] == 0.0:
             continue
         leader, ratio, offset = mimic
         lower, upper, fastest, effort = rows[leader]
-        own = [
+        limits = [
             tree.numbers(limit, key, 1, "0", f"joint {name}: limit {key}")[0] for key in ("lower", "upper", "velocity")
         ]
-        low, high = sorted((end - offset) / ratio for end in own[:2])
-        if own[0] < own[1] and joint.get("type") != "continuous" and (leader, "position") not in given:
-            if max(lower, low) < min(upper, high):
-                lower, upper = max(lower, low), min(upper, high)
+        leader_low, leader_high = sorted((end - offset) / ratio for end in limits[:2])
+        if limits[0] < limits[1] and joint.get("type") != "continuous" and (leader, "position") not in given:
+            if max(lower, leader_low) < min(upper, leader_high):
+                lower, upper = max(lower, leader_low), min(upper, leader_high)
             else:
                 yield f"Position limits of joint {name} are left out: {leader}, which it follows, is never in them."
-        if own[2] > 0.0 and (leader, "velocity") not in given:
-            fastest = min(fastest, own[2] / abs(ratio))
+        if limits[2] > 0.0 and (leader, "velocity") not in given:
+            fastest = min(fastest, limits[2] / abs(ratio))
         if (lower, upper, fastest, effort) != rows[leader]:
             yield f"Limits of joint {leader} are narrowed by the limits of {name}, which follows it."
         rows[leader] = lower, upper, fastest, effort
@@ -451,11 +454,11 @@ def _movable(tree: UrdfTree) -> dict[str, Xml.Element]:
     return {joint.get("name", ""): joint for joint in tree.above.values() if joint.get("type") in MOVABLE_JOINT_TYPES}
 
 
-def _given_positions(tree: UrdfTree, lock: Sequence[str]) -> dict[str, float]:
-    """Positions of joints that the user locks, and of those that follow them [rad, m]."""
+def _locked_positions(tree: UrdfTree, lock: Sequence[str]) -> dict[str, float]:
+    """Positions of joints that the user locks, and of joints that follow them [rad, m]."""
     movable = _movable(tree)
-    given = locked_joints(lock, list(movable), tree.file)
-    for name, position in given.items():
+    positions = locked_joints(lock, list(movable), tree.file)
+    for name, position in positions.items():
         low, high = _range(tree, movable[name])
         if not low <= position <= high:
             unit = UNITS[_type(movable[name])].position
@@ -465,36 +468,38 @@ def _given_positions(tree: UrdfTree, lock: Sequence[str]) -> dict[str, float]:
                 key="--lock",
             )
     for name, joint in movable.items():
-        if (mimic := tree.mimic(joint, given)) is not None and mimic[0] in given:
-            given[name] = mimic[1] * given[mimic[0]] + mimic[2]
-    return given
+        if (mimic := tree.mimic(joint, positions)) is not None and mimic[0] in positions:
+            positions[name] = mimic[1] * positions[mimic[0]] + mimic[2]
+    return positions
 
 
 def _still_joints(tree: UrdfTree, chain: Chain, move: Sequence[str], given: Mapping[str, float]) -> dict[str, float]:
-    """Positions of joints beside the path that the user does not let move, while the robot hits [rad, m].
+    """Positions of the joints beside the path that do not move [rad, m].
 
-    They stand at 0, or at the limit nearest to it; a joint that follows one of them, where that one puts it.
+    They are at 0, or at the limit nearest to it; joints that follow them are where these positions put them.
     """
-    known = {joint.get("name", ""): joint for joint in chain.joints}
-    beside = [joint.get("name", "") for joint in chain.beside]
-    let = set()
+    chain_joints = {joint.get("name", ""): joint for joint in chain.joints}
+    side_joints = [joint.get("name", "") for joint in chain.side_joints]
+    moving = set()
     for pattern in move:
-        matching = fnmatch.filter(beside, pattern)
+        matching = fnmatch.filter(side_joints, pattern)
         if not matching:
-            near = did_you_mean(pattern, beside)
-            said = f"no joint {pattern!r} moves beside the path to the tip and with the robot{near}; those that do: "
-            raise InputError(f"{said}{', '.join(beside) or 'none'}", file=tree.file, key="--move")
-        let |= {name for name in matching if tree.mimic(known[name]) is None}
-    by_themselves = {name for name in known if name not in beside and tree.mimic(known[name]) is None} | let
+            near = did_you_mean(pattern, side_joints)
+            message = f"no joint {pattern!r} moves beside the path to the tip and with the robot{near}; those that do: "
+            raise InputError(f"{message}{', '.join(side_joints) or 'none'}", file=tree.file, key="--move")
+        moving |= {name for name in matching if tree.mimic(chain_joints[name]) is None}
+    moving_joints = {
+        name for name in chain_joints if name not in side_joints and tree.mimic(chain_joints[name]) is None
+    } | moving
     still = {}
-    for name, joint in known.items():
+    for name, joint in chain_joints.items():
         leader, ratio, offset = tree.mimic(joint) or (name, 1.0, 0.0)
-        if leader not in by_themselves:
-            still[name] = ratio * given.get(leader, _rest(tree, leader)) + offset
+        if leader not in moving_joints:
+            still[name] = ratio * given.get(leader, _position_nearest_zero(tree, leader)) + offset
     return still
 
 
-def _rest(tree: UrdfTree, name: str) -> float:
+def _position_nearest_zero(tree: UrdfTree, name: str) -> float:
     """Position of a joint nearest to 0 within its limits [rad, m]."""
     joint = _movable(tree).get(name)
     low, high = (0.0, 0.0) if joint is None else _range(tree, joint)
@@ -510,7 +515,7 @@ def _range(tree: UrdfTree, joint: Xml.Element) -> tuple[float, float]:
     return (low, high) if low < high else (-math.inf, math.inf)
 
 
-def _hold(tree: UrdfTree, positions: Mapping[str, float]) -> None:
+def _fix_joints(tree: UrdfTree, positions: Mapping[str, float]) -> None:
     """Fix joints at positions [rad, m]."""
     movable = _movable(tree)
     for name, position in positions.items():
@@ -528,7 +533,7 @@ def _hold(tree: UrdfTree, positions: Mapping[str, float]) -> None:
         joint.set("type", "fixed")
 
 
-def _held_notes(tree: UrdfTree, positions: Mapping[str, float]) -> Iterable[str]:
+def _locked_notes(tree: UrdfTree, positions: Mapping[str, float]) -> Iterable[str]:
     movable = _movable(tree)
     for name, at in positions.items():
         yield f"Joint {name} is held at {at:g} {UNITS[_type(movable[name])].position}, as given."
@@ -544,13 +549,13 @@ def _still_note(tree: UrdfTree, still: Mapping[str, float]) -> Iterable[str]:
 
 
 def _recentred_inertias(tree: UrdfTree, chain: Chain, movable: Iterable[Xml.Element], inertia_at: str) -> list[str]:
-    """Notes on moments that look as if they were about joints, which are moved to the centres of mass if asked for.
+    """Notes on moments of inertia that seem to be about joints; ``inertia_at='joint'`` moves them to centres of mass.
 
-    ``movable`` are the joints of the file that turn or slide, those that are held here as well.
+    ``movable`` are all joints of the file that turn or slide, including those that are fixed here.
     """
     notes, suspects = [], []
-    kept = {link.get("name") for link in Xml.fromstring(chain.urdf).findall("link")} - {chain.base}
-    joints = [joint for joint in movable if child_of(joint) in kept]
+    kept_links = {link.get("name") for link in Xml.fromstring(chain.urdf).findall("link")} - {chain.base}
+    joints = [joint for joint in movable if child_of(joint) in kept_links]
     path = tree.path(chain.base, chain.tip)
     length = sum(float(np.linalg.norm(_origin(tree, joint))) for joint in path if joint in joints)
     for joint in joints:
@@ -600,7 +605,7 @@ def _meshes(
     tree: UrdfTree, chain: Chain, model: pin.Model, packages: Sequence[Path], notes: list[str]
 ) -> dict[int, list[_FoundMesh]]:
     """Address, placement at the joint and scale of every mesh, by number of the joint; 0: base; others are noted."""
-    found: dict[int, list[_FoundMesh]] = {}
+    meshes: dict[int, list[_FoundMesh]] = {}
     for link in Xml.fromstring(chain.urdf).findall("link"):
         name = link.get("name", "")
         frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
@@ -618,41 +623,42 @@ def _meshes(
             shift = np.array(tree.numbers(origin, "xyz", 3, "0 0 0", f"{key} xyz"))
             scale = tree.numbers(mesh, "scale", 3, "1 1 1", f"{key} scale")
             placement = frame.placement * pin.SE3(rotation, shift)
-            found.setdefault(frame.parentJoint, []).append((address, placement, scale))
-    return found
+            meshes.setdefault(frame.parentJoint, []).append((address, placement, scale))
+    return meshes
 
 
 def _missing_meshes(facts: RobotFacts) -> Iterable[str]:
     """Notes on missing meshes, with remedies."""
     meshes = [*facts.base_meshes, *(mesh for link in facts.links for mesh in link.meshes)]
-    missing = [one for one in dict.fromkeys(mesh.file for mesh in meshes) if mesh_path(one) is None]
+    missing = [file for file in dict.fromkeys(mesh.file for mesh in meshes) if mesh_path(file) is None]
     for kind, remedy in (
         (PACKAGE, "say where their packages are: --package-path DIR, or AMENT_PREFIX_PATH"),
         (FILE, "put them there, or correct the URDF"),
     ):
-        if found := [one for one in missing if one.startswith(kind)]:
-            yield f"Meshes that are not there, in whose place viewers draw simple shapes: {', '.join(found)}; {remedy}."
+        if files := [file for file in missing if file.startswith(kind)]:
+            missing_files = ", ".join(files)
+            yield f"Meshes that are not there, in whose place viewers draw simple shapes: {missing_files}; {remedy}."
 
 
-def _mesh(found: _FoundMesh, turn: Array) -> Mesh:
-    file, placement, scale = found
-    placed = _placement(turn.T @ placement.translation, turn.T @ placement.rotation)
-    return Mesh.model_validate({"file": file, "scale": scale, **placed})
+def _mesh(mesh: _FoundMesh, turn: Array) -> Mesh:
+    file, placement, scale = mesh
+    origin = _placement(turn.T @ placement.translation, turn.T @ placement.rotation)
+    return Mesh.model_validate({"file": file, "scale": scale, **origin})
 
 
 def _body(tree: UrdfTree, body: pin.Inertia, turn: Array, name: str) -> Inertial:
     """A body of Pinocchio in a frame turned by ``turn``."""
     if body.mass <= 0.0:
-        said = "expected an <inertial> with a mass > 0 [kg], in it or in a link that is fixed to it"
-        raise InputError(said, file=tree.file, key=f"link {name}")
+        message = "expected an <inertial> with a mass > 0 [kg], in it or in a link that is fixed to it"
+        raise InputError(message, file=tree.file, key=f"link {name}")
     entries = _clean((turn.T @ body.inertia @ turn)[np.triu_indices(3)])
     return Inertial(mass=float(body.mass), com=_clean(turn.T @ body.lever), inertia=entries)
 
 
 def _link(tree: UrdfTree, body: pin.Inertia, turn: Array, meshes: Iterable[_FoundMesh], name: str) -> Link:
     """A link with its meshes; arguments as :func:`_body`."""
-    shown = tuple(_mesh(one, turn) for one in meshes)
-    return Link(**dict(_body(tree, body, turn, name)), meshes=shown, name=name)
+    visible = tuple(_mesh(mesh, turn) for mesh in meshes)
+    return Link(**dict(_body(tree, body, turn, name)), meshes=visible, name=name)
 
 
 def _clean(values: Iterable[float]) -> tuple[float, ...]:
@@ -678,7 +684,7 @@ def _notes(chain: Chain) -> Iterable[str]:
     if chain.merged:
         yield f"Links that are fixed to the chain and part of its links here: {', '.join(chain.merged)}."
     if chain.left_out:
-        left = ", ".join(chain.left_out)
-        yield f"Links beyond the flange are left out; describe them as end_effector of a scenario: {left}."
+        links = ", ".join(chain.left_out)
+        yield f"Links beyond the flange are left out; describe them as end_effector of a scenario: {links}."
     if chain.dynamics:
         yield f"Damping and friction of the URDF are left out (a simulator's, as a rule): {', '.join(chain.dynamics)}."

@@ -6,12 +6,13 @@
 M, h and J come from here. The Jacobian is geometric, of frame E, written in E[A]: origin at E, axes of the inertial
 frame A; rows 0..2 are linear, rows 3..5 angular. Units per joint are those of :data:`impact_rs_sim.robots.robot.UNITS`.
 
-Of a tree, columns stand for the components of v (:mod:`impact_rs_sim.robots.robot`): Pinocchio's free flyer in front
-where the base floats. Joints that follow others reduce M and J: with the positions of all joints G q + q_0,
+Columns of a tree belong to the components of v (:mod:`impact_rs_sim.robots.robot`); those of a floating base,
+Pinocchio's free flyer, come first. Joints that follow others reduce M and J: with the positions G q + q_0 of all
+joints,
 
     M = G^T M_all G,    J = J_all G,    h = G^T h_all
 
-(Pinocchio's own mimic joints do so as well, but 4.1 returns another M where a joint follows one that carries it.)
+(Pinocchio has mimic joints too, but version 4.1 returns a wrong M if a joint follows one that carries it.)
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ from impact_rs_sim.robots.urdf import write_urdf
 TIP = "end_effector"
 GRAVITY_M_S2 = 9.81
 STANDARD_GRAVITY = (0.0, 0.0, -GRAVITY_M_S2)  # m/s^2, z up
-MAX_QUATERNION_ERROR = 1e-6  # of the length of a base's orientation, which states have to rounding [-]
-MAX_IK_RESTARTS = 30  # of inverse kinematics, where the guess leads nowhere
+MAX_QUATERNION_ERROR = 1e-6  # of the norm of the orientation of a floating base, for rounding [-]
+MAX_IK_RESTARTS = 30  # of inverse kinematics from random starts, if the guess fails
 MAX_IK_NEWTON_STEPS = 30  # of inverse kinematics; from a guess within a radian it takes six to ten
 MAX_IK_STEP = 0.5  # of any joint in one Newton step [rad or m]
 MAX_IK_RESIDUAL = 1e-9  # of a pose that is reached [m, rad]
@@ -74,7 +75,7 @@ class RobotModel:
     Args:
         facts: Kinematics, inertials and limits.
         end_effector: Mass, inertia and pad.
-        base: Placement of the arm's base in A; of a floating base the one it has in :meth:`position_of`.
+        base: Placement of the arm's base in A; of a floating base only for :meth:`position_of`.
         gravity: Acceleration of gravity in A, ``(3,)`` [m/s^2].
         hands: End effectors of further hands of a tree, by name of the hand in the facts.
     """
@@ -118,11 +119,11 @@ class RobotModel:
         return write_urdf(self.facts, self.end_effector)
 
     def position_of(self, joints: Array) -> Array:
-        """q of joints ``(n,)``: a floating base is where :attr:`base` says."""
+        """q of joints ``(n,)``, with a floating base at :attr:`base`."""
         return np.concatenate((pin.SE3ToXYZQUAT(self.base), joints)) if self.facts.base_size else np.array(joints)
 
     def takes(self, position: Array, velocity: Array, motor_inertia: Array) -> bool:
-        """Whether q, v and B are of this robot: their sizes, and the quaternion of a floating base."""
+        """Whether q, v and B have the sizes of this robot, and a floating base a unit quaternion."""
         if (position.shape, velocity.shape, motor_inertia.shape) != self._shapes:
             return False
         length = 1.0 if self.facts.floating_base is None else float(np.linalg.norm(position[3:BASE_POSE_SIZE]))
@@ -169,38 +170,40 @@ class RobotModel:
 
     def mass_matrix(self, q: Array) -> Array:
         """M(q), ``(n, n)`` [kg m^2], a copy."""
-        return self._reduced(symmetric(pin.crba(self.pinocchio, self.data, self._all(q))))
+        return self._reduced(symmetric(pin.crba(self.pinocchio, self.data, self._all_joints(q))))
 
     def gravity_torque(self, q: Array) -> Array:
         """g(q), ``(n,)`` [N m], a copy."""
-        return self._reduced(np.array(pin.computeGeneralizedGravity(self.pinocchio, self.data, self._all(q))))
+        return self._reduced(np.array(pin.computeGeneralizedGravity(self.pinocchio, self.data, self._all_joints(q))))
 
     def jacobian(self, q: Array, hand: str = "") -> Array:
         """J(q) of frame E of the flange, or of a hand by name, in E[A], ``(6, n)``."""
         model, frame = self.pinocchio, self._frames[hand]
-        jacobian = pin.computeFrameJacobian(model, self.data, self._all(q), frame, pin.LOCAL_WORLD_ALIGNED)
-        return self._of_columns(np.array(jacobian))
+        jacobian = pin.computeFrameJacobian(model, self.data, self._all_joints(q), frame, pin.LOCAL_WORLD_ALIGNED)
+        return self._of_independent_joints(np.array(jacobian))
 
     def placement(self, q: Array, hand: str = "") -> pin.SE3:
         """Placement of frame E of the flange, or of a hand by name, in A."""
-        pin.framesForwardKinematics(self.pinocchio, self.data, self._all(q))
+        pin.framesForwardKinematics(self.pinocchio, self.data, self._all_joints(q))
         return self.data.oMf[self._frames[hand]].copy()
 
     def at_impact(self, q: Array, hand: str = "") -> tuple[Array, Array, pin.SE3]:
         """Terms of an impact at q, from one pass over the chain; E is on the flange, or on a hand by name.
 
         Returns:
-            M(q), of which only the upper triangle counts, ``(n, n)`` [kg m^2]; J(q) of frame E in E[A], ``(6, n)``; and
-            the placement of E in A. M and the placement are overwritten by the next call.
+            M(q), with a valid upper triangle only, ``(n, n)`` [kg m^2]; J(q) of frame E in E[A], ``(6, n)``; and the
+            placement of E in A. The next call overwrites M and the placement.
         """
         model, data, frame = self.pinocchio, self.data, self._frames[hand]
-        pin.crba(model, data, self._all(q), pin.Convention.WORLD)  # leaves placements and Jacobian of the joints behind
+        pin.crba(
+            model, data, self._all_joints(q), pin.Convention.WORLD
+        )  # leaves placements and Jacobian of the joints behind
         placement = pin.updateFramePlacement(model, data, frame)
-        jacobian = self._of_columns(pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED))
+        jacobian = self._of_independent_joints(pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED))
         return data.M if self._reduction is None else self._reduced(symmetric(data.M)), jacobian, placement
 
-    def _all(self, q: Array) -> Array:
-        """Configuration of all joints, with those that follow others."""
+    def _all_joints(self, q: Array) -> Array:
+        """Configuration of all joints, including those that follow others."""
         if self._reduction is None:
             return q
         matrix, offset = self._reduction
@@ -214,14 +217,14 @@ class RobotModel:
         matrix = self._reduction[0]
         return np.asarray(matrix.T @ of_all if of_all.ndim == 1 else matrix.T @ of_all @ matrix)
 
-    def _of_columns(self, jacobian: Array) -> Array:
-        """J G; of one joint Pinocchio makes a vector."""
-        whole = jacobian.reshape(6, self.pinocchio.nv)
-        return whole if self._reduction is None else np.asarray(whole @ self._reduction[0])
+    def _of_independent_joints(self, jacobian: Array) -> Array:
+        """J G of a Jacobian of all joints; Pinocchio returns a vector for a single joint."""
+        all_columns = jacobian.reshape(6, self.pinocchio.nv)
+        return all_columns if self._reduction is None else np.asarray(all_columns @ self._reduction[0])
 
     def link_placements(self, q: Array) -> dict[str, pin.SE3]:
         """Placement in A of every link, by its name in the URDF."""
-        pin.framesForwardKinematics(self.pinocchio, self.data, self._all(q))
+        pin.framesForwardKinematics(self.pinocchio, self.data, self._all_joints(q))
         frames = {
             frame.name: self.data.oMf[index].copy()
             for index, frame in enumerate(self.pinocchio.frames)
@@ -233,85 +236,87 @@ class RobotModel:
         """M ddq + h, ``(n,)`` [N m], a copy."""
         if self._reduction is not None:
             dq, ddq = (self._reduction[0] @ rate for rate in (dq, ddq))
-        return self._reduced(np.array(pin.rnea(self.pinocchio, self.data, self._all(q), dq, ddq)))
+        return self._reduced(np.array(pin.rnea(self.pinocchio, self.data, self._all_joints(q), dq, ddq)))
 
     def inverse_kinematics(
         self,
         target: pin.SE3,
-        held: Mapping[int, float],
+        posture: Mapping[int, float],
         guess: Array,
         further_starts: int = MAX_IK_RESTARTS,
         hands: Mapping[str, pin.SE3] = MappingProxyType({}),
     ) -> Array:
-        """Joint positions that reach ``target`` with frame E while some joints are held.
+        """Joint positions that reach ``target`` with frame E, with some joints at given positions.
 
-        Newton's method for six free joints and one pad; outside the limits, without convergence, for another number of
-        joints or for several hands, bounded least squares. If the guess fails, other starts are tried, and the solution
-        nearest to the guess is returned.
+        Newton's method for six free joints and one pad; bounded least squares for another number of joints, for several
+        hands, or if Newton's method does not converge within the limits. If the guess fails, random starts are tried,
+        and the solution nearest to the guess is returned.
 
         Args:
             target: Wanted placement of E in A.
-            held: Positions of the joints of the posture task, which resolve the redundancy, by number from 0 [rad]
+            posture: Positions of the joints of the posture task, which resolve the redundancy, by number from 0 [rad]
                 (paper sec. Reference generation).
-            guess: Where to start, ``(n,)`` [rad].
-            further_starts: Number of other starts if the guess fails.
+            guess: Start, ``(n,)`` [rad].
+            further_starts: Number of random starts if the guess fails.
             hands: Wanted placements of further hands at the same time, by name.
 
         Raises:
             UnreachablePose: The pose cannot be reached within the joint limits.
         """
         lower, upper = self.position_min, self.position_max
-        for joint, position in held.items():
+        for joint, position in posture.items():
             if not lower[joint] <= position <= upper[joint]:
                 unit = self.facts.units[joint].position
                 raise UnreachablePose(
                     f"joint {joint + 1} at {position:.4g} {unit} is outside its limits "
                     f"[{lower[joint]:.4g}, {upper[joint]:.4g}] {unit}"
                 )
-        free = np.array([joint for joint in range(self.joint_count) if joint not in held], dtype=int)
+        free = np.array([joint for joint in range(self.joint_count) if joint not in posture], dtype=int)
         q = np.array(guess, dtype=float)
-        q[list(held)] = list(held.values())
+        q[list(posture)] = list(posture.values())
 
-        if free.size == 6 and not hands and (found := self._newton(target, q.copy(), free)) is not None:
-            return found
-        inside = np.clip(q, lower + 1e-6, upper - 1e-6)[free]
+        if free.size == 6 and not hands and (solution := self._newton(target, q.copy(), free)) is not None:
+            return solution
+        start = np.clip(q, lower + 1e-6, upper - 1e-6)[free]
         bounds = (lower[free], upper[free])
 
         def error(angles: Array) -> Array:
             q[free] = angles
-            of_hands = (_pose_error(wanted, self.placement(q, hand)) for hand, wanted in hands.items())
-            return np.concatenate((_pose_error(target, self.placement(q)), *of_hands))
+            hand_errors = (_pose_error(hand_target, self.placement(q, hand)) for hand, hand_target in hands.items())
+            return np.concatenate((_pose_error(target, self.placement(q)), *hand_errors))
 
-        best = _least(error, inside, bounds)
+        best = _least_squares(error, start, bounds)
         if np.max(np.abs(best.fun)) > MAX_IK_RESIDUAL:
             rng = np.random.default_rng(0)
-            others = [_least(error, rng.uniform(*bounds), bounds) for _ in range(further_starts)]
-            reached = [found for found in others if np.max(np.abs(found.fun)) <= MAX_IK_RESIDUAL]
-            best = min(reached, key=lambda found: float(np.linalg.norm(found.x - inside)), default=None) or min(
-                [best, *others], key=lambda found: float(found.cost)
+            restarts = [_least_squares(error, rng.uniform(*bounds), bounds) for _ in range(further_starts)]
+            successes = [solution for solution in restarts if np.max(np.abs(solution.fun)) <= MAX_IK_RESIDUAL]
+            best = min(successes, key=lambda solution: float(np.linalg.norm(solution.x - start)), default=None) or min(
+                [best, *restarts], key=lambda solution: float(solution.cost)
             )
         if np.max(np.abs(best.fun)) > MAX_IK_RESIDUAL:
             units = self.facts.units
-            held_at = "".join(f", joint {joint + 1} at {at:.4g} {units[joint].position}" for joint, at in held.items())
-            places = [np.round(one.translation, 4).tolist() for one in (target, *hands.values())]
-            off, turned = np.linalg.norm(best.fun.reshape(-1, 2, 3), axis=2).max(axis=0)
+            posture_text = "".join(
+                f", joint {joint + 1} at {position:.4g} {units[joint].position}" for joint, position in posture.items()
+            )
+            positions = [np.round(placement.translation, 4).tolist() for placement in (target, *hands.values())]
+            distance, rotation = np.linalg.norm(best.fun.reshape(-1, 2, 3), axis=2).max(axis=0)
             raise UnreachablePose(
-                f"E cannot be at {' and '.join(map(str, places))} m{held_at}: the nearest pose is {off:.3g} m and "
-                f"{turned:.3g} rad off"
+                f"E cannot be at {' and '.join(map(str, positions))} m{posture_text}: the nearest pose is "
+                f"{distance:.3g} m and {rotation:.3g} rad off"
             )
         q[free] = best.x
         return q
 
     def _newton(self, target: pin.SE3, q: Array, free: Array) -> Array | None:
         """Joint positions that reach ``target`` up to rounding by six joints; None: not converged or outside limits."""
-        least = np.inf
+        smallest = np.inf
         for _ in range(MAX_IK_NEWTON_STEPS):
             placement = self.placement(q)
             error = _pose_error(target, placement)
             size = float(np.abs(error).max())
-            if size < 1e-12 or (size < 1e-10 and size >= least):
+            if size < 1e-12 or (size < 1e-10 and size >= smallest):
                 return q if np.all((self.position_min <= q) & (q <= self.position_max)) else None
-            least = min(least, size)
+            smallest = min(smallest, size)
             jacobian = self.jacobian(q)[:, free]
             jacobian[3:] = placement.rotation.T @ jacobian[3:]
             try:
@@ -326,7 +331,7 @@ class RobotModel:
         return self.mass_matrix(q) + np.diag(self.facts.columns_of(motor_inertia))
 
     def mobility(self, q: Array, direction: Array, motor_inertia: Array) -> float:
-        """Velocity of E along ``direction`` per impulse there: ``n^T J (M + B)^-1 J^T n`` [1/kg].
+        """Velocity of E along ``direction`` per impulse on E: ``n^T J (M + B)^-1 J^T n`` [1/kg].
 
         Args:
             q: Joint positions, ``(n,)`` [rad].
@@ -342,7 +347,7 @@ class RobotModel:
 
 
 def symmetric(upper: Array) -> Array:
-    """Symmetric matrices with given upper triangles, which are all that Pinocchio computes, ``(..., n, n)``; copies."""
+    """Symmetric matrices from their upper triangles, which Pinocchio computes, ``(..., n, n)``; copies."""
     return np.where(np.tri(upper.shape[-1], dtype=bool), upper.swapaxes(-1, -2), upper)
 
 
@@ -369,8 +374,8 @@ def _built(facts: RobotFacts, end_effector: EndEffector) -> pin.Model:
 
 
 def _mount_hand(model: pin.Model, facts: RobotFacts, name: str, tool: EndEffector) -> int:
-    """Add the end effector of a further hand to its link; the number of its frame E."""
-    (hand,) = [one for one in facts.hands if one.name == name]
+    """Add the end effector of a further hand to its link; returns the number of its frame E."""
+    (hand,) = [candidate for candidate in facts.hands if candidate.name == name]
     carrier = model.njoints - 1 - len(facts.joints) + facts.link_of(hand)
     placement = hand.placement * tool.mount
     model.inertias[carrier] += placement.act(_inertia(tool.mass, tool.com, tool.inertia))
@@ -381,19 +386,19 @@ def _mount_hand(model: pin.Model, facts: RobotFacts, name: str, tool: EndEffecto
 def _skeleton(facts: RobotFacts, end_effector: EndEffector) -> pin.Model:
     """Cached kinematic model of an arm of the same geometry on a base at the origin; its inertias are placeholders.
 
-    A search changes the masses of few arms thousands of times, so only the inertias are set anew. The cache key is the
+    A search changes the masses of few arms thousands of times, so only the inertias are replaced. The cache key is the
     identity of the objects: hashing all numbers would take longer than building the model.
     """
     parts = facts.joints, facts.flange, facts.limits
-    place = (*end_effector.mount_numbers, facts.base_size)
-    kept, skeleton = _SKELETONS.of(
-        (*map(id, parts), *place),
+    mount = (*end_effector.mount_numbers, facts.base_size)
+    cached_parts, skeleton = _SKELETONS.of(
+        (*map(id, parts), *mount),
         lambda: (
             parts,
             pin.buildModelFromXML(write_urdf(facts, end_effector)) if facts.is_chain else _tree(facts, end_effector),
         ),
     )
-    del kept  # as long as it is known, no other object has its identity
+    del cached_parts  # the cache keeps them alive, so that no other objects get their ids
     return skeleton
 
 
@@ -416,10 +421,10 @@ def _tree(facts: RobotFacts, end_effector: EndEffector) -> pin.Model:
 
 
 def _inertia(mass: float, com: Array, inertia: Array) -> pin.Inertia:
-    """Inertia without Pinocchio's check: a removed payload is a body with negative mass."""
-    found = pin.Inertia.Zero()
-    found.mass, found.lever, found.inertia = mass, com, inertia
-    return found
+    """Inertia without Pinocchio's check, because a removed payload has a negative mass."""
+    result = pin.Inertia.Zero()
+    result.mass, result.lever, result.inertia = mass, com, inertia
+    return result
 
 
 def _pose_error(target: pin.SE3, placement: pin.SE3) -> Array:
@@ -429,5 +434,7 @@ def _pose_error(target: pin.SE3, placement: pin.SE3) -> Array:
     )
 
 
-def _least(error: Callable[[Array], Array], start: Array, bounds: tuple[Array, Array]) -> scipy.optimize.OptimizeResult:
+def _least_squares(
+    error: Callable[[Array], Array], start: Array, bounds: tuple[Array, Array]
+) -> scipy.optimize.OptimizeResult:
     return scipy.optimize.least_squares(error, start, bounds=bounds, xtol=1e-15, ftol=1e-15, gtol=1e-15)

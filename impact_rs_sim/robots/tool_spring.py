@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Spring and damper between flange and pad, as of a force sensor, a flexure or a slender tool."""
+"""Spring and damper between flange and pad: a force sensor, a flexure or a slender tool."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from impact_rs_sim.robots.robot import Array
 
-ROUNDING = 1e-9  # of eigenvalues of a compliance matrix whose diagonal is scaled to ones [-]
+ROUNDING = 1e-9  # of eigenvalues of a compliance matrix that is scaled to a diagonal of ones [-]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ def is_a_spring(compliance: Array) -> bool:
 
 
 def about(compliance: Array, centre: Array) -> Array:
-    """C about the origin, of a spring whose C about ``centre`` ``(3,)`` [m] is given, ``(6, 6)``."""
+    """C about the origin from C about ``centre`` ``(3,)`` [m], ``(6, 6)``."""
     moved = np.eye(6)
     moved[:3, 3:] = pin.skew(centre)  # v_origin = v_centre + centre x omega
     return np.asarray(moved @ compliance @ moved.T)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one URDF: written from the facts, loaded by Pinocchio and PyBullet, and, mounted in the world, by viewers.
+"""URDF of robots: written from the facts, loaded by Pinocchio and PyBullet, and, mounted in the world, by viewers.
 
 Links are ``base``, ``link1`` ... ``linkN`` and ``end_effector``; joints are ``joint1`` ... ``jointN``. Only the pad has
-a collision shape: a collision of coarse shapes would be a force that no real robot feels. Whether links keep clear is
-checked before a trial (:mod:`impact_rs_sim.clearance`). Visual shapes are meshes, or the simple ones of
+a collision shape, because contact of coarse link shapes would cause unreal forces; the clearance of links is checked
+before a trial (:mod:`impact_rs_sim.clearance`). Visual shapes are meshes, or the simple shapes of
 :mod:`impact_rs_sim.robots.link_shapes`.
 """
 
@@ -27,7 +27,7 @@ _FIXED_LINK_INERTIAL = (1.0, np.zeros(3), 0.01 * np.eye(3))
 
 
 def joint_names(facts: RobotFacts) -> list[str]:
-    """Names of the joints in order, as in the URDF; in every ``sensor_msgs/JointState`` ``ARM_`` stands before them."""
+    """Names of the joints in order, as in the URDF; a ``sensor_msgs/JointState`` has them with the prefix ``ARM_``."""
     return [f"joint{index + 1}" for index in range(facts.joint_count)]
 
 
@@ -73,7 +73,7 @@ def _simple(link: Xml.Element, shapes: Iterable[Shape], colours: Colours) -> Non
 
 
 def _meshes(link: Xml.Element, meshes: tuple[Mesh, ...]) -> bool:
-    """Add the meshes, if any; returns whether there are some."""
+    """Add the meshes, if any; returns whether there are any."""
     for mesh in meshes:
         visual = Xml.SubElement(link, "visual")
         Xml.SubElement(visual, "origin", xyz=_text(mesh.xyz), rpy=_text(mesh.rpy))
@@ -99,7 +99,7 @@ def write_urdf(
         end_effector: Mass, inertia and pad.
         name: Robot name of the URDF.
         prefix: Prefix of every name of a link and of a joint, where several arms are in one URDF.
-        meshes: Show the meshes of the facts, where they have some; a viewer finds them, a physics engine need not.
+        meshes: Show the meshes of the facts, if any (for viewers); else simple shapes.
 
     Raises:
         InputError: The robot is a tree.
@@ -157,8 +157,8 @@ def write_urdf(
     )
     for kind in ("visual", "collision"):
         shape = Xml.SubElement(link, kind)
-        place = _text(end_effector.pad_placement.translation)
-        Xml.SubElement(shape, "origin", xyz=place, rpy=_text((*end_effector.pad_tilt, 0.0)))
+        centre = _text(end_effector.pad_placement.translation)
+        Xml.SubElement(shape, "origin", xyz=centre, rpy=_text((*end_effector.pad_tilt, 0.0)))
         _geometry(Xml.SubElement(shape, "geometry"), end_effector.shape, np.array(end_effector.pad_size))
         if kind == "visual":
             material = Xml.SubElement(shape, "material", name="pad")
@@ -204,7 +204,7 @@ def write_object_description(
         size: Extent along x, y, z, ``(3,)`` [m].
         inertial: Mass [kg], infinite of a fixed object, which has no ``inertial``; centre of mass in the link, ``(3,)``
             [m]; inertia about it, ``(3, 3)`` [kg m^2].
-        shape: What fills the extents; of a capsule, which URDF lacks, a cylinder and two balls.
+        shape: Shape within the extents; a capsule, which URDF lacks, becomes a cylinder and two balls.
         name: Its name.
     """
     robot = Xml.Element("robot", name=name)

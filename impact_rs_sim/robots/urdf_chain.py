@@ -3,11 +3,11 @@
 
 A URDF is a tree of links. An arm is the path from base to tip, with these side branches:
 
-* on links that move with the arm, and on a floating base, all of them;
-* on a fixed base, those with a joint that mimics a joint of the arm.
+* on links that move with the arm, and on a floating base: all;
+* on a fixed base: those with a joint that mimics a joint of the arm.
 
-Links beyond the tip are omitted: a scenario adds its own end effector. Joints stand in depth-first order, the path
-before side branches.
+Links beyond the tip are omitted: a scenario adds its own end effector. Joints are in depth-first order, the path before
+side branches.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ URDF_JOINT_TYPES = (*MOVABLE_JOINT_TYPES, "fixed", "planar", "floating")
 COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 XACRO_COMMAND = "xacro {file} > robot.urdf"
 WORLD = "world"  # implicit ground link of simulators, which the file may lack
-KEPT_ELEMENTS = ("origin", "parent", "child", "axis", "inertial")  # those that rigid-body dynamics need; no meshes
+KEPT_ELEMENTS = ("origin", "parent", "child", "axis", "inertial")  # needed for rigid-body dynamics; no meshes
 MAX_MESSAGE_LENGTH = 1000  # characters; a large arm has many links to list
-UNIQUE_ELEMENTS = {  # children allowed once in an element; of two, parsers differ in which one they use
+UNIQUE_ELEMENTS = {  # children that an element has at most once; parsers differ in which of two they use
     "link": ("inertial",),
     "inertial": ("origin", "mass", "inertia"),
     "visual": ("origin", "geometry"),
@@ -50,7 +50,7 @@ class Chain:
         base: Base link.
         tip: Link whose frame is the flange.
         joints: Movable joints, depth first; at a fork path, side branches, and joints that mimic others.
-        beside: Movable joints in side branches.
+        side_joints: Movable joints in side branches.
         merged: Links with mass that are fixed to a moving link, on the path or in a side branch.
         left_out: Links beyond the tip.
         dynamics: Joints with damping or friction in the file.
@@ -61,7 +61,7 @@ class Chain:
     base: str
     tip: str
     joints: tuple[Xml.Element, ...]
-    beside: tuple[Xml.Element, ...]
+    side_joints: tuple[Xml.Element, ...]
     merged: tuple[str, ...]
     left_out: tuple[str, ...]
     dynamics: tuple[str, ...]
@@ -127,7 +127,7 @@ class UrdfTree:
         Args:
             base: Its first link.
             tip: Its last link.
-            floating: Whether the base moves freely: then branches on it count, and no joint need move.
+            floating: Whether the base moves freely; branches on it are then included, and no joint need move.
 
         Raises:
             InputError: No such path, several tips, or a joint that is neither revolute nor prismatic.
@@ -135,31 +135,35 @@ class UrdfTree:
         start = self.root if base is None else self._link(base, "--base")
         end = self._only_tip(start) if tip is None else self._link(tip, "--tip")
         path = self.path(start, end)
-        moved = path if floating else path[next((i for i, one in enumerate(path) if _moves(one)), len(path)) :]
-        if not moved and not floating:
+        moved_joints = (
+            path if floating else path[next((i for i, joint in enumerate(path) if _moves(joint)), len(path)) :]
+        )
+        if not moved_joints and not floating:
             self._fail(f"no joint moves between {start!r} and {end!r}; expected at least one that turns or slides")
-        carriers = [child_of(joint) for joint in moved[:-1]]
+        carriers = [child_of(joint) for joint in moved_joints[:-1]]
         if floating:
             carriers = [start, *carriers]
-        beside = [joint for carrier in carriers for joint in self._side_branches(carrier, path)]
+        side_joints = [joint for carrier in carriers for joint in self._side_branches(carrier, path)]
         if not floating:
-            still = [start, *(child_of(joint) for joint in path[: -len(moved)])]
-            beside += self._following_branches(still, path, {_name(joint) for joint in (*moved, *beside)})
-        kept = list(self._depth_first(start, [*path, *beside], path))
-        joints = tuple(joint for joint in kept if _moves(joint))
+            still_links = [start, *(child_of(joint) for joint in path[: -len(moved_joints)])]
+            side_joints += self._following_branches(
+                still_links, path, {_name(joint) for joint in (*moved_joints, *side_joints)}
+            )
+        kept_joints = list(self._depth_first(start, [*path, *side_joints], path))
+        joints = tuple(joint for joint in kept_joints if _moves(joint))
         for joint in joints:
             self._check(joint)
-        fixed = (child_of(joint) for joint in (*moved, *beside) if not _moves(joint))
+        fixed = (child_of(joint) for joint in (*moved_joints, *side_joints) if not _moves(joint))
         return Chain(
             file=self.file,
             base=start,
             tip=end,
             joints=joints,
-            beside=tuple(joint for joint in joints if joint in beside),
+            side_joints=tuple(joint for joint in joints if joint in side_joints),
             merged=tuple(link for link in fixed if self.links[link].find("inertial") is not None),
             left_out=() if floating and start == end else tuple(self._everything_below(end)),
             dynamics=tuple(_name(joint) for joint in joints if _has_losses(joint)),
-            urdf=self._pruned(start, kept),
+            urdf=self._pruned(start, kept_joints),
         )
 
     def path(self, base: str, tip: str) -> list[Xml.Element]:
@@ -179,23 +183,23 @@ class UrdfTree:
             link = self._end(self.above[link], "parent")
         return path
 
-    def mimic(self, joint: Xml.Element, held: Container[str] = ()) -> tuple[str, float, float] | None:
-        """The joint that a joint follows in the end, ratio and offset; None: it moves by itself.
+    def mimic(self, joint: Xml.Element, independent: Container[str] = ()) -> tuple[str, float, float] | None:
+        """The independent joint that a joint follows, directly or not, ratio and offset; None: it is independent.
 
         Args:
             joint: The joint.
-            held: Names of joints that follow no other, whatever the file says.
+            independent: Names of joints that are independent even if the file makes them follow another.
 
         Raises:
-            InputError: It follows a joint that is not there, or joints follow each other.
+            InputError: It follows an unknown joint, or joints follow each other.
         """
         ratio, offset, name, passed = 1.0, 0.0, _name(joint), [_name(joint)]
-        joints = {_name(one): one for one in self.above.values()}
-        while name not in held and (element := joints[name].find("mimic")) is not None:
+        joints = {_name(other_joint): other_joint for other_joint in self.above.values()}
+        while name not in independent and (element := joints[name].find("mimic")) is not None:
             key = f"joint {passed[0]}: mimic"
-            (own,) = self.numbers(element, "multiplier", 1, "1", f"{key} multiplier")
+            (factor,) = self.numbers(element, "multiplier", 1, "1", f"{key} multiplier")
             (shift,) = self.numbers(element, "offset", 1, "0", f"{key} offset")
-            ratio, offset, name = ratio * own, offset + ratio * shift, element.get("joint", "")
+            ratio, offset, name = ratio * factor, offset + ratio * shift, element.get("joint", "")
             if name not in joints or name in passed:
                 self._fail(f"it follows {name!r}, expected another joint that moves by itself in the end", key)
             passed.append(name)
@@ -207,14 +211,14 @@ class UrdfTree:
         """Numbers in an attribute.
 
         Args:
-            element: Where it is; None: the element is absent.
-            attribute: Its name.
-            count: How many numbers there must be.
-            default: Value of an absent attribute; None: it must be there.
+            element: Element with the attribute; None: the element is absent.
+            attribute: Name of the attribute.
+            count: Number of numbers.
+            default: Value of an absent attribute; None: it is required.
             key: Key in an error.
 
         Raises:
-            InputError: It is absent, or holds something else than so many finite numbers.
+            InputError: It is absent, or does not hold ``count`` finite numbers.
         """
         text = default if element is None else element.get(attribute, default)
         if text is None:
@@ -231,15 +235,15 @@ class UrdfTree:
         raise InputError(shortened(message, MAX_MESSAGE_LENGTH), file=self.file, key=key)
 
     def _named(self, robot: Xml.Element, kind: str) -> dict[str, Xml.Element]:
-        found: dict[str, Xml.Element] = {}
+        elements: dict[str, Xml.Element] = {}
         for element in robot.findall(kind):
             name = element.get("name")
             if not name:
                 self._fail(f"a {kind} has no name")
-            if name in found:
+            if name in elements:
                 self._fail(f"there are two {kind}s of this name", f"{kind} {name}")
-            found[name] = element
-        return found
+            elements[name] = element
+        return elements
 
     def _check_once(self, element: Xml.Element, key: str) -> None:
         """Check that unique elements occur once."""
@@ -296,15 +300,17 @@ class UrdfTree:
         self, links: list[str], path: list[Xml.Element], leaders: set[str]
     ) -> Iterator[Xml.Element]:
         """Joints of those side branches of ``links`` in which a joint follows one of ``leaders``."""
-        for joint in (one for link in links for one in self.below[link] if one not in path):
+        for joint in (other_joint for link in links for other_joint in self.below[link] if other_joint not in path):
             branch = [joint, *self._side_branches(child_of(joint), path)]
-            if any(_moves(one) and (self.mimic(one) or ("",))[0] in leaders for one in branch):
+            if any(_moves(other_joint) and (self.mimic(other_joint) or ("",))[0] in leaders for other_joint in branch):
                 yield from branch
 
     def _depth_first(self, link: str, kept: list[Xml.Element], path: list[Xml.Element]) -> Iterator[Xml.Element]:
         """Joints below ``link`` branch by branch: first along the path, last those that follow another."""
-        own = [joint for joint in self.below[link] if joint in kept]
-        for joint in sorted(own, key=lambda one: (one not in path, one.find("mimic") is not None)):
+        carried = [joint for joint in self.below[link] if joint in kept]
+        for joint in sorted(
+            carried, key=lambda candidate: (candidate not in path, candidate.find("mimic") is not None)
+        ):
             yield joint
             yield from self._depth_first(child_of(joint), kept, path)
 

@@ -6,11 +6,11 @@ the Steiner term (parallel-axis theorem),
 
     I_joint = I_centre + m (r^2 1 - r r^T),        r from the joint to the centre of mass.
 
-A link is suspected if every moment across r, about the axes perpendicular to it, is at least m r^2: about a joint they
-are never less. Links of real arms that are long for the arm are slender, with about m r^2 / 3 across about the centre
-and 4/3 m r^2 about the joint (a rod, a tube); short ones may be as wide as they are long, and say nothing. Where one
-number is written three times, it may be a moment about the joint axis: then it is at least m d^2, with d the distance
-of the centre from that axis.
+A link is suspected if every moment about the axes perpendicular to r is at least m r^2, the lower bound of moments
+about the joint. Long links of real arms are slender (a rod, a tube): their moments across are about m r^2 / 3 about
+the centre and 4/3 m r^2 about the joint. Short links may be as wide as they are long, and are not judged. If all three
+moments are one number, it may be the moment about the joint axis: then it is at least m d^2, with d the distance of the
+centre of mass from that axis.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from impact_rs_sim.robots.robot import Array
 
 QUANTITIES = ("position", "velocity", "effort")
 LIMIT_PATTERN = re.compile(r"(?P<joint>.+)\.(?P<quantity>position|velocity|effort)=(?P<value>.+)")
-MIN_STEINER_RATIO = 1.0  # moment across r over m r^2 from which it is taken for a moment about the joint [-]
-# Distance of centre of mass and joint axis over the length of the arm; a longer link is long [-]
+MIN_STEINER_RATIO = 1.0  # moment across r over m r^2 of moments that are taken to be about the joint [-]
+# Distance of the centre of mass from the joint axis over the length of the arm, of a link that is judged [-]
 MIN_LONG_LINK_RATIO = 0.12
 ALL_JOINTS = "*"
 
@@ -38,7 +38,7 @@ Limits = Mapping[tuple[str, str], tuple[float, ...]]
 
 
 def given_limits(texts: Sequence[str], joints: Sequence[str], file: Path) -> Limits:
-    """Limits that the user gives, by joint and quantity.
+    """Limits from command-line options, by joint and quantity.
 
     Args:
         texts: ``elbow.effort=10``, ``*.position=-3:3``; ``*`` stands for all joints.
@@ -46,9 +46,9 @@ def given_limits(texts: Sequence[str], joints: Sequence[str], file: Path) -> Lim
         file: The URDF, for messages.
 
     Raises:
-        InputError: A text says something else, or there is no such joint.
+        InputError: A text has another form, or there is no such joint.
     """
-    found: dict[tuple[str, str], tuple[float, ...]] = {}
+    limits: dict[tuple[str, str], tuple[float, ...]] = {}
     for text in texts:
         match = LIMIT_PATTERN.fullmatch(text)
         try:
@@ -68,23 +68,24 @@ def given_limits(texts: Sequence[str], joints: Sequence[str], file: Path) -> Lim
                 f"no joint {match['joint']!r}{near}; it has: {', '.join(joints)}", file=file, key="--limits"
             )
         for joint in joints if match["joint"] == ALL_JOINTS else (match["joint"],):
-            if match["joint"] != ALL_JOINTS or (joint, match["quantity"]) not in found:
-                found[joint, match["quantity"]] = numbers
-    return found
+            if match["joint"] != ALL_JOINTS or (joint, match["quantity"]) not in limits:
+                limits[joint, match["quantity"]] = numbers
+    return limits
 
 
 def locked_joints(texts: Sequence[str], joints: Sequence[str], file: Path) -> dict[str, float]:
     """Positions of locked joints by joint [rad or m].
 
     Args:
-        texts: ``head_1=0.2``, ``head_*=0``; ``*`` matches any text. A joint by its name goes first, then the last text.
+        texts: ``head_1=0.2``, ``head_*=0``; ``*`` matches any text. For a joint, its full name takes precedence over
+            patterns, and later texts over earlier ones.
         joints: Names of the joints that move.
         file: The URDF, for messages.
 
     Raises:
-        InputError: A text says something else, or no joint is called so.
+        InputError: A text has another form, or no joint matches it.
     """
-    found: dict[str, float] = {}
+    positions: dict[str, float] = {}
     for text in sorted(texts, key=lambda text: text.rpartition("=")[0] in joints):
         name, _, value = text.rpartition("=")
         try:
@@ -97,12 +98,12 @@ def locked_joints(texts: Sequence[str], joints: Sequence[str], file: Path) -> di
         if not matching:
             near = did_you_mean(name, joints)
             raise InputError(f"no joint {name!r} moves{near}; it has: {', '.join(joints)}", file=file, key="--lock")
-        found |= dict.fromkeys(matching, position)
-    return found
+        positions |= dict.fromkeys(matching, position)
+    return positions
 
 
 def suspected_steiner_ratio(mass: float, centre: Array, inertia: Array, axis: Array, length: float) -> float | None:
-    """Ratio of moment and Steiner term (m r^2 or m d^2) if the inertia looks as if about the joint; else None.
+    """Ratio of moment to Steiner term (m r^2 or m d^2) of an inertia that seems to be about the joint; else None.
 
     Args:
         mass: Mass of the link [kg].
@@ -123,9 +124,9 @@ def suspected_steiner_ratio(mass: float, centre: Array, inertia: Array, axis: Ar
 
 
 def about_centre(mass: float, centre: Array, inertia: Array, axis: Array) -> Array | None:
-    """Inertia about the centre of mass of a link that is stated about its joint, ``(3, 3)``; None: none is left.
+    """Inertia about the centre of mass from that about the joint, ``(3, 3)``; None: the result is no body.
 
-    By the parallel-axis theorem; if the remainder is physically inconsistent (one number was written three times), the
+    By the parallel-axis theorem; if its result is physically inconsistent (three equal moments in the file), the
     Steiner term about the joint axis is subtracted from every moment.
 
     Args:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Friction compensation files: feedforward of the control tasks against joint friction (paper Appendix A).
 
-Such a file is made by ``impact-rs friction identify`` for one scenario and named in it; a recorded scenario holds its
-content, so that a bag explains itself.
+``impact-rs friction identify`` writes such a file for one scenario, which then names it. A recorded scenario holds its
+content, so that a bag is complete.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class AccelerationSamples(Schema):
 
     def at(self, times: Array, period: float) -> Array:
         """Interpolated at ``times`` ``(k,)`` [s], ``(k, 7)``; one sample per ``period`` [s]."""
-        taken = np.arange(len(self.x)) * period
-        return np.column_stack([np.interp(times, taken, getattr(self, task)) for task in TASKS])
+        sample_times = np.arange(len(self.x)) * period
+        return np.column_stack([np.interp(times, sample_times, getattr(self, task)) for task in TASKS])
 
 
 TASKS = tuple(AccelerationSamples.model_fields)
@@ -73,9 +73,9 @@ class FrictionCompensation(Schema):
         """
         cases = self.sets.get(object_name, {})
         if case_name not in cases:
-            known = ", ".join(f"{name} {case}" for name, entry in self.sets.items() for case in entry)
+            sets = ", ".join(f"{name} {case}" for name, entry in self.sets.items() for case in entry)
             raise InputError(
-                f"the friction compensation was not identified for {object_name} {case_name}; it has: {known}"
+                f"the friction compensation was not identified for {object_name} {case_name}; it has: {sets}"
             )
         return cases[case_name]
 
@@ -89,8 +89,8 @@ class FrictionCompensation(Schema):
             duration: Length of a trial [s].
 
         Raises:
-            InputError: An unknown object, case or arm, an arm without entry, a wrong number of samples, or another
-                scenario than the one it was identified on. The key is the place in this file.
+            InputError: An object, case or arm is unknown, an arm has no entry, a number of samples is wrong, or the
+                scenario differs from the one of the identification. The key is that of this file.
         """
         count = int(duration / self.period + 1e-9) + 1
         for object_name, cases in self.sets.items():
@@ -114,19 +114,19 @@ class FrictionCompensation(Schema):
             )
 
     @staticmethod
-    def _known(key_path: str, name: str, kind: str, known: set[str]) -> None:
-        if name not in known:
+    def _known(key_path: str, name: str, kind: str, names: set[str]) -> None:
+        if name not in names:
             raise InputError(
-                f"the scenario has no such {kind}; it has: {', '.join(sorted(known))}{did_you_mean(name, known)}",
+                f"the scenario has no such {kind}; it has: {', '.join(sorted(names))}{did_you_mean(name, names)}",
                 key=key_path,
             )
 
     def _count(self, key_path: str, friction: ArmFriction, count: int, duration: float) -> None:
         for phase in ("ante", "post"):
             for task in TASKS:
-                found = len(getattr(getattr(friction, phase), task))
-                if found != count:
+                length = len(getattr(getattr(friction, phase), task))
+                if length != count:
                     raise InputError(
-                        f"{found} samples, expected {count}: one per {self.period:g} s of the trial's {duration:g} s",
+                        f"{length} samples, expected {count}: one per {self.period:g} s of the trial's {duration:g} s",
                         key=f"{key_path}.{phase}.{task}",
                     )

@@ -2,13 +2,13 @@
 """A convex object from its mesh: corners of its hull, centre of mass and inertia of an even density.
 
 Mass, first and second moments of the polyhedron are sums over the tetrahedra between the origin and its triangles
-(a, b, c), of volume V = det(a, b, c) / 6, with middle (a + b + c) / 4 and second moments
-V / 20 (a a^T + b b^T + c c^T + s s^T), s = a + b + c (Tonon 2004). They are those of the mesh itself, with all of its
-corners. Contact takes the hull (Barber et al. 1996, Qhull); a mesh whose hull is larger than the mesh is refused unless
-the caller accepts the hull.
+(a, b, c), of volume V = det(a, b, c) / 6, with centre (a + b + c) / 4 and second moments
+V / 20 (a a^T + b b^T + c c^T + s s^T), s = a + b + c (Tonon 2004). They belong to the mesh itself, with all of its
+corners. Contact takes the hull (Barber et al. 1996, Qhull); a mesh that is smaller than its hull is refused unless the
+caller accepts the hull.
 
 Over a closed surface the integral of x n^T is V times the unit matrix (Gauss's theorem for the functions x, y, z); an
-opening of area A at a distance d from the middle misses that by A d.
+opening of area A at a distance d from the centre changes it by A d.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from impact_rs_sim.files import is_file
 from impact_rs_sim.robots.bodies import inertia_of
 from impact_rs_sim.robots.robot import Array
 
-MAX_CORNERS = 200  # of a hull; finer ones keep the corners that are furthest in as many directions
-MAX_HULL_EXCESS = 0.02  # volume of the hull over that of the mesh, less 1 [-]; what is more is a hollow
-MAX_OPEN_SHARE = 1e-3  # of the volume, by which a surface may miss Gauss's theorem; float32 corners miss it by 1e-6
-MAX_PRODUCT_SHARE = 0.01  # of a product of inertia over the trace [-]; more: the principal axes are others
+MAX_CORNERS = 200  # of a hull; of finer hulls the corners that are furthest in as many directions are kept
+MAX_HULL_EXCESS = 0.02  # volume of the hull over volume of the mesh, minus 1, of a convex mesh [-]
+MAX_OPEN_SHARE = 1e-3  # error of a closed surface in Gauss's theorem over the volume; float32 corners have 1e-6 [-]
+MAX_PRODUCT_SHARE = 0.01  # product of inertia over the trace of a body with principal axes x, y, z [-]
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class ObjectMesh:
         com: Centre of mass from that middle, ``(3,)`` [m].
         moments: Moments of inertia about the centre of mass over the mass, ``(3,)`` [m^2].
         volume: Volume of the mesh itself [m^3].
-        hull_excess: Volume of the hull over that of the mesh, less 1 [-].
+        hull_excess: Volume of the hull over volume of the mesh, minus 1 [-].
         middle: Middle of the bounding box in the axes of the file, ``(3,)`` [m].
     """
 
@@ -73,7 +73,7 @@ class ObjectMesh:
 
 
 def read_object_mesh(path: Path, scale: float = 1.0, convex: bool = True) -> ObjectMesh:
-    """The object of a mesh file (STL, OBJ, DAE or PLY); its z points up where the object stands.
+    """The object of a mesh file (STL, OBJ, DAE or PLY); its z points up at rest.
 
     Args:
         path: The file.
@@ -94,10 +94,10 @@ def read_object_mesh(path: Path, scale: float = 1.0, convex: bool = True) -> Obj
 
 
 def triangles_of(mesh: coal.BVHModelBase) -> tuple[Array, Array]:
-    """Corners of a loaded mesh, ``(k, 3)`` [m], and numbers of the corners of its triangles, ``(m, 3)``."""
+    """Corners of a loaded mesh, ``(k, 3)`` [m], and corner numbers of its triangles, ``(m, 3)``."""
     numbers = [mesh.tri_indices(index) for index in range(mesh.num_tris)]
     points = np.array(mesh.vertices(), dtype=float).reshape(-1, 3)
-    return points, np.array([[one[0], one[1], one[2]] for one in numbers], dtype=int)
+    return points, np.array([[triangle[0], triangle[1], triangle[2]] for triangle in numbers], dtype=int)
 
 
 def object_mesh(points: Array, triangles: Array, path: Path, convex: bool = True) -> ObjectMesh:
@@ -105,7 +105,7 @@ def object_mesh(points: Array, triangles: Array, path: Path, convex: bool = True
 
     Args:
         points: Corners, ``(k, 3)`` [m].
-        triangles: Numbers of their corners, seen from outside anticlockwise, ``(m, 3)``.
+        triangles: Corner numbers, anticlockwise seen from outside, ``(m, 3)``.
         path: File, for errors.
         convex: Whether a body that is not convex is refused.
 
@@ -115,8 +115,8 @@ def object_mesh(points: Array, triangles: Array, path: Path, convex: bool = True
     try:
         hull = scipy.spatial.ConvexHull(points)
     except (scipy.spatial.QhullError, ValueError):  # too few corners, or all of them in one plane
-        said = "it is flat or empty; expected a body with a volume: export the solid, not a face or a drawing of it"
-        raise InputError(said, file=path) from None
+        message = "it is flat or empty; expected a body with a volume: export the solid, not a face or a drawing of it"
+        raise InputError(message, file=path) from None
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     points = points - middle
     a, b, c = (points[triangles[:, side]] for side in range(3))
@@ -132,7 +132,7 @@ def object_mesh(points: Array, triangles: Array, path: Path, convex: bool = True
         )
     s = a + b + c
     com = np.einsum("i,ij->j", volumes, s) / (4.0 * volume)
-    second = sum(np.einsum("i,ij,ik->jk", volumes, one, one) for one in (a, b, c, s)) / (20.0 * volume)
+    second = sum(np.einsum("i,ij,ik->jk", volumes, corner, corner) for corner in (a, b, c, s)) / (20.0 * volume)
     moments = principal_moments(inertia_of(np.asarray(second) - np.outer(com, com)), path)
     corners = points[hull.vertices]
     if len(corners) > MAX_CORNERS:
@@ -149,12 +149,14 @@ def principal_moments(inertia: Array, path: Path) -> Array:
         path: File, for errors.
 
     Raises:
-        InputError: Its principal axes are others.
+        InputError: Its principal axes differ from those of the body.
     """
     products = np.abs(inertia - np.diag(np.diag(inertia))).max()
     if products > MAX_PRODUCT_SHARE * np.trace(inertia):
-        nearest = np.abs(np.linalg.eigh(inertia)[1]).max(axis=0).min()  # cosine of a principal axis and an own one
-        turned = np.degrees(np.arccos(min(nearest, 1.0)))
+        cosine = (
+            np.abs(np.linalg.eigh(inertia)[1]).max(axis=0).min()
+        )  # between a principal axis and the nearest of x, y, z
+        turned = np.degrees(np.arccos(min(cosine, 1.0)))
         raise InputError(
             f"its principal axes of inertia are turned by about {turned:.0f} degrees against its axes; turn it "
             "in its file so that they are its own",
@@ -164,7 +166,7 @@ def principal_moments(inertia: Array, path: Path) -> Array:
 
 
 def _check_closed(sides: tuple[Array, Array, Array], volume: float, hull_volume: float, path: Path) -> None:
-    """Refuse triangles that are seen from inside, or leave an opening."""
+    """Refuse a surface with openings, or with normals that point inwards."""
     a, b, c = sides
     area = np.cross(b - a, c - a) / 2.0
     missed = np.einsum("ij,ik->jk", (a + b + c) / 3.0, area) - volume * np.eye(3)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An object of a scenario from its mesh or its URDF, with every assumption in words.
+"""An object of a scenario from its mesh or its URDF, with all assumptions in words.
 
-A mesh gives the hull, centre of mass and inertia of an even density; mass or density come from outside. A URDF gives
-the shape of its collision geometry (box, sphere, cylinder, or hull of a mesh) and the inertial of all links
-that fixed joints join (Pinocchio, Carpentier et al. 2019). Its inertia I and centre c in axes of the link become
+A mesh gives the hull, and centre of mass and inertia of an even density; the user gives mass or density. A URDF gives
+the shape of its collision geometry (box, sphere, cylinder, or hull of a mesh) and the inertial of all links that are
+fixed to each other (Pinocchio, Carpentier et al. 2019). Its inertia I and centre of mass c in axes of the link become
 R^T I R and R^T (c - p) in axes of the shape at (R, p).
 """
 
@@ -38,8 +38,8 @@ from impact_rs_sim.schema import validate
 from impact_rs_sim.shapes import ConvexShape, Kind
 
 ASSUMED_DENSITY_KG_M3 = 1000.0  # of water; foods, filled bottles and most plastics lie within 30 % of it
-EXTENTS_M = (0.005, 2.0)  # largest extent of an object that an arm hits with a pad; beyond, a unit is wrong
-CORNER_DIGITS = 9  # nanometres: triangles of one plane stay in it
+EXTENTS_M = (0.005, 2.0)  # plausible largest extents of an object that a pad hits; others indicate a wrong unit
+CORNER_DIGITS = 9  # decimals of corners in metres; so fine that the corners of a face stay in one plane
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class ProposedObject:
     Attributes:
         name: Its key.
         spec: Its keys (:class:`~impact_rs_sim.scenarios.scenario.ObjectSpec`).
-        origins: Where shape, mass and inertia come from, as text.
+        origins: Sources of shape, mass and inertia, as text.
     """
 
     name: str
@@ -74,12 +74,12 @@ class _Shape:
 def propose_object(
     path: Path, mass: float | None = None, density: float | None = None, scale: float | None = None
 ) -> ProposedObject:
-    """The object of a mesh (STL, OBJ, DAE, PLY) or a URDF; its z points up where it stands.
+    """The object of a mesh (STL, OBJ, DAE, PLY) or a URDF; its z points up at rest.
 
     Args:
         path: The file.
-        mass: Mass, in place of that of the file [kg].
-        density: Even density, in place of the mass of the file [kg/m^3].
+        mass: Mass, instead of the mass in the file [kg].
+        density: Even density, instead of the mass in the file [kg/m^3].
         scale: Metres per unit of length of a mesh; None: 1.
 
     Raises:
@@ -100,8 +100,8 @@ def propose_object(
     else:
         shape = _of_mesh(read_object_mesh(path, 1.0 if scale is None else scale, convex=False))
     _check_extent(float(np.max(shape.size)), path)
-    own = placement.actInv(inertia) if inertia.mass > 0.0 else inertia
-    spec, origins = _mass_properties(shape, own, mass, density, path)
+    inertia_in_shape = placement.actInv(inertia) if inertia.mass > 0.0 else inertia
+    spec, origins = _mass_properties(shape, inertia_in_shape, mass, density, path)
     spec = {"shape": shape.kind, "size": shape.size.tolist()} | spec
     if not np.allclose(placement.rotation, np.eye(3), atol=1e-9):
         spec["rpy"] = pin.rpy.matrixToRpy(placement.rotation).tolist()
@@ -114,41 +114,43 @@ def propose_object(
 
 
 def _mass_properties(
-    shape: _Shape, own: pin.Inertia, mass: float | None, density: float | None, path: Path
+    shape: _Shape, inertia: pin.Inertia, mass: float | None, density: float | None, path: Path
 ) -> tuple[dict[str, Any], list[str]]:
-    """Mass, centre of mass and inertia of a scenario's object, and where they come from."""
-    given = own.mass > 0.0
-    assumed = not given and mass is None and density is None
+    """Mass, centre of mass and inertia of a scenario's object, and their sources; ``inertia`` is that of a URDF."""
+    has_inertial = inertia.mass > 0.0
+    assumed = not has_inertial and mass is None and density is None
     density = ASSUMED_DENSITY_KG_M3 if assumed else density
-    found = mass if mass is not None else density * shape.volume if density is not None else float(own.mass)
+    total_mass = mass if mass is not None else density * shape.volume if density is not None else float(inertia.mass)
     by_file = "of the URDF's inertial"
     origin = "given" if mass is not None else by_file if density is None else f"by a density of {density:g} kg/m^3"
-    said = [f"mass {found:.4g} kg {origin}{', which is assumed: weigh it and say --mass' if assumed else ''}"]
+    origins = [f"mass {total_mass:.4g} kg {origin}{', which is assumed: weigh it and say --mass' if assumed else ''}"]
     if density is None:
-        said[0] += f" ({found / shape.volume:.0f} kg/m^3)"
+        origins[0] += f" ({total_mass / shape.volume:.0f} kg/m^3)"
     com, moments = shape.com, shape.moments
-    if given and density is None:
-        com = np.array(own.lever) - shape.middle
-        moments = principal_moments(np.array(own.inertia) / own.mass, path)
+    if has_inertial and density is None:
+        com = np.array(inertia.lever) - shape.middle
+        moments = principal_moments(np.array(inertia.inertia) / inertia.mass, path)
         if not is_physically_consistent(1.0, np.diag(moments)):
-            said_wrong = "no rigid body has these moments; expected none larger than the sum of the other two [kg m^2]"
-            raise InputError(f"{moments * own.mass}: {said_wrong}", file=path, key="inertial")
+            expected = "no rigid body has these moments; expected none larger than the sum of the other two [kg m^2]"
+            raise InputError(f"{moments * inertia.mass}: {expected}", file=path, key="inertial")
         if np.any(np.abs(com) > 0.5 * shape.size):
-            where = f"its centre of mass {com.round(4).tolist()} m lies outside of its shape, {shape.size.tolist()} m"
-            raise InputError(f"{where}: origin of the inertial and of the collision are of one link", file=path)
-        said.append(f"centre of mass and inertia {by_file}{', scaled to the mass' if mass is not None else ''}")
+            position_text = (
+                f"its centre of mass {com.round(4).tolist()} m lies outside of its shape, {shape.size.tolist()} m"
+            )
+            raise InputError(f"{position_text}: origin of the inertial and of the collision are of one link", file=path)
+        origins.append(f"centre of mass and inertia {by_file}{', scaled to the mass' if mass is not None else ''}")
     else:
-        said.append("centre of mass and inertia of an even density, with nothing hollow that the file does not have")
-    return {"mass": found, "com_offset": com.tolist(), "inertia": (found * moments).tolist()}, said
+        origins.append("centre of mass and inertia of an even density, with nothing hollow that the file does not have")
+    return {"mass": total_mass, "com_offset": com.tolist(), "inertia": (total_mass * moments).tolist()}, origins
 
 
 def _check_extent(extent: float, path: Path) -> None:
-    """Refuse an object that no arm hits."""
+    """Refuse an implausible extent, and suggest a scale."""
     low, high = EXTENTS_M
     if low <= extent <= high:
         return
     units = {0.001: "millimetres", 0.01: "centimetres", 0.0254: "inches", 1000.0: "kilometres"}
-    scale = next((one for one in units if low <= extent * one <= high), None)
+    scale = next((factor for factor in units if low <= extent * factor <= high), None)
     remedy = "" if scale is None else f"; if the file is in {units[scale]}, say --scale {scale:g} (in a URDF scale=...)"
     raise InputError(
         f"its largest extent is {extent:.4g} m; expected {low:g} to {high:g} m, as a pad can push{remedy}", file=path
@@ -178,22 +180,24 @@ def _of_urdf(path: Path) -> tuple[_Shape, pin.SE3, pin.Inertia]:
         text = Xml.tostring(document, encoding="unicode")
         model = pin.buildModelFromXML(text, pin.JointModelFreeFlyer())
         kinds = (pin.GeometryType.COLLISION, pin.GeometryType.VISUAL)
-        found = [list(pin.buildGeomFromUrdfString(model, text, kind).geometryObjects) for kind in kinds]
+        geometries = [list(pin.buildGeomFromUrdfString(model, text, kind).geometryObjects) for kind in kinds]
     except (OSError, UnicodeDecodeError, ValueError, RuntimeError, Xml.ParseError) as error:
         raise InputError(f"cannot be read as a URDF: {str(error).strip()}", file=path) from None
     if model.njoints > 2:
         raise InputError(f"it has {model.njoints - 2} joints that move; expected one rigid body: fix them", file=path)
-    shapes, of = (found[0], "collision") if found[0] else (found[1], "visual (there is no collision)")
+    shapes, source = (
+        (geometries[0], "collision") if geometries[0] else (geometries[1], "visual (there is no collision)")
+    )
     if len(shapes) != 1:
-        said = (
+        message = (
             f"{len(shapes)} shapes; expected one convex body: one <collision>, as a box, a cylinder, or a mesh of all"
         )
-        raise InputError(said, file=path, key="collision")
-    shape = _of_geometry(shapes[0].geometry, of, path)
+        raise InputError(message, file=path, key="collision")
+    shape = _of_geometry(shapes[0].geometry, source, path)
     return shape, shapes[0].placement, model.inertias[1]
 
 
-def _of_geometry(geometry: coal.CollisionGeometry, of: str, path: Path) -> _Shape:
+def _of_geometry(geometry: coal.CollisionGeometry, source: str, path: Path) -> _Shape:
     """The shape of a collision geometry of a URDF."""
     if isinstance(geometry, coal.BVHModelBase):
         return _of_mesh(object_mesh(*triangles_of(geometry), path, convex=False))
@@ -209,4 +213,4 @@ def _of_geometry(geometry: coal.CollisionGeometry, of: str, path: Path) -> _Shap
     shares = {"box": 1.0, "sphere": np.pi / 6.0, "cylinder": np.pi / 4.0}  # of the bounding box
     volume = float(shares[kind] * np.prod(size))
     moments = ConvexShape(kind).moments(1.0, size)
-    return _Shape(kind, size, volume, np.zeros(3), moments, np.zeros(3), origin=f"{kind} of the URDF's {of}")
+    return _Shape(kind, size, volume, np.zeros(3), moments, np.zeros(3), origin=f"{kind} of the URDF's {source}")

@@ -51,10 +51,10 @@ NonNegative = Annotated[float, Field(ge=0.0)]
 
 CORNER_TOLERANCE_M = 1e-6  # of the corners of a hull and its size
 UNIT_TOLERANCE = 1e-6  # of the length of a unit vector [-]
-# Half width of the 95 % interval of a motor inertia that is assumed, relative: from none to three times the number.
-# Three times an assumed B_theta is B_rho, which the links carry where a torque loop does nothing. A known B_rho,
-# over that scaled from a Franka arm by the torque limit: 0.8 to 2.5 in a Franka arm itself, 1.1 to 3.1 in a UR10e,
-# 0.05 to 0.4 in a Stäubli TX40 (docs/real_data.md): 18 of 19 joints lie below three.
+# Relative half width of the 95 % interval of an assumed motor inertia: from 0 to three times the assumed value. Three
+# times an assumed B_theta is B_rho, the inertia if the torque loop has no effect. Known values of B_rho, over the value
+# scaled from a Franka arm by the torque limit: 0.8 to 2.5 in a Franka arm, 1.1 to 3.1 in a UR10e, 0.05 to 0.4 in a
+# Stäubli TX40 (docs/real_data.md). 18 of 19 joints lie below three.
 ASSUMED_MOTOR_INERTIA = 2.0
 Item = TypeVar("Item")
 
@@ -232,10 +232,10 @@ class DriveSettings(Schema):
 POSE_KEYS = ("position", "pad_normal", "pad_up", "joint_guess")
 
 
-def guided_object(what: str, key: str, file: str | None = None) -> InputError:
-    """The refusal of an object on a hinge or slide by ``what``, which takes free and fixed ones."""
+def guided_object(consumer: str, key: str, file: str | None = None) -> InputError:
+    """Refusal of an object on a hinge or slide by ``consumer``, which takes free and fixed objects."""
     return InputError(
-        f"{what} takes objects that are free or fixed, and this one has a hinge or slide; impact-rs map takes it",
+        f"{consumer} takes objects that are free or fixed, and this one has a hinge or slide; impact-rs map takes it",
         key=key,
         file=file,
     )
@@ -247,13 +247,13 @@ def _is_unit(vector: Array | tuple[float, ...]) -> bool:
 
 
 def _check_unit(name: str, vector: tuple[float, ...]) -> None:
-    """Refuse a direction of another length than 1."""
+    """Refuse a direction that is no unit vector."""
     if not _is_unit(vector):
         raise ValueError(f"{name} must be a unit vector")
 
 
 def _check_axes(normal: Array, up: Array) -> None:
-    """Refuse a pad without axes."""
+    """Refuse axes of a pad that are not perpendicular unit vectors."""
     if not (_is_unit(normal) and _is_unit(up)):
         raise ValueError("pad_normal and pad_up must be unit vectors")
     if abs(normal @ up) > UNIT_TOLERANCE:
@@ -281,7 +281,7 @@ class ImpactPose(Schema):
 
     @property
     def placement(self) -> pin.SE3:
-        """Placement of E in the inertial frame at impact, where it is given as a pose."""
+        """Placement of E in the inertial frame at impact, if it is given as a pose."""
         assert self.position is not None and self.pad_normal is not None and self.pad_up is not None
         return _placement_of(self.position, self.pad_normal, self.pad_up)
 
@@ -294,8 +294,8 @@ class ImpactPose(Schema):
                 f"missing: {', '.join(missing)}"
             )
         if self.joint_position is not None and len(missing) < len(POSE_KEYS):
-            given = next(name for name in POSE_KEYS if name not in missing)
-            raise ValueError(f"joint_position stands beside {given}, expected one of both: it says where E is")
+            stated = next(name for name in POSE_KEYS if name not in missing)
+            raise ValueError(f"joint_position stands beside {stated}, expected one of both: it says where E is")
         return self
 
     @model_validator(mode="after")
@@ -356,9 +356,9 @@ class Robot(Schema):
         count = self.robot_facts.joint_count
         for name in ("motor_inertia_rotor", "motor_inertia_reduced", "stiffness", "damping"):
             values = getattr(self.drive, name)
-            found = count if values is None else len(values)
-            if found != count:
-                raise ValueError(f"drive.{name} has {found} entries, expected one per joint ({count})")
+            length = count if values is None else len(values)
+            if length != count:
+                raise ValueError(f"drive.{name} has {length} entries, expected one per joint ({count})")
         if self.robot_facts.floating_base is not None and self.impact.joint_position is None:
             raise ValueError(
                 "impact: a base that floats reaches any pose; expected joint_position, and the pose of the base at "
@@ -379,11 +379,11 @@ class Robot(Schema):
 
     @model_validator(mode="after")
     def _hands_of_its_facts(self) -> Self:
-        known = [hand.name for hand in self.robot_facts.hands]
+        hand_names = [hand.name for hand in self.robot_facts.hands]
         for name, hand in self.hands.items():
-            if name not in known:
+            if name not in hand_names:
                 raise ValueError(
-                    f"hands.{name}: {self.facts_name} has no such hand; it has: {', '.join(known) or 'none'}; "
+                    f"hands.{name}: {self.facts_name} has no such hand; it has: {', '.join(hand_names) or 'none'}; "
                     "impact-rs robot import --hand LINK writes one"
                 )
             if hand.impact is None and self.impact.joint_position is None:
@@ -394,14 +394,14 @@ class Robot(Schema):
 
     @model_validator(mode="after")
     def _facts_of_a_robot_that_can_be(self) -> Self:
-        """Refuse physically inconsistent inertias; ``robot check`` reads such facts and reports the errors."""
+        """Refuse negative moments of inertia and empty ranges; ``robot check`` reads such facts and reports them."""
         base = self.robot_facts.floating_base
         bodies: dict[str, Inertial] = {f"links.{number}": link for number, link in enumerate(self.robot_facts.links)}
         for key, link in (bodies if base is None else bodies | {"floating_base": base}).items():
-            least = float(np.linalg.eigvalsh(link.inertia_matrix)[0])
-            if least < 0.0:
-                place = f"{self.facts_name}: {key}.inertia"
-                raise ValueError(f"{place} has the principal moment {least:.3g}, expected none below 0 [kg m^2]")
+            smallest = float(np.linalg.eigvalsh(link.inertia_matrix)[0])
+            if smallest < 0.0:
+                key_path = f"{self.facts_name}: {key}.inertia"
+                raise ValueError(f"{key_path} has the principal moment {smallest:.3g}, expected none below 0 [kg m^2]")
         limits = self.robot_facts.limits
         for number, (low, high) in enumerate(zip(limits.position_min_rad, limits.position_max_rad, strict=True)):
             if low >= high:
@@ -426,17 +426,17 @@ class Robot(Schema):
 
     @property
     def assumed(self) -> tuple[str, ...]:
-        """Assumptions about the arm, neither measured nor published: keys of its drive, and those in its facts."""
+        """Assumptions about the arm, neither measured nor published: keys of its drive, and entries of its facts."""
         return (*(f"drive.{name}" for name in self.drive.assumed), *self.robot_facts.assumed)
 
     @property
     def facts_name(self) -> str:
-        """Name of the robot in errors: that in config/robots, or the source of its facts."""
+        """Name of the robot in errors: its name in config/robots, or the source of its facts."""
         return self.facts if isinstance(self.facts, str) else self.facts.source
 
 
 class Hinge(Schema):
-    """An axis in the world that an object turns about, as a door does."""
+    """A fixed axis about which an object turns, like a door."""
 
     axis: Vector3 = Field(description="direction of the hinge, in axes of the object, unit vector")
     point: Vector3 = Field(description="a point on it from the geometric centre, in axes of the object [m]")
@@ -515,9 +515,9 @@ class ObjectSpec(Schema):
             raise ValueError("corners belong to shape: hull, and a hull needs them [m]")
         if self.corners:
             corners = np.array(self.form.corners)
-            far = np.maximum(corners.max(axis=0), -corners.min(axis=0))
-            if np.max(np.abs(2.0 * far - self.size)) > CORNER_TOLERANCE_M:
-                raise ValueError(f"size must be the extents of the corners, {(2.0 * far).tolist()} [m]")
+            extents = np.maximum(corners.max(axis=0), -corners.min(axis=0))
+            if np.max(np.abs(2.0 * extents - self.size)) > CORNER_TOLERANCE_M:
+                raise ValueError(f"size must be the extents of the corners, {(2.0 * extents).tolist()} [m]")
             if self.inertia is None and self.moments_per_mass is None and not self.fixed:
                 raise ValueError("inertia is required for a hull; mesh has that of an even density [kg m^2]")
         return self
@@ -530,16 +530,18 @@ class ObjectSpec(Schema):
 
     @model_validator(mode="after")
     def _guided_in_one_way(self) -> Self:
-        ways = {"fixed": self.fixed, "hinge": self.hinge is not None, "slide": self.slide is not None}
-        if len(given := [name for name, is_given in ways.items() if is_given]) > 1:
-            raise ValueError(f"{given[1]} stands beside {given[0]}, expected one of them: either says how it may move")
+        constraints = {"fixed": self.fixed, "hinge": self.hinge is not None, "slide": self.slide is not None}
+        if len(stated := [name for name, is_stated in constraints.items() if is_stated]) > 1:
+            raise ValueError(
+                f"{stated[1]} stands beside {stated[0]}, expected one of them: either says how it may move"
+            )
         if self.slide is not None:
             _check_unit("slide", self.slide)
         return self
 
     @property
     def freedom(self) -> Array | None:
-        """Twist of its centre in its own axes per velocity of hinge or slide, ``(6, 1)``; None: there is neither."""
+        """Twist of its centre in its own axes per velocity of hinge or slide, ``(6, 1)``; None: it has neither."""
         if self.hinge is not None:
             axis = np.array(self.hinge.axis)
             return np.concatenate((np.cross(self.hinge.point, axis), axis))[:, None]
@@ -552,7 +554,7 @@ class ObjectSpec(Schema):
 
     @property
     def moments(self) -> Array:
-        """Principal moments about its centre of mass, ``(3,)`` [kg m^2]; of a fixed object infinite."""
+        """Principal moments about its centre of mass, ``(3,)`` [kg m^2]; infinite for a fixed object."""
         if self.mass is None:
             return np.full(3, np.inf)
         if self.inertia is not None:
@@ -563,11 +565,11 @@ class ObjectSpec(Schema):
 
     @property
     def rotation(self) -> Array:
-        """Axes of the object in A where it rests, ``(3, 3)``."""
+        """Axes of the object at rest in A, ``(3, 3)``."""
         return np.eye(3) if self.rpy == (0.0, 0.0, 0.0) else np.asarray(pin.rpy.rpyToMatrix(*self.rpy))
 
     def reach(self, direction: Array) -> float:
-        """Support function where it rests: its reach from its middle along a unit vector in A, ``(3,)`` [m]."""
+        """Support function at rest: extent from its centre along a unit vector in A, ``(3,)`` [m]."""
         return float(self.form.support(np.array(self.size), self.rotation.T @ direction))
 
 
@@ -637,12 +639,12 @@ class CaseRobot(Schema):
                 raise ValueError(f"posture names {name!r}, expected joint_N with N counted from 1 at the base")
         if self.joint_1 is not None and "joint_1" in self.posture:
             raise ValueError("joint_1 stands in posture as well; give it once [rad]")
-        if self.joint_1_velocity is not None and 0 not in self.held:
+        if self.joint_1_velocity is not None and 0 not in self.posture_joints:
             raise ValueError("joint_1_velocity needs a position joint_1 [rad]")
         return self
 
     @property
-    def held(self) -> dict[int, float]:
+    def posture_joints(self) -> dict[int, float]:
         """Joints of the posture task, counted from 0, in order, with their positions at impact [rad]."""
         positions = {int(name.removeprefix("joint_")) - 1: value for name, value in self.posture.items()}
         if self.joint_1 is not None:
@@ -860,34 +862,34 @@ class Scenario(Schema):
                 )
             for name, robot in case.robots.items():
                 count = self.robots[name].robot_facts.joint_count
-                if beyond := [joint + 1 for joint in robot.held if joint >= count]:
-                    place = f"cases.{case_name}.robots.{name}.posture"
-                    raise ValueError(f"{place} names joint_{beyond[0]}, but the arm has {count} joints")
+                if missing := [joint + 1 for joint in robot.posture_joints if joint >= count]:
+                    key_path = f"cases.{case_name}.robots.{name}.posture"
+                    raise ValueError(f"{key_path} names joint_{missing[0]}, but the arm has {count} joints")
                 if set(robot.hands) != set(self.robots[name].hands):
-                    place = f"cases.{case_name}.robots.{name}.hands"
+                    key_path = f"cases.{case_name}.robots.{name}.hands"
                     raise ValueError(
-                        f"{place} names {sorted(robot.hands)}, expected a velocity of each hand of the robot [m/s]: "
+                        f"{key_path} names {sorted(robot.hands)}, expected a velocity of each hand of the robot [m/s]: "
                         f"{sorted(self.robots[name].hands)}"
                     )
         return self
 
     @model_validator(mode="after")
     def _bodies_with_names_of_their_own(self) -> Self:
-        taken = {"object", "support"}
+        names = {"object", "support"}
         hands = {f"robots.{name}.hands": set(robot.hands) for name, robot in self.robots.items()}
         for key, bodies in {"robots": set(self.robots), "neighbours": set(self.neighbours), **hands}.items():
-            if twice := taken & bodies:
-                raise ValueError(f"{key}.{min(twice)}: another body has this name; choose another one")
-            taken |= bodies
+            if repeated := names & bodies:
+                raise ValueError(f"{key}.{min(repeated)}: another body has this name; choose another one")
+            names |= bodies
         return self
 
     @model_validator(mode="after")
     def _neighbours_of_a_free_object(self) -> Self:
         if not self.neighbours:
             return self
-        if fixed := [name for name, one in self.objects.items() if one.fixed]:
+        if fixed := [name for name, spec in self.objects.items() if spec.fixed]:
             raise ValueError(f"objects.{fixed[0]} is fixed and hits no neighbour: leave neighbours out")
-        if guided := [name for name, one in self.objects.items() if one.freedom is not None]:
+        if guided := [name for name, spec in self.objects.items() if spec.freedom is not None]:
             raise ValueError(f"objects.{guided[0]} is on a hinge or slide and hits no neighbour: leave neighbours out")
         return self
 
@@ -900,7 +902,7 @@ class Scenario(Schema):
             if self.object_position is not None:
                 raise ValueError(f"{key} says where the object stands, at the pad: leave object_position out [m]")
             for case_name, case in self.cases.items():
-                if case.robots[name].held:
+                if case.robots[name].posture_joints:
                     raise ValueError(
                         f"{key} holds every joint: leave joint_1 and posture out of cases.{case_name}.robots.{name}"
                     )
@@ -929,7 +931,7 @@ class Scenario(Schema):
                     raise ValueError(
                         f"cases.{name}.robots.{arm}.ante_velocity is 0: expected the excursion's peak speed, > 0 [m/s]"
                     )
-                if self.excursion.joint_1 != 0.0 and 0 not in robot.held:
+                if self.excursion.joint_1 != 0.0 and 0 not in robot.posture_joints:
                     raise ValueError(f"excursion.joint_1 moves joint 1, which cases.{name} does not hold: give joint_1")
                 end = self.excursion_end(robot)
                 if end > self.timing.duration:
@@ -941,7 +943,7 @@ class Scenario(Schema):
     def impact_placement(self, robot: str, object_name: str, hand: str = "") -> pin.SE3:
         """Placement of frame E of an arm, or of its ``hand``, in the inertial frame when its pad touches an object."""
         pose = self.robots[robot].hands[hand].impact if hand else self.robots[robot]
-        assert pose is not None  # of a hand without one joints are given
+        assert pose is not None  # a hand without pose has given joints, and is not asked for
         placement = pose.placement if isinstance(pose, HandPose) else pose.impact_placement
         if self.object_position is not None:
             normal = placement.rotation[:, 2]
@@ -951,15 +953,15 @@ class Scenario(Schema):
         return placement
 
     def neighbour_shifts(self, object_name: str) -> list[Array]:
-        """Middles of the neighbours at rest from the middle of an object, in A, ``(3,)`` each [m]."""
-        down, before = np.array([0.0, 0.0, -1.0]), self.object(object_name)
-        place, ground, found = np.zeros(3), before.reach(down), []
-        for one in self.neighbours.values():
-            along = np.append(one.direction, 0.0)
-            place = place + along * (before.reach(along) + one.gap + one.reach(-along))
-            found.append(place + [0.0, 0.0, one.reach(down) - ground])
-            before = one
-        return found
+        """Centres of the neighbours at rest from the centre of an object, in A, ``(3,)`` each [m]."""
+        down, previous = np.array([0.0, 0.0, -1.0]), self.object(object_name)
+        position, height, shifts = np.zeros(3), previous.reach(down), []
+        for neighbour in self.neighbours.values():
+            along = np.append(neighbour.direction, 0.0)
+            position = position + along * (previous.reach(along) + neighbour.gap + neighbour.reach(-along))
+            shifts.append(position + [0.0, 0.0, neighbour.reach(down) - height])
+            previous = neighbour
+        return shifts
 
     def excursion_leg(self, robot: CaseRobot) -> float:
         """Duration of one leg of the excursion [s]; a quintic from rest to rest peaks at 15/8 of its mean speed."""
@@ -980,16 +982,16 @@ class Scenario(Schema):
         """
         if not settings:
             return self
-        data = self.model_dump(mode="json")
+        settings_data = self.model_dump(mode="json")
         for key, value in settings.items():
-            place: Any = data
-            *above, last = key.split(".")
-            for part in above:
-                place = place.setdefault(part, {})
-                if not isinstance(place, dict):
+            section: Any = settings_data
+            *parents, last = key.split(".")
+            for part in parents:
+                section = section.setdefault(part, {})
+                if not isinstance(section, dict):
                     raise InputError(f"{part!r} is a value and has no keys of its own", key=key)
-            place[last] = value
-        return validate(Scenario, data, f"scenario {self.name!r}")
+            section[last] = value
+        return validate(Scenario, settings_data, f"scenario {self.name!r}")
 
     @property
     def digest(self) -> str:
@@ -1005,17 +1007,17 @@ class Scenario(Schema):
         """0, 1 or 2 for x, y, z."""
         return AXES.index(self.axis)
 
-    def check_chains(self, what: str) -> None:
-        """Refuse trees, and objects on hinges and slides, for ``what`` takes serial arms and free or fixed objects.
+    def check_chains(self, consumer: str) -> None:
+        """Refuse trees, and objects on hinges and slides, because ``consumer`` takes serial arms and other objects.
 
         Raises:
             InputError: A robot is a tree, or its base floats; or an object has a hinge or a slide.
         """
         for name, robot in self.robots.items():
-            robot.robot_facts.check_chain(what, f"robots.{name}", self.name)
-        for name, one in self.objects.items():
-            if one.freedom is not None:
-                raise guided_object(what, f"objects.{name}", self.name)
+            robot.robot_facts.check_chain(consumer, f"robots.{name}", self.name)
+        for name, spec in self.objects.items():
+            if spec.freedom is not None:
+                raise guided_object(consumer, f"objects.{name}", self.name)
 
     def object(self, name: str) -> ObjectSpec:
         """The object ``name``."""
@@ -1034,9 +1036,9 @@ class Scenario(Schema):
 
 def _choose(kind: str, name: str, table: dict[str, Item], scenario: str) -> Item:
     if name not in table:
-        known = ", ".join(table)
-        near = did_you_mean(name, table)
-        raise InputError(f"scenario {scenario!r} has no {kind} {shortened(name)!r}; it has: {known}{near}")
+        names = ", ".join(table)
+        suggestion = did_you_mean(name, table)
+        raise InputError(f"scenario {scenario!r} has no {kind} {shortened(name)!r}; it has: {names}{suggestion}")
     return table[name]
 
 
@@ -1045,10 +1047,10 @@ def scenario_path(name: str) -> Path:
     directory = config_directory() / "scenarios"
     path = Path(name) if name.endswith((".yaml", ".yml")) else directory / f"{name}.yaml"
     if not is_file(path):
-        known = sorted(file.stem for file in directory.glob("*.yaml"))
+        names = sorted(file.stem for file in directory.glob("*.yaml"))
         raise InputError(
-            f"no scenario {shortened(name)!r}; known scenarios: {', '.join(known)}, or give a path to a .yaml file"
-            f"{did_you_mean(name, known)}"
+            f"no scenario {shortened(name)!r}; known scenarios: {', '.join(names)}, or give a path to a .yaml file"
+            f"{did_you_mean(name, names)}"
         )
     return path
 
@@ -1063,22 +1065,22 @@ def _check_compensation(compensation: FrictionCompensation, scenario: Scenario) 
 def _named_files(path: Path, modified: int) -> tuple[Path, ...]:
     """Files of robots and meshes of objects that a scenario names."""
     del modified
-    data, found = load_mapping(path), []
+    data, files = load_mapping(path), []
     for section, key in (("robots", "facts"), ("objects", "mesh"), ("neighbours", "mesh")):
         entries = data.get(section)
         specs = entries.values() if isinstance(entries, dict) else ()
-        named = [spec.get(key) for spec in specs if isinstance(spec, dict)]
-        found += [path.parent / name for name in named if isinstance(name, str)]
-    return tuple(found)
+        names = [spec.get(key) for spec in specs if isinstance(spec, dict)]
+        files += [path.parent / name for name in names if isinstance(name, str)]
+    return tuple(files)
 
 
 def _modified(path: Path) -> int:
-    """When a file was written last [ns since 1970]; 0: there is none."""
+    """Modification time of a file [ns since 1970]; 0: it does not exist."""
     return path.stat().st_mtime_ns if is_file(path) else 0
 
 
 def _read_robot_files(data: dict[str, Any], directory: Path) -> None:
-    """Replace paths to facts of robots by the facts, so that bags contain them."""
+    """Replace paths to robot facts by the facts, so that bags contain them."""
     robots = data.get("robots")
     for robot in robots.values() if isinstance(robots, dict) else ():
         facts = robot.get("facts") if isinstance(robot, dict) else None
@@ -1087,7 +1089,7 @@ def _read_robot_files(data: dict[str, Any], directory: Path) -> None:
 
 
 def _read_meshes(data: dict[str, Any], directory: Path) -> None:
-    """Replace paths to meshes of objects by what they say, so that bags contain it."""
+    """Replace paths to meshes of objects by shape, size and inertia of the meshes, so that bags contain them."""
     sections = {key: data.get(key) for key in ("objects", "neighbours")}
     bodies = {
         f"{key}.{name}": spec
@@ -1097,13 +1099,13 @@ def _read_meshes(data: dict[str, Any], directory: Path) -> None:
         if isinstance(spec, dict) and isinstance(spec.get("mesh"), str)
     }
     for key, spec in bodies.items():
-        if given := {"shape", "corners", "size"} & set(spec):
-            raise InputError("mesh has shape, corners and size: leave these out", key=f"{key}.{min(given)}")
-        found = read_object_mesh(directory / spec.pop("mesh"))
-        spec |= {"shape": "hull", "corners": found.corners.tolist(), "size": found.size.tolist()}
+        if redundant := {"shape", "corners", "size"} & set(spec):
+            raise InputError("mesh has shape, corners and size: leave these out", key=f"{key}.{min(redundant)}")
+        mesh = read_object_mesh(directory / spec.pop("mesh"))
+        spec |= {"shape": "hull", "corners": mesh.corners.tolist(), "size": mesh.size.tolist()}
         if not spec.get("fixed"):
-            spec.setdefault("com_offset", found.com.tolist())
-            spec.setdefault("moments_per_mass", found.moments.tolist())
+            spec.setdefault("com_offset", mesh.com.tolist())
+            spec.setdefault("moments_per_mass", mesh.moments.tolist())
 
 
 @functools.lru_cache(maxsize=32)
@@ -1112,16 +1114,16 @@ def _load_cached(path: Path, modified: tuple[int, ...]) -> tuple[Scenario, Path 
 
     Args:
         path: The file.
-        modified: When it and the files that it names were written, for the cache.
+        modified: Modification times of the file and of the files that it names, part of the cache key.
     """
     del modified
     data = load_mapping(path)
-    named = data.get("friction_compensation")
-    if isinstance(named, str):
+    compensation = data.get("friction_compensation")
+    if isinstance(compensation, str):
         del data["friction_compensation"]
     _read_robot_files(data, path.parent)
     _read_meshes(data, path.parent)
-    return validate(Scenario, data, path), path.parent / named if isinstance(named, str) else None
+    return validate(Scenario, data, path), path.parent / compensation if isinstance(compensation, str) else None
 
 
 @functools.lru_cache(maxsize=32)
@@ -1141,8 +1143,8 @@ def _compensated(
 def load_scenario(name: str) -> Scenario:
     """Load a scenario by name or path, and the friction compensation that it names."""
     path = scenario_path(name).resolve()
-    own = _modified(path)
-    modified = (own, *map(_modified, _named_files(path, own)))
+    own_time = _modified(path)
+    modified = (own_time, *map(_modified, _named_files(path, own_time)))
     scenario, compensation = _load_cached(path, modified)
     if compensation is None:
         return scenario

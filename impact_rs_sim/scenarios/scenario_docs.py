@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of keys from the schema of a file, and ``docs/scenarios.md`` from that of a scenario.
+"""Tables of keys from the schema of a file, and ``docs/scenarios.md`` from the schema of a scenario.
 
 python -m impact_rs_sim.scenarios.scenario_docs > docs/scenarios.md
 """
@@ -34,7 +34,7 @@ kg m². A wrong key stops every command with one line that names file, key, valu
 """
 
 LIMITS = {Gt: ("gt", ">"), Ge: ("ge", ">="), Le: ("le", "<=")}
-MOST_WORDS_OF_A_NAME = 3  # a section that is described by so few ("Arms by name") has no row: its key says it
+MOST_WORDS_OF_A_NAME = 3  # a section with a shorter description ("Arms by name") has no row
 UNIT = re.compile(r" ?\[([^\]]+)\](?!\()")
 PRISMATIC = re.compile(r",? prismatic \[[^\]]+\]")  # a page has the rule once
 
@@ -62,7 +62,7 @@ def _alternatives(annotation: Any) -> list[Any]:
 
 
 def _annotations(field: FieldInfo) -> list[Any]:
-    """The field's annotation with whatever it is wrapped in."""
+    """The field's annotation, its metadata, and the parts of nested annotations."""
     parts = [field.annotation, *field.metadata]
     for part in parts:
         if get_origin(part) in (Union, UnionType, Annotated):
@@ -80,12 +80,12 @@ def _kind(field: FieldInfo) -> str:
     if get_origin(kind) is tuple:
         entries = get_args(kind)
         entry = _alternatives(entries[0])[0]
-        of = "names" if get_origin(entry) is Literal else {str: "texts", int: "whole numbers"}.get(entry, "numbers")
+        noun = "names" if get_origin(entry) is Literal else {str: "texts", int: "whole numbers"}.get(entry, "numbers")
         if isinstance(entry, type) and issubclass(entry, Schema):
             return "sections"
         if get_origin(entry) is tuple and Ellipsis not in entries:
             return f"{len(entries)} rows of {len(get_args(entry))} numbers"
-        return of if Ellipsis in entries else f"{len(entries)} {of}"
+        return noun if Ellipsis in entries else f"{len(entries)} {noun}"
     if get_origin(kind) is dict or (isinstance(kind, type) and issubclass(kind, Schema)):
         return "section"
     return {float: "number", int: "whole number", str: "text", bool: "`true`, `false`"}.get(kind, kind.__name__)
@@ -93,7 +93,7 @@ def _kind(field: FieldInfo) -> str:
 
 def _limits(schema: type[Schema], name: str, field: FieldInfo) -> str:
     """Bounds of a number, or of every entry of a list."""
-    found = [
+    bounds = [
         f"{sign} {getattr(part, attribute):g}"
         for part in _annotations(field)
         for kind, (attribute, sign) in LIMITS.items()
@@ -102,10 +102,10 @@ def _limits(schema: type[Schema], name: str, field: FieldInfo) -> str:
     declared = str(schema.__annotations__.get(name, ""))
     for word, text in (("PositiveVector3", "> 0"), ("PositiveVector", "> 0"), ("NonNegativeVector", ">= 0")):
         if re.search(rf"\b{word}\b", declared):
-            found.append(text)
+            bounds.append(text)
     if "Positive, Positive" in declared:
-        found.append("> 0")
-    return ", ".join(found)
+        bounds.append("> 0")
+    return ", ".join(bounds)
 
 
 def _default(field: FieldInfo) -> str:
@@ -150,7 +150,7 @@ def _sections(
 def key_table(head: str, schema: type[Schema], without: tuple[type[Schema], ...] = ()) -> str:
     """One table of all keys of a file in Markdown, dotted, ``NAME`` for a name that a user chooses.
 
-    A section with the keys of an earlier one refers to it, and one with further keys lists these alone.
+    A section with the keys of an earlier section refers to it; one with additional keys lists only these.
 
     Args:
         head: Heading of the first column.
@@ -170,7 +170,10 @@ def key_table(head: str, schema: type[Schema], without: tuple[type[Schema], ...]
                     (f"`{path}`", "section", "", f"{_sentence_case(meaning)}. Keys as of `{first}`".lstrip(". "))
                 )
             continue
-        base = next((known for known in shown if known is not section and issubclass(section, known)), None)
+        base = next(
+            (parent for parent in shown if parent is not section and issubclass(section, parent)),
+            None,
+        )
         if base is not None:
             text = f"{_sentence_case(meaning)}. Its own keys, and keys as of `{shown[base]}`"
             rows.append((f"`{path}`", "section", "", text))

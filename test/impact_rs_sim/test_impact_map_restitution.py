@@ -147,7 +147,7 @@ def test_without_restitution_both_laws_are_one(seed: int) -> None:
 
 
 def test_bullet_knows_newtons_law_only() -> None:
-    with pytest.raises(InputError, match="'exact' does"):
+    with pytest.raises(InputError, match="'exact' has both laws"):
         compute_impact_map(replace(nominal(), restitution_law="poisson"), "bullet")
 
 
