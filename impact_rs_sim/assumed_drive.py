@@ -4,10 +4,10 @@
 Motor inertia and stiffness are scaled from a Franka arm by the torque limits. The damping meets two conditions: the
 torque loop is stable with the lightest link at its period, and the controller does not excite the resonance of the
 joint. At resonance a link-side velocity feedback d has the loop gain d m / D, with m the inertia at the spring; a gain
-above 1 is a limit cycle at the torque limit.
+above 1 causes a limit cycle at the torque limit.
 
-A prismatic joint gets the drive of a revolute joint behind a pinion. Its radius r converts the speed limit of a Franka
-joint to that of the prismatic joint: a force F is the torque r F; inertia, stiffness and damping are divided by r^2.
+A prismatic joint gets the drive of a revolute joint behind a pinion, whose radius r is the speed limit of the prismatic
+joint over that of a Franka joint. A force F is the torque r F; inertia, stiffness and damping are divided by r^2.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ MAX_STIFFNESS_NM_RAD = 14000.0  # N m/rad, of a Franka arm's large joints; gears
 DAMPING_OVER_STIFFNESS_S = 12.0 / 14000.0  # s
 FRANKA_SPEED_LIMIT_RAD_S = 2.175  # rad/s, of the joint whose drive is scaled
 MAX_SHARE_OF_UNSTABLE_DAMPING = 0.25  # of the damping at which the torque loop loses its stability [-]; assumed
-# 1/s, damping over the inertia that the spring sees. At the joint's resonance the velocity feedback 2 sqrt(400 / s^2)
-# has the gain 40 m / D: twice as much damping as would just do, and as much as a Franka arm has.
+# 1/s, damping over the inertia at the spring. At the joint's resonance the velocity feedback 2 sqrt(400 / s^2) has the
+# gain 40 m / D: this is twice the smallest sufficient damping, and that of a Franka arm.
 MAX_DAMPING_RATE_PER_S = 80.0
 
 
@@ -42,7 +42,7 @@ def assumed_numbers(facts: RobotFacts) -> tuple[DriveNumber, ...]:
 
 
 def assumed_drive(facts: RobotFacts, end_effector: EndEffector, period: float) -> dict[str, list[float]]:
-    """Motor inertia, stiffness and damping per joint: published values, else scaled from a Franka arm to a stable loop.
+    """Motor inertia, stiffness and damping per joint: published, or scaled from a Franka arm for a stable loop.
 
     Args:
         facts: The robot.

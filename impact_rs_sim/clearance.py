@@ -3,14 +3,14 @@
 
 Coal, the collision library below Pinocchio, finds distances.
 
-Between two arms every link is a capsule from its joint to the next one: a coarse hull, on the safe side where a real
-link is slimmer. Against support and ground a link has its simple shapes (:mod:`impact_rs_sim.robots.link_shapes`), the
-end effector its tube, and the pad its box.
+Between two arms every link is a capsule from its joint to the next one: a coarse, conservative hull. Against support
+and ground a link has its simple shapes (:mod:`impact_rs_sim.robots.link_shapes`), the end effector its tube, and the
+pad its box.
 
-A scenario does not say where its table ends: arms stand in it, and pads that grab come from beside it. What is certain
-is the part below the object, from where it stands to where it is pushed, and a rim around it. The ground is the plane
-z = 0 of A, or lower where a base or the support is. Links next to the base that overlap the ground in every sampled
-pose are the mounting, and no collision.
+A scenario does not state where its table ends: arms may be mounted inside its extent, and pads that grab may come from
+beside it. Certain is only the part below the object, from its start to the end of the push, with a rim around it. The
+ground is the plane z = 0 of A, or lower if a base or the support is lower. Links next to the base that overlap the
+ground in every sampled pose are part of the mounting, not a collision.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import TIP, RobotModel
 from impact_rs_sim.scene import BodyState
 
-LINK_RADIUS_M = 0.06  # of the capsule around a link; coarse, on the safe side of the shipped arms
+LINK_RADIUS_M = 0.06  # of the capsule around a link; conservative for the shipped arms
 MIN_LINK_LENGTH_M = 1e-6  # joints with a common origin have no link between them
 MAX_ROUNDING_OVERLAP_M = 1e-6  # a smaller overlap is rounding
-SUPPORT_RIM_M = 0.02  # by which a table at least extends beyond the object on it; assumed, as thick as the pads
+SUPPORT_RIM_M = 0.02  # by which a table extends at least beyond the object on it; assumed, thickness of the pads
 
 Capsule = tuple[str, coal.Capsule, coal.Transform3s]
 
@@ -80,8 +80,8 @@ def check_clearance(models: dict[str, RobotModel], positions: dict[str, Array], 
                 gap = coal.distance(shape, pose, other_shape, other_pose, coal.DistanceRequest(), coal.DistanceResult())
                 if gap < 0.0:
                     raise Infeasible(
-                        f"arms {first!r} and {second!r} collide {when}: {name} and {other_link} overlap by {-gap:.3f} m; "
-                        "move their bases apart or choose other impact poses"
+                        f"arms {first!r} and {second!r} collide {when}: {name} and {other_link} overlap by "
+                        f"{-gap:.3f} m; move their bases apart or choose other impact poses"
                     )
 
 
@@ -113,7 +113,7 @@ def deepest_penetration(
         physics: Parameters of the scene.
         name: The arm.
         positions: Joint positions along the path, ``(k, n)`` [rad].
-        object_: Where the object stands.
+        object_: Pose of the object.
         displacement: Displacement of the object on its support, in A, ``(3,)`` [m].
     """
     model, obstacles = physics.robot_model(name), _obstacles(physics, object_, displacement)

@@ -21,7 +21,7 @@ import math
 import scipy
 
 NEARLY_ELASTIC = 1.0 - 1e-4  # restitution from which the series of d v is exact to 1e-8 [-]
-MIN_RESTITUTION = 1e-3  # smallest restitution that gets a damping of its own; 0 would need an infinite one
+MIN_RESTITUTION = 1e-3  # smallest restitution with its exact damping; 0 would need an infinite damping
 
 
 def restitution_of(damping_ratio: float) -> float:
@@ -60,10 +60,8 @@ def dissipation_of(restitution: float, speed: float) -> float:
     def imbalance(product: float) -> float:
         return product * (1.0 + e) - math.log1p(product) + math.log1p(-product * e)
 
-    low, high = (
-        1.0 - e,
-        (1.0 - 1e-12) / e,
-    )  # positive after its trivial root 0, falls to -inf at 1 / e
+    # Beyond its trivial root 0 the imbalance is positive, and it falls to -inf at 1 / e.
+    low, high = 1.0 - e, (1.0 - 1e-12) / e
     if imbalance(high) > 0.0:
         return high / speed
     return float(scipy.optimize.brentq(imbalance, low, high, xtol=1e-13)) / speed

@@ -34,8 +34,8 @@ class DriveStart:
     Attributes:
         torque: tau_J, ``(n,)`` [N m].
         torque_rate: dtau_J, ``(n,)`` [N m/s].
-        earlier: Previously commanded torques, each with its time relative to the start (negative) [s]; a delayed
-            actuation still delivers them. If empty, ``torque`` was commanded at all earlier times.
+        earlier: Previous commands, time relative to the start (negative) [s] and torque [N m]; a delayed actuation
+            still delivers them. If empty, ``torque`` was commanded at all earlier times.
     """
 
     torque: Array
@@ -120,7 +120,7 @@ class Drive(_kernel.Motors):
         return np.asarray(self._shaping * (self._gain * desired + self._offset + self._load))
 
     def _delayed(self, desired: Array) -> Array:
-        """Mean of the held commands over the period that began ``delay`` ago, ``(n,)`` [N m]."""
+        """Mean of the piecewise constant commands over the period that began ``delay`` ago, ``(n,)`` [N m]."""
         commands = self._commands
         if not commands:
             commands.append((-np.inf, desired))

@@ -2,12 +2,12 @@
 """Exceptions for user errors; the message says what to change.
 
     InputError
-    +-- NotABody              mass and inertia of no body; a fit then tries a smaller step
-    +-- Infeasible            a state that arms or object cannot be in; a search tries another one
-    |   +-- UnreachablePose   no joint positions within the limits lead there
+    +-- NotABody              physically inconsistent mass and inertia; a fit then tries a smaller step
+    +-- Infeasible            an impossible state of arms or object; a search then tries another state
+    |   +-- UnreachablePose   no joint positions within the limits reach the pose
     +-- MissingPackage        a package that few files need is not installed; the command line offers to install it
 
-A class exists exactly where some caller handles the case separately.
+There is a class for every case that some caller handles separately.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def _echo(value: object) -> str:
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """``; did you mean 'x'?`` where ``name`` looks like a typing error, else nothing."""
+    """``; did you mean 'x'?`` if ``name`` looks like a typing error of a known name, else empty."""
     close = get_close_matches(name, list(known), n=1)
     return f"; did you mean {close[0]!r}?" if close else ""
 

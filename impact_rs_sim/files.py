@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Atomic file writing: a temporary file is renamed when complete, and the earlier file stays until then.
 
-An ``OSError`` on the way, a full disk for example, becomes an :class:`InputError` that names the file.
+An ``OSError`` while writing, for example of a full disk, becomes an :class:`InputError` that names the file.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def whole(path: Path) -> Iterator[Path]:
     """Temporary path for a file; renamed on success at the end of the context, replacing an earlier file.
 
     Args:
-        path: The file; its folder is made.
+        path: The file; its folder is created if missing.
     """
     aside = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
@@ -53,7 +53,7 @@ def whole_folder(directory: Path) -> Iterator[Path]:
     """Temporary folder for files that belong together; moved into their folder on success at the end of the context.
 
     Args:
-        directory: Their folder; it is made, and what else is in there stays.
+        directory: Their folder; it is created if missing, and other files in it stay.
     """
     aside = directory / f".{os.getpid()}.partial"
     try:

@@ -6,16 +6,16 @@
 Without the resistance r, ddq comes from the articulated-body algorithm of Pinocchio (Featherstone 2008, sec. 7.3), with
 B as its armature. The elasticity of the transmissions is left out: it acts at tens of Hz, above the motion of an arm.
 
-Dry friction changes its sign within some mrad/s, which an explicit method resolves with tiny steps only. The step h is
-therefore that of ARS(2,2,2) (Ascher, Ruuth, Spiteri 1997): of second order, implicit and L-stable in r alone. With
-a(q, dq) the acceleration without r, g = 1 - 1 / sqrt(2) and d = 1 - 1 / (2 g):
+Dry friction changes its sign within some mrad/s, which an explicit method resolves with tiny steps only. So steps are
+those of ARS(2,2,2) (Ascher, Ruuth, Spiteri 1997), a second-order method that is implicit and L-stable in r alone. With
+a(q, dq) the acceleration without r, the step h, g = 1 - 1 / sqrt(2) and d = 1 - 1 / (2 g):
 
     q_2 = q + g h dq                          dq_2 = dq + g h (a_1 + b_2)
     q'  = q + h (d dq + (1 - d) dq_2)         dq'  = dq + h (d a_1 + (1 - d) a_2 + (1 - g) b_2 + g b')
 
 with b = (M + B)^-1 r at the state of its own stage. Friction that grows with the speed has a potential, so that dq of a
 stage is the minimum of a convex function. Newton's method with a line search finds it (Nocedal and Wright 2006, ch. 3).
-Servos that drive the joints are a part of r as well: their damping is implicit, their stiffness that of the stage.
+Servos of the joints are part of r as well: their damping is implicit, and their stiffness acts at the q of the stage.
 """
 
 from __future__ import annotations
@@ -36,9 +36,11 @@ Servo = Callable[[Array, Array, Array], Array]  # torque of servos at times (S,)
 
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
 DELTA = 1.0 - 0.5 / GAMMA
-MAX_NEWTON_STEPS = 20  # of a stage; two are usual, and ten where a joint turns round
+MAX_NEWTON_STEPS = 20  # of a stage; two are usual, ten at a reversal of a joint
 MAX_VELOCITY_ERROR = 1e-6  # rad/s, m/s, of a stage
-MAX_SLOPE_RATIO = 0.5  # slope of the function at the end of a step over that at its begin; beyond, the step is shorter
+MAX_SLOPE_RATIO = (
+    0.5  # slope of the function at the end of a Newton step over its start; above it the step is shortened
+)
 SLOPE_CHANGE = 1e-6  # rad/s, m/s, for the slope of the resistance by differences
 
 
@@ -70,13 +72,13 @@ class ForwardDynamics:
             velocity: dq of the starts, ``(S, n)`` [rad/s].
             torque: Mean driving torque of every step, ``(K, S, n)`` [N m].
             step: Duration of a step h [s].
-            servo: Torque of servos by time and state, which falls with the velocity; None: there are none.
+            servo: Torque of servos by time and state, which falls with the velocity; None: no servos.
         """
         q, dq, slowed = [position], [velocity], np.zeros_like(velocity)
         for number, driving in enumerate(torque):
-            *state, slowed = self._step(time + number * step, q[-1], dq[-1], driving, step, slowed, servo)
-            q.append(state[0])
-            dq.append(state[1])
+            position, velocity, slowed = self._step(time + number * step, q[-1], dq[-1], driving, step, slowed, servo)
+            q.append(position)
+            dq.append(velocity)
         return np.array(q), np.array(dq)
 
     def acceleration(self, position: Array, velocity: Array, torque: Array) -> Array:

@@ -15,7 +15,7 @@ def lazy_names(package: str, modules: Mapping[str, Sequence[str]]) -> Callable[[
     """``__getattr__`` of a package.
 
     Args:
-        package: Its ``__name__``.
+        package: ``__name__`` of the package.
         modules: Names by module, relative to the package.
     """
     module_of_name = {name: module for module, names in modules.items() for name in names}

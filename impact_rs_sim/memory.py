@@ -10,8 +10,8 @@ for any h:
 
     z_1 = u_1 - (u_1 - u_0) (1 - exp(-r)) / r + (z_0 - u_0) exp(-r),    r = h (1/T_0 + 1/T_1) / 2
 
-so that z lags by T at any sampling, equals u for T = 0, and is constant for an infinite T. The first evaluation has z =
-u (steady state before the start), or a given initial value. ``src/twin_formula.cpp`` takes the same step.
+so that z lags by T at any sampling, equals u for T = 0, and is constant for an infinite T. At the first evaluation
+z = u (steady state before the start), or a given initial value. ``src/twin_formula.cpp`` takes the same step.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ class Memory:
         """Output of a lag after a step to ``time`` [s]; a repeated call at the same time returns the same value.
 
         Args:
-            key: Which one.
-            time: Now [s].
-            value: u now.
-            constant: T [s].
+            key: Identifies the lag.
+            time: Present time [s].
+            value: Present u.
+            constant: Present T [s].
             start: z at the first evaluation; None: u.
         """
         rate = float(_rate(constant))
@@ -61,10 +61,10 @@ def lag_along(time: Array, value: Any, constant: Any, start: Any = None) -> Arra
     """Output of a lag along increasing times, ``(k,)``.
 
     Args:
-        time: When they are, ``(k,)`` [s].
+        time: Times, ``(k,)`` [s].
         value: u, a number or ``(k,)``.
         constant: T, a number or ``(k,)`` [s].
-        start: z at the first sample, a number, or ``(k,)`` of which the first counts; None: u.
+        start: z at the first sample, a number, or ``(k,)`` of which the first is used; None: u.
     """
     u = np.broadcast_to(np.asarray(value, dtype=float), time.shape)
     rate = np.broadcast_to(_rate(constant), time.shape)

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Model files: estimated effects, on top of the nominal values of a scenario.
 
-A model is a list of effects with their parameters. Adding an effect writes a new file that names its parent, so the way
-from the nominal model to the present one can be read back (``impact-rs history``).
+A model is a list of effects with their parameters. Adding an effect writes a new file that names its parent, so the
+history of a model since the nominal one can be read back (``impact-rs history``).
 
-A file says nothing about the robot. Where an effect has a parameter per joint the file names joints 1 to n, and the
-model fits arms with n joints that turn or slide as the units say; without such an effect it fits any arm. Where
-``arms`` names arms with parameters of their own, an effect of arms may have one set for each (``coulomb_left_joint1``),
-and fits arms of these names.
+A file does not name a robot. With a parameter per joint it names joints 1 to n, and the model fits arms with n joints
+of the types that the units imply; without such an effect it fits any arm. If ``arms`` names arms with separate
+parameters, an effect of arms may have one set for each (``coulomb_left_joint1``), and the model fits arms of these
+names.
 """
 
 from __future__ import annotations
@@ -34,9 +34,7 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import Array, JointType
 from impact_rs_sim.schema import Schema, load, parse_yaml, validate
 
-PRISMATIC_ONLY_UNITS = {
-    unit for unit, _ in PRISMATIC_UNITS.values()
-}  # no parameter of a revolute joint has one of these units
+PRISMATIC_ONLY_UNITS = {unit for unit, _ in PRISMATIC_UNITS.values()}  # never units of a revolute joint's parameters
 
 
 class ParameterValue(Schema):
@@ -54,7 +52,7 @@ class ModelEffect(Schema):
     parameters: dict[str, ParameterValue] = Field(description="its parameters")
 
     def vector(self, scalars: Sequence[Parameter]) -> Array:
-        """Estimates of the scalars of the effect, ``(p,)``; nominal where one with a prior is missing."""
+        """Estimates of the scalars of the effect, ``(p,)``; a missing scalar with a prior is nominal."""
         estimates = self.parameters
         return np.array([estimates[s.name].estimate if s.name in estimates else s.nominal for s in scalars])
 
@@ -75,7 +73,7 @@ class Model(Schema):
 
     @property
     def known_effects(self) -> dict[str, Effect]:
-        """The library and this model's own formulas, by name; those of arms for each where arms have their own."""
+        """Effects of the library and of this model's formulas, by name; with parameters per arm if ``arms`` is set."""
         return {name: of_each(effect, self.arms) for name, effect in self._shared_effects.items()}
 
     @property
@@ -104,10 +102,10 @@ class Model(Schema):
         return hashlib.sha256(content.encode()).hexdigest()[:16]
 
     def apply(self, physics: Physics) -> Physics:
-        """Nominal physics with every effect of the model; where there is no arm, without those of its joints.
+        """Nominal physics with every effect of the model; in a scene without arms, effects of joints are skipped.
 
         Raises:
-            InputError: The model is for arms with another number of joints, or for others than are here.
+            InputError: The model is for arms with another number or other types of joints.
         """
         for item in self.effects:
             effect = self.effect_of(item)
@@ -131,7 +129,7 @@ class Model(Schema):
 
     def with_effect(self, item: ModelEffect, name: str, parent: str, formulas: tuple[FormulaSpec, ...] = ()) -> Model:
         """Child model with one more effect, or with a new estimate of an existing effect, in its place."""
-        effects = {effect.name: effect for effect in (*self.effects, item)}  # a name keeps its first place
+        effects = {effect.name: effect for effect in (*self.effects, item)}  # a name keeps its first position
         all_formulas = {spec.name: spec for spec in (*self.formulas, *formulas)}
         return Model(
             name=name,
@@ -145,9 +143,9 @@ class Model(Schema):
 
 
 def _joint_count(effect: Effect, item: ModelEffect) -> int | None:
-    """Largest joint number in the parameters of an effect, 1 without any; None without shared parameters per joint.
+    """Number of joints in the parameters of an effect, at least 1; None without shared parameters per joint.
 
-    One more where the last joint has no parameter, as of shafts of two neighbouring joints.
+    It is the largest joint number, plus 1 if the last joint has no parameter (shafts of two neighbouring joints).
     """
     if isinstance(effect, EachArm):
         return None
@@ -162,7 +160,7 @@ def _joint_count(effect: Effect, item: ModelEffect) -> int | None:
 
 
 def _joints(effect: Effect, item: ModelEffect) -> Joints:
-    """Types of the joints named by an effect, from the units of its parameters; revolute where these are open."""
+    """Types of the joints named by an effect, from the units of its parameters; revolute if these do not decide."""
     count = _joint_count(effect, item) or 0
     sliding: JointType = "prismatic"
     slides = {

@@ -10,19 +10,19 @@ from pathlib import Path
 
 from impact_rs_sim.errors import MissingPackage
 
-EXPORT_EXTRA_SIZE = "0.2 GB on disk"  # of all of it, most of it of pyarrow
+EXPORT_EXTRA_SIZE = "0.2 GB on disk"  # of all packages of the extra, mostly pyarrow
 
 
 def require(package: str, path: Path, distribution: str = "") -> None:
     """Check that a package of the extra ``export`` is installed.
 
     Args:
-        package: Its name, for example ``pyarrow``.
+        package: Name of the package, for example ``pyarrow``.
         path: The file that needs it.
-        distribution: Name under which pip installs it; empty: that of the package.
+        distribution: Name of the distribution for pip; empty: the name of the package.
 
     Raises:
-        MissingPackage: It is not.
+        MissingPackage: The package is not installed.
     """
     if find_spec(package) is None:
         command = shlex.join(installer() or ["pip", "install", distribution or package])
@@ -32,6 +32,6 @@ def require(package: str, path: Path, distribution: str = "") -> None:
 
 
 def installer() -> list[str] | None:
-    """The command that installs the extra ``export``; None: this environment was not made by ``./run``."""
+    """The command that installs the extra ``export``; None: ``./run`` did not create this environment."""
     run = os.environ.get("IMPACT_RS_RUN")
     return None if run is None else [run, "sync", "export"]

@@ -8,10 +8,10 @@ from pathlib import Path
 
 
 def _candidates() -> Iterator[Path]:
-    """Yield the places that may hold the configuration files, the most specific first."""
+    """Folders that may hold the configuration files, the most specific first."""
     if override := os.environ.get("IMPACT_RS_CONFIG"):
         yield Path(override)
-        return  # a user who names a place wants that one or an error
+        return  # a folder that the user names is the only one: without it there must be an error
     yield Path(__file__).resolve().parent.parent / "config"
     yield Path(sys.prefix) / "share" / "impact_rs" / "config"
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
@@ -22,12 +22,11 @@ def _candidates() -> Iterator[Path]:
 def config_directory() -> Path:
     """Return the folder of scenarios, models, robots and node parameters.
 
-    Looks at the environment variable ``IMPACT_RS_CONFIG`` (alone, if it is set), then at the
-    source tree that this module lies in, at the Python environment's ``share/impact_rs/config``
-    and at every prefix in ``AMENT_PREFIX_PATH``.
+    Candidates are the environment variable ``IMPACT_RS_CONFIG`` (alone, if it is set), the source tree of this module,
+    ``share/impact_rs/config`` of the Python environment, and all prefixes in ``AMENT_PREFIX_PATH``.
 
     Raises:
-        FileNotFoundError: No such folder exists; the message lists where it was looked for.
+        FileNotFoundError: No such folder exists; the message lists the candidates.
     """
     searched = []
     for candidate in _candidates():

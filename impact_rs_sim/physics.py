@@ -2,7 +2,7 @@
 """Physical parameters of a plant, a twin or an impact map.
 
 A :class:`Physics` holds all physical parameters of a scene. The nominal one follows from scenario and object; an effect
-maps one to another. Nothing else carries physical parameters, so every effect that a plant can hide can be modelled.
+maps one to another. There are no other physical parameters, so every effect that a plant can hide can be modelled.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from impact_rs_sim.twist_readings import TwistReadings
 
 MOTOR_INERTIA_MODELS = ("reduced", "rotor", "zero")
 RESTITUTION_LAWS = ("newton", "poisson")
-# Width of dry friction at a reversal that no effect widens: sharp against the speeds of a motion, and smooth against
-# the change of a motor's velocity within one period of its torque loop. A prismatic joint has it behind a pinion.
+# Width of dry friction at a reversal without an effect: small against the speeds of a motion, and large against the
+# change of a motor's velocity in one period of its torque loop. A prismatic joint has it behind a pinion.
 SHARP_WIDTH_RAD_S = 0.005
 
 
 @dataclass(frozen=True)
 class ShaftFriction:
-    """Friction of shafts that turn with two neighbouring joints, as the last one of a wrist behind a bevel gear.
+    """Friction of shafts that turn with two neighbouring joints, such as the last shaft of a wrist with a bevel gear.
 
     Attributes:
         coulomb: F_c of the shaft of joints i and i + 1, ``(n - 1,)`` [N m].
-        viscous: F_v, likewise [N m s/rad].
+        viscous: F_v of the shaft of joints i and i + 1, ``(n - 1,)`` [N m s/rad].
         ratio: r, turns of the shaft with joint i + 1 over those with joint i [-].
     """
 
@@ -89,8 +89,8 @@ class JointFriction:
         sigmoid: Friction identified by Gaz et al. 2019, added to the above.
         smoothing: Width v_r of a reversal, where dry friction has turned by tanh(1) = 76 %, of all joints or of each,
             ``(n,)`` [rad/s].
-        asymmetry: Half of friction forward minus backward a, ``(n,)`` [N m]; None: none.
-        load: Friction over transmitted torque k, ``(n,)`` [-]; None: none.
+        asymmetry: a, half the difference of forward and backward friction, ``(n,)`` [N m]; None: 0.
+        load: k, friction over transmitted torque, ``(n,)`` [-]; None: 0.
         shafts: Shafts that turn with two joints.
     """
 
@@ -106,7 +106,7 @@ class JointFriction:
 
     @staticmethod
     def none(joints: int | Sequence[JointType]) -> JointFriction:
-        """No friction, of joints of these types, or of a number of revolute joints."""
+        """No friction, for joints of these types or for a number of revolute joints."""
         zero = np.zeros(joints if isinstance(joints, int) else len(joints))
         travel = np.ones_like(zero) if isinstance(joints, int) else travel_per_rad(joints)
         return JointFriction(zero, zero, zero, 0.05 * travel, smoothing=SHARP_WIDTH_RAD_S * travel)
@@ -149,7 +149,7 @@ class JointFriction:
 
 @dataclass(frozen=True)
 class LoadState:
-    """Arguments of a :class:`Load`; of one that is ``vectorised`` all arrays may have an axis of samples in front.
+    """Arguments of a :class:`Load`; for a vectorised load, arrays may have an axis of samples in front.
 
     Attributes:
         time: Time since the start of the trial [s].
@@ -157,10 +157,10 @@ class LoadState:
         joint_velocity: dq, ``(n,)`` [rad/s].
         position: Origin of frame E in A, ``(3,)`` [m].
         velocity: Its velocity, ``(3,)`` [m/s].
-        impact_position: Where E is at the nominal impact, ``(3,)`` [m].
-        joint_torque: tau_J, ``(n,)`` [N m]; None: not known, and 0 in formulas.
-        scene: Symbols of object and contact by name, in SI units; those that are missing are 0.
-        memory: Of the arm's loads in this simulation; None: there is none, or there are samples.
+        impact_position: Position of E at the nominal impact, ``(3,)`` [m].
+        joint_torque: tau_J, ``(n,)`` [N m]; None: unknown, and 0 in formulas.
+        scene: Symbols of object and contact by name, in SI units; missing symbols are 0.
+        memory: Memory of the arm's loads in this simulation; None: a single state, or samples along time.
     """
 
     time: float | Array
@@ -200,11 +200,11 @@ class ObjectLoad(ABC):
 
     @abstractmethod
     def wrench(self, scene: Mapping[str, float], memory: Memory) -> Array:
-        """Force at the middle of the object and moment, axes of A, ``(6,)`` [N, N m].
+        """Force at the centre of the object and moment, axes of A, ``(6,)`` [N, N m].
 
         Args:
             scene: Symbols of time and object by name, in SI units.
-            memory: Of the loads on the object in this simulation.
+            memory: Memory of the loads on the object in this simulation.
         """
 
     @abstractmethod
@@ -217,9 +217,9 @@ class Load:
 
     Attributes:
         touches: Whether it acts between pad and object.
-        remembers: Whether that load has memory; it is then evaluated without contact as well.
+        remembers: Whether its load between pad and object has memory; it is then evaluated without contact as well.
         reads_scene: Whether it depends on :attr:`LoadState.scene`.
-        vectorised: Whether it takes many samples at once; if not, it is called for each.
+        vectorised: Whether it takes many samples at once; if not, it is called for every sample.
     """
 
     @property
@@ -267,11 +267,11 @@ class ContactCondition:
         closing: Closing speed of the points, ``(m,)`` [m/s].
         slip: Sliding speed of the points, ``(m,)`` [m/s].
         friction: Coulomb coefficient, ``(m,)`` [-].
-        restitution: Of the normal velocity, ``(m,)`` [-].
-        tangential_restitution: Of the sliding velocity, ``(m,)`` [-].
-        drilling_arm: Moment about the normal over the normal impulse, at most, ``(m,)`` [m].
-        rolling_arm: Moment across the normal, likewise, ``(m,)`` [m].
-        spin_restitution: Of the angular velocity about the normal, ``(m,)`` [-].
+        restitution: Restitution of the normal velocity, ``(m,)`` [-].
+        tangential_restitution: Restitution of the sliding velocity, ``(m,)`` [-].
+        drilling_arm: Largest angular impulse about the normal over the normal impulse, ``(m,)`` [m].
+        rolling_arm: Largest angular impulse across the normal over the normal impulse, ``(m,)`` [m].
+        spin_restitution: Restitution of the angular velocity about the normal, ``(m,)`` [-].
     """
 
     closing: Array
@@ -289,7 +289,7 @@ class ContactLaw(ABC):
 
     @abstractmethod
     def apply(self, contact: ContactCondition) -> ContactCondition:
-        """The contact with this law; coefficients may leave their ranges, which are kept in the end."""
+        """The contact with this law; coefficients are limited to their ranges after the last law."""
 
 
 @dataclass(frozen=True)
@@ -299,7 +299,7 @@ class ArmPhysics:
     Attributes:
         facts: Kinematics, link inertials and limits.
         base: Placement of the base in A.
-        end_effector: End effector with everything that is fixed to it.
+        end_effector: End effector, including everything fixed to it.
         motor_inertia_rotor: B_rho, ``(n,)`` [kg m^2].
         motor_inertia_reduced: B_theta that the torque loop aims at, ``(n,)`` [kg m^2].
         stiffness: K, ``(n,)`` [N m/rad].
@@ -310,16 +310,16 @@ class ArmPhysics:
         actuation_delay: Delay of the desired torque [s].
         pad_stiffness: Stiffness of the whole pad face [N/m]; None: rigid.
         pad_damping: Damping of the whole pad face [N s/m].
-        impact_position: Where frame E is at the nominal impact, ``(3,)`` [m].
-        pad_mobility: Velocity of E along the pad's axis per impulse there, n^T J (M + B_theta)^-1 J^T n, where the
-            scenario looks for the impact pose [1/kg]; 0: the arm does not give way.
-        loads: What else acts on links and motors.
-        pad_shear_compliance: Yield of the pad along its face per friction force, back when it ends [m/N].
-        pad_creep: Speed at which a pad that sticks is dragged along its face, per friction force [m/(s N)].
+        impact_position: Position of frame E at the nominal impact, ``(3,)`` [m].
+        pad_mobility: Velocity of E along the pad's axis per impulse there, n^T J (M + B_theta)^-1 J^T n, at the joint
+            guess or the given joints of the scenario [1/kg]; 0: the arm does not give way.
+        loads: Further loads on links and motors.
+        pad_shear_compliance: Elastic displacement of the pad along its face per friction force [m/N].
+        pad_creep: Speed of creep of a sticking pad along its face, per friction force [m/(s N)].
         readings: Sensor models of the arm.
         tool_spring: Spring and damper between flange and pad; None: the tool is rigid.
         hands: End effectors of the further hands of a tree, by name.
-        assumed: What of the numbers of the scenario and of the facts is assumed, in words; no part of the physics.
+        assumed: Assumptions in scenario and facts, in words; no part of the physics.
     """
 
     facts: RobotFacts
@@ -356,19 +356,20 @@ class ArmPhysics:
     def pad_restitution(self, object_: ObjectPhysics) -> float:
         """Coefficient of restitution of a central pad impact on an object; 0 for a rigid pad [-].
 
-        Spring and damper of the pad part when their force is 0 (:mod:`impact_rs_sim.damping_of_restitution`).
+        Pad and object separate when the force of spring and damper is 0
+        (:mod:`impact_rs_sim.damping_of_restitution`).
         """
         critical = self._critical_damping(object_)
         return restitution_of(self.pad_damping / critical) if critical else 0.0
 
     def pad_damping_of(self, restitution: float, object_: ObjectPhysics) -> float:
-        """Damping with which :meth:`pad_restitution` is ``restitution`` [N s/m]; of a rigid pad 0."""
+        """Damping with which :meth:`pad_restitution` is ``restitution`` [N s/m]; 0 for a rigid pad."""
         return self._critical_damping(object_) * damping_ratio_of(restitution)
 
     def _critical_damping(self, object_: ObjectPhysics) -> float:
-        """Damping of the face that is critical where the object touches [N s/m]; 0 for a rigid pad.
+        """Critical damping of the whole face for the part that the object touches [N s/m]; 0 for a rigid pad.
 
-        With the reduced mass m of arm and object, and a share s of stiffness and damping of the face (k, d) in
+        With the reduced mass m of arm and object, and the share s of stiffness and damping of the face (k, d) in
         contact, s d = 2 sqrt(s k m).
         """
         whole = 2.0 * math.sqrt((self.pad_stiffness or 0.0) / (self.pad_mobility + 1.0 / object_.mass))
@@ -379,7 +380,7 @@ class ArmPhysics:
         """Torques of all loads.
 
         Args:
-            state: Of the arm; its arrays may have an axis of k samples in front.
+            state: State of the arm; its arrays may have an axis of k samples in front.
             jacobian: Linear part of J(q) of frame E in E[A], ``(3, n)`` or ``(k, 3, n)``.
 
         Returns:
@@ -425,13 +426,13 @@ class ObjectPhysics:
     """A rigid convex body, whose principal axes of inertia are its own x, y, z.
 
     Attributes:
-        mass: Mass [kg]; infinite where it is fixed to the world, as a wall.
+        mass: Mass [kg]; infinite for a fixed object, such as a wall.
         size: Extent along its own x, y, z, ``(3,)`` [m].
-        inertia: Principal moments about the centre of mass, ``(3,)`` [kg m^2]; infinite likewise.
+        inertia: Principal moments about the centre of mass, ``(3,)`` [kg m^2]; infinite for a fixed object.
         com_offset: Centre of mass from the geometric centre, in axes of the object, ``(3,)`` [m].
         shape: Its shape.
-        freedom: Twist of its centre in its own axes per velocity that a hinge or slide leaves it, ``(6, d)``; None: it
-            is free, or fixed.
+        freedom: Twist of its centre in its own axes per velocity along its hinge or slide, ``(6, d)``; None: it is free
+            or fixed.
     """
 
     mass: float
@@ -455,7 +456,7 @@ class ObjectPhysics:
 
     @property
     def guide(self) -> Array | None:
-        """Twist of its centre in its own axes at unit speed of hinge or slide, ``(6,)``; None: there is neither."""
+        """Twist of its centre in its own axes at unit speed of hinge or slide, ``(6,)``; None: it has neither."""
         return None if self.freedom is None else self.freedom[:, 0]
 
     def freedom_at(self, rotation: Array) -> Array | None:
@@ -493,7 +494,7 @@ class ObjectPhysics:
         return float(momentum) / self.guided_inertia
 
     def check_free(self, consumer: str) -> None:
-        """Refuse an object on a hinge or slide, for ``what`` takes free and fixed ones.
+        """Refuse an object on a hinge or slide, because ``consumer`` takes free and fixed objects.
 
         Raises:
             InputError: It has a hinge or slide.
@@ -508,9 +509,9 @@ class ObjectPhysics:
 
     @property
     def pad_share(self) -> float:
-        """Share of stiffness and damping of a pad's face that the object loads where it hits it squarely [-].
+        """Share of stiffness and damping of a pad's face that the object loads in a square hit [-].
 
-        A quarter for each of up to four contact points: a ball touches with one, a line with two.
+        A quarter for each of up to four contact points: a ball touches at one point, a cylinder along a line at two.
         """
         return {"sphere": 0.25, "capsule": 0.5, "cylinder": 0.5}.get(self.shape.kind, 1.0)
 
@@ -558,26 +559,26 @@ class Physics:
     Attributes:
         arms: Arms by name.
         object: The manipulated object.
-        support_height: Height of the support's surface [m]; None: no support, as of an object that is fixed or guided.
+        support_height: Height of the support's surface [m]; None: no support, for a fixed or guided object.
         support_size: Extent of the support along x and y [m].
         support_friction: Friction between object and support [-].
         pad_friction: Friction between pad and object [-].
         restitution: Restitution of the rigid impact map [-].
-        bounce: Newton restitution that a single impact has beyond ``restitution`` [-]. A pad that keeps pushing ends a
-            series of bounces where one inelastic impact ends, so the map of a whole push knows ``restitution`` alone;
-            that of one measured impact (:mod:`impact_rs_sim.impact_map.measured`) knows the sum.
+        bounce: Newton restitution of a single impact beyond ``restitution`` [-]. Under a constant push, a series of
+            bounces has the same end as one inelastic impact, so the map of a whole push uses ``restitution`` only; the
+            map of a single measured impact (:mod:`impact_rs_sim.impact_map.measured`) uses the sum.
         gravity: Acceleration of gravity in A, ``(3,)`` [m/s^2].
-        support_compliance: Yield of the support per load on it, from where the object stands by its own weight [m/N];
-            0: rigid. ``support_height`` is the surface below the object that stands on it.
-        rolling_arm: Lever of the moment that resists rolling, over the normal force: |M| <= rolling_arm N [m].
-        restitution_law: Whose restitution the rigid impact map has, ``newton`` or ``poisson``.
-        contact_laws: Further laws of the contact points of a single measured impact, in the order in which they act.
-        object_loads: What else acts on the object, and between it and the support.
-        circumstances: Under which it was measured, numbers and names of levels by covariate; an effect may depend on
-            them (:mod:`impact_rs_sim.effects.depending`).
+        support_compliance: Displacement of the support per additional load [m/N]; 0: rigid. ``support_height`` is the
+            height of its surface under the weight of the object.
+        rolling_arm: Largest moment that resists rolling over the normal force: |M| <= rolling_arm N [m].
+        restitution_law: Law of restitution of the rigid impact map, ``newton`` or ``poisson``.
+        contact_laws: Further laws of the contact points of a single measured impact, in order.
+        object_loads: Further loads on the object, and between object and support.
+        circumstances: Circumstances of the measurement, numbers or names of levels by covariate; an effect may depend
+            on them (:mod:`impact_rs_sim.effects.depending`).
         twist_readings: Sensor model of the twist of a body at a single impact.
         tracker: Sensor model of the object tracker.
-        neighbours: Further objects that the first one hits, and where they stand beside it before the first impact.
+        neighbours: Further objects that the first one hits, with their poses beside it before the first impact.
         object_friction: Friction between objects [-].
     """
 
@@ -664,14 +665,14 @@ class Physics:
         )
 
     def friction_of(self, partner: str) -> float:
-        """Coulomb coefficient of an object against an arm's pad, the support (``support``) or an object before it."""
+        """Coulomb coefficient between an object and an arm's pad, the support (``support``) or an earlier object."""
         if partner == "support":
             return self.support_friction
         return self.object_friction if partner in self.bodies else self.pad_friction
 
     @property
     def pads(self) -> dict[str, PadOnRobot]:
-        """All pads: of every arm under its name, and then of its further hands under theirs."""
+        """All pads by name: that of the arm, then those of its further hands."""
         return {
             hand or name: PadOnRobot(name, hand, tool)
             for name, arm in self.arms.items()
@@ -685,7 +686,7 @@ class Physics:
 
     @property
     def moved_mass(self) -> float:
-        """Mass of the objects that the first one pushes along, and its own [kg]."""
+        """Mass of the object and its neighbours [kg]."""
         return self.object.mass + sum(neighbour.body.mass for neighbour in self.neighbours)
 
     @property
@@ -765,7 +766,7 @@ class Physics:
             velocity: dq, ``(n,)`` [rad/s].
             torque: tau_J, ``(n,)`` [N m]; None: not known.
             scene: Symbols of object and contact; None: there is neither.
-            memory: Of its loads in this simulation; None: a single state.
+            memory: Memory of its loads in this simulation; None: a single state.
 
         Returns:
             Torque on the links and torque on the motors, ``(n,)`` each [N m].

@@ -3,9 +3,8 @@
 
 The file holds one JSON document, replaced as a whole: the stage (``what``), the steps ``done`` of ``total``, start and
 last update of the stage (``since``, ``at``, seconds of the wall clock), and the steps done by an earlier run of the
-command (``first``). ``stages`` holds the seconds of all stages so far, by name; in those of ``empty`` nothing is
-expected to be done. While explanations are compared, ``ranking`` holds them with their remaining error, the smallest
-first.
+command (``first``). ``stages`` holds the duration of all stages so far, by name [s]; ``empty`` names the stages without
+expected steps. While explanations are compared, ``ranking`` lists them with their remaining errors, smallest first.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ class ProgressFile:
         Args:
             what: The stage.
             done: Steps done.
-            total: Steps of the stage; None: unknown; 0: nothing is expected to be done in it.
+            total: Steps of the stage; None: unknown; 0: the stage has no steps.
         """
         if total == 0:
             self._empty.add(what)

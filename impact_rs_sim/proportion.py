@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scaling of absolute limits to the size of a robot, by dimensional analysis.
 
-Ranges of parameters, noticeable changes and relevance limits are stated for a Franka arm. Another robot has them in
-proportion: by dimensional analysis (Buckingham 1914), with the mass of its links, its reach and the time in which a
-body falls as far,
+Ranges of parameters, noticeable changes and relevance limits are stated for a Franka arm. For another robot they are
+scaled by dimensional analysis (Buckingham 1914), with the mass of its links, its reach, and the time of fall over the
+reach, all relative to the Franka arm:
 
-    m,    l,    t = sqrt(l / |g|);    a quantity in kg^a m^b s^c is larger by m^a l^b t^c
+    m,    l,    t = sqrt(l / |g|);    a quantity in kg^a m^b s^c is multiplied by m^a l^b t^c
 
-so that torques are relative to the robot's gravity torque, and verdicts do not depend on the units of mass. If the
-drives are strong for the mass of the arm, the arm is scaled as a heavier one. For free bodies the limits are stated for
-a cube of 1 kg and 0.1 m at 1 m/s.
+So torques are relative to the robot's gravity torque, and verdicts do not depend on the units of mass. An arm whose
+drives are strong for its mass is scaled as a heavier arm. For free bodies the limits are stated for a cube of 1 kg and
+0.1 m at 1 m/s.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ class Proportion:
     """Scale of a robot relative to the Franka arm, or of a free body relative to the cube above.
 
     Attributes:
-        mass: Mass of its links, or of the body [-].
-        length: Length of its reach (:func:`reach_of`), or of its radius of gyration [-].
-        time: In which a body falls as far as it reaches, or comes as far [-].
+        mass: Ratio of the masses of the links, or of the bodies [-].
+        length: Ratio of the reaches (:func:`reach_of`), or of the radii of gyration [-].
+        time: Ratio of the times of fall over the reach, or of motion over the radius of gyration [-].
     """
 
     mass: float = 1.0
@@ -67,7 +67,7 @@ class Proportion:
         return Proportion(body.mass, length, length / speed)
 
     def driven_by(self, torque: float) -> Proportion:
-        """The robot, as heavy as its largest torque [N m] says where the limits in proportion are below that."""
+        """The robot with a mass increased so that scaled limits reach its largest torque [N m]."""
         limit = FRANKA_TORQUE_NM * self.factor("N m")
         return replace(self, mass=self.mass * max(1.0, torque / limit))
 
@@ -82,7 +82,7 @@ class Proportion:
 
 
 def gyration_of(body: ObjectPhysics) -> float:
-    """Radius of gyration of a body, mean over its axes; of a fixed one that of a homogeneous box of its extents [m]."""
+    """Radius of gyration of a body, rms over its axes; for a fixed body that of a homogeneous box of its size [m]."""
     per_mass = BOX.moments(1.0, body.size) if body.fixed else body.inertia / body.mass
     return float(np.sqrt(np.mean(per_mass)))
 
@@ -100,8 +100,8 @@ def _bodies(facts: RobotFacts) -> list[Inertial]:
 def reach_of(facts: RobotFacts) -> float:
     """Reach of an arm: length of the chain from its second joint, or its floating base, to the flange [m].
 
-    Where axes and flange meet in one point, as those of a pan-tilt, the chain has no length, but the links have: the
-    reach is at least the rms distance of their mass from that joint, along the chain,
+    If axes and flange meet in one point, as in a pan-tilt unit, the chain has no length, but the links have: the reach
+    is at least the rms distance of their mass from that joint, along the chain,
 
         sum m_i (d_i + r_i)^2 / sum m_i,    r_i^2 = |c_i|^2 + tr(I_i) / (2 m_i)
 

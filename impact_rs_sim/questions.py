@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Yes/no questions of a command to the user of the page that started it, over a private socket.
 
-With ``IMPACT_RS_QUESTIONS=N`` in its environment a command has an end of that socket as file descriptor N. A question
-is one line of JSON, ``{"number": 1, "text": "May it run?"}``, and so is its answer, ``{"number": 1, "yes": true}``.
-Anything else counts as no: another number, another text, or the end of the other process.
+With ``IMPACT_RS_QUESTIONS=N`` in its environment, file descriptor N of a command is one end of that socket. A question
+is one line of JSON, ``{"number": 1, "text": "May it run?"}``, and so is its answer, ``{"number": 1, "yes": true}``. Any
+other answer means no: another number, another text, or the end of the other process.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ VARIABLE = "IMPACT_RS_QUESTIONS"
 
 
 class PageQuestions:
-    """The end of the command. The variable is taken from the environment: processes that it starts ask no one.
+    """The command's end of the socket; the variable is removed from the environment, so child processes cannot ask.
 
     Args:
         descriptor: File descriptor of a connected socket.
@@ -31,7 +31,7 @@ class PageQuestions:
 
     @classmethod
     def of_environment(cls) -> PageQuestions | None:
-        """The question channel of this process; None if no page has started it."""
+        """The question channel of this process; None if no page started it."""
         descriptor = os.environ.pop(VARIABLE, "")
         try:
             return cls(int(descriptor)) if descriptor else None
@@ -39,7 +39,7 @@ class PageQuestions:
             return None
 
     def ask(self, text: str) -> bool:
-        """Ask, and wait for the answer; False without a clear yes to this very question."""
+        """Ask, and wait for the answer; True only for a valid yes to this question."""
         self._asked += 1
         try:
             self._socket.sendall((json.dumps({"number": self._asked, "text": text}) + "\n").encode())

@@ -11,10 +11,10 @@ A prediction passes forward through the sensor models; the measured start of a r
 
     H = 1 / (1 + T1 s) / (1 + T2 s + (T2 s)^2 / 2)        low-pass of first order, and Butterworth filter of second
 
-with T2 = sqrt(2) / (2 pi f) and the cut-off f. T1, T2 and d are delays at low frequencies: both denominators are
-starts of the series of exp(T s).
+with T2 = sqrt(2) / (2 pi f) and the cut-off f. T1, T2 and d are delays at low frequencies: both denominators agree with
+the series of exp(T s) to their order.
 
-A filter acts on predictions, which have no noise. Of a measured start it is inverted to second order, with slope and
+Filters act on predictions, which have no noise. For a measured start they are inverted to second order, with slope and
 curvature of the reading (exact for a parabola; torques to first order):
 
     x(t) = x_r + L dx_r/dt + C d2x_r/dt2,       L = T1 + T2 + d,       C = (T2 + d)^2 / 2 + T1 (T2 + d)
@@ -32,7 +32,7 @@ import scipy
 
 from impact_rs_sim.robots.robot import Array
 
-Values = Array | float  # one for every joint, ``(n,)``, or the same for all
+Values = Array | float  # per joint, ``(n,)``, or one number for all joints
 Lags = tuple[float, float]  # T1 and T2 [s]
 Start = tuple[Array, Array]  # a value and its slope
 # For real signals 1 / (1 + T s + (T s)^2 / 2) is the real part of (1 - i) / (1 + c T s), with c = (1 + i) / 2.
@@ -44,7 +44,7 @@ class ArmReadings:
     """Sensor models of one arm.
 
     Attributes:
-        position_scale: s of the link encoders, which velocities are derived from as well [-].
+        position_scale: s of the link encoders, also of velocities, which are derived from them [-].
         position_offset: o of the link encoders [rad].
         motor_offset: o_m of the motor encoders [rad].
         velocity_gain: s_v [-].
@@ -52,8 +52,8 @@ class ArmReadings:
         velocity_butterworth: T2 of the filter of velocities [s].
         velocity_delay: d of velocities [s].
         torque_gain: Diagonal of G [-].
-        torque_from_previous: Share of the torque of the joint before that a sensor reads [-]; first: none.
-        torque_from_next: Share of the torque of the joint after that a sensor reads [-]; last: none.
+        torque_from_previous: Share of the torque of the previous joint in a reading; 0 for the first joint [-].
+        torque_from_next: Share of the torque of the next joint in a reading; 0 for the last joint [-].
         torque_offset: o of the torque sensors [N m].
         torque_drift: r, growth of the offset with the age of a run in its campaign [N m/s].
         torque_lag: T1 of the filter of torques [s].
@@ -87,7 +87,7 @@ class ArmReadings:
     def same_as(self, other: ArmReadings) -> bool:
         """Whether both sensor models are equal."""
         pairs = ((value, getattr(other, name)) for name, value in vars(self).items())
-        return all(value_here is value_there or np.all(value_here == value_there) for value_here, value_there in pairs)
+        return all(first is second or np.all(first == second) for first, second in pairs)
 
     @property
     def exact_motion(self) -> bool:
@@ -114,8 +114,8 @@ class ArmReadings:
         Args:
             time: Samples, ``(k,)`` [s].
             true: dq, ``(k, n)`` [rad/s].
-            first: First output of the filters [rad/s] and its slope [rad/s^2], ``(n,)`` each; None: their input has
-                been a ramp before.
+            first: First output of the filters [rad/s] and its slope [rad/s^2], ``(n,)`` each; None: steady state of a
+                ramp as input.
         """
         unfiltered = self.position_scale * self.velocity_gain * true
         return filtered(time, delayed(time, unfiltered, self.velocity_delay), self.velocity_filters, first)
@@ -136,7 +136,7 @@ class ArmReadings:
             time: Samples, ``(k,)`` [s].
             true: tau_J, ``(k, n)`` [N m].
             age: Time since the first run of the campaign [s].
-            first: First output of the filters [N m] and its slope [N m/s], ``(n,)`` each; None: as for velocities.
+            first: First output of the filters [N m] and its slope [N m/s], ``(n,)`` each; None: as in :meth:`velocity`.
         """
         if self.exact:
             return true
@@ -195,8 +195,8 @@ class TrackerReadings:
     """Sensor model of the object tracker.
 
     Attributes:
-        position: t, of A's origin in the frame that readings are taken for A [m], along x and y.
-        yaw: Rotation of A in that frame about z [rad].
+        position: t, origin of A in the frame of the readings along x and y [m].
+        yaw: Rotation of A in the frame of the readings about z [rad].
         point: c, tracked point from the object's centre, axes of the object [m], along x and y.
         delay: Delay of its timestamps [s].
         lag: T1 of its filter [s].
@@ -235,9 +235,9 @@ class TrackerReadings:
         """Readings at moments, position and quaternion x y z w, ``(m, 7)``.
 
         Args:
-            time: Samples, ``(k,)`` [s]; before the first one the object has not moved.
+            time: Times of the samples, ``(k,)`` [s]; before the first sample the object rests.
             poses: True poses, ``(k, 7)`` [m, -], quaternions without changes of sign.
-            moments: When a reading is stamped, ``(m,)`` [s].
+            moments: Time stamps of the readings, ``(m,)`` [s].
         """
         turn, shift, point = self._placed
         filtered_poses = filtered(time, poses, self.filters)
@@ -259,7 +259,7 @@ class TrackerReadings:
 
 
 def delayed(time: Array, values: Array, delay: float) -> Array:
-    """Values at ``time - delay``, ``(k, m)``; before the first sample they follow its slope."""
+    """Values at ``time - delay``, ``(k, m)``; beyond the samples they are extrapolated linearly."""
     if delay == 0.0:
         return values
     values_delayed = np.asarray(scipy.interpolate.CubicSpline(time, values)(time - delay))
@@ -270,13 +270,13 @@ def delayed(time: Array, values: Array, delay: float) -> Array:
 
 
 def filtered(time: Array, values: Array, lags: Lags, first: Start | None = None) -> Array:
-    """Output of the filters H, ``(k, m)``, with an input that is linear between samples and has been a ramp before.
+    """Output of the filters H, ``(k, m)``, with an input that is linear between samples.
 
     Args:
-        time: Samples on an even grid, ``(k,)`` [s].
+        time: Times of samples on an even grid, ``(k,)`` [s].
         values: Input, ``(k, m)``.
         lags: T1 and T2 [s].
-        first: Output at the first sample and its slope, ``(m,)`` each; None: the input has been a ramp before.
+        first: Output at the first sample and its slope, ``(m,)`` each; None: the input was a ramp before.
     """
     period = float(time[-1] - time[0]) / (time.size - 1)
     lag, butterworth = lags
@@ -284,7 +284,7 @@ def filtered(time: Array, values: Array, lags: Lags, first: Start | None = None)
         slope = _slope(time[:4], values[:4])
         first = values[0] - (lag + butterworth) * slope, slope
     start, slope = first
-    if lag > 0.0:  # a fit that ends at its bound may miss 0 by the rounding
+    if lag > 0.0:  # at its bound, a fitted lag may be negative by rounding
         values = _lagged(values, lag, period, start + butterworth * slope)
     if butterworth > 0.0:
         before = start + butterworth * slope * COMPLEX_LAG.conjugate()
@@ -328,7 +328,7 @@ class Filter:
         self._sample, self._output = -1, np.zeros(0)
 
     def __call__(self, sample: int, values: Array) -> Array:
-        """Output ``(m,)`` of one sample; the next, or the last one again. Before the first, nothing changed."""
+        """Output ``(m,)`` of the next sample, or again of the last one; before the first the input was constant."""
         if sample == self._sample:
             return self._output
         self._earlier = [*self._earlier, values][-(int(self._back) + 2) :]

@@ -8,13 +8,14 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Generic, TypeVar
 
-Made = TypeVar("Made")
+Result = TypeVar("Result")
 
-# One for all caches: to make one result may need another's, and a lock cannot be pickled with its cache.
-_turn = threading.RLock()
+# One lock for all caches, because a result of one cache may need another cache, and a lock cannot be pickled with its
+# cache.
+_lock = threading.RLock()
 
 
-class Recent(Generic[Made]):
+class Recent(Generic[Result]):
     """The most recently used results by key.
 
     Args:
@@ -23,14 +24,14 @@ class Recent(Generic[Made]):
 
     def __init__(self, most: int) -> None:
         self._most = most
-        self._kept: OrderedDict[Hashable, Made] = OrderedDict()
+        self._results: OrderedDict[Hashable, Result] = OrderedDict()
 
-    def of(self, key: Hashable, make: Callable[[], Made]) -> Made:
-        """The result for a key, made if missing; threads wait for each other."""
-        with _turn:
-            if key not in self._kept:
-                self._kept[key] = make()
-                if len(self._kept) > self._most:
-                    self._kept.popitem(last=False)
-            self._kept.move_to_end(key)
-            return self._kept[key]
+    def of(self, key: Hashable, make: Callable[[], Result]) -> Result:
+        """The result for a key, computed by ``make`` if missing; threads wait for each other."""
+        with _lock:
+            if key not in self._results:
+                self._results[key] = make()
+                if len(self._results) > self._most:
+                    self._results.popitem(last=False)
+            self._results.move_to_end(key)
+            return self._results[key]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of robot facts before anything is simulated with them.
+"""Checks of robot facts before a simulation.
 
-Each check is one line: subject, outcome and the number behind it. An error that would falsify a simulation fails; an
-unusual number is a warning.
+Each check is one line: subject, outcome and its number. An error that would falsify a simulation fails; an unusual
+number is a warning.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from impact_rs_sim.scenarios.scenario import ASSUMED_MOTOR_INERTIA, Robot, Scena
 Outcome = Literal["ok", "warning", "failed"]
 
 SAMPLED_CONFIGURATIONS = 100  # uniform within the joint limits
-SEED = 0  # of these configurations: a check gives one answer
+SEED = 0  # of these configurations, so that checks are repeatable
 MAX_ENGINE_DIFFERENCE = 1e-6  # over the largest entry of M [-]; Bullet reads parts of a URDF in single precision
-TRIANGLE_INEQUALITY_TOLERANCE = 1e-3  # by which published, rounded moments may miss the triangle inequality [-]
-MOMENT_ACCURACY = 0.02  # of published moments, over the largest one [-]: rounded, or identified
-# Of a motor of steel and copper without a gap. Shipped arms: 1,100 in the median, at most 4,540
+TRIANGLE_INEQUALITY_TOLERANCE = 1e-3  # violation of the triangle inequality by rounding of published moments [-]
+MOMENT_ACCURACY = 0.02  # of published moments (rounded, or identified), over the largest moment [-]
+# Density of a motor of steel and copper without a gap. Shipped arms: 1,100 in the median, at most 4,540.
 MAX_DENSITY_KG_M3 = 5000.0
-MIN_DENSITY_KG_M3 = 50.0  # of a hollow link: a ball of this density bounds the size of a link
+MIN_DENSITY_KG_M3 = 50.0  # of a hollow link; a ball of this density is an upper bound of the size of a link
 MAX_GYRATION_RATIO = 2.0  # radius of gyration over the length of a link; a rod has 0.29, shipped arms at most 1.2
 MAX_MASS_RATIO = 4.0  # mass of a link over the heaviest of the four next to it; shipped arms at most 2.1
 MAX_LOAD_RATIO = 3.0  # load at full reach by the torque limits over the mass of the arm; shipped arms 0.2 to 1.3
-MIN_EQUAL_LIMITS = 3  # joints of an arm; equal limits of fewer are no surprise
+MIN_EQUAL_LIMITS = 3  # joints of an arm whose equal limits are suspicious
 MOTION_VERB: dict[JointType, str] = {"revolute": "turn", "prismatic": "slide"}
 EFFORT_NOUN: dict[JointType, str] = {"revolute": "torque", "prismatic": "force"}
 SPECTRAL_RADIUS_ROUNDING = 1e-9  # without damping the spectral radius is 1 up to rounding
@@ -59,19 +59,19 @@ def check_facts(facts: RobotFacts) -> list[Check]:
     """Checks of a robot with an empty flange."""
     checks = [_check_inertias(facts), _check_bodies(facts), _check_limits(facts), *_assumed_facts(facts)]
     if any(check.outcome == "failed" for check in checks):
-        return checks  # engines treat an inconsistent body in their own ways
+        return checks  # engines differ in how they treat an inconsistent body
     if not facts.is_chain:
-        return checks  # the engines that are compared take chains
+        return checks  # Bullet takes chains only
     model = RobotModel(facts, empty_flange())
     positions = random_positions(model)
     return [*checks, _check_engines(model, positions), _check_gravity(model, positions)]
 
 
 def check_drives(facts: RobotFacts, scenario: Scenario) -> list[Check]:
-    """Checks of the drives of those arms of a scenario that are this robot, with their end effectors.
+    """Checks of the drives of all arms of a scenario with these facts, with their end effectors.
 
     Raises:
-        InputError: No arm is.
+        InputError: No arm has these facts.
     """
     checks = []
     for name, robot in scenario.robots.items():
@@ -84,7 +84,7 @@ def check_drives(facts: RobotFacts, scenario: Scenario) -> list[Check]:
 
 
 def failures_of(scenario: Scenario) -> list[Check]:
-    """Failed checks of the arms of a scenario that need no simulator: inertias, limits, drives."""
+    """Failed checks of inertias, limits and drives of the arms of a scenario; these need no simulator."""
     checks = []
     for name, robot in scenario.robots.items():
         facts_failures = failures_of_facts(robot.robot_facts)
@@ -98,7 +98,7 @@ def failures_of_facts(facts: RobotFacts) -> list[Check]:
 
 
 def empty_flange() -> EndEffector:
-    """End effector of a milligram: a body needs a mass."""
+    """End effector of one milligram, because a body needs a mass."""
     return EndEffector(
         mass=1e-6,
         com=np.zeros(3),
@@ -110,7 +110,7 @@ def empty_flange() -> EndEffector:
 
 
 def random_positions(model: RobotModel) -> Array:
-    """Joint positions within the limits, the same at every call, ``(k, n)`` [rad]."""
+    """Repeatable random joint positions within the limits, ``(k, n)`` [rad]."""
     rng = np.random.default_rng(SEED)
     limits = model.facts.limits
     ends = limits.position_min_rad, limits.position_max_rad
@@ -119,7 +119,7 @@ def random_positions(model: RobotModel) -> Array:
 
 
 def inverse_mass_matrices(model: RobotModel) -> Array:
-    """M^-1 of the joints at :func:`random_positions`, ``(k, n, n)`` [1/(kg m^2)]; a base that floats gives way."""
+    """M^-1 at :func:`random_positions`, joints only, ``(k, n, n)`` [1/(kg m^2)]; a floating base moves freely."""
     base = model.facts.base_size
     return np.linalg.inv(np.array([model.mass_matrix(q) for q in random_positions(model)]))[:, base:, base:]
 
@@ -136,7 +136,7 @@ def _label(facts: RobotFacts, number: int) -> str:
 
 
 def _check_inertias(facts: RobotFacts) -> Check:
-    """Moments of a body are positive, and none is larger than the sum of the other two."""
+    """Check that moments of inertia are positive and obey the triangle inequality."""
     name, largest_ratio, errors = "inertias are those of bodies", 0.0, []
     bodies: dict[str, Inertial] = {_label(facts, number): link for number, link in enumerate(facts.links, start=1)}
     if facts.floating_base is not None:
@@ -201,10 +201,11 @@ def _check_bodies(facts: RobotFacts) -> Check:
                 f"{label}: {', '.join(too_long)}, "
                 f"expected at most {MAX_GYRATION_RATIO:g} times the {length:.2g} m of the link"
             )
-        adjacent_masses = [*masses[max(0, number - 3) : number - 1], *masses[number : number + 2]]
-        if adjacent_masses and link.mass > MAX_MASS_RATIO * max(adjacent_masses):
+        neighbours = [*masses[max(0, number - 3) : number - 1], *masses[number : number + 2]]
+        if neighbours and link.mass > MAX_MASS_RATIO * max(neighbours):
+            masses_text = ", ".join(f"{mass:.3g}" for mass in neighbours)
             findings.append(
-                f"{label}: {link.mass:.3g} kg beside neighbours of {', '.join(f'{mass:.3g}' for mass in adjacent_masses)} kg, "
+                f"{label}: {link.mass:.3g} kg beside neighbours of {masses_text} kg, "
                 f"expected at most {MAX_MASS_RATIO:g} times the heaviest of them"
             )
     if findings:
@@ -217,15 +218,15 @@ def _check_bodies(facts: RobotFacts) -> Check:
 
 
 def density_lower_bound(mass: float, moments: Array) -> float:
-    """Lower bound of the largest density of a body, for any shape [kg/m^3].
+    """Lower bound of the largest density in a body, for any shape [kg/m^3].
 
     Among all bodies of bounded density the homogeneous ellipsoid has the smallest determinant of the second moments of
-    mass. One with principal moments I has the half axes a_i^2 = 5 (I_1 + I_2 + I_3 - 2 I_i) / (2 m), and its density m
-    / (4/3 pi a_1 a_2 a_3) is therefore the lower bound for all bodies with these moments.
+    mass. With principal moments I its half axes are a_i^2 = 5 (I_1 + I_2 + I_3 - 2 I_i) / (2 m), and its density
+    m / (4/3 pi a_1 a_2 a_3) is a lower bound for all bodies with these moments.
 
     Args:
-        mass: Its mass [kg].
-        moments: Its principal moments, ``(3,)``, taken as accurate to 2 % of the largest [kg m^2].
+        mass: Mass m [kg].
+        moments: Principal moments I, ``(3,)``, assumed accurate to 2 % of the largest [kg m^2].
     """
     second = np.maximum(np.sum(moments) / 2.0 - moments, MOMENT_ACCURACY * np.max(moments))
     return float(mass / (4.0 / 3.0 * np.pi * np.sqrt(np.prod(5.0 * second / mass))))
@@ -247,14 +248,14 @@ def _check_limits(facts: RobotFacts) -> Check:
 
 
 def _assumed_facts(facts: RobotFacts) -> list[Check]:
-    """A warning where the facts hold estimates or assumptions."""
+    """A warning if the facts hold estimates or assumptions."""
     if not facts.assumed:
         return []
     return [Check("facts are measured or published", "warning", f"assumed: {'; '.join(facts.assumed)}")]
 
 
 def _assumed_drive(arm: str, robot: Robot, stated: float) -> list[Check]:
-    """A warning where the drive holds assumptions, with the uncertainty that the scenario states of B."""
+    """A warning if the drive holds assumptions, with the stated relative uncertainty of B [-]."""
     drive = robot.drive
     if not drive.assumed:
         return []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenario x object x case, resolved: impact configuration of every arm and nominal pose of the object."""
+"""One object and case of a scenario: impact configuration of every arm and nominal pose of the object."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ MIN_HORIZONTAL_COSINE = 0.95  # between pad normal and horizontal; a steeper pad
 
 @dataclass(frozen=True)
 class ArmState:
-    """State of one arm: its joints, behind its base where that floats (:mod:`impact_rs_sim.robots.robot`).
+    """State of one arm: of a floating base, if any, and of the joints (:mod:`impact_rs_sim.robots.robot`).
 
     Attributes:
-        position: q, ``(n,)`` [rad]; with a floating base ``(7 + n,)``, its position and quaternion in front.
-        velocity: dq, ``(n,)`` [rad/s]; with a floating base v, ``(6 + n,)``, its twist in its own axes in front.
+        position: q, ``(n,)`` [rad]; with a floating base ``(7 + n,)``, beginning with its position and quaternion.
+        velocity: dq, ``(n,)`` [rad/s]; with a floating base v, ``(6 + n,)``, beginning with its twist in its own axes.
     """
 
     position: Array
@@ -35,7 +35,7 @@ class ArmState:
 
 @dataclass(frozen=True)
 class ArmMotion:
-    """Motion of the joints and motors of one arm: at a moment, ``(n,)``, or along a path, ``(k, n)``.
+    """Motion of the joints and motors of one arm: at one time, ``(n,)``, or along a path, ``(k, n)``.
 
     Attributes:
         position: q [rad].
@@ -72,12 +72,10 @@ class BodyState:
 
 
 def standing(physics: Physics, object_: BodyState) -> tuple[BodyState, ...]:
-    """Neighbours of the object (:attr:`Physics.neighbours`), at rest beside it wherever it is."""
+    """States of the neighbours (:attr:`Physics.neighbours`) at rest, for the object in any pose."""
     return tuple(
-        BodyState(
-            object_.position + object_.rotation @ neighbour.position, object_.rotation @ neighbour.rotation, np.zeros(6)
-        )
-        for neighbour in physics.neighbours
+        BodyState(object_.position + object_.rotation @ body.position, object_.rotation @ body.rotation, np.zeros(6))
+        for body in physics.neighbours
     )
 
 
@@ -98,7 +96,7 @@ def pad_twists(physics: Physics, models: Mapping[str, RobotModel], arms: Mapping
 
 @dataclass(frozen=True)
 class Scene:
-    """One object and case of a scenario, at the nominal moment of impact.
+    """One object and case of a scenario, at the nominal impact.
 
     Attributes:
         scenario: The scenario.
@@ -119,16 +117,16 @@ class Scene:
     object: BodyState
 
     def under(self, physics: Physics) -> Scene:
-        """The same state with other physics, for example of a model."""
+        """The scene with other physics, for example of a model, in the same state."""
         return replace(self, physics=physics, models=physics.robot_models())
 
     @staticmethod
     def resolve(scenario: Scenario, object_name: str, case_name: str) -> Scene:
-        """Solve the inverse kinematics of the impact pose, where joints are not given, and place the object.
+        """Solve the inverse kinematics of the impact pose, unless joints are given, and place the object.
 
         Raises:
-            InputError: No such object or case, or a pad that given joints hold where no object can stand.
-            Infeasible: The pose cannot be reached, or a joint is beyond its limit.
+            InputError: No such object or case, or no object can stand at a pad with given joints.
+            Infeasible: The pose cannot be reached, or a joint exceeds its limit.
         """
         physics = Physics.nominal(scenario, object_name)
         case_name = scenario.case_name(case_name)
@@ -139,7 +137,7 @@ class Scene:
             model = physics.robot_model(name)
             linear = {
                 "": np.array(motion.ante_velocity),
-                **{hand_name: np.array(hand_velocity) for hand_name, hand_velocity in motion.hands.items()},
+                **{hand: np.array(velocity) for hand, velocity in motion.hands.items()},
             }
             try:
                 if robot.impact.joint_position is not None:
@@ -176,7 +174,7 @@ class Scene:
 
 
 def _impact_velocity(model: RobotModel, q: Array, linear: Mapping[str, Array], joint_1: float | None) -> Array:
-    """Smallest joint velocity with the desired velocities of the hands, no rotation, and the given joint 1.
+    """Least-norm joint velocity for the desired velocities of the pads, without rotation, and of joint 1 if given.
 
     Raises:
         UnreachablePose: No solution: too few joints, or a singular pose.
@@ -196,7 +194,7 @@ def _impact_velocity(model: RobotModel, q: Array, linear: Mapping[str, Array], j
 
 
 def _within_limits(model: RobotModel, joints: Array) -> Array:
-    """``joints`` ``(n,)``.
+    """Check ``joints`` ``(n,)`` [rad], and return them.
 
     Raises:
         UnreachablePose: A joint is beyond its limits.
@@ -213,10 +211,10 @@ def _within_limits(model: RobotModel, joints: Array) -> Array:
 
 
 def _velocity_of_given_joints(model: RobotModel, q: Array, linear: Mapping[str, Array]) -> Array:
-    """Smallest joint velocity with the desired velocities of the hands and the least rotation of them, ``(nv,)``.
+    """Least-norm joint velocity for the desired velocities of the pads with their least rotation, ``(nv,)``.
 
-    A robot with one pad whose base floats comes as a whole: the base has that velocity, in its own axes, and the joints
-    rest. With several hands the base rests, and the joints move them.
+    With a floating base and one pad, the base has the desired velocity (in its own axes) and the joints rest. With a
+    floating base and several hands, the base rests and the joints move.
 
     Raises:
         UnreachablePose: No joint velocity gives the desired velocities.
@@ -239,12 +237,12 @@ def _velocity_of_given_joints(model: RobotModel, q: Array, linear: Mapping[str, 
 
 
 def _velocities_in_words(linear: Mapping[str, Array]) -> str:
-    """Velocities of the pads with the names of their hands."""
+    """Velocities of the pads as text, with the names of the hands."""
     return " and ".join(f"{f'of {hand} ' if hand else ''}{velocity.tolist()}" for hand, velocity in linear.items())
 
 
 def resting_pose(scenario: Scenario, object_name: str) -> BodyState:
-    """Rest position of an object on the support: from the scenario, or with a face in the plane of the only pad.
+    """Rest pose of an object on the support: at ``object_position``, or with a face in the plane of the only pad.
 
     Raises:
         InputError: The scenario has no such object.
@@ -270,12 +268,12 @@ def resting_pose(scenario: Scenario, object_name: str) -> BodyState:
 
 
 def _square_to_given_pad(scenario: Scenario, name: str, pad: pin.SE3, size: Array, height: float) -> BodyState:
-    """Object on its support with the nearest face square to a pad whose pose given joints fix.
+    """Object on its support with the nearest face parallel to a pad whose pose follows from given joints.
 
     A slightly tilted pad touches with an edge: the object is placed at first contact of pad and face.
 
     Raises:
-        InputError: The pad looks up or down, or past the object.
+        InputError: The pad points up or down, or past the object.
     """
     key = f"robots.{name}.impact.joint_position"
     normal, extent = pad.rotation[:, 2], np.array(scenario.robots[name].end_effector.pad.size)
@@ -283,8 +281,8 @@ def _square_to_given_pad(scenario: Scenario, name: str, pad: pin.SE3, size: Arra
     if (share := float(np.linalg.norm(level))) < MIN_HORIZONTAL_COSINE:
         direction = "up" if normal[2] > 0.0 else "down"
         raise InputError(
-            f"the pad looks {direction} there, by {np.degrees(np.arccos(share)):.0f} degrees; objects are hit from the side, "
-            f"expected at most {np.degrees(np.arccos(MIN_HORIZONTAL_COSINE)):.0f}",
+            f"the pad looks {direction} there, by {np.degrees(np.arccos(share)):.0f} degrees; objects are hit from the "
+            f"side, expected at most {np.degrees(np.arccos(MIN_HORIZONTAL_COSINE)):.0f}",
             key=key,
         )
     level /= share

@@ -4,8 +4,8 @@
 A schema is a frozen pydantic model whose fields carry a description that ends in the unit, so that an error
 can say what was expected, and in which unit.
 
-Every function here raises :class:`InputError` for what it cannot take. The message names file, line or key, value, and
-what was expected; of several mistakes the first is spelled out.
+Every function here raises :class:`InputError` for invalid input. The message names file, line or key, value, and the
+expected value; of several mistakes the first is explained.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def _check_name(value: str, info: ValidationInfo) -> str:
     return value
 
 
-RECORDED = "recorded"  # context in which what was recorded by an earlier version is validated
+RECORDED = "recorded"  # validation context of data that an earlier version recorded
 Name = Annotated[str, AfterValidator(_check_name)]
 Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_as_tuple)]
 Vector6 = Annotated[tuple[float, float, float, float, float, float], BeforeValidator(_as_tuple)]
@@ -95,7 +95,7 @@ class _Mistake(Exception):
 
 
 class _Loader(yaml.SafeLoader):
-    """Composes nodes within limits: without references to others a text of n characters never becomes more than n."""
+    """Composes nodes within limits; without references, the size of the data is limited by that of the text."""
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
@@ -167,7 +167,7 @@ def parse_value(text: str, file: str | Path) -> Any:
         position = f" at line {mark_of_error.line + 1}, column {mark_of_error.column + 1}" if mark_of_error else ""
         problem = getattr(error, "problem", None) or str(error)
         raise InputError(f"not valid YAML{position}: {shortened(problem)}", file=file) from None
-    except Exception as error:  # the library has more of them than it says, for example of a version directive
+    except Exception as error:  # the library has undocumented exceptions, for example for a version directive
         raise InputError(f"not valid YAML: {shortened(f'{type(error).__name__}: {error}')}", file=file) from None
 
 
@@ -190,7 +190,7 @@ def load_mapping(path: str | Path) -> dict[str, Any]:
 
 
 def read_text(path: str | Path, most: int = MAX_TEXT_LENGTH) -> str:
-    """Text of a file of a user.
+    """Text of a user's file.
 
     Args:
         path: The file.
@@ -202,7 +202,7 @@ def read_text(path: str | Path, most: int = MAX_TEXT_LENGTH) -> str:
         text = data[:most].decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(f"cannot be read: no UTF-8 text, from byte {error.start} on", file=path) from None
-    except (OSError, ValueError) as error:  # ValueError: a path that is none
+    except (OSError, ValueError) as error:  # ValueError: an invalid path
         raise InputError(f"cannot be read: {getattr(error, 'strerror', None) or error}", file=path) from None
     if len(data) > most:
         raise InputError(f"is larger than {most} bytes", file=path)
@@ -231,16 +231,16 @@ def validate(schema: type[SchemaType], data: Any, file: str | Path | None, conte
 
     Args:
         schema: Schema of the data.
-        data: As :func:`parse_yaml` returns them.
-        file: Where they are from; None: not from a file.
-        context: ``RECORDED`` for what an earlier version may have written.
+        data: Parsed data, as from :func:`parse_yaml`.
+        file: Source of the data; None: not from a file.
+        context: ``RECORDED`` for data that an earlier version may have written.
     """
     try:
         return schema.model_validate(data, context=context)
     except ValidationError as error:
         raise _input_error(schema, error, file) from None
     except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError) as error:
-        # A check between keys met numbers that it cannot calculate with.
+        # A check between keys got numbers that it cannot calculate with.
         raise InputError(shortened(f"cannot be used ({type(error).__name__}: {error})"), file=file) from None
 
 

@@ -15,12 +15,12 @@ cylinder   r sqrt(d_x^2 + d_y^2) + a_z |d_z|                       r = a_x = a_y
 hull       max_i d . p_i                                           corners p_i
 =========  ======================================================  ==========================
 
-Along a normal n bodies P and O are s(n) = n . (c_O - c_P) - h_P(n) - h_O(-n) apart. Their separation, signed, is the
-largest s; negative it is the least way that parts them. It lies where features of the bodies face each other: a face
-and anything, two edges that cross, a corner and a curved wall, a rim and an edge (the separating axis theorem,
-Gottschalk et al. 1996, with curved features). The features that face each other, clipped to each other, are the contact
-points: those of a flat cap are eight points of its rim, fixed to the body, and where it is tilted by more than a
-milliradian the furthest point of its rim. Tipping about a direction between two of the eight begins up to 8 % early.
+Along a normal n the distance of bodies P and O is s(n) = n . (c_O - c_P) - h_P(n) - h_O(-n). Their signed separation is
+the largest s; if it is negative, its magnitude is the shortest translation that separates them. It lies at features of
+the bodies that face each other: a face and any feature, two crossing edges, a corner and a curved wall, a rim and an
+edge (the separating axis theorem, Gottschalk et al. 1996, with curved features). These features, clipped to each other,
+give the contact points: of a flat cap eight points of its rim, fixed to the body, or the furthest point of its rim if
+it is tilted by more than a milliradian. Tipping about a direction between two of the eight begins up to 8 % early.
 
 ``src/shapes.cpp`` finds them; two boxes have their own routine (``src/boxes.cpp``).
 """
@@ -50,9 +50,9 @@ class ConvexShape:
     """Shape of a body, up to its extents.
 
     Attributes:
-        kind: Which one.
+        kind: Kind of the shape.
         corners: Corners of a hull, from the middle of its bounding box [m].
-        faces: Faces of a hull: numbers of their corners in order, seen from outside anticlockwise.
+        faces: Faces of a hull: corner numbers, anticlockwise seen from outside.
     """
 
     kind: Kind = "box"
@@ -86,10 +86,10 @@ class ConvexShape:
         return np.asarray(half[0] * across + length * along[..., 2])
 
     def first_points(self, size: Array, direction: Array, tolerance: float = 0.0) -> Array:
-        """Points that may come first to a plane, or next, ``(k, 3)`` [m].
+        """Candidates for the points that touch a plane first, ``(k, 3)`` [m].
 
-        Corners; of a round body those of its section through axis and direction, because along a rim the height is a
-        cosine. Where the whole rim of a cylinder is as low up to a tolerance, eight points fixed to it stand for it.
+        These are the corners; for a round body the corners of its section through axis and direction, because along a
+        rim the height is a cosine. Eight fixed points represent the rim of a cylinder that is level up to a tolerance.
 
         Args:
             size: Extents of the body along its axes, ``(3,)`` [m].

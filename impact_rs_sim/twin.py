@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The twin: arms with drives, object and support from a measured state under recorded torque, compiled.
 
-It stands beside Bullet (:mod:`impact_rs_sim.plant.bullet_mechanics`) as a second simulator of the same
-:class:`~impact_rs_sim.physics.Physics`: in free motion both are equal to rounding, in contact they differ by their
-step methods (``docs/physics.md``, "The twin"). Many jobs run in one call, on several threads, with the same numbers for
-any number of threads; :mod:`impact_rs_sim.plant.twin_mechanics` runs one tick by tick.
+It is the second simulator of :class:`~impact_rs_sim.physics.Physics`, besides Bullet
+(:mod:`impact_rs_sim.plant.bullet_mechanics`): in free motion both are equal to rounding, in contact they differ by
+their step methods (``docs/physics.md``, "The twin"). Many jobs run in one call, on several threads, with results that
+do not depend on the number of threads; :mod:`impact_rs_sim.plant.twin_mechanics` runs one job tick by tick.
 
-Loads of formulas and springs are compiled. A load that is a Python class works as well, at the price of a call into
-Python in every tick, during which no other thread calls into Python; between pad and object only formulas act.
+Loads of formulas and springs are compiled. A load that is a Python class works as well, but needs a call into Python at
+every tick, by one thread at a time; between pad and object only formulas act.
 
 Pads touch the object, not each other; links touch nothing.
 """
@@ -39,7 +39,7 @@ ON_PAD, ALONG_PAD, ON_OBJECT, TURNING_OBJECT, ON_SUPPORT, ALONG_SUPPORT = range(
 LAG_WITH_START = "lag_from"  # its name in `Formula::NAMES` of src/twin_formula.hpp
 BOX_COLUMNS = 13  # of an object in a state of the kernel: pose and twist
 CONTACT_REFINEMENT = 2  # time steps per period of the torque loop during pad contact
-DISTANT_PAST_S = -1e9  # time from which a command without a time has been held
+DISTANT_PAST_S = -1e9  # start of a command without a start time
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class TwinJob:
         acting: By arm, row of ``torque`` in every period of the torque loop, ``((k - 1) s,)``.
         time: Ticks, ``(k,)`` [s].
         period: Period of the torque loop [s].
-        object: State of the object at the start, whose neighbours stand beside it; None: the arms are alone.
+        object: State of the object at the start, with its neighbours at rest beside it; None: arms without object.
         joint_torque: Whether the torques are measured joint torques, without motors and torque loop: each is tau_J at
             the end of its period, and the links receive tau_J + D K^-1 dtau_J (paper eq. EOM_link).
         refinement: Steps in a period of the torque loop in which a pad meets the object.
@@ -81,18 +81,18 @@ class Result:
 
     Attributes:
         arms: Motion of the arms.
-        poses: Middle [m] and orientation x y z w of the object in A, without changes of sign, ``(k, 7)``; without an
+        poses: Centre [m] and orientation x y z w of the object in A, without changes of sign, ``(k, 7)``; without an
             object ``(k, 0)``.
-        twists: Velocity of its middle and angular velocity in A, ``(k, 6)`` [m/s, rad/s], likewise.
-        neighbours: Poses and twists of its neighbours by name, likewise.
+        twists: Velocity of its centre and angular velocity in A, ``(k, 6)`` [m/s, rad/s]; without an object ``(k, 0)``.
+        neighbours: Poses and twists of its neighbours by name, ``(k, 7)`` and ``(k, 6)``.
         residual: Largest residual of a step's equations, as a velocity of the object [m/s].
         steps: Number of steps.
-        contact_steps: Those with a contact.
-        iterations: Steps of Newton's method in them.
-        fallbacks: Contact steps in which Newton's method alone did not converge.
-        failed: Times of the steps whose equations were not solved [s]; from the first time at which a state is not
-            finite on, everything is NaN.
-        failure: Why the job ended early; empty: it did not.
+        contact_steps: Number of steps with a contact.
+        iterations: Newton iterations in the steps with a contact.
+        fallbacks: Steps with a contact in which Newton's method alone did not converge.
+        failed: Times of the steps whose equations were not solved [s]; after the first state that is not finite, all
+            states are NaN.
+        failure: Reason for an early end of the job; empty: it ran to its end.
     """
 
     arms: dict[str, ArmMotion]
@@ -112,11 +112,11 @@ def simulate(jobs: Sequence[TwinJob], threads: int = 1) -> list[Result]:
     """Run jobs, each from its start to its last tick.
 
     Args:
-        jobs: The jobs; those that share one ``physics`` object share its preparation.
+        jobs: The jobs; jobs with the same ``physics`` object share its preparation.
         threads: Largest number of threads.
 
     Raises:
-        InputError: Raised by a load of a Python class, or there is one between pad and object.
+        InputError: A load of a Python class raises it, or acts between pad and object.
     """
     models: dict[tuple[int, float, bool, int], _kernel.Twin] = {}
     prepared = []
@@ -133,8 +133,8 @@ def simulate(jobs: Sequence[TwinJob], threads: int = 1) -> list[Result]:
 def rests(physics: Physics, state: BodyState) -> bool:
     """Whether the object, and each neighbour beside it, is in stable static equilibrium on its support.
 
-    It is if its velocity is zero, gravity lies in the friction cone, and the line of gravity through the centre of mass
-    lies in the support polygon; corners within 2 mm of the surface belong to the polygon.
+    Conditions: its velocity is zero, gravity lies in the friction cone, and the line of gravity through the centre of
+    mass meets the support polygon. Corners within 2 mm of the surface belong to the polygon.
     """
     alone = kernel_twin(replace(physics, arms={}, object_loads=()), period=1.0, joint_torque=False, refinement=1)
     return _kernel.TwinRun(alone, [], box_starts(physics, state)).asleep
@@ -193,7 +193,7 @@ def _result(
 
 
 def _bodies(columns: Array) -> list[Array]:
-    """Columns of every object; of the object that is not there, without any."""
+    """Columns of every object; for an absent object, an array without columns."""
     return np.split(columns, range(BOX_COLUMNS, columns.shape[-1], BOX_COLUMNS), axis=-1)
 
 
@@ -259,7 +259,7 @@ def _arm(physics: Physics, name: str, period: float, joint_torque: bool) -> _ker
 
 
 def _links(arm: ArmPhysics, gravity: Array) -> tuple[_kernel.Chain, Array]:
-    """Links of an arm, its end effector part of the last one, and axes of frame E in those of the last joint."""
+    """Links of an arm, with the end effector in the last one; and axes of frame E in axes of the last joint."""
     facts, end_effector = arm.facts, arm.end_effector
     rotations, origins, flange = _kinematics(facts.joints, facts.flange)
     rotations, origins = rotations.copy(), origins.copy()
@@ -344,7 +344,7 @@ def _object_formulas(physics: Physics) -> list[_kernel.TwinFormula]:
 def _formulas(
     effect: str, acts: int, table: Mapping[int, Formula | None], numbers: Mapping[str, float], joints: int
 ) -> list[_kernel.TwinFormula]:
-    """Formulas by joint or axis in the form of the kernel: effect, what it acts on, joint or axis, code, constants."""
+    """Formulas by joint or axis in the form of the kernel: effect, point of action, joint or axis, code, constants."""
     compiled: list[_kernel.TwinFormula] = []
     for index, formula in table.items():
         if formula is not None:

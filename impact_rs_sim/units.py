@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Units of parameters and formulas as products of powers of kg, m and s; rad is a number."""
+"""Units of parameters and formulas as products of powers of kg, m and s; rad is dimensionless."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def dimension_of(unit: str) -> Dimension:
 
 
 def text_of(dimension: Dimension) -> str:
-    """Text of a dimension: N or N m if it is one of these, else powers of kg, m and s."""
+    """Text of a dimension: N m, N or - if it is one of these, else powers of kg, m and s."""
     for name, named in (("N m", TORQUE), ("N", FORCE), ("-", NUMBER)):
         if dimension == named:
             return name
@@ -53,6 +53,6 @@ def text_of(dimension: Dimension) -> str:
 
 
 def times(base: Dimension, factor: Dimension, power: int | Fraction) -> Dimension:
-    """Product of one dimension and a power of the other."""
+    """Product of a dimension and a power of another."""
     a, b, c = (exponent + power * factor_exponent for exponent, factor_exponent in zip(base, factor, strict=True))
     return a, b, c

@@ -17,16 +17,16 @@ REVISION_FILE = "git_revision.txt"  # written by CMakeLists.txt, beside this fil
 
 @functools.cache
 def git_revision() -> str:
-    """Revision of the sources, with ``+`` where they have uncommitted changes; empty if it is not known.
+    """Revision of the sources, with ``+`` if they have uncommitted changes; empty if unknown.
 
-    That of the source tree this runs from, or, installed by colcon or pip, what was noted when it was built.
+    It is that of the source tree, or, in an installation by colcon or pip, the revision recorded by the build.
     """
     folder = Path(__file__).resolve().parent
     return described_by_git(folder) if (folder.parent / ".git").exists() else recorded_revision(folder)
 
 
 def recorded_revision(folder: Path) -> str:
-    """Revision that the build noted in a folder; empty if it noted none."""
+    """Revision that the build recorded in a folder; empty if there is no record."""
     try:
         return (folder / REVISION_FILE).read_text(encoding="utf-8").strip()
     except OSError as error:
@@ -35,7 +35,7 @@ def recorded_revision(folder: Path) -> str:
 
 
 def described_by_git(folder: Path) -> str:
-    """Revision of the repository that a folder lies in, with ``+`` where it has uncommitted changes; empty if none."""
+    """Revision of the repository of a folder, with ``+`` if it has uncommitted changes; empty without repository."""
     try:
         described = subprocess.run(
             ["git", "describe", "--always", "--dirty=+", "--abbrev=12"],

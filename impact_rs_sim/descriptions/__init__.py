@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scene and its model as files of other simulators: a format is one module that writes one file.
+"""Export of a scene with its model to other simulators; every format is one module that writes one file.
 
 A module has ``SUPPORTED_QUANTITIES``, the quantities that its format can hold, and ``write(scene)``, which returns the
-file and notes on how its numbers follow from the scene. The notes and the list of quantities left out are
-comments at the head of the file.
+file and notes on how its numbers follow from the scene. Comments at the head of the file hold these notes and the list
+of omitted quantities.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ __all__ = ["FORMATS", "PADS", "DescriptionFormat", "ExportedScene", "ExportedQua
 
 @dataclass(frozen=True)
 class ExportedFile:
-    """A file.
+    """A written file.
 
     Attributes:
-        text: The file, comments included.
+        text: Text of the file, including comments.
         remarks: Notes on how its numbers follow from the scene.
         left_out: Physics of the scene that the format cannot represent.
     """
@@ -35,26 +35,26 @@ class ExportedFile:
 
 @dataclass(frozen=True)
 class DescriptionFormat:
-    """A format.
+    """A file format.
 
     Attributes:
         label: Name for the user.
         suffixes: File suffixes.
-        held: Quantities that it can represent.
-        body: Writes the file without comments.
+        supported: Quantities that it can represent.
+        body: Function that returns the file without comments, and notes on its numbers.
         xml: Whether it is XML; else its comments begin with ``#``.
     """
 
     label: str
     suffixes: tuple[str, ...]
-    held: frozenset[ExportedQuantity]
+    supported: frozenset[ExportedQuantity]
     body: Callable[[ExportedScene], tuple[str, list[str]]]
     xml: bool = True
 
     def write(self, scene: ExportedScene) -> ExportedFile:
         """A scene in this format."""
         body, remarks = self.body(scene)
-        left_out = scene.left_out(self.held)
+        left_out = scene.left_out(self.supported)
         comments = [
             scene.title,
             *scene.source,
@@ -66,7 +66,7 @@ class DescriptionFormat:
             *(f"* {quantity}" for quantity in left_out),
         ]
         if self.xml:
-            # XML allows no double hyphen in a comment: options lose theirs, everything else is parted.
+            # XML allows no double hyphen in a comment: options lose theirs, others are separated by a space.
             comment = re.sub(r"(?<![\w-])--(?=\w)", "", "\n".join(comments)).replace("--", "- -")
             text = f'<?xml version="1.0"?>\n<!--\n{comment}\n-->\n{body}\n'
         else:

@@ -42,7 +42,7 @@ XML_NAMESPACE = "drake.mit.edu"
 INITIAL_OVERLAP_M = 1e-6  # of pads and object at the impact; Drake detects contact of overlapping shapes only
 CORNER_SPHERE_RADIUS_M = 1e-3  # of the spheres at the corners of pads and object
 SUPPORT_DISSIPATION_S_M = 1e3  # Hunt-Crossley, of a rigid support: a falling object does not bounce
-RIGID_STIFFNESS_N_M = 1e30  # of a rigid partner: the pair then has the stiffness of the other one
+RIGID_STIFFNESS_N_M = 1e30  # of a rigid partner; the pair then has the stiffness of the other partner
 RIGID_RATE_PER_S = 1e6  # sqrt(K / m) of a compliant contact that stands for a rigid one
 
 

@@ -30,7 +30,7 @@ from impact_rs_sim.version import package_version
 
 PADS = ("rigid", "compliant")
 FACE_CORNERS = 4  # contact points of a face, which share its stiffness and damping
-# Of a rigid support, over the mass of the object; the object sinks in by g over it, 6.5 micrometres
+# Stiffness of a rigid support over the mass of the object; g over it is the sinkage of the object, 6.5 micrometres.
 RIGID_SUPPORT_STIFFNESS_OVER_MASS_PER_S2 = 1.5e6
 
 
@@ -63,7 +63,7 @@ class ExportedScene:
         motor_inertia: Diagonal of B by arm, ``(n,)`` [kg m^2].
         motor_inertia_name: ``reduced``, ``rotor`` or ``zero``.
         pads: One of :data:`PADS`.
-        source: Where the numbers come from: model, scenario, version.
+        source: Source of the numbers: scenario, model and version.
     """
 
     title: str
@@ -130,7 +130,7 @@ class ExportedScene:
     def friction(self, name: str) -> tuple[Array, Array]:
         """Coulomb and viscous friction of the rigid joints of an arm, ``(n,)`` each [N m], [N m s/rad].
 
-        The friction of Gaz et al. counts as Coulomb friction of half the height of its sigmoid.
+        The friction of Gaz et al. is included as Coulomb friction of half the height of its sigmoid.
         """
         arm = self.physics.arms[name]
         coulomb = arm.friction.coulomb.copy()
@@ -163,15 +163,15 @@ class ExportedScene:
     def support_contact(self) -> tuple[float, float]:
         """Stiffness and damping of the whole support under the object [N/m, N s/m].
 
-        The model's compliance where it has one; else so stiff that the object sinks in by micrometres. Damping is half
-        the critical one.
+        The inverse of the model's compliance, or, for a rigid support, a stiffness at which the object sinks in by
+        micrometres. The damping is half the critical damping.
         """
         compliance, mass = self.physics.support_compliance, self.physics.object.mass
         stiffness = 1.0 / compliance if compliance else RIGID_SUPPORT_STIFFNESS_OVER_MASS_PER_S2 * mass
         return stiffness, math.sqrt(stiffness * mass)
 
     def left_out(self, supported: frozenset[ExportedQuantity]) -> list[str]:
-        """Names of the physics of this scene that a format with the quantities ``held`` cannot represent."""
+        """Names of the physics of this scene that a format with the quantities ``supported`` cannot represent."""
         texts = [text for name, arm in self.physics.arms.items() for text in self._of_arm(name, arm, supported)]
         return [*dict.fromkeys((*texts, *self._of_scene(supported)))]
 
@@ -202,12 +202,11 @@ class ExportedScene:
                 yield f"{name}: {quantity.value}, {values}"
         yield from _friction_left_out(name, arm)
         if arm.pad_stiffness is not None and (self.pads == "rigid" or ExportedQuantity.PAD_COMPLIANCE not in supported):
-            reason = (
-                "; the pads of this file are rigid (--pads rigid)"
-                if ExportedQuantity.PAD_COMPLIANCE in supported
-                else ""
+            rigid = ExportedQuantity.PAD_COMPLIANCE in supported
+            yield (
+                f"{name}: stiffness and damping of the pad, {arm.pad_stiffness:g} N/m, {arm.pad_damping:g} N s/m"
+                + ("; the pads of this file are rigid (--pads rigid)" if rigid else "")
             )
-            yield f"{name}: stiffness and damping of the pad, {arm.pad_stiffness:g} N/m, {arm.pad_damping:g} N s/m{reason}"
         for quantity_name, value, unit in (
             ("delay of the commanded torque", arm.actuation_delay, "s"),
             ("yield of the pad along its face", arm.pad_shear_compliance, "m/N"),

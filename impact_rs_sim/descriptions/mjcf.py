@@ -3,15 +3,15 @@
 
 * B is ``armature``, Coulomb friction ``frictionloss``, viscous friction ``damping``. Offset and gain of the commanded
   torque belong to the actuators.
-* A contact of MuJoCo accelerates as ``a = -b v - k r`` where it alone acts (MuJoCo documentation, "Computation",
-  solver parameters). Of a rigid pad ``solref`` is a time constant T = 2 / b and a damping ratio, from which the
-  restitution follows (:mod:`impact_rs_sim.damping_of_restitution`).
-* Of a compliant pad and of the support ``solref`` is negative, and has N/m and N s/m. A contact of MuJoCo adds a mass
-  m to what it touches (its regularisation is R = 1 / m), and an impedance ``d = w m / (1 + w m)``, with the inverse
-  weight w of both bodies, means this mass. A stiffness K and a damping C are then ``-(1 - d) w K`` and
-  ``-(1 - d) w C`` with K and C of the face shared by its corners. The added masses are small against the others.
+* A single active contact of MuJoCo accelerates as ``a = -b v - k r`` (MuJoCo documentation, "Computation", solver
+  parameters). For a rigid pad ``solref`` is a time constant T = 2 / b and a damping ratio, from which the restitution
+  follows (:mod:`impact_rs_sim.damping_of_restitution`).
+* For a compliant pad and the support ``solref`` is negative, with the units N/m and N s/m. A contact of MuJoCo adds a
+  virtual mass m to the bodies (its regularisation is R = 1 / m); with the inverse weight w of both bodies, its
+  impedance is ``d = w m / (1 + w m)``. Stiffness K and damping C are then ``-(1 - d) w K`` and ``-(1 - d) w C``, with K
+  and C of the face shared by its corners. The virtual masses are small against those of the bodies.
 * MuJoCo's friction cones are convex: a point that slides at v is pushed away from its partner at a share of ``mu v``.
-  Under a sliding object a slow friction (``solreffriction``) on a small mass keeps it down. At rigid pads it stays.
+  Under a sliding object, slow friction (``solreffriction``) on a small mass suppresses this; at rigid pads it remains.
 """
 
 from __future__ import annotations

@@ -116,18 +116,18 @@ class BulletLoads:
         """
         scene, centre = self.scene(time, None, links), self._world.object_state().position
         support = self._touching[None]
-        for load in self._physics.object_loads:
-            wrench = load.wrench(scene, memory)
+        for object_load in self._physics.object_loads:
+            wrench = object_load.wrench(scene, memory)
             self._world.push(None, centre, wrench[:3], wrench[3:])
-            if support is None and not load.remembers:
+            if support is None and not object_load.remembers:
                 continue
-            at_support = load.support_force(scene, memory)
+            at_support = object_load.support_force(scene, memory)
             if support is not None:
                 self._world.push(None, support.point, support.load(*at_support))
         for name, arm in self._physics.arms.items():
             pad, link, model = self._touching[name], links[name], self._models[name]
-            loads = [load for load in arm.loads if pad is not None or load.remembers]
-            if not loads:
+            arm_loads = [load for load in arm.loads if pad is not None or load.remembers]
+            if not arm_loads:
                 continue
             state = LoadState(
                 time=time,
@@ -140,8 +140,8 @@ class BulletLoads:
                 scene=self.scene(time, name, links),
                 memory=memory.part(name),
             )
-            for load in loads:
-                if (forces := load.pad_force(state)) is not None and pad is not None:
+            for arm_load in arm_loads:
+                if (forces := arm_load.pad_force(state)) is not None and pad is not None:
                     self._world.push(None, pad.point, pad.load(*forces))
                     self._world.push(name, pad.point, -pad.load(*forces))
 

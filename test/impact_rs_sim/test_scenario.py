@@ -83,10 +83,10 @@ def test_error_names_file_key_value_and_what_was_expected(text, key, value, expe
 
 def test_joints_of_the_posture_task_are_told_in_the_order_of_the_arm(text):
     data = broken(text, "cases.case_1.robots.arm.posture", {"joint_6": 1.4, "joint_3": 0.5})
-    held = validate(Scenario, data, PUSH).cases["case_1"].robots["arm"].held
+    held = validate(Scenario, data, PUSH).cases["case_1"].robots["arm"].posture_joints
     assert list(held.items()) == [(0, -0.277), (2, 0.5), (5, 1.4)]
     free = validate(Scenario, broken(text, "cases.case_1.robots.arm.joint_1", None), PUSH)
-    assert free.cases["case_1"].robots["arm"].held == {}
+    assert free.cases["case_1"].robots["arm"].posture_joints == {}
 
 
 def test_a_robot_without_torque_sensors_has_no_torque_loop(text):
