@@ -85,9 +85,9 @@ def _echo(value: object) -> str:
         return f"{type(value).__name__} that cannot be shown"
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
+def did_you_mean(name: str, names: Iterable[str]) -> str:
     """``; did you mean 'x'?`` if ``name`` looks like a typing error of a known name, else empty."""
-    close = get_close_matches(name, list(known), n=1)
+    close = get_close_matches(name, list(names), n=1)
     return f"; did you mean {close[0]!r}?" if close else ""
 
 

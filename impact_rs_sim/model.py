@@ -85,9 +85,9 @@ class Model(Schema):
         if item.name in FORMER and "scale" in item.parameters:
             return FORMER[item.name]
         shared = self._shared_effects[item.name]
-        each = of_each(shared, self.arms)
-        own_names = {scalar.name for scalar in each.scalars(0)}
-        return each if own_names & item.parameters.keys() else shared
+        effect_per_arm = of_each(shared, self.arms)
+        own_names = {scalar.name for scalar in effect_per_arm.scalars(0)}
+        return effect_per_arm if own_names & item.parameters.keys() else shared
 
     def containing(self, names: Iterable[str]) -> Model:
         """The model reduced to its active or named formulas: the part that a simulation needs."""

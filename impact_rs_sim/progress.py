@@ -35,7 +35,7 @@ class ProgressFile:
         name = os.environ.get(VARIABLE)
         self._path = None if not name else Path(name)
         self.document: dict[str, Any] = {}
-        self._what: str | None = None
+        self._stage: str | None = None
         self._since = self._at = 0.0
         self._first = 0
         self._stages: dict[str, float] = {}
@@ -46,29 +46,29 @@ class ProgressFile:
         """Set the error of an explanation; it is written with the next stage or step."""
         self._ranking[name] = error
 
-    def update(self, what: str, done: int, total: int | None) -> None:
+    def update(self, stage: str, done: int, total: int | None) -> None:
         """Set the progress of a stage.
 
         Args:
-            what: The stage.
+            stage: The stage.
             done: Steps done.
             total: Steps of the stage; None: unknown; 0: the stage has no steps.
         """
         if total == 0:
-            self._empty.add(what)
+            self._empty.add(stage)
             return
-        self._empty.discard(what)
+        self._empty.discard(stage)
         now = time.time()
-        if what != self._what:
-            if self._what is not None:
-                self._stages[self._what] = self._seconds(now)
-            self._what, self._since, self._first = what, now, done
+        if stage != self._stage:
+            if self._stage is not None:
+                self._stages[self._stage] = self._seconds(now)
+            self._stage, self._since, self._first = stage, now, done
         elif done != total and now - self._at < MIN_WRITE_PERIOD_S:
             return
         self._at = now
         self.document = {
-            "what": what, "done": done, "total": total, "first": self._first, "since": self._since, "at": now,
-            "stages": self._stages | {what: self._seconds(now)}, "empty": sorted(self._empty),
+            "what": stage, "done": done, "total": total, "first": self._first, "since": self._since, "at": now,
+            "stages": self._stages | {stage: self._seconds(now)}, "empty": sorted(self._empty),
             "ranking": sorted(self._ranking.items(), key=lambda entry: entry[1]),
         }  # fmt: skip
         if self._path is not None:
@@ -77,4 +77,4 @@ class ProgressFile:
 
     def _seconds(self, now: float) -> float:
         """Duration of the stage, earlier visits included [s]."""
-        return self._stages.get(self._what or "", 0.0) + now - self._since
+        return self._stages.get(self._stage or "", 0.0) + now - self._since

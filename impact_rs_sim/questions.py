@@ -46,10 +46,10 @@ class PageQuestions:
             line = self._answers.readline()
         except OSError:
             return False
-        return said(line) == {"number": self._asked, "yes": True}
+        return message_of(line) == {"number": self._asked, "yes": True}
 
 
-def said(line: str) -> dict[str, Any] | None:
+def message_of(line: str) -> dict[str, Any] | None:
     """Content of a line; None if it is invalid."""
     try:
         content = json.loads(line)

@@ -209,12 +209,12 @@ def read_text(path: str | Path, most: int = MAX_TEXT_LENGTH) -> str:
     return text
 
 
-def read_json(path: str | Path, what: str, most: int = MAX_TEXT_LENGTH) -> Any:
+def read_json(path: str | Path, kind: str, most: int = MAX_TEXT_LENGTH) -> Any:
     """Content of a JSON file.
 
     Args:
         path: The file.
-        what: Kind of the file, for the message.
+        kind: Kind of the file, for the message.
         most: Bytes that it may have.
     """
     text = read_text(path, most)
@@ -223,7 +223,7 @@ def read_json(path: str | Path, what: str, most: int = MAX_TEXT_LENGTH) -> Any:
     except json.JSONDecodeError as error:
         raise InputError(f"not valid JSON at line {error.lineno}: {error.msg}", file=path) from None
     except (RecursionError, ValueError) as error:  # nested too deeply, or a number of thousands of digits
-        raise InputError(f"not {what}: {shortened(str(error))}", file=path) from None
+        raise InputError(f"not {kind}: {shortened(str(error))}", file=path) from None
 
 
 def validate(schema: type[SchemaType], data: Any, file: str | Path | None, context: str | None = None) -> SchemaType:

@@ -36,7 +36,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.progress import VARIABLE
 from impact_rs_sim.questions import VARIABLE as QUESTIONS
-from impact_rs_sim.questions import said
+from impact_rs_sim.questions import message_of
 from impact_rs_sim.schema import Schema
 from impact_rs_workbench.remaining import STAGES, Remaining, remaining, shown
 
@@ -340,7 +340,7 @@ class Jobs:
         asking = self._asking[number]
         with asking.socket, asking.socket.makefile("r", encoding="utf-8", errors="replace") as lines:
             for line in lines:
-                question = said(line)
+                question = message_of(line)
                 if question is None:
                     continue
                 with self._lock:

@@ -247,10 +247,10 @@ def _corners(x: float, y: float) -> tuple[tuple[float, float], ...]:
     return ((-x, -y), (-x, y), (x, -y), (x, y))
 
 
-def _link(model: Xml.Element, name: str, parent: str | None, place: Array, rotation: Array) -> Xml.Element:
+def _link(model: Xml.Element, name: str, parent: str | None, position: Array, rotation: Array) -> Xml.Element:
     """A link, placed in its parent where the joints are at 0; None: in the world."""
     link = Xml.SubElement(model, "link", name=name)
-    _pose(link, place, rotation, parent)
+    _pose(link, position, rotation, parent)
     return link
 
 
@@ -274,11 +274,11 @@ def _box(shape: Xml.Element, size: Array) -> None:
     Xml.SubElement(Xml.SubElement(Xml.SubElement(shape, "geometry"), "box"), "size").text = _text(size)
 
 
-def _pose(element: Xml.Element, place: Array, rotation: Array, relative_to: str | None = None) -> None:
+def _pose(element: Xml.Element, position: Array, rotation: Array, relative_to: str | None = None) -> None:
     pose = Xml.SubElement(element, "pose")
     if relative_to is not None:
         pose.set("relative_to", relative_to)
-    pose.text = _text([*place, *pin.rpy.matrixToRpy(rotation)])
+    pose.text = _text([*position, *pin.rpy.matrixToRpy(rotation)])
 
 
 def _text(values: Iterable[float]) -> str:

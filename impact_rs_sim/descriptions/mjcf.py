@@ -228,8 +228,8 @@ def _inverse_weight(scene: ExportedScene, name: str) -> float:
     return float(np.trace(linear @ np.linalg.solve(inertia, linear.T)) / 3.0)
 
 
-def _body(parent: Xml.Element, name: str, place: Array, rotation: Array) -> Xml.Element:
-    return Xml.SubElement(parent, "body", name=name, pos=_text(*place), quat=_text(*_quaternion(rotation)))
+def _body(parent: Xml.Element, name: str, position: Array, rotation: Array) -> Xml.Element:
+    return Xml.SubElement(parent, "body", name=name, pos=_text(*position), quat=_text(*_quaternion(rotation)))
 
 
 def _inertial(body: Xml.Element, mass: float, com: Array, inertia: Array) -> None:
@@ -237,11 +237,11 @@ def _inertial(body: Xml.Element, mass: float, com: Array, inertia: Array) -> Non
     Xml.SubElement(body, "inertial", pos=_text(*com), mass=_text(mass), fullinertia=_text(*entries))
 
 
-def _box(body: Xml.Element, name: str, size: Array, place: Array, rotation: Array) -> None:
-    _geom(body, name, BOX, size, place, rotation)
+def _box(body: Xml.Element, name: str, size: Array, position: Array, rotation: Array) -> None:
+    _geom(body, name, BOX, size, position, rotation)
 
 
-def _geom(body: Xml.Element, name: str, shape: ConvexShape, size: Array, place: Array, rotation: Array) -> None:
+def _geom(body: Xml.Element, name: str, shape: ConvexShape, size: Array, position: Array, rotation: Array) -> None:
     half = size / 2.0
     extents = {
         "sphere": half[:1],
@@ -254,7 +254,7 @@ def _geom(body: Xml.Element, name: str, shape: ConvexShape, size: Array, place: 
         geom.set("mesh", name)
     else:
         geom.set("size", _text(*extents))
-    geom.set("pos", _text(*place))
+    geom.set("pos", _text(*position))
     geom.set("quat", _text(*_quaternion(rotation)))
     geom.set("contype", "0")
     geom.set("conaffinity", "0")

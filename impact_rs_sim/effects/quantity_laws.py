@@ -72,5 +72,5 @@ def _quantity(whole: Any, path: str) -> Any:
 
 def _replaced(whole: Any, path: str, value: Any) -> Any:
     """``whole`` with a new value of the attribute at a dotted path."""
-    name, _, rest = path.partition(".")
-    return replace(whole, **{name: _replaced(getattr(whole, name), rest, value) if rest else value})
+    name, _, remaining_path = path.partition(".")
+    return replace(whole, **{name: _replaced(getattr(whole, name), remaining_path, value) if remaining_path else value})

@@ -129,7 +129,7 @@ def sources_of(problem: ImpactProblem, stated: Uncertainties) -> tuple[Uncertain
     object_, physics = problem.physics.object, problem.physics
     stated = Uncertainties(**{name: width / NORMAL_95 for name, width in stated})
 
-    def apart(names: Sequence[str], sigma: float) -> list[Mapping[str, float]]:
+    def separate_parts(names: Sequence[str], sigma: float) -> list[Mapping[str, float]]:
         return [{name: sigma} for name in names]
 
     parts: dict[str, list[Mapping[str, float]]] = {name: [] for name in SOURCES}
@@ -140,17 +140,25 @@ def sources_of(problem: ImpactProblem, stated: Uncertainties) -> tuple[Uncertain
             for joint in joints
         ]
         parts["link_inertia"] += [{f"{name}.link_inertia": stated.link_inertia}]
-        parts["joint_position"] += apart([f"{name}.position.{joint}" for joint in joints], stated.joint_position)
-        parts["joint_velocity"] += apart([f"{name}.velocity.{joint}" for joint in joints], stated.joint_velocity)
+        parts["joint_position"] += separate_parts(
+            [f"{name}.position.{joint}" for joint in joints], stated.joint_position
+        )
+        parts["joint_velocity"] += separate_parts(
+            [f"{name}.velocity.{joint}" for joint in joints], stated.joint_velocity
+        )
     for name in physics.pads:
-        parts["contact_point"] += apart([f"{name}.contact_point.{axis}" for axis in "xy"], stated.contact_point)
+        parts["contact_point"] += separate_parts(
+            [f"{name}.contact_point.{axis}" for axis in "xy"], stated.contact_point
+        )
     moments = {f"object.inertia.{axis}": float(value) for axis, value in zip(AXES, object_.inertia, strict=True)}
     scaled = {"object.mass": object_.mass} | moments
     parts["object_mass"] = [{name: stated.object_mass * value for name, value in scaled.items()}]
     parts["object_inertia"] = [{name: stated.object_inertia * value} for name, value in moments.items()]
-    parts["object_com_offset"] = apart([f"object.com_offset.{axis}" for axis in AXES], stated.object_com_offset)
-    parts["object_pose"] = apart(["object.position.x", "object.position.y"], stated.object_position)
-    parts["object_pose"] += apart(["object.rotation.z"], stated.object_yaw)
+    parts["object_com_offset"] = separate_parts(
+        [f"object.com_offset.{axis}" for axis in AXES], stated.object_com_offset
+    )
+    parts["object_pose"] = separate_parts(["object.position.x", "object.position.y"], stated.object_position)
+    parts["object_pose"] += separate_parts(["object.rotation.z"], stated.object_yaw)
     parts["pad_friction"] = [{"pad_friction": stated.pad_friction * physics.pad_friction}]
     parts["support_friction"] = [{"support_friction": stated.support_friction * physics.support_friction}]
     parts["restitution"] = [{"restitution": stated.restitution}]

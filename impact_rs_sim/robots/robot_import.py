@@ -409,12 +409,12 @@ def _limits(
             (value,) = measured_limits[name, quantity]
             notes.append(f"{quantity.capitalize()} limit of joint {name} as measured: {value:g} {unit}.")
         if value <= 0.0:
-            found = (
+            problem = (
                 "this is missing in the URDF, expected a number"
                 if missing
                 else f"expected > 0 [{unit}], found {value:g}"
             )
-            message = f"{found}; {remedy}{quantity}=MOST gives it, or --measured RECORDING"
+            message = f"{problem}; {remedy}{quantity}=MOST gives it, or --measured RECORDING"
             raise InputError(message, file=tree.file, key=f"{key} {quantity}")
         maxima.append(value)
     return lower, upper, maxima[0], maxima[1]
@@ -424,7 +424,7 @@ def _narrow_limits(
     tree: UrdfTree,
     joints: Iterable[Xml.Element],
     rows: dict[str, tuple[float, float, float, float]],
-    given: GivenLimits,
+    user_limits: GivenLimits,
 ) -> Iterable[str]:
     """Narrow limits in ``rows`` so that following joints keep theirs, and yield notes; limits of the user stay."""
     for joint in joints:
@@ -437,12 +437,12 @@ def _narrow_limits(
             tree.numbers(limit, key, 1, "0", f"joint {name}: limit {key}")[0] for key in ("lower", "upper", "velocity")
         ]
         leader_low, leader_high = sorted((end - offset) / ratio for end in limits[:2])
-        if limits[0] < limits[1] and joint.get("type") != "continuous" and (leader, "position") not in given:
+        if limits[0] < limits[1] and joint.get("type") != "continuous" and (leader, "position") not in user_limits:
             if max(lower, leader_low) < min(upper, leader_high):
                 lower, upper = max(lower, leader_low), min(upper, leader_high)
             else:
                 yield f"Position limits of joint {name} are left out: {leader}, which it follows, is never in them."
-        if limits[2] > 0.0 and (leader, "velocity") not in given:
+        if limits[2] > 0.0 and (leader, "velocity") not in user_limits:
             fastest = min(fastest, limits[2] / abs(ratio))
         if (lower, upper, fastest, effort) != rows[leader]:
             yield f"Limits of joint {leader} are narrowed by the limits of {name}, which follows it."
@@ -473,7 +473,7 @@ def _locked_positions(tree: UrdfTree, lock: Sequence[str]) -> dict[str, float]:
     return positions
 
 
-def _still_joints(tree: UrdfTree, chain: Chain, move: Sequence[str], given: Mapping[str, float]) -> dict[str, float]:
+def _still_joints(tree: UrdfTree, chain: Chain, move: Sequence[str], locked: Mapping[str, float]) -> dict[str, float]:
     """Positions of the joints beside the path that do not move [rad, m].
 
     They are at 0, or at the limit nearest to it; joints that follow them are where these positions put them.
@@ -495,7 +495,7 @@ def _still_joints(tree: UrdfTree, chain: Chain, move: Sequence[str], given: Mapp
     for name, joint in chain_joints.items():
         leader, ratio, offset = tree.mimic(joint) or (name, 1.0, 0.0)
         if leader not in moving_joints:
-            still[name] = ratio * given.get(leader, _position_nearest_zero(tree, leader)) + offset
+            still[name] = ratio * locked.get(leader, _position_nearest_zero(tree, leader)) + offset
     return still
 
 

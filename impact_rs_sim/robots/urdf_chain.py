@@ -262,8 +262,8 @@ class UrdfTree:
 
     def _link(self, name: str, option: str) -> str:
         if name not in self.links:
-            known = ", ".join(self.links)
-            self._fail(f"no link {name!r} for {option}{did_you_mean(name, self.links)}; it has: {known}")
+            names = ", ".join(self.links)
+            self._fail(f"no link {name!r} for {option}{did_you_mean(name, self.links)}; it has: {names}")
         return name
 
     def _only_tip(self, base: str) -> str:
@@ -286,8 +286,8 @@ class UrdfTree:
         kind = joint.get("type")
         if kind not in MOVABLE_JOINT_TYPES:
             free = f", or --base {child_of(joint)} --floating" if kind == "floating" else ""
-            known = ", ".join(MOVABLE_JOINT_TYPES)
-            self._fail(f"this joint of the chain is {kind}; expected one of {known}{free}", key)
+            types = ", ".join(MOVABLE_JOINT_TYPES)
+            self._fail(f"this joint of the chain is {kind}; expected one of {types}{free}", key)
 
     def _side_branches(self, link: str, path: list[Xml.Element]) -> Iterator[Xml.Element]:
         """Joints of the side branches of ``link``."""
@@ -305,14 +305,14 @@ class UrdfTree:
             if any(_moves(other_joint) and (self.mimic(other_joint) or ("",))[0] in leaders for other_joint in branch):
                 yield from branch
 
-    def _depth_first(self, link: str, kept: list[Xml.Element], path: list[Xml.Element]) -> Iterator[Xml.Element]:
+    def _depth_first(self, link: str, kept_joints: list[Xml.Element], path: list[Xml.Element]) -> Iterator[Xml.Element]:
         """Joints below ``link`` branch by branch: first along the path, last those that follow another."""
-        carried = [joint for joint in self.below[link] if joint in kept]
+        carried = [joint for joint in self.below[link] if joint in kept_joints]
         for joint in sorted(
             carried, key=lambda candidate: (candidate not in path, candidate.find("mimic") is not None)
         ):
             yield joint
-            yield from self._depth_first(child_of(joint), kept, path)
+            yield from self._depth_first(child_of(joint), kept_joints, path)
 
     def _everything_below(self, link: str) -> Iterator[str]:
         for joint in self.below[link]:
@@ -326,10 +326,10 @@ class UrdfTree:
             link.extend(copy.deepcopy(part) for part in self.links[name] if part.tag in KEPT_ELEMENTS)
         for joint in joints:
             kind = joint.get("type", "")
-            kept = Xml.SubElement(robot, "joint", name=_name(joint), type=MOVABLE_JOINT_TYPES.get(kind, kind))
-            kept.extend(copy.deepcopy(part) for part in joint if part.tag in KEPT_ELEMENTS)
+            copied = Xml.SubElement(robot, "joint", name=_name(joint), type=MOVABLE_JOINT_TYPES.get(kind, kind))
+            copied.extend(copy.deepcopy(part) for part in joint if part.tag in KEPT_ELEMENTS)
             if kind != "fixed":  # the real limits are read elsewhere; without any the joint would have two coordinates
-                Xml.SubElement(kept, "limit", lower="-1", upper="1", velocity="1", effort="1")
+                Xml.SubElement(copied, "limit", lower="-1", upper="1", velocity="1", effort="1")
         return Xml.tostring(robot, encoding="unicode")
 
 
