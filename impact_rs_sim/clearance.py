@@ -8,7 +8,7 @@ and ground a link has its simple shapes (:mod:`impact_rs_sim.robots.link_shapes`
 pad its box.
 
 A scenario does not state where its table ends: arms may be mounted inside its extent, and pads that grab may come from
-beside it. Certain is only the part below the object, from its start to the end of the push, with a rim around it. The
+beside it. Only the part below the object is certain, from its start to the end of the push, with a rim around it. The
 ground is the plane z = 0 of A, or lower if a base or the support is lower. Links next to the base that overlap the
 ground in every sampled pose are part of the mounting, not a collision.
 """

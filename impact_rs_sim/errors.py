@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exceptions for user errors; the message says what to change.
+"""Exceptions for user errors; the message states the remedy.
 
     InputError
     +-- NotABody              physically inconsistent mass and inertia; a fit then tries a smaller step

@@ -341,8 +341,8 @@ class ArmPhysics:
     pad_shear_compliance: float = 0.0
     pad_creep: float = 0.0
     readings: ArmReadings = EXACT
-    tool_spring: ToolSpring | None = field(default=None, repr=False)  # a digest has it beside the rest
-    hands: Mapping[str, EndEffector] = field(default_factory=dict, repr=False)  # no run has them, nor its digest
+    tool_spring: ToolSpring | None = field(default=None, repr=False)  # digests of runs add it separately, if any
+    hands: Mapping[str, EndEffector] = field(default_factory=dict, repr=False)  # not in digests: no run has hands
     assumed: tuple[str, ...] = field(default=(), repr=False, compare=False)
 
     def motor_inertia(self, model: str) -> Array:
@@ -440,7 +440,7 @@ class ObjectPhysics:
     inertia: Array
     com_offset: Array
     shape: ConvexShape = BOX
-    freedom: Array | None = field(default=None, repr=False)  # a digest has it beside the rest
+    freedom: Array | None = field(default=None, repr=False)  # digests of runs add it separately, if any
 
     @staticmethod
     def of(spec: ObjectSpec) -> ObjectPhysics:
@@ -537,7 +537,7 @@ def assumed_words(by_arm: Mapping[str, Sequence[str]]) -> str:
 
 @dataclass(frozen=True)
 class Neighbour:
-    """A free object that stands beside the one that is hit first.
+    """A free object beside the object that is hit first.
 
     Attributes:
         name: Its name.

@@ -314,7 +314,7 @@ class Filter:
     """Delay and filters, sample by sample; :func:`delayed` and :func:`filtered` filter whole signals.
 
     Args:
-        delay: d [s]; below 0 there is none.
+        delay: d [s]; a negative delay is treated as 0.
         lags: T1 and T2 [s].
         period: From sample to sample [s].
     """

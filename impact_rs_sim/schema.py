@@ -2,7 +2,7 @@
 """Validated YAML; all user files are read through :func:`load`.
 
 A schema is a frozen pydantic model whose fields carry a description that ends in the unit, so that an error
-can say what was expected, and in which unit.
+can state the expected value and its unit.
 
 Every function here raises :class:`InputError` for invalid input. The message names file, line or key, value, and the
 expected value; of several mistakes the first is explained.
@@ -262,7 +262,7 @@ MISTAKE_TEXTS = {
 
 def _input_error(schema: type[Schema], error: ValidationError, file: str | Path | None) -> InputError:
     mistakes = error.errors(include_url=False)
-    # A misspelt key is unknown and also missing; the unknown one shows what was meant.
+    # A misspelt key is both unknown and missing; the error about the unknown key is the clearer one.
     first = next((mistake for mistake in mistakes if mistake["type"] == "extra_forbidden"), mistakes[0])
     location = [part for part in first["loc"] if part != "[key]"]
     key = ".".join(str(part) for part in location)

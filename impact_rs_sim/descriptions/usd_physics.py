@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Physics of a scene as a layer of USD (text, .usda) over the same robot, imported from our URDF.
+"""Physics of a scene as a layer of USD (text, .usda) over the robot imported from the URDF of :mod:`.urdf_scene`.
 
 Masses are in ``PhysicsMassAPI``, friction and restitution of ``PhysicsMaterialAPI`` (UsdPhysics); B is
 ``physxJoint:armature`` and the compliance of a pad ``physxMaterial:compliantContactStiffness`` (PhysX schema). Prims

@@ -8,7 +8,7 @@
       parameters: {drag: {unit: N s/m, nominal: 0, lower: 0, upper: 50, scale: 1},
                    c: {unit: N m, nominal: 0, lower: 0, upper: 3, scale: 0.1}}
 
-A law of the object, or of what it touches:
+A law of the object or of its contacts:
 
     - name: air_drag
       sentence: Air resists the object with the square of its speed.

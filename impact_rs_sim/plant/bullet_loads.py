@@ -153,13 +153,13 @@ class BulletLoads:
         if force <= 0.0:
             return None
         share = loads / force
-        point = share @ np.array([point[6] for point in points])
+        centre = share @ np.array([point[6] for point in points])
         body = self._world.object_state()
-        velocity = body.twist[:3] + np.cross(body.twist[3:], point - body.position)
+        velocity = body.twist[:3] + np.cross(body.twist[3:], centre - body.position)
         if arm is not None:
             link, model = links[arm], self._models[arm]
             twist = model.jacobian(link.position) @ link.velocity
-            velocity = velocity - twist[:3] - np.cross(twist[3:], point - model.placement(link.position).translation)
+            velocity = velocity - twist[:3] - np.cross(twist[3:], centre - model.placement(link.position).translation)
         # Bullet's normal points out of its second body: the object for a pad, the support for the object.
         normal = np.array(points[0][7]) * (1.0 if arm is None else -1.0)
-        return LoadedPair(force, -float(share @ [point[8] for point in points]), point, normal, velocity)
+        return LoadedPair(force, -float(share @ [point[8] for point in points]), centre, normal, velocity)

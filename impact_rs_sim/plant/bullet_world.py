@@ -85,7 +85,7 @@ class BulletWorld:
         arms: Body of every arm in Bullet, by name.
         object_: Body of the object.
         neighbours: Bodies of its neighbours.
-        support: Body of the support; None: there is none.
+        support: Body of the support; None: no support.
         shears: Shear models of pads, by arm.
         small_steps: Whether the direction of the support's friction is corrected, one step late.
         substeps: Steps of Bullet per step of this world.
@@ -508,7 +508,7 @@ def _geometry(shape: ConvexShape, size: Array) -> dict[str, Any]:
     radius, height = float(size[0]) / 2.0, float(size[2])
     if shape.kind == "sphere":
         return {"shapeType": pybullet.GEOM_SPHERE, "radius": radius}
-    if shape.kind == "capsule":  # whose height is that of its tube
+    if shape.kind == "capsule":  # Bullet's height is that of the tube, without the caps
         return {"shapeType": pybullet.GEOM_CAPSULE, "radius": radius, "height": height - 2.0 * radius}
     if shape.kind == "cylinder":
         return {"shapeType": pybullet.GEOM_CYLINDER, "radius": radius, "height": height}

@@ -162,7 +162,7 @@ class Inertial(Schema):
 
 
 class Link(Inertial):
-    """One link of the robot: its inertial parameters, and what viewers show."""
+    """One link of the robot: inertial parameters, and meshes for viewers."""
 
     meshes: tuple[Mesh, ...] = omitted((), description="what viewers show; none: a simple shape")
     name: str = omitted("", description="name of the link in its source file")
@@ -212,7 +212,7 @@ class Colours(Schema):
 
 
 class RobotFacts(Schema):
-    """Public facts about an arm (``config/robots/*.yaml``)."""
+    """Published facts about a robot (``config/robots/*.yaml``)."""
 
     source: str = Field(description="where the numbers come from")
     joints: tuple[JointOrigin, ...] = Field(description="joint origins; in a tree depth first, each branch to its end")

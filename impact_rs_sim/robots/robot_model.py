@@ -384,7 +384,7 @@ def _mount_hand(model: pin.Model, facts: RobotFacts, name: str, tool: EndEffecto
 
 
 def _skeleton(facts: RobotFacts, end_effector: EndEffector) -> pin.Model:
-    """Cached kinematic model of an arm of the same geometry on a base at the origin; its inertias are placeholders.
+    """Kinematic model of an arm on a base at the origin, cached by geometry; its inertias are placeholders.
 
     A search changes the masses of few arms thousands of times, so only the inertias are replaced. The cache key is the
     identity of the objects: hashing all numbers would take longer than building the model.

@@ -178,7 +178,7 @@ def write_description(
 
     Args:
         arms: Facts, end effector and placement of the base in A, by arm.
-        support: Height of the surface and its extent along x, y [m]; its link is ``support``. None: there is none.
+        support: Height of the surface and its extent along x, y [m]; its link is ``support``. None: no support.
         meshes: Show the meshes of arms that have some; else simple shapes.
     """
     scene = Xml.Element("robot", name="_".join(arms))

@@ -92,7 +92,7 @@ class Pad(Schema):
 
 
 class ToolCompliance(Schema):
-    """Spring and damper between flange and pad, as of a force sensor, a flexure or a slender tool."""
+    """Spring and damper between flange and pad: a force sensor, a flexure or a slender tool."""
 
     diagonal: Vector6 | None = omitted(
         None,
@@ -574,7 +574,7 @@ class ObjectSpec(Schema):
 
 
 class NeighbourSpec(ObjectSpec):
-    """A free object that stands on the support beside another one, which hits it."""
+    """A free object on the support beside another object, which hits it."""
 
     direction: tuple[float, float] = Field(
         description="unit vector along x and y from the neighbour before it, or the object"
@@ -660,7 +660,7 @@ class Case(Schema):
 
 
 class Excursion(Schema):
-    """A motion there and back without contact; its peak speed is that of the case's ante_velocity."""
+    """A motion there and back without contact; its peak speed is the magnitude of the case's ante_velocity."""
 
     start: Vector3 = Field(description="start of frame E from its pose at impact [m]")
     end: Vector3 = Field(description="turning point of frame E from its pose at impact [m]")
