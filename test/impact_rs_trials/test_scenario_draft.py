@@ -33,7 +33,7 @@ def test_a_draft_for_six_joints_is_a_valid_file_whose_trials_ran(six_joints: Dra
     scenario = load_scenario(str(path))
     assert scenario.name == "push_ur5e"
     assert scenario.robots["arm"].drive.type == "rigid"
-    assert all(robot.held == {} for case in scenario.cases.values() for robot in case.robots.values())
+    assert all(robot.posture_joints == {} for case in scenario.cases.values() for robot in case.robots.values())
     stable, assumed = check_drives(UR5E, scenario)
     assert stable.outcome == "ok" and "assumed: motor_inertia_rotor, stiffness, damping" in assumed.found
     assert scenario.uncertainty.motor_inertia == ASSUMED_MOTOR_INERTIA

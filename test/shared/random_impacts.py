@@ -58,7 +58,7 @@ def _sample(
         turn @ robot.impact.placement.rotation, robot.impact.placement.translation + rng.uniform(-0.08, 0.08, 3)
     )
     shift = rng.uniform(-0.4, 0.4)
-    held = next(iter(scenario.cases.values())).robots[name].held
+    held = next(iter(scenario.cases.values())).robots[name].posture_joints
     guess = np.array(robot.impact.joint_guess)
     q = model.inverse_kinematics(target, {joint: float(guess[joint]) + shift for joint in held}, guess)
     normal = target.rotation[:, 2]

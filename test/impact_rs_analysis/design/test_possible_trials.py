@@ -29,7 +29,7 @@ def test_another_speed_keeps_pose_and_direction() -> None:
         case = trial.spec.scenario.case(trial.spec.case)
         name = trial.spec.case.rsplit("_", 2)[0]
         own, other = case.robots["arm"], load_scenario("push").case(name).robots["arm"]
-        assert own.held == other.held
+        assert own.posture_joints == other.posture_joints
         assert np.cross(own.ante_velocity, other.ante_velocity) == pytest.approx(0.0, abs=1e-6)
 
 
