@@ -43,7 +43,7 @@ PRISMATIC_UNITS = {
     "rad/(N m)": ("m/N", PINION_RADIUS_M**2),
 }
 
-MAX_SPELLED = 256  # cached lists of scalars; the library has 60 effects
+MAX_CACHED_SCALARS = 256  # cached lists of scalars; the library has 60 effects
 
 SINGLE_IMPACT = ("impact",)  # phases of effects that act in tables of impacts only
 
@@ -244,11 +244,11 @@ class Effect(ABC):
 
     def scalars(self, joints: Joints) -> list[Parameter]:
         """The parameters, joint by joint."""
-        return [scalar for _, scalars in self.spelled(joints) for scalar in scalars]
+        return [scalar for _, scalars in self.scalars_by_parameter(joints) for scalar in scalars]
 
-    def spelled(self, joints: Joints) -> list[tuple[str, list[Parameter]]]:
+    def scalars_by_parameter(self, joints: Joints) -> list[tuple[str, list[Parameter]]]:
         """Scalars of every parameter, with its name; cached, because a search calls this thousands of times."""
-        return _spelled(self.parameters, joints)
+        return _scalars_by_parameter(self.parameters, joints)
 
     def apply_vector(self, physics: Physics, vector: Array) -> Physics:
         """As :meth:`apply`, with all scalars in one vector ordered as :meth:`scalars`.
@@ -260,17 +260,17 @@ class Effect(ABC):
                 unequal joint counts.
             NotABody: A link, an object or a motor becomes physically inconsistent (:mod:`impact_rs_sim.robots.bodies`).
         """
-        scalars_by_parameter = self.spelled(self._joints(physics))
-        count = sum(len(scalars) for _, scalars in scalars_by_parameter)
+        by_parameter = self.scalars_by_parameter(self._joints(physics))
+        count = sum(len(scalars) for _, scalars in by_parameter)
         vector = np.asarray(vector, dtype=float)
         if vector.ndim == 1 and vector.size < count:
-            missing = [scalar for _, scalars in scalars_by_parameter for scalar in scalars][vector.size :]
+            missing = [scalar for _, scalars in by_parameter for scalar in scalars][vector.size :]
             if all(scalar.prior is not None for scalar in missing):
                 vector = np.append(vector, [scalar.nominal for scalar in missing])
         if vector.shape != (count,) or not np.isfinite(vector).all():
             raise InputError(f"effect {self.name!r} needs {count} finite numbers, got {vector.tolist()}")
         values, start = {}, 0
-        for name, scalars in scalars_by_parameter:
+        for name, scalars in by_parameter:
             values[name] = vector[start : start + len(scalars)]
             start += len(scalars)
         changed = self.apply(physics, values)
@@ -388,8 +388,8 @@ class SceneEffect(LawEffect):
         return changed
 
 
-@functools.lru_cache(MAX_SPELLED)
-def _spelled(parameters: tuple[Parameter, ...], joints: Joints) -> list[tuple[str, list[Parameter]]]:
+@functools.lru_cache(MAX_CACHED_SCALARS)
+def _scalars_by_parameter(parameters: tuple[Parameter, ...], joints: Joints) -> list[tuple[str, list[Parameter]]]:
     """Parameters by name, joint by joint."""
     return [(parameter.name, parameter.scalars(joints)) for parameter in parameters]
 

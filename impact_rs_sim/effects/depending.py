@@ -171,8 +171,8 @@ class Depending(Effect):
                 terms.append(replace(term, nominal=0.0, lower=-width, upper=width, far=()) if change else term)
         return terms + [scalar for scalar in scalars if scalar.shape]
 
-    def spelled(self, joints: Joints) -> list[tuple[str, list[Parameter]]]:
-        """See :meth:`Effect.spelled`."""
+    def scalars_by_parameter(self, joints: Joints) -> list[tuple[str, list[Parameter]]]:
+        """See :meth:`Effect.scalars_by_parameter`."""
         return [(scalar.name, [scalar]) for scalar in self.scalars(joints)]
 
     def at(self, values: Array, joints: Joints) -> Array:

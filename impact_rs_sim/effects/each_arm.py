@@ -53,8 +53,8 @@ class EachArm(Effect):
             arms[name] = self.effect.apply(_alone(physics, name), arm_values).arms[name]
         return replace(physics, arms=arms)
 
-    def spelled(self, joints: Joints) -> list[tuple[str, list[Parameter]]]:
-        """See :meth:`Effect.spelled`; ``joints`` is ignored, because this effect has the joints of every arm."""
+    def scalars_by_parameter(self, joints: Joints) -> list[tuple[str, list[Parameter]]]:
+        """See :meth:`Effect.scalars_by_parameter`; ``joints`` is ignored: this effect has the joints of every arm."""
         del joints
         return [(parameter.name, parameter.scalars(self.joints[parameter.arm])) for parameter in self.parameters]
 
