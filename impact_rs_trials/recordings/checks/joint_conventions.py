@@ -72,7 +72,7 @@ def convention_warning(model: RobotModel, motion: AveragedMotion, torque: Array,
     return remark(
         "torques are those of joints with other {} ({:.2g} N m rms left, {:.2g} N m with factors of the torques). "
         "Remedy in the mapping: {}",
-        " and ".join(changed), np.sqrt(remaining), np.sqrt(factors), joined(", ", _remedies(*choice, mapping)),
+        " and ".join(changed), np.sqrt(remaining), np.sqrt(factors), joined(", ", _remedies(choice, mapping)),
     )  # fmt: skip
 
 
@@ -111,8 +111,9 @@ def _neighbours(choice: Array, slides: NDArray[np.bool_]) -> Iterator[Array]:
                     yield other
 
 
-def _remedies(direction: Array, zero: Array, mapping: Mapping) -> list[str]:
+def _remedies(choice: Array, mapping: Mapping) -> list[str]:
     """Keys of the mapping and their values."""
+    direction, zero = choice
     values: dict[str, Array] = {}
     for name in MIRRORED:
         if name not in mapping.signals:
