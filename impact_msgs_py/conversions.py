@@ -18,11 +18,11 @@ FloatArray = NDArray[np.float64]
 _NANOSECONDS = 10**9  # [ns] / [s]
 
 
-def _vector(values: ArrayLike, size: int, what: str) -> list[float]:
+def _vector(values: ArrayLike, size: int, label: str) -> list[float]:
     """Return ``values`` as a list of ``size`` floats, or raise a ``ValueError`` that says why."""
     array = np.asarray(values, dtype=np.float64)
     if array.shape != (size,):
-        raise ValueError(f"{what} needs the shape ({size},), not {array.shape}")
+        raise ValueError(f"{label} needs the shape ({size},), not {array.shape}")
     result: list[float] = array.tolist()
     return result
 

@@ -42,9 +42,9 @@ def on_local_runs(run: Action) -> Action:
                 "with --scheduler RUNS must be a folder that all workers can read; copy the bags into one",
                 file=args.runs,
             )
-        with ExitStack() as held:
+        with ExitStack() as copy_lifetime:
             with terminal.progress("copying bags") as report_progress:
-                directory = held.enter_context(local_copy(args.runs, progress=report_progress))
+                directory = copy_lifetime.enter_context(local_copy(args.runs, progress=report_progress))
             return run(argparse.Namespace(**vars(args) | {"runs": directory}), terminal)
 
     return command
@@ -82,7 +82,7 @@ def workforce_of(args: argparse.Namespace) -> Workforce:
 
 
 @contextmanager
-def started(args: argparse.Namespace) -> Iterator[Map]:
+def started_workers(args: argparse.Namespace) -> Iterator[Map]:
     """The workers of ``--jobs`` or ``--scheduler``.
 
     Raises:
@@ -103,6 +103,6 @@ def check_robots(scenario: Scenario, terminal: Terminal) -> None:
         terminal.warn(f"robot check failed, trials may diverge: {check.name}: {check.found}")
 
 
-def number(value: float) -> str:
+def three_digits(value: float) -> str:
     """Three significant digits."""
     return f"{value:.3g}"

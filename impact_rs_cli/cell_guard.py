@@ -34,11 +34,11 @@ class CellGuard:
         directory: Folder of the investigation.
         envelope: Which trials may run.
         ask: Asks the operator; False also without an operator.
-        brave: Whether new kinds of motion and the start of trials need no answer; a stop always does.
+        skip_questions: Whether new kinds of motion and the start of trials need no answer; a stop always does.
     """
 
-    def __init__(self, directory: Path, envelope: CellEnvelope, ask: Ask, brave: bool = False) -> None:
-        self._directory, self._envelope, self._ask, self._brave = directory, envelope, ask, brave
+    def __init__(self, directory: Path, envelope: CellEnvelope, ask: Ask, skip_questions: bool = False) -> None:
+        self._directory, self._envelope, self._ask, self._skip_questions = directory, envelope, ask, skip_questions
 
     def begin(self) -> None:
         """Ask whether the cell is safe again, if the last trial ended with a stop, or not at all.
@@ -59,42 +59,43 @@ class CellGuard:
         Raises:
             InputError: A trial is outside the envelope; then no trial runs.
         """
-        for one in trials:
-            self._envelope.check(one.trial.spec)
-        known = set(self._read(APPROVED) or {})
+        for planned in trials:
+            self._envelope.check(planned.trial.spec)
+        approved = set(self._read(APPROVED) or {})
         new = sorted(
-            (one for one in trials if _kind(one) not in known), key=lambda one: demand_of(one.trial.spec).speed
+            (planned for planned in trials if _kind(planned) not in approved),
+            key=lambda planned: demand_of(planned.trial.spec).speed,
         )
-        return [*(one for one in trials if _kind(one) in known), *new]
+        return [*(planned for planned in trials if _kind(planned) in approved), *new]
 
-    def admit(self, one: PlannedTrial) -> None:
+    def admit(self, planned: PlannedTrial) -> None:
         """Let a trial run: inside the envelope, its kind of motion approved, the cell ready. Marks it as running.
 
         Raises:
             InputError: It is outside the envelope.
             SafetyStop: The operator did not agree.
         """
-        spec, kind = one.trial.spec, _kind(one)
+        spec, kind = planned.trial.spec, _kind(planned)
         self._envelope.check(spec)
         motion = demand_of(spec)
         approved = self._read(APPROVED) or {}
-        said = {"speed": motion.speed, "impulse": motion.impulse}
+        demand_document = {"speed": motion.speed, "impulse": motion.impulse}
         if kind not in approved:
             question = (
                 f"New kind of motion: {kind}, up to {motion.speed:.2f} m/s, predicted impulse "
                 f"{motion.impulse:.2f} N s. May it run?"
             )
-            if not self._brave and not self._ask(question):
+            if not self._skip_questions and not self._ask(question):
                 raise SafetyStop(f"{kind} was not approved; nothing was moved. The same command asks again")
-            write_whole(self._directory / APPROVED, json.dumps({**approved, kind: said}, indent=2) + "\n")
+            write_whole(self._directory / APPROVED, json.dumps({**approved, kind: demand_document}, indent=2) + "\n")
         start = ", ".join(
             f"{name} at [{', '.join(f'{value:.4f}' for value in arm.initial)}]" for name, arm in spec.plan.arms.items()
         )
-        if not self._brave and not self._ask(f"{one.path}: {start}, object {spec.object} in its place?"):
-            raise SafetyStop(f"{one.path} was not started; nothing was moved. The same command goes on")
-        self._stop(one, "the program ended while this trial ran")  # true unless it is taken back
+        if not self._skip_questions and not self._ask(f"{planned.path}: {start}, object {spec.object} in its place?"):
+            raise SafetyStop(f"{planned.path} was not started; nothing was moved. The same command goes on")
+        self._stop(planned, "the program ended while this trial ran")  # true unless it is taken back
 
-    def after(self, one: PlannedTrial, report: TrialReport) -> None:
+    def after(self, planned: PlannedTrial, report: TrialReport) -> None:
         """Go on only after a trial that went as planned.
 
         Raises:
@@ -102,12 +103,12 @@ class CellGuard:
         """
         if report.outcome != "OK":
             reason = f"{report.outcome}: {report.message or OUTCOMES[report.outcome]}"
-            self._stop(one, reason)
-            raise SafetyStop(f"stopped at {one.path}: {reason}. The same command asks before it goes on")
+            self._stop(planned, reason)
+            raise SafetyStop(f"stopped at {planned.path}: {reason}. The same command asks before it goes on")
         (self._directory / STOPPED).unlink()
 
-    def _stop(self, one: PlannedTrial, reason: str) -> None:
-        write_whole(self._directory / STOPPED, json.dumps({"trial": one.path, "reason": reason}, indent=2) + "\n")
+    def _stop(self, planned: PlannedTrial, reason: str) -> None:
+        write_whole(self._directory / STOPPED, json.dumps({"trial": planned.path, "reason": reason}, indent=2) + "\n")
 
     def _read(self, name: str) -> dict[str, Any] | None:
         path = self._directory / name
@@ -117,8 +118,8 @@ class CellGuard:
             raise InputError(f"cannot be read: {error}; remove it when the cell is safe", file=path) from None
 
 
-def _kind(one: PlannedTrial) -> str:
+def _kind(planned: PlannedTrial) -> str:
     """Kind of motion: scenario with its settings, object, case and reference."""
-    spec = one.trial.spec
-    changed = "".join(f", {key} = {value}" for key, value in sorted(one.settings.items()))
+    spec = planned.trial.spec
+    changed = "".join(f", {key} = {value}" for key, value in sorted(planned.settings.items()))
     return f"{spec.scenario.name}/{spec.object}/{spec.case}, reference {spec.scale:g} of the prediction{changed}"

@@ -96,39 +96,41 @@ class FullDiagnosis:
         Args:
             wait: Whether to wait for its end.
         """
-        own = self._running
-        if own is None or (own.process.poll() is None and not wait):
+        running = self._running
+        if running is None or (running.process.poll() is None and not wait):
             return None
-        code = own.process.wait()
+        code = running.process.wait()
         self._running = None
-        _hang_up(own.process)
-        own.errors.seek(0)
-        lines = own.errors.read().decode("utf-8", "replace").strip().splitlines()
-        own.errors.close()
-        verdict, words = "", f"exit code {code}{f': {lines[-1]}' if lines else ''}"
+        _hang_up(running.process)
+        running.errors.seek(0)
+        lines = running.errors.read().decode("utf-8", "replace").strip().splitlines()
+        running.errors.close()
+        verdict, text = "", f"exit code {code}{f': {lines[-1]}' if lines else ''}"
         if code == 0:
-            document = read_document(self.file(own.since))
-            verdict, words = str(document.verdict), f"{document.verdict}: {document.summary}"
+            document = read_document(self.file(running.since))
+            verdict, text = str(document.verdict), f"{document.verdict}: {document.summary}"
             if document.next_experiment is not None:
-                words += f" Next experiment: {document.next_experiment.advice}."
+                text += f" Next experiment: {document.next_experiment.advice}."
         return ChangeDiagnosis(
-            command=self.command(own.since), file=str(self.file(own.since)), verdict=verdict, words=words
+            command=self.command(running.since), file=str(self.file(running.since)), verdict=verdict, words=text
         )
 
     def stop(self) -> None:
         """Stop the running diagnosis, with its workers."""
-        own, self._running = self._running, None
-        if own is None:
+        running, self._running = self._running, None
+        if running is None:
             return
-        _hang_up(own.process)  # it interrupts itself, as soon as it can be: a signal is lost on one that still starts
-        if own.process.poll() is None:
+        _hang_up(
+            running.process
+        )  # it interrupts itself, as soon as it can be: a signal is lost on one that still starts
+        if running.process.poll() is None:
             try:
-                own.process.wait(DIAGNOSIS_STOP_TIMEOUT_S)
+                running.process.wait(DIAGNOSIS_STOP_TIMEOUT_S)
             except subprocess.TimeoutExpired:
-                os.killpg(own.process.pid, signal.SIGKILL)
-                own.process.wait()
-        own.errors.close()
-        if own.makes_folder:  # a killed diagnosis has not removed it
+                os.killpg(running.process.pid, signal.SIGKILL)
+                running.process.wait()
+        running.errors.close()
+        if running.makes_folder:  # a killed diagnosis has not removed it
             with contextlib.suppress(OSError):
                 self._folder.rmdir()
 

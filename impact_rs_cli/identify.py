@@ -62,10 +62,10 @@ class HitReports:
 
     def prediction(self) -> dict[str, Any]:
         """Fields of the prediction of the next hit, with the parameters believed; empty: not yet."""
-        found = self._followed.follower.prediction()
-        if found is None:
+        prediction = self._followed.follower.prediction()
+        if prediction is None:
             return {}
-        return PublishedPrediction(**vars(found), followed=self._followed.follower.followed()).model_dump()
+        return PublishedPrediction(**vars(prediction), followed=self._followed.follower.followed()).model_dump()
 
     def close(self) -> None:
         """Stop a diagnosis that runs."""
@@ -101,9 +101,9 @@ class Identify(IdentifyNode):
         )
         file = self.parameter("model")
         model = calibration_of(hits.data, hits.calibration).of(load_model(file))
-        given = self.parameter("diagnoses")
+        diagnoses = self.parameter("diagnoses")
         state = Path(state) if state else None
-        folder = folder_of_diagnoses(Path(given) if given else None, state)
+        folder = folder_of_diagnoses(Path(diagnoses) if diagnoses else None, state)
         diagnosis = FullDiagnosis(diagnose_options(hits, file), folder)
         follower = Follower(hit_source_of(hits, model), model)
         return HitReports(

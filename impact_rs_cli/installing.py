@@ -21,6 +21,6 @@ def offer() -> bool:
         return False
     if not Terminal(as_json=False).ask("Install it now, and go on?"):
         return False
-    done = subprocess.run(command, stdout=sys.stderr)
+    installation = subprocess.run(command, stdout=sys.stderr)
     importlib.invalidate_caches()
-    return done.returncode == 0
+    return installation.returncode == 0

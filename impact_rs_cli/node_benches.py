@@ -64,41 +64,41 @@ class NodesBench(PlantBench):
             ) as graph,
             self.observer.progress("trials") as report,
         ):
-            for count, one in enumerate(trials, start=1):
+            for count, planned in enumerate(trials, start=1):
                 graph.wait_until_ready()
-                self.run(graph, one)
+                self.run(graph, planned)
                 report(count, len(trials))
 
     def in_order(self, trials: Sequence[PlannedTrial]) -> Sequence[PlannedTrial]:
         """The trials in the order in which they run."""
         return trials
 
-    def run(self, graph: Graph, one: PlannedTrial) -> TrialReport:
+    def run(self, graph: Graph, planned: PlannedTrial) -> TrialReport:
         """Run one trial."""
-        report = self.one(graph, one, repeated=True)
+        report = self.request_trial(graph, planned, repeated=True)
         if report.outcome != "OK":
-            self.observer.warn(f"{one.path}: {report.outcome}: {report.message}")
+            self.observer.warn(f"{planned.path}: {report.outcome}: {report.message}")
         if report.outcome == "ABORTED":
-            raise RuntimeError(f"{one.path} was aborted: {report.message}; the same command goes on")
+            raise RuntimeError(f"{planned.path} was aborted: {report.message}; the same command goes on")
         return report
 
-    def one(self, graph: Graph, one: PlannedTrial, repeated: bool) -> TrialReport:
+    def request_trial(self, graph: Graph, planned: PlannedTrial, repeated: bool) -> TrialReport:
         """Ask the experiment node for one trial; a variant of a scenario gets a file, because nodes read files."""
-        directory = self.runs / one.folder
+        directory = self.runs / planned.folder
         directory.mkdir(parents=True, exist_ok=True)
-        scenario = one.scenario
-        if one.settings:
+        scenario = planned.scenario
+        if planned.settings:
             path = directory / SCENARIO_FILE
-            write_scenario(load_scenario(scenario).with_settings(one.settings), path)
+            write_scenario(load_scenario(scenario).with_settings(planned.settings), path)
             scenario = str(path.resolve())
-        key = one.trial.key
+        key = planned.trial.key
         manifest = Manifest(
             scenario=scenario,
             objects=(key.object,),
             cases=(key.case,),
             velocity_scales=(key.scale,),
             trials=key.repeat + 1,
-            seed=one.campaign_seed,
+            seed=planned.campaign_seed,
         )
         return run_trial(graph, directory, manifest, key, self._hidden, repeated)
 
@@ -147,15 +147,15 @@ class CellBench(NodesBench):
         """As the guard admits them."""
         return self._guard.in_order(trials)
 
-    def run(self, graph: Graph, one: PlannedTrial) -> TrialReport:
+    def run(self, graph: Graph, planned: PlannedTrial) -> TrialReport:
         """Run one trial as the guard admits it; an aborted one is not repeated.
 
         Raises:
             SafetyStop: The operator did not agree, or the trial did not go as planned.
         """
-        self._guard.admit(one)
-        report = self.one(graph, one, repeated=False)
-        self._guard.after(one, report)
+        self._guard.admit(planned)
+        report = self.request_trial(graph, planned, repeated=False)
+        self._guard.after(planned, report)
         return report
 
     def measured_runs(self) -> Runs:
@@ -165,27 +165,27 @@ class CellBench(NodesBench):
         """
         specs: dict[Path, TrialSpec] = {}
         hits: dict[str, tuple[Scenario, list[str]]] = {}  # with the rows of the table, by the text of the scenario
-        free: list[str] = []
+        free_rows: list[str] = []
         for path in sorted(self.runs.glob(f"*/*/*/{BAG_METADATA}")):
             bag = TrialBag.open(path.parent)
             spec = specs[path.parent.absolute()] = bag.info.spec
             hit = spec.scenario.excursion is None
-            kind, what = (HIT, spec.object) if hit else (FREE_MOTION, NO_OBJECT)
+            kind, object_name = (HIT, spec.object) if hit else (FREE_MOTION, NO_OBJECT)
             name = path.parent.relative_to(self.runs).as_posix()
-            rows = hits.setdefault(spec.scenario_json, (spec.scenario, []))[1] if hit else free
-            rows.append(f"{name},{what},{kind},{bag.info.scenario},{spec.case},{spec.scale:g}")
+            rows = hits.setdefault(spec.scenario_json, (spec.scenario, []))[1] if hit else free_rows
+            rows.append(f"{name},{object_name},{kind},{bag.info.scenario},{spec.case},{spec.scale:g}")
         if not specs:
             raise InputError("no trial was recorded here", file=self.runs)
-        (scene, rows), *others = hits.values() or [(next(iter(specs.values())).scenario, [])]
-        tables = [(scene, rows + free), *others]
+        (scene, rows), *other_hits = hits.values() or [(next(iter(specs.values())).scenario, [])]
+        tables = [(scene, rows + free_rows), *other_hits]
         experiments = [self._described(number, *table) for number, table in enumerate(tables, start=1)]
         return read_runs_of_scenes(self.runs.absolute(), experiments, self.map_tasks).named(specs)
 
     def _described(self, number: int, scenario: Scenario, rows: Sequence[str]) -> Experiment:
         """Description of the trials of one scenario, written next to them."""
-        end = "" if number == 1 else f"_{number}"
-        write_whole(self.runs / f"runs{end}.csv", "\n".join(["bag,object,kind,scenario,case,scale", *rows]) + "\n")
-        write_scenario(scenario, self.runs / f"scenario{end}.yaml")
-        experiment = self.runs / f"experiment{end}.yaml"
-        write_whole(experiment, f"scenario: scenario{end}.yaml\nmapping: {self._mapping}\nruns: runs{end}.csv\n")
+        suffix = "" if number == 1 else f"_{number}"
+        write_whole(self.runs / f"runs{suffix}.csv", "\n".join(["bag,object,kind,scenario,case,scale", *rows]) + "\n")
+        write_scenario(scenario, self.runs / f"scenario{suffix}.yaml")
+        experiment = self.runs / f"experiment{suffix}.yaml"
+        write_whole(experiment, f"scenario: scenario{suffix}.yaml\nmapping: {self._mapping}\nruns: runs{suffix}.csv\n")
         return load_experiment(experiment)

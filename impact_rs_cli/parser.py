@@ -45,13 +45,13 @@ class Parser(argparse.ArgumentParser):
 
     def _suggestion(self, message: str) -> str:
         """Suggestion: the choice or option nearest to the refused word."""
-        if found := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
-            word, known = found[1], re.findall(r"'(.*?)'", found[2])
-        elif found := re.search(r"unrecognized arguments: .*?(--[\w-]+)", message):
-            word, known = found[1], self._options()
+        if match := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
+            word, choices = match[1], re.findall(r"'(.*?)'", match[2])
+        elif match := re.search(r"unrecognized arguments: .*?(--[\w-]+)", message):
+            word, choices = match[1], self._options()
         else:
             return ""
-        return did_you_mean(word, known)
+        return did_you_mean(word, choices)
 
     def _options(self) -> list[str]:
         """Long options of this parser and its subcommands."""
@@ -86,8 +86,8 @@ class CommandParser(Parser):
             _add(self, option)
         if command.actions:
             actions = self.add_subparsers(title="actions", metavar="ACTION", required=True, parser_class=CommandParser)
-            for below in command.actions:
-                actions.add_parser(below.name.split()[-1], help=below.summary, command=below, helped=command)
+            for action in command.actions:
+                actions.add_parser(action.name.split()[-1], help=action.summary, command=action, helped=command)
         return self
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:

@@ -16,7 +16,7 @@ from impact_rs_analysis.application.measurements import (
 )
 from impact_rs_analysis.diagnosis.search.bounds import read_ranges
 from impact_rs_analysis.evidence.replays.measured_runs import Runs
-from impact_rs_cli.arguments import started
+from impact_rs_cli.arguments import started_workers
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.file_names import experiment_file_in
@@ -41,7 +41,7 @@ def measured(
         InputError: There is no usable measurement.
     """
     options = measurement_options(args, terminal, each_arm, unsure)
-    with started(args) as map_tasks:
+    with started_workers(args) as map_tasks:
         measurements = open_measurements(options, map_tasks, terminal)
         if measurements.calibration:
             terminal.say(f"calibration of the readings: {measurements.calibration.text}")
@@ -57,8 +57,8 @@ def measurement_options(
         InputError: Options that do not go together, or a range or path that there is not.
     """
     _check_options(args, unsure)
-    given = args.experiment
-    experiment = None if given is None else experiment_file(given, Path(args.runs), terminal)
+    experiment_option = args.experiment
+    experiment = None if experiment_option is None else experiment_file(experiment_option, Path(args.runs), terminal)
     options = MeasurementOptions(
         runs=None if args.runs is None else Path(args.runs),
         impacts=None if args.impacts is None else Path(args.impacts),
@@ -74,7 +74,7 @@ def measurement_options(
         exact=args.no_discrepancy,
         each_arm=each_arm,
     )
-    if given is None and options.experiment is not None:
+    if experiment_option is None and options.experiment is not None:
         _say_experiment(options.experiment, terminal)
     recordings = options.kind == MeasurementKind.RECORDINGS
     if args.minus is not None and not recordings:
@@ -115,32 +115,34 @@ def _check_options(args: argparse.Namespace, unsure: Sequence[str]) -> None:
         raise InputError("--mapping is for recordings; leave it out with --impacts, whose columns are fixed")
 
 
-def experiment_file(given: Path | None, directory: Path, terminal: Terminal) -> Path | None:
+def experiment_file(option_path: Path | None, directory: Path, terminal: Terminal) -> Path | None:
     """The experiment file that a path on the command line names, or that is in the folder of the runs.
 
     A path is relative to the working directory as any path, or else to the folder of the runs.
 
     Args:
-        given: The path; None: the file in the folder, if there is one.
+        option_path: The path; None: the file in the folder, if there is one.
         directory: Folder of the runs.
         terminal: Reports the chosen file if both are possible.
 
     Raises:
         InputError: There is no such file in either folder.
     """
-    if given is None:
-        if (found := experiment_file_in(directory)) is not None:
-            _say_experiment(found, terminal)
-        return found
-    beside = directory / given
-    if given.is_absolute() or beside.absolute() == given.absolute():
-        return given
-    if not given.exists() and not beside.exists():
-        raise InputError(f"no such file in {Path.cwd()} or in the folder of the runs, {directory}", file=given)
-    file = given if given.exists() else beside
+    if option_path is None:
+        if (default_file := experiment_file_in(directory)) is not None:
+            _say_experiment(default_file, terminal)
+        return default_file
+    in_runs_folder = directory / option_path
+    if option_path.is_absolute() or in_runs_folder.absolute() == option_path.absolute():
+        return option_path
+    if not option_path.exists() and not in_runs_folder.exists():
+        raise InputError(f"no such file in {Path.cwd()} or in the folder of the runs, {directory}", file=option_path)
+    file = option_path if option_path.exists() else in_runs_folder
     _say_experiment(file, terminal)
-    if file is given and beside.exists() and not given.samefile(beside):
-        terminal.warn(f"there is another {given} in the folder of the runs, which was not read: {beside.absolute()}")
+    if file is option_path and in_runs_folder.exists() and not option_path.samefile(in_runs_folder):
+        terminal.warn(
+            f"there is another {option_path} in the folder of the runs, which was not read: {in_runs_folder.absolute()}"
+        )
     return file
 
 

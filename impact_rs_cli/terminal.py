@@ -23,7 +23,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.progress import ProgressFile
 from impact_rs_sim.questions import PageQuestions
 from impact_rs_trials.store import is_bag, is_url
-from impact_rs_workbench.remaining import STAGES, Remaining, remaining, shown
+from impact_rs_workbench.remaining import STAGES, Remaining, remaining, smoothed
 
 Report = Callable[[int, int], None]
 
@@ -47,20 +47,20 @@ class _TimeLeft(ProgressColumn):
     def __init__(self, command: str) -> None:
         super().__init__()
         self._usual = STAGES.get(command, {})
-        self._shown: Remaining | None = None
+        self._estimate: Remaining | None = None
 
     def look(self, progress: ProgressFile) -> None:
         """Estimate it from the progress of the command."""
         if progress.document:
             new = remaining(progress.document, self._usual, time.time())
-            self._shown = shown(self._shown if self._usual else None, new)
+            self._estimate = smoothed(self._estimate if self._usual else None, new)
 
     def render(self, task: Task) -> Text:
         """The time, which falls until the next estimate."""
         del task
-        if self._shown is None or self._shown.left is None:
+        if self._estimate is None or self._estimate.seconds is None:
             return Text("")
-        return Text(f"{max(0.0, self._shown.left - (time.time() - self._shown.at)):.0f} s left")
+        return Text(f"{max(0.0, self._estimate.seconds - (time.time() - self._estimate.time)):.0f} s left")
 
 
 class Terminal:
@@ -80,7 +80,7 @@ class Terminal:
         self._file = ProgressFile()
         self._page = PageQuestions.of_environment()
         self._bars = 0  # that are shown
-        self._left = _TimeLeft(command)
+        self._time_left_column = _TimeLeft(command)
 
     def result(self, document: dict[str, Any]) -> None:
         """The document of ``--json``; printed when the command has ended."""
@@ -125,7 +125,7 @@ class Terminal:
             TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
-            self._left,
+            self._time_left_column,
             console=self._errors,
             disable=not self._errors.is_terminal,
             redirect_stdout=False,
@@ -151,7 +151,7 @@ class Terminal:
 
     def _update(self, what: str, done: int, total: int | None) -> None:
         self._file.update(what, done, total)
-        self._left.look(self._file)
+        self._time_left_column.look(self._file)
 
     @contextmanager
     def stages(self) -> Iterator[Callable[[str, int, int], None]]:
@@ -177,7 +177,7 @@ class Terminal:
             yield
             return
         sys.stdout.flush()
-        kept = os.dup(1)
+        stdout_copy = os.dup(1)
         try:
             os.dup2(2, 1)
             yield
@@ -185,8 +185,8 @@ class Terminal:
             sys.stdout.flush()
             with suppress(OSError, AttributeError):
                 ctypes.CDLL(None).fflush(None)  # buffered output of C code
-            os.dup2(kept, 1)
-            os.close(kept)
+            os.dup2(stdout_copy, 1)
+            os.close(stdout_copy)
 
     def finish(self) -> None:
         """Print the document."""
@@ -221,19 +221,19 @@ def check_outputs(args: argparse.Namespace) -> None:
     """
     written = args.command.written
     for name in written:
-        given = getattr(args, name, None)
-        if not isinstance(given, (str, Path)) or is_url(given):
+        output = getattr(args, name, None)
+        if not isinstance(output, (str, Path)) or is_url(output):
             continue
-        target = Path(given).resolve()
+        target = Path(output).resolve()
         if bag := next((folder for folder in (target, *target.parents) if is_bag(folder)), None):
-            raise InputError(f"lies inside the bag {bag}; bags are never changed, choose another folder", file=given)
-        for other, value in vars(args).items():
-            if other in (*written, "scenario") or not isinstance(value, (str, Path)) or not os.path.exists(value):
+            raise InputError(f"lies inside the bag {bag}; bags are never changed, choose another folder", file=output)
+        for input_name, value in vars(args).items():
+            if input_name in (*written, "scenario") or not isinstance(value, (str, Path)) or not os.path.exists(value):
                 continue  # the name of a scenario may also name a folder
             if target == Path(value).resolve():
                 raise InputError(
                     "is an input of this command and would be overwritten; choose another path for the results",
-                    file=given,
+                    file=output,
                 )
 
 

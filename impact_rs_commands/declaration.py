@@ -69,10 +69,10 @@ class Option(NamedTuple):
     @property
     def help_text(self) -> str:
         """Description with unit and default."""
-        said = f"{self.help} [{self.unit}]" if self.unit else self.help
+        description = f"{self.help} [{self.unit}]" if self.unit else self.help
         values = self.default if isinstance(self.default, tuple) else (self.default,)
-        given = self.otherwise or ("" if self.default is None else " ".join(map(str, values)))
-        return "; ".join(part for part in (said, f"default: {given}" if given else "") if part)
+        default = self.otherwise or ("" if self.default is None else " ".join(map(str, values)))
+        return "; ".join(part for part in (description, f"default: {default}" if default else "") if part)
 
     def words(self, value: Any) -> list[str]:
         """The option with a value as words of a command line; empty for the default.
@@ -135,7 +135,10 @@ class Command(NamedTuple):
 
     def words(self, values: Mapping[str, Any]) -> list[str]:
         """Words of the command line that gives options these values, by name."""
-        return [*self.name.split(), *(word for one in self.options for word in one.words(values.get(one.name)))]
+        return [
+            *self.name.split(),
+            *(word for option in self.options for word in option.words(values.get(option.name))),
+        ]
 
 
 def argument(name: str, help: str = "", **more: Any) -> Option:
@@ -152,7 +155,7 @@ def _words(value: Any) -> list[str]:
     """One value or several as words; empty for a switch."""
     if value is None or isinstance(value, bool):
         return []
-    return [_word(one) for one in (value if isinstance(value, (tuple, list)) else (value,))]
+    return [_word(item) for item in (value if isinstance(value, (tuple, list)) else (value,))]
 
 
 def _word(value: Any) -> str:

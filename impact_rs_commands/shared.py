@@ -133,6 +133,6 @@ def output(kind: Any, help: str, metavar: str = "DIR", **more: Any) -> Option:
     return option("-o", "--output", kind=kind, help=help, metavar=metavar, **more)
 
 
-def optional(of: Option) -> Option:
-    """The same option, which may be left out."""
-    return of._replace(required=False)
+def optional(required: Option) -> Option:
+    """A copy of an option that may be omitted."""
+    return required._replace(required=False)

@@ -31,7 +31,7 @@ def state_complaint(model: RobotModel, joints: Sequence[str], position: Array, v
         velocity: dq, ``(n,)`` [rad/s].
         torque: Measured, ``(n,)`` [N m].
     """
-    inside = (model.position_min <= position) & (position <= model.position_max)  # a NaN is nowhere inside
+    inside = (model.position_min <= position) & (position <= model.position_max)  # false for NaN
     for index in np.flatnonzero(~inside).tolist():
         unit = model.facts.units[index].position
         least, greatest = model.position_min[index], model.position_max[index]
@@ -41,8 +41,8 @@ def state_complaint(model: RobotModel, joints: Sequence[str], position: Array, v
         return f"{joints[index]} at {velocity[index]:.4g} {unit}, limit {model.velocity_max[index]:.4g} {unit}"
     for index in np.flatnonzero(~(np.abs(torque) <= MAX_MEASURED_TORQUE_RATIO * model.torque_max)).tolist():
         unit, limit = model.facts.units[index].effort, model.torque_max[index]
-        most = f"more than {MAX_MEASURED_TORQUE_RATIO:g} times its limit of {limit:.4g} {unit}"
-        return f"{joints[index]} measures {torque[index]:.4g} {unit}, {most}"
+        excess = f"more than {MAX_MEASURED_TORQUE_RATIO:g} times its limit of {limit:.4g} {unit}"
+        return f"{joints[index]} measures {torque[index]:.4g} {unit}, {excess}"
     return ""
 
 
@@ -60,12 +60,12 @@ def torque_complaint(model: RobotModel, joints: Sequence[str], torque: Array) ->
     return ""
 
 
-def rate_limited(torque: Array, before: Array, largest_change: float) -> Array:
-    """Rate-limited torque: the nearest to ``torque`` within the rate, ``(n,)`` [N m].
+def rate_limited(torque: Array, previous: Array, largest_change: float) -> Array:
+    """Torque nearest to the desired one that respects the rate limit, ``(n,)`` [N m].
 
     Args:
-        torque: Desired, ``(n,)`` [N m].
-        before: Commanded last, ``(n,)`` [N m].
-        largest_change: Rate times the time since then [N m].
+        torque: Desired torque, ``(n,)`` [N m].
+        previous: Last commanded torque, ``(n,)`` [N m].
+        largest_change: Rate limit times the time since the last command [N m].
     """
-    return before + np.clip(torque - before, -largest_change, largest_change)
+    return previous + np.clip(torque - previous, -largest_change, largest_change)

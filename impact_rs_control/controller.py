@@ -115,7 +115,7 @@ class ArmCommand:
         position: Measured position of E in A, ``(3,)`` [m].
         twist: Measured twist of E in E[A], ``(6,)`` [m/s, rad/s].
         task_feedback: Feedback of position and orientation of E and of the posture, ``(6 + k,)`` [m/s^2, rad/s^2].
-        net_feedback: Its integral since t1, up to t2, ``(3,)`` [m/s].
+        net_feedback: Integral of the position feedback from t1 to the present, at most to t2, ``(3,)`` [m/s].
         wrench: Estimated external wrench at E, in E[A], ``(6,)`` [N, N m].
         qp_status: How the QP was solved.
         qp_iterations: ProxQP iterations.
@@ -157,18 +157,18 @@ class ArmController:
         gains = control.gains
         self._model = model
         self._motor_inertia = motor_inertia
-        self._position = plan.initial  # the last one that was finite
+        self._last_finite_position = plan.initial
         self._period = timing.control_period
         self._last_tick = timing.ticks
         # First tick of the measurement window, and the first one after it.
         self._window = np.searchsorted(timing.control_period * np.arange(timing.ticks + 1), timing.window)
         self._armed_from = timing.nominal_impact - control.detection.arm_before
         self._interim_ticks = control.interim_duration / timing.control_period
-        self._interim_from: int | None = None
-        held = len(plan.posture)
-        # Redundant joints would drift without this.
-        idle = 6 + held < model.joint_count
-        sizes = (3, 3, held, model.joint_count if idle else 0)
+        self._interim_start: int | None = None
+        posture_count = len(plan.posture)
+        # Without a task of their own redundant joints would drift.
+        redundant = 6 + posture_count < model.joint_count
+        sizes = (3, 3, posture_count, model.joint_count if redundant else 0)
         weights = (gains.position_weight, gains.orientation_weight, gains.posture_weight, IDLE_TASK_WEIGHT)
         self._weights = np.repeat(weights, sizes)
         self._law = _kernel.TaskLaw(
@@ -179,13 +179,13 @@ class ArmController:
             plan.orientation,
             plan.wrench,
             idle_rate=2.0 * math.sqrt(gains.posture),
-            idle=idle,
+            idle=redundant,
         )
         limits = JointLimits(model.position_min, model.position_max, model.velocity_max, model.torque_max)
         self._qp = AccelerationQp(limits, timing.control_period)
         self._detector = ImpactDetector(model, control.detection, plan.approach_direction, timing.control_period)
-        self._net = self._feedback = np.zeros(3)  # integral, and the integrand at the last tick
-        self._watched = self._commanded = -1  # the last ticks
+        self._net_feedback = self._last_feedback = np.zeros(3)  # integral, and the integrand at the last tick
+        self._watched_tick = self._commanded_tick = -1  # the last ticks
         self.detection: ImpactDetection | None = None
 
     def watch(self, tick: int, measured: ArmMeasurement) -> TickObservation:
@@ -196,18 +196,24 @@ class ArmController:
             measured: Measured state of the arm.
         """
         terms = self._model.terms(measured.position, measured.velocity)
-        steps = tick - self._watched if self._watched >= 0 else 1
-        self._watched = tick
+        steps = tick - self._watched_tick if self._watched_tick >= 0 else 1
+        self._watched_tick = tick
         return TickObservation(terms, self._detect(tick * self._period, measured, terms, steps))
 
     def begin_interim(self, tick: int) -> None:
-        """Leave the ante mode: some arm has hit; later calls change nothing."""
-        if self._interim_from is None:
-            self._interim_from = tick
+        """Leave the ante mode, because some arm has hit. Only the first call has an effect."""
+        if self._interim_start is None:
+            self._interim_start = tick
 
-    def command(self, tick: int, measured: ArmMeasurement, watched: TickObservation) -> ArmCommand:
-        """Second half of a control tick: compute the command; arguments as for :meth:`watch`, and its result."""
-        q, dq, terms = measured.position, measured.velocity, watched.terms
+    def command(self, tick: int, measured: ArmMeasurement, observation: TickObservation) -> ArmCommand:
+        """Second half of a control tick: compute the command.
+
+        Args:
+            tick: Number of the tick since the start of the trial.
+            measured: Measured state of the arm.
+            observation: Result of :meth:`watch` in this tick.
+        """
+        q, dq, terms = measured.position, measured.velocity, observation.terms
         mode, gamma = self._mode(tick)
         feedback, tasks, targets, inertia = self._law.decide(
             min(tick, self._last_tick), mode is not Mode.ANTE, gamma, q, dq, terms
@@ -217,7 +223,7 @@ class ArmController:
         if solution.status is QpStatus.FAILED:
             torque = self._brake(q, dq)
         else:
-            self._position = q
+            self._last_finite_position = q
         if solution.status is QpStatus.RELAXED:
             torque = np.clip(torque, -self._model.torque_max, self._model.torque_max)
         self._integrate(tick, feedback[:3])
@@ -228,29 +234,29 @@ class ArmController:
             position=terms.position.copy(),
             twist=terms.twist,
             task_feedback=feedback,
-            net_feedback=self._net,
+            net_feedback=self._net_feedback,
             wrench=self._detector.wrench,
             qp_status=solution.status,
             qp_iterations=solution.iterations,
             qp_solve_time=solution.solve_time,
-            detection=watched.detection,
+            detection=observation.detection,
         )
 
     def _integrate(self, tick: int, feedback: Array) -> None:
-        """Advance the net feedback to the end of this tick; the feedback is held over ticks that were missed."""
+        """Advance the net feedback to the end of this tick; in missed ticks the last feedback is assumed."""
         start, end = self._window
-        missed = min(tick, end) - max(self._commanded + 1, start)
+        missed = min(tick, end) - max(self._commanded_tick + 1, start)
         if missed > 0:
-            self._net = self._net + missed * self._period * self._feedback
+            self._net_feedback = self._net_feedback + missed * self._period * self._last_feedback
         if start <= tick < end:
-            self._net = self._net + self._period * feedback
-        self._commanded, self._feedback = tick, feedback.copy()
+            self._net_feedback = self._net_feedback + self._period * feedback
+        self._commanded_tick, self._last_feedback = tick, feedback.copy()
 
     def _brake(self, q: Array, dq: Array) -> Array:
         """Fallback torque if the QP failed."""
         if np.isfinite(q).all() and np.isfinite(dq).all():
             return holding_torque(self._model, self._motor_inertia, q, dq)
-        return self._model.gravity_torque(self._position)
+        return self._model.gravity_torque(self._last_finite_position)
 
     def _detect(self, now: float, measured: ArmMeasurement, terms: RigidTerms, steps: int) -> ImpactDetection | None:
         hit = self._detector.update(measured.position, measured.velocity, measured.torque, terms, steps)
@@ -266,14 +272,19 @@ class ArmController:
         return self.detection
 
     def _mode(self, tick: int) -> tuple[Mode, float]:
-        if self._interim_from is None:
+        if self._interim_start is None:
             return Mode.ANTE, 1.0
-        gamma = (tick - self._interim_from) / self._interim_ticks
+        gamma = (tick - self._interim_start) / self._interim_ticks
         return (Mode.INTERIM, gamma) if gamma < 1.0 - 1e-9 else (Mode.POST, 1.0)
 
 
 def _phase(plan: ArmPlan, gains: Gains, after: bool) -> tuple[Array, Array, Array, Array]:
-    """One phase as :class:`impact_rs_sim._kernel.TaskLaw` takes it: ante, or interim and post."""
+    """References and gains of one phase, ante or post-impact, as arguments of :class:`impact_rs_sim._kernel.TaskLaw`.
+
+    Returns:
+        Position, velocity and acceleration references of the tasks, ``(ticks + 1, 3 + k)``, ``(ticks + 1, 6 + k)`` and
+        ``(ticks + 1, 6 + k)``, and their gains, ``(6 + k,)`` [1/s^2].
+    """
     position = plan.post_position if after else plan.ante_position
     posture = plan.post_posture if after else plan.ante_posture
     friction = plan.post_friction if after else plan.ante_friction
@@ -309,11 +320,13 @@ class Controller:
 
     def update(self, tick: int, measured: dict[str, ArmMeasurement]) -> dict[str, ArmCommand]:
         """One control tick; the first impact of any arm ends the ante mode of all (paper sec. Interim mode)."""
-        watched = {name: controller.watch(tick, measured[name]) for name, controller in self.arms.items()}
-        if any(one.detection is not None for one in watched.values()):
+        observations = {name: controller.watch(tick, measured[name]) for name, controller in self.arms.items()}
+        if any(observation.detection is not None for observation in observations.values()):
             for controller in self.arms.values():
                 controller.begin_interim(tick)
-        return {name: controller.command(tick, measured[name], watched[name]) for name, controller in self.arms.items()}
+        return {
+            name: controller.command(tick, measured[name], observations[name]) for name, controller in self.arms.items()
+        }
 
 
 def fallback_command(

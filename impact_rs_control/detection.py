@@ -51,18 +51,20 @@ def separable_wrench(jacobians: Array, masses: Array, torques: Array) -> Array:
     Returns:
         Along the rows of J, ``(k, 6)`` [N, N m].
     """
-    known = np.concatenate((np.swapaxes(jacobians, 1, 2), torques[..., None]), axis=2)
-    both = jacobians @ np.linalg.solve(masses, known)
-    mobility, wrench = both[:, :, :6], both[:, :, 6:]
-    own, left = np.einsum("kii->ki", mobility), mobility.copy()
-    separable = own > _kernel.MOVABLE * own[:, :3].sum(axis=1, keepdims=True)
+    right_sides = np.concatenate((np.swapaxes(jacobians, 1, 2), torques[..., None]), axis=2)
+    solutions = jacobians @ np.linalg.solve(masses, right_sides)
+    mobility, wrench = solutions[:, :, :6], solutions[:, :, 6:]
+    diagonal, remaining = np.einsum("kii->ki", mobility), mobility.copy()
+    separable = diagonal > _kernel.MOVABLE * diagonal[:, :3].sum(axis=1, keepdims=True)
     for row in range(6):
-        separable[:, row] &= left[:, row, row] > _kernel.SEPARABLE * own[:, row]
-        pivot = np.where(separable[:, row], left[:, row, row], np.inf)
-        left = left - left[:, :, row, None] * left[:, None, row] / pivot[:, None, None]
-    together = separable[:, :, None] & separable[:, None]
+        separable[:, row] &= remaining[:, row, row] > _kernel.SEPARABLE * diagonal[:, row]
+        pivot = np.where(separable[:, row], remaining[:, row, row], np.inf)
+        remaining = remaining - remaining[:, :, row, None] * remaining[:, None, row] / pivot[:, None, None]
+    both_separable = separable[:, :, None] & separable[:, None]
     return np.asarray(
-        np.linalg.solve(np.where(together, mobility, np.eye(6)), np.where(separable[..., None], wrench, 0.0))[..., 0]
+        np.linalg.solve(np.where(both_separable, mobility, np.eye(6)), np.where(separable[..., None], wrench, 0.0))[
+            ..., 0
+        ]
     )
 
 

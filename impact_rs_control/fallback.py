@@ -43,7 +43,8 @@ def holding_torque(model: RobotModel, motor_inertia: Array, position: Array, vel
 def braked_state(position: Array, velocity: Array, elapsed: float) -> tuple[Array, Array]:
     """Position and velocity of a braked arm after ``elapsed`` [s], dq' = -dq / T, ``(n,)`` [rad], [rad/s] each.
 
-    A brake on this prediction gives the arm no more than the impulse (M + B) dq in all, on the last state without end.
+    The total braking impulse on this prediction is at most (M + B) dq. On the last measured state it would grow without
+    bound.
     """
-    left = math.exp(-elapsed / SETTLING_TIME_S)
-    return position + SETTLING_TIME_S * (1.0 - left) * velocity, left * velocity
+    decay = math.exp(-elapsed / SETTLING_TIME_S)
+    return position + SETTLING_TIME_S * (1.0 - decay) * velocity, decay * velocity

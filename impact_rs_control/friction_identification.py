@@ -53,7 +53,7 @@ def identify_arm(scene: Scene, arm: str, runs: int, seed: int, effects: Model | 
         effects: Effects of the plant beyond the scenario; None: none.
 
     Raises:
-        InputError: Nothing is hit in this scenario, there are fewer than one run, or a start cannot be reached.
+        InputError: The scenario has no impact, ``runs`` is below 1, or an arm cannot reach its initial position.
     """
     if scene.scenario.excursion is not None:
         raise InputError(
@@ -69,18 +69,18 @@ def identify_arm(scene: Scene, arm: str, runs: int, seed: int, effects: Model | 
     scene = replace(scene, scenario=scene.scenario.model_copy(update={"friction_compensation": None}))
     plan = plan_trial(scene)
     physics = scene.physics if effects is None else effects.apply(scene.physics)
-    found = {}
+    samples = {}
     for phase in get_args(Phase):
         motion = _free_motion(plan, arm, phase)
         total: Array | float = 0.0
-        for turn in range(IDENTIFICATION_ROUNDS):
-            name = f"{scene.object_name}__{scene.case_name}__{arm}__{phase}__t{turn}"
+        for iteration in range(IDENTIFICATION_ROUNDS):
+            name = f"{scene.object_name}__{scene.case_name}__{arm}__{phase}__t{iteration}"
             seeds = [seed_of(seed, f"{name}__r{run}") for run in range(runs)]
-            feedback = np.mean([run_free_motion(motion, arm, phase, physics, each) for each in seeds], axis=0)
+            feedback = np.mean([run_free_motion(motion, arm, phase, physics, run_seed) for run_seed in seeds], axis=0)
             total = total + _decimated(feedback, sample_every(scene.scenario))
-            found[phase] = AccelerationSamples.of(np.round(total, ACCELERATION_DECIMALS))
-            motion = _fed_forward(motion, arm, phase, found[phase])
-    return ArmFriction(**found)
+            samples[phase] = AccelerationSamples.of(np.round(total, ACCELERATION_DECIMALS))
+            motion = _fed_forward(motion, arm, phase, samples[phase])
+    return ArmFriction(**samples)
 
 
 def sample_every(scenario: Scenario) -> int:
@@ -99,7 +99,7 @@ def run_free_motion(plan: TrialPlan, arm: str, phase: Phase, physics: Physics, s
     Args:
         plan: Motion of one arm in free space.
         arm: Its name.
-        phase: Whose controller.
+        phase: Controller: ante-impact or post-impact.
         physics: True physics of the plant.
         seed: Seed of scatter and noise.
     """
@@ -108,8 +108,8 @@ def run_free_motion(plan: TrialPlan, arm: str, phase: Phase, physics: Physics, s
     if phase == "post":
         interim = math.ceil(scenario.control.interim_duration / scenario.timing.control_period)
         controller.begin_interim(-interim)  # impact long ago: the interim mode is over
-    alone = replace(physics, arms={arm: physics.arms[arm]})
-    plant = make_plant(plan, seed, alone, simulator="twin")  # in free motion both simulators are equal
+    arm_physics = replace(physics, arms={arm: physics.arms[arm]})
+    plant = make_plant(plan, seed, arm_physics, simulator="twin")  # in free motion both simulators are equal
     feedback = np.empty((scenario.timing.ticks + 1, len(TASKS)))
     try:
         with without_garbage_collection():
@@ -126,29 +126,33 @@ def run_free_motion(plan: TrialPlan, arm: str, phase: Phase, physics: Physics, s
 
 def _free_motion(plan: TrialPlan, arm: str, phase: Phase) -> TrialPlan:
     """Plan of one arm alone: two arms would collide where the object was."""
-    scene, own = plan.scene, plan.arms[arm]
+    scene, arm_plan = plan.scene, plan.arms[arm]
     if phase == "post":
         timing, times = scene.scenario.timing, tick_times(scene)
-        position, posture = (run_up_path(timing, path, times) for path in (own.post_position, own.post_posture))
-        own = replace(
-            own,
+        position, posture = (
+            run_up_path(timing, path, times) for path in (arm_plan.post_position, arm_plan.post_posture)
+        )
+        arm_plan = replace(
+            arm_plan,
             post_position=position,
             post_posture=posture,
-            wrench=np.zeros_like(own.wrench),
-            initial=initial_position(scene, arm, own.orientation[0], position, own.posture, posture),
+            wrench=np.zeros_like(arm_plan.wrench),
+            initial=initial_position(scene, arm, arm_plan.orientation[0], position, arm_plan.posture, posture),
         )
-    away = replace(scene.object, position=scene.object.position + OUT_OF_REACH_OFFSET_M)
-    return replace(plan, scene=replace(scene, object=away), arms={arm: own})
+    distant_object = replace(scene.object, position=scene.object.position + OUT_OF_REACH_OFFSET_M)
+    return replace(plan, scene=replace(scene, object=distant_object), arms={arm: arm_plan})
 
 
 def _fed_forward(plan: TrialPlan, arm: str, phase: Phase, samples: AccelerationSamples) -> TrialPlan:
     """Plan with the feedforward identified so far."""
-    rows, own = samples.at(tick_times(plan.scene), sample_period(plan.scene.scenario)), plan.arms[arm]
-    own = replace(own, ante_friction=rows) if phase == "ante" else replace(own, post_friction=rows)
-    return replace(plan, arms={arm: own})
+    rows, arm_plan = samples.at(tick_times(plan.scene), sample_period(plan.scene.scenario)), plan.arms[arm]
+    arm_plan = replace(arm_plan, ante_friction=rows) if phase == "ante" else replace(arm_plan, post_friction=rows)
+    return replace(plan, arms={arm: arm_plan})
 
 
 def _decimated(signal: Array, every: int) -> Array:
     """Moving average and decimation by ``every``, ``(k, 7)``; removes noise and keeps friction."""
     half = every // 2
-    return np.array([signal[max(0, at - half) : at + half + 1].mean(axis=0) for at in range(0, len(signal), every)])
+    return np.array(
+        [signal[max(0, centre - half) : centre + half + 1].mean(axis=0) for centre in range(0, len(signal), every)]
+    )

@@ -22,8 +22,8 @@ import numpy as np
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
 
-WINDOW_S = 0.1  # s
-MAX_VELOCITY_LAG_S = 0.01  # s
+WINDOW_S = 0.1
+MAX_VELOCITY_LAG_S = 0.01
 MAX_UNCHANGED_SPEED = 0.02  # rad/s, m/s; a joint at rest: a brake on it is a thousandth of the gravity torque
 FROZEN_TORQUE_RATIO = 0.05  # variation of the torque over the torque limit [-]
 
@@ -46,7 +46,7 @@ class MotionMonitor:
         self._integral = np.zeros(model.joint_count)
         self._frozen = np.zeros(model.joint_count, dtype=bool)
         self._unchanged_since = np.zeros(model.joint_count)
-        self._least = np.full(model.joint_count, np.inf)  # torque since then
+        self._least = np.full(model.joint_count, np.inf)  # range of the torque since ``_unchanged_since``
         self._greatest = -self._least
 
     def complaint(self, time: float, position: Array, velocity: Array, torque: Array | None) -> str:
@@ -77,12 +77,12 @@ class MotionMonitor:
         while self._offsets[0][0] < time - WINDOW_S:
             self._offsets.popleft()
         began, first = self._offsets[0]
-        gap = offset - first
-        for index in np.flatnonzero(~(np.abs(gap) <= self._largest_gap)).tolist():
+        difference = offset - first
+        for index in np.flatnonzero(~(np.abs(difference) <= self._largest_gap)).tolist():
             unit, limit = self._units[index].position, self._largest_gap[index]
             return (
-                f"position of {self._joints[index]} changed by {gap[index]:.4g} {unit} more than its velocity says, "
-                f"within {time - began:.3f} s; {limit:.2g} {unit} are allowed"
+                f"position of {self._joints[index]} changed by {difference[index]:.4g} {unit} more than its velocity "
+                f"says, within {time - began:.3f} s; {limit:.2g} {unit} are allowed"
             )
         return ""
 
@@ -98,13 +98,13 @@ class MotionMonitor:
         if torque is not None:
             self._least, self._greatest = np.minimum(self._least, torque), np.maximum(self._greatest, torque)
         varied = self._greatest - self._least
-        lasted, driven = time - self._unchanged_since, varied > self._largest_range
-        self._frozen = (lasted >= WINDOW_S) & (moving | driven)
+        unchanged_time, driven = time - self._unchanged_since, varied > self._largest_range
+        self._frozen = (unchanged_time >= WINDOW_S) & (moving | driven)
         for index in np.flatnonzero(self._frozen).tolist():
             unit, speed = self._units[index], abs(velocity[index])
             cause = f"torque varied by {varied[index]:.3g} {unit.effort}"
             return (
-                f"{self._joints[index]} reports the same position and velocity for {lasted[index]:.3f} s while its "
-                f"{cause if driven[index] else f'velocity is {speed:.3g} {unit.velocity}'}: a frozen sensor"
+                f"{self._joints[index]} reports the same position and velocity for {unchanged_time[index]:.3f} s while "
+                f"its {cause if driven[index] else f'velocity is {speed:.3g} {unit.velocity}'}: a frozen sensor"
             )
         return ""

@@ -31,7 +31,7 @@ MAX_POSE_SPACING_M = 0.01  # displacement of E between two poses that are checke
 TASK_SINGULAR_VALUE_TOLERANCE = 1e-3  # over the largest singular value of the tasks [-]; below, an arm cannot follow
 MIN_REFERENCE_SPEED_M_S = 1e-3  # a slower reference is about to come to rest
 RESTITUTION_TOLERANCE = 0.05  # [-], between impact map and pad; a third of a damped pad's restitution
-LARGEST_SCALE = 3.0  # a reference far beyond the prediction is no test of it, and soon beyond the arm
+LARGEST_SCALE = 3.0  # [-], of the velocity; a reference far beyond the prediction does not test it
 
 
 @dataclass(frozen=True)
@@ -184,15 +184,18 @@ def _check_collisions(scene: Scene, arms: Mapping[str, ArmPlan]) -> None:
     displacement = np.mean([arm.post_position.position[-1] - _at_impact(scene, arm) for arm in arms.values()], axis=0)
     for name, arm in arms.items():
         times, positions = _reference_poses(scene, name, arm)
-        found = deepest_penetration(physics, name, positions, scene.object, displacement if pushed else np.zeros(3))
-        if found is None:
+        penetration = deepest_penetration(
+            physics, name, positions, scene.object, displacement if pushed else np.zeros(3)
+        )
+        if penetration is None:
             continue
         remedy = f"raise robots.{name}.impact.position, or choose another pose there (pad_normal, pad_up, joint_guess)"
-        if found.partner == "ground":
+        if penetration.partner == "ground":
             remedy += "; if the floor is lower, raise bases, poses and support by as much"
         raise Infeasible(
-            f"arm {name!r}: {found.part} would be {found.depth:.3f} m inside the {found.partner}, whose surface is at "
-            f"z = {found.surface:g} m, at {times[found.index]:.3f} s of its reference; {remedy}"
+            f"arm {name!r}: {penetration.part} would be {penetration.depth:.3f} m inside the {penetration.partner}, "
+            f"whose surface is at z = {penetration.surface:g} m, at {times[penetration.index]:.3f} s of its reference; "
+            f"{remedy}"
         )
 
 
@@ -233,13 +236,15 @@ def _inverse_kinematics_step(model: RobotModel, q: Array, target: pin.SE3, arm: 
 
     Two Gauss-Newton steps of least norm (pseudo-inverse) for redundant or infeasible tasks.
     """
-    held = list(arm.posture)
+    posture_joints = list(arm.posture)
     for _ in range(2):
-        place = model.placement(q)
-        turn = place.rotation @ pin.log3(place.rotation.T @ target.rotation)
-        missing = np.concatenate((target.translation - place.translation, turn, posture - q[held]))
-        tasks = np.vstack((model.jacobian(q), np.eye(model.joint_count)[held]))
-        q = q + np.linalg.lstsq(tasks, missing, rcond=TASK_SINGULAR_VALUE_TOLERANCE)[0]
+        placement = model.placement(q)
+        rotation_error = placement.rotation @ pin.log3(placement.rotation.T @ target.rotation)
+        error = np.concatenate(
+            (target.translation - placement.translation, rotation_error, posture - q[posture_joints])
+        )
+        tasks = np.vstack((model.jacobian(q), np.eye(model.joint_count)[posture_joints]))
+        q = q + np.linalg.lstsq(tasks, error, rcond=TASK_SINGULAR_VALUE_TOLERANCE)[0]
     return q
 
 
@@ -250,8 +255,8 @@ def check_restitution(scene: Scene) -> None:
     inelastic impact (paper sec. Single-arm hit-and-push scenario).
 
     Raises:
-        InputError: A restitution that a pad does not have; says what would give it. Or one of objects, which part
-            inelastically in a trial.
+        InputError: The restitution of a pad differs from the impact map's, with the pad damping that would remove the
+            difference in the message; or a restitution above 0 between object and neighbours.
     """
     assumed, object_ = scene.physics.restitution, scene.physics.object
     if assumed > 0.0 and scene.physics.neighbours:
@@ -261,16 +266,16 @@ def check_restitution(scene: Scene) -> None:
             value=assumed,
         )
     for name, arm in scene.physics.arms.items() if assumed > 0.0 else ():
-        pad, found = f"robots.{name}.end_effector.pad", arm.pad_restitution(object_)
-        if abs(found - assumed) <= RESTITUTION_TOLERANCE:
+        pad, pad_restitution = f"robots.{name}.end_effector.pad", arm.pad_restitution(object_)
+        if abs(pad_restitution - assumed) <= RESTITUTION_TOLERANCE:
             continue
         if arm.pad_stiffness is None:
-            has, remedy = "does not bounce, for it is rigid", f"give {pad} a stiffness and a damping"
+            behaviour, remedy = "does not bounce, for it is rigid", f"give {pad} a stiffness and a damping"
         else:
-            has = f"bounces off {scene.object_name} with {found:.2f}, by its stiffness and damping"
+            behaviour = f"bounces off {scene.object_name} with {pad_restitution:.2f}, by its stiffness and damping"
             remedy = f"set {pad}.damping: {arm.pad_damping_of(assumed, object_):.4g} [N s/m]"
         raise InputError(
-            f"the pad of {name!r} {has}, so that no trial could follow the prediction; {remedy}, or "
+            f"the pad of {name!r} {behaviour}, so that no trial could follow the prediction; {remedy}, or "
             "contact.restitution: 0, with which a pad that goes on pushing ends its bounces",
             key="contact.restitution",
             value=assumed,
@@ -305,19 +310,23 @@ def _plan_hit(scene: Scene, name: str, impact: ImpactResult, scale: float) -> Ar
     pose = scenario.impact_placement(name, scene.object_name)
     normal = pose.rotation[:, 2]
     velocity = model.jacobian(state.position)[:3] @ state.velocity
-    held = posture_of(scene, name)
+    posture_joints = posture_of(scene, name)
     ante_position = ante_impact_path(timing, pose.translation, velocity, times)
-    ante_posture = ante_impact_path(timing, state.position[held], state.velocity[held], times)
-    after = scale * impact.end_effector_twist[name][:3]
-    common = scale * np.mean([twist[:3] for twist in impact.end_effector_twist.values()], axis=0)
-    post_position = carry_path(timing, pose.translation, after, common, np.eye(3)[scenario.axis_index], normal, times)
-    post_posture = post_impact_path(timing, state.position[held], scale * impact.joint_velocity[name][held], times)
+    ante_posture = ante_impact_path(timing, state.position[posture_joints], state.velocity[posture_joints], times)
+    post_velocity = scale * impact.end_effector_twist[name][:3]
+    mean_velocity = scale * np.mean([twist[:3] for twist in impact.end_effector_twist.values()], axis=0)
+    post_position = carry_path(
+        timing, pose.translation, post_velocity, mean_velocity, np.eye(3)[scenario.axis_index], normal, times
+    )
+    post_posture = post_impact_path(
+        timing, state.position[posture_joints], scale * impact.joint_velocity[name][posture_joints], times
+    )
     still = np.zeros((times.size, 1))
     ante_friction, post_friction = _friction(scene, name, times)
     return ArmPlan(
         ante_position=ante_position,
         post_position=post_position,
-        posture=tuple(held),
+        posture=tuple(posture_joints),
         ante_posture=ante_posture,
         post_posture=post_posture,
         orientation=np.broadcast_to(pose.rotation, (times.size, 3, 3)),
@@ -327,7 +336,7 @@ def _plan_hit(scene: Scene, name: str, impact: ImpactResult, scale: float) -> Ar
         ante_friction=ante_friction,
         post_friction=post_friction,
         approach_direction=velocity / np.linalg.norm(velocity) if np.any(velocity) else normal,
-        initial=initial_position(scene, name, pose.rotation, ante_position, held, ante_posture),
+        initial=initial_position(scene, name, pose.rotation, ante_position, posture_joints, ante_posture),
     )
 
 
@@ -345,26 +354,26 @@ def _plan_excursion(scene: Scene, name: str) -> ArmPlan:
         return excursion_path(excursion.begin, leg, excursion.rest, start, end, times)
 
     position = path(pose.translation + np.array(excursion.start), pose.translation + np.array(excursion.end))
-    held = posture_of(scene, name)
-    moved = np.array([excursion.joint_1 if joint == 0 else 0.0 for joint in held])
-    posture = path(state.position[held], state.position[held] + moved)
+    posture_joints = posture_of(scene, name)
+    joint_displacement = np.array([excursion.joint_1 if joint == 0 else 0.0 for joint in posture_joints])
+    posture = path(state.position[posture_joints], state.position[posture_joints] + joint_displacement)
     rotation = path(np.zeros(1), np.array([excursion.twist]))
-    turned = np.array([pose.rotation @ pin.exp3(np.array([0.0, 0.0, angle])) for angle in rotation.position[:, 0]])
+    orientation = np.array([pose.rotation @ pin.exp3(np.array([0.0, 0.0, angle])) for angle in rotation.position[:, 0]])
     ante_friction, post_friction = _friction(scene, name, times)
     return ArmPlan(
         ante_position=position,
         post_position=position,
-        posture=tuple(held),
+        posture=tuple(posture_joints),
         ante_posture=posture,
         post_posture=posture,
-        orientation=turned,
+        orientation=orientation,
         rotation=rotation,
         pad_normal=normal,
         wrench=np.zeros((times.size, 6)),
         ante_friction=ante_friction,
         post_friction=post_friction,
         approach_direction=np.array(robot.ante_velocity) / np.linalg.norm(robot.ante_velocity),
-        initial=initial_position(scene, name, pose.rotation, position, held, posture),
+        initial=initial_position(scene, name, pose.rotation, position, posture_joints, posture),
     )
 
 
@@ -374,7 +383,7 @@ def posture_of(scene: Scene, name: str) -> list[int]:
 
 
 def initial_position(
-    scene: Scene, name: str, rotation: Array, position: SampledPath, held: Sequence[int], posture: SampledPath
+    scene: Scene, name: str, rotation: Array, position: SampledPath, posture_joints: Sequence[int], posture: SampledPath
 ) -> Array:
     """Joint positions of an arm at the start of its motion, ``(n,)`` [rad].
 
@@ -383,7 +392,7 @@ def initial_position(
         name: Name of the arm.
         rotation: Orientation of E, ``(3, 3)``.
         position: Path of E.
-        held: Joints of the posture task, counted from 0.
+        posture_joints: Joints of the posture task, counted from 0.
         posture: Their path.
 
     Raises:
@@ -391,8 +400,8 @@ def initial_position(
     """
     start = pin.SE3(rotation, position.position[0])
     try:
-        there = dict(zip(held, posture.position[0].tolist(), strict=True))
-        return scene.models[name].inverse_kinematics(start, there, scene.arms[name].position)
+        posture_target = dict(zip(posture_joints, posture.position[0].tolist(), strict=True))
+        return scene.models[name].inverse_kinematics(start, posture_target, scene.arms[name].position)
     except UnreachablePose as error:
         raise UnreachablePose(f"arm {name!r}, start of the motion: {error}") from None
 
@@ -401,8 +410,8 @@ def _friction(scene: Scene, name: str, times: Array) -> tuple[Array, Array]:
     """Friction compensation of the ante mode and of the modes after it, ``(ticks + 1, 6 + k)`` each; see TASKS."""
     compensation = scene.scenario.friction_compensation
     if compensation is None:
-        none = np.zeros((times.size, 6 + len(posture_of(scene, name))))
-        return none, none
+        zeros = np.zeros((times.size, 6 + len(posture_of(scene, name))))
+        return zeros, zeros
     arm = compensation.arms(scene.object_name, scene.case_name)[name]
     return arm.ante.at(times, compensation.period), arm.post.at(times, compensation.period)
 
@@ -441,15 +450,17 @@ def _pushing_wrench(scene: Scene, name: str, post: SampledPath) -> Array:
     gravity = np.asarray(physics.gravity, dtype=float)
     weight = mass * float(np.linalg.norm(gravity))
     up = -gravity / np.linalg.norm(gravity) if weight > 0.0 else np.array([0.0, 0.0, 1.0])
-    level = np.eye(3) - np.outer(up, up)
+    in_plane = np.eye(3) - np.outer(up, up)
     friction = physics.support_friction * weight if physics.support_height is not None else 0.0
-    speed = np.linalg.norm(post.velocity @ level, axis=1, keepdims=True)
-    force = (mass * post.acceleration + friction * post.velocity / np.maximum(speed, MIN_REFERENCE_SPEED_M_S)) @ level
+    speed = np.linalg.norm(post.velocity @ in_plane, axis=1, keepdims=True)
+    force = (
+        mass * post.acceleration + friction * post.velocity / np.maximum(speed, MIN_REFERENCE_SPEED_M_S)
+    ) @ in_plane
     pressing = np.maximum(force @ normal, 0.0)
     across = force - np.outer(force @ normal, normal)
-    size = np.linalg.norm(across, axis=1)
-    passed = np.minimum(1.0, physics.pad_friction * pressing / np.maximum(size, 1e-12))
-    force = np.outer(pressing, normal) + passed[:, None] * across
+    tangential_force = np.linalg.norm(across, axis=1)
+    friction_share = np.minimum(1.0, physics.pad_friction * pressing / np.maximum(tangential_force, 1e-12))
+    force = np.outer(pressing, normal) + friction_share[:, None] * across
     centre = scene.object.position + scene.object.rotation @ physics.object.com_offset
     lever = centre - scene.scenario.impact_placement(name, scene.object_name).translation
     return np.hstack((force, np.outer(np.cross(lever, force) @ up, up)))

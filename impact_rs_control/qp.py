@@ -27,8 +27,7 @@ from impact_rs_sim.robots.robot import Array
 
 SLACK_WEIGHT = 1e6  # cost of a squared violation, relative to that of a squared task error
 QP_ACCURACY = 1e-9  # ProxQP's eps_abs, absolute tolerance of its residuals
-# Of the program with slack: at most 25 were observed in fast motion; far outside the bounds there is no limit.
-MAX_RELAXED_ITERATIONS = 50
+MAX_RELAXED_ITERATIONS = 50  # of the program with slack; in fast motion at most 25 were observed
 
 
 class QpStatus(IntEnum):
@@ -200,7 +199,7 @@ class AccelerationQp:
         return answer, result.info.iter, solved
 
     def _solve_relaxed(self, program: QuadraticProgram) -> tuple[Array, int, QpStatus]:
-        """The same program with a slack per constraint row, scaled so that rows are comparable."""
+        """Solve the program with a slack per constraint row; rows are scaled to be comparable."""
         count = self._count
         period = self.period
         middle = (program.lower + program.upper) / 2.0

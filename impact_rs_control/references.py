@@ -60,11 +60,11 @@ def sample_path(points: list[ViaPoint], times: Array) -> SampledPath:
     for index, (before, after) in enumerate(pairwise(points), start=1):
         rows = piece == index
         duration = after.time - before.time
-        since = (inside[rows] - before.time) / duration
+        normalised_time = (inside[rows] - before.time) / duration
         coefficients = _quintic(before, after)
         for order, sampled in enumerate((position, velocity, acceleration)):
-            derived = polynomial.polyder(coefficients, order)
-            sampled[rows] = polynomial.polyval(since, derived).T / duration**order
+            derivative = polynomial.polyder(coefficients, order)
+            sampled[rows] = polynomial.polyval(normalised_time, derivative).T / duration**order
     outside = (times - inside)[:, None]
     return SampledPath(position + velocity * outside, velocity, np.where(outside == 0.0, acceleration, 0.0))
 
@@ -132,11 +132,14 @@ def carry_path(
 ) -> SampledPath:
     """Post-impact path of a pad: continues along ``axis`` with the object; the velocity across decays soon.
 
-    At T_nom the whole predicted velocity is there, as the impact map demands. Velocity across the axis of the task,
-    such as sliding along the object's face, is no part of it, and as long as it lasts pad friction loads object and
-    support: it ends after ``timing.slide``. So does what one pad does otherwise than all pads together, and what would
-    lead it into the object or off it: these leave no displacement behind, because pads that hold one rigid object
-    cannot follow it. Contact forces would answer that are not in the desired wrench, and feedback would pay for them.
+    At T_nom the reference has the whole predicted velocity, as the impact map demands. It is the sum of three parts:
+
+    * The mean velocity of all pads along the axis comes to rest after ``timing.push``.
+    * The mean velocity along the object's face and across the axis, sliding, does not belong to the task, and pad
+      friction loads object and support while it lasts. It ends after ``timing.slide``.
+    * The rest, the difference of this pad from the mean and the velocity into the object or off it, also ends after
+      ``timing.slide`` and leaves no displacement: pads that hold one rigid object cannot follow one. Contact forces
+      outside the desired wrench would oppose it and bias the feedback.
 
     Args:
         timing: Times of the scenario.
@@ -149,16 +152,16 @@ def carry_path(
     """
     along = axis * (axis @ common)
     slide = common - along - normal * (normal @ (common - along))
-    start, place = timing.nominal_impact, np.zeros(3)
+    start, origin = timing.nominal_impact, np.zeros(3)
     parts = (
         post_impact_path(timing, position, along, times),
-        _to_rest(start, timing.slide, place, slide, times),
-        _to_rest(start, timing.slide, place, velocity - along - slide, times, place),
+        _to_rest(start, timing.slide, origin, slide, times),
+        _to_rest(start, timing.slide, origin, velocity - along - slide, times, origin),
     )
     return SampledPath(
-        sum((part.position for part in parts), place),
-        sum((part.velocity for part in parts), place),
-        sum((part.acceleration for part in parts), place),
+        sum((part.position for part in parts), origin),
+        sum((part.velocity for part in parts), origin),
+        sum((part.acceleration for part in parts), origin),
     )
 
 
@@ -205,11 +208,11 @@ def excursion_path(begin: float, leg: float, rest: float, start: Array, end: Arr
         end: ``(d,)`` [m or rad].
         times: Where to sample, ``(k,)`` [s].
     """
-    still = np.zeros_like(start)
+    zero = np.zeros_like(start)
     knots = [(begin, start), (begin + leg, end), (begin + leg + rest, end), (begin + 2.0 * leg + rest, start)]
     if rest == 0.0:
         del knots[2]
-    return sample_path([ViaPoint(time, position, still, still) for time, position in knots], times)
+    return sample_path([ViaPoint(time, position, zero, zero) for time, position in knots], times)
 
 
 def _to_rest(

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A real robot in the plant's place: ros2_control on one side, controller, recorder and experiment on the other.
 
-From when a robot is armed until the node ends, its arms are led by the controller, in a trial, or braked and held.
+From arming until the node ends, the arms are either led by the controller, in a trial, or braked and held.
 
-With the parameter ``watchdog`` its torques go to the watchdog node, which alone sends them to the robot. Where none has
-come out of it for ``watchdog_timeout``, because it has died, the cell sends them itself and brakes; it informs the
-watchdog, which then sends nothing any more. ``docs/safety.md`` has the safety argument.
+With the parameter ``watchdog`` the torques go to the watchdog node, which alone sends them to the robot. If the
+watchdog has forwarded no torque for ``watchdog_timeout``, because it has died, the cell bypasses it: it brakes the
+arms itself, and empty messages tell a watchdog that comes back to send nothing. ``docs/safety.md`` has the safety
+argument.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ class CellNode(LeadingNode[CellTrial]):
     """Runs trials on a robot that ros2_control drives."""
 
     kind = "cell"
-    place = "plant"
+    replaced_node = "plant"
     ros_time = True
 
     def __init__(self) -> None:
@@ -66,26 +67,30 @@ class CellNode(LeadingNode[CellTrial]):
         self._publishers: dict[str, Publisher] = {}  # of torques, by topic
         self._clock = RobotClock(self.node)
         self._echo = Inbox(self.node, WATCH, raw=True)  # torques forwarded by the watchdog
-        self._passed: dict[str, Array] = {}  # the last torque that it passed on, by arm
-        self._waiting: float | None = None  # time of the first torque that was not forwarded [s]
-        self._echoed = 0.0  # time of the last check of the echo [s]
-        self._past = False  # the watchdog has died, and the cell sends torques past it
-        self._held: EffortArms | None = None  # arms that received torques, held between trials
-        self._robots = 1  # publishers of joint states when the trial was armed
-        self._surveyed = 0.0
+        self._forwarded: dict[str, Array] = {}  # last torque that the watchdog forwarded, by arm
+        self._unforwarded_since: float | None = None  # time of the first torque that was not forwarded [s]
+        self._echo_checked = 0.0  # time of the last check of the echo [s]
+        self._bypassing = False  # whether the watchdog has died, and the cell sends torques directly
+        self._held_arms: EffortArms | None = None  # arms that received torques, held between trials
+        self._state_publishers = 1  # publishers of joint states when the trial was armed
+        self._publishers_checked = 0.0
         self._watchdog_brakes = False
         self.node.create_subscription(Bool, on_network(BRAKING_TOPIC), self._on_watchdog, LATCHED)
 
     def received(self, arms: list[str]) -> dict[str, str]:
-        seen = {MOCAP: topics.POSE} if self.parameter("mocap") else {}
-        return {STATES: topics.JOINT_STATE} | {topics.joint_command(arm): topics.JOINT_STATE for arm in arms} | seen
+        tracker_topics = {MOCAP: topics.POSE} if self.parameter("mocap") else {}
+        return (
+            {STATES: topics.JOINT_STATE}
+            | {topics.joint_command(arm): topics.JOINT_STATE for arm in arms}
+            | tracker_topics
+        )
 
     def published(self, arms: list[str]) -> dict[str, str]:
-        seen = {topics.OBJECT_POSE: topics.POSE} if self.parameter("mocap") else {}
+        tracker_topics = {topics.OBJECT_POSE: topics.POSE} if self.parameter("mocap") else {}
         return (
             {topics.joint_states(arm): topics.JOINT_STATE for arm in arms}
             | {topics.TF_STATIC: topics.TF_MESSAGE}
-            | seen
+            | tracker_topics
         )
 
     def streams(self, maker: StreamMaker) -> dict[str, Stream]:
@@ -105,18 +110,18 @@ class CellNode(LeadingNode[CellTrial]):
             self._publishers[topic] = self.node.create_publisher(Float64MultiArray, on_network(topic), COMMAND)
 
     def disconnect(self) -> None:
-        """The arms rest, and are held on while the node is inactive, as between two trials."""
+        """Keep the connections: the arms rest and are held while the node is inactive, as between two trials."""
 
     def cleanup(self) -> None:
-        """Leave the arms, at rest, with the torque that they were sent last."""
+        """Brake the arms, and leave them at rest with their last torque."""
         super().cleanup()
         self.brake()
-        self._held = None
+        self._held_arms = None
         self.connect([])
         super().disconnect()
 
     def turn(self) -> None:
-        if self.running or self._held is None:
+        if self.running or self._held_arms is None:
             super().turn()
             return
         self._rest(TRIAL_SLICE_S)
@@ -124,16 +129,16 @@ class CellNode(LeadingNode[CellTrial]):
         self.diagnose()
 
     def wait(self) -> None:
-        if self._held is not None:
+        if self._held_arms is not None:
             self._rest(SUBSCRIBER_POLL_S)
 
     def work(self, trial: CellTrial, until: float) -> None:
         now = time.monotonic()
-        if self._past and trial.begun and not trial.over:
+        if self._bypassing and trial.begun and not trial.over:
             trial.stop(f"the watchdog passed no torques on for {self.parameter('watchdog_timeout'):g} s: is it alive?")
-        if trial.begun and not trial.over and now - self._surveyed > PUBLISHER_POLL_S:
-            self._surveyed = now
-            if complaint := self._strangers():
+        if trial.begun and not trial.over and now - self._publishers_checked > PUBLISHER_POLL_S:
+            self._publishers_checked = now
+            if complaint := self._unexpected_publishers():
                 trial.stop(complaint)
         super().work(trial, until)
 
@@ -145,18 +150,18 @@ class CellNode(LeadingNode[CellTrial]):
             placement = np.array([self.parameter(f"mocap_{name}") for name in COORDINATES])
             mocap = TrackerPoses(self.parameter("mocap_frame"), placement)
         start = self.parameter("start_tolerance")
-        self._robots = self.node.count_publishers(resolved(self.node, STATES))
-        self._await_names()
-        if complaint := self._strangers():
+        self._state_publishers = self.node.count_publishers(resolved(self.node, STATES))
+        self._await_publisher_names()
+        if complaint := self._unexpected_publishers():
             raise InputError(f"not armed: {complaint}")
         self.inbox.clear()
         self._clock.forget()
-        still = ArmingLimits(start, self.parameter("arm_jitter_limit"))
-        arming = Arming(plan, arms, mocap, self.inbox, still, self._held)
-        found = arming.look()
+        arming_limits = ArmingLimits(start, self.parameter("arm_jitter_limit"))
+        arming = Arming(plan, arms, mocap, self.inbox, arming_limits, self._held_arms)
+        arming_report = arming.look()
         self._await_listeners()
-        self._held = arms
-        self.log.info(f"armed: {found}{self._hold(arming)}")
+        self._held_arms = arms
+        self.log.info(f"armed: {arming_report}{self._hold(arming)}")
         limits = TrialLimits(
             state_timeout=self.parameter("state_timeout"),
             answer_timeout=self.parameter("answer_timeout"),
@@ -174,19 +179,22 @@ class CellNode(LeadingNode[CellTrial]):
         """Hold the arms for a moment, through the watchdog if there is one; returns the result.
 
         Raises:
-            InputError: They do not stay, or the watchdog passes nothing on.
+            InputError: The arms move, or the watchdog forwards nothing.
         """
-        past, self._past = self._past, False  # a watchdog that was started again may have arms that rest
+        was_bypassing, self._bypassing = (
+            self._bypassing,
+            False,
+        )  # a watchdog that was started again may have arms that rest
         self._echo.clear()
-        self._passed, self._waiting = {}, None
+        self._forwarded, self._unforwarded_since = {}, None
         try:
-            found = arming.hold()
-            if self.parameter("watchdog") and (self._past or len(self._passed) < len(self.arms)):
+            holding_report = arming.hold()
+            if self.parameter("watchdog") and (self._bypassing or len(self._forwarded) < len(self.arms)):
                 raise InputError("not armed: the watchdog passes no torques on: does it hear the robot's states?")
         except InputError:
-            self._past = self._past or past
+            self._bypassing = self._bypassing or was_bypassing
             raise
-        return found
+        return holding_report
 
     def close(self) -> None:
         self.brake()
@@ -195,49 +203,57 @@ class CellNode(LeadingNode[CellTrial]):
         super().close()
 
     def brake(self) -> None:
-        """Go on until the torques that the robot was sent last may stay."""
+        """Brake until the arms are at rest, where the last torque of the robot may stay."""
         until = time.monotonic() + MAX_BRAKING_S
-        while self._held is not None and not self._held.held:
+        while self._held_arms is not None and not self._held_arms.held:
             if time.monotonic() > until:
                 self.log.error(f"the arms did not come to rest within {MAX_BRAKING_S:g} s: press the emergency stop")
                 return
             self._rest(SUBSCRIBER_POLL_S)
 
     def _rest(self, seconds: float) -> None:
-        if self._held is not None:
-            rest_until(self._held, self.inbox, time.monotonic() + seconds, time.monotonic)
+        if self._held_arms is not None:
+            rest_until(self._held_arms, self.inbox, time.monotonic() + seconds, time.monotonic)
 
     def _on_watchdog(self, message: Bool) -> None:
         self._watchdog_brakes = message.data
 
     def _send(self, arm: str, torque: Array) -> None:
         message, direct = Float64MultiArray(data=array("d", torque.tobytes())), commands_topic(arm)
-        if self._past:
+        if self._bypassing:
             self._publishers[direct].publish(message)
             self._publishers[self._topics[arm]].publish(Float64MultiArray())  # for a watchdog that comes back
             return
         self._publishers[self._topics[arm]].publish(message)
         if self._topics[arm] != direct:
-            self._listen(self._clock.steady())
+            self._check_echo(self._clock.steady())
 
-    def _listen(self, now: float) -> None:
+    def _check_echo(self, now: float) -> None:
         """Check the torques that the watchdog forwards; bypass it after a long silence."""
-        if 0.0 <= now - self._echoed < ECHO_POLL_S:
+        if 0.0 <= now - self._echo_checked < ECHO_POLL_S:
             return
         patience = self.parameter("watchdog_timeout")
-        stalled, self._echoed = now - self._echoed > patience / 2.0, now
+        stalled, self._echo_checked = now - self._echo_checked > patience / 2.0, now
         self._echo.gather()
         arm_of = {commands_topic(arm): arm for arm in self.arms}
-        came = {arm_of[topic]: torque for topic, data in self._echo.take() if (torque := torques_of(data)) is not None}
-        self._passed |= came
-        if came or stalled or self._waiting is None:  # torques that this process did not send cannot be forwarded
-            self._waiting = now
-        if now - self._waiting <= patience or self._held is None or len(self._passed) < len(self.arms):
+        forwarded = {
+            arm_of[topic]: torque for topic, data in self._echo.take() if (torque := torques_of(data)) is not None
+        }
+        self._forwarded |= forwarded
+        if (
+            forwarded or stalled or self._unforwarded_since is None
+        ):  # torques that this process did not send cannot be forwarded
+            self._unforwarded_since = now
+        if (
+            now - self._unforwarded_since <= patience
+            or self._held_arms is None
+            or len(self._forwarded) < len(self.arms)
+        ):
             return
-        self._past = True
+        self._bypassing = True
         self.log.error(f"the watchdog passed no torques on for {patience:g} s: braking without it")
-        for arm, torque in self._passed.items():
-            self._held.continue_from(arm, torque)
+        for arm, torque in self._forwarded.items():
+            self._held_arms.continue_from(arm, torque)
 
     def _leave(self) -> str:
         """Leave the trial with arms that rest: while the next one is loaded, the robot keeps its last torque."""
@@ -245,59 +261,63 @@ class CellNode(LeadingNode[CellTrial]):
         self.brake()
         return outcome
 
-    def _strangers(self) -> str:
+    def _unexpected_publishers(self) -> str:
         """Names of unexpected publishers of reserved topics; empty: not any."""
-        own = self.node.get_name(), self.node.get_namespace()
-        watchdog = WatchdogNode.kind, own[1]
-        robots = {resolved(self.node, commands_topic(arm)) for arm in self.arms}
-        for topic in self._torque_ways():
-            found = [(info.node_name, info.node_namespace) for info in self.node.get_publishers_info_by_topic(topic)]
-            allowed = [own]
-            if self.parameter("watchdog") and topic in robots:
-                allowed.append(watchdog)
-            for node in allowed:
-                if node in found:
-                    found.remove(node)
-            if found:
-                names = ", ".join(f"{namespace.rstrip('/')}/{name}" for name, namespace in found)
+        cell_name = self.node.get_name(), self.node.get_namespace()
+        watchdog = WatchdogNode.kind, cell_name[1]
+        robot_topics = {resolved(self.node, commands_topic(arm)) for arm in self.arms}
+        for topic in self._torque_topics():
+            unexpected = [
+                (info.node_name, info.node_namespace) for info in self.node.get_publishers_info_by_topic(topic)
+            ]
+            expected_nodes = [cell_name]
+            if self.parameter("watchdog") and topic in robot_topics:
+                expected_nodes.append(watchdog)
+            for node in expected_nodes:
+                if node in unexpected:
+                    unexpected.remove(node)
+            if unexpected:
+                names = ", ".join(f"{namespace.rstrip('/')}/{name}" for name, namespace in unexpected)
                 remedy = "stop it (one that was killed is forgotten after 20 s)"
-                if watchdog in found and not self.parameter("watchdog"):
+                if watchdog in unexpected and not self.parameter("watchdog"):
                     remedy = "set the parameter watchdog, so that torques go through it, or stop it"
                 return f"{names} can send torques on {topic} as well: {remedy}"
         if self._watchdog_brakes:
             reset = self.node.resolve_service_name("watchdog/reset")
             return f"the watchdog brakes the arms: ros2 service call {reset} std_srvs/srv/Trigger when it is safe"
         if self.parameter("watchdog") and not self.node.count_publishers(resolved(self.node, BRAKING_TOPIC)):
-            there = "" if own[1] == "/" else f" --ros-args -r __ns:={own[1]}"
-            return f"there is no watchdog, and the parameter watchdog asks for one: ros2 run impact_rs watchdog{there}"
+            namespace_arguments = "" if cell_name[1] == "/" else f" --ros-args -r __ns:={cell_name[1]}"
+            command = f"ros2 run impact_rs watchdog{namespace_arguments}"
+            return f"there is no watchdog, and the parameter watchdog asks for one: {command}"
         sources = self.node.count_publishers(resolved(self.node, STATES))
-        if sources > max(1, self._robots):
-            return f"{sources} publishers on {resolved(self.node, STATES)}, {self._robots} when the trial was armed"
+        if sources > max(1, self._state_publishers):
+            topic = resolved(self.node, STATES)
+            return f"{sources} publishers on {topic}, {self._state_publishers} when the trial was armed"
         return ""
 
-    def _torque_ways(self) -> list[str]:
+    def _torque_topics(self) -> list[str]:
         """Full names of all topics that carry torques to the robot."""
         return [resolved(self.node, topic) for topic in self._publishers]
 
-    def _await_names(self) -> None:
+    def _await_publisher_names(self) -> None:
         """Wait for the names of all publishers of torques; unnamed ones are strangers, a watchdog is not."""
         until = time.monotonic() + DISCOVERY_S
         while time.monotonic() < until and any(
             info.node_name == UNKNOWN
-            for topic in self._torque_ways()
+            for topic in self._torque_topics()
             for info in self.node.get_publishers_info_by_topic(topic)
         ):
             self.inbox.wait(SUBSCRIBER_POLL_S)
             self._rest(SUBSCRIBER_POLL_S)
 
     def _await_listeners(self) -> None:
-        """Wait for who takes the torques, who may have been found after the states."""
+        """Wait for subscribers to the torques, which may be discovered after the states."""
         until = time.monotonic() + DISCOVERY_S
         for arm in self.arms:
             for topic in {self._topics[arm]: None, commands_topic(arm): None}:
                 name = resolved(self.node, topic)
-                echo = topic != self._topics[arm]  # the cell itself subscribes to the watchdog's output
-                while self._publishers[topic].get_subscription_count() <= echo:
+                own_subscriptions = topic != self._topics[arm]  # the cell itself subscribes to the watchdog's output
+                while self._publishers[topic].get_subscription_count() <= own_subscriptions:
                     if time.monotonic() > until:
                         remedy = "is the effort controller active, is the topic remapped?"
                         if topic != commands_topic(arm):

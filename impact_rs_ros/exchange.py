@@ -101,14 +101,14 @@ class Inbox:
 
     def gather(self) -> None:
         """Receive everything that has come, in the order in which it came."""
-        came: list[tuple[int, str, bytes]] = []
+        messages: list[tuple[int, str, bytes]] = []
         for topic, subscription in self._subscriptions.items():
             kind, take = self._kinds[topic], subscription.handle.take_message
-            while (found := take(kind, True)) is not None:
-                data, about = found
-                came.append((about["received_timestamp"], topic, data))
-        came.sort(key=_when)
-        self._received.extend((topic, data) for _, topic, data in came)
+            while (taken_message := take(kind, True)) is not None:
+                data, message_info = taken_message
+                messages.append((message_info["received_timestamp"], topic, data))
+        messages.sort(key=_when)
+        self._received.extend((topic, data) for _, topic, data in messages)
 
     def take(self) -> Iterator[tuple[str, Any]]:
         """Everything that has been received: topic and message."""
@@ -136,8 +136,8 @@ class Inbox:
             self._node.destroy_subscription(self._subscriptions.popitem()[1])
 
 
-def _when(came: tuple[int, str, bytes]) -> int:
-    return came[0]
+def _when(received: tuple[int, str, bytes]) -> int:
+    return received[0]
 
 
 def _no_callback(message: Any) -> None:

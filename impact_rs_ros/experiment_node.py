@@ -124,8 +124,8 @@ class ExperimentNode(NodeProgram):
         """The campaign of a goal; empty fields take the values of the scenario."""
         inertia = goal.motor_inertia or "reduced"
         if inertia not in MOTOR_INERTIA_MODELS:
-            known = f"expected one of {', '.join(MOTOR_INERTIA_MODELS)}"
-            raise InputError(f"no motor-inertia model {inertia!r}; {known}", key="motor_inertia")
+            expected = f"expected one of {', '.join(MOTOR_INERTIA_MODELS)}"
+            raise InputError(f"no motor-inertia model {inertia!r}; {expected}", key="motor_inertia")
         return make_manifest(
             self.scenario_name(goal.scenario),
             list(goal.objects) or None,
@@ -135,7 +135,7 @@ class ExperimentNode(NodeProgram):
             goal.seed,
         ).model_copy(update={"motor_inertia": inertia})
 
-    def _one(
+    def _execute(
         self,
         plan: TrialPlan,
         key: TrialKey,
@@ -173,7 +173,7 @@ class ExperimentNode(NodeProgram):
                         RunTrial.Feedback(time=progress.time, mode=progress.mode, net_feedback=progress.net_feedback)
                     )
 
-                result = self._one(plan, key, goal.seed, directory, handle, feedback, goal.plant_model)
+                result = self._execute(plan, key, goal.seed, directory, handle, feedback, goal.plant_model)
             except Exception as error:  # no trial ends a node
                 return self._failed(handle, answer, error)
         answer.success = result.outcome not in FAILED
@@ -189,11 +189,11 @@ class ExperimentNode(NodeProgram):
         goal = handle.request
         answer = RunCampaign.Result()
         reports = []
-        with self._busy, ExitStack() as held:
+        with self._busy, ExitStack() as campaign_lock:
             try:
                 manifest = self._manifest(goal)
                 directory = self.output(goal.output_directory, "output_directory")
-                held.enter_context(owned(open_store(directory)))
+                campaign_lock.enter_context(owned(open_store(directory)))
                 todo = open_campaign(directory, manifest)
                 answer.skipped = len(manifest.keys) - len(todo)
                 self.log.info(f"campaign {directory}: {len(todo)} of {len(manifest.keys)} trials are to be run")
@@ -203,7 +203,7 @@ class ExperimentNode(NodeProgram):
                         break
                     handle.publish_feedback(RunCampaign.Feedback(finished=number, total=len(todo), current=key.name))
                     trial = manifest.trial(key)
-                    result = self._one(trial.spec.plan, key, trial.seed, directory, handle)
+                    result = self._execute(trial.spec.plan, key, trial.seed, directory, handle)
                     if result.outcome == "ABORTED" and self._cancelled(handle):
                         answer.message = "cancelled"  # not a failure of that trial
                         break

@@ -25,7 +25,7 @@ from rclpy.executors import SingleThreadedExecutor
 
 from impact_rs_ros.middleware import discovery, set_middleware
 from impact_rs_ros.names import full_namespace
-from impact_rs_ros.node_processes import NODES, NodeProcesses, ours
+from impact_rs_ros.node_processes import NODES, NodeProcesses, nodes_to_start
 from impact_rs_ros.presence import Presence
 from impact_rs_ros.trial_session import MEMBERS
 from impact_rs_sim.model import Model, model_text
@@ -48,7 +48,7 @@ SERVICES: dict[str, dict[str, Any]] = {
         "impact_map/derivatives": ImpactDerivatives,
     }
 }
-"""Services of every node, with their types. A user's own node in its place has to offer the same."""
+"""Services of every node, with their types. A node of the user in its place must offer them, too."""
 
 ACTIONS: dict[str, dict[str, Any]] = {
     "plant": {"plant/run_trial": RunTrial},
@@ -75,7 +75,7 @@ class Graph:
 
     Args:
         nodes: Processes of the nodes.
-        ours: Names of the nodes to start.
+        started: Names of the nodes to start.
         domain_id: ``ROS_DOMAIN_ID``.
         namespace: ROS namespace of the nodes; empty: the root.
         foreign: Nodes that the user provides, by the name of the node that each replaces.
@@ -85,7 +85,7 @@ class Graph:
     def __init__(
         self,
         nodes: NodeProcesses,
-        ours: Sequence[str] = NODES,
+        started: Sequence[str] = NODES,
         domain_id: int = 0,
         namespace: str = "",
         foreign: Sequence[str] = (),
@@ -94,11 +94,11 @@ class Graph:
         self.nodes = nodes
         self.processes = nodes.processes
         self.foreign = list(dict.fromkeys(foreign))
-        self._ours = ours
+        self._started = started
         self._domain_id = domain_id
         self._namespace = full_namespace(namespace)
         self._notify = notify
-        self._heard = 0.0  # when the last feedback on a trial came, on the monotonic clock [s]
+        self._last_feedback = 0.0  # time of the last feedback on a trial, on the monotonic clock [s]
         self._connect()
 
     @classmethod
@@ -132,7 +132,7 @@ class Graph:
         Raises:
             InputError: There is no such scenario, no such node, or no such namespace.
         """
-        names = ours(without)
+        names = nodes_to_start(without)
         with ExitStack() as stack:
             logs = stack.enter_context(tempfile.TemporaryDirectory(prefix="impact_rs_"))
             nodes = NodeProcesses.of(scenario, Path(logs), domain_id, parameters, quiet, root, namespace)
@@ -182,16 +182,16 @@ class Graph:
         If a node is killed or freezes meanwhile, all are started again.
         """
         for _ in range(MAX_STARTS):
-            for name in self._ours:
+            for name in self._started:
                 self.nodes.start(name)
-            if not (cause := self._await_ours()):
+            if not (cause := self._await_started()):
                 self._await_foreign()
                 return
             self._stop()
         raise GraphError(cause)
 
     def restart(self) -> None:
-        """Stop all nodes of ours, and start them again."""
+        """Stop all started nodes, and start them again."""
         self._stop()
         self.start()
 
@@ -218,22 +218,22 @@ class Graph:
         return [f"{line}; it is started again" for line in lost.values()]
 
     def lost(self) -> dict[str, str]:
-        """A line about each node of ours that ended or froze, by its name."""
-        how = dict.fromkeys(self.presence.lost(*self.processes), "froze") | self.nodes.ended()
-        return {name: f"node {name} {how}: {self.nodes.last_line(name)}" for name, how in how.items()}
+        """A line about each started node that ended or froze, by its name."""
+        endings = dict.fromkeys(self.presence.lost(*self.processes), "froze") | self.nodes.ended()
+        return {name: f"node {name} {endings}: {self.nodes.last_line(name)}" for name, endings in endings.items()}
 
     def _stop(self) -> None:
-        """Stop all nodes of ours; a lost one, which may react to SIGKILL only, first."""
+        """Stop all started nodes, lost ones first: they may react to SIGKILL alone."""
         for name in self.lost():
             self.nodes.kill(name)
         self.nodes.stop()
         self.close()
         self._connect()
 
-    def _await_ours(self) -> str:
-        """Wait for the services of our nodes; returns the reason of a failure, or an empty text."""
+    def _await_started(self) -> str:
+        """Wait for the services of the started nodes; returns the reason of a failure, or an empty text."""
         deadline = time.monotonic() + START_TIMEOUT_S
-        while missing := [service for name in self._ours for service in self._missing(name)]:
+        while missing := [service for name in self._started for service in self._missing(name)]:
             self.spin(0.02)
             for name, line in self.lost().items():
                 if self.nodes.failed(name):
@@ -249,31 +249,39 @@ class Graph:
             deadline = time.monotonic() + FOREIGN_TIMEOUT_S
             notified = False
             while missing := self._missing(name):
-                what = ", ".join(missing)
+                interfaces = ", ".join(missing)
                 if not notified:
-                    self._notify(f"waiting for a {name}: {what}; for {FOREIGN_TIMEOUT_S:g} s at most")
+                    self._notify(f"waiting for a {name}: {interfaces}; for {FOREIGN_TIMEOUT_S:g} s at most")
                     notified = True
                 for line in self.lost().values():
                     raise GraphError(line)
                 if time.monotonic() > deadline:
                     raise GraphError(
-                        f"no {name} came within {FOREIGN_TIMEOUT_S:g} s: no node offers {what} in ROS domain "
+                        f"no {name} came within {FOREIGN_TIMEOUT_S:g} s: no node offers {interfaces} in ROS domain "
                         f"{self._domain_id}; {discovery(os.environ)}"
                     )
                 self.spin(0.1)
 
     def _missing(self, name: str) -> list[str]:
         """Services and actions of a node that are not offered."""
-        full = self.node.resolve_service_name
-        services = [full(one) for one, client in self._services.get(name, {}).items() if not client.service_is_ready()]
-        actions = [full(one) for one, client in self._actions.get(name, {}).items() if not client.server_is_ready()]
+        full_name = self.node.resolve_service_name
+        services = [
+            full_name(interface)
+            for interface, client in self._services.get(name, {}).items()
+            if not client.service_is_ready()
+        ]
+        actions = [
+            full_name(interface)
+            for interface, client in self._actions.get(name, {}).items()
+            if not client.server_is_ready()
+        ]
         return services + [f"the action {action}" for action in actions]
 
     def call_trial(self, goal: RunTrial.Goal, feedback: Any = None) -> RunTrial.Result:
         """Run one trial; if the experiment node is silent, it may go on until :meth:`restart`."""
 
         def hear(message: Any) -> None:
-            self._heard = time.monotonic()
+            self._last_feedback = time.monotonic()
             if feedback is not None:
                 feedback(message)
 
@@ -298,12 +306,12 @@ class Graph:
 
     def _wait(self, future: Any, timeout: float) -> Any:
         """Result of a future; ``timeout`` [s] restarts with every feedback on a trial."""
-        self._heard = time.monotonic()
+        self._last_feedback = time.monotonic()
         while not future.done():
             self.spin(0.1)
             if line := self.lost().get("experiment"):
                 raise GraphError(line)
-            if time.monotonic() > self._heard + timeout:
+            if time.monotonic() > self._last_feedback + timeout:
                 raise GraphError(f"the experiment node is silent for {timeout:g} s")
         return future.result()
 
@@ -381,8 +389,8 @@ def run_trial(
         if outcome == "ABORTED":
             bag = directory / key.name
             if bag.exists():  # the recorder had closed it, and only the answer was lost
-                kept = report_of_bag(key, bag)
-                outcome, message = kept.outcome, kept.message
+                bag_report = report_of_bag(key, bag)
+                outcome, message = bag_report.outcome, bag_report.message
             elif repeated:
                 outcome, message = _attempt(graph, goal)
     trace = graph.nodes.outputs() if outcome == "ABORTED" else ""

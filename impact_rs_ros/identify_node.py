@@ -6,9 +6,9 @@ Topics, latched:
     ~/prediction   HitPrediction: prediction of the next hit, with intervals, and the present parameter estimates
     ~/change       CellChange: a change of the cell, with its evidence and explanations
     ~/diagnosis    ChangeDiagnosis: how the full diagnosis of the hits since then has ended
-    ~/refused      RefusedHit: what gives no hit, and why
+    ~/refused      RefusedHit: a trial or row that gives no hit, with the reason
 
-How a hit is judged is not known here: the program that starts the node hands it an :class:`Identifier`.
+The node does not judge hits itself: the program that starts it provides an :class:`Identifier`.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ class HitReport:
     """Result of one hit, or of a diagnosis after a change.
 
     Attributes:
-        line: In a line.
+        line: Result in one line.
         topic: ``change``, ``diagnosis`` or ``refused``, on which it is published; empty: on none.
         document: Fields of its message.
-        hit: Whether it is about a hit.
+        hit: Whether it is the result of a hit.
     """
 
     line: str
@@ -71,8 +71,8 @@ class IdentifyNode(NodeProgram):
             name: self.node.create_publisher(kind, f"~/{name}", LATCHED) for name, kind in TOPICS.items()
         }
         self._identifier: Identifier | None = None
-        self._looked = -float("inf")
-        self._hits, self._changes, self._spent = 0, 0, 0.0
+        self._last_poll = -float("inf")
+        self._hits, self._changes, self._poll_duration = 0, 0, 0.0
         self._last, self._complaint = "", ""
         self._refusals, self._refusal = 0, ""
 
@@ -88,7 +88,7 @@ class IdentifyNode(NodeProgram):
         self._identifier = self.identifier()
 
     def turn(self) -> None:
-        self._look()
+        self._poll()
         super().turn()
 
     def close(self) -> None:
@@ -97,19 +97,19 @@ class IdentifyNode(NodeProgram):
 
     def status(self) -> tuple[str, Mapping[str, object]]:
         numbers: dict[str, object] = {"hits": self._hits, "changes": self._changes, "refused": self._refusals}
-        numbers["last look [s]"] = round(self._spent, 3)
+        numbers["last look [s]"] = round(self._poll_duration, 3)
         if self._refusal:
             numbers["last refused"] = self._refusal
         if self._complaint:
             return self._complaint, numbers
         return f"changed: {self._last}" if self._last else "ok", numbers
 
-    def _look(self) -> None:
+    def _poll(self) -> None:
         """Take the hits that have arrived, if a poll is due."""
         now = time.monotonic()
-        if self._identifier is None or now - self._looked < self.parameter("poll_period"):
+        if self._identifier is None or now - self._last_poll < self.parameter("poll_period"):
             return
-        self._looked = now
+        self._last_poll = now
         try:
             reports = self._identifier.arrived()
         except InputError as error:
@@ -126,7 +126,7 @@ class IdentifyNode(NodeProgram):
         hits = [report for report in reports if report.hit]
         self._hits += len(hits)
         if hits:
-            self._looked = -float("inf")  # more may wait
+            self._last_poll = -float("inf")  # more may wait
         for report in reports:
             if report.topic == "refused":
                 self.log.warning(f"refused {report.line}")
@@ -139,9 +139,9 @@ class IdentifyNode(NodeProgram):
                 self._changes += 1
                 self._last = report.document["words"]
                 self.log.warning(f"changed {self._last}")
-        if hits and (found := self._identifier.prediction()):
-            self._publish("prediction", found)
-        self._spent = time.monotonic() - now
+        if hits and (prediction := self._identifier.prediction()):
+            self._publish("prediction", prediction)
+        self._poll_duration = time.monotonic() - now
 
     def _refuse(self, line: str, document: Mapping[str, Any]) -> None:
         """Count and publish a refused trial."""

@@ -76,17 +76,21 @@ class ImpactMapNode(NodeProgram):
         return "ok", {"answered": self._answered, "refused": self._refused}
 
     def _on_request(self, answer: Callable[[Any, Any, ImpactProblem, Scene], str], request: Any, response: Any) -> Any:
-        """Fill a response in by ``answer``, which says in words what it has done."""
+        """Fill a response by ``answer``, which returns a summary for the log."""
         started = time.perf_counter()
-        asked = request.problem
+        problem_message = request.problem
         try:
-            scenario = self.scenario(asked.scenario)
-            known = asked.object_name or (next(iter(scenario.objects)) if asked.object else "")
-            scene = TrialSpec.of(scenario, known, asked.case_name).scene  # the same every time: its engine stays warm
-            done = answer(request, response, _problem(asked, scene), scene)
+            scenario = self.scenario(problem_message.scenario)
+            object_name = problem_message.object_name or (
+                next(iter(scenario.objects)) if problem_message.object else ""
+            )
+            scene = TrialSpec.of(
+                scenario, object_name, problem_message.case_name
+            ).scene  # the same every time: its engine stays warm
+            summary = answer(request, response, _problem(problem_message, scene), scene)
             response.success = True
             self._answered += 1
-            self.log.info(f"answered {_object_name(asked)}, case {asked.case_name!r}, {done}")
+            self.log.info(f"answered {_object_name(problem_message)}, case {problem_message.case_name!r}, {summary}")
         except (InputError, ImpactMapError) as error:
             self._refuse(response, str(error))
         except Exception as error:  # no request ends a node
@@ -135,53 +139,57 @@ def _derivatives(
     request: ImpactDerivatives.Request, response: ImpactDerivatives.Response, problem: ImpactProblem, scene: Scene
 ) -> str:
     del request
-    found = differentiate(problem, scene.models)
-    response.velocity_names, response.velocity = list(velocity_names(problem)), found.velocities.tolist()
-    response.parameter_names = [parameter.name for parameter in found.parameters]
-    response.parameter_units = [parameter.unit for parameter in found.parameters]
-    response.derivatives = found.jacobian.ravel().tolist()
+    sensitivities = differentiate(problem, scene.models)
+    response.velocity_names, response.velocity = list(velocity_names(problem)), sensitivities.velocities.tolist()
+    response.parameter_names = [parameter.name for parameter in sensitivities.parameters]
+    response.parameter_units = [parameter.unit for parameter in sensitivities.parameters]
+    response.derivatives = sensitivities.jacobian.ravel().tolist()
     return "derivatives"
 
 
-def _object_name(asked: ImpactProblemMessage) -> str:
-    return str(asked.object[0].name if asked.object else asked.object_name)
+def _object_name(problem_message: ImpactProblemMessage) -> str:
+    return str(problem_message.object[0].name if problem_message.object else problem_message.object_name)
 
 
-def _problem(asked: ImpactProblemMessage, scene: Scene) -> ImpactProblem:
-    """The impact of a request: that of the scene with what the request changes."""
+def _problem(problem_message: ImpactProblemMessage, scene: Scene) -> ImpactProblem:
+    """Impact problem of a request: the nominal impact of the scene, with the changes of the request."""
     scene.scenario.check_chains("this service, whose messages have joints alone,")
-    diagonal = asked.motor_inertia == "diagonal"
-    problem = ImpactProblem.at_nominal_impact(scene, "reduced" if diagonal else asked.motor_inertia or "reduced")
-    if asked.object:
-        physics, body = _described(scene.physics, asked.object[0])
+    diagonal = problem_message.motor_inertia == "diagonal"
+    problem = ImpactProblem.at_nominal_impact(
+        scene, "reduced" if diagonal else problem_message.motor_inertia or "reduced"
+    )
+    if problem_message.object:
+        physics, body = _described(scene.physics, problem_message.object[0])
         problem = replace(problem, physics=physics, object=body)
-    if asked.joint_state.name:
-        problem = replace(problem, arms=scene.arms | _arms(asked.joint_state, scene.physics))
+    if problem_message.joint_state.name:
+        problem = replace(problem, arms=scene.arms | _arms(problem_message.joint_state, scene.physics))
     if diagonal:
-        problem = replace(problem, motor_inertia=_diagonal(np.array(asked.motor_inertia_diagonal), scene.physics))
-    return problem if asked.restitution < 0.0 else replace(problem, restitution=asked.restitution)
+        problem = replace(
+            problem, motor_inertia=_diagonal(np.array(problem_message.motor_inertia_diagonal), scene.physics)
+        )
+    return problem if problem_message.restitution < 0.0 else replace(problem, restitution=problem_message.restitution)
 
 
-def _arms(asked: JointState, physics: Physics) -> dict[str, ArmState]:
+def _arms(joint_state: JointState, physics: Physics) -> dict[str, ArmState]:
     """States of the arms whose joints are named."""
     for name in ("position", "velocity"):
-        if len(getattr(asked, name)) != len(asked.name):
+        if len(getattr(joint_state, name)) != len(joint_state.name):
             raise InputError(
-                f"expected {len(asked.name)} values, one per name, got {len(getattr(asked, name))}",
+                f"expected {len(joint_state.name)} values, one per name, got {len(getattr(joint_state, name))}",
                 key=f"joint_state.{name}",
             )
-    given = dict(zip(asked.name, zip(asked.position, asked.velocity, strict=True), strict=True))
+    states = dict(zip(joint_state.name, zip(joint_state.position, joint_state.velocity, strict=True), strict=True))
     arms, all_joints = {}, joints_of(physics)
     for arm, joints in all_joints.items():
-        if given.keys().isdisjoint(joints):
+        if states.keys().isdisjoint(joints):
             continue
-        if missing := [joint for joint in joints if joint not in given]:
+        if missing := [joint for joint in joints if joint not in states]:
             raise InputError(f"expected every joint of {arm!r}, {', '.join(missing)} too", key="joint_state.name")
-        position, velocity = np.array([given.pop(joint) for joint in joints]).T
+        position, velocity = np.array([states.pop(joint) for joint in joints]).T
         arms[arm] = ArmState(position, velocity)
-    if given:
-        known = ", ".join(f"{joints[0]} to {joints[-1]}" for joints in all_joints.values())
-        raise InputError(f"no joint {', '.join(given)}; known: {known}", key="joint_state.name")
+    if states:
+        expected = ", ".join(f"{joints[0]} to {joints[-1]}" for joints in all_joints.values())
+        raise InputError(f"no joint {', '.join(states)}; known: {expected}", key="joint_state.name")
     return arms
 
 
@@ -194,9 +202,9 @@ def _described(physics: Physics, described: ImpactObject) -> tuple[Physics, Body
         raise InputError(
             "expected a unit quaternion (x, y, z, w)", key="object.pose.orientation", value=pose[3:].tolist()
         )
-    body, middle = _body(described)
+    body, centre = _body(described)
     rotation = pin.Quaternion(pose[3:] / np.linalg.norm(pose[3:])).matrix()
-    arm = rotation @ middle  # from the origin of its own frame to its geometric centre
+    arm = rotation @ centre  # from the origin of its own frame to its geometric centre
     twist[:3] += np.cross(twist[3:], arm)
     changed = replace(
         physics,
@@ -212,39 +220,39 @@ def _body(described: ImpactObject) -> tuple[ObjectPhysics, Array]:
     """The body, and its geometric centre in its own frame, ``(3,)`` [m].
 
     Raises:
-        InputError: It is none that a scenario could have.
+        InputError: No scenario could have this body.
     """
-    inertia, middle = described.inertia, np.zeros(3)
+    inertia, centre = described.inertia, np.zeros(3)
     products = np.abs([inertia.ixy, inertia.ixz, inertia.iyz])
     moments = np.array([inertia.ixx, inertia.iyy, inertia.izz])
     if not products.max() <= MAX_PRODUCT_SHARE * moments.sum():
         raise InputError(
             "expected products of inertia 0: turn its own frame to its principal axes", key="object.inertia"
         )
-    given: dict[str, Any] = {"label": described.name, "mass": inertia.m}
+    fields: dict[str, Any] = {"label": described.name, "mass": inertia.m}
     com = vector_from_message(inertia.com)
     if described.mesh.vertices:
         points = np.array([point_from_message(vertex) for vertex in described.mesh.vertices])
         triangles = np.array([triangle.vertex_indices for triangle in described.mesh.triangles], dtype=int)
-        middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
         try:
             mesh = object_mesh(points, triangles.reshape(-1, 3), Path("object.mesh"))
         except IndexError as error:
             raise InputError(str(error), key="object.mesh") from None
-        given |= {"shape": "hull", "corners": mesh.corners.tolist(), "size": mesh.size.tolist()}
-        com = com - middle if moments.any() else mesh.com
+        fields |= {"shape": "hull", "corners": mesh.corners.tolist(), "size": mesh.size.tolist()}
+        com = com - centre if moments.any() else mesh.com
         moments = moments if moments.any() else inertia.m * mesh.moments
     else:
-        given["shape"], given["size"] = _filled(described.primitive, described.rounded)
+        fields["shape"], fields["size"] = _filled(described.primitive, described.rounded)
     if moments.any():
-        given["inertia"] = moments.tolist()
+        fields["inertia"] = moments.tolist()
     try:
-        spec = validate(ObjectSpec, given | {"com_offset": com.tolist()}, None)
+        spec = validate(ObjectSpec, fields | {"com_offset": com.tolist()}, None)
     except InputError as error:
         raise InputError(
             error.message, key=f"object.{error.key}" if error.key else "object", value=error.value
         ) from None
-    return ObjectPhysics(inertia.m, np.array(spec.size), spec.moments, com, spec.form), middle
+    return ObjectPhysics(inertia.m, np.array(spec.size), spec.moments, com, spec.form), centre
 
 
 def _filled(primitive: SolidPrimitive, rounded: bool) -> tuple[str, list[float]]:
@@ -266,7 +274,7 @@ def _filled(primitive: SolidPrimitive, rounded: bool) -> tuple[str, list[float]]
 
 
 def _diagonal(values: Array, physics: Physics) -> dict[str, Array]:
-    """Motor inertias of a request by arm; one arm's count of values is for each."""
+    """Motor inertias of a request by arm; the values of a single arm apply to every arm."""
     counts = [arm.facts.joint_count for arm in physics.arms.values()]
     if values.size == sum(counts):
         parts = np.split(values, np.cumsum(counts)[:-1])

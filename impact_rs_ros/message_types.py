@@ -55,7 +55,7 @@ def filled(kind: Any, document: Mapping[str, Any]) -> Any:
     for name, field in kind.get_fields_and_field_types().items():
         value: Any = math.nan if document[name] is None else document[name]
         if nested := re.fullmatch(r"sequence<impact_rs/(\w+)>", field):
-            value = [filled(message_type(f"impact_rs/msg/{nested[1]}"), one) for one in value]
+            value = [filled(message_type(f"impact_rs/msg/{nested[1]}"), nested_document) for nested_document in value]
         setattr(message, name, value)
     return message
 
@@ -65,7 +65,7 @@ def document_of(message: Any) -> Any:
     if hasattr(message, "get_fields_and_field_types"):
         return {name: document_of(getattr(message, name)) for name in message.get_fields_and_field_types()}
     if isinstance(message, (list, np.ndarray)):
-        return [document_of(one) for one in message]
+        return [document_of(element) for element in message]
     return None if isinstance(message, float) and not math.isfinite(message) else message
 
 

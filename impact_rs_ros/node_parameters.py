@@ -365,12 +365,17 @@ def declare(node: Node, kind: str) -> None:
         node.declare_parameter(parameter.name, parameter.default, parameter.descriptor())
 
     def check(changed: list[Parameter]) -> SetParametersResult:
-        wrong = [complaint for one in changed if (complaint := complaint_about(kind, one.name, one.value))]
+        complaints = [
+            complaint
+            for parameter_change in changed
+            if (complaint := complaint_about(kind, parameter_change.name, parameter_change.value))
+        ]
         if kind in ("cell", "watchdog") and any(
-            one.name == "use_sim_time" and one.value != value(node, one.name) for one in changed
+            parameter_change.name == "use_sim_time" and parameter_change.value != value(node, parameter_change.name)
+            for parameter_change in changed
         ):
-            wrong.append(f"use_sim_time: the {kind} chooses the robot's clock when it starts; start it again")
-        return SetParametersResult(successful=not wrong, reason="; ".join(wrong))
+            complaints.append(f"use_sim_time: the {kind} chooses the robot's clock when it starts; start it again")
+        return SetParametersResult(successful=not complaints, reason="; ".join(complaints))
 
     for name in (*(parameter.name for parameter in PARAMETERS[kind]), "use_sim_time"):
         if complaint := complaint_about(kind, name, value(node, name)):
@@ -378,28 +383,30 @@ def declare(node: Node, kind: str) -> None:
     node.add_on_set_parameters_callback(check)
 
 
-def complaint_about(kind: str, name: str, wanted: Any) -> str:
+def complaint_about(kind: str, name: str, new_value: Any) -> str:
     """Why a value of a parameter is invalid; empty: it is valid.
 
     Args:
         kind: Node, a key of ``PARAMETERS``.
         name: Name of the parameter.
-        wanted: Value of the parameter.
+        new_value: Value of the parameter.
     """
     if name == "use_sim_time":
-        return "use_sim_time: expected false, because the plant publishes /clock" if kind == "plant" and wanted else ""
-    known = next((parameter for parameter in PARAMETERS[kind] if parameter.name == name), None)
-    if known is None:
+        return (
+            "use_sim_time: expected false, because the plant publishes /clock" if kind == "plant" and new_value else ""
+        )
+    declared = next((parameter for parameter in PARAMETERS[kind] if parameter.name == name), None)
+    if declared is None:
         return ""
-    if name == "joints" and "{number}" not in wanted and "," not in wanted:
-        return f"joints {wanted!r}: expected {{number}} in it, or all names with commas between them"
-    if known.choices and wanted not in (*known.choices, *known.former):
-        return f"{name} {wanted!r}: expected {' or '.join(known.choices)}"
-    if name in ("config_root", "data_root") and not Path(wanted or ".").is_dir():
-        return f"{name} {wanted!r}: expected a folder that exists"
+    if name == "joints" and "{number}" not in new_value and "," not in new_value:
+        return f"joints {new_value!r}: expected {{number}} in it, or all names with commas between them"
+    if declared.choices and new_value not in (*declared.choices, *declared.former):
+        return f"{name} {new_value!r}: expected {' or '.join(declared.choices)}"
+    if name in ("config_root", "data_root") and not Path(new_value or ".").is_dir():
+        return f"{name} {new_value!r}: expected a folder that exists"
     if name == "scenario":
         try:
-            load_scenario(wanted)
+            load_scenario(new_value)
         except InputError as error:
             return f"scenario: {error}"
     return ""
@@ -417,15 +424,18 @@ def values_for(profile: DriverProfile, arms: Collection[str]) -> dict[str, dict[
         profile: The driver.
         arms: Names of the arms.
     """
-    own = {
+    robot_values = {
         "joints": profile.joints_of(arms),
         "robot_adds_gravity": profile.adds_gravity,
         "torque_rate_limit": profile.torque_rate,
     }
-    return {"cell": defaults_of("cell") | own | {"watchdog": True}, "watchdog": defaults_of("watchdog") | own}
+    return {
+        "cell": defaults_of("cell") | robot_values | {"watchdog": True},
+        "watchdog": defaults_of("watchdog") | robot_values,
+    }
 
 
-FORMER_SECTIONS = {"cell": "plant"}  # what nodes were called up to 0.2, by their names now
+FORMER_SECTIONS = {"cell": "plant"}  # names of nodes up to version 0.2, by present name
 
 
 def values_of(path: Path, kind: str) -> dict[str, Any]:
@@ -445,18 +455,20 @@ def values_of(path: Path, kind: str) -> dict[str, Any]:
     known = {parameter.name: parameter for parameter in PARAMETERS[kind]}
     values, content = defaults_of(kind), load_mapping(path)
     _refuse_former_section(path, kind, content)
-    own = [(section, given) for section, given in _sections(content) if _applies(section, kind, path)]
-    if not any(given for _, given in own):
+    sections = [
+        (section, section_values) for section, section_values in _sections(content) if _applies(section, kind, path)
+    ]
+    if not any(section_values for _, section_values in sections):
         raise InputError(f"no section of the {kind}, expected /**/{kind} with ros__parameters in it", file=path)
-    for section, given in own:
-        for key, wanted in given.items():
-            place = f"{section}.{key}"
+    for section, section_values in sections:
+        for key, new_value in section_values.items():
+            key_path = f"{section}.{key}"
             if key in known:
-                _check(known[key], kind, wanted, path, place)
-                values[key] = wanted
+                _check(known[key], kind, new_value, path, key_path)
+                values[key] = new_value
             elif _node_of(section) == kind and key != "use_sim_time":
                 hint = did_you_mean(str(key), known) or f"; known: {', '.join(known)}"
-                raise InputError(f"the {kind} has no such parameter{hint}", file=path, key=place)
+                raise InputError(f"the {kind} has no such parameter{hint}", file=path, key=key_path)
     return values
 
 
@@ -491,13 +503,13 @@ def _refuse_former_section(path: Path, kind: str, content: Mapping[str, Any]) ->
 
 def _sections(content: Mapping[Any, Any], namespace: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
     """Names or patterns of nodes in a parameter file, and their values."""
-    for name, inside in content.items():
+    for name, subsections in content.items():
         section = f"{namespace}/{str(name).strip('/')}"
-        if name == "ros__parameters" or not isinstance(inside, dict):
+        if name == "ros__parameters" or not isinstance(subsections, dict):
             continue
-        if isinstance(given := inside.get("ros__parameters"), dict):
-            yield section, given
-        yield from _sections(inside, section)
+        if isinstance(section_values := subsections.get("ros__parameters"), dict):
+            yield section, section_values
+        yield from _sections(subsections, section)
 
 
 def _node_of(section: str) -> str:
@@ -517,19 +529,19 @@ def _applies(section: str, kind: str, path: Path) -> bool:
     return matches
 
 
-def _check(parameter: NodeParameter, kind: str, wanted: Any, path: Path, place: str) -> None:
-    """Refuse values that the node refuses."""
+def _check(parameter: NodeParameter, kind: str, new_value: Any, path: Path, key_path: str) -> None:
+    """Refuse a value of the wrong type, out of range, or that the node refuses."""
     expected = {bool: "true or false", float: "a number with a point", str: "a text"}[type(parameter.default)]
     limits = parameter.range
-    if type(wanted) is not type(parameter.default):
+    if type(new_value) is not type(parameter.default):
         raise InputError(
-            f"expected {expected}: {parameter.description} [{parameter.unit}]", file=path, key=place, value=wanted
+            f"expected {expected}: {parameter.description} [{parameter.unit}]", file=path, key=key_path, value=new_value
         )
-    if limits is not None and not limits[0] <= float(wanted) <= limits[1]:
+    if limits is not None and not limits[0] <= float(new_value) <= limits[1]:
         raise InputError(
-            f"expected {limits[0]:g} to {limits[1]:g} {parameter.unit}", file=path, key=place, value=wanted
+            f"expected {limits[0]:g} to {limits[1]:g} {parameter.unit}", file=path, key=key_path, value=new_value
         )
-    if complaint := complaint_about(kind, parameter.name, wanted):
+    if complaint := complaint_about(kind, parameter.name, new_value):
         raise InputError(complaint, file=path)
 
 

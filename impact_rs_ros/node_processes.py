@@ -22,10 +22,10 @@ from impact_rs_sim.scenarios.scenario import scenario_path
 NODES = ("plant", "impact_map", "controller", "recorder", "experiment")
 REFUSED_EXIT_CODE = 2  # of a node with a parameter that is not allowed; starting it again does not help
 STOP_TIMEOUT_S = 10.0  # for all nodes to end after SIGTERM
-CLOSING_S = 6.0  # of it, for the experiment node to end its trial
+CLOSING_S = 6.0  # part of that timeout, for the experiment node to end its trial
 
 
-def ours(without: Sequence[str]) -> list[str]:
+def nodes_to_start(without: Sequence[str]) -> list[str]:
     """The nodes to start, if the user provides the nodes of ``without``.
 
     Raises:
@@ -33,8 +33,8 @@ def ours(without: Sequence[str]) -> list[str]:
     """
     for name in without:
         if name not in NODES:
-            known = f"expected one or more of {', '.join(NODES)}"
-            raise InputError(f"no node {name!r}{did_you_mean(name, NODES)}; {known}", key="without")
+            expected = f"expected one or more of {', '.join(NODES)}"
+            raise InputError(f"no node {name!r}{did_you_mean(name, NODES)}; {expected}", key="without")
     return [name for name in NODES if name not in without]
 
 
@@ -78,8 +78,13 @@ class NodeProcesses:
             InputError: There is no such scenario, or no such namespace.
         """
         path = scenario_path(scenario)
-        known = str(path.resolve()) if scenario.endswith((".yaml", ".yml")) else scenario
-        arguments = ["--params-file", str(parameters or config_directory() / "nodes.yaml"), "-p", f"scenario:={known}"]
+        scenario_argument = str(path.resolve()) if scenario.endswith((".yaml", ".yml")) else scenario
+        arguments = [
+            "--params-file",
+            str(parameters or config_directory() / "nodes.yaml"),
+            "-p",
+            f"scenario:={scenario_argument}",
+        ]
         arguments += ["-r", f"__ns:={full_namespace(namespace)}"]
         if root is not None:
             for name in ("config_root", "data_root"):  # a node without such a parameter ignores it
@@ -108,7 +113,7 @@ class NodeProcesses:
             )
 
     def ended(self) -> dict[str, str]:
-        """How each node ended whose process has ended, by its name."""
+        """Descriptions of how nodes ended, by name, of all whose process has ended."""
         return {name: _how(process) for name, process in self.processes.items() if process.poll() is not None}
 
     def failed(self, name: str) -> bool:

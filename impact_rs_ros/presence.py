@@ -46,9 +46,9 @@ class Presence:
     def __init__(self, node: Node, names: Iterable[str]) -> None:
         self._node = node
         self._alive = dict.fromkeys(names, 0)
-        self._since = dict.fromkeys(self._alive, -float("inf"))  # when that changed last, on the monotonic clock [s]
-        self._known: set[str] = set()  # names of nodes that were alive at some time
-        self._lapsed = dict.fromkeys(self._alive, False)  # whether a publisher is there whose lease lapsed
+        self._changed_at = dict.fromkeys(self._alive, -float("inf"))  # last change, on the monotonic clock [s]
+        self._once_alive: set[str] = set()  # names of nodes that were alive at some time
+        self._lapsed = dict.fromkeys(self._alive, False)  # whether there is a publisher whose lease lapsed
         for name in self._alive:
             node.create_subscription(
                 Empty,
@@ -56,43 +56,43 @@ class Presence:
                 lambda _: None,
                 PRESENT,
                 raw=True,  # another publisher's bytes need not be a message
-                event_callbacks=SubscriptionEventCallbacks(liveliness=partial(self._changed, name)),
+                event_callbacks=SubscriptionEventCallbacks(liveliness=partial(self._on_change, name)),
             )
 
-    def _changed(self, name: str, event: QoSLivelinessChangedInfo) -> None:
+    def _on_change(self, name: str, event: QoSLivelinessChangedInfo) -> None:
         if event.alive_count:
-            self._known.add(name)
+            self._once_alive.add(name)
         self._lapsed[name] = event.not_alive_count > 0
         if event.alive_count != self._alive[name]:
             self._alive[name] = event.alive_count
-            self._since[name] = time.monotonic()
+            self._changed_at[name] = time.monotonic()
 
     def forget(self, *names: str) -> None:
-        """These nodes were started again, or may have been: they are not lost before they were alive once more."""
-        self._known.difference_update(names)
+        """Forget nodes that may have been started again: they can be lost only after they were alive once more."""
+        self._once_alive.difference_update(names)
 
     def absent(self) -> list[str]:
         """Nodes that are not alive now, lost or never started."""
         return [name for name, count in self._alive.items() if not count]
 
     def lost(self, *names: str) -> list[str]:
-        """Those of these nodes that were alive and are not any more."""
+        """Names of given nodes that were alive and no longer are."""
         now = time.monotonic()
         return [
             name
             for name in self.absent()
             if name in names
-            and name in self._known
-            and self._since[name] < now - (LEASE_GRACE_S if self._lapsed[name] else LEAVING_S)
+            and name in self._once_alive
+            and self._changed_at[name] < now - (LEASE_GRACE_S if self._lapsed[name] else LEAVING_S)
         ]
 
     def duplicates(self) -> dict[str, bool]:
         """Names that several nodes share, and whether that is certain.
 
-        It is not within a lease after a change: one of the two may have died.
+        Within a lease after a change it is uncertain: one of the two may have died.
         """
         latest = time.monotonic() - LEASE_S - LEASE_GRACE_S
-        return {name: self._since[name] < latest for name, count in self._alive.items() if count > 1}
+        return {name: self._changed_at[name] < latest for name, count in self._alive.items() if count > 1}
 
     def full_name(self, name: str) -> str:
         """Name of a node with its namespace, as remapped."""
@@ -103,9 +103,9 @@ class Presence:
 
         A node that died is listed for 20 s. Hidden nodes such as ``ros2 topic pub`` are included.
         """
-        found = self._node.get_publishers_info_by_topic(topic)
-        named = [one for one in found if one.node_name != UNKNOWN]
-        return sorted({f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in named})
+        endpoints = self._node.get_publishers_info_by_topic(topic)
+        named_endpoints = [endpoint for endpoint in endpoints if endpoint.node_name != UNKNOWN]
+        return sorted({f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}" for endpoint in named_endpoints})
 
 
 class SubscriptionsMatched:

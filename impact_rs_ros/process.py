@@ -46,8 +46,8 @@ class NodeProgram:
     """
 
     kind: ClassVar[str]
-    place: ClassVar[str] = ""
-    """Node in whose place it serves trials, under that node's names of services; empty: it has no other's place."""
+    replaced_node: ClassVar[str] = ""
+    """Node that it replaces in trials, and whose names of services it uses; empty: it replaces no other node."""
     background: ClassVar[bool] = True
     """Whether the process has a lower priority: a recorder that wakes up must not interrupt plant or controller."""
 
@@ -69,7 +69,7 @@ class NodeProgram:
 
     def role(self, name: str) -> str:
         """Name of a topic or service of this node, or of the node in whose place it serves."""
-        return f"{self.place}/{name}" if self.place else f"~/{name}"
+        return f"{self.replaced_node}/{name}" if self.replaced_node else f"~/{name}"
 
     def make_executor(self) -> Executor:
         """Executor of services, actions and parameters."""
@@ -141,8 +141,8 @@ class NodeProgram:
 
     def served(self) -> list[str]:
         """Full names of the services and actions that the node offers by itself."""
-        own = [service for service in self.node.services if service.srv_type.__module__.startswith(OWN_SERVICES)]
-        return [self.node.resolve_service_name(service.srv_name) for service in own]
+        services = [service for service in self.node.services if service.srv_type.__module__.startswith(OWN_SERVICES)]
+        return [self.node.resolve_service_name(service.srv_name) for service in services]
 
     def trial_time(self) -> int:
         """Trial time [ns], one of the numbers on ``/diagnostics``."""
@@ -175,7 +175,7 @@ class NodeProgram:
             raise
         except Exception as error:
             self.log.error(
-                f"what came in could not be served, and is left out: {full_traceback(error)}",
+                f"a message or request could not be served and is dropped: {full_traceback(error)}",
                 throttle_duration_sec=THROTTLE_S,
             )
 

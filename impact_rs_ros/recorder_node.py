@@ -107,16 +107,16 @@ class RecorderNode(TrialServices):
         self._subscriptions.close()
         absent = [topic for topic in unmatched if not self._publishers(topic)]
         unreceived = [topic for topic in unmatched if topic not in absent]
-        wrong = [f"no publisher of {', '.join(absent)}; are plant and controller running?"] if absent else []
+        complaints = [f"no publisher of {', '.join(absent)}; are plant and controller running?"] if absent else []
         if unreceived:
-            wrong.append(f"{', '.join(unreceived)}: published, but not received; is the publisher's QoS reliable?")
+            complaints.append(f"{', '.join(unreceived)}: published, but not received; is the publisher's QoS reliable?")
         if undiscovered:  # the beginning of the trial would be lost
-            wrong.append(
+            complaints.append(
                 f"{' and '.join(undiscovered)} did not discover the recorder's subscriptions within {MATCHING_S:g} s"
             )
         if undiscovered or not set(needed).isdisjoint(unmatched):
-            raise InputError(f"recorder: {'; '.join(wrong)}")
-        for line in wrong:
+            raise InputError(f"recorder: {'; '.join(complaints)}")
+        for line in complaints:
             self.log.warning(line)
 
     def _unmatched(self, needed: list[str]) -> list[str]:
@@ -178,8 +178,8 @@ class RecorderNode(TrialServices):
             bag = opened.enter_context(new)
             bag.describe(info)
             bag.write_raw(topics.TRIAL_INFO, 0, serialize_message(request.trial))
-            own = {topics.ROBOT_DESCRIPTION: request.robot_description}
-            for topic, urdf in (own if plan is None else descriptions(plan.scene.physics)).items():
+            description = {topics.ROBOT_DESCRIPTION: request.robot_description}
+            for topic, urdf in (description if plan is None else descriptions(plan.scene.physics)).items():
                 bag.write_raw(topic, 0, serialize_message(String(data=urdf)))
             bag.save()
             duration = (
@@ -256,10 +256,10 @@ class RecorderNode(TrialServices):
         while True:
             self._drain()
             missing = recording.missing(expected)
-            left = deadline - time.monotonic()
-            if not missing or left <= 0.0:
+            remaining = deadline - time.monotonic()
+            if not missing or remaining <= 0.0:
                 return missing
-            self._inbox.wait(left)
+            self._inbox.wait(remaining)
 
     def _abort(self) -> None:
         """Close the incomplete bag; it stays readable under its hidden name."""

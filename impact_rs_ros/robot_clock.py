@@ -25,9 +25,9 @@ class RobotClock:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._inbox: Inbox | None = None
-        self._simulated = self._seen = 0  # by /clock, and by the newest state
-        self._steady = self._read = 0.0  # s; the latter when it was last read, by the simulator
-        self._asked = self._moved = time.monotonic()  # times of the last query, and of the simulator's last advance
+        self._simulated = self._newest_stamp = 0  # time of /clock, and timestamp of the newest state [ns]
+        self._steady = self._last_simulated = 0.0  # monotonic time, and simulated time at its last query [s]
+        self._last_query = self._last_advance = time.monotonic()  # of the simulator, on this machine's clock [s]
         if value(node, "use_sim_time"):  # past the executor of the node, which does not run while a trial does
             self._inbox = Inbox(node, WATCH)
             self._inbox.connect({topics.CLOCK: topics.CLOCK_TYPE})
@@ -37,7 +37,7 @@ class RobotClock:
         if self._inbox is None:
             return int(self._node.get_clock().now().nanoseconds)
         self._listen()
-        return max(self._simulated, self._seen) if self._simulated else 0
+        return max(self._simulated, self._newest_stamp) if self._simulated else 0
 
     def _listen(self) -> None:
         """Read what has come on ``/clock``."""
@@ -55,12 +55,12 @@ class RobotClock:
         if self._inbox is None:
             return real
         simulated = 1e-9 * self.now()
-        passed = max(0.0, simulated - self._read) if self._read else 0.0
-        if passed:
-            self._moved = real
-        stopped = real - max(self._asked, self._moved + MAX_CLOCK_SILENCE_S)
-        self._steady += passed or max(0.0, stopped)
-        self._read, self._asked = simulated, real
+        simulated_elapsed = max(0.0, simulated - self._last_simulated) if self._last_simulated else 0.0
+        if simulated_elapsed:
+            self._last_advance = real
+        stopped_elapsed = real - max(self._last_query, self._last_advance + MAX_CLOCK_SILENCE_S)
+        self._steady += simulated_elapsed or max(0.0, stopped_elapsed)
+        self._last_simulated, self._last_query = simulated, real
         return self._steady
 
     def saw(self, stamp: int) -> None:
@@ -70,7 +70,7 @@ class RobotClock:
         """
         self._listen()
         if stamp - self._simulated <= 1e9 * MAX_CLOCK_SILENCE_S:
-            self._seen = max(self._seen, stamp)
+            self._newest_stamp = max(self._newest_stamp, stamp)
 
     @property
     def known(self) -> bool:
@@ -81,7 +81,7 @@ class RobotClock:
         """Forget the time of a simulator, which may have been restarted."""
         if self._inbox is not None:
             self._inbox.clear()
-            self._simulated = self._seen = 0
+            self._simulated = self._newest_stamp = 0
 
     def close(self) -> None:
         """Unsubscribe."""

@@ -25,27 +25,27 @@ def below(path: str, root: str, key: str, parameter: str) -> Path:
     """
     folder = Path(root or ".").resolve()
     try:
-        found = (folder / path).resolve()
+        absolute_path = (folder / path).resolve()
     except (OSError, ValueError, RuntimeError) as error:  # a byte that no name has, a link to itself, too long
         raise InputError(f"{error}; expected a path", key=key, value=path[:200]) from None
-    if not found.is_relative_to(folder):
+    if not absolute_path.is_relative_to(folder):
         raise InputError(f"expected a path below {folder} (parameter {parameter})", key=key, value=path[:200])
-    return found
+    return absolute_path
 
 
-def scenario_below(name: str, own: str, root: str) -> str:
+def scenario_below(name: str, node_scenario: str, root: str) -> str:
     """Name or path of the scenario of a request: a shipped one, the node's own, or a file below a root.
 
     Args:
         name: Scenario of the request; empty: the node's own.
-        own: Name or path of the node's own scenario.
+        node_scenario: Name or path of the node's own scenario.
         root: As for :func:`below`.
 
     Raises:
         InputError: Neither the own scenario, a shipped name, nor a path below the root.
     """
-    if not name or name == own or NAME.fullmatch(name):
-        return name or own
-    if own.endswith((".yaml", ".yml")) and Path(name).resolve() == Path(own).resolve():
-        return own
+    if not name or name == node_scenario or NAME.fullmatch(name):
+        return name or node_scenario
+    if node_scenario.endswith((".yaml", ".yml")) and Path(name).resolve() == Path(node_scenario).resolve():
+        return node_scenario
     return str(below(name, root, "scenario", "config_root"))

@@ -55,18 +55,18 @@ class Spectator:
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._place = f"ROS domain {node.context.get_domain_id()}, namespace {node.get_namespace()}"
+        self._location = f"ROS domain {node.context.get_domain_id()}, namespace {node.get_namespace()}"
         self._latched = Inbox(node, LATCHED)
         self._latched.connect(DESCRIBING | FOLLOWED)
         self._signals = Inbox(node, WATCH, raw=True)
         self._signals.connect({STATES: topics.JOINT_STATE})
         self._info: TrialInfo | None = None
-        self._known = Snapshot("absent", self._place)
+        self._snapshot = Snapshot("absent", self._location)
         self._arm_of: dict[str, str] = {}  # by topic of its contact wrench
         self._neighbour_of: dict[str, str] = {}  # by topic of its pose
-        self._heard = -float("inf")  # when the last joint state came, on the monotonic clock [s]
-        self._present = False
-        self._looked = -float("inf")  # when publishers were last counted [s]
+        self._last_joint_state = -float("inf")  # when the last joint state came, on the monotonic clock [s]
+        self._published = False
+        self._last_count = -float("inf")  # when publishers were last counted [s]
 
     @classmethod
     @contextmanager
@@ -99,7 +99,7 @@ class Spectator:
             if topic == topics.TRIAL_INFO:
                 self._take_trial(message)
             elif topic in FOLLOWED:
-                self._with(followed=_with_document(self._known.followed, topic, json.dumps(document_of(message))))
+                self._update(followed=_with_document(self._snapshot.followed, topic, json.dumps(document_of(message))))
             elif self._info is None:
                 self._show(description=message.data)
         self._signals.gather()
@@ -113,43 +113,45 @@ class Spectator:
         self._signals.close()
 
     def _now(self) -> Snapshot:
-        """The known state with the present situation."""
+        """The last snapshot, with the present situation."""
         clock = time.monotonic()
-        if clock - self._looked > PUBLISHER_POLL_S:
-            self._looked = clock
+        if clock - self._last_count > PUBLISHER_POLL_S:
+            self._last_count = clock
             published = STATES if self._info is None else topics.TRIAL_INFO
-            self._present = any(self._publishers(topic) for topic in (topics.TRIAL_INFO, published))
+            self._published = any(self._publishers(topic) for topic in (topics.TRIAL_INFO, published))
         situation: Situation
-        if clock - self._heard < MAX_JOINT_SILENCE_S:
+        if clock - self._last_joint_state < MAX_JOINT_SILENCE_S:
             situation = "running"
-        elif self._known.positions:
-            situation = "over" if self._present else "gone"
+        elif self._snapshot.positions:
+            situation = "over" if self._published else "gone"
         else:
-            situation = "idle" if self._present else "absent"
-        return self._with(situation=situation)
+            situation = "idle" if self._published else "absent"
+        return self._update(situation=situation)
 
     def _publishers(self, topic: str) -> int:
         return self._node.count_publishers(resolved(self._node, topic))
 
-    def _with(self, **changes: Any) -> Snapshot:
-        """Change the known state, and return it."""
-        changed = {name: value for name, value in changes.items() if getattr(self._known, name) is not value}
+    def _update(self, **changes: Any) -> Snapshot:
+        """Change fields of the snapshot, and return it."""
+        changed = {name: value for name, value in changes.items() if getattr(self._snapshot, name) is not value}
         if changed:
-            self._known = Snapshot(**vars(self._known) | changed)
-        return self._known
+            self._snapshot = Snapshot(**vars(self._snapshot) | changed)
+        return self._snapshot
 
     def _show(self, **scene: Any) -> None:
-        """Begin a new scene without a known state."""
-        known = self._known
-        self._known = Snapshot(known.situation, self._place, known.number + 1, followed=known.followed, **scene)
+        """Begin a new scene, whose state is unknown."""
+        snapshot = self._snapshot
+        self._snapshot = Snapshot(
+            snapshot.situation, self._location, snapshot.number + 1, followed=snapshot.followed, **scene
+        )
 
     def _take_trial(self, message: Any) -> None:
-        """A trial begins: another scene, or the same once more."""
+        """Begin a trial, in a new scene or in the present one."""
         info = TrialInfo.from_message(message)
         before, self._info = self._info, info
         title = f"{info.scenario}, {info.object}, {info.case_name}, scale {info.velocity_scale:g}, repeat {info.repeat}"
         if before is not None and (before.scenario_json, before.object) == (info.scenario_json, info.object):
-            self._with(title=title, forces={})
+            self._update(title=title, forces={})
             return
         try:
             spec = info.spec
@@ -170,8 +172,8 @@ class Spectator:
         message = decoded(data, message_type(topics.POSE))
         if message is None:
             return
-        pose, name = _seen(message.pose), self._neighbour_of.get(topic)
-        self._with(**({"object": pose} if name is None else {"neighbours": self._known.neighbours | {name: pose}}))
+        pose, name = _tracked_pose(message.pose), self._neighbour_of.get(topic)
+        self._update(**({"object": pose} if name is None else {"neighbours": self._snapshot.neighbours | {name: pose}}))
 
     def _take_state(self, topic: str, data: bytes) -> None:
         if topic in self._arm_of:
@@ -181,13 +183,13 @@ class Spectator:
             wrench = message.wrench.force
             force = -np.array([wrench.x, wrench.y, wrench.z])  # the message has the force of the object on the pad
             if np.isfinite(force).all():
-                self._with(forces=self._known.forces | {self._arm_of[topic]: force})
+                self._update(forces=self._snapshot.forces | {self._arm_of[topic]: force})
         elif topic == topics.OBJECT_POSE or topic in self._neighbour_of:
             self._take_pose(topic, data)
         elif topic.endswith("/controller_state"):
             message = decoded(data, message_type(topics.CONTROLLER_STATE))
             if message is not None:
-                self._with(time=message.trial_time)
+                self._update(time=message.trial_time)
         else:
             signals = joint_signals(data)
             position, velocity, _ = signals.values
@@ -195,24 +197,26 @@ class Spectator:
             if position.size != len(names) or not np.isfinite(position).all():
                 return
             positions = dict(zip(names, position.tolist(), strict=True))
-            self._with(positions=self._known.positions | positions)
+            self._update(positions=self._snapshot.positions | positions)
             if velocity.size == len(names) and np.isfinite(velocity).all():
                 moving = dict(zip(names, velocity.tolist(), strict=True))
-                self._with(velocities=self._known.velocities | moving)
-            self._heard = time.monotonic()
+                self._update(velocities=self._snapshot.velocities | moving)
+            self._last_joint_state = time.monotonic()
 
 
-def _seen(pose: Any) -> Array | None:
+def _tracked_pose(pose: Any) -> Array | None:
     """Pose of an object, ``(7,)``; None: not tracked."""
-    found = pose_values(pose)
-    return found if np.isfinite(found).all() and np.any(found[3:]) else None
+    values = pose_values(pose)
+    return values if np.isfinite(values).all() and np.any(values[3:]) else None
 
 
 def _with_document(followed: IdentifyMessages, topic: str, text: str) -> IdentifyMessages:
     """Documents of followed hits, with one more."""
     name = topic.rpartition("/")[2]
-    news: dict[str, Any] = {name: text}
+    changes: dict[str, Any] = {name: text}
     if name == "change":
-        before = [change for change in followed.changes if change != text]  # a node that was started again repeats it
-        news = {"changes": (*before, text)[-MAX_KEPT_CHANGES:]}
-    return replace(followed, **news)
+        earlier_changes = [
+            change for change in followed.changes if change != text
+        ]  # a node that was started again repeats it
+        changes = {"changes": (*earlier_changes, text)[-MAX_KEPT_CHANGES:]}
+    return replace(followed, **changes)

@@ -143,7 +143,7 @@ class TrialNode(TrialServices, Generic[AnyTrial]):
             self._leave()
         info = TrialInfo.from_message(request.trial)
         plan = info.spec.plan
-        self.connect(list(plan.arms), [one.name for one in plan.scene.physics.neighbours])
+        self.connect(list(plan.arms), [neighbour.name for neighbour in plan.scene.physics.neighbours])
         self.inbox.clear()
         self.outbox.reset(self.streams(StreamMaker(plan)))
         self.trial = self.prepare(plan, MessageMaker(RosidlTypes(), plan), info, request.ros_time)
@@ -264,8 +264,8 @@ class LeadingNode(TrialNode[AnyLeadingTrial]):
     async def _on_run(self, goal: ServerGoalHandle) -> RunTrial.Result:
         result = RunTrial.Result(outcome="ABORTED", detected_time=float("nan"))
         if self._goal is not None or not self.running:
-            wrong = "the trial runs already" if self.running else "configure a trial first"
-            result.message = f"{self.kind}: {wrong}"
+            obstacle = "the trial runs already" if self.running else "configure a trial first"
+            result.message = f"{self.kind}: {obstacle}"
             goal.abort()
             return result
         self._goal, self._over = goal, Future(executor=self.executor)

@@ -21,9 +21,9 @@ class TrialServices(NodeProgram):
 
     def __init__(self) -> None:
         super().__init__()
-        self._attempt = 0  # the last one that was to be configured
-        self._answer = ConfigureTrial.Response()  # to that request
-        self._finished: FinishTrial.Response | None = None  # answer on the end of the trial before
+        self._attempt = 0  # number of the last attempt that was to be configured
+        self._answer = ConfigureTrial.Response()  # answer to that request
+        self._finished: FinishTrial.Response | None = None  # answer on the end of the previous trial
 
     @property
     @abstractmethod
@@ -32,7 +32,7 @@ class TrialServices(NodeProgram):
 
     @abstractmethod
     def begin_trial(self, request: ConfigureTrial.Request, response: ConfigureTrial.Response) -> None:
-        """Get ready for a trial, whatever became of the one before.
+        """Prepare a trial; a previous one that still runs is ended.
 
         Raises:
             InputError: The request is wrong, or another node is missing.
@@ -40,7 +40,7 @@ class TrialServices(NodeProgram):
 
     @abstractmethod
     def finish_trial(self, request: FinishTrial.Request, response: FinishTrial.Response) -> None:
-        """End the trial and fill in the answer; one that goes on has the reason in the answer."""
+        """End the trial and fill in the answer. If the trial must go on, the answer has the reason."""
 
     def offer(self) -> None:
         self.node.create_service(ConfigureTrial, self.role("configure_trial"), self._on_configure)
@@ -60,10 +60,12 @@ class TrialServices(NodeProgram):
         return response
 
     def _on_finish(self, request: FinishTrial.Request, response: FinishTrial.Response) -> FinishTrial.Response:
-        own = request.attempt == 0 or (request.attempt == self._attempt and self._answer.success)
-        if not (own and self.in_trial):
+        of_this_trial = request.attempt == 0 or (request.attempt == self._attempt and self._answer.success)
+        if not (of_this_trial and self.in_trial):
             response.message = f"{self.kind}: there is no trial to finish"
-            return self._finished if own and self._finished is not None else response  # else its answer was lost
+            return (
+                self._finished if of_this_trial and self._finished is not None else response
+            )  # else its answer was lost
         self.finish_trial(request, response)
         if not self.in_trial:
             self._finished = response

@@ -242,14 +242,14 @@ class TrialSession:
         answered = threading.Event()
         futures = []
         try:
-            while (left := deadline - time.monotonic()) > 0.0:
+            while (remaining := deadline - time.monotonic()) > 0.0:
                 check()
                 if not client.service_is_ready():
-                    time.sleep(min(left, 0.01))
+                    time.sleep(min(remaining, 0.01))
                     continue
                 futures.append(client.call_async(request))
                 futures[-1].add_done_callback(lambda _: answered.set())
-                attempt = time.monotonic() + min(left, max(ATTEMPT_S, timeout / 4.0))
+                attempt = time.monotonic() + min(remaining, max(ATTEMPT_S, timeout / 4.0))
                 while time.monotonic() < attempt:
                     if answered.wait(ALIVE_POLL_S):
                         return next(future.result() for future in futures if future.done())
@@ -265,14 +265,14 @@ class TrialSession:
         answers: dict[str, Any] = {}
         failures: dict[str, str] = {}
 
-        def one(name: str) -> None:
+        def call_node(name: str) -> None:
             try:
                 answers[name] = self._call(name, *calls[name], timeout)
             except TrialError as error:
                 failures[name] = str(error)
 
         with ThreadPoolExecutor() as pool:
-            list(pool.map(one, calls))
+            list(pool.map(call_node, calls))
         return answers, failures
 
     def _check_present(self, *names: str) -> None:
@@ -304,9 +304,9 @@ class TrialSession:
         requests = {name: ConfigureTrial.Request(attempt=self._attempt, trial=trial) for name in self._configure}
         requests["plant"].trial = secret
         requests["plant"].start = starting_joints(plan)
-        placed = plan.scene.object
+        object_state = plan.scene.object
         requests["plant"].object_pose = pose_to_message(
-            np.concatenate((placed.position, quaternion_of(placed.rotation)))
+            np.concatenate((object_state.position, quaternion_of(object_state.rotation)))
         )
         requests["recorder"].bag_path = str(path)
         ros_time = self._configured(["plant"], requests)["plant"].ros_time
@@ -406,8 +406,12 @@ class TrialSession:
         failures |= {name: answer.message for name, answer in answers.items() if not answer.success}
         if not aborted:
             reason = self._cause("; ".join(failures.values())) if failures else ""
-        elif (own := answers.get("controller")) and own.outcome == "ABORTED" and own.message not in reason:
-            reason = f"{reason} ({own.message})"  # the plant only knows that no torque came
+        elif (
+            (controller_answer := answers.get("controller"))
+            and controller_answer.outcome == "ABORTED"
+            and controller_answer.message not in reason
+        ):
+            reason = f"{reason} ({controller_answer.message})"  # the plant only knows that no torque came
         last = FinishTrial.Request(attempt=self._attempt, aborted=bool(reason), reason=reason)
         if not reason:
             last.reason = "; ".join(answer.message for answer in answers.values() if answer.message)  # a note
@@ -437,5 +441,5 @@ class TrialSession:
 
 def starting_joints(plan: TrialPlan) -> JointState:
     """Joints of all arms at trial time 0, at rest."""
-    names = [joint for own in joints_of(plan.scene.physics).values() for joint in own]
+    names = [joint for joint_names in joints_of(plan.scene.physics).values() for joint in joint_names]
     return joint_state_to_message(names, np.concatenate([arm.initial for arm in plan.arms.values()]))

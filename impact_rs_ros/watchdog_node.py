@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stands between the cell and a real robot, passes its torques on, and brakes when they stop coming.
+"""Forwards the torques of the cell to a real robot, and brakes the arms when no more torques come.
 
 A JointGroupEffortController of ros2_control holds the last command for ever. This node is a process of its own and the
-only one that sends it commands: those of the cell come to it on a topic of its own, and it passes each on at once,
-changed no faster than the robot allows in the stream that the robot sees. When none has come for ``command_timeout`` of
-the robot's clock while a joint moves, it takes over: it brakes and holds the arms as the cell does
-(:meth:`~impact_rs_trials.cell.effort_arms.EffortArms.rest`), and torques of the cell are dropped, until a call of
-``~/reset``. It says so on ``~/braking`` (latched), where the cell arms nothing.
+only one that sends commands to the robot. It receives the torques of the cell on a separate topic and forwards each at
+once, limited to the torque rate of the robot. If no torque has come for ``command_timeout`` of the robot's clock while
+a joint moves, the watchdog brakes and holds the arms as the cell does
+(:meth:`~impact_rs_trials.cell.effort_arms.EffortArms.rest`), and drops torques of the cell until a call of ``~/reset``.
+Meanwhile ``~/braking`` (latched) is true, and the cell arms nothing.
 
 It shares machine, Python and middleware with the cell: it is no safety function.
 """
@@ -60,7 +60,7 @@ class WatchdogNode(NodeProgram):
         self._braking = self.node.create_publisher(Bool, on_network(BRAKING_TOPIC), LATCHED)
         self._arm_of: dict[str, str] = {}
         self._watchdog: Watchdog | None = None
-        self._looked = 0.0  # time of the last check [s]
+        self._last_check = 0.0  # time of the last check [s]
 
     def connect(self, arms: list[str], neighbours: Sequence[str] = ()) -> None:
         del neighbours
@@ -80,19 +80,19 @@ class WatchdogNode(NodeProgram):
 
     def turn(self) -> None:
         until = time.monotonic() + SERVICE_POLL_S
-        while (left := until - time.monotonic()) > 0.0:
-            self._inbox.wait(min(left, 0.002))
-            self._look()
+        while (remaining := until - time.monotonic()) > 0.0:
+            self._inbox.wait(min(remaining, 0.002))
+            self._check()
         self.serve(0.0)
         self.diagnose()
 
-    def _look(self) -> None:
+    def _check(self) -> None:
         """Forward received torques, check the silence up to now, and brake if due."""
         assert self._watchdog is not None
         watchdog, now = self._watchdog, time.monotonic()
-        if now - self._looked > MAX_INBOX_PAUSE_S:
+        if now - self._last_check > MAX_INBOX_PAUSE_S:
             self._inbox.gather()
-        self._looked = now
+        self._last_check = now
         self._take()
         if watchdog.silent(self._clock.steady()):
             self._inbox.gather()  # commands that waited while this process did not run are no silence of the cell
@@ -104,7 +104,7 @@ class WatchdogNode(NodeProgram):
             watchdog.arms.rest()
 
     def _take(self) -> None:
-        """Pass on the newest command of each arm first: the robot waits for it. Then read the states."""
+        """Forward the newest command of each arm first, because the robot waits for it; then read the states."""
         assert self._watchdog is not None
         states, commands = [], {}
         for topic, data in self._inbox.take():
@@ -130,7 +130,7 @@ class WatchdogNode(NodeProgram):
         self._clock.close()
 
     def brake(self) -> None:
-        """Go on until the torques that the robot was sent last may stay: no other process can change them."""
+        """Brake until the arms are at rest, where their last torque may stay: no other process can change it."""
         watchdog, until = self._watchdog, time.monotonic() + MAX_BRAKING_S
         while watchdog is not None and watchdog.commanded and not watchdog.arms.held:
             if time.monotonic() > until:

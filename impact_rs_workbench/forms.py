@@ -51,8 +51,8 @@ FORMS: dict[str, Command] = {
 }
 
 
-def _like(pattern: str, expected: str) -> AfterValidator:
-    """A text that cannot be read as an option."""
+def _matching(pattern: str, expected: str) -> AfterValidator:
+    """Validator of a text that matches ``pattern``, so that it cannot be read as an option."""
 
     def checked(value: str) -> str:
         if re.fullmatch(pattern, value) is None:
@@ -64,7 +64,7 @@ def _like(pattern: str, expected: str) -> AfterValidator:
 
 PathName = Annotated[str, Field(min_length=1, max_length=1000)]
 Plain = Annotated[
-    str, Field(max_length=200), _like(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*", "a name of letters, digits, _, -, + and .")
+    str, Field(max_length=200), _matching(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*", "a name of letters, digits, _, -, + and .")
 ]
 TYPES: dict[str, Any] = {
     "whole": int,
@@ -73,10 +73,12 @@ TYPES: dict[str, Any] = {
     "address": Annotated[
         str,
         Field(max_length=200),
-        _like(r"(tcp|tls|ucx|ws)://[A-Za-z0-9_.:\[\]-]+", "an address such as tcp://10.0.0.1:8786"),
+        _matching(r"(tcp|tls|ucx|ws)://[A-Za-z0-9_.:\[\]-]+", "an address such as tcp://10.0.0.1:8786"),
     ],
-    "text": Annotated[str, Field(max_length=1000), _like(r"[^\s-].*", "a text in one line that does not begin with -")],
-    "setting": Annotated[str, Field(max_length=1000), _like(r"[A-Za-z0-9_][^=]*=.+", "KEY=VALUE")],
+    "text": Annotated[
+        str, Field(max_length=1000), _matching(r"[^\s-].*", "a text in one line that does not begin with -")
+    ],
+    "setting": Annotated[str, Field(max_length=1000), _matching(r"[A-Za-z0-9_][^=]*=.+", "KEY=VALUE")],
     **dict.fromkeys((*NAMED, *READ, *WRITTEN), PathName),
 }
 
@@ -106,14 +108,14 @@ def order_of(data: Any, workspace: Workspace) -> Order:
     """
     name = data.get("command") if isinstance(data, dict) else None
     if not isinstance(name, str) or name not in FORMS:
-        near = did_you_mean(name, FORMS) if isinstance(name, str) else ""
-        raise InputError(f"expected one of {', '.join(FORMS)}{near}", key="command", value=name)
+        suggestion = did_you_mean(name, FORMS) if isinstance(name, str) else ""
+        raise InputError(f"expected one of {', '.join(FORMS)}{suggestion}", key="command", value=name)
     command = FORMS[name]
-    given = dict(validate(schema_of(command), data, None))
-    values = {one.name: _argument(workspace, one, given[one.name]) for one in options_of(command)}
+    form_values = dict(validate(schema_of(command), data, None))
+    values = {option.name: _value_of(workspace, option, form_values[option.name]) for option in options_of(command)}
     if name in CHECKS:
-        CHECKS[name](workspace, given)
-    return Order(name, tuple(command.words(values)), _writes(workspace, command, given))
+        CHECKS[name](workspace, form_values)
+    return Order(name, tuple(command.words(values)), _writes(workspace, command, form_values))
 
 
 @functools.cache
@@ -132,30 +134,30 @@ def _field(option: Option) -> tuple[Any, Any]:
     return (kind, Field(**limits)) if option.required else (kind | None, Field(option.default, **limits))
 
 
-def _argument(workspace: Workspace, option: Option, value: Any) -> Any:
-    """A value as the command line has it."""
+def _value_of(workspace: Workspace, option: Option, value: Any) -> Any:
+    """Value of an option on the command line."""
     if value is None or isinstance(value, bool):
         return value
     if option.many:
-        return tuple(_word(workspace, option, one) for one in value)
+        return tuple(_word(workspace, option, item) for item in value)
     return _word(workspace, option, value)
 
 
 def _word(workspace: Workspace, option: Option, value: Any) -> Any:
     if option.kind in WRITTEN:
-        return seen(workspace.inside(value))
+        return terminal_path(workspace.inside(value))
     if option.kind in NAMED:
-        return named(workspace, value, option.name)
+        return terminal_name(workspace, value, option.name)
     if option.kind in READ and value != NOMINAL:
-        return seen(workspace.existing(value))
+        return terminal_path(workspace.existing(value))
     return value
 
 
-def _writes(workspace: Workspace, command: Command, given: Mapping[str, Any]) -> tuple[Path, ...]:
+def _writes(workspace: Workspace, command: Command, form_values: Mapping[str, Any]) -> tuple[Path, ...]:
     """Output of a command; an analysis without a folder for it writes beside the trials."""
-    writes = tuple(workspace.inside(given[name]) for name in command.written if given[name] is not None)
+    writes = tuple(workspace.inside(form_values[name]) for name in command.written if form_values[name] is not None)
     if command.name == "analyze" and not writes:
-        return (workspace.existing(given["directory"]) / "report",)
+        return (workspace.existing(form_values["directory"]) / "report",)
     return writes
 
 
@@ -170,50 +172,59 @@ def values_of(workspace: Workspace, command: Command, options: Mapping[str, Any]
     Raises:
         InputError: A path leads out of the folder.
     """
-    given = {option: options[option.name] for option in options_of(command) if option.name in options}
+    form_values = {option: options[option.name] for option in options_of(command) if option.name in options}
     return {
         option.name: workspace.name(workspace.inside(value))
         if option.kind in (*NAMED, *READ) and Path(str(value)).is_absolute()
         else value
-        for option, value in given.items()
+        for option, value in form_values.items()
     }
 
 
-def _check_campaign(workspace: Workspace, given: Mapping[str, Any]) -> None:
-    """What the command checks first."""
-    if given["plan"] is not None:
-        read_plan(workspace.existing(given["plan"]))
+def _check_campaign(workspace: Workspace, form_values: Mapping[str, Any]) -> None:
+    """Check the plan, or the scenario with its selection, as the command does first."""
+    if form_values["plan"] is not None:
+        read_plan(workspace.existing(form_values["plan"]))
         return
-    if given["scenario"] is None:
+    if form_values["scenario"] is None:
         raise InputError("expected a scenario, or a plan", key="scenario")
-    scenario = workspace.scenario_path(given["scenario"])
-    make_manifest(scenario, given["objects"], given["cases"], given["scales"], given["trials"], given["seed"])
+    scenario = workspace.scenario_path(form_values["scenario"])
+    make_manifest(
+        scenario,
+        form_values["objects"],
+        form_values["cases"],
+        form_values["scales"],
+        form_values["trials"],
+        form_values["seed"],
+    )
 
 
-def _check_trial(workspace: Workspace, given: Mapping[str, Any]) -> None:
-    """What the command checks first."""
-    scenario = workspace.scenario_path(given["scenario"])
-    make_manifest(scenario, [given["object"]], [given["case"]], [given["scale"]], 1, given["seed"])
+def _check_trial(workspace: Workspace, form_values: Mapping[str, Any]) -> None:
+    """Check scenario, object, case and scale, as the command does first."""
+    scenario = workspace.scenario_path(form_values["scenario"])
+    make_manifest(
+        scenario, [form_values["object"]], [form_values["case"]], [form_values["scale"]], 1, form_values["seed"]
+    )
 
 
-def _check_hits(workspace: Workspace, given: Mapping[str, Any]) -> None:
-    """What the command checks first: the scenario with its objects and cases."""
-    scenario = load_scenario(workspace.scenario_path(given["scenario"]))
-    for name in _named(given, "object"):
+def _check_hits(workspace: Workspace, form_values: Mapping[str, Any]) -> None:
+    """Check the scenario with its objects and cases, as the command does first."""
+    scenario = load_scenario(workspace.scenario_path(form_values["scenario"]))
+    for name in _names_of(form_values, "object"):
         scenario.object(name)
-    for name in _named(given, "case"):
+    for name in _names_of(form_values, "case"):
         scenario.case_name(name)
 
 
-def _named(given: Mapping[str, Any], what: str) -> tuple[str, ...]:
-    """What a form names, one of a kind or several of them."""
-    one = given.get(what)
-    return given.get(f"{what}s") or (() if one is None else (one,))
+def _names_of(form_values: Mapping[str, Any], key: str) -> tuple[str, ...]:
+    """Names under ``KEYs`` of a form, or the single name under ``KEY``."""
+    name = form_values.get(key)
+    return form_values.get(f"{key}s") or (() if name is None else (name,))
 
 
-def _check_scenarios(workspace: Workspace, given: Mapping[str, Any]) -> None:
-    """What the command checks first."""
-    for name in given["scenarios"] or ():
+def _check_scenarios(workspace: Workspace, form_values: Mapping[str, Any]) -> None:
+    """Check that the scenarios can be read, as the command does first."""
+    for name in form_values["scenarios"] or ():
         load_scenario(workspace.scenario_path(name))
 
 
@@ -228,21 +239,21 @@ CHECKS: dict[str, Callable[[Workspace, Mapping[str, Any]], None]] = {
 }
 
 
-def seen(path: Path) -> str:
-    """A path as the terminal sees it that started the workbench."""
-    here = Path.cwd()
-    name = os.path.relpath(path, here) if path.is_relative_to(here) else str(path)
+def terminal_path(path: Path) -> str:
+    """A path on the command line: relative if it lies below the folder in which the workbench was started."""
+    working_directory = Path.cwd()
+    name = os.path.relpath(path, working_directory) if path.is_relative_to(working_directory) else str(path)
     return f"./{name}" if name.startswith("-") else name  # no option
 
 
-def named(workspace: Workspace, name: str, key: str = "scenario") -> str:
-    """What the terminal calls a scenario, a mapping or a robot: the name of one that comes with impact_rs, or a file.
+def terminal_name(workspace: Workspace, name: str, key: str = "scenario") -> str:
+    """A scenario, mapping or robot on the command line: name of a shipped one, or path of a file.
 
     Raises:
         InputError: The file lies outside the folder, or the name would be taken for an option.
     """
     if name.endswith((".yaml", ".yml")):
-        return seen(workspace.existing(name))
+        return terminal_path(workspace.existing(name))
     if name.startswith("-"):
         raise InputError(f"expected the name of a {key}", key=key, value=name)
     return name

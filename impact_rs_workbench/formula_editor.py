@@ -16,7 +16,7 @@ from impact_rs_sim.files import write_whole
 from impact_rs_sim.schema import Schema, parse_yaml, validate
 from impact_rs_workbench.workspace import Workspace
 
-PLACE = "formulas"  # what errors call a text that has no file yet
+UNSAVED = "formulas"  # name of a text without a file, in errors
 
 
 class FormulaText(Schema):
@@ -26,15 +26,15 @@ class FormulaText(Schema):
     path: str = Field("", description="where it is kept")
 
 
-def check(text: str, place: str = PLACE) -> dict[str, Any]:
-    """What formulas say, once syntax, units and numbers are right.
+def check(text: str, file: str = UNSAVED) -> dict[str, Any]:
+    """Check syntax, units and numbers of formulas, and describe each effect in lines.
 
     Raises:
-        InputError: They are not; the message says where.
+        InputError: A formula is wrong; the message names the place in ``file``.
     """
-    effects = [FormulaEffect(spec) for spec in validate(FormulaFile, parse_yaml(text, place), place).effects]
+    effects = [FormulaEffect(spec) for spec in validate(FormulaFile, parse_yaml(text, file), file).effects]
     units = {effect.name: check_units(effect.spec) for effect in effects}
-    check_formulas(effects, library(), place)
+    check_formulas(effects, library(), file)
     return {
         "effects": [
             {
@@ -46,8 +46,8 @@ def check(text: str, place: str = PLACE) -> dict[str, Any]:
                         for formula, unit in units[effect.name].items()
                     ),
                     *(
-                        f"{name}: {one.lower:g} … {one.upper:g} {one.unit}, does nothing at {one.nominal:g}"
-                        for name, one in effect.spec.parameters.items()
+                        f"{name}: {spec.lower:g} … {spec.upper:g} {spec.unit}, does nothing at {spec.nominal:g}"
+                        for name, spec in effect.spec.parameters.items()
                     ),
                 ],
             }

@@ -7,8 +7,8 @@
 
 A job is stopped as by Ctrl-C, and continued by the same command. Two jobs never write into one folder at a time.
 
-A job may ask (:mod:`impact_rs_sim.questions`). Only :meth:`Jobs.answer` to the question that stands is a yes; while no
-page is open the answer is no.
+A job may ask a question (:mod:`impact_rs_sim.questions`). Only :meth:`Jobs.answer` to the present question can be a
+yes; while no page is open, the answer is no.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from impact_rs_sim.progress import VARIABLE
 from impact_rs_sim.questions import VARIABLE as QUESTIONS
 from impact_rs_sim.questions import message_of
 from impact_rs_sim.schema import Schema
-from impact_rs_workbench.remaining import STAGES, Remaining, remaining, shown
+from impact_rs_workbench.remaining import STAGES, Remaining, remaining, smoothed
 
 RECORD, PROGRESS, OUTPUT = "job.json", "progress.json", "output.txt"
 MAX_SHOWN_CANDIDATES = 10  # effects that a running diagnosis shows
@@ -76,13 +76,13 @@ class Job:
     Attributes:
         number: Its number.
         step: Name of the command, in records of earlier versions the step of the loop.
-        command: The command that does the same in a terminal.
+        command: Equivalent command for a terminal.
         arguments: Arguments of ``impact-rs``.
         writes: Files or folders that it writes.
         started: When [s of the wall clock].
         ended: When [s of the wall clock]; None: it runs.
         exit_code: 0 done, 1 not done, 2 a mistake in the input, 130 stopped; None: it runs.
-        line: What went wrong, in one line; empty: nothing.
+        line: Error in one line; empty: no error.
         stopping: Whether it was asked to stop.
         directory: Its working directory; empty in records of earlier versions.
     """
@@ -114,8 +114,8 @@ class PageAnswer(Schema):
 
 
 @dataclass
-class _Asking:
-    """Question of a running job, and the socket that takes the answer."""
+class _OpenQuestion:
+    """Open question of a running job, and the socket for the answer."""
 
     socket: socket.socket
     number: int = 0
@@ -139,11 +139,11 @@ class Jobs:
     executable: tuple[str, ...] = (sys.executable, "-m", "impact_rs_cli.main")
     _jobs: dict[int, Job] = field(default_factory=dict)
     _processes: dict[int, subprocess.Popen[bytes]] = field(default_factory=dict)
-    _waiting: dict[int, threading.Thread] = field(default_factory=dict)
-    _shown: dict[int, Remaining] = field(default_factory=dict)
-    _asking: dict[int, _Asking] = field(default_factory=dict)
-    _pages: int = 0  # that are open
-    _left: float = -MAX_PAGE_GAP_S  # when the last one has gone [s of the monotonic clock]
+    _waiters: dict[int, threading.Thread] = field(default_factory=dict)
+    _estimates: dict[int, Remaining] = field(default_factory=dict)
+    _questions: dict[int, _OpenQuestion] = field(default_factory=dict)
+    _open_pages: int = 0
+    _last_page_closed: float = -MAX_PAGE_GAP_S  # when the last page was closed [s of the monotonic clock]
     _lock: threading.RLock = field(default_factory=threading.RLock)
 
     def __post_init__(self) -> None:
@@ -156,7 +156,7 @@ class Jobs:
                 continue
             if job.runs:
                 job = replace(job, ended=path.stat().st_mtime, exit_code=130, line=LOST)
-                self._keep(job)
+                self._write_record(job)
             self._jobs[job.number] = job
 
     def start(self, order: Order) -> Job:
@@ -167,57 +167,59 @@ class Jobs:
         """
         with self._lock:
             for other in self._jobs.values():
-                if other.runs and (place := _shared(order.writes, other.writes)) is not None:
+                if other.runs and (shared_path := _shared_path(order.writes, other.writes)) is not None:
                     raise InputError(
-                        f"job {other.number} ({other.step}) is writing to {place}; wait for it, or stop it"
+                        f"job {other.number} ({other.step}) is writing to {shared_path}; wait for it, or stop it"
                     )
-            taken = [int(path.name) for path in self.folder.glob("*") if path.name.isdecimal()]  # unreadable ones, too
-            number = max(taken, default=0) + 1
+            numbers = [
+                int(path.name) for path in self.folder.glob("*") if path.name.isdecimal()
+            ]  # unreadable ones, too
+            number = max(numbers, default=0) + 1
             writes = tuple(str(path) for path in order.writes)
-            here = os.getcwd()
-            directory = order.directory or here
+            working_directory = os.getcwd()
+            directory = order.directory or working_directory
             line = self.line(order.arguments)
-            line = line if directory == here else f"cd {shlex.quote(directory)} && {line}"
+            line = line if directory == working_directory else f"cd {shlex.quote(directory)} && {line}"
             job = Job(number, order.step, line, order.arguments, writes, time.time(), directory=directory)
             try:
-                process, ours = self._launched(job)
+                process, connection = self._launch(job)
             except (OSError, ValueError) as error:
                 shutil.rmtree(self._folder(number), ignore_errors=True)
                 raise InputError(f"the job cannot be started: {error}") from None
             self._jobs[number] = job
             self._processes[number] = process
-            self._asking[number] = _Asking(ours)
-            threading.Thread(target=self._hear, args=(number,), daemon=True).start()
+            self._questions[number] = _OpenQuestion(connection)
+            threading.Thread(target=self._take_questions, args=(number,), daemon=True).start()
             thread = threading.Thread(target=self._wait, args=(number, process), daemon=True)
-            self._waiting[number] = thread
+            self._waiters[number] = thread
             thread.start()
         self.changed()
         return job
 
-    def _launched(self, job: Job) -> tuple[subprocess.Popen[bytes], socket.socket]:
+    def _launch(self, job: Job) -> tuple[subprocess.Popen[bytes], socket.socket]:
         """The process of a new job, and our end of the socket for its questions."""
         folder = self._folder(job.number)
         folder.mkdir(parents=True)
-        self._keep(job)
-        ours, its = socket.socketpair()
+        self._write_record(job)
+        connection, job_connection = socket.socketpair()
         try:
-            with (folder / OUTPUT).open("wb") as output, its:
+            with (folder / OUTPUT).open("wb") as output, job_connection:
                 process = subprocess.Popen(
                     [*self.executable, *job.arguments],
                     stdin=subprocess.DEVNULL,
                     stdout=output,
                     stderr=subprocess.STDOUT,
                     env=os.environ
-                    | {VARIABLE: str(folder / PROGRESS), QUESTIONS: str(its.fileno())}
+                    | {VARIABLE: str(folder / PROGRESS), QUESTIONS: str(job_connection.fileno())}
                     | {"COLUMNS": "96", "PYTHONUNBUFFERED": "1"},
                     cwd=job.directory,
-                    pass_fds=(its.fileno(),),
+                    pass_fds=(job_connection.fileno(),),
                     start_new_session=True,  # so that stopping it reaches its workers, and Ctrl-C of ours does not
                 )
         except (OSError, ValueError):
-            ours.close()
+            connection.close()
             raise
-        return process, ours
+        return process, connection
 
     def line(self, arguments: Sequence[str]) -> str:
         """Arguments of ``impact-rs`` as a line for a terminal."""
@@ -248,16 +250,16 @@ class Jobs:
         self.changed()
         return job
 
-    def answer(self, given: PageAnswer) -> Job:
+    def answer(self, page_answer: PageAnswer) -> Job:
         """Answer the question of a job.
 
         Raises:
             InputError: There is no such job, or it does not ask this any more.
         """
-        number, question, yes = given.job, given.question, given.yes
+        number, question, yes = page_answer.job, page_answer.question, page_answer.yes
         job = self.get(number)
         with self._lock:
-            asking = self._asking.get(number)
+            asking = self._questions.get(number)
             if asking is None or not asking.text or asking.number != question or (yes and self.get(number).stopping):
                 raise InputError(f"job {number} no longer asks this; the answer is ignored")
             asking.text = ""
@@ -267,16 +269,16 @@ class Jobs:
         return job
 
     @contextmanager
-    def seen(self) -> Iterator[None]:
-        """A page is open."""
+    def open_page(self) -> Iterator[None]:
+        """Context in which a page is open."""
         with self._lock:
-            self._pages += 1
+            self._open_pages += 1
         try:
             yield
         finally:
             with self._lock:
-                self._pages -= 1
-                self._left = time.monotonic()
+                self._open_pages -= 1
+                self._last_page_closed = time.monotonic()
 
     def get(self, number: int) -> Job:
         """A job.
@@ -290,7 +292,7 @@ class Jobs:
 
     def wait(self, number: int) -> Job:
         """A job when it has ended."""
-        self._waiting[number].join()
+        self._waiters[number].join()
         return self.get(number)
 
     def all(self) -> list[dict[str, Any]]:
@@ -319,10 +321,10 @@ class Jobs:
         for number in running:
             self.stop(number)
         for number in running:
-            self._waiting[number].join(MAX_STOP_S)
-            if self._waiting[number].is_alive():
+            self._waiters[number].join(MAX_STOP_S)
+            if self._waiters[number].is_alive():
                 _signal(self._processes[number], signal.SIGKILL)
-                self._waiting[number].join()
+                self._waiters[number].join()
         return [self.get(number) for number in running]
 
     def _wait(self, number: int, process: subprocess.Popen[bytes]) -> None:
@@ -332,12 +334,12 @@ class Jobs:
             code = 128 - code if code < 0 else code  # as a shell reports a signal
             job = replace(self._jobs[number], ended=time.time(), exit_code=code, line=line, stopping=False)
             self._jobs[number] = job
-            self._keep(job)
+            self._write_record(job)
         self.changed()
 
-    def _hear(self, number: int) -> None:
+    def _take_questions(self, number: int) -> None:
         """Take the questions of a job, one after the other, until it ends."""
-        asking = self._asking[number]
+        asking = self._questions[number]
         with asking.socket, asking.socket.makefile("r", encoding="utf-8", errors="replace") as lines:
             for line in lines:
                 question = message_of(line)
@@ -348,20 +350,20 @@ class Jobs:
                 self.changed()
                 self._wait_for_answer(number, asking)
         with self._lock:
-            del self._asking[number]
+            del self._questions[number]
         self.changed()
 
-    def _wait_for_answer(self, number: int, asking: _Asking) -> None:
-        """Until a page has answered, or the job has ended; with no page the answer is no."""
+    def _wait_for_answer(self, number: int, asking: _OpenQuestion) -> None:
+        """Wait until a page has answered, or the job has ended; without a page the answer becomes no."""
         while asking.text and self.get(number).runs:
-            if not self._pages and time.monotonic() - self._left >= MAX_PAGE_GAP_S:
+            if not self._open_pages and time.monotonic() - self._last_page_closed >= MAX_PAGE_GAP_S:
                 with suppress(InputError):  # answered meanwhile
                     self.answer(PageAnswer(job=number, question=asking.number, yes=False))
             time.sleep(PAGE_POLL_S)
 
     def _question(self, job: Job) -> dict[str, Any] | None:
-        """What a job asks that goes on; None: nothing."""
-        asking = self._asking.get(job.number)
+        """Open question of a running job; None: it asks nothing."""
+        asking = self._questions.get(job.number)
         if asking is None or not asking.text or not job.runs or job.stopping:
             return None
         return {"number": asking.number, "text": asking.text}
@@ -369,20 +371,26 @@ class Jobs:
     def _folder(self, number: int) -> Path:
         return self.folder / f"{number:04d}"
 
-    def _keep(self, job: Job) -> None:
+    def _write_record(self, job: Job) -> None:
         write_whole(self._folder(job.number) / RECORD, json.dumps(asdict(job), indent=2))
 
     def _progress(self, job: Job) -> dict[str, Any] | None:
         """Progress of a job: its stage, and of the whole job the share that is done and the remaining time."""
-        if not job.runs or (found := self._stages(job)) is None:
+        if not job.runs or (stages := self._stages(job)) is None:
             return None
-        whole = shown(self._shown.get(job.number), remaining(found, self._usual(job.step), time.time()))
-        self._shown[job.number] = whole
-        stage = {name: found[name] for name in ("what", "done", "total")}
-        return stage | {"share": whole.share, "left": whole.left, "ranking": found["ranking"][:MAX_SHOWN_CANDIDATES]}
+        estimate = smoothed(
+            self._estimates.get(job.number), remaining(stages, self._usual_stages(job.step), time.time())
+        )
+        self._estimates[job.number] = estimate
+        stage = {name: stages[name] for name in ("what", "done", "total")}
+        return stage | {
+            "share": estimate.share,
+            "left": estimate.seconds,
+            "ranking": stages["ranking"][:MAX_SHOWN_CANDIDATES],
+        }
 
     def _printed(self, job: Job) -> int | None:
-        """Size of what a running job has printed [byte]: it grows, and so a page asks for it again."""
+        """Size of the output of a running job [byte]; when it has grown, pages read the log again."""
         if not job.runs:
             return None
         with suppress(OSError):
@@ -392,12 +400,12 @@ class Jobs:
     def _stages(self, job: Job) -> dict[str, Any] | None:
         """The progress file of a job; None: it has none yet."""
         try:
-            found: dict[str, Any] = json.loads((self._folder(job.number) / PROGRESS).read_text(encoding="utf-8"))
+            document: dict[str, Any] = json.loads((self._folder(job.number) / PROGRESS).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
-        return found
+        return document
 
-    def _usual(self, step: str) -> dict[str, float]:
+    def _usual_stages(self, step: str) -> dict[str, float]:
         """Seconds of the stages of the last job of a command that was done."""
         done = [job for job in self._jobs.values() if job.step == step and job.exit_code == 0]
         for job in sorted(done, key=lambda job: -job.number):
@@ -406,8 +414,8 @@ class Jobs:
         return STAGES.get(step, {})
 
 
-def _shared(writes: Sequence[Path], others: Sequence[str]) -> Path | None:
-    """A path that both write to, or inside of which the other writes; None: they write apart."""
+def _shared_path(writes: Sequence[Path], others: Sequence[str]) -> Path | None:
+    """A path of ``writes`` that equals, contains or lies in one of ``others``; None: there is no such path."""
     for path in writes:
         for other in map(Path, others):
             if path == other or path in other.parents or other in path.parents:

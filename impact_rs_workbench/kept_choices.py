@@ -52,9 +52,9 @@ def choices(workspace: Workspace) -> Choices:
 
 def keep(workspace: Workspace, choice: ListChoice) -> Choices:
     """Keep what was chosen in one list."""
-    own = Chosen(chosen=choice.chosen, pinned=choice.pinned)
+    chosen = Chosen(chosen=choice.chosen, pinned=choice.pinned)
     with _WRITING:
-        kept = choices(workspace).model_copy(update={choice.name: own})
+        updated = choices(workspace).model_copy(update={choice.name: chosen})
         (workspace.root / HIDDEN).mkdir(exist_ok=True)
-        write_whole(workspace.root / HIDDEN / FILE, kept.model_dump_json(indent=2) + "\n")
-    return kept
+        write_whole(workspace.root / HIDDEN / FILE, updated.model_dump_json(indent=2) + "\n")
+    return updated

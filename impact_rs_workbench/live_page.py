@@ -43,14 +43,14 @@ FILES = {
 log = logging.getLogger(__name__)
 
 
-class Lookout(Protocol):
+class SnapshotSource(Protocol):
     """Source of the newest state of a graph."""
 
     def look(self) -> Snapshot:
         """The newest snapshot; returns at once."""
 
 
-Sources = Callable[[str], AbstractContextManager[Lookout]]
+Sources = Callable[[str], AbstractContextManager[SnapshotSource]]
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class LiveView:
         say: Prints every new status line.
     """
 
-    def __init__(self, source: Lookout, program: str, say: Callable[[str], None]) -> None:
+    def __init__(self, source: SnapshotSource, program: str, say: Callable[[str], None]) -> None:
         self._source, self._program, self._say = source, program, say
         self._number = -1
         self._scene = DrawnScene()
@@ -132,31 +132,33 @@ def drawn_scene(snapshot: Snapshot) -> DrawnScene:
         return DrawnScene(text, tuple(moving_joints(snapshot.physics)), tuple(snapshot.physics.arms))
     if snapshot.description:
         try:
-            found, joints = described_scene(snapshot.description)
+            scene, joints = described_scene(snapshot.description)
         except InputError as error:
             return DrawnScene(complaint=str(error))
-        return DrawnScene(json.dumps(found), tuple(joints))
+        return DrawnScene(json.dumps(scene), tuple(joints))
     return DrawnScene(complaint=snapshot.complaint)
 
 
 def state_of(snapshot: Snapshot, scene: DrawnScene) -> dict[str, Any] | None:
     """Positions of all bodies; None until the joints of every arm are known.
 
-    ``velocities`` of joints and ``forces`` of arms are None until all of them are.
+    ``velocities`` of joints and ``forces`` of arms are None until all of them are known.
     """
-    known, moving = snapshot.positions, snapshot.velocities
-    if not scene.joints or not (any if snapshot.physics is None else all)(name in known for name in scene.joints):
+    positions, velocities = snapshot.positions, snapshot.velocities
+    if not scene.joints or not (any if snapshot.physics is None else all)(name in positions for name in scene.joints):
         return None
-    beside, seen = (() if snapshot.physics is None else snapshot.physics.neighbours), snapshot.neighbours
+    neighbours, neighbour_poses = (() if snapshot.physics is None else snapshot.physics.neighbours), snapshot.neighbours
     forces = None
     if all(arm in snapshot.forces for arm in scene.arms) and scene.arms:
         forces = [snapshot.forces[arm].tolist() for arm in scene.arms]
     return {
         "time": snapshot.time,
-        "joints": [known.get(name, 0.0) for name in scene.joints],
-        "velocities": [moving[name] for name in scene.joints] if moving.keys() >= set(scene.joints) else None,
+        "joints": [positions.get(name, 0.0) for name in scene.joints],
+        "velocities": [velocities[name] for name in scene.joints] if velocities.keys() >= set(scene.joints) else None,
         "object": None if snapshot.object is None else snapshot.object.tolist(),
-        "neighbours": [None if (pose := seen.get(one.name)) is None else pose.tolist() for one in beside],
+        "neighbours": [
+            None if (pose := neighbour_poses.get(neighbour.name)) is None else pose.tolist() for neighbour in neighbours
+        ],
         "forces": forces,
     }
 
@@ -175,13 +177,15 @@ def followed_of(followed: IdentifyMessages) -> dict[str, Any]:
             unreadable.append(f"a message of identify is not a valid {schema.__name__}: {error.errors()[0]['msg']}")
             return None
 
-    found = {
+    messages = {
         "prediction": read(PublishedPrediction, followed.prediction),
-        "changes": [one for text in reversed(followed.changes) if (one := read(PublishedChange, text)) is not None],
+        "changes": [
+            change for text in reversed(followed.changes) if (change := read(PublishedChange, text)) is not None
+        ],
         "diagnosis": read(ChangeDiagnosis, followed.diagnosis),
         "refused": read(RefusedHit, followed.refused),
     }
-    return found | {"unreadable": unreadable}
+    return messages | {"unreadable": unreadable}
 
 
 @lru_cache(maxsize=8)
@@ -206,7 +210,7 @@ def status_text(snapshot: Snapshot, scene: DrawnScene, program: str) -> str:
 
 @dataclass
 class _Watched:
-    """A graph that pages look at: its view, how many pages there are, and what ends it."""
+    """A graph that pages show: its view, the callbacks that end it, and the number of pages."""
 
     view: LiveView
     end: AsyncExitStack
@@ -214,7 +218,7 @@ class _Watched:
 
 
 class Watch:
-    """Graphs, each watched once however many pages look at it, and only as long as one does.
+    """Graphs that pages show. Each is watched once for all pages, and only while a page shows it.
 
     Args:
         source: Context manager of a source of snapshots, by namespace.
@@ -268,10 +272,10 @@ class Watch:
     async def _close(self, namespace: str) -> None:
         await asyncio.sleep(LINGER_S)  # the page is only being loaded again
         async with self._lock:
-            found = self._watched.get(namespace)
-            if found is not None and not found.pages:
+            watched = self._watched.get(namespace)
+            if watched is not None and not watched.pages:
                 del self._watched[namespace]
-                await found.end.aclose()
+                await watched.end.aclose()
 
 
 def application(view: LiveView, token: str, port: int) -> ASGIApp:
@@ -310,7 +314,7 @@ async def _static(request: Request) -> Response:
     return static_file(FILES, request.path_params["name"])
 
 
-def serve(source: Lookout, program: str, port: int, browser: bool, say: Callable[[str], None]) -> None:
+def serve(source: SnapshotSource, program: str, port: int, browser: bool, say: Callable[[str], None]) -> None:
     """Serve the page of a running graph until Ctrl-C.
 
     Args:

@@ -43,10 +43,10 @@ def picture(name: str) -> Path:
     Raises:
         InputError: There is no such picture.
     """
-    known = {path.name: path for path in (FOLDER / "images").glob("*.png")}
-    if name not in known:
+    pictures = {path.name: path for path in (FOLDER / "images").glob("*.png")}
+    if name not in pictures:
         raise InputError(f"the manual has no picture {shortened(name)!r}")
-    return known[name]
+    return pictures[name]
 
 
 def _anchor(heading: Token) -> str:

@@ -35,7 +35,7 @@ from impact_rs_sim.schema import Schema
 NOTHING = Model(name="nominal")
 MOVING_DRAWS = 16  # while a slider moves; the interval of so few is too narrow by about a tenth
 SWEEP_POINTS = 13
-SPEED = "speed"  # the slider that is no key: a factor on every arm's ante_velocity
+SPEED = "speed"  # slider without a key of the scenario: a factor on the ante_velocity of every arm
 
 Ends = dict[str, tuple[float, float]]  # of intervals, by velocity
 Setting = float | tuple[float, float, float]
@@ -108,7 +108,7 @@ def sliders_of(scenario: Scenario, object_name: str) -> tuple[Slider, ...]:
 
 
 def settings_of(scenario: Scenario, query: MapQuery) -> dict[str, Setting]:
-    """Values that the scenario has instead of its own, by dotted key.
+    """Settings of the scenario by the moved sliders, by dotted key.
 
     Raises:
         InputError: There is no such slider.
@@ -126,14 +126,14 @@ def settings_of(scenario: Scenario, query: MapQuery) -> dict[str, Setting]:
 
 
 def map_arguments(scenario: str, model: str, query: MapQuery, settings: Mapping[str, Setting]) -> list[str]:
-    """The arguments of ``impact-rs`` that give the same answer; scenario and model as the terminal calls them."""
-    named = {"object": query.object, "case": query.case, "motor_inertia": query.motor_inertia}
+    """Equivalent arguments of ``impact-rs``; scenario and model as on the command line."""
+    selection = {"object": query.object, "case": query.case, "motor_inertia": query.motor_inertia}
     changed = tuple(f"{key}={_yaml(value)}" for key, value in settings.items())
-    return MAP.words({"scenario": scenario, **named, "uncertainty": True, "model": model, "settings": changed})
+    return MAP.words({"scenario": scenario, **selection, "uncertainty": True, "model": model, "settings": changed})
 
 
 def _yaml(value: Setting) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else f"[{', '.join(f'{one:.6g}' for one in value)}]"
+    return f"{value:.6g}" if isinstance(value, float) else f"[{', '.join(f'{component:.6g}' for component in value)}]"
 
 
 def answer(
@@ -154,16 +154,16 @@ def answer(
     """
     arm = _arm(scenario, query)
     scene, problem = _problem(scenario, query, model)
-    found = predict_impact(problem)
-    stated = scene.scenario.uncertainty
+    result = predict_impact(problem)
+    uncertainties = scene.scenario.uncertainty
     uncertain: UncertainPrediction | None = None
     ends: Ends = {}
     note = ""
     try:
         if query.moving:
-            names, low, high = interval_of_draws(problem, stated, scene.models, MOVING_DRAWS)
+            names, low, high = interval_of_draws(problem, uncertainties, scene.models, MOVING_DRAWS)
         else:
-            uncertain = predict(problem, stated, scene.models, stopped=stopped)
+            uncertain = predict(problem, uncertainties, scene.models, stopped=stopped)
             names, low, high = uncertain.names, uncertain.low, uncertain.high
         ends = dict(zip(names, zip(low.tolist(), high.tolist(), strict=True), strict=True))
     except (InputError, ImpactMapError) as error:  # velocities are known all the same
@@ -171,15 +171,15 @@ def answer(
     if not query.moving:
         note = note or (uniqueness_of(problem, scene.models).warning or "")
     before = velocities_before(scene)
-    bodies = [(name, before[name], twist) for name, twist in found.end_effector_twist.items()]
-    bodies.append(("object", scene.object.twist, found.object_twist))
+    bodies = [(name, before[name], twist) for name, twist in result.end_effector_twist.items()]
+    bodies.append(("object", scene.object.twist, result.object_twist))
     rows = [
         _row(body, axis, ante[index], post[index], ends, axis == scenario.axis)
         for body, ante, post in bodies
         for index, axis in enumerate("xyz")
     ]
     impulses = {name: np.zeros(3) for name in scene.arms}
-    for contact in found.contacts:
+    for contact in result.contacts:
         if contact.body_b in impulses:
             impulses[contact.body_b] = impulses[contact.body_b] + contact.impulse
     return {
@@ -193,7 +193,7 @@ def answer(
         if uncertain is None
         else {"level": CONFIDENCE_LEVEL, "method": uncertain.method, "draws": uncertain.draws},
         "moving": query.moving,
-        "residual": found.residual.largest,
+        "residual": result.residual.largest,
         "note": note,
     }
 
@@ -202,25 +202,25 @@ def _moment(scene: Scene, rows: list[dict[str, Any]]) -> dict[str, Any]:
     """The impact as the picture shows it: where joints and object are, and velocities with the ends of intervals."""
     jumps = []
     for body in (*scene.arms, *(() if scene.scenario.excursion is not None else ("object",))):
-        own = [row for row in rows if row["body"] == body]
-        known = all(row["low"] is not None for row in own)
+        rows_of_body = [row for row in rows if row["body"] == body]
+        has_interval = all(row["low"] is not None for row in rows_of_body)
         jumps.append(
             {
                 "arm": None if body == "object" else body,
-                "before": [row["before"] for row in own],
-                "after": [row["after"] for row in own],
-                "low": [row["low"] for row in own] if known else None,
-                "high": [row["high"] for row in own] if known else None,
+                "before": [row["before"] for row in rows_of_body],
+                "after": [row["after"] for row in rows_of_body],
+                "low": [row["low"] for row in rows_of_body] if has_interval else None,
+                "high": [row["high"] for row in rows_of_body] if has_interval else None,
             }
         )
-    pose, *beside = (
+    pose, *neighbour_poses = (
         (*body.position.tolist(), *quaternion_of(body.rotation).tolist())
         for body in (scene.object, *standing(scene.physics, scene.object))
     )
     return {
         "joints": np.concatenate([arm.position for arm in scene.arms.values()]).tolist(),
         "object": pose,
-        "neighbours": beside,
+        "neighbours": neighbour_poses,
         "jumps": jumps,
     }
 
@@ -244,8 +244,8 @@ def _budget(uncertain: UncertainPrediction | None, name: str) -> list[dict[str, 
     """Shares of the sources in the variance of a velocity, the largest first."""
     if uncertain is None:
         return []
-    place = uncertain.names.index(name)
-    shares = {source: float(rows[place]) for source, rows in uncertain.budget.items()}
+    index = uncertain.names.index(name)
+    shares = {source: float(rows[index]) for source, rows in uncertain.budget.items()}
     return [
         {"source": source.replace("_", " "), "share": share}
         for source, share in sorted(shares.items(), key=lambda entry: -entry[1])
@@ -305,8 +305,8 @@ def slider_of(scenario: Scenario, object_name: str, key: str) -> Slider:
 def sweep(scenario: Scenario, query: MapQuery, slider: Slider, model: Model = NOTHING) -> Iterator[SweepPoint]:
     """Points over one slider, computed lazily."""
     for value in np.linspace(slider.low, slider.high, SWEEP_POINTS):
-        at = query.model_copy(update={"values": {**query.values, slider.key: float(value)}})
-        yield _point(scenario, at, model, float(value))
+        query_at_value = query.model_copy(update={"values": {**query.values, slider.key: float(value)}})
+        yield _point(scenario, query_at_value, model, float(value))
 
 
 def _point(scenario: Scenario, query: MapQuery, model: Model, value: float) -> SweepPoint:
@@ -316,13 +316,13 @@ def _point(scenario: Scenario, query: MapQuery, model: Model, value: float) -> S
     try:
         scene, problem = _problem(scenario, query, model)
         for name in arms:
-            found = predict_impact(ImpactProblem.at_nominal_impact(scene, name))
-            arms[name] = float(found.end_effector_twist[arm][axis])
+            result = predict_impact(ImpactProblem.at_nominal_impact(scene, name))
+            arms[name] = float(result.end_effector_twist[arm][axis])
             if name == query.motor_inertia:
-                object_velocity = float(found.object_twist[axis])
+                object_velocity = float(result.object_twist[axis])
         names, lows, highs = interval_of_draws(problem, scene.scenario.uncertainty, scene.models, MOVING_DRAWS)
-        place = names.index(f"{arm}.velocity.{scenario.axis}")
-        low, high = float(lows[place]), float(highs[place])
+        index = names.index(f"{arm}.velocity.{scenario.axis}")
+        low, high = float(lows[index]), float(highs[index])
     except (InputError, ImpactMapError):  # a value at which there is no answer leaves a gap
         pass
     return SweepPoint(value, arms, object_velocity, low, high)
@@ -365,7 +365,9 @@ def describe(name: str, path: str) -> dict[str, Any]:
         "scales": list(scenario.velocity_scales),
         "largest_scale": LARGEST_SCALE,
         "trials": scenario.trials,
-        "objects": {key: {"label": one.label, "mass": one.mass} for key, one in scenario.objects.items()},
+        "objects": {
+            key: {"label": object_spec.label, "mass": object_spec.mass} for key, object_spec in scenario.objects.items()
+        },
         "cases": {key: case.label for key, case in scenario.cases.items()},
         "sliders": {key: [asdict(slider) for slider in sliders_of(scenario, key)] for key in scenario.objects},
     }

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Foreign recordings: preview of their signals, and the files that describe them.
 
-A preview goes the way of an analysis, by a mapping and :func:`read_series`, so that what is seen is what will be used;
-and what is written has been read once as an analysis reads it.
+A preview reads a signal as an analysis does, by a mapping and :func:`read_series`. Before a description is written, one
+run has been read with it.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ from impact_rs_trials.recordings.recording import check_limits, check_velocity
 from impact_rs_workbench.workspace import Workspace
 
 MAX_PREVIEW_POINTS = 300  # of a preview
-MAX_OTHER_READINGS = 2  # of a signal, beside the one that is taken, in words
+MAX_OTHER_READINGS = 2  # described alternatives to the chosen reading of a signal
 
 ArmSignal = Literal["position", "velocity", "torque", "command"]
 
@@ -73,11 +73,11 @@ class PreviewRequest(Schema):
     """A signal to be looked at."""
 
     path: str = Field(description="recording")
-    scenario: str = Field(description="scenario with the robot that it is of")
-    arm: str = Field(description="arm that it is of; of the pose of the object the one whose clock it has")
-    signal: SignalName = Field(description="what it is taken for")
-    source: SignalSource = Field(description="where it is")
-    position: SignalSource = Field(description="where the joint positions are, whose clock the others are brought to")
+    scenario: str = Field(description="scenario with the recorded robot")
+    arm: str = Field(description="arm of the signal; for the pose of the object the arm whose clock it has")
+    signal: SignalName = Field(description="meaning of the signal")
+    source: SignalSource = Field(description="location of the signal")
+    position: SignalSource = Field(description="location of the joint positions, whose clock is the reference")
     joints: tuple[str, ...] = Field(min_length=1, max_length=MAX_JOINT_NUMBERS, description="joints in order")
     command_includes_gravity: bool = Field(True, description="whether the command holds the arm's own weight")
     time: TimeSource = Field(default_factory=TimeSource, description="time stamps")
@@ -123,28 +123,28 @@ def look(workspace: Workspace, folder: str, scenario_name: str) -> dict[str, Any
         InputError: There is no recording, or it cannot be read; or there is no such scenario.
     """
     directory = workspace.existing(folder)
-    lab = next((one for one in workspace.contents().laboratories if one.path == folder), None)
+    lab = next((item for item in workspace.contents().laboratories if item.path == folder), None)
     if lab is None or not lab.recordings:
         raise InputError("no recordings of another controller in this folder", file=directory)
     path = directory / lab.recordings[0]
-    found = candidates_of(path)
+    streams = candidates_of(path)
     scenario = load_scenario(workspace.scenario_path(scenario_name))
     robots = scenario.robots
-    own = _own_table(directory, scenario_name, scenario)
+    run_table = _own_table(directory, scenario_name, scenario)
     files = {arm: _robot(workspace, scenario_name, scenario, arm) for arm in robots}
-    proposals = propose(found, {arm: robot.robot_facts.joint_count for arm, robot in robots.items()})
+    proposals = propose(streams, {arm: robot.robot_facts.joint_count for arm, robot in robots.items()})
     guesses = {arm: _Guesses({}, {}, ()) for arm in robots}
     if len(robots) == 1:  # import describes one robot
         ((arm, file),) = files.items()
         guesses[arm] = _by_numbers(path, directory, file)
-        proposals[arm] = _chosen(found, proposals[arm], guesses[arm])
-    if not found:
+        proposals[arm] = _chosen(streams, proposals[arm], guesses[arm])
+    if not streams:
         raise InputError("none of its signals looks like one of a robot", file=path)
     return {
         "recording": lab.recordings[0],
-        "table": own,
+        "table": run_table,
         "path": workspace.name(path),
-        "streams": [asdict(stream) for stream in found],
+        "streams": [asdict(candidate) for candidate in streams],
         "arms": {
             arm: {
                 "robot": Path(files[arm]).stem,
@@ -152,8 +152,11 @@ def look(workspace: Workspace, folder: str, scenario_name: str) -> dict[str, Any
                 **asdict(proposal),
                 "units": {name: section["unit"] for name, section in guesses[arm].signals.items()},
                 **guesses[arm].layout,
-                "said": guesses[arm].said,
-                "readings": {name: [asdict(one) for one in every] for name, every in guesses[arm].readings.items()},
+                "said": guesses[arm].evidence,
+                "readings": {
+                    name: [asdict(item) for item in alternatives]
+                    for name, alternatives in guesses[arm].readings.items()
+                },
             }
             for arm, proposal in proposals.items()
         },
@@ -161,7 +164,7 @@ def look(workspace: Workspace, folder: str, scenario_name: str) -> dict[str, Any
             name: [list(table.get(QUANTITY[name], {})) for table in (TURNS, SLIDES)] for name in get_args(ArmSignal)
         }
         | {OBJECT_POSE: [list(UNITS[QUANTITY[OBJECT_POSE]]), []]},
-        "object_pose": next((number for number, one in enumerate(found) if one.guess == OBJECT_POSE), None),
+        "object_pose": next((number for number, item in enumerate(streams) if item.guess == OBJECT_POSE), None),
     }
 
 
@@ -172,53 +175,53 @@ class _Guesses:
     Attributes:
         signals: Sections of a mapping, by signal.
         layout: Sections ``time`` and ``table`` of a mapping, where it needs them.
-        said: What shows it, line by line.
+        evidence: Evidence of the guesses, line by line.
         joints: Names of the joints.
-        readings: By signal what it may be, what is taken first.
+        readings: Possible readings by signal, the chosen one first.
     """
 
     signals: dict[str, dict[str, Any]]
     layout: dict[str, Any]
-    said: tuple[str, ...]
+    evidence: tuple[str, ...]
     joints: tuple[str, ...] = ()
     readings: AbstractMapping[str, tuple[PossibleReading, ...]] = field(default_factory=dict)
 
 
 def _by_numbers(path: Path, folder: Path, robot: str) -> _Guesses:
-    """What ``impact-rs import`` writes of a recording; where it refuses that, why."""
+    """Sections of a mapping that ``impact-rs import`` guesses from a recording, or the reason of its refusal."""
     try:
         draft = draft_import([path], folder, ImportOptions(robot=robot))
     except InputError as error:
         return _Guesses({}, {}, (f"Chosen by names alone, for impact-rs import says: {error.message}",))
     content = yaml.safe_load(draft.texts[MAPPING_FILE])
-    wanted = (*get_args(ArmSignal), OBJECT_POSE)
-    signals = {name: section for name, section in content["signals"].items() if name in wanted}
+    signal_names = (*get_args(ArmSignal), OBJECT_POSE)
+    signals = {name: section for name, section in content["signals"].items() if name in signal_names}
     if "torque_constant" in content:  # of currents, which runs with contact have not
         del signals["torque"]
     layout = {name: content[name] for name in ("time", "table") if name in content}
-    about = [line for line in draft.lines if line.key.split(".")[0] in ("signals", "time", "joints")]
+    lines_of_signals = [line for line in draft.lines if line.key.split(".")[0] in ("signals", "time", "joints")]
     assumed = ("", "assumed: ")
-    said = tuple(f"{line.key}: {line.value} ({assumed[not line.sure]}{line.evidence})" for line in about)
-    said += tuple(
-        f"signals.{name}: next {one.stream} in {one.unit} (log odds {one.behind:.2g}; {one.evidence})"
-        for name, every in draft.readings.items()
-        for one in every[1 : 1 + MAX_OTHER_READINGS]
+    evidence = tuple(f"{line.key}: {line.value} ({assumed[not line.sure]}{line.evidence})" for line in lines_of_signals)
+    evidence += tuple(
+        f"signals.{name}: next {reading.stream} in {reading.unit} (log odds {reading.behind:.2g}; {reading.evidence})"
+        for name, alternatives in draft.readings.items()
+        for reading in alternatives[1 : 1 + MAX_OTHER_READINGS]
     )
-    return _Guesses(signals, layout, said, tuple(content["joints"]), draft.readings)
+    return _Guesses(signals, layout, evidence, tuple(content["joints"]), draft.readings)
 
 
 def _chosen(streams: list[SignalCandidate], named: Proposal, guesses: _Guesses) -> Proposal:
-    """A proposal with what numbers show in place of what names hint at; new sources are added to the streams."""
+    """A proposal in which guesses by numbers replace guesses by names; new sources are appended to the streams."""
     signals = dict(named.signals)
     for name, section in guesses.signals.items():
         source = {key: value for key, value in section.items() if key != "unit"}
-        known = next((number for number, one in enumerate(streams) if one.source == source), None)
-        if known is None:
-            known = len(streams)
+        index = next((number for number, candidate in enumerate(streams) if candidate.source == source), None)
+        if index is None:
+            index = len(streams)
             label = ", ".join(f"{key} {value}" for key, value in source.items())
             streams.append(SignalCandidate(label, source, name == OBJECT_POSE, name, 0, named.joints))
         if name != OBJECT_POSE:
-            signals[name] = known
+            signals[name] = index
     return Proposal(guesses.joints or named.joints, signals)
 
 
@@ -251,10 +254,10 @@ def preview(workspace: Workspace, request: PreviewRequest) -> dict[str, Any]:
     signals: dict[SignalName, SignalSource] = {"position": request.position, request.signal: request.source}
     robot = _robot(workspace, request.scenario, scenario, request.arm)
     mapping = _mapping(robot, request, signals, path)
-    wanted: list[SignalName] = ["position", request.signal]
-    read = read_series(path, mapping, wanted, [request.signal])
-    series, pose = read[request.signal], request.signal == OBJECT_POSE
-    kept = slice(None, None, max(1, math.ceil(series.time.size / MAX_PREVIEW_POINTS)))
+    signal_names: list[SignalName] = ["position", request.signal]
+    read_signals = read_series(path, mapping, signal_names, [request.signal])
+    series, pose = read_signals[request.signal], request.signal == OBJECT_POSE
+    thinned = slice(None, None, max(1, math.ceil(series.time.size / MAX_PREVIEW_POINTS)))
     time = series.time - series.time[0]
     values = series.values[:, :3] if pose else series.values
     names = list("xyz") if pose else list(request.joints)
@@ -266,29 +269,33 @@ def preview(workspace: Workspace, request: PreviewRequest) -> dict[str, Any]:
         "samples": int(time.size),
         "rate": (time.size - 1) / span if span > 0.0 else 0.0,
         "ranges": [
-            {"unit": unit, "low": float(np.nanmin(own)), "high": float(np.nanmax(own))}
+            {"unit": unit, "low": float(np.nanmin(values_of_unit)), "high": float(np.nanmax(values_of_unit))}
             for unit in dict.fromkeys(units)
-            for own in [values[:, [one == unit for one in units]]]
+            for values_of_unit in [values[:, [other_unit == unit for other_unit in units]]]
         ],
-        "time": _short(time[kept]),
+        "time": _short(time[thinned]),
         "columns": [
-            {"name": name, "unit": unit, "values": _short(values[kept, number])}
+            {"name": name, "unit": unit, "values": _short(values[thinned, number])}
             for number, (name, unit) in enumerate(zip(names, units, strict=True))
         ],
-        "wrong": _wrong(path, scenario, request, mapping, read),
+        "wrong": _wrong(path, scenario, request, mapping, read_signals),
     }
 
 
 def _wrong(
-    path: Path, scenario: Scenario, request: PreviewRequest, mapping: Mapping, read: dict[SignalName, Series]
+    path: Path,
+    scenario: Scenario,
+    request: PreviewRequest,
+    mapping: Mapping,
+    signals: dict[SignalName, Series],
 ) -> str:
     """Why the analysis would refuse a joint signal; empty: it would not."""
-    name, series = request.signal, read[request.signal]
+    name, series = request.signal, signals[request.signal]
     if name not in JOINT_SIGNALS:
         return ""
     try:
         _ = mapping.facts  # whose joints have these units
-        position = read["position"].at(series.time)
+        position = signals["position"].at(series.time)
         if name in REQUIRED:
             check_limits(path, name, series.time, series.values, mapping, MAX_IMPACT_SHARE)
         if name == "velocity":
@@ -312,11 +319,11 @@ def _robot(workspace: Workspace, scenario_name: str, scenario: Scenario, arm: st
     if isinstance(facts, str):
         return facts
     path = Path(workspace.scenario_path(scenario_name))
-    named = load_mapping(path)["robots"][arm]["facts"]
-    if not isinstance(named, str):
-        what = "the robot is described in the scenario itself: put it into a file of its own, and name that here"
-        raise InputError(what, file=path, key=f"robots.{arm}.facts")
-    return str((path.parent / named).resolve())
+    facts_entry = load_mapping(path)["robots"][arm]["facts"]
+    if not isinstance(facts_entry, str):
+        message = "the robot is described in the scenario itself: put it into a file of its own, and name that here"
+        raise InputError(message, file=path, key=f"robots.{arm}.facts")
+    return str((path.parent / facts_entry).resolve())
 
 
 def _short(values: Array) -> list[float | None]:
@@ -354,8 +361,8 @@ def describe(workspace: Workspace, description: Description) -> tuple[list[str],
     texts[EXPERIMENT_FILE] = _yaml(experiment)
     if description.runs is not None:
         texts[RUN_TABLE] = _table(description.runs)
-    with described_folder(folder, texts) as aside:
-        table = (folder if description.runs is None else aside) / RUN_TABLE
+    with described_folder(folder, texts) as staging_folder:
+        table = (folder if description.runs is None else staging_folder) / RUN_TABLE
         rows = read_runs(folder, Experiment(scenario=scenario_name, runs=str(table.relative_to(folder))), scenario)
         laboratory = Laboratory.checked(scenario, mappings, motion_capture, lambda arm: {"key": arm})
         first = next((row for row in rows if row.hit), rows[0])
@@ -380,29 +387,29 @@ def _mapping_of(workspace: Workspace, description: Description, scenario: Scenar
     where = f"arms.{arm}."
     if arm not in description.arms:
         raise InputError(f"scenario {scenario.name!r} has this arm: say where its signals are", key=where[:-1])
-    own = description.arms[arm]
+    arm_description = description.arms[arm]
     for needed in REQUIRED:
-        if needed not in own.signals:
+        if needed not in arm_description.signals:
             raise InputError(
                 "this signal is needed", key=f"{where if len(scenario.robots) > 1 else ''}signals.{needed}"
             )
-    signals: dict[SignalName, SignalSource] = dict(own.signals.items())
+    signals: dict[SignalName, SignalSource] = dict(arm_description.signals.items())
     if description.object_pose is not None and arm == next(iter(scenario.robots)):
         signals[OBJECT_POSE] = _for_all_objects(description.object_pose, scenario)
     robot = _robot(workspace, description.scenario, scenario, arm)
-    return _mapping(robot, own, signals, file)
+    return _mapping(robot, arm_description, signals, file)
 
 
 def _mapping(
-    robot: str, asked: PreviewRequest | ArmDescription, signals: dict[SignalName, SignalSource], file: Path
+    robot: str, request: PreviewRequest | ArmDescription, signals: dict[SignalName, SignalSource], file: Path
 ) -> Mapping:
-    """A mapping; where needed signals are not chosen yet, one that is chosen stands for them.
+    """A mapping; a chosen signal stands in for required ones that are not chosen yet.
 
     Raises:
         InputError: It breaks its schema.
     """
     first_name, first = next(iter(signals.items()))
-    units = first.units if len(first.units) > 1 else first.units * len(asked.joints)
+    units = first.units if len(first.units) > 1 else first.units * len(request.joints)
     stand_ins = {
         name: first.model_copy(
             update={"unit": tuple(si_unit(QUANTITY[name], unit, QUANTITY[first_name]) for unit in units)}
@@ -413,10 +420,10 @@ def _mapping(
     content = {
         "description": "recordings as described in the workbench",
         "robot": robot,
-        "joints": list(asked.joints),
-        "command_includes_gravity": asked.command_includes_gravity,
-        "time": asked.time.model_dump(exclude_defaults=True),
-        "table": asked.table.model_dump(exclude_defaults=True),
+        "joints": list(request.joints),
+        "command_includes_gravity": request.command_includes_gravity,
+        "time": request.time.model_dump(exclude_defaults=True),
+        "table": request.table.model_dump(exclude_defaults=True),
         "signals": {
             name: source.model_dump(exclude_defaults=True) for name, source in {**signals, **stand_ins}.items()
         },

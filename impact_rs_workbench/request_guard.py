@@ -67,8 +67,8 @@ class Guard:
             return PlainTextResponse(f"{self._command} serves its own machine only.", 403)
         if scope["method"] not in SAFE_METHODS and headers.get("origin") != f"http://{host}":
             return PlainTextResponse(f"Requests that change state must come from the page of {self._command}.", 403)
-        given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[-1]
-        if scope["path"] == "/" and self._is_token(given):
+        token = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[-1]
+        if scope["path"] == "/" and self._is_token(token):
             answer = RedirectResponse("/", 303)
             answer.set_cookie(self.cookie, self._token, httponly=True, samesite="strict")
             return answer
@@ -93,7 +93,7 @@ _HEADERS = {
 def _cookie(text: str, name: str) -> str:
     """Value of a cookie; empty: it is not there."""
     try:
-        found = SimpleCookie(text).get(name)
+        morsel = SimpleCookie(text).get(name)
     except CookieError:
         return ""
-    return "" if found is None else found.value
+    return "" if morsel is None else morsel.value

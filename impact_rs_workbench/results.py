@@ -38,7 +38,7 @@ from impact_rs_sim.schema import validate
 from impact_rs_trials.blind import RUNS, TRUTH
 from impact_rs_trials.experiment_plan import MAX_SHOWN_PAIRS, read_plan
 from impact_rs_trials.store import trials_below
-from impact_rs_workbench.forms import seen, values_of
+from impact_rs_workbench.forms import terminal_path, values_of
 from impact_rs_workbench.workspace import Workspace, read_json
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def comparison(folder: Path) -> dict[str, Any]:
             }
             for cell in document.where
         ],
-        "remarks": [*(one.in_words for one in document.agreement.in_common), *document.remarks],
+        "remarks": [*(relation.in_words for relation in document.agreement.in_common), *document.remarks],
     }
 
 
@@ -120,21 +120,25 @@ def _shown(page: TrialPage) -> dict[str, Any]:
 
 
 def plan(path: Path) -> dict[str, Any]:
-    """A plan of trials: what each condition adds, and what is decided by all of them.
+    """A plan of trials: the gain of each condition, and the explanations that all of them distinguish.
 
     Raises:
-        InputError: It is no plan, or one of scenarios that are not there.
+        InputError: It is not a plan, or a scenario in it does not exist.
     """
-    found = read_plan(path)
-    planned = [one for campaign in found.campaigns for one in campaign.conditions]
+    experiment_plan = read_plan(path)
+    planned = [condition for campaign in experiment_plan.campaigns for condition in campaign.conditions]
     return {
-        "summary": found.summary,
-        "trials": found.trials,
+        "summary": experiment_plan.summary,
+        "trials": experiment_plan.trials,
         "conditions": [
-            {"trials": one.trials, "what": one.what, "adds": one.buys.removeprefix(f"{one.trials} x {one.what} ")}
-            for one in planned
+            {
+                "trials": condition.trials,
+                "what": condition.what,
+                "adds": condition.buys.removeprefix(f"{condition.trials} x {condition.what} "),
+            }
+            for condition in planned
         ],
-        "pairs": [pair.model_dump() for pair in found.pairs[:MAX_SHOWN_PAIRS]],
+        "pairs": [pair.model_dump() for pair in experiment_plan.pairs[:MAX_SHOWN_PAIRS]],
     }
 
 
@@ -159,43 +163,49 @@ def reveal(workspace: Workspace, path: str) -> dict[str, Any]:
 
     Args:
         workspace: The folder.
-        path: The campaign, of which the newest diagnosis counts; or a diagnosis.
+        path: A campaign, which is scored by its newest diagnosis; or a diagnosis.
 
     Raises:
         InputError: There is no such pair.
     """
-    given, contents = workspace.existing(path), workspace.contents()
-    if given.is_dir() and path not in contents.blinds:
-        raise InputError(f"no practice campaign: there is no {TRUTH} beside {RUNS}", file=given)
+    target, contents = workspace.existing(path), workspace.contents()
+    if target.is_dir() and path not in contents.blinds:
+        raise InputError(f"no practice campaign: there is no {TRUTH} beside {RUNS}", file=target)
     stamps = contents.stamps
-    newest_first = sorted((one.path for one in contents.diagnoses), key=lambda name: -stamps.get(name, 0.0))
-    campaigns = [given] if given.is_dir() else [workspace.existing(name) for name in contents.blinds]
-    files = [workspace.existing(name) for name in newest_first] if given.is_dir() else [given]
+    newest_first = sorted((diagnosis.path for diagnosis in contents.diagnoses), key=lambda name: -stamps.get(name, 0.0))
+    campaigns = [target] if target.is_dir() else [workspace.existing(name) for name in contents.blinds]
+    files = [workspace.existing(name) for name in newest_first] if target.is_dir() else [target]
     for campaign in campaigns:
         digest = _digest(campaign / RUNS)
         for file in files:
             document = read_document(file)
             if document.runs.digest == digest:
                 return _revealed(campaign, file, document)
-    if given.is_dir():
-        raise InputError("its runs have no diagnosis yet; diagnose them first", file=given)
-    raise InputError("not the diagnosis of a practice campaign; nothing is hidden in its runs", file=given)
+    if target.is_dir():
+        raise InputError("its runs have no diagnosis yet; diagnose them first", file=target)
+    raise InputError("not the diagnosis of a practice campaign; nothing is hidden in its runs", file=target)
 
 
 def _revealed(campaign: Path, file: Path, document: DiagnosisDocument) -> dict[str, Any]:
-    found = score(campaign, document, file)
+    result = score(campaign, document, file)
     truth = json.loads((campaign / TRUTH).read_text(encoding="utf-8"))
     rows = []
     for effect in truth["effects"]:
-        measured = document.effect(effect["name"])
+        effect_document = document.effect(effect["name"])
         for name, hidden in effect["parameters"].items():
-            estimate = None if measured is None else measured.parameters.get(name)
+            estimate = None if effect_document is None else effect_document.parameters.get(name)
             low, high = (estimate and estimate.ci95) or (None, None)
             value = None if estimate is None else estimate.estimate
             row = {"name": name, "unit": hidden["unit"], "hidden": hidden["value"]}
             rows.append(row | {"estimate": value, "low": low, "high": high})
-    words = BLIND.actions[1].words({"directory": seen(campaign), "diagnosis": seen(file)})
-    return {"correct": found.correct, "truth": found.truth, "named": found.named, "parameters": rows, "words": words}
+    arguments = BLIND.actions[1].words({"directory": terminal_path(campaign), "diagnosis": terminal_path(file)})
+    return {
+        "correct": result.correct,
+        "truth": result.truth,
+        "named": result.named,
+        "parameters": rows,
+        "words": arguments,
+    }
 
 
 def estimates(workspace: Workspace) -> list[dict[str, Any]]:
@@ -206,29 +216,29 @@ def estimates(workspace: Workspace) -> list[dict[str, Any]]:
     diagnosis was written.
     """
     contents = workspace.contents()
-    found = []
-    for one in contents.diagnoses:
-        document = read_document(workspace.existing(one.path))
+    rows = []
+    for diagnosis in contents.diagnoses:
+        document = read_document(workspace.existing(diagnosis.path))
         last = document.runs.recorded
         for effect in document.effects:
             for name, value in effect.parameters.items():
                 low, high = value.ci95 or (None, None)
-                found.append(
+                rows.append(
                     {
                         "parameter": f"{effect.name}: {name}",
                         "unit": value.unit,
                         "estimate": value.estimate,
                         "low": low,
                         "high": high,
-                        "diagnosis": one.path,
-                        "model": one.model,
+                        "diagnosis": diagnosis.path,
+                        "model": diagnosis.model,
                         "verdict": str(effect.verdict),
                         "named": effect.name in document.named,
-                        "when": contents.stamps.get(one.path, 0.0) if last is None else last,
+                        "when": contents.stamps.get(diagnosis.path, 0.0) if last is None else last,
                         "measured": last is not None,
                     }
                 )
-    return sorted(found, key=lambda entry: entry["when"])
+    return sorted(rows, key=lambda entry: entry["when"])
 
 
 def nearest_signal(cell: Cell) -> str:
@@ -238,18 +248,18 @@ def nearest_signal(cell: Cell) -> str:
     axis, a balance in the torque of its joint.
     """
     arm, _, index = cell.index.rpartition(".")
-    before = f"{arm}: " if arm else ""
+    prefix = f"{arm}: " if arm else ""
     if (joint := re.fullmatch(r"joint(\d+)", index)) is not None:
-        what = "velocity" if "velocity" in cell.signal else "torque"
-        return f"{before}{what} of joint {joint[1]}"
-    body, _, what = cell.signal.rpartition(" ")
-    if what in ("velocity", "rotation") and not body.startswith(("end-effector", "joint")):
-        return f"{body} yaw rate" if what == "rotation" else f"{body} velocity {index}"
-    return f"{before}end-effector velocity {index}"
+        quantity = "velocity" if "velocity" in cell.signal else "torque"
+        return f"{prefix}{quantity} of joint {joint[1]}"
+    body, _, quantity = cell.signal.rpartition(" ")
+    if quantity in ("velocity", "rotation") and not body.startswith(("end-effector", "joint")):
+        return f"{body} yaw rate" if quantity == "rotation" else f"{body} velocity {index}"
+    return f"{prefix}end-effector velocity {index}"
 
 
 def _form_values(workspace: Workspace, document: DiagnosisDocument) -> dict[str, Any]:
-    """What ``discover`` is given to look at the same measurements; empty: they are not known, or not in the folder."""
+    """Form values of ``discover`` for the same measurements; empty: unknown, or outside of the folder."""
     formulas = {spec.name for spec in document.formulas}
     effects = [name for name in document.options.get("effects", ()) if name not in formulas]
     try:
@@ -291,30 +301,32 @@ def diagnosis(workspace: Workspace, name: str) -> dict[str, Any]:
     document, discovered = read_document(path), is_discovery(path)
     figure = effects_plot(document)
     experiment = document.next_experiment
-    measured_by = _form_values(workspace, document)
+    form_values = _form_values(workspace, document)
     return {
         "verdict": str(document.verdict),
         "summary": document.summary,
-        "calibrate": [one.model_dump() for one in document.calibrate],
+        "calibrate": [calibration.model_dump() for calibration in document.calibrate],
         "model": document.model.name,
         "digest": document.model.digest,
         "named": list(document.named),
-        "runs": measured_by.get("runs"),
+        "runs": form_values.get("runs"),
         "calls_for_a_law": document.verdict.leaves_residuals and not discovered,
-        "law": measured_by,
+        "law": form_values,
         "report": DISCOVERY_PAGE if discovered else DIAGNOSIS_PAGE,
         "unit": document.error_unit,
         "yardstick": yardstick_of_rest(document),
         "figure": None if figure is None else _drawn(figure),
         "left": [
             {
-                "what": f"{rest.signal} {rest.index}".strip(),
-                "phase": rest.phase,
-                "value": quantity_text(rest.value, rest.unit),
-                "floor": quantity_text(rest.floor, rest.unit),
-                "times": number_text(rest.times_noise),
+                "what": f"{residual.signal} {residual.index}".strip(),
+                "phase": residual.phase,
+                "value": quantity_text(residual.value, residual.unit),
+                "floor": quantity_text(residual.floor, residual.unit),
+                "times": number_text(residual.times_noise),
             }
-            for rest in [rest for rest in document.unexplained.where if rest.matters][:MAX_SHOWN_RESIDUALS]
+            for residual in [residual for residual in document.unexplained.where if residual.matters][
+                :MAX_SHOWN_RESIDUALS
+            ]
         ],
         "effects": [
             {

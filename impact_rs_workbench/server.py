@@ -31,7 +31,7 @@ from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_sim.schema import validate
 from impact_rs_trials.store import Folder, owned
 from impact_rs_workbench import formula_editor, manual, prediction, recording_description, results
-from impact_rs_workbench.forms import FORMS, form_of, named, order_of, seen
+from impact_rs_workbench.forms import FORMS, form_of, order_of, terminal_name, terminal_path
 from impact_rs_workbench.formula_editor import FormulaText
 from impact_rs_workbench.jobs import Job, Jobs, PageAnswer
 from impact_rs_workbench.kept_choices import ListChoice, choices, keep
@@ -75,7 +75,7 @@ class Workbench:
         self.watch = Watch(nodes, program)
         self.jobs = Jobs(self.workspace.root / HIDDEN / "jobs", program)
         self.stopped: list[Job] = []  # jobs that its end has stopped
-        self._asked = 0  # predictions for sliders that move, so far
+        self._moving_queries = 0  # number of predictions for moving sliders so far
         self._map = threading.Lock()  # the impact map keeps engines warm and answers one query at a time
 
     def state(self) -> dict[str, Any]:
@@ -91,23 +91,23 @@ class Workbench:
         return prediction.scene_of(self.workspace.scenario_path(name), object_name)
 
     def predict(self, query: MapQuery) -> dict[str, Any]:
-        """One prediction, with the command that gives it; ``superseded`` where a slider has moved meanwhile.
+        """One prediction, with the equivalent command; ``superseded`` if a slider has moved meanwhile.
 
-        Other questions wait for their turn: questions of two windows would stop each other for ever.
+        Other queries wait for their turn: queries of two windows would stop each other for ever.
         """
         scenario = load_scenario(self.workspace.scenario_path(query.scenario))
         settings, model = prediction.settings_of(scenario, query), self.model(query)
-        self._asked += query.moving
-        asked = self._asked
+        self._moving_queries += query.moving
+        query_number = self._moving_queries
         with self._map:
             try:
-                found = prediction.answer(scenario, query, model, lambda: self._asked != asked)
+                document = prediction.answer(scenario, query, model, lambda: self._moving_queries != query_number)
             except Stopped:
                 return {"superseded": True}
-        name = named(self.workspace, query.scenario)
-        file = NOMINAL if query.model == NOMINAL else seen(self.workspace.existing(query.model))
-        words = prediction.map_arguments(name, file, query, settings)
-        return found | {"command": self.command(words)}
+        name = terminal_name(self.workspace, query.scenario)
+        file = NOMINAL if query.model == NOMINAL else terminal_path(self.workspace.existing(query.model))
+        arguments = prediction.map_arguments(name, file, query, settings)
+        return document | {"command": self.command(arguments)}
 
     def model(self, query: MapQuery) -> Model:
         """The model of a query.
@@ -118,20 +118,23 @@ class Workbench:
         return load_model(NOMINAL if query.model == NOMINAL else self.workspace.existing(query.model))
 
     def impact(self, query: MapQuery) -> dict[str, Any]:
-        """The impact as a picture shows it; no other query gives way to it."""
+        """The impact for a picture; it does not supersede other queries."""
         scenario = load_scenario(self.workspace.scenario_path(query.scenario))
         with self._map:
             return prediction.answer(scenario, query.model_copy(update={"moving": True}), self.model(query))
 
     def sweep(self, query: MapQuery, key: str) -> dict[str, Any]:
-        """Predictions over a slider; ``superseded`` where a slider has moved meanwhile, which comes first."""
+        """Predictions over a slider; ``superseded`` if a slider has moved meanwhile, which has precedence."""
         scenario = load_scenario(self.workspace.scenario_path(query.scenario))
         slider = prediction.slider_of(scenario, query.object, key)
-        rest, asked = prediction.sweep(scenario, query, slider, self.model(query)), self._asked
+        remaining_points, query_number = (
+            prediction.sweep(scenario, query, slider, self.model(query)),
+            self._moving_queries,
+        )
         points: list[prediction.SweepPoint] = []
-        while self._asked == asked:
+        while self._moving_queries == query_number:
             with self._map:
-                point = next(rest, None)
+                point = next(remaining_points, None)
             if point is None:
                 return prediction.drawn(query, slider, points)
             points.append(point)
@@ -182,47 +185,55 @@ def _routes(workbench: Workbench) -> list[Route]:
         Route("/files/{path:path}", _file_of(workspace)),
         Route("/manual/{name}", _manual),
         Route("/manual/images/{name}", _picture),
-        Route("/api/forms", _got(lambda _: {name: form_of(command) for name, command in FORMS.items()})),
-        Route("/api/workspace", _got(lambda _: workbench.state())),
-        Route("/api/scenario", _got(lambda given: workbench.scenario(given.get("name", "")))),
-        Route("/api/scene", _got(lambda given: workbench.scene(given.get("name", ""), given.get("object", "")))),
-        Route("/api/comparison", _got(lambda given: results.comparison(workspace.existing(given.get("path", ""))))),
-        Route("/api/diagnosis", _got(lambda given: results.diagnosis(workspace, given.get("path", "")))),
-        Route("/api/reveal", _got(lambda given: _revealed(workbench, given.get("path", "")))),
-        Route("/api/plan", _got(lambda given: results.plan(workspace.existing(given.get("path", ""))))),
+        Route("/api/forms", _get(lambda _: {name: form_of(command) for name, command in FORMS.items()})),
+        Route("/api/workspace", _get(lambda _: workbench.state())),
+        Route("/api/scenario", _get(lambda query: workbench.scenario(query.get("name", "")))),
         Route(
-            "/api/investigation", _got(lambda given: results.investigation(workspace.existing(given.get("path", ""))))
+            "/api/scene",
+            _get(lambda query: workbench.scene(query.get("name", ""), query.get("object", ""))),
         ),
-        Route("/api/choices", _got(lambda _: choices(workspace).model_dump())),
-        Route("/api/choices", _posted(keep_choice), methods=["POST"]),
-        Route("/api/estimates", _got(lambda _: results.estimates(workspace))),
-        Route("/api/trials", _got(lambda given: run_names(workspace.existing(given.get("path", ""))))),
-        Route("/api/trial", _got(lambda given: results.trial(workspace.existing(given.get("path", ""))))),
         Route(
-            "/api/run", _got(lambda given: results.run(workspace.existing(given.get("path", "")), given.get("run", "")))
+            "/api/comparison",
+            _get(lambda query: results.comparison(workspace.existing(query.get("path", "")))),
+        ),
+        Route("/api/diagnosis", _get(lambda query: results.diagnosis(workspace, query.get("path", "")))),
+        Route("/api/reveal", _get(lambda query: _reveal(workbench, query.get("path", "")))),
+        Route("/api/plan", _get(lambda query: results.plan(workspace.existing(query.get("path", ""))))),
+        Route(
+            "/api/investigation",
+            _get(lambda query: results.investigation(workspace.existing(query.get("path", "")))),
+        ),
+        Route("/api/choices", _get(lambda _: choices(workspace).model_dump())),
+        Route("/api/choices", _post(keep_choice), methods=["POST"]),
+        Route("/api/estimates", _get(lambda _: results.estimates(workspace))),
+        Route("/api/trials", _get(lambda query: run_names(workspace.existing(query.get("path", ""))))),
+        Route("/api/trial", _get(lambda query: results.trial(workspace.existing(query.get("path", ""))))),
+        Route(
+            "/api/run",
+            _get(lambda query: results.run(workspace.existing(query.get("path", "")), query.get("run", ""))),
         ),
         Route(
             "/api/laboratory",
-            _got(lambda given: recording_description.look(workspace, given.get("path", ""), given.get("scenario", ""))),
+            _get(lambda query: recording_description.look(workspace, query.get("path", ""), query.get("scenario", ""))),
         ),
-        Route("/api/jobs", _got(lambda _: jobs.all())),
-        Route("/api/jobs/{number}/log", _got(lambda given: {"log": jobs.log(_job(given))})),
+        Route("/api/jobs", _get(lambda _: jobs.all())),
+        Route("/api/jobs/{number}/log", _get(lambda query: {"log": jobs.log(_job(query))})),
         Route("/api/events", _events(workbench)),
         Route("/api/live", _live(workbench)),
-        Route("/api/predict", _posted(lambda data: workbench.predict(_map_query(data))), methods=["POST"]),
-        Route("/api/impact", _posted(lambda data: workbench.impact(_map_query(data))), methods=["POST"]),
-        Route("/api/sweep", _posted(sweep), methods=["POST"]),
-        Route("/api/laboratory/preview", _posted(preview), methods=["POST"]),
-        Route("/api/laboratory", _posted(lambda data: _described(workbench, data)), methods=["POST"]),
-        Route("/api/formulas/check", _posted(check), methods=["POST"]),
-        Route("/api/formulas", _posted(lambda data: _kept(workbench, data)), methods=["POST"]),
-        Route("/api/command", _posted(lambda data: _command(workbench, data)), methods=["POST"]),
-        Route("/api/jobs", _posted(lambda data: asdict(jobs.start(order_of(data, workspace)))), methods=["POST"]),
+        Route("/api/predict", _post(lambda data: workbench.predict(_map_query(data))), methods=["POST"]),
+        Route("/api/impact", _post(lambda data: workbench.impact(_map_query(data))), methods=["POST"]),
+        Route("/api/sweep", _post(sweep), methods=["POST"]),
+        Route("/api/laboratory/preview", _post(preview), methods=["POST"]),
+        Route("/api/laboratory", _post(lambda data: _describe(workbench, data)), methods=["POST"]),
+        Route("/api/formulas/check", _post(check), methods=["POST"]),
+        Route("/api/formulas", _post(lambda data: _save_formulas(workbench, data)), methods=["POST"]),
+        Route("/api/command", _post(lambda data: _command(workbench, data)), methods=["POST"]),
+        Route("/api/jobs", _post(lambda data: asdict(jobs.start(order_of(data, workspace)))), methods=["POST"]),
         Route(
-            "/api/answer", _posted(lambda data: asdict(jobs.answer(validate(PageAnswer, data, None)))), methods=["POST"]
+            "/api/answer", _post(lambda data: asdict(jobs.answer(validate(PageAnswer, data, None)))), methods=["POST"]
         ),
-        Route("/api/jobs/{number}/stop", _done(jobs.stop), methods=["POST"]),
-        Route("/api/jobs/{number}/again", _done(jobs.again), methods=["POST"]),
+        Route("/api/jobs/{number}/stop", _job_action(jobs.stop), methods=["POST"]),
+        Route("/api/jobs/{number}/again", _job_action(jobs.again), methods=["POST"]),
     ]
 
 
@@ -230,12 +241,12 @@ def _command(workbench: Workbench, data: Any) -> dict[str, str]:
     return {"command": workbench.command(list(order_of(data, workbench.workspace).arguments))}
 
 
-def _revealed(workbench: Workbench, path: str) -> dict[str, Any]:
-    found = results.reveal(workbench.workspace, path)
-    return found | {"command": workbench.command(found.pop("words"))}
+def _reveal(workbench: Workbench, path: str) -> dict[str, Any]:
+    document = results.reveal(workbench.workspace, path)
+    return document | {"command": workbench.command(document.pop("words"))}
 
 
-def _described(workbench: Workbench, data: Any) -> dict[str, Any]:
+def _describe(workbench: Workbench, data: Any) -> dict[str, Any]:
     description = validate(Description, data, None)
     written, remarks = recording_description.describe(workbench.workspace, description)
     name = description.path.strip("./") or "lab"
@@ -243,74 +254,76 @@ def _described(workbench: Workbench, data: Any) -> dict[str, Any]:
     return {"written": written, "remarks": remarks} | _command(workbench, form | {"output": f"reports/compare_{name}"})
 
 
-def _kept(workbench: Workbench, data: Any) -> dict[str, str]:
+def _save_formulas(workbench: Workbench, data: Any) -> dict[str, str]:
     path = formula_editor.keep(workbench.workspace, validate(FormulaText, data, None))
-    return {"command": workbench.command(EFFECTS.words({"formulas": seen(workbench.workspace.existing(path))}))}
+    return {
+        "command": workbench.command(EFFECTS.words({"formulas": terminal_path(workbench.workspace.existing(path))}))
+    }
 
 
 def _map_query(data: Any) -> MapQuery:
     return validate(MapQuery, data, None)
 
 
-def _got(work: Work) -> Endpoint:
-    """An endpoint that reads; ``work`` is given the query and what the path names."""
+def _get(work: Work) -> Endpoint:
+    """A GET endpoint; ``work`` takes the parameters of query and path."""
 
     async def endpoint(request: Request) -> Response:
-        return await _answered(work, {**request.query_params, **request.path_params})
+        return await _respond(work, {**request.query_params, **request.path_params})
 
     return endpoint
 
 
-def _posted(work: Work) -> Endpoint:
-    """An endpoint that is given a JSON document."""
+def _post(work: Work) -> Endpoint:
+    """A POST endpoint; ``work`` takes the JSON document."""
 
     async def endpoint(request: Request) -> Response:
         body = b""
         async for part in request.stream():
             body += part
             if len(body) > MAX_REQUEST_BYTES:
-                return _mistake(f"the request is larger than {MAX_REQUEST_BYTES} bytes")
+                return _bad_request(f"the request is larger than {MAX_REQUEST_BYTES} bytes")
         try:
             data = json.loads(body)
         except (ValueError, RecursionError):
-            return _mistake("the request is not valid JSON")
-        return await _answered(work, data)
+            return _bad_request("the request is not valid JSON")
+        return await _respond(work, data)
 
     return endpoint
 
 
-def _job(given: dict[str, str]) -> int:
+def _job(query: dict[str, str]) -> int:
     """The number of a job that an address names.
 
     Raises:
         InputError: It is no number that a job can have.
     """
-    text = given["number"]
+    text = query["number"]
     if re.fullmatch(r"[0-9]{1,9}", text) is None:
         raise InputError(f"no job {shortened(text)!r}")
     return int(text)
 
 
-def _done(work: Callable[[int], Any]) -> Endpoint:
+def _job_action(work: Callable[[int], Any]) -> Endpoint:
     """An endpoint that does something to a job."""
 
     async def endpoint(request: Request) -> Response:
-        return await _answered(lambda given: asdict(work(_job(given))), request.path_params)
+        return await _respond(lambda query: asdict(work(_job(query))), request.path_params)
 
     return endpoint
 
 
-async def _answered(work: Work, given: Any) -> Response:
-    """What ``work`` gives, beside the event loop; mistakes as one line."""
+async def _respond(work: Work, argument: Any) -> Response:
+    """Response with the result of ``work``, which runs in a thread; errors of the input as one line."""
     try:
-        return _Answer(await run_in_threadpool(work, given))
+        return _Answer(await run_in_threadpool(work, argument))
     except (InputError, ImpactMapError) as error:
-        return _mistake(str(error))
+        return _bad_request(str(error))
     except OSError as error:
-        return _mistake(f"{error.filename or ''}: {error.strerror or error}")
+        return _bad_request(f"{error.filename or ''}: {error.strerror or error}")
 
 
-def _mistake(text: str) -> Response:
+def _bad_request(text: str) -> Response:
     return _Answer({"error": text}, 400)
 
 
@@ -348,7 +361,7 @@ async def _manual(request: Request) -> Response:
     try:
         return JSONResponse({"html": await run_in_threadpool(manual.page, request.path_params["name"])})
     except InputError as error:
-        return _mistake(str(error))
+        return _bad_request(str(error))
 
 
 async def _picture(request: Request) -> Response:
@@ -400,7 +413,7 @@ class _OpenPage(StreamingResponse):
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send the events."""
-        with self._jobs.seen():
+        with self._jobs.open_page():
             await super().__call__(scope, receive, send)
 
 
@@ -412,7 +425,7 @@ def _live(workbench: Workbench) -> Endpoint:
         try:
             view = await workbench.watch.enter(namespace)
         except InputError as error:
-            return _mistake(str(error))
+            return _bad_request(str(error))
 
         async def stream() -> AsyncIterator[str]:
             try:

@@ -42,11 +42,11 @@ MAX_HEADER_CHARACTERS = 10_000  # of the first line of a table
 Read = TypeVar("Read")
 
 
-def once(read: Callable[[Path], Read]) -> Callable[[Path], Read]:
+def cached_until_change(read: Callable[[Path], Read]) -> Callable[[Path], Read]:
     """Cached reader of a file, until the file changes: the folder is read every other second."""
 
     @functools.lru_cache(maxsize=2000)
-    def kept(path: Path, modified: int, size: int) -> Read:
+    def cached(path: Path, modified: int, size: int) -> Read:
         del modified, size
         return read(path)
 
@@ -56,7 +56,7 @@ def once(read: Callable[[Path], Read]) -> Callable[[Path], Read]:
             state = path.stat()
         except OSError:  # it has just gone, or leads nowhere
             return read(path)
-        return kept(path, state.st_mtime_ns, state.st_size)
+        return cached(path, state.st_mtime_ns, state.st_size)
 
     return reader
 
@@ -153,7 +153,7 @@ class Contents:
 
     Attributes:
         campaigns: Folders of trials.
-        runs: What commands take for RUNS: campaigns, and folders that hold several of them.
+        runs: Folders for the argument RUNS: campaigns, and folders that hold several of them.
         laboratories: Folders of recordings that were not made here.
         models: Models, the nominal one first.
         diagnoses: Diagnoses.
@@ -222,8 +222,8 @@ class Workspace:
         """
         path = self.inside(name)
         if not path.exists():
-            known = [item.name for item in path.parent.iterdir()] if path.parent.is_dir() else []
-            raise InputError(f"there is nothing at {shortened(name)!r}{did_you_mean(path.name, known)}")
+            names = [item.name for item in path.parent.iterdir()] if path.parent.is_dir() else []
+            raise InputError(f"there is nothing at {shortened(name)!r}{did_you_mean(path.name, names)}")
         return path
 
     def name(self, path: Path) -> str:
@@ -231,7 +231,7 @@ class Workspace:
         return path.relative_to(self.root).as_posix()
 
     def scenario_path(self, name: str) -> str:
-        """What SCENARIO is given: the name of one that comes with impact_rs, or a file of the folder.
+        """Argument SCENARIO of a command: name of a shipped scenario, or path of a file of the folder.
 
         Raises:
             InputError: As :meth:`existing`.
@@ -244,13 +244,15 @@ class Workspace:
         scores: list[dict[str, Any]] = []
         blinds, plans, robots, tables, packages, calibrations = [], [], [], [], [], []
         for folder, files, bags in self._folders():
-            ours = [name for name in bags if _is_ours(folder / name)]
+            own_trials = [name for name in bags if _is_own_trial(folder / name)]
             if MANIFEST in files:
                 campaigns.append(self._campaign(folder))
-            elif ours:
-                campaigns.append(Campaign(self.name(folder), "", len(ours), len(ours), loose=tuple(ours)))
-            elif (found := self._laboratory(folder, files, bags)) is not None:
-                laboratories.append(found)
+            elif own_trials:
+                campaigns.append(
+                    Campaign(self.name(folder), "", len(own_trials), len(own_trials), loose=tuple(own_trials))
+                )
+            elif (laboratory := self._laboratory(folder, files, bags)) is not None:
+                laboratories.append(laboratory)
             if TRUTH in files and (folder / RUNS).is_dir():
                 blinds.append(self.name(folder))
             for file in files:
@@ -295,26 +297,33 @@ class Workspace:
             tables=tuple(tables),
             packages=tuple(packages),
             calibrations=tuple(calibrations),
-            stamps=self._stamps([*reports, *plans, *(one.path for one in diagnoses), *(one.path for one in models)]),
+            stamps=self._stamps(
+                [
+                    *reports,
+                    *plans,
+                    *(item_with_path.path for item_with_path in diagnoses),
+                    *(item_with_path.path for item_with_path in models),
+                ]
+            ),
         )
 
     def _stamps(self, names: list[str]) -> dict[str, float]:
         """When files were written; those that have just gone are left out."""
-        found = {}
+        stamps = {}
         for name in names:
             with suppress(OSError):
-                found[name] = (self.root / name).stat().st_mtime
-        return found
+                stamps[name] = (self.root / name).stat().st_mtime
+        return stamps
 
     def _folders(self) -> Iterator[tuple[Path, list[str], list[str]]]:
         """Folders with their files and bags, in order; hidden ones are left out, and bags not looked into."""
-        for place, folders, files in os.walk(self.root):
-            here = Path(place)
-            deep = len(here.relative_to(self.root).parts)
+        for folder_path, folders, files in os.walk(self.root):
+            folder = Path(folder_path)
+            depth = len(folder.relative_to(self.root).parts)
             shown = sorted(name for name in folders if not name.startswith("."))
-            bags = [name for name in shown if is_bag(here / name)]
-            folders[:] = [] if deep >= MAX_FOLDER_DEPTH else [name for name in shown if name not in bags]
-            yield here, sorted(files), bags
+            bags = [name for name in shown if is_bag(folder / name)]
+            folders[:] = [] if depth >= MAX_FOLDER_DEPTH else [name for name in shown if name not in bags]
+            yield folder, sorted(files), bags
 
     def _campaign(self, folder: Path) -> Campaign:
         try:
@@ -333,15 +342,15 @@ class Workspace:
         error = scenario = ""
         if experiment is not None:
             try:
-                read = validate(Experiment, load_mapping(folder / experiment), folder / experiment)
-                scenario = self._named_from(folder, read.scenario or "")
-            except InputError as mistake:
-                error = str(mistake)
+                experiment_file = validate(Experiment, load_mapping(folder / experiment), folder / experiment)
+                scenario = self._named_from(folder, experiment_file.scenario or "")
+            except InputError as invalid:
+                error = str(invalid)
         file = "" if experiment is None else self.name(folder / experiment)
         return LabFolder(self.name(folder), file, tuple(names), error, scenario)
 
     def _named_from(self, folder: Path, scenario: str) -> str:
-        """What a file of a folder calls a scenario, as a form names it; empty: it lies elsewhere."""
+        """Scenario of an experiment file as a form names it; empty: it lies outside of the workspace."""
         if not scenario.endswith((".yaml", ".yml")):
             return scenario
         path = (folder / scenario).resolve()
@@ -382,7 +391,7 @@ def _is_recording(path: Path) -> bool:
     return listed and path.name not in (RUN_TABLE, *TABLES) and not _is_table_of_impacts(path)
 
 
-@once
+@cached_until_change
 def _is_table_of_impacts(path: Path) -> bool:
     """Whether the first line of a table has velocities before and after an impact."""
     if path.suffix != ".csv":
@@ -395,18 +404,18 @@ def _is_table_of_impacts(path: Path) -> bool:
     return "_before" in header and "_after" in header
 
 
-@once
+@cached_until_change
 def _is_package(path: Path) -> bool:
     """Whether a JSON document is a package of evidence."""
     return {"seal", "laboratory", "diagnosis"} <= (read_json(path) or {}).keys()
 
 
-@once
+@cached_until_change
 def _manifest(path: Path) -> Manifest:
     return validate(Manifest, load_mapping(path), path)
 
 
-@once
+@cached_until_change
 def _document(path: Path) -> DiagnosisDocument | None:
     """A diagnosis; None: some other JSON."""
     try:
@@ -423,16 +432,16 @@ def _node(path: str, model: Model, parent: str | None) -> ModelNode:
     return ModelNode(path, model.name, model.digest, parent, tuple(item.name for item in model.effects), model.note)
 
 
-@once
-def _is_ours(bag: Path) -> bool:
-    """Whether a bag is one of our trials: its metadata names the topic that says so."""
+@cached_until_change
+def _is_own_trial(bag: Path) -> bool:
+    """Whether a bag is a trial of impact_rs: its metadata lists ``/trial_info``."""
     try:
         return TRIAL_INFO in (bag / BAG_METADATA).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         return False
 
 
-@once
+@cached_until_change
 def _kind_of_yaml(path: Path) -> str | None:
     """``model``, ``scenario``, ``formulas``, ``plan`` or ``robot`` by keys that nothing else has; None: another."""
     try:
@@ -458,7 +467,11 @@ def _with_common_folders(paths: list[str]) -> set[str]:
     for path in paths:
         for parent in Path(path).parents:
             inside[parent.as_posix()].add(path)
-    deepest = {frozenset(held): folder for folder, held in sorted(inside.items()) if len(held) > 1 and folder != "."}
+    deepest = {
+        frozenset(campaigns): folder
+        for folder, campaigns in sorted(inside.items())
+        if len(campaigns) > 1 and folder != "."
+    }
     return {*paths, *deepest.values()}
 
 
@@ -467,26 +480,29 @@ def read_json(path: Path) -> dict[str, Any] | None:
     try:
         if path.stat().st_size > MAX_DOCUMENT_BYTES:
             return None
-        found = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return None
-    return found if isinstance(found, dict) else None
+    return document if isinstance(document, dict) else None
 
 
-@once
+@cached_until_change
 def _scores(path: Path) -> list[dict[str, Any]]:
     """Errors of models that a comparison or a history has found, newest files last."""
     document = read_json(path)
     if document is None:
         return []
-    found = []
+    entries = []
     when = path.stat().st_mtime
     try:
         if path.name == COMPARISON_DATA:
             entry = {"name": "", "digest": document["model"]["digest"], "fit": document["score"], "held_out": None}
-            measured = [document["source"], *sorted((one["name"], one["repeats"]) for one in document["conditions"])]
+            measured = [
+                document["source"],
+                *sorted((condition["name"], condition["repeats"]) for condition in document["conditions"]),
+            ]
             data = document.get("runs_digest") or str(measured)
-            found.append(entry | {"floor": document["noise_floor"], "unit": document["score_unit"], "data": data})
+            entries.append(entry | {"floor": document["noise_floor"], "unit": document["score_unit"], "data": data})
         else:
             for item in document["history"]:
                 entry = {"name": item["model"], "digest": item.get("digest"), "fit": item["error_fit"]}
@@ -496,32 +512,44 @@ def _scores(path: Path) -> list[dict[str, Any]]:
                     "unit": "",
                     "data": item.get("runs_digest") or str(path),
                 }
-                found.append(entry)
+                entries.append(entry)
     except (KeyError, TypeError):
         return []
-    return [item | {"report": path.parent.name, "when": when} for item in found]
+    return [item | {"report": path.parent.name, "when": when} for item in entries]
 
 
 def _with_scores(models: list[ModelNode], scores: list[dict[str, Any]]) -> Iterator[ModelNode]:
-    """Models with their results, newest first; ``score`` of all of them is of the same measurements."""
-    own: dict[str, list[dict[str, Any]]] = {}
+    """Models with their scores, newest first; the fields ``score`` of all models come from the same measurements."""
+    own_scores: dict[str, list[dict[str, Any]]] = {}
     latest: dict[str, float] = {}  # by measurements
     for model in models:
-        found = [item for item in scores if _is_of(item, model)]
-        newest = own[model.path] = sorted(found, key=lambda item: -item["when"])
+        of_model = [item for item in scores if _belongs_to(item, model)]
+        newest = own_scores[model.path] = sorted(of_model, key=lambda item: -item["when"])
         for item in newest:
             latest[item["data"]] = max(item["when"], latest.get(item["data"], 0.0))
-    known = {data: sum(any(item["data"] == data for item in items) for items in own.values()) for data in latest}
-    common = max(latest, key=lambda data: (known[data], latest[data]), default=None)  # of most models, then the newest
+    model_counts = {
+        data: sum(any(item["data"] == data for item in items) for items in own_scores.values()) for data in latest
+    }
+    common = max(
+        latest, key=lambda data: (model_counts[data], latest[data]), default=None
+    )  # of most models, then the newest
     for model in models:
-        shown = [{key: item[key] for key in ("report", "fit", "held_out", "floor", "unit")} for item in own[model.path]]
+        shown = [
+            {key: item[key] for key in ("report", "fit", "held_out", "floor", "unit")}
+            for item in own_scores[model.path]
+        ]
         common_score = next(
-            (one for one, item in zip(shown, own[model.path], strict=True) if item["data"] == common), None
+            (
+                shown_score
+                for shown_score, item in zip(shown, own_scores[model.path], strict=True)
+                if item["data"] == common
+            ),
+            None,
         )
         yield replace(model, scores=tuple(shown[:3]), score=common_score)
 
 
-def _is_of(score: dict[str, Any], model: ModelNode) -> bool:
-    """Whether an error belongs to a model: by its digest, or by its name where an older history has no digest."""
+def _belongs_to(score: dict[str, Any], model: ModelNode) -> bool:
+    """Whether a score belongs to a model: by its digest, or by its name where an older history has no digest."""
     digest = score["digest"]
     return bool(model.digest) and (score["name"] == model.name if digest is None else digest == model.digest)

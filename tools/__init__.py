@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What developers make shipped files with, and compare versions with."""
+"""Tools of developers, which make shipped files and compare versions."""
 
 import sys
 from pathlib import Path

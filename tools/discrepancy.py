@@ -8,9 +8,9 @@ replayed by the twin as if it had been measured. With f the features of
 
     discrepancy = max over variants of rms (f_variant - f_replay).
 
-The largest and not the mean: variants are no sample of simulators. A further one that happens to agree with the twin
-says nothing about those that do not, and must not make the number smaller. A variant that reads a parameter otherwise
-is listed beside them, and counts only where the parameter leaves it open which reading is meant.
+It is the largest and not the mean, because variants are no sample of simulators: a further one that agrees with the
+twin must not make the number smaller. A variant that interprets a parameter differently enters the discrepancy only for
+kinds of trials in which the parameter is ambiguous; elsewhere it is only listed.
 """
 
 from __future__ import annotations
@@ -64,9 +64,9 @@ class Variant:
 
     Attributes:
         name: Short name.
-        sentence: What it does otherwise than the twin that replays.
+        sentence: Its difference from the twin that replays.
         make: Makes its plant for a trial.
-        counts: Kinds of trials in which every parameter means the same as in the twin.
+        counts: Kinds of trials in whose discrepancy it is included.
     """
 
     name: str
@@ -166,7 +166,7 @@ class Group:
 
     @property
     def largest(self) -> str:
-        """Name of the variant that counts and lies furthest from the twin."""
+        """Name of the variant furthest from the twin, of those that are included for this kind."""
         sizes = self.by_variant
         counted = (variant.name for variant in VARIANTS if self.kind in variant.counts)
         return max(counted, key=lambda name: sizes[name])
@@ -207,11 +207,12 @@ def _share(value: float) -> float | None:
 
 
 def specs_by_kind() -> dict[Kind, list[TrialSpec]]:
-    """What is run."""
+    """Trials to run, by kind."""
     return {
         "square": [TrialSpec.of(load_scenario(scenario), object_name, case) for scenario, object_name, case in SQUARE],
         "oblique": [
-            TrialSpec.of(oblique(load_scenario(s), c, *how), object_name, c) for s, object_name, c, *how in OBLIQUE
+            TrialSpec.of(oblique(load_scenario(s), c, *angles), object_name, c)
+            for s, object_name, c, *angles in OBLIQUE
         ],
         "free": [TrialSpec.of(load_scenario(scenario), object_name, case) for scenario, object_name, case in FREE],
     }
@@ -227,18 +228,20 @@ def oblique(scenario: Scenario, case: str, tilt: tuple[float, float], drift: tup
         drift: Velocity along x and z over that along the normal [-].
     """
     (name, robot), spec = next(iter(scenario.robots.items())), scenario.cases[case]
-    turn = pin.rpy.rpyToMatrix(tilt[1], 0.0, tilt[0])
+    tilt_rotation = pin.rpy.rpyToMatrix(tilt[1], 0.0, tilt[0])
     impact = robot.impact.model_copy(
-        update={key: tuple(turn @ np.array(getattr(robot.impact, key))) for key in ("pad_normal", "pad_up")}
+        update={key: tuple(tilt_rotation @ np.array(getattr(robot.impact, key))) for key in ("pad_normal", "pad_up")}
     )
-    wanted = spec.robots[name]
-    along = -wanted.ante_velocity[1]
-    velocity = (drift[0] * along, wanted.ante_velocity[1], drift[1] * along)
-    moved = spec.model_copy(update={"robots": {name: wanted.model_copy(update={"ante_velocity": velocity})}})
+    robot_case = spec.robots[name]
+    normal_speed = -robot_case.ante_velocity[1]
+    velocity = (drift[0] * normal_speed, robot_case.ante_velocity[1], drift[1] * normal_speed)
+    drifting_case = spec.model_copy(
+        update={"robots": {name: robot_case.model_copy(update={"ante_velocity": velocity})}}
+    )
     return scenario.model_copy(
         update={
             "robots": {name: robot.model_copy(update={"impact": impact})},
-            "cases": {**scenario.cases, case: moved},
+            "cases": {**scenario.cases, case: drifting_case},
         }
     )
 
@@ -247,17 +250,20 @@ Differences = tuple[list[Feature], list[tuple[str, str, list[float]]]]
 
 
 def measure() -> tuple[list[Group], dict[Kind, Differences]]:
-    """Run everything: the differences in groups, and as they came."""
+    """Run everything; returns the differences in groups, and row by row."""
     groups, tables = [], {}
     for kind, specs in specs_by_kind().items():
-        found = {variant.name: [difference(spec, variant.make(spec.plan)) for spec in specs] for variant in VARIANTS}
-        common = set.intersection(*(set(features) for rows in found.values() for features, _ in rows))
-        features = [feature for feature in next(iter(found.values()))[0][0] if feature in common]
+        results = {variant.name: [difference(spec, variant.make(spec.plan)) for spec in specs] for variant in VARIANTS}
+        common = set.intersection(*(set(features) for rows in results.values() for features, _ in rows))
+        features = [feature for feature in next(iter(results.values()))[0][0] if feature in common]
         differences = {
             name: np.array(
-                [[dict(zip(own, values, strict=True))[feature] for feature in features] for own, values in rows]
+                [
+                    [dict(zip(row_features, values, strict=True))[feature] for feature in features]
+                    for row_features, values in rows
+                ]
             )
-            for name, rows in found.items()
+            for name, rows in results.items()
         }
         tables[kind] = (
             features,
@@ -272,7 +278,11 @@ def measure() -> tuple[list[Group], dict[Kind, Differences]]:
         for number, feature in enumerate(features):
             members.setdefault(feature.group, []).append(number)
         groups += [
-            Group(kind, features[numbers[0]], {name: all_of[:, numbers] for name, all_of in differences.items()})
+            Group(
+                kind,
+                features[numbers[0]],
+                {name: rows_of_variant[:, numbers] for name, rows_of_variant in differences.items()},
+            )
             for numbers in members.values()
         ]
     return groups, tables
@@ -377,8 +387,8 @@ def table(groups: list[Group]) -> str:
         limit = feature.relevance_limit
         cells = [f"{mean([group.by_variant[name] for group in members]) / limit:16.2f}" for name in names]
         shares = [
-            np.average([getattr(group, which) for group in members], weights=[group.value**2 for group in members])
-            for which in ("shared_over_conditions", "shared_over_bins")
+            np.average([getattr(group, share) for group in members], weights=[group.value**2 for group in members])
+            for share in ("shared_over_conditions", "shared_over_bins")
         ]
         lines.append(
             f"{label:46s} {feature.unit:>6s} {value:9.3g} {value / limit:6.2f} {' '.join(cells)}"

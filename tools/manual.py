@@ -38,7 +38,7 @@ def commands() -> str:
     """Every command with its positional and required arguments."""
     lines = ["| Command | What it does |", "|---|---|"]
     for command in COMMANDS.values():
-        lines += [_line(one) for one in command.actions or (command,)]
+        lines += [_line(action) for action in command.actions or (command,)]
     return "\n".join(lines)
 
 
@@ -65,14 +65,14 @@ TABLES: dict[str, Callable[[], str]] = {
 }
 
 
-def made(text: str) -> str:
+def with_tables(text: str) -> str:
     """A page with its tables made anew."""
     return BETWEEN.sub(lambda found: f"{found[1]}\n{TABLES[found[2]]()}\n\n{found[3]}", text)
 
 
 def pages() -> dict[str, str]:
     """Text of every page of the manual, by its name."""
-    texts = {path.name: made(path.read_text(encoding="utf-8")) for path in sorted(DOCS.glob("*.md"))}
+    texts = {path.name: with_tables(path.read_text(encoding="utf-8")) for path in sorted(DOCS.glob("*.md"))}
     return texts | {
         "scenarios.md": scenario_docs.markdown(),
         "parameters.md": node_parameters.markdown(),

@@ -90,10 +90,10 @@ def shares_of(spec: TrialSpec, variant: Variant) -> Array:
     scale = lengths_of(features_of(physics), physics) / impact.closing_speed(physics, models)
 
     def within(window: tuple[float, float]) -> Array:
-        since = times - times[onset]
-        chosen = np.flatnonzero((since >= window[0]) & (since <= window[1]))
-        found = [np.concatenate((rows[k][1].velocity, rows[k][2].twist)) for k in chosen.tolist()]
-        return np.asarray((np.mean(found, axis=0) - predicted) * scale)
+        time_since_onset = times - times[onset]
+        chosen = np.flatnonzero((time_since_onset >= window[0]) & (time_since_onset <= window[1]))
+        velocities = [np.concatenate((rows[k][1].velocity, rows[k][2].twist)) for k in chosen.tolist()]
+        return np.asarray((np.mean(velocities, axis=0) - predicted) * scale)
 
     return np.array([within(window) for window in WINDOWS.values()])
 
@@ -114,11 +114,13 @@ def measure() -> list[dict[str, Any]]:
     entries = []
     for kind in KINDS:
         specs = specs_by_kind()[kind]
-        found = {v.name: np.array([shares_of(spec, v) for spec in specs]) for v in VARIANTS if v.name in SIMULATORS}
+        shares = {v.name: np.array([shares_of(spec, v) for spec in specs]) for v in VARIANTS if v.name in SIMULATORS}
         features = features_of(specs[0].plan.scene.physics)
         for signal in (JOINT_VELOCITY_AFTER, *BODY):
-            own = [number for number, feature in enumerate(features) if feature.signal == signal]
-            sizes = {name: np.sqrt(np.mean(np.square(rows[:, :, own]), axis=(0, 2))) for name, rows in found.items()}
+            indices = [number for number, feature in enumerate(features) if feature.signal == signal]
+            sizes = {
+                name: np.sqrt(np.mean(np.square(rows[:, :, indices]), axis=(0, 2))) for name, rows in shares.items()
+            }
             largest = np.max(list(sizes.values()), axis=0)
             entries.append(
                 {

@@ -41,8 +41,8 @@ def _package(package: ModuleType) -> str:
     for name, kind in classes.items():
         lines.append(f"* `{name}`: {_sentence(kind)}")
         lines += [
-            f"  * `{_signature(f'{name}.{made}', method, False)}`: {_sentence(method)}"
-            for made, method in _makers(kind)
+            f"  * `{_signature(f'{name}.{maker}', method, False)}`: {_sentence(method)}"
+            for maker, method in _makers(kind)
         ]
     return "\n".join(lines) + "\n"
 
@@ -57,13 +57,15 @@ def _makers(kind: type) -> Iterator[tuple[str, Any]]:
 def _signature(name: str, function: Any, with_result: bool = True) -> str:
     """Name, arguments with their defaults, and type of the result; class methods without their class."""
     source = textwrap.dedent(inspect.getsource(inspect.unwrap(function)))
-    (found,) = ast.parse(source).body
-    assert isinstance(found, ast.FunctionDef) and not (found.args.kwonlyargs or found.args.vararg or found.args.kwarg)
-    texts = [argument.arg for argument in found.args.args if argument.arg != "cls"]
-    defaults = [f"={ast.unparse(default)}" for default in found.args.defaults]
+    (definition,) = ast.parse(source).body
+    assert isinstance(definition, ast.FunctionDef) and not (
+        definition.args.kwonlyargs or definition.args.vararg or definition.args.kwarg
+    )
+    texts = [argument.arg for argument in definition.args.args if argument.arg != "cls"]
+    defaults = [f"={ast.unparse(default)}" for default in definition.args.defaults]
     defaults = [""] * (len(texts) - len(defaults)) + defaults
     arguments = ", ".join(text + default for text, default in zip(texts, defaults, strict=True))
-    returned = f" -> {ast.unparse(found.returns)}" if with_result and found.returns else ""
+    returned = f" -> {ast.unparse(definition.returns)}" if with_result and definition.returns else ""
     return f"{name}({arguments}){returned}"
 
 

@@ -32,8 +32,10 @@ def commands(laboratories: list[Path], trials: list[Path], experiment: Path) -> 
     for engine in ("bullet", "pinocchio"):
         yield f"map-{engine}", [*MAP, engine]
     for folder in laboratories:
-        own = [str(folder), "--experiment", str(experiment)]
-        yield from ((f"{command}-{folder.name}", [command, *own]) for command in ("analyze", "compare", "diagnose"))
+        arguments = [str(folder), "--experiment", str(experiment)]
+        yield from (
+            (f"{command}-{folder.name}", [command, *arguments]) for command in ("analyze", "compare", "diagnose")
+        )
     for folder in trials:
         name = folder.parent.name if folder.name == "runs" else folder.name
         yield from ((f"{command}-{name}", [command, str(folder)]) for command in ("compare", "diagnose"))
@@ -41,23 +43,23 @@ def commands(laboratories: list[Path], trials: list[Path], experiment: Path) -> 
             yield f"analyze-{name}-{scenario.name}", ["analyze", str(scenario)]
 
 
-def result(checkout: Path, name: str, arguments: list[str], kept: Path) -> Any:
-    """The JSON document of a command in a checkout, from ``kept`` if it is there."""
-    file = kept / f"{name}.json"
+def result(checkout: Path, name: str, arguments: list[str], cache: Path) -> Any:
+    """The JSON document of a command in a checkout, from ``cache`` if it is there."""
+    file = cache / f"{name}.json"
     if not file.exists():
-        extra = ["-o", str(kept / f"{name}.diagnosis.json")] if arguments[0] == "diagnose" else []
-        environment = {**os.environ, "XDG_CACHE_HOME": str(kept / "cache")}  # nothing of the other version
-        done = subprocess.run(
+        extra = ["-o", str(cache / f"{name}.diagnosis.json")] if arguments[0] == "diagnose" else []
+        environment = {**os.environ, "XDG_CACHE_HOME": str(cache / "cache")}  # nothing of the other version
+        process = subprocess.run(
             [str(checkout / "run"), "impact-rs", *arguments, *extra, "--json"],
             cwd=checkout,
             env=environment,
             capture_output=True,
             text=True,
         )
-        if done.returncode not in (0, 1):
-            sys.exit(f"{checkout}: {' '.join(arguments)} ended with {done.returncode}: {done.stderr[-500:]}")
-        nothing = json.dumps({"not done": done.stderr})  # for example no set with enough trials for an estimate
-        file.write_text(nothing if done.returncode else done.stdout, encoding="utf-8")
+        if process.returncode not in (0, 1):
+            sys.exit(f"{checkout}: {' '.join(arguments)} ended with {process.returncode}: {process.stderr[-500:]}")
+        failure = json.dumps({"not done": process.stderr})  # for example no set with enough trials for an estimate
+        file.write_text(failure if process.returncode else process.stdout, encoding="utf-8")
     return json.loads(file.read_text(encoding="utf-8"))
 
 
@@ -70,8 +72,8 @@ def differences(a: Any, b: Any, path: str = "") -> Iterator[tuple[str, str, str]
             else:
                 yield "key", f"{path}.{key}", "only in this one" if key in a else "only in the other"
     elif isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
-        for number, (one, other) in enumerate(zip(a, b, strict=True)):
-            yield from differences(one, other, f"{path}[{number}]")
+        for number, (item_a, item_b) in enumerate(zip(a, b, strict=True)):
+            yield from differences(item_a, item_b, f"{path}[{number}]")
     elif isinstance(a, str) and isinstance(b, str):
         if a != b:
             yield "text", path, f"{a!r} / {b!r}"
@@ -98,15 +100,17 @@ def main() -> int:
     for name, arguments in commands(*folders, args.experiment.resolve()):
         documents = []
         for checkout in (HERE, args.other.resolve()):
-            kept = args.o.resolve() / ("this" if checkout == HERE else "other")
-            kept.mkdir(parents=True, exist_ok=True)
-            documents.append(result(checkout, name, arguments, kept))
-        found = list(differences(*documents))
-        counts = {kind: sum(one[0] == kind for one in found) for kind in ("number", "text", "key")}
+            cache = args.o.resolve() / ("this" if checkout == HERE else "other")
+            cache.mkdir(parents=True, exist_ok=True)
+            documents.append(result(checkout, name, arguments, cache))
+        all_differences = list(differences(*documents))
+        counts = {
+            kind: sum(difference[0] == kind for difference in all_differences) for kind in ("number", "text", "key")
+        }
         unlike += counts["number"]
         print(f"{name}: " + ", ".join(f"{count} {kind}s differ" for kind, count in counts.items()), flush=True)
-        for kind, path, what in [one for one in found if one[0] != "text"][:5]:
-            print(f"  {kind} {path}: {what}")
+        for kind, path, description in [difference for difference in all_differences if difference[0] != "text"][:5]:
+            print(f"  {kind} {path}: {description}")
     return int(unlike > 0)
 
 

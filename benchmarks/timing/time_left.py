@@ -23,7 +23,7 @@ from benchmarks.harness import Case, Row, Work
 from benchmarks.results import Table
 from impact_rs_cli.main import main
 from impact_rs_sim import progress
-from impact_rs_workbench.remaining import STAGES, Remaining, remaining, shown
+from impact_rs_workbench.remaining import STAGES, Remaining, remaining, smoothed
 
 MAX_ERROR = 0.3  # of the true time left
 SKIPPED_SHARE = 1.0 / 3.0  # of a diagnosis, at its start
@@ -81,9 +81,9 @@ def _ratios(reported: list[tuple[float, dict[str, Any]]], begin: float, end: flo
     for place, now in enumerate(looks):
         while number < len(reported) and reported[number][0] <= now:
             new: Remaining = remaining(reported[number][1], STAGES["diagnose"], reported[number][0])
-            seen, number = shown(seen, new), number + 1
-        if seen is not None and seen.left is not None:
-            found[place] = max(0.0, seen.left - (now - seen.at)) / (end - now)
+            seen, number = smoothed(seen, new), number + 1
+        if seen is not None and seen.seconds is not None:
+            found[place] = max(0.0, seen.seconds - (now - seen.time)) / (end - now)
     return found
 
 

@@ -20,11 +20,11 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     with nullcontext() if args.output is None else output_folder(args.output.parent):
         addition.write(args.output)
     child, calibration, document = addition.child, addition.calibration, addition.document
-    now = child or addition.model
+    result_model = child or addition.model
     terminal.result(
         {
             "file": None if child is None else str(args.output),
-            "model": {"name": now.name, "digest": now.digest},
+            "model": {"name": result_model.name, "digest": result_model.digest},
             "parent": None if child is None else child.parent,
             "effects": [item.model_dump(mode="json") for item in addition.physics],
             "calibration": None if calibration is None else str(calibration.file),
@@ -36,17 +36,17 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     if child is not None:
         _show(f"{args.output}: {addition.model.name!r} and", addition.physics, document, terminal)
     elif args.output is not None:
-        terminal.say(f"{args.output} is not written: no effect of the physics was added to {now.name!r}")
+        terminal.say(f"{args.output} is not written: no effect of the physics was added to {result_model.name!r}")
     return 0
 
 
-def _show(what: str, items: Sequence[ModelEffect], document: DiagnosisDocument, terminal: Terminal) -> None:
+def _show(heading: str, items: Sequence[ModelEffect], document: DiagnosisDocument, terminal: Terminal) -> None:
     """Say which effects a file now has, with their parameters."""
-    said = []
+    descriptions = []
     for item in items:
-        found = document.effect(item.name)
-        said.append(f"{item.name} ({found.verdict if found else ''})")
-    terminal.say(f"{what} {', '.join(said)}")
+        effect = document.effect(item.name)
+        descriptions.append(f"{item.name} ({effect.verdict if effect else ''})")
+    terminal.say(f"{heading} {', '.join(descriptions)}")
     for item in items:
         for name, value in item.parameters.items():
             terminal.say(f"  {name} = {estimate_in_line(value.estimate, value.ci95)} {value.unit}".removesuffix(" -"))

@@ -17,7 +17,7 @@ from impact_rs_analysis.measure.table import Row, result_table, shown_contacts
 from impact_rs_analysis.measure.velocity_jumps import jumps_of
 from impact_rs_analysis.report import write_report
 from impact_rs_analysis.report.analysis import arm_rows, sensitivity_rows
-from impact_rs_cli.arguments import started
+from impact_rs_cli.arguments import started_workers
 from impact_rs_cli.reading import experiment_file
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
@@ -37,7 +37,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         return _laboratory(args, terminal)
     if is_url(args.directory) and args.output is None:
         raise InputError("expected a folder for the report: -o REPORT_DIR", file=args.directory)
-    with local_copy(args.directory, (MANIFEST,)) as directory, started(args) as map_tasks:
+    with local_copy(args.directory, (MANIFEST,)) as directory, started_workers(args) as map_tasks:
         return report_on(directory, args.output, terminal, args.contact, map_tasks)[0]
 
 
@@ -47,29 +47,29 @@ def _laboratory(args: argparse.Namespace, terminal: Terminal) -> int:
         raise InputError(
             "-o is for trials of impact_rs; for other runs use --json, or impact-rs compare -o for a report"
         )
-    with started(args) as map_tasks:
+    with started_workers(args) as map_tasks:
         runs = read_laboratory(Path(args.directory), args.experiment, map_tasks, terminal)
     with terminal.progress("impact maps"):
-        found = jumps_of(runs, args.contact)
+        jumps = jumps_of(runs, args.contact)
     table = Table(
         title=f"Speed after the impact along its direction, and errors of the predictions, {args.contact} contact [%]"
     )
     table.add_column("", no_wrap=True)
     for heading in ("runs", "before [m/s]", "after [m/s]", "B_θ", "B_ρ", "B = 0"):
         table.add_column(heading, justify="right")
-    for jump in found.jumps:
+    for jump in jumps.jumps:
         half = None if jump.interval is None else (jump.interval[1] - jump.interval[0]) / 2.0
         errors = [f"{jump.errors[name]:+.2f}" for name in MOTOR_INERTIA_MODELS]
         after = " ± ".join(speed_text(jump.after, half))
         table.add_row(jump.condition, str(jump.runs), f"{jump.before:.3f}", after, *errors)
     table.add_section()
-    table.add_row("mean absolute", "", "", "", *(f"{found.errors[name]:.2f}" for name in MOTOR_INERTIA_MODELS))
+    table.add_row("mean absolute", "", "", "", *(f"{jumps.errors[name]:.2f}" for name in MOTOR_INERTIA_MODELS))
     terminal.say(table)
-    for remark in found.remarks:
+    for remark in jumps.remarks:
         terminal.say(f"note: {remark}")
-    if warning := far_words(found.compared):
+    if warning := far_words(jumps.compared):
         terminal.warn(warning)
-    terminal.result(found.to_json())
+    terminal.result(jumps.to_json())
     return 0
 
 
@@ -110,8 +110,8 @@ def _show(analysis: Analysis, terminal: Terminal) -> None:
         terminal.say(_table(rows, contact))
         count = analysis.nearest(contact)["reduced"]
         terminal.say(f"{contact} contact: B_θ predicts best in {count} of {len(analysis.sets)} sets")
-        if none_fit := [row for row in rows if not row.fits(contact)]:
-            labels = ", ".join(f"{row.label} (tolerance {row.tolerance:.1f} %)" for row in none_fit)
+        if unexplained := [row for row in rows if not row.fits(contact)]:
+            labels = ", ".join(f"{row.label} (tolerance {row.tolerance:.1f} %)" for row in unexplained)
             terminal.say(f"{contact} contact: no prediction agrees within the 95 % intervals of both: {labels}")
     if rows and len(shown_contacts(rows)) == 1:
         terminal.say("settled contact: the same errors as the first")
@@ -119,8 +119,8 @@ def _show(analysis: Analysis, terminal: Terminal) -> None:
         terminal.say(_arms_table(by_arm))
     if warning := far_words(analysis.jumps):
         terminal.warn(warning)
-    for left in analysis.left:
-        terminal.warn(f"{left.object} {left.case}: {left.words}")
+    for departure in analysis.left:
+        terminal.warn(f"{departure.object} {departure.case}: {departure.words}")
     if analysis.sensitivity.shifts:
         terminal.say(_bands(analysis))
     for note in assumptions(analysis.arms):

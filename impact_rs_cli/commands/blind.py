@@ -10,7 +10,7 @@ from impact_rs_analysis.diagnosis.scoring import score as score_diagnosis
 from impact_rs_analysis.diagnosis.scoring import truth_of
 from impact_rs_analysis.evidence.minimum_data import MIN_CLUSTERS
 from impact_rs_analysis.investigation.endings import judged, read_ending
-from impact_rs_cli.arguments import started
+from impact_rs_cli.arguments import started_workers
 from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
@@ -27,9 +27,9 @@ def make(args: argparse.Namespace, terminal: Terminal) -> int:
             "because a diagnosis holds one out; add a motion there and back (--scenarios ... excite), or --size full"
         )
     done = 0
-    with output_folder(args.output), started(args) as map_tasks, terminal.progress("trials") as report_progress:
-        wanted = (args.kind, args.effect, args.size)
-        for done, total in blind.make(args.output, args.seed, map_tasks, *wanted, scenarios=args.scenarios):
+    with output_folder(args.output), started_workers(args) as map_tasks, terminal.progress("trials") as report_progress:
+        choices = (args.kind, args.effect, args.size)
+        for done, total in blind.make(args.output, args.seed, map_tasks, *choices, scenarios=args.scenarios):
             report_progress(done, total)
     runs = args.output / blind.RUNS
     terminal.result({"directory": str(args.output), "runs": str(runs), "trials": done, "kind": args.kind})
@@ -43,12 +43,14 @@ def score(args: argparse.Namespace, terminal: Terminal) -> int:
     """Score a diagnosis, or the end of an investigation."""
     if args.diagnosis is None:
         return _score_investigation(args, terminal)
-    found = score_diagnosis(args.directory, read_document(args.diagnosis), args.diagnosis)
-    terminal.result({**vars(found), "truth": list(found.truth), "named": list(found.named)})
-    cover = "" if found.intervals_cover is None else "; {} of {} intervals contain the truth".format(*found.covered)
+    result = score_diagnosis(args.directory, read_document(args.diagnosis), args.diagnosis)
+    terminal.result({**vars(result), "truth": list(result.truth), "named": list(result.named)})
+    coverage = (
+        "" if result.intervals_cover is None else "; {} of {} intervals contain the truth".format(*result.covered)
+    )
     terminal.say(
-        f"{'right' if found.correct else 'wrong'}: {found.kind}, hidden {', '.join(found.truth) or 'nothing'}, "
-        f"named {', '.join(found.named) or 'nothing'}{cover}"
+        f"{'right' if result.correct else 'wrong'}: {result.kind}, hidden {', '.join(result.truth) or 'nothing'}, "
+        f"named {', '.join(result.named) or 'nothing'}{coverage}"
     )
     return 0
 
@@ -62,8 +64,8 @@ def _score_investigation(args: argparse.Namespace, terminal: Terminal) -> int:
     if right or wrong:
         judgement = "right" if right else "wrong"
     else:
-        open_ = "undecided, and not every hidden effect is a candidate" if hidden else "undecided"
-        judgement = "right in part, the rest not excluded" if ending.certain else open_
+        undecided = "undecided, and not every hidden effect is a candidate" if hidden else "undecided"
+        judgement = "right in part, the rest not excluded" if ending.certain else undecided
     terminal.result(
         {
             "kind": kind,

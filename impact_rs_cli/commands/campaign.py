@@ -46,9 +46,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     with output_folder(store.path) if isinstance(store, Folder) else nullcontext():
         if plan is not None:
             campaigns = planned_campaigns(plan, store, args.plant)
-        every: Mapping[Store, Manifest] = campaigns
+        all_campaigns: Mapping[Store, Manifest] = campaigns
         if args.sensitivity and isinstance(store, Folder):
-            every = with_sensitivity(store, campaigns[store])
+            all_campaigns = with_sensitivity(store, campaigns[store])
         reports: Iterator[tuple[Store, TrialReport]]
         if args.via == "nodes":
             reports = itertools.chain.from_iterable(
@@ -56,9 +56,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
                 for target, manifest in campaigns.items()
             )
         else:
-            reports = owned_campaigns(store, every, workforce)
-        ran = follow(reports, every, terminal)
-    outcomes = Counter(report.outcome for report in ran)
+            reports = owned_campaigns(store, all_campaigns, workforce)
+        finished = follow(reports, all_campaigns, terminal)
+    outcomes = Counter(report.outcome for report in finished)
     wanted = sum(len(manifest.keys) for manifest in campaigns.values())
     done = sum(  # counts bags, independent of the reports
         len({key.name for key in manifest.keys} & target.names()) for target, manifest in campaigns.items()
@@ -68,19 +68,21 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             "directory": args.output,
             "trials": wanted,
             "present": done,
-            "ran": len(ran),
+            "ran": len(finished),
             "outcomes": dict(outcomes),
             "wrong": [
                 {"trial": report.key.name, "outcome": report.outcome, "message": report.message}
-                for report in ran
+                for report in finished
                 if report.outcome not in ("OK", "ABORTED")
             ],
             "failures": [
-                {"trial": report.key.name, "message": report.message} for report in ran if report.outcome == "ABORTED"
+                {"trial": report.key.name, "message": report.message}
+                for report in finished
+                if report.outcome == "ABORTED"
             ],
         }
     )
-    warn_wrong(ran, terminal)
+    warn_wrong(finished, terminal)
     analyzed = args.plan is None
     further = (
         command_line("analyze", {"directory": args.output})
@@ -88,10 +90,10 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         else command_line("diagnose", {"runs": args.output})
     )
     terminal.say(
-        f"{done} of {wanted} trials are there ({counted(ran) or 'none had to be run'})",
+        f"{done} of {wanted} trials are there ({counted(finished) or 'none had to be run'})",
         f"next: {further}",
     )
-    none_is_ok = bool(ran) and not outcomes["OK"]
+    none_is_ok = bool(finished) and not outcomes["OK"]
     return 1 if done < wanted or outcomes["ABORTED"] or none_is_ok else 0
 
 
@@ -140,7 +142,7 @@ def plan_of(args: argparse.Namespace) -> ExperimentPlan | None:
     """
     if args.plan is None:
         return None
-    given = {
+    options = {
         "SCENARIO": args.scenario,
         "--objects": args.objects,
         "--cases": args.cases,
@@ -150,8 +152,8 @@ def plan_of(args: argparse.Namespace) -> ExperimentPlan | None:
         "--set": args.settings or None,
         "--sensitivity": args.sensitivity or None,
     }
-    if also := [name for name, value in given.items() if value is not None]:
-        raise InputError(f"{also[0]} and --plan exclude each other: the plan says what to run")
+    if conflicting := [name for name, value in options.items() if value is not None]:
+        raise InputError(f"{conflicting[0]} and --plan exclude each other: the plan says what to run")
     return read_plan(args.plan)
 
 
@@ -162,15 +164,15 @@ def planned_campaigns(plan: ExperimentPlan, store: Store, plant: Simulator) -> d
         InputError: A scenario cannot be read, or its file cannot be written.
     """
     if not isinstance(store, Folder):
-        found = manifests_of(plan, plant)
-        return {open_store(f"{store}/{folder}"): manifest for folder, manifest in found.items()}
-    found = manifests_of(plan, plant, lambda campaign: store.path / campaign.folder / SCENARIO_FILE)
-    return {Folder(store.path / folder): manifest for folder, manifest in found.items()}
+        manifests = manifests_of(plan, plant)
+        return {open_store(f"{store}/{folder}"): manifest for folder, manifest in manifests.items()}
+    manifests = manifests_of(plan, plant, lambda campaign: store.path / campaign.folder / SCENARIO_FILE)
+    return {Folder(store.path / folder): manifest for folder, manifest in manifests.items()}
 
 
 def counted(reports: Iterable[TrialReport]) -> str:
     """Outcomes with their numbers, in words."""
-    return ", ".join(f"{count} {outcome}" for outcome, count in Counter(one.outcome for one in reports).items())
+    return ", ".join(f"{count} {outcome}" for outcome, count in Counter(report.outcome for report in reports).items())
 
 
 def warn_wrong(reports: Iterable[TrialReport], terminal: Terminal) -> None:
@@ -187,9 +189,9 @@ def check_without(without: Sequence[str], via: str) -> None:
     """
     if via != "nodes":
         raise InputError("--without goes with --via nodes only: trials inside this program have no nodes")
-    from impact_rs_ros.node_processes import ours  # as below
+    from impact_rs_ros.node_processes import nodes_to_start  # as below
 
-    ours(without)
+    nodes_to_start(without)
 
 
 def through_nodes(
@@ -236,19 +238,19 @@ def follow(
     reports: Iterator[tuple[Store, TrialReport]],
     campaigns: Mapping[Store, Manifest],
     terminal: Terminal,
-    what: str = "trials",
+    label: str = "trials",
 ) -> list[TrialReport]:
     """Show progress and failures while trials run; returns their reports."""
-    ran = []
+    finished = []
     total = sum(len(manifest.keys) for manifest in campaigns.values())
-    there = total - sum(len(still_to_run(store, manifest)) for store, manifest in campaigns.items())
-    with terminal.progress(what) as report_progress:
-        report_progress(there, total)
-        for number, (store, report) in enumerate(reports, start=there + 1):
-            ran.append(report)
+    present = total - sum(len(still_to_run(store, manifest)) for store, manifest in campaigns.items())
+    with terminal.progress(label) as report_progress:
+        report_progress(present, total)
+        for number, (store, report) in enumerate(reports, start=present + 1):
+            finished.append(report)
             if report.outcome == "ABORTED":
                 terminal.warn(f"{report.key.name}: {report.message or 'aborted'}")
                 terminal.warn(f"full error: {store}/{FAILURES}/{report.key.name}.txt")
                 terminal.trace(report.trace)
             report_progress(number, total)
-    return ran
+    return finished

@@ -19,7 +19,7 @@ from impact_rs_analysis.evidence.aligned_bags import check_free, write_aligned
 from impact_rs_analysis.evidence.cluster import SCALE
 from impact_rs_analysis.evidence.tracks import track_of_run
 from impact_rs_analysis.report.comparison import yardstick_of, yardstick_of_residuals
-from impact_rs_cli.arguments import number, on_local_runs
+from impact_rs_cli.arguments import on_local_runs, three_digits
 from impact_rs_cli.reading import measured, only_trials
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.model import Model, load_model
@@ -64,9 +64,9 @@ def _write_bags(directory: Path, measurements: Measurements, model: Model, termi
 
 def _show(document: ComparisonDocument, terminal: Terminal) -> None:
     floor = document.noise_floor
-    alone = "" if floor is None else f" (noise: {number(floor)})"
+    noise = "" if floor is None else f" (noise: {three_digits(floor)})"
     of_trials = document.source == "trials"
-    many = "" if document.trials == 1 else "s"
+    source = document.source.removesuffix("s") if document.trials == 1 else document.source
     where = (
         f" in {len(document.conditions)} condition{'' if len(document.conditions) == 1 else 's'}" if of_trials else ""
     )
@@ -74,15 +74,15 @@ def _show(document: ComparisonDocument, terminal: Terminal) -> None:
     if of_trials or document.score_unit == TIMES:
         unit = "" if floor is not None else f" times {SCALE}"
     terminal.say(
-        f"Model {document.model.name!r} against {document.trials} {document.source.removesuffix('s')}{many}{where}: "
-        f"score {number(document.score)}{unit}{alone}"
+        f"Model {document.model.name!r} against {document.trials} {source}{where}: "
+        f"score {three_digits(document.score)}{unit}{noise}"
     )
     if len(document.arms) > 1:
         terminal.say(f"arms: {'; '.join(arm.title for arm in document.arms)}")
     if (facts := document.recording) is not None:
         terminal.say(
-            f"{facts.samples} samples at {number(facts.sampled_Hz)} Hz, {number(facts.used_s)} s used, {facts.robot}, "
-            f"{facts.end_effector_mass_kg:g} kg on the flange; low-pass {facts.low_pass_Hz:g} Hz"
+            f"{facts.samples} samples at {three_digits(facts.sampled_Hz)} Hz, {three_digits(facts.used_s)} s used, "
+            f"{facts.robot}, {facts.end_effector_mass_kg:g} kg on the flange; low-pass {facts.low_pass_Hz:g} Hz"
         )
         _show_joints(document, terminal)
     else:
@@ -107,16 +107,20 @@ def _show_agreement(agreement: AgreementDocument, yardstick: str, terminal: Term
     table.add_column("")
     for name in agreement.names:
         table.add_column(name, justify="right")
-    for place, own in agreement.by_joint.items():
-        cells = [own.get(name) for name in agreement.names]
+    for joint, relations in agreement.by_joint.items():
+        cells = [relations.get(name) for name in agreement.names]
         table.add_row(
-            place, *("" if one is None else f"{'' if one.agrees else '≠ '}{number(one.times_noise)}" for one in cells)
+            joint,
+            *(
+                "" if relation is None else f"{'' if relation.agrees else '≠ '}{three_digits(relation.times_noise)}"
+                for relation in cells
+            ),
         )
     terminal.say(table)
     for name in agreement.names:
         terminal.say(f"  {name}: between {', '.join(agreement.readings_of(name))}")
-    for one in agreement.in_common:
-        terminal.say(f"  {one.in_words}")
+    for relation in agreement.in_common:
+        terminal.say(f"  {relation.in_words}")
 
 
 def _show_joints(document: ComparisonDocument, terminal: Terminal) -> None:
@@ -126,7 +130,7 @@ def _show_joints(document: ComparisonDocument, terminal: Terminal) -> None:
     for heading in ("joint", f"rms [{unit}]", f"mean [{unit}]", f"noise [{unit}]"):
         table.add_column(heading, justify="left" if heading == "joint" else "right")
     for row in rows:
-        table.add_row(row.index, number(row.error), f"{row.mean or 0.0:+.3g}", number(row.noise_floor))
+        table.add_row(row.index, three_digits(row.error), f"{row.mean or 0.0:+.3g}", three_digits(row.noise_floor))
     terminal.say(table)
     for cell in document.where[:4]:
         terminal.say(f"  {100 * cell.share:.0f} %: {cell.index} {cell.phase}, mean {cell.error:+.3g} {cell.unit}")
@@ -141,29 +145,29 @@ def _show_levels(document: ComparisonDocument, terminal: Terminal) -> None:
     for name, level in document.levels.items():
         if level.signals:
             row = max(level.signals, key=lambda row: row.size)
-            worst = f"{row.arm + ', ' if row.arm else ''}{row.signal}: {number(row.error)} {row.unit} rms"
+            worst = f"{row.arm + ', ' if row.arm else ''}{row.signal}: {three_digits(row.error)} {row.unit} rms"
             worst += ", below its relevance limit" if row.error < row.floor else ""
         elif entries := [entry for entry in level.entries if entry.signal != JOINT_VELOCITY_JUMP]:
             entry = max(entries, key=lambda entry: entry.times_noise)
             worst = f"{entry.signal} {entry.index}: {entry.error:+.3g} {entry.unit}"
         else:
             continue
-        table.add_row(name.replace("_", " "), number(level.times_noise), worst)
+        table.add_row(name.replace("_", " "), three_digits(level.times_noise), worst)
     terminal.say(table)
     shared = document.source == "impacts" and document.noise_floor is None
     size = "" if shared else f"; size: times {yardstick_of_residuals(document)}"
-    places = Table(title=escape(f"Where it fails (measured minus model{size})"))
+    failures = Table(title=escape(f"Where it fails (measured minus model{size})"))
     for heading in ("object", "case", "phase", "signal"):
-        places.add_column(heading)
-    places.add_column("", no_wrap=True)  # of two arms it begins with the arm's name
-    places.add_column("error", justify="right")
+        failures.add_column(heading)
+    failures.add_column("", no_wrap=True)  # of two arms it begins with the arm's name
+    failures.add_column("error", justify="right")
     shown = [cell for cell in document.where if cell.matters][:MAX_SHOWN_CONDITIONS]
     if not shown:
         terminal.say("all residuals are below their relevance limits")
         return
-    places.add_column("share" if shared else "size", justify="right")
+    failures.add_column("share" if shared else "size", justify="right")
     for cell in shown:
         error = f"{cell.error:+.3g} {cell.unit}"
-        size = f"{100 * cell.share:.0f} %" if shared else number(cell.size)
-        places.add_row(cell.object, cell.case, cell.phase, cell.signal, cell.index, error, size)
-    terminal.say(places)
+        size = f"{100 * cell.share:.0f} %" if shared else three_digits(cell.size)
+        failures.add_row(cell.object, cell.case, cell.phase, cell.signal, cell.index, error, size)
+    terminal.say(failures)

@@ -18,7 +18,7 @@ from impact_rs_analysis.diagnosis.document import write_document
 from impact_rs_analysis.diagnosis.history import history
 from impact_rs_analysis.report.comparison import write_comparison
 from impact_rs_analysis.report.page_names import COMPARISON_PAGE, DIAGNOSIS_PAGE
-from impact_rs_cli.arguments import number
+from impact_rs_cli.arguments import three_digits
 from impact_rs_cli.commands.analyze import report_on
 from impact_rs_cli.commands.campaign import warn_wrong
 from impact_rs_cli.commands.compare import comparison_of
@@ -91,17 +91,17 @@ def _record(manifests: list[tuple[Path, Manifest]], hidden: Model | None, termin
         return 0
     secret = "" if hidden is None else "; the plant has one hidden physical effect"
     terminal.say(f"Running {len(todo)} trials through the ROS 2 nodes{secret}.")
-    ran = []
+    reports = []
     with terminal.progress("trials") as report_progress:
         report_progress(0, len(todo))
         for count, report in enumerate(_through_nodes(todo, hidden), start=1):
-            ran.append(report)
+            reports.append(report)
             if report.outcome == "ABORTED":
                 terminal.warn(f"{report.key.name}: {report.message or 'aborted'}")
                 terminal.trace(report.trace)
             report_progress(count, len(todo))
-    warn_wrong(ran, terminal)
-    return sum(report.outcome == "ABORTED" for report in ran)
+    warn_wrong(reports, terminal)
+    return sum(report.outcome == "ABORTED" for report in reports)
 
 
 def _through_nodes(todo: list[tuple[Path, Manifest, TrialKey]], hidden: Model | None) -> Iterator[TrialReport]:
@@ -155,14 +155,14 @@ def walk_the_loop(
         show_history(versions, terminal)
         links = {f"{MODEL}/{COMPARISON_PAGE}": f"model '{MODEL}'", DIAGNOSIS_PAGE: "what it lacks"}
         write_comparison(after, measurements.tracks(child), versions, reports, links)
-    found = document.effect(name)
-    assert found is not None
-    truth, estimate = next(iter(hidden.parameters.values())), next(iter(found.parameters.values()))
+    effect = document.effect(name)
+    assert effect is not None
+    truth, estimate = next(iter(hidden.parameters.values())), next(iter(effect.parameters.values()))
     terminal.say(
         "",
         f"The plant hid {hidden.name} = {truth.estimate:g}. The diagnosis named {' and '.join(document.named)} = "
         f"{estimate_in_line(estimate.estimate, estimate.ci95)}, "
-        f"and the error of the model fell from {number(before.score)} to {number(after.score)} times "
+        f"and the error of the model fell from {three_digits(before.score)} to {three_digits(after.score)} times "
         "repeatability.",
         "Reports:",
         f"  where the model fails   {(before_reports / COMPARISON_PAGE).resolve()}",

@@ -13,7 +13,7 @@ from impact_rs_analysis.design.possible_trials import Envelope
 from impact_rs_analysis.diagnosis.document import CalibrationExperiment, read_document
 from impact_rs_analysis.diagnosis.verdicts.measurement import calibration_text, experiments_of
 from impact_rs_analysis.diagnosis.verdicts.next_experiment import considered, left_open
-from impact_rs_cli.arguments import started
+from impact_rs_cli.arguments import started_workers
 from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             raise error.in_file(args.after) from None
         model = considered(document, model)
         earlier, experiments = document.runs.digest, experiments_of(document)
-    with started(args) as map_tasks:
+    with started_workers(args) as map_tasks:
         runs = None if args.runs is None else read_trials(args.runs, map_tasks, terminal)
         if runs is not None:
             earlier = runs.digest
@@ -58,8 +58,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         with output_folder(args.output.parent):
             write_plan(plan, args.output)
     _show(plan, terminal)
-    for one in experiments:
-        terminal.say(calibration_text(one))
+    for experiment in experiments:
+        terminal.say(calibration_text(experiment))
     terminal.result(plan.model_dump(mode="json"))
     if args.output is not None:
         terminal.say(
@@ -74,8 +74,12 @@ def _show(plan: ExperimentPlan, terminal: Terminal) -> None:
     for name, settings in (("trials", {"justify": "right"}), ("condition", {}), ("what they add", {})):
         table.add_column(name, overflow="fold", **settings)  # type: ignore[arg-type]
     for campaign in plan.campaigns:
-        for one in campaign.conditions:
-            table.add_row(str(one.trials), one.what, one.buys.removeprefix(f"{one.trials} x {one.what} "))
+        for condition in campaign.conditions:
+            table.add_row(
+                str(condition.trials),
+                condition.what,
+                condition.buys.removeprefix(f"{condition.trials} x {condition.what} "),
+            )
     terminal.say(table)
     if plan.pairs:
         pairs = Table(title="Probability that the next diagnosis distinguishes them, least certain first")

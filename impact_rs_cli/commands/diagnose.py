@@ -30,7 +30,7 @@ from impact_rs_analysis.diagnosis.search.budget import UNLIMITED, Budget
 from impact_rs_analysis.diagnosis.verdict import NO_IMPROVEMENT, TOO_FEW, UNIDENTIFIABLE, DiagnosisVerdict
 from impact_rs_analysis.diagnosis.verdicts.measurement import calibration_text
 from impact_rs_analysis.diagnosis.verdicts.words import not_excluded, shown_unnamed
-from impact_rs_cli.arguments import number, on_local_runs
+from impact_rs_cli.arguments import on_local_runs, three_digits
 from impact_rs_cli.interrupt import INTERRUPTED, ends_at_interrupt
 from impact_rs_cli.parser import command_line
 from impact_rs_cli.reading import measured
@@ -79,9 +79,11 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 
 def options_of(args: argparse.Namespace) -> dict[str, Any]:
     """The given options that select the measurements, by name; paths are absolute, valid in every folder."""
-    saying = [one for one in DIAGNOSE.options if one not in JOBS and one.kind not in (*WRITTEN, "json")]
-    given = {one.name: getattr(args, one.name) for one in saying if one.words(getattr(args, one.name))}
-    options = {one.name: one for one in saying}
+    selecting = [option for option in DIAGNOSE.options if option not in JOBS and option.kind not in (*WRITTEN, "json")]
+    given = {
+        option.name: getattr(args, option.name) for option in selecting if option.words(getattr(args, option.name))
+    }
+    options = {option.name: option for option in selecting}
     return {name: _absolute(options[name], value, args.runs) for name, value in given.items()}
 
 
@@ -116,8 +118,8 @@ def discover_command(args: argparse.Namespace, model: Model) -> str:
         model: The model that was diagnosed; formulas beyond it are unknown to ``discover``.
     """
     effects = None if args.effects is None else [name for name in args.effects if name in model.known_effects]
-    own = {"effects": effects, "report": None, "output": "discovery.json", "json": False}
-    return command_line("discover", vars(args) | own)
+    changed_options = {"effects": effects, "report": None, "output": "discovery.json", "json": False}
+    return command_line("discover", vars(args) | changed_options)
 
 
 def diagnosis_of(
@@ -167,7 +169,7 @@ def show(document: DiagnosisDocument, terminal: Terminal) -> None:
         if effect.verdict not in (NO_IMPROVEMENT, UNIDENTIFIABLE, TOO_FEW):
             terminal.say(estimates_table(effect.name, effect.parameters))
             for size in effect.sizes[:1]:
-                terminal.say(f"  moves {size.signal} ({size.phase}) by up to {number(size.value)} {size.unit}")
+                terminal.say(f"  moves {size.signal} ({size.phase}) by up to {three_digits(size.value)} {size.unit}")
     if document.dependences:
         terminal.say(dependences_table(document))
     if len(shown) > MAX_LISTED_EFFECTS:
@@ -180,8 +182,8 @@ def show(document: DiagnosisDocument, terminal: Terminal) -> None:
         terminal.say(f"not excluded at a noticeable size: {small}")
     for remark in document.remarks:
         terminal.say(f"note: {remark}")
-    for one in document.calibrate:
-        terminal.say(calibration_text(one))
+    for calibration in document.calibrate:
+        terminal.say(calibration_text(calibration))
     if document.next_experiment is not None:
         terminal.say(f"next experiment: {document.next_experiment.advice}")
 
@@ -193,7 +195,7 @@ def _joints_table(document: DiagnosisDocument) -> Table:
     for heading in ("", *(row.joint for row in document.joints)):
         table.add_column(heading, justify="right")
     for name in ("before", "after", "noise"):
-        table.add_row(name, *(number(getattr(row, name)) for row in document.joints))
+        table.add_row(name, *(three_digits(getattr(row, name)) for row in document.joints))
     return table
 
 
@@ -207,7 +209,7 @@ def _effects_table(document: DiagnosisDocument, shown: Sequence[EffectDocument])
     table.add_column("p", justify="right", no_wrap=True)
     for effect in shown:
         before, after, alone = (
-            "–" if error is None else number(error)
+            "–" if error is None else three_digits(error)
             for error in (effect.held_out_error_without, effect.held_out_error_after, effect.held_out_error_alone)
         )
         table.add_row(
@@ -226,13 +228,15 @@ def dependences_table(document: DiagnosisDocument) -> Table:
     table.add_column("effect", no_wrap=True)
     table.add_column("covariate", no_wrap=True)
     verdicts = []
-    for one in document.dependences:
-        why = f": {one.reason}" if one.verdict == NO_IMPROVEMENT and one.reason else ""
-        verdicts.append(f"{_verdict_text(one.verdict)}{why}")
+    for dependence in document.dependences:
+        reason = f": {dependence.reason}" if dependence.verdict == NO_IMPROVEMENT and dependence.reason else ""
+        verdicts.append(f"{_verdict_text(dependence.verdict)}{reason}")
     add_word_column(table, "verdict", verdicts)
     table.add_column("p", justify="right", no_wrap=True)
-    for one, verdict in zip(document.dependences, verdicts, strict=True):
-        table.add_row(one.effect, one.covariate, verdict, p_text(one.p_value, document.design.least_p))
+    for dependence, verdict in zip(document.dependences, verdicts, strict=True):
+        table.add_row(
+            dependence.effect, dependence.covariate, verdict, p_text(dependence.p_value, document.design.least_p)
+        )
     return table
 
 

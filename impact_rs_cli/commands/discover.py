@@ -12,7 +12,7 @@ from impact_rs_analysis.diagnosis.laws.discover import discover
 from impact_rs_analysis.diagnosis.laws.discovery_document import DiscoveryDocument, LawDocument, write_discovery
 from impact_rs_analysis.diagnosis.laws.grammar import load_grammar
 from impact_rs_analysis.report.discovery import write_report
-from impact_rs_cli.arguments import number, on_local_runs
+from impact_rs_cli.arguments import on_local_runs, three_digits
 from impact_rs_cli.commands.diagnose import add_command
 from impact_rs_cli.reading import measured
 from impact_rs_cli.terminal import Terminal, output_folder
@@ -78,16 +78,16 @@ def _show_law(law: LawDocument, terminal: Terminal) -> None:
     terminal.say(f"  seen for {domain.quantity} from {domain.low:.3g} to {domain.high:.3g} {domain.unit}")
     if curve is None:
         return
-    others = "straight between these values" if law.curved else "the law, and a free curve fitted to the same data"
-    table = Table(title=f"{law.place} [{curve.unit}]: {others}")
+    explanation = "straight between these values" if law.curved else "the law, and a free curve fitted to the same data"
+    table = Table(title=f"{law.place} [{curve.unit}]: {explanation}")
     for heading in (domain.quantity, *(() if law.curved else ("law",)), "free curve", "95 % interval"):
         table.add_column(heading, justify="right", no_wrap=True)
     for point in curve.points:
-        interval = f"{number(point.ci95[0])} ... {number(point.ci95[1])}"
-        said = () if law.curved else (number(point.law),)
-        table.add_row(number(point.at), *said, number(point.force), interval)
+        interval = f"{three_digits(point.ci95[0])} ... {three_digits(point.ci95[1])}"
+        law_cells = () if law.curved else (three_digits(point.law),)
+        table.add_row(three_digits(point.at), *law_cells, three_digits(point.force), interval)
     terminal.say(table)
 
 
 def _errors(law: LawDocument) -> str:
-    return f"{number(law.held_out_error_before)} → {number(law.held_out_error_after)}"
+    return f"{three_digits(law.held_out_error_before)} → {three_digits(law.held_out_error_after)}"

@@ -17,14 +17,14 @@ from impact_rs_sim.errors import InputError, did_you_mean
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    known: dict[str, Effect] = dict(library())
+    effects: dict[str, Effect] = dict(library())
     if args.formulas is not None:
-        known |= load_formulas(args.formulas)
-    if args.name is not None and args.name not in known:
+        effects |= load_formulas(args.formulas)
+    if args.name is not None and args.name not in effects:
         raise InputError(
-            f"no effect {args.name!r}{did_you_mean(args.name, known)}; known effects: {', '.join(sorted(known))}"
+            f"no effect {args.name!r}{did_you_mean(args.name, effects)}; known effects: {', '.join(sorted(effects))}"
         )
-    chosen = known if args.name is None else {args.name: known[args.name]}
+    chosen = effects if args.name is None else {args.name: effects[args.name]}
     terminal.result({"effects": [_describe(effect) for effect in chosen.values()]})
     if args.name is None:
         table = Table(title=f"Library of physical effects; {PROGRAM} effects NAME explains one")
@@ -39,8 +39,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     phases = "free motion and contact" if len(effect.phases) == 2 else effect.phases[0]
     terminal.say(f"{effect.name}: {effect.sentence}", f"acts on: {effect.acts_on}; seen in: {phases}")
     if effect.calibration:
-        what = "a fault of a reading; to calibrate it" if effect.of_measurement else "to determine it"
-        terminal.say(f"{what}: {effect.calibration}")
+        purpose = "a fault of a reading; to calibrate it" if effect.of_measurement else "to determine it"
+        terminal.say(f"{purpose}: {effect.calibration}")
     table = Table(title="Parameters")
     for heading in ("parameter", "unit", "no effect at", "bounds", "noticeable", "description"):
         table.add_column(heading)

@@ -45,14 +45,14 @@ def check(args: argparse.Namespace, terminal: Terminal) -> int:
     with terminal.progress("digests") as report_progress:
         checks = check_package(package, args.data, report_progress)
     terminal.say(f"{package.name}: {package.diagnosis.verdict}", package.diagnosis.summary)
-    for one in checks:
-        terminal.say(f"  {'passed' if one.passed else 'FAILED'}  {one.what}: {one.found}")
+    for result in checks:
+        terminal.say(f"  {'passed' if result.passed else 'FAILED'}  {result.what}: {result.found}")
     if args.data is None:
         terminal.say(f"  the {len(package.data)} files of measurements were not checked; --data does")
     versions = ", ".join(f"{name} {value}" for name, value in package.versions.items() if value)
     terminal.say(f"  packed with {versions}")
-    passed = all(one.passed for one in checks)
-    terminal.result({"package": package.name, "passed": passed, "checks": [vars(one) for one in checks]})
+    passed = all(result.passed for result in checks)
+    terminal.result({"package": package.name, "passed": passed, "checks": [vars(result) for result in checks]})
     return 0 if passed else 1
 
 
@@ -76,12 +76,21 @@ def _show(merged: MergedEvidence, terminal: Terminal) -> None:
     table = Table(title=f"{len(merged.packages)} packages of evidence")
     for heading in ("parameter", "together, 95 % interval", "packages", "I^2", "belongs to"):
         table.add_column(heading, overflow="fold")
-    for one in merged.parameters:
-        whole = f"{estimate_in_line(one.pooled.estimate, one.pooled.ci95)} {one.unit}"
-        groups = "".join(f"\n{label}: {estimate_in_line(own.estimate, own.ci95)}" for label, own in one.groups.items())
-        belongs = " or ".join(one.belongs_to)
-        count = f"{one.pooled.packages} of {len(one.contributions)}"
-        table.add_row(f"{one.effect}.{one.parameter}", whole, count, f"{one.inconsistency:.0%}", belongs + groups)
+    for parameter in merged.parameters:
+        pooled = f"{estimate_in_line(parameter.pooled.estimate, parameter.pooled.ci95)} {parameter.unit}"
+        groups = "".join(
+            f"\n{label}: {estimate_in_line(group_estimate.estimate, group_estimate.ci95)}"
+            for label, group_estimate in parameter.groups.items()
+        )
+        owners = " or ".join(parameter.belongs_to)
+        count = f"{parameter.pooled.packages} of {len(parameter.contributions)}"
+        table.add_row(
+            f"{parameter.effect}.{parameter.parameter}",
+            pooled,
+            count,
+            f"{parameter.inconsistency:.0%}",
+            owners + groups,
+        )
     terminal.say(table)
     for laboratory, where in merged.odd.items():
         terminal.say(f"ODD: {laboratory} does not agree with the others in {', '.join(where)}; left out there")

@@ -10,7 +10,7 @@ from pathlib import Path
 from impact_rs_analysis.application.observer import warn_skipped
 from impact_rs_analysis.measure.data_set import extend
 from impact_rs_analysis.measure.export import check_target, export
-from impact_rs_cli.arguments import started
+from impact_rs_cli.arguments import started_workers
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.descriptions import FORMATS, ExportedScene
 from impact_rs_sim.errors import InputError
@@ -37,15 +37,15 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     with (
         local_copy(args.campaign) as directory,
         # Signals are read in this process: they would be most of the work to pass on.
-        started(args) if args.output.suffix == ".parquet" else nullcontext(map) as map_tasks,
+        started_workers(args) if args.output.suffix == ".parquet" else nullcontext(map) as map_tasks,
         output_folder(args.output.parent),
         terminal.progress("reading bags") as report_progress,
     ):
-        found = export(directory.absolute(), args.output, map_tasks, report_progress)
-    warn_skipped([(bag.name, bag.reason) for bag in found.skipped], terminal)
-    skipped = [vars(bag) for bag in found.skipped]
-    terminal.result({"file": str(args.output), "trials": found.trials, "skipped": skipped})
-    terminal.say(f"{found.trials} trials in {args.output}")
+        exported = export(directory.absolute(), args.output, map_tasks, report_progress)
+    warn_skipped([(bag.name, bag.reason) for bag in exported.skipped], terminal)
+    skipped = [vars(bag) for bag in exported.skipped]
+    terminal.result({"file": str(args.output), "trials": exported.trials, "skipped": skipped})
+    terminal.say(f"{exported.trials} trials in {args.output}")
     return 0
 
 
@@ -67,8 +67,8 @@ def _describe(args: argparse.Namespace, targets: dict[str, Path], terminal: Term
     for name, path in targets.items():
         write_whole(path, written[name].text)
         terminal.say(f"{FORMATS[name].label}: {path}")
-        for one in written[name].left_out:
-            terminal.say(f"  not in it: {one}")
+        for item in written[name].left_out:
+            terminal.say(f"  not in it: {item}")
     terminal.result(
         {
             name: {"file": str(path), "remarks": written[name].remarks, "left_out": written[name].left_out}
@@ -82,13 +82,13 @@ def _extend(args: argparse.Namespace, terminal: Terminal) -> int:
     """Bring a data set up to date with the campaign."""
     args.resumable = True
     with (
-        started(args) as map_tasks,
+        started_workers(args) as map_tasks,
         output_folder(args.output),
         terminal.progress("reading new bags") as report_progress,
     ):
-        found = extend(args.campaign, args.output, map_tasks, report_progress)
-    warn_skipped([(bag.name, bag.reason) for bag in found.skipped], terminal)
-    skipped = [vars(bag) for bag in found.skipped]
-    terminal.result({"folder": str(args.output), "trials": found.trials, "read": found.read, "skipped": skipped})
-    terminal.say(f"{found.trials} trials in {args.output}, {found.read} of them read now")
+        data_set = extend(args.campaign, args.output, map_tasks, report_progress)
+    warn_skipped([(bag.name, bag.reason) for bag in data_set.skipped], terminal)
+    skipped = [vars(bag) for bag in data_set.skipped]
+    terminal.result({"folder": str(args.output), "trials": data_set.trials, "read": data_set.read, "skipped": skipped})
+    terminal.say(f"{data_set.trials} trials in {args.output}, {data_set.read} of them read now")
     return 0

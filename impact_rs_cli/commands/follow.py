@@ -20,7 +20,7 @@ from impact_rs_analysis.evidence.calibration import calibration_of
 from impact_rs_analysis.following.documents import ChangeDiagnosis, FollowDocument, HitDocument, NextHit
 from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.hits import HitSource
-from impact_rs_cli.arguments import number, on_local_runs
+from impact_rs_cli.arguments import on_local_runs, three_digits
 from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_cli.parser import PROGRAM
 from impact_rs_cli.terminal import Terminal
@@ -46,11 +46,11 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         exact=args.no_discrepancy, calibration=args.calibration,
     )  # fmt: skip
     model, calibration = load_model(args.model), calibration_of(hits.data, hits.calibration)
-    whole = calibration.of(model)
+    calibrated_model = calibration.of(model)
     if calibration:
         terminal.say(f"calibration of the readings: {calibration.text}")
-    hit_source = hit_source_of(hits, whole)
-    follower = Follower(hit_source, whole, args.effects, args.learn, args.mean_time)
+    hit_source = hit_source_of(hits, calibrated_model)
+    follower = Follower(hit_source, calibrated_model, args.effects, args.learn, args.mean_time)
     options = diagnose_options(hits, str(args.model), args.effects)
     diagnosis = FullDiagnosis(options, folder_of_diagnoses(args.diagnoses, args.state))
     followed = FollowedHits(hits, follower, args.state, None if args.no_diagnosis else diagnosis)
@@ -65,13 +65,13 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             _warn_of_refused(hit_source, terminal)
     _warn_of_refused(hit_source, terminal)
     followed.save()
-    found = None
+    full_diagnosis = None
     try:
         _say_more(followed, terminal)
         if args.live:
             documents += _live(followed, diagnosis, terminal)
         else:
-            found = _awaited(diagnosis, terminal)
+            full_diagnosis = _awaited(diagnosis, terminal)
     finally:
         diagnosis.stop()
     _warn_of_refused(hit_source, terminal)
@@ -80,13 +80,13 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         hits=tuple(documents),
         followed=follower.followed(),
         prediction=follower.prediction(),
-        diagnosis=found,
+        diagnosis=full_diagnosis,
         skipped=hit_source.skipped,
     )
     _show(result, follower, terminal)
     if args.output is not None:
-        now = calibration.removed_from(follower.model_now(args.output.stem, str(args.model)))
-        save_model(now.model_copy(update={"parent_digest": model.digest}), args.output)
+        updated_model = calibration.removed_from(follower.model_now(args.output.stem, str(args.model)))
+        save_model(updated_model.model_copy(update={"parent_digest": model.digest}), args.output)
         terminal.say(f"followed model: {args.output}")
     terminal.result(result.model_dump(mode="json"))
     return 0
@@ -101,18 +101,18 @@ def _warn_of_refused(hit_source: HitSource, terminal: Terminal) -> None:
 def _live(followed: FollowedHits, diagnosis: FullDiagnosis, terminal: Terminal) -> list[HitDocument]:
     """Wait for further hits until Ctrl-C."""
     terminal.say(f"waiting for hits in {followed.hits.data}; Ctrl-C ends")
-    found: list[HitDocument] = []
+    documents: list[HitDocument] = []
     try:
         while True:
             for document in followed.arrived():
-                found.append(document)
+                documents.append(document)
                 _say(document, diagnosis, terminal, every=True)
             _warn_of_refused(followed.follower.hit_source, terminal)
             _say_more(followed, terminal)
             _say_diagnosis(diagnosis.ended(), terminal)
             time.sleep(POLL_S)
     except KeyboardInterrupt:
-        return found
+        return documents
 
 
 def _awaited(diagnosis: FullDiagnosis, terminal: Terminal) -> ChangeDiagnosis | None:
@@ -130,22 +130,22 @@ def _say_more(followed: FollowedHits, terminal: Terminal) -> None:
         terminal.say(f"{text}, in a process of its own")
 
 
-def _say_diagnosis(found: ChangeDiagnosis | None, terminal: Terminal) -> ChangeDiagnosis | None:
+def _say_diagnosis(result: ChangeDiagnosis | None, terminal: Terminal) -> ChangeDiagnosis | None:
     """Say how a full diagnosis has ended."""
-    if found is not None:
-        terminal.say(f"full diagnosis: {found.words}", f"  {found.file}")
-    return found
+    if result is not None:
+        terminal.say(f"full diagnosis: {result.words}", f"  {result.file}")
+    return result
 
 
 def _say(document: HitDocument, diagnosis: FullDiagnosis, terminal: Terminal, every: bool = False) -> None:
     """Print the result of a hit: changes and outliers, or every hit."""
     if every and document.error is not None:
         terminal.say(
-            f"{document.name}: prediction off by {number(document.error)} standard deviations, "
+            f"{document.name}: prediction off by {three_digits(document.error)} standard deviations, "
             f"{document.milliseconds:.1f} ms"
         )
     if document.odd and document.change is None and document.error is not None:
-        terminal.say(f"{document.name}: odd, {number(document.error)} standard deviations off; it weighs less")
+        terminal.say(f"{document.name}: odd, {three_digits(document.error)} standard deviations off; it weighs less")
     if document.resolved:
         terminal.say(f"{document.name}: {document.resolved}")
     if (change := document.change) is not None:
@@ -160,8 +160,8 @@ def _say(document: HitDocument, diagnosis: FullDiagnosis, terminal: Terminal, ev
 
 
 def _show(document: FollowDocument, follower: Follower, terminal: Terminal) -> None:
-    known = [hit for hit in document.hits if hit.error is not None]
-    changes = sum(hit.change is not None for hit in known)
+    predicted_hits = [hit for hit in document.hits if hit.error is not None]
+    changes = sum(hit.change is not None for hit in predicted_hits)
     terminal.say(
         f"Model {document.model!r} through {len(document.hits)} hits: {changes} change{'' if changes == 1 else 's'}"
     )
@@ -172,9 +172,9 @@ def _show(document: FollowDocument, follower: Follower, terminal: Terminal) -> N
         table = Table(title="Believed parameters", title_justify="left")
         for heading in ("parameter", "estimate", "95 % interval", "unit"):
             table.add_column(heading, no_wrap=True)
-        for one in document.followed:
-            estimate, low, high = estimate_text(one.estimate, one.ci95)
-            table.add_row(one.parameter, estimate, f"{low} ... {high}", one.unit.strip("-"))
+        for parameter in document.followed:
+            estimate, low, high = estimate_text(parameter.estimate, parameter.ci95)
+            table.add_row(parameter.parameter, estimate, f"{low} ... {high}", parameter.unit.strip("-"))
         terminal.say(table)
     if document.prediction is not None:
         _show_prediction(document.prediction, terminal)

@@ -10,7 +10,7 @@ from dataclasses import asdict
 import numpy as np
 
 from impact_rs_analysis.application.observer import MAX_SHOWN_FILES
-from impact_rs_cli.arguments import started
+from impact_rs_cli.arguments import started_workers
 from impact_rs_cli.parser import command_line
 from impact_rs_cli.reading import experiment_file
 from impact_rs_cli.terminal import Terminal
@@ -31,17 +31,17 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     if file is None:
         raise InputError("no experiment file here; name one with --experiment (import writes one)", file=args.directory)
     experiment = load_experiment(file)
-    with started(args) as map_tasks:
+    with started_workers(args) as map_tasks:
         found = find_impacts(args.directory.absolute(), experiment, map_tasks)
     if not found.impacts:
-        reasons = "; ".join(f"{one.name}: {one.reason}" for one in found.left_out[:MAX_SHOWN_FILES])
+        reasons = "; ".join(f"{omitted.name}: {omitted.reason}" for omitted in found.left_out[:MAX_SHOWN_FILES])
         raise InputError(f"no impact was found in {found.runs} runs; {reasons}", file=args.directory)
     write_whole(args.output, table_text(found.impacts, found.constants))
     _show(found, terminal)
     terminal.result(
         {
             "table": str(args.output), "rows": len(found.impacts), "runs": found.runs,
-            "left_out": [asdict(one) for one in found.left_out], "remarks": list(found.remarks),
+            "left_out": [asdict(omitted) for omitted in found.left_out], "remarks": list(found.remarks),
         }
     )  # fmt: skip
     terminal.say(f"{args.output}: {len(found.impacts)} impacts of {found.runs} runs")
@@ -58,8 +58,8 @@ def _show(found: FoundImpacts, terminal: Terminal) -> None:
     for remark in found.remarks:
         terminal.say(f"note: {remark}")
     reasons: dict[str, list[str]] = {}
-    for one in found.left_out:
-        reasons.setdefault(one.reason, []).append(one.name)
+    for omitted in found.left_out:
+        reasons.setdefault(omitted.reason, []).append(omitted.name)
     for reason, names in reasons.items():
         shown = ", ".join(names[:MAX_SHOWN_FILES]) + (" ..." if len(names) > MAX_SHOWN_FILES else "")
         terminal.say(f"left out {len(names)}: {reason} ({shown})")

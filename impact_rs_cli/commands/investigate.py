@@ -14,7 +14,7 @@ from impact_rs_analysis.investigation.settings import BlindChoice, Settings, beg
 from impact_rs_analysis.investigation.story import LOG_FILE
 from impact_rs_analysis.report.family_tree import write_investigation
 from impact_rs_analysis.report.page_names import INVESTIGATION_PAGE
-from impact_rs_cli.arguments import check_robots, started
+from impact_rs_cli.arguments import check_robots, started_workers
 from impact_rs_cli.cell_guard import CellGuard
 from impact_rs_cli.commands.diagnose import check_effects
 from impact_rs_cli.terminal import Terminal, output_folder
@@ -36,7 +36,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     for name in settings.scenarios:
         check_robots(load_scenario(name), terminal)
     secret = secret_of(settings)
-    with output_folder(directory), owned(Folder(directory), "investigation"), started(args) as map_tasks:
+    with output_folder(directory), owned(Folder(directory), "investigation"), started_workers(args) as map_tasks:
         secret.check(directory)
         settings = begin(directory, settings)
         if settings.blind is not None:

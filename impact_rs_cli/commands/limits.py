@@ -15,7 +15,7 @@ from impact_rs_analysis.limits.hit_bounds import KIND_WORDS, KINDS, Thresholds
 from impact_rs_analysis.limits.poses import LimitTask, PlacedLimit, limit_of
 from impact_rs_analysis.limits.speed import HOLD_PROBABILITY, SpeedLimit
 from impact_rs_analysis.report.speed_limits import limits_document, write_limits
-from impact_rs_cli.arguments import settings_of, started
+from impact_rs_cli.arguments import settings_of, started_workers
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
@@ -36,48 +36,52 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     tasks = [
         LimitTask(scenario, item, case, thresholds=thresholds, draws=args.draws) for item in objects for case in cases
     ]
-    found: list[SpeedLimit] = []
-    places: list[PlacedLimit] = []
-    with started(args) as map_tasks, terminal.progress("speed limits") as report:
+    limits: list[SpeedLimit] = []
+    placed_limits: list[PlacedLimit] = []
+    with started_workers(args) as map_tasks, terminal.progress("speed limits") as report:
         total = len(tasks) + args.places**2
-        for one in map_tasks(limit_of, tasks):
-            assert one.limit is not None
-            found.append(one.limit)
-            report(len(found), total)
+        for result in map_tasks(limit_of, tasks):
+            assert result.limit is not None
+            limits.append(result.limit)
+            report(len(limits), total)
         if args.places:
-            least = min(found, key=lambda limit: limit.speed)
+            slowest = min(limits, key=lambda limit: limit.speed)
             steps = np.linspace(-args.span, args.span, args.places) if args.places > 1 else np.zeros(1)
-            around = [
-                LimitTask(scenario, least.object_name, least.case_name, float(x), float(z), thresholds, args.draws)
+            grid_tasks = [
+                LimitTask(scenario, slowest.object_name, slowest.case_name, float(x), float(z), thresholds, args.draws)
                 for z in steps
                 for x in steps
             ]
-            for one in map_tasks(limit_of, around):
-                places.append(one)
-                report(len(found) + len(places), total)
+            for result in map_tasks(limit_of, grid_tasks):
+                placed_limits.append(result)
+                report(len(limits) + len(placed_limits), total)
     page = None
     if args.output is not None:
         with output_folder(args.output):
-            page = write_limits(scenario, found, places, args.output)
-    terminal.result(limits_document(scenario, found, places))
-    terminal.say(_table(scenario.name, found))
-    slow = sum(not one.allowed for one in found)
+            page = write_limits(scenario, limits, placed_limits, args.output)
+    terminal.result(limits_document(scenario, limits, placed_limits))
+    terminal.say(_table(scenario.name, limits))
+    slow = sum(not result.allowed for result in limits)
     terminal.say(
-        f"{slow} of {len(found)} planned hits are too fast" if slow else "all planned hits are allowed",
+        f"{slow} of {len(limits)} planned hits are too fast" if slow else "all planned hits are allowed",
         "half: a bound is exceeded in half of the draws; the other columns count the bounds of one kind alone",
     )
-    for binding, count in Counter(one.binding for one in found).most_common():
-        terminal.say(f"nearest bound of {count} of {len(found)}: {binding}")
-    for kind in found[0].unknown:
+    for binding, count in Counter(result.binding for result in limits).most_common():
+        terminal.say(f"nearest bound of {count} of {len(limits)}: {binding}")
+    for kind in limits[0].unknown:
         terminal.warn(
             f"no bound of the {KIND_WORDS[kind]} is known: it limits nothing here (robot facts, section reflexes)"
         )
     if note := Physics.nominal(scenario, objects[0]).assumed:
         terminal.say(f"note: {note}")
-    if places:
-        reached = [one.limit.speed for one in places if one.limit is not None]
-        span = f"{min(reached):.3f} to {max(reached):.3f} m/s" if reached else "no speed: none can be reached"
-        terminal.say(f"{len(reached)} of {len(places)} places can be reached; they allow {span}")
+    if placed_limits:
+        reachable_speeds = [result.limit.speed for result in placed_limits if result.limit is not None]
+        span = (
+            f"{min(reachable_speeds):.3f} to {max(reachable_speeds):.3f} m/s"
+            if reachable_speeds
+            else "no speed: none can be reached"
+        )
+        terminal.say(f"{len(reachable_speeds)} of {len(placed_limits)} places can be reached; they allow {span}")
     if page is not None:
         terminal.say(f"page: {page.resolve()}")
     return 0
@@ -99,9 +103,9 @@ def _check(args: argparse.Namespace) -> None:
         raise InputError(f"argument --places: expected 0 to 25, got {args.places}")
 
 
-def _table(name: str, found: list[SpeedLimit]) -> Table:
+def _table(name: str, limits: list[SpeedLimit]) -> Table:
     """The table for the terminal."""
-    known = [kind for kind in KINDS if kind not in found[0].unknown]
+    kinds = [kind for kind in KINDS if kind not in limits[0].unknown]
     table = Table(
         title=escape(f"{name}: closing speed [m/s] up to which all bounds hold with {HOLD_PROBABILITY:.0%}"),
         pad_edge=False,
@@ -109,16 +113,16 @@ def _table(name: str, found: list[SpeedLimit]) -> Table:
     )
     for heading in ("object", "case"):
         table.add_column(heading, no_wrap=True)
-    for heading in ("planned", "allowed", "half", *known):
+    for heading in ("planned", "allowed", "half", *kinds):
         table.add_column(heading, justify="right", no_wrap=True)
-    for one in found:
+    for limit in limits:
         table.add_row(
-            one.object_name,
-            one.case_name,
-            f"{one.planned:.3f}",
-            _speed(one.speed),
-            _speed(one.middle),
-            *(_speed(one.by_kind[kind]) for kind in known),
+            limit.object_name,
+            limit.case_name,
+            f"{limit.planned:.3f}",
+            _speed(limit.speed),
+            _speed(limit.middle),
+            *(_speed(limit.by_kind[kind]) for kind in kinds),
         )
     return table
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from impact_rs_analysis.application.nominal_impact import planned_impact, velocities_before
-from impact_rs_cli.arguments import settings_of, started
+from impact_rs_cli.arguments import settings_of, started_workers
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactProblem, predict_impact
@@ -160,7 +160,7 @@ def _many(args: argparse.Namespace, terminal: Terminal) -> int:
     check_answers(args.output)
     scenario = load_scenario(args.scenario) if args.scenario is not None else None
     table = read_impact_table(args.table, scenario, questions=True)
-    with started(args) as map_tasks:
+    with started_workers(args) as map_tasks:
         answers = answer_table(table, map_tasks)
     write_answers(table, answers, args.output)
     for number, message in answers.messages.items():
@@ -211,14 +211,16 @@ def _uncertainty(prediction: UncertainPrediction) -> dict[str, Any]:
 
 def _say_uncertainty(prediction: UncertainPrediction, terminal: Terminal) -> None:
     """Intervals of linear velocities, with their largest sources."""
-    how = (
+    method = (
         "linear propagation"
         if prediction.method == "linear"
         else f"{prediction.draws} draws, contacts switch in {prediction.switched:.0%}"
     )
-    terminal.say(f"  {CONFIDENCE_LEVEL:.0%} intervals from the stated uncertainties ({how}):")
-    for what, share in [one for one in prediction.switches.items() if one[1] >= MIN_SWITCH_SHARE][:MAX_SHOWN_SWITCHES]:
-        terminal.say(f"    in {share:.0%} of the draws {what}")
+    terminal.say(f"  {CONFIDENCE_LEVEL:.0%} intervals from the stated uncertainties ({method}):")
+    for switch, share in [entry for entry in prediction.switches.items() if entry[1] >= MIN_SWITCH_SHARE][
+        :MAX_SHOWN_SWITCHES
+    ]:
+        terminal.say(f"    in {share:.0%} of the draws {switch}")
     for index, name in enumerate(prediction.names):
         if ".velocity." not in name:
             continue
@@ -231,29 +233,29 @@ def _say_uncertainty(prediction: UncertainPrediction, terminal: Terminal) -> Non
         terminal.say(f"    {name:<20} {value:>8} m/s  [{', '.join(ends)}]  {most}")
 
 
-def _derivatives(found: Derivatives) -> dict[str, Any]:
+def _derivatives(derivatives: Derivatives) -> dict[str, Any]:
     """Derivatives as JSON, velocity by velocity and parameter by parameter."""
     return {
-        "states": list(found.states),
-        "margin_m_s": None if np.isinf(found.margin) else found.margin,
-        "smooth": found.smooth,
-        "unit": {parameter.name: parameter.unit for parameter in found.parameters},
+        "states": list(derivatives.states),
+        "margin_m_s": None if np.isinf(derivatives.margin) else derivatives.margin,
+        "smooth": derivatives.smooth,
+        "unit": {parameter.name: parameter.unit for parameter in derivatives.parameters},
         "of": {
-            name: dict(zip((parameter.name for parameter in found.parameters), row.tolist(), strict=True))
-            for name, row in zip(found.names, found.jacobian, strict=True)
+            name: dict(zip((parameter.name for parameter in derivatives.parameters), row.tolist(), strict=True))
+            for name, row in zip(derivatives.names, derivatives.jacobian, strict=True)
         },
     }
 
 
-def _say_derivatives(found: Derivatives, name: str, terminal: Terminal) -> None:
+def _say_derivatives(derivatives: Derivatives, name: str, terminal: Terminal) -> None:
     """Derivatives of one velocity; all of them are in the JSON document."""
-    row = found.jacobian[found.names.index(name)]
-    states = ", ".join(f"{found.states.count(state)} {state}" for state in dict.fromkeys(found.states))
+    row = derivatives.jacobian[derivatives.names.index(name)]
+    states = ", ".join(f"{derivatives.states.count(state)} {state}" for state in dict.fromkeys(derivatives.states))
     terminal.say(
         f"  derivatives of {name}, contacts as they are ({states or 'none'}; the nearest change of state is "
-        f"{found.margin:.2g} m/s away); of all velocities with --json:"
+        f"{derivatives.margin:.2g} m/s away); of all velocities with --json:"
     )
-    for parameter, value in zip(found.parameters, row, strict=True):
+    for parameter, value in zip(derivatives.parameters, row, strict=True):
         if abs(value) > 1e-7:
             per = "" if parameter.unit == "-" else f" per {parameter.unit}"
             terminal.say(f"    {parameter.name:<28} {value:+11.4g} m/s{per}")

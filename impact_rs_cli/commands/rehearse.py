@@ -39,7 +39,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         for name, arm in plan.scene.physics.arms.items()
     }
     file = args.parameters
-    given = None if file is None else {kind: values_of(file, kind) for kind in ("cell", "watchdog")}
+    file_parameters = None if file is None else {kind: values_of(file, kind) for kind in ("cell", "watchdog")}
     done = 0
     with terminal.stages() as report:
 
@@ -48,40 +48,42 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             report(what, done, PHASES)
             done += 1
 
-        found = rehearse(plan, profile, reflexes, given or values_for(profile, plan.arms), args.seed, say)
-    document = {"scenario": scenario.name, "object": item, "case": plan.scene.case_name, "parameters": given}
-    document |= found.to_json()
+        checklist = rehearse(plan, profile, reflexes, file_parameters or values_for(profile, plan.arms), args.seed, say)
+    document = {"scenario": scenario.name, "object": item, "case": plan.scene.case_name, "parameters": file_parameters}
+    document |= checklist.to_json()
     page = None
     if args.output is not None:
         title = f"{scenario.name}, {item}, {plan.scene.case_name}"
         with output_folder(args.output):
-            page = write_rehearsal(title, f"{profile.name} ({profile.source})", found.margins, document, args.output)
+            page = write_rehearsal(
+                title, f"{profile.name} ({profile.source})", checklist.margins, document, args.output
+            )
     terminal.result(document)
     terminal.say(
         f"{scenario.name}, {item}, {plan.scene.case_name}, against a stand-in of {profile.name} ({profile.source})",
         f"driver: joints {profile.joints_of(plan.arms)}, states on {profile.states}, torques on {profile.commands}",
         *(() if file is None else (f"cell and watchdog: with the parameters of {file}",)),
-        *found.log,
-        _table(found),
+        *checklist.log,
+        _table(checklist),
     )
-    terminal.say(found.verdict)
+    terminal.say(checklist.verdict)
     if page is not None:
         terminal.say(f"page: {page.resolve()}")
-    return 0 if found.passed else 1
+    return 0 if checklist.passed else 1
 
 
 def _reflexes(facts: RobotFacts, torque: float | None, force: float | None) -> Reflexes:
     """Thresholds of the robot facts, or of the command line."""
-    own = facts.reflexes or Reflexes()
+    reflexes = facts.reflexes or Reflexes()
     update: dict[str, object] = {}
     if torque is not None:
         update["external_torque_Nm"] = (torque,) * facts.joint_count
     if force is not None:
         update["external_force_N"] = force
-    return own.model_copy(update=update)
+    return reflexes.model_copy(update=update)
 
 
-def _table(found: Checklist) -> Table:
+def _table(checklist: Checklist) -> Table:
     """The checklist for the terminal."""
     table = Table(title="checklist; times count from the start of the rehearsal")
     table.add_column("measured")
@@ -90,10 +92,16 @@ def _table(found: Checklist) -> Table:
     table.add_column("unit")
     table.add_column("where")
     table.add_column("")
-    for one in found.margins:
-        sign = "≥" if one.at_least else "≤"
-        verdict = "ok" if one.holds else "BEYOND"
+    for margin in checklist.margins:
+        sign = "≥" if margin.at_least else "≤"
+        verdict = "ok" if margin.holds else "BEYOND"
         table.add_row(
-            one.name, f"{one.value:.4g}", f"{sign} {one.bound:.4g}", f"{one.margin:.4g}", one.unit, one.where, verdict
+            margin.name,
+            f"{margin.value:.4g}",
+            f"{sign} {margin.bound:.4g}",
+            f"{margin.margin:.4g}",
+            margin.unit,
+            margin.where,
+            verdict,
         )
     return table

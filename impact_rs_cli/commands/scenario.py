@@ -29,20 +29,22 @@ def new(args: argparse.Namespace, terminal: Terminal) -> int:
     if name.endswith((".yaml", ".yml")):
         name = os.path.relpath(name, args.output.parent)
     with terminal.stages() as report:
-        found = draft(name, facts, args.kind, report, proposed)
+        drafted = draft(name, facts, args.kind, report, proposed)
     with output_folder(args.output.parent):
-        write_whole(args.output, found.text)
+        write_whole(args.output, drafted.text)
     terminal.result(
         {
             "file": str(args.output),
-            "speed_share": found.speed,
-            "poses_simulated": found.tried + 1,
-            "choices": dict(found.choices),
+            "speed_share": drafted.speed,
+            "poses_simulated": drafted.tried + 1,
+            "choices": dict(drafted.choices),
         }
     )
-    terminal.say("choices, which the head of the file repeats:", *(f"  {k}: {why}" for k, why in found.choices.items()))
-    if found.speed < 1.0:
-        terminal.say(f"at {100.0 * found.speed:.0f} % of the shipped speeds, which are too fast for these joints")
+    terminal.say(
+        "choices, which the head of the file repeats:", *(f"  {k}: {why}" for k, why in drafted.choices.items())
+    )
+    if drafted.speed < 1.0:
+        terminal.say(f"at {100.0 * drafted.speed:.0f} % of the shipped speeds, which are too fast for these joints")
     further = command_line("campaign", {"scenario": args.output, "output": f"campaigns/{args.output.stem}"})
     terminal.say(f"{args.output}: next: {further}")
     return 0

@@ -12,7 +12,7 @@ from impact_rs_analysis.application.measurements import read_laboratory
 from impact_rs_analysis.application.shown_runs import laboratory_run, write_page_of_trial
 from impact_rs_analysis.evidence.tracks import Track, track_of_run
 from impact_rs_analysis.report.trial import write_run
-from impact_rs_cli.arguments import started
+from impact_rs_cli.arguments import started_workers
 from impact_rs_cli.reading import experiment_file
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
@@ -85,8 +85,10 @@ def check_trial(path: Path) -> None:
         raise InputError(f"a file; expected the folder of a trial, which holds metadata.yaml{remedy}", file=path)
     if is_bag(path) or any(path.glob("*.mcap")):
         return
-    found = [str(file.parent) for file in islice(path.rglob(BAG_METADATA), MAX_SEARCHED_FOLDERS) if is_bag(file.parent)]
-    remedy = f"; there are trials below it, for example {min(found)}" if found else ", nor does a folder below it"
+    trials = [
+        str(file.parent) for file in islice(path.rglob(BAG_METADATA), MAX_SEARCHED_FOLDERS) if is_bag(file.parent)
+    ]
+    remedy = f"; there are trials below it, for example {min(trials)}" if trials else ", nor does a folder below it"
     raise InputError(f"not the folder of a trial: it holds neither metadata.yaml nor an .mcap file{remedy}", file=path)
 
 
@@ -100,21 +102,21 @@ def _laboratory_page(args: argparse.Namespace, terminal: Terminal) -> Path:
     if args.run_name is None:
         raise InputError("a folder of runs; select one with --run NAME")
     directory = args.path.absolute()
-    with started(args) as map_tasks:
+    with started_workers(args) as map_tasks:
         shown = laboratory_run(directory, args.experiment, args.run_name, map_tasks)
         path = _output(args, f"{directory.name}_{shown.name}.html")
-        beside = None if args.model is None else _beside_model(args, shown, map_tasks, terminal)
+        twin_track = None if args.model is None else _beside_model(args, shown, map_tasks, terminal)
     if shown.hit and shown.signals.object_time.size < 2:
         terminal.warn(f"{shown.name}: the pose of {shown.condition_key[1]} was not recorded, so it is not shown")
-    return write_run(shown, path, beside, "" if args.model is None else str(args.model)).resolve()
+    return write_run(shown, path, twin_track, "" if args.model is None else str(args.model)).resolve()
 
 
 def _beside_model(args: argparse.Namespace, shown: Run, map_tasks: Map, terminal: Terminal) -> Track:
     """The run and its twin; all runs are read, because their clocks are estimated together."""
     model = load_model(args.model)
     runs = read_laboratory(args.path, args.experiment, map_tasks, terminal)
-    found = next((own for own in runs.runs if own.path == shown.path), None)
-    if found is None:
+    compared_run = next((run for run in runs.runs if run.path == shown.path), None)
+    if compared_run is None:
         reason = dict(runs.skipped).get(str(shown.path), "it was left out")
         raise InputError(f"cannot be compared with a model: {reason}", file=shown.path)
-    return track_of_run(found, model)
+    return track_of_run(compared_run, model)

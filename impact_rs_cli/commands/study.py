@@ -26,10 +26,10 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             if not args.no_sensitivity:
                 campaigns = with_sensitivity(store, manifest)
             reports = owned_campaigns(store, campaigns, workforce)
-            ran = follow(reports, campaigns, terminal, f"{name}: trials")
-            failed += sum(report.outcome == "ABORTED" for report in ran)
-            warn_wrong(ran, terminal)
-            terminal.say(f"{name}: {counted(ran) or 'all trials had been recorded'}")
+            finished = follow(reports, campaigns, terminal, f"{name}: trials")
+            failed += sum(report.outcome == "ABORTED" for report in finished)
+            warn_wrong(finished, terminal)
+            terminal.say(f"{name}: {counted(finished) or 'all trials had been recorded'}")
     with terminal.progress("reading bags") as report_progress, workers(workforce) as map_tasks:
         analysis = analyze_study(args.output, report_progress, map_tasks)
     publish(analysis, args.output / "report", terminal, args.contact)

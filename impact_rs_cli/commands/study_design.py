@@ -15,7 +15,7 @@ from impact_rs_analysis.measure.design_study import (
 )
 from impact_rs_analysis.report.design_page import write_design_study
 from impact_rs_analysis.report.page_names import DESIGNS_TABLE
-from impact_rs_cli.arguments import started
+from impact_rs_cli.arguments import started_workers
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.numbers import CONFIDENCE_LEVEL
 from impact_rs_sim.scenarios.scenario import load_scenario
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         args.draws,
         args.seed,
     )
-    with output_folder(args.output), started(args) as map_tasks, terminal.stages() as report_progress:
+    with output_folder(args.output), started_workers(args) as map_tasks, terminal.stages() as report_progress:
         study = study_designs(conditions, tuple(dict.fromkeys(args.robots)), args.poses, map_tasks, report_progress)
         page = write_design_study(study, args.output)
     _show(study, args.rank_by, terminal)
@@ -48,14 +48,19 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 
 def _show(study: DesignStudy, measure: str, terminal: Terminal) -> None:
     """The first designs by one measure."""
-    what = MEASURES[measure]
-    table = Table(title=f"Most {what.label} of {len(study.designs)} designs")
-    for heading in ("robot/pose/motor inertia/pad", f"[{what.unit}]", f"{CONFIDENCE_LEVEL:.0%} interval", "rank"):
+    info = MEASURES[measure]
+    table = Table(title=f"Most {info.label} of {len(study.designs)} designs")
+    for heading in (
+        "robot/pose/motor inertia/pad",
+        f"[{info.unit}]",
+        f"{CONFIDENCE_LEVEL:.0%} interval",
+        "rank",
+    ):
         table.add_column(heading, no_wrap=True)
     for design, best, worst in study.ranked(measure)[:MAX_SHOWN_DESIGNS]:
-        found = design.measures[measure]
-        interval = f"{found.low:.3g} ... {found.high:.3g}"
-        table.add_row(design.name, f"{found.value:.3g}", interval, f"{best} to {worst}")
+        value = design.measures[measure]
+        interval = f"{value.low:.3g} ... {value.high:.3g}"
+        table.add_row(design.name, f"{value.value:.3g}", interval, f"{best} to {worst}")
     terminal.say(table)
 
 

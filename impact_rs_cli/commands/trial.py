@@ -23,16 +23,16 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         raise InputError("this bag exists already", file=path)
     with output_folder(args.output), terminal.progress(key.name) as report:
         report(0, 1)
-        ended = run_one(args.output, manifest.trial(key))
+        trial_report = run_one(args.output, manifest.trial(key))
         report(1, 1)
     bag = TrialBag.open(path)
-    info, trial = bag.info, net_feedback(bag) if ended.outcome in ANALYSED_OUTCOMES else None
+    info, trial = bag.info, net_feedback(bag) if trial_report.outcome in ANALYSED_OUTCOMES else None
     times = [bag.impact_time(arm) for arm in info.robots]
     terminal.result(
         {
             "bag": str(path),
-            "outcome": ended.outcome,
-            "message": ended.message,
+            "outcome": trial_report.outcome,
+            "message": trial_report.message,
             "axis": info.axis,
             "impact_time_s": [None if math.isnan(time) else time for time in times],
             "predicted_post_velocity_m_s": info.predicted_post_velocity,
@@ -40,14 +40,14 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             "net_feedback_m_s": None if trial is None else trial.net,
         }
     )
-    if ended.message:
-        terminal.warn(f"{ended.outcome}: {ended.message}")
+    if trial_report.message:
+        terminal.warn(f"{trial_report.outcome}: {trial_report.message}")
     if trial is not None:
         terminal.say(
-            f"{ended.outcome}: net feedback {trial.net:+.4f} m/s along {info.axis} at a post-impact reference of "
-            f"{info.reference_post_velocity:+.4f} m/s"
+            f"{trial_report.outcome}: net feedback {trial.net:+.4f} m/s along {info.axis} at a post-impact reference "
+            f"of {info.reference_post_velocity:+.4f} m/s"
         )
         for left in objects_left({(info.scenario, info.object, info.case_name): [trial.departures]}):
             terminal.warn(left.words)
     terminal.say(f"bag: {path}")
-    return 0 if ended.outcome == "OK" else 1
+    return 0 if trial_report.outcome == "OK" else 1

@@ -38,7 +38,7 @@ def up(scenario: str, domain_id: int | None = None, without: Sequence[str] = (),
         InputError: There is no such scenario, no such node, or no such namespace.
         KeyboardInterrupt: SIGINT or SIGTERM came before the nodes were up.
     """
-    known = load_scenario(scenario)
+    loaded = load_scenario(scenario)
     started = stopping = False
 
     def stop(number: int, frame: object) -> None:
@@ -48,7 +48,7 @@ def up(scenario: str, domain_id: int | None = None, without: Sequence[str] = (),
         if not started:
             raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    previous_handlers = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         notify = partial(print, flush=True)
         with Graph.running(
@@ -56,8 +56,8 @@ def up(scenario: str, domain_id: int | None = None, without: Sequence[str] = (),
         ) as graph:
             started = True
             names = [*graph.processes, *(f"{name} (yours)" for name in graph.foreign)]
-            which = known.name, next(iter(known.objects)), next(iter(known.cases))
-            print(_instructions(names, *which, full_namespace(namespace)), flush=True)
+            first_trial = loaded.name, next(iter(loaded.objects)), next(iter(loaded.cases))
+            print(_instructions(names, *first_trial, full_namespace(namespace)), flush=True)
             while not stopping:
                 for line in graph.replace_lost():
                     print(line, file=sys.stderr, flush=True)
@@ -67,23 +67,23 @@ def up(scenario: str, domain_id: int | None = None, without: Sequence[str] = (),
         print(error, file=sys.stderr)
         return 1
     finally:
-        for number, handler in before.items():
+        for number, handler in previous_handlers.items():
             signal.signal(number, handler)
     return 0
 
 
 def _instructions(nodes: Sequence[str], scenario: str, object_name: str, case: str, namespace: str) -> str:
-    what = f"{{scenario: {scenario}, object_name: {object_name}, case_name: {case}"
+    trial_fields = f"{{scenario: {scenario}, object_name: {object_name}, case_name: {case}"
     return "\n".join(
         (
             f"The nodes are up: {', '.join(nodes)}. Ctrl-C stops them.",
             "",
             "Run a trial into the folder trials/:",
             f"  ros2 action send_goal --feedback {within(namespace, 'run_trial')} impact_rs/action/RunTrial \\",
-            f'    "{what}, velocity_scale: 1.0, seed: 1, output_directory: trials}}"',
+            f'    "{trial_fields}, velocity_scale: 1.0, seed: 1, output_directory: trials}}"',
             "Call the impact map:",
             f"  ros2 service call {within(namespace, 'impact_map/predict')} impact_rs/srv/PredictImpact \\",
-            f'    "{{problem: {what}}}}}"',
+            f'    "{{problem: {trial_fields}}}}}"',
             "Monitor the nodes:",
             "  ros2 topic echo /diagnostics",
             f"  ros2 param describe {within(namespace, 'plant')} realtime",

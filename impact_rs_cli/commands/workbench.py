@@ -12,7 +12,7 @@ from contextlib import AbstractContextManager
 from impact_rs_cli.parser import PROGRAM
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
-from impact_rs_workbench.live_page import Lookout
+from impact_rs_workbench.live_page import SnapshotSource
 from impact_rs_workbench.server import serve
 
 
@@ -33,7 +33,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     return 0
 
 
-def _nodes(namespace: str) -> AbstractContextManager[Lookout]:
+def _nodes(namespace: str) -> AbstractContextManager[SnapshotSource]:
     """The running nodes of a namespace, watched."""
     from impact_rs_ros.spectator import Spectator  # ROS 2, once a page looks at nodes
 

@@ -44,7 +44,7 @@ def cell(domain_ids: Callable[[], int]) -> Iterator[CellNode]:
     node = CellNode()
     node.connect(["arm"])
     yield node
-    node._held = None
+    node._held_arms = None
     node.close()
     node.executor.shutdown(timeout_sec=1.0)
     node.node.destroy_node()
@@ -82,36 +82,36 @@ def test_leaving_a_trial_and_closing_the_node_go_on_until_the_arms_rest(
     cell: CellNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for leave in (cell._leave, cell.brake):
-        cell._held = Arms(5)  # type: ignore[assignment]
+        cell._held_arms = Arms(5)  # type: ignore[assignment]
         leave()
-        assert cell._held.looks == 0  # type: ignore[attr-defined]
+        assert cell._held_arms.looks == 0  # type: ignore[attr-defined]
     closed: list[str] = []
-    cell._held = Arms(5)  # type: ignore[assignment]
+    cell._held_arms = Arms(5)  # type: ignore[assignment]
     monkeypatch.setattr(cell_node.LeadingNode, "close", lambda self: closed.append("node"))
     for own in (cell._clock, cell._echo):
         monkeypatch.setattr(own, "close", lambda: None)
     cell.close()
-    assert cell._held.looks == 0 and closed == ["node"]  # type: ignore[attr-defined]
-    cell._held = None
+    assert cell._held_arms.looks == 0 and closed == ["node"]  # type: ignore[attr-defined]
+    cell._held_arms = None
 
 
 def test_arms_that_do_not_rest_call_for_the_emergency_stop(cell: CellNode, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cell_node, "MAX_BRAKING_S", 0.0)
     said: list[str] = []
     monkeypatch.setattr(cell, "log", type("Log", (), {"error": staticmethod(said.append)}))
-    cell._held = Arms(10**9)  # type: ignore[assignment]
+    cell._held_arms = Arms(10**9)  # type: ignore[assignment]
     cell.brake()
-    cell._held = None
+    cell._held_arms = None
     assert said == ["the arms did not come to rest within 0 s: press the emergency stop"]
 
 
 def test_arms_are_held_between_trials_and_before_one_begins(cell: CellNode) -> None:
-    cell._held = held = Arms(10**9)  # type: ignore[assignment]
+    cell._held_arms = held = Arms(10**9)  # type: ignore[assignment]
     for let_pass in (cell.turn, cell.wait):
         before = held.looks
         let_pass()
         assert held.looks < before
-    cell._held = None
+    cell._held_arms = None
 
 
 def test_without_an_effort_controller_nothing_is_armed(
@@ -127,14 +127,14 @@ def test_without_an_effort_controller_nothing_is_armed(
 
 
 def test_whoever_else_can_send_torques_is_named_and_nothing_is_armed(cell: CellNode, other: rclpy.node.Node) -> None:
-    assert cell._strangers() == ""
+    assert cell._unexpected_publishers() == ""
     other.create_publisher(Float64MultiArray, COMMANDS, COMMAND)
-    assert eventually(cell, lambda: cell._strangers() != "")
-    assert cell._strangers().startswith(f"/stranger can send torques on {COMMANDS} as well: stop it")
+    assert eventually(cell, lambda: cell._unexpected_publishers() != "")
+    assert cell._unexpected_publishers().startswith(f"/stranger can send torques on {COMMANDS} as well: stop it")
     with pytest.raises(InputError, match="^not armed: /stranger can send torques"):
         cell.prepare(PUSH, MAKER, None, True)  # type: ignore[arg-type]
     other.destroy_node()
-    assert eventually(cell, lambda: cell._strangers() == "")
+    assert eventually(cell, lambda: cell._unexpected_publishers() == "")
 
 
 @pytest.fixture
@@ -153,7 +153,7 @@ def test_with_a_watchdog_it_alone_sends_the_robot_torques_and_the_cell_sends_the
 ) -> None:
     assert eventually(watched, lambda: watched.node.count_publishers(COMMANDS) == 2)  # the cell's own is for its death
     assert watched.node.count_publishers(WATCHED) == 1
-    assert eventually(watched, lambda: watched._strangers() == "")
+    assert eventually(watched, lambda: watched._unexpected_publishers() == "")
     came: list[list[float]] = []
     watchdog.create_subscription(Float64MultiArray, COMMANDS, lambda message: pytest.fail("past the watchdog"), 10)
     watchdog.create_subscription(Float64MultiArray, WATCHED, lambda message: came.append(list(message.data)), 10)
@@ -168,15 +168,15 @@ def test_with_a_watchdog_it_alone_sends_the_robot_torques_and_the_cell_sends_the
     for topic in (COMMANDS, WATCHED):  # a second watchdog, a second cell
         second = watchdog.create_publisher(Float64MultiArray, topic, COMMAND)
         said = f"/watchdog can send torques on {topic} as well"
-        assert eventually(watched, lambda said=said: watched._strangers().startswith(said))
+        assert eventually(watched, lambda said=said: watched._unexpected_publishers().startswith(said))
         watchdog.destroy_publisher(second)
-        assert eventually(watched, lambda: watched._strangers() == "")
+        assert eventually(watched, lambda: watched._unexpected_publishers() == "")
 
 
 def test_a_watchdog_that_the_torques_do_not_go_through_is_a_stranger(cell: CellNode, watchdog: rclpy.node.Node) -> None:
-    assert eventually(cell, lambda: cell._strangers() != "")
-    assert eventually(cell, lambda: "UNKNOWN" not in cell._strangers())
-    assert cell._strangers() == (
+    assert eventually(cell, lambda: cell._unexpected_publishers() != "")
+    assert eventually(cell, lambda: "UNKNOWN" not in cell._unexpected_publishers())
+    assert cell._unexpected_publishers() == (
         f"/watchdog can send torques on {COMMANDS} as well: set the parameter watchdog, so that torques go through it, "
         "or stop it"
     )
@@ -190,10 +190,15 @@ def test_a_watchdog_that_passes_no_torques_on_is_passed_over_and_informed(
         robot = Robot()
         robot.state()
         robot.arms._send = watched._send
-        for name, value in (("_held", robot.arms), ("_clock", robot.clock), ("_past", False), ("_waiting", None)):
+        for name, value in (
+            ("_held_arms", robot.arms),
+            ("_clock", robot.clock),
+            ("_bypassing", False),
+            ("_unforwarded_since", None),
+        ):
             patched.setattr(watched, name, value)
-        patched.setattr(watched, "_passed", {})
-        patched.setattr(watched, "_echoed", 0.0)
+        patched.setattr(watched, "_forwarded", {})
+        patched.setattr(watched, "_echo_checked", 0.0)
         echoes: list[tuple[str, bytes]] = []
         patched.setattr(
             watched, "_echo", SimpleNamespace(gather=lambda: None, take=lambda: [echoes.pop() for _ in echoes[:1]])
@@ -215,7 +220,7 @@ def test_a_watchdog_that_passes_no_torques_on_is_passed_over_and_informed(
         send(90, passed=None)
         assert not sent[COMMANDS] and sent[WATCHED][-1] == pytest.approx([5.0] * 7)
         send(20, passed=None)
-        assert watched._past
+        assert watched._bypassing
         np.testing.assert_allclose(sent[COMMANDS][0], 5.0, atol=1e-9)
         assert sent[WATCHED][-1] == []
         trial = Trial()
@@ -252,22 +257,22 @@ def test_a_publisher_without_a_name_is_waited_for_and_then_a_stranger(
 
     monkeypatch.setattr(watched.node, "count_publishers", lambda topic: 1)
     watchdog_after(3)
-    watched._await_names()
-    assert len(looks) == 4 and watched._strangers() == ""
+    watched._await_publisher_names()
+    assert len(looks) == 4 and watched._unexpected_publishers() == ""
     watchdog_after(10**9)
     monkeypatch.setattr(cell_node, "DISCOVERY_S", 0.01)
-    watched._await_names()
-    assert "can send torques" in watched._strangers()
+    watched._await_publisher_names()
+    assert "can send torques" in watched._unexpected_publishers()
 
 
 def test_a_second_publisher_of_joint_states_ends_the_trial(cell: CellNode, other: rclpy.node.Node) -> None:
-    cell._robots = 1
+    cell._state_publishers = 1
     other.create_publisher(JointState, "/joint_states", 10)
     assert eventually(cell, lambda: cell.node.count_publishers("/joint_states") == 1)
-    assert cell._strangers() == ""
+    assert cell._unexpected_publishers() == ""
     other.create_publisher(JointState, "/joint_states", 10)
-    assert eventually(cell, lambda: cell._strangers() != "")
-    assert cell._strangers() == "2 publishers on /joint_states, 1 when the trial was armed"
+    assert eventually(cell, lambda: cell._unexpected_publishers() != "")
+    assert cell._unexpected_publishers() == "2 publishers on /joint_states, 1 when the trial was armed"
 
 
 class Trial:
@@ -283,7 +288,7 @@ class Trial:
 
 
 def test_what_is_found_while_a_trial_runs_ends_it(cell: CellNode, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cell, "_strangers", lambda: "/stranger can send torques")
+    monkeypatch.setattr(cell, "_unexpected_publishers", lambda: "/stranger can send torques")
     monkeypatch.setattr(cell_node, "PUBLISHER_POLL_S", -1.0)
     trial = Trial()
     cell.work(trial, 0.0)  # type: ignore[arg-type]
@@ -293,11 +298,11 @@ def test_what_is_found_while_a_trial_runs_ends_it(cell: CellNode, monkeypatch: p
 def test_a_watchdog_that_brakes_or_is_missing_where_one_is_wanted_is_said(
     watched: CellNode, other: rclpy.node.Node
 ) -> None:
-    assert "there is no watchdog" in watched._strangers()
+    assert "there is no watchdog" in watched._unexpected_publishers()
     braking = other.create_publisher(Bool, "/watchdog/braking", LATCHED)
-    assert eventually(watched, lambda: watched._strangers() == "")
+    assert eventually(watched, lambda: watched._unexpected_publishers() == "")
     braking.publish(Bool(data=True))
-    assert eventually(watched, lambda: watched._strangers() != "")
-    assert "ros2 service call /watchdog/reset std_srvs/srv/Trigger" in watched._strangers()
+    assert eventually(watched, lambda: watched._unexpected_publishers() != "")
+    assert "ros2 service call /watchdog/reset std_srvs/srv/Trigger" in watched._unexpected_publishers()
     braking.publish(Bool(data=False))
-    assert eventually(watched, lambda: watched._strangers() == "")
+    assert eventually(watched, lambda: watched._unexpected_publishers() == "")

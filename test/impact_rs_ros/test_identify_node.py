@@ -63,8 +63,8 @@ class Offline(IdentifyNode):
         self.said: dict[str, list[Any]] = {topic: [] for topic in TOPICS}
         self._publishers = {topic: SimpleNamespace(publish=said.append) for topic, said in self.said.items()}  # type: ignore[misc]
         self._refusals, self._refusal = 0, ""
-        self._identifier, self._looked = followed, -float("inf")
-        self._hits, self._changes, self._spent, self._last, self._complaint = 0, 0, 0.0, "", ""
+        self._identifier, self._last_poll = followed, -float("inf")
+        self._hits, self._changes, self._poll_duration, self._last, self._complaint = 0, 0, 0.0, "", ""
 
     def parameter(self, name: str) -> object:
         assert name == "poll_period"
@@ -74,7 +74,7 @@ class Offline(IdentifyNode):
         raise AssertionError("it has one")
 
     def look(self) -> None:
-        self._look()
+        self._poll()
 
 
 def test_a_change_is_published_and_warned_of_and_stays_on_diagnostics() -> None:

@@ -238,17 +238,17 @@ def led(made: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch) -> CellNode
     monkeypatch.setattr(cell_node, "rest_until", lambda arms, *others: arms.rest())
     program: CellNode = made("cell")
     program.start()
-    program.trial, program.running, program._held = CellTrial(), True, Arms(5)  # type: ignore[assignment]
+    program.trial, program.running, program._held_arms = CellTrial(), True, Arms(5)  # type: ignore[assignment]
     monkeypatch.setattr(program, "diagnose", lambda now=False: None)
     return program
 
 
 def is_held_on(program: CellNode) -> bool:
     """Whether arms that rest are braked in every turn."""
-    assert isinstance(program._held, Arms)
-    looks = program._held.looks
+    assert isinstance(program._held_arms, Arms)
+    looks = program._held_arms.looks
     program.turn()
-    return looks <= 0 and program._held.looks < looks
+    return looks <= 0 and program._held_arms.looks < looks
 
 
 def test_a_cell_that_is_deactivated_in_a_trial_brakes_until_the_arms_rest_and_holds_them(led: CellNode) -> None:
@@ -256,7 +256,7 @@ def test_a_cell_that_is_deactivated_in_a_trial_brakes_until_the_arms_rest_and_ho
     assert led.trial.stopped[0] == "cell was deactivated at t = 1.200 s"
     assert is_held_on(led)
     assert led.node.trigger_cleanup() == SUCCESS
-    assert led._held is None
+    assert led._held_arms is None
 
 
 def test_a_cell_whose_trial_is_cancelled_brakes_until_the_arms_rest_and_holds_them(led: CellNode) -> None:
@@ -276,11 +276,11 @@ def test_a_cell_whose_trial_is_cancelled_brakes_until_the_arms_rest_and_holds_th
         while not client.server_is_ready() and time.monotonic() < until:
             rclpy.spin_once(caller, timeout_sec=0.01)
         goal = served(client.send_goal_async(RunTrial.Goal()))
-        led._held = Arms(500)  # type: ignore[assignment]
+        led._held_arms = Arms(500)  # type: ignore[assignment]
         result = goal.get_result_async()
         cancelled = goal.cancel_goal_async()
         answer = served(result)
-        assert led._held.held
+        assert led._held_arms.held
         assert len(served(cancelled).goals_canceling) == 1
     finally:
         client.destroy()

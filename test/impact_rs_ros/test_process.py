@@ -106,7 +106,7 @@ def test_an_idle_node_wakes_up_four_times_a_second(program: type[NodeProgram]) -
     """Kills: a recorder without a trial that looks for its messages a hundred times a second."""
     waits: list[float] = []
     node = object.__new__(program)
-    nothing = {"running": False, "trial": None, "_recording": None, "_held": None}
+    nothing = {"running": False, "trial": None, "_recording": None, "_held_arms": None}
     for name, value in nothing.items():
         setattr(node, name, value)
     node._inbox = SimpleNamespace(clear=lambda: None)  # type: ignore[attr-defined]

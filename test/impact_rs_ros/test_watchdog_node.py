@@ -49,7 +49,7 @@ class Offline(WatchdogNode):
     def __init__(self) -> None:
         self.bench, self.wires = WatchedRobot(), Gathered()
         self.said: list[bool] = []
-        self._looked = 0.0
+        self._last_check = 0.0
         self._clock, self._inbox, self._watchdog = self.bench.robot.clock, self.wires, self.bench.watchdog  # type: ignore[assignment]
         self._arm_of = {watched_topic("arm"): "arm"}
         self._braking = SimpleNamespace(publish=lambda message: self.said.append(message.data))  # type: ignore[assignment]
@@ -61,7 +61,7 @@ class Offline(WatchdogNode):
         self.wires.waiting = [(STATES, self.bench.robot.message(velocity=velocity))]
         behind = self.wires.came if wait else self.wires.waiting
         behind += [(watched_topic("arm"), data) for data in commands]
-        self._look()
+        self._check()
         return self.bench.watchdog.braking
 
     def reset(self) -> str:

@@ -19,7 +19,7 @@ from stub_job import Stub
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.progress import ENDS, HOLD_OUT, SEARCH
 from impact_rs_workbench.jobs import LOST, Job, Jobs, Order
-from impact_rs_workbench.remaining import Remaining, remaining, shown
+from impact_rs_workbench.remaining import Remaining, remaining, smoothed
 from impact_rs_workbench.server import Workbench
 
 CAMPAIGN = {"command": "campaign", "scenario": "push", "objects": ["cat_food"], "cases": ["case_2"], "scales": [1.0]}
@@ -158,9 +158,9 @@ def reported(what: str, done: int, total: int, stages: dict[str, float]) -> dict
 def test_a_job_of_several_stages_counts_as_a_whole() -> None:
     """A quarter of the usual time, then a job that is twice as slow as the usual one."""
     half = remaining(reported("reading", 5, 10, {"reading": 5.0}), USUAL, 5.0)
-    assert (half.left, half.share) == (35.0, 5.0 / 40.0)
+    assert (half.seconds, half.share) == (35.0, 5.0 / 40.0)
     slow = remaining(reported("fit", 1, 4, {"reading": 20.0, "fit": 15.0}), USUAL, 35.0)
-    assert (slow.left, slow.share) == (45.0, 35.0 / 80.0)
+    assert (slow.seconds, slow.share) == (45.0, 35.0 / 80.0)
 
 
 DIAGNOSIS = {"reading bags": 4.0, "sensitivities of all effects": 8.0, SEARCH: 6.0, HOLD_OUT: 18.0, ENDS: 6.0}
@@ -169,33 +169,33 @@ DIAGNOSIS = {"reading bags": 4.0, "sensitivities of all effects": 8.0, SEARCH: 6
 def test_what_is_not_expected_to_be_done_takes_no_time() -> None:
     """A model without lack of fit: no search and no hold-out. Kills their usual time, two thirds of the whole."""
     found = reported("sensitivities in free motion", 0, 900, {"reading runs": 4.0, "sensitivities in free motion": 2.0})
-    assert remaining(found, DIAGNOSIS, 6.0).left == pytest.approx(6.0 + 6.0 + 18.0 + 6.0)
-    assert remaining(found | {"empty": [HOLD_OUT, SEARCH]}, DIAGNOSIS, 6.0).left == pytest.approx(6.0 + 6.0)
+    assert remaining(found, DIAGNOSIS, 6.0).seconds == pytest.approx(6.0 + 6.0 + 18.0 + 6.0)
+    assert remaining(found | {"empty": [HOLD_OUT, SEARCH]}, DIAGNOSIS, 6.0).seconds == pytest.approx(6.0 + 6.0)
 
 
 def test_stages_that_alternate_are_one_and_say_nothing_of_the_speed_before_they_are_over() -> None:
     """Kills a pace by a third of a stage, at which a search that is half done takes forever, or no time."""
     stages = {"reading bags": 4.0, "sensitivities of all effects": 8.0, SEARCH: 1.0, "new sensitivities": 1.0}
     found = reported("new sensitivities", 3, 18, stages)
-    assert remaining(found, DIAGNOSIS, 14.0).left == pytest.approx(4.0 + 18.0 + 6.0)
+    assert remaining(found, DIAGNOSIS, 14.0).seconds == pytest.approx(4.0 + 18.0 + 6.0)
     after = reported(SEARCH, 1, 6, stages | {SEARCH: 6.0, "new sensitivities": 0.0, HOLD_OUT: 18.0})
-    assert remaining(after, DIAGNOSIS, 36.0).left == pytest.approx(6.0)  # rivals after the hold-out
+    assert remaining(after, DIAGNOSIS, 36.0).seconds == pytest.approx(6.0)  # rivals after the hold-out
 
 
 def test_the_more_steps_of_a_stage_are_done_the_more_they_say() -> None:
     """Folds of a hold-out take differently long: the first of six says a sixth, all but the last nearly all."""
     stages = {"reading bags": 4.0, "sensitivities of all effects": 8.0, SEARCH: 6.0, HOLD_OUT: 1.0}
-    first = remaining(reported(HOLD_OUT, 1, 6, stages), DIAGNOSIS, 19.0).left
+    first = remaining(reported(HOLD_OUT, 1, 6, stages), DIAGNOSIS, 19.0).seconds
     assert first == pytest.approx(5.0 / 6.0 * 17.0 + 1.0 / 6.0 * 5.0 + 6.0)
-    half = remaining(reported(HOLD_OUT, 3, 6, stages | {HOLD_OUT: 15.0}), DIAGNOSIS, 33.0).left
+    half = remaining(reported(HOLD_OUT, 3, 6, stages | {HOLD_OUT: 15.0}), DIAGNOSIS, 33.0).seconds
     assert half == pytest.approx(0.5 * 3.0 + 0.5 * 15.0 + 6.0)
 
 
 def test_the_time_left_falls_from_look_to_look_unless_it_was_far_wrong() -> None:
     first = Remaining(0.0, 0.5, 30.0)
-    assert shown(first, Remaining(1.0, 0.4, 32.0)) == Remaining(1.0, 0.5, 29.0)
-    assert shown(first, Remaining(1.0, 0.6, 20.0)) == Remaining(1.0, 0.6, 20.0)
-    assert shown(first, Remaining(1.0, 0.6, 90.0)) == Remaining(1.0, 0.6, 90.0)
+    assert smoothed(first, Remaining(1.0, 0.4, 32.0)) == Remaining(1.0, 0.5, 29.0)
+    assert smoothed(first, Remaining(1.0, 0.6, 20.0)) == Remaining(1.0, 0.6, 20.0)
+    assert smoothed(first, Remaining(1.0, 0.6, 90.0)) == Remaining(1.0, 0.6, 90.0)
 
 
 def test_a_job_that_runs_is_not_started_again_and_one_that_is_killed_ends_as_in_a_shell(

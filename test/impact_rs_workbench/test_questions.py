@@ -62,7 +62,7 @@ def answers(jobs: Jobs, job: int) -> list[str]:
 
 
 def test_a_yes_is_one_to_the_question_that_stands_and_counts_once(jobs: Jobs, asked: Callable[[Jobs], int]) -> None:
-    with jobs.seen():
+    with jobs.open_page():
         job = asked(jobs)
         first = question(jobs, "first")
         with pytest.raises(InputError, match="no longer asks this"):
@@ -78,7 +78,7 @@ def test_a_yes_is_one_to_the_question_that_stands_and_counts_once(jobs: Jobs, as
 
 
 def test_a_program_that_a_job_starts_asks_no_one(jobs: Jobs, asked: Callable[[Jobs], int]) -> None:
-    with jobs.seen():
+    with jobs.open_page():
         job = asked(jobs)
         for text in ("first", "second"):
             jobs.answer(PageAnswer(job=job, question=question(jobs, text), yes=False))
@@ -87,7 +87,7 @@ def test_a_program_that_a_job_starts_asks_no_one(jobs: Jobs, asked: Callable[[Jo
 
 def test_a_closed_page_is_a_no(jobs: Jobs, asked: Callable[[Jobs], int], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_PAGE_GAP_S", 0.3)
-    with jobs.seen():
+    with jobs.open_page():
         job = asked(jobs)
         question(jobs, "first")
     found = answers(jobs, job)
@@ -102,12 +102,12 @@ def test_a_page_that_is_loaded_again_or_a_second_one_keeps_the_question(
     jobs: Jobs, asked: Callable[[Jobs], int]
 ) -> None:
     with ExitStack() as pages:
-        pages.enter_context(jobs.seen())
+        pages.enter_context(jobs.open_page())
         job = asked(jobs)
         first = question(jobs, "first")
         pages.close()
-        pages.enter_context(jobs.seen())
-        with jobs.seen():
+        pages.enter_context(jobs.open_page())
+        with jobs.open_page():
             pass  # another tab is closed
         jobs.answer(PageAnswer(job=job, question=first, yes=True))
         jobs.answer(PageAnswer(job=job, question=question(jobs, "second"), yes=True))
@@ -117,7 +117,7 @@ def test_a_page_that_is_loaded_again_or_a_second_one_keeps_the_question(
 def test_a_job_that_is_being_stopped_takes_no_yes(
     jobs: Jobs, asked: Callable[[Jobs], int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with jobs.seen():
+    with jobs.open_page():
         job = asked(jobs)
         first = question(jobs, "first")
         monkeypatch.setattr(module, "_signal", lambda *_: None)  # the signal is on its way
@@ -183,7 +183,7 @@ def test_an_investigation_on_a_cell_asks_in_the_page_and_moves_nothing_without_a
 ) -> None:
     about_to_move(tmp_path / "cell", tmp_path / "envelope.yaml")
     form = {"command": "investigate", "directory": "cell", "scenarios": ["push"], "via": "cell", "budget": 6}
-    with workbench.jobs.seen():
+    with workbench.jobs.open_page():
         started = client.post("/api/jobs", json=form | {"envelope": "envelope.yaml"})
         assert started.status_code == 200, started.json()
         text = "The last run stopped at push/r0: LIMIT. Is the cell safe, the arm at rest, and shall it go on?"

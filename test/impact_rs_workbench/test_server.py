@@ -130,7 +130,7 @@ def test_a_figure_gives_way_to_a_slider_that_has_moved_meanwhile(
     def moved(*given: Any) -> Iterator[prediction.SweepPoint]:
         for point in whole(*given):
             yield point
-            workbench._asked += 1  # as a prediction does before it waits for its turn
+            workbench._moving_queries += 1  # as a prediction does before it waits for its turn
 
     assert len(workbench.sweep(question, "speed")["x"]) == prediction.SWEEP_POINTS
     monkeypatch.setattr(prediction, "sweep", moved)

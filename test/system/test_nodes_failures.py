@@ -97,7 +97,7 @@ def restarts(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
             whole()
             return
         found.append(graph.replace_lost())
-        assert not graph._await_ours()
+        assert not graph._await_started()
 
     monkeypatch.setattr(graph, "restart", restart)
     return found
