@@ -32,19 +32,19 @@ THE_PATTERNS = 77  # their seed; they are the same in every campaign, as measure
 
 @dataclass(frozen=True)
 class Simulator:
-    """What the simulator of a campaign is off by.
+    """Error of the simulator of a campaign.
 
     Attributes:
-        size: Standard deviation of its error in every feature, over that of the noise; the discrepancy says so [-].
+        size: Standard deviation of the error in every feature over that of the noise, as in the discrepancy [-].
         kind: ``measured``: its error is a sum of the patterns of the discrepancy, with standard normal amplitudes.
-            ``new``: it is as large, in directions that no pattern has.
+            ``new``: an error of equal size in directions of no pattern.
     """
 
     size: float = 0.0
     kind: Literal["measured", "new"] = "measured"
 
     def error(self, rng: np.random.Generator, spread: Array) -> Array:
-        """Of one simulator, the same in all conditions, ``(F,)``."""
+        """Error of one simulator, equal in all conditions, ``(F,)``."""
         if self.kind == "new":
             return np.asarray(self.size * spread * rng.standard_normal(FEATURES))
         return np.asarray(rng.standard_normal(PATTERNS) @ self.patterns(spread))
@@ -54,7 +54,7 @@ class Simulator:
         return np.asarray(self.size * spread * _patterns())
 
     def discrepancy(self, labels: Sequence[Feature], spread: Array) -> Discrepancy:
-        """What a diagnosis knows of it."""
+        """Discrepancy that a diagnosis is given."""
         if not self.size:
             return NO_DISCREPANCY
         groups: dict[tuple[str, str, str], list[float]] = {}
@@ -78,7 +78,7 @@ class Simulator:
             patterns=(
                 Patterns(
                     kind="free",
-                    features=tuple((one.phase, one.signal, one.index, one.bin) for one in labels),
+                    features=tuple((label.phase, label.signal, label.index, label.bin) for label in labels),
                     rows=tuple(map(tuple, self.patterns(spread).tolist())),
                 ),
             ),
@@ -100,7 +100,7 @@ class Campaign(AnalyticSource):
     Args:
         seed: Of the noise and of the simulator's error.
         design: Conditions and repeats.
-        truth: What is hidden.
+        truth: Hidden effects.
         limit: Relevance limit, in multiples of the noise.
         root: Root of the covariance of the noise, ``(F, F)``.
         noise: ``normal``, ``heavy``, ``heavy trials`` or ``drift`` (:func:`draw`).
@@ -123,13 +123,13 @@ class Campaign(AnalyticSource):
         labels = tuple(
             Feature("impact", f"signal {f % 4}", "x", f // 4, "m/s", limit * float(spread[f])) for f in range(FEATURES)
         )
-        own = simulator.error(np.random.default_rng([seed, 1]), spread)
+        simulator_error = simulator.error(np.random.default_rng([seed, 1]), spread)
         noises = draw(np.random.default_rng(seed), conditions * repeats, root, noise)
-        rows = [features(n // repeats, truth) + own + noises[n] for n in range(conditions * repeats)]
+        rows = [features(n // repeats, truth) + simulator_error + noises[n] for n in range(conditions * repeats)]
         runs = tuple(_run(f"{n // repeats}", labels, values) for n, values in enumerate(rows))
         self.discrepancy = simulator.discrepancy(labels, spread)
-        made, _ = clusters_of(Runs(Path(), runs, ()), rows, self.discrepancy)
-        self.clusters = tuple(replace(item, contact=True) for item in made)
+        clusters, _ = clusters_of(Runs(Path(), runs, ()), rows, self.discrepancy)
+        self.clusters = tuple(replace(item, contact=True) for item in clusters)
         self._measured = [np.array(rows[n * repeats : (n + 1) * repeats]) for n in range(conditions)]
 
 
@@ -168,12 +168,14 @@ def standard_error(design: tuple[int, int], name: str, root: Array = WHITE, simu
         simulator: Its patterns P are part of the covariance.
     """
     conditions, repeats = design
-    moved = np.concatenate([features(number, ((name, (1.0,)),)) for number in range(conditions)])
+    changes = np.concatenate([features(number, ((name, (1.0,)),)) for number in range(conditions)])
     spread = np.sqrt(np.sum(np.square(root), axis=0))
-    together = simulator.patterns(spread)
-    own, shared = root.T @ root / repeats, together.T @ together
-    total = np.kron(np.eye(conditions), own) + np.kron(np.ones((conditions, conditions)), shared)
-    return float(1.0 / np.sqrt(moved @ np.linalg.solve(total, moved)))
+    patterns = simulator.patterns(spread)
+    noise_covariance, error_covariance = root.T @ root / repeats, patterns.T @ patterns
+    covariance = np.kron(np.eye(conditions), noise_covariance) + np.kron(
+        np.ones((conditions, conditions)), error_covariance
+    )
+    return float(1.0 / np.sqrt(changes @ np.linalg.solve(covariance, changes)))
 
 
 def _run(condition: str, labels: tuple[Feature, ...], measured: Array) -> MeasuredRun:

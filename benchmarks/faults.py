@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of readings: what a wrong calibration, filter or clock does to recorded signals, and to a folder of bags.
+"""Faults of readings: effects of a wrong calibration, filter or clock on recorded signals, and on a folder of bags.
 
-Every fault is a function of what was recorded. Physics and control have happened before and are as they were; nothing
-here knows of the sensor models of the library. A filter is one of :mod:`scipy.signal` on the samples, a delay moves
-stamps, an own velocity is a difference of recorded positions.
+Every fault is a function of recorded signals; it changes neither physics nor control, and is independent of the sensor
+models of the library. Filters are those of :mod:`scipy.signal`, a delay moves stamps, and a driver's own velocity is a
+difference of recorded positions.
 
-``FAULTS`` is the table of all of them: sizes, and what a diagnosis should say. Its numbers are differences from the
-value at which an effect does nothing, so that a gain of 0.93 and a relative error of -0.07 are the same.
+``FAULTS`` lists all of them with their sizes and the diagnosis to expect. Parameters are differences from the value at
+which an effect does nothing: a gain of 0.93 and a relative error of -0.07 are equal.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ BEGIN, BETWEEN = 1_763_500_000 * 10**9, 120 * 10**9  # ns: of the first run on t
 
 @dataclass(frozen=True)
 class Readings:
-    """What the sensors said in one run.
+    """Sensor readings of one run.
 
     Attributes:
         time: Stamps of the joints, ``(k,)`` [s].
@@ -47,7 +47,7 @@ class Readings:
         object_time: Stamps of the object's pose, ``(m,)`` [s]; empty where it was not tracked.
         object_position: ``(m, 3)`` [m], in the base of the robot.
         object_rotation: ``(m, 4)``, quaternion x, y, z, w, from axes of the object to axes of the base.
-        share: How much of the campaign had passed: 0 in the first run, 1 in the last [-].
+        share: Elapsed share of the campaign: 0 in the first run, 1 in the last [-].
     """
 
     time: Array
@@ -99,9 +99,9 @@ class Fault:
         name: Name.
         unit: Unit of its sizes.
         sizes: The two that are tried, the clear one last.
-        rewrite: What becomes of the readings.
-        truths: Effects that say it, the one of its own first, with their true parameters; empty: nothing is to be said.
-        joints: Those that may have it, counted from 0; without one that hardly shows it.
+        rewrite: Applies the fault to readings.
+        truths: Effects that describe it, its own effect first, with their true parameters; empty: no effect does.
+        joints: Joints that may have it, counted from 0; without those in which it hardly shows.
     """
 
     name: str
@@ -112,14 +112,14 @@ class Fault:
     joints: tuple[int, ...] = (1, 2, 3, 4, 5)
 
     def drawn(self, size: float, seed: int, seconds: float = 0.0) -> Drawn:
-        """What a seed makes of it; a fault of another size has another joint and sign."""
+        """Draw joint, sign and direction by a seed and the size."""
         rng = np.random.default_rng([seed, zlib.crc32(self.name.encode()), round(1000.0 * size)])
         joint, sign = int(rng.choice(self.joints)), float(rng.choice((-1.0, 1.0)))
         return Drawn(size, joint, sign, float(rng.uniform(-np.pi, np.pi)), seconds)
 
 
 def _with_column(values: Array, joint: int, column: Array) -> Array:
-    """The same with another column of a joint."""
+    """A copy in which the column of a joint is replaced."""
     changed = values.copy()
     changed[:, joint] = column
     return changed
@@ -175,10 +175,10 @@ def torque_offset(run: Readings, what: Drawn) -> Readings:
 
 def torque_crosstalk(run: Readings, what: Drawn) -> Readings:
     """Each of two neighbouring torque sensors shows a share of the other joint's torque; size in percent."""
-    one, other, share = what.joint, what.joint + 1, what.value / 100.0
+    joint, neighbour, share = what.joint, what.joint + 1, what.value / 100.0
     mixed = run.torque.copy()
-    mixed[:, one] += share * run.torque[:, other]
-    mixed[:, other] += share * run.torque[:, one]
+    mixed[:, joint] += share * run.torque[:, neighbour]
+    mixed[:, neighbour] += share * run.torque[:, joint]
     return replace(run, torque=mixed)
 
 
@@ -189,7 +189,7 @@ def torque_drift(run: Readings, what: Drawn) -> Readings:
 
 
 def low_passed(time: Array, values: Array, cutoff: float, order: int) -> Array:
-    """Butterworth low-pass; order 1 is an RC filter. It has seen the first value for ever.
+    """Butterworth low-pass; order 1 is an RC filter. It starts in the steady state of the first value.
 
     Args:
         time: Stamps, ``(k,)`` [s].
@@ -237,9 +237,9 @@ def velocity_gain(run: Readings, what: Drawn) -> Readings:
 
 def tracker_turned(run: Readings, what: Drawn) -> Readings:
     """Poses are turned about z of the robot's base, for the motion capture has other axes; size in degrees."""
-    turn = Rotation.from_euler("z", what.value, degrees=True)
-    turned = (turn * Rotation.from_quat(run.object_rotation)).as_quat()
-    return replace(run, object_position=turn.apply(run.object_position), object_rotation=turned)
+    rotation = Rotation.from_euler("z", what.value, degrees=True)
+    quaternions = (rotation * Rotation.from_quat(run.object_rotation)).as_quat()
+    return replace(run, object_position=rotation.apply(run.object_position), object_rotation=quaternions)
 
 
 def tracker_shifted(run: Readings, what: Drawn) -> Readings:
@@ -249,8 +249,8 @@ def tracker_shifted(run: Readings, what: Drawn) -> Readings:
 
 def tracked_point(run: Readings, what: Drawn) -> Readings:
     """A point of the object beside its centre is tracked, the same of all objects, in their axes; size in mm."""
-    beside = Rotation.from_quat(run.object_rotation).apply(_across(what))
-    return replace(run, object_position=run.object_position + beside)
+    offset = Rotation.from_quat(run.object_rotation).apply(_across(what))
+    return replace(run, object_position=run.object_position + offset)
 
 
 def tracker_late(run: Readings, what: Drawn) -> Readings:
@@ -263,10 +263,12 @@ def tracker_low_pass(run: Readings, what: Drawn) -> Readings:
     if not run.object_time.size:
         return run
     first = Rotation.from_quat(run.object_rotation[0])
-    turned = (first.inv() * Rotation.from_quat(run.object_rotation)).as_rotvec()  # a box turns far less than pi
-    back = first * Rotation.from_rotvec(low_passed(run.object_time, turned, what.size, 1))
-    moved = low_passed(run.object_time, run.object_position, what.size, 1)
-    return replace(run, object_position=moved, object_rotation=back.as_quat())
+    rotation_vectors = (
+        first.inv() * Rotation.from_quat(run.object_rotation)
+    ).as_rotvec()  # a box turns far less than pi
+    filtered = first * Rotation.from_rotvec(low_passed(run.object_time, rotation_vectors, what.size, 1))
+    positions = low_passed(run.object_time, run.object_position, what.size, 1)
+    return replace(run, object_position=positions, object_rotation=filtered.as_quat())
 
 
 def _across(what: Drawn) -> Array:
@@ -375,7 +377,7 @@ FAULTS = {
 
 @dataclass
 class _Row:
-    """One message of a bag: topic, log time [ns], as it is written, and what it says, of a type with readings."""
+    """One message of a bag: connection, log time [ns], bytes, and the decoded message if it holds readings."""
 
     connection: Any
     log: int
@@ -408,60 +410,65 @@ def rewrite_bag(source: Path, target: Path, change: Callable[[Readings], Reading
         begin: When the run begins on the wall clock [ns].
     """
     with Reader(source) as bag:
-        by = begin - bag.start_time
+        shift = begin - bag.start_time
         rows = [
             _Row(
-                one, log, raw, STORE.deserialize_cdr(raw, one.msgtype) if one.msgtype in (JOINT_STATES, POSES) else None
+                connection,
+                log,
+                raw,
+                STORE.deserialize_cdr(raw, connection.msgtype) if connection.msgtype in (JOINT_STATES, POSES) else None,
             )
-            for one, log, raw in bag.messages()
+            for connection, log, raw in bag.messages()
         ]
     joints, poses = ([row for row in rows if row.connection.msgtype == kind] for kind in (JOINT_STATES, POSES))
     before = _read(joints, poses, share)
     after = change(before)
     _put(joints, poses, after)
-    late = {
+    extra_delay = {
         id(row): round(1e9 * seconds)
         for row, seconds in zip(poses, after.object_time - before.object_time, strict=True)
     }
     for row in rows:
-        row.later(by, late.get(id(row), 0))
+        row.later(shift, extra_delay.get(id(row), 0))
     with Writer(target, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
         topics: dict[str, Any] = {}
         for row in sorted(rows, key=lambda row: row.log):
-            one = row.connection
-            if one.topic not in topics:
-                topics[one.topic] = bag.add_connection(one.topic, one.msgtype, typestore=STORE)
-            bag.write(topics[one.topic], row.log, row.raw)
+            connection = row.connection
+            if connection.topic not in topics:
+                topics[connection.topic] = bag.add_connection(connection.topic, connection.msgtype, typestore=STORE)
+            bag.write(topics[connection.topic], row.log, row.raw)
 
 
 def _order(names: Sequence[str]) -> list[int]:
-    """Places of joints, in the order of their names; joint 9 comes before joint 10."""
-    return sorted(range(len(names)), key=lambda place: [int(n) for n in re.findall(r"\d+", names[place])])
+    """Indices of joints in the natural order of their names: joint 9 comes before joint 10."""
+    return sorted(range(len(names)), key=lambda index: [int(n) for n in re.findall(r"\d+", names[index])])
 
 
 def _read(joints: Sequence[_Row], poses: Sequence[_Row], share: float) -> Readings:
-    """What messages say; times are from the first stamp of the joints on."""
+    """Readings in messages; times are relative to the first stamp of the joints."""
     origin, order = joints[0].stamp, _order(joints[0].message.name)  # seconds since 1970 have no room for nanoseconds
-    time, seen = (np.array([row.stamp - origin for row in own]) / 1e9 for own in (joints, poses))
+    time, pose_time = (np.array([row.stamp - origin for row in rows]) / 1e9 for rows in (joints, poses))
     position, velocity, torque = (
         np.array([getattr(row.message, name) for row in joints])[:, order] for name in SIGNALS
     )
-    found = [row.message.pose for row in poses]
-    places = np.array([(one.position.x, one.position.y, one.position.z) for one in found]).reshape(-1, 3)
-    turns = [(one.orientation.x, one.orientation.y, one.orientation.z, one.orientation.w) for one in found]
-    return Readings(time, position, velocity, torque, seen, places, np.array(turns).reshape(-1, 4), share)
+    pose_messages = [row.message.pose for row in poses]
+    positions = np.array([(pose.position.x, pose.position.y, pose.position.z) for pose in pose_messages]).reshape(-1, 3)
+    quaternions = [
+        (pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w) for pose in pose_messages
+    ]
+    return Readings(time, position, velocity, torque, pose_time, positions, np.array(quaternions).reshape(-1, 4), share)
 
 
-def _put(joints: Sequence[_Row], poses: Sequence[_Row], found: Readings) -> None:
+def _put(joints: Sequence[_Row], poses: Sequence[_Row], readings: Readings) -> None:
     """Write readings into their messages, but for their times."""
-    back = np.argsort(_order(joints[0].message.name))
-    for name, values in zip(SIGNALS, (found.position, found.velocity, found.torque), strict=True):
-        for row, numbers in zip(joints, np.ascontiguousarray(values[:, back]), strict=True):
+    inverse_order = np.argsort(_order(joints[0].message.name))
+    for name, values in zip(SIGNALS, (readings.position, readings.velocity, readings.torque), strict=True):
+        for row, numbers in zip(joints, np.ascontiguousarray(values[:, inverse_order]), strict=True):
             setattr(row.message, name, numbers)
-    for row, place, turn in zip(poses, found.object_position, found.object_rotation, strict=True):
+    for row, position, quaternion in zip(poses, readings.object_position, readings.object_rotation, strict=True):
         pose = row.message.pose
-        pose.position.x, pose.position.y, pose.position.z = map(float, place)
-        pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = map(float, turn)
+        pose.position.x, pose.position.y, pose.position.z = map(float, position)
+        pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = map(float, quaternion)
 
 
 def seconds_of(folder: Path) -> float:
@@ -481,8 +488,8 @@ def rewrite_campaign(source: Path, target: Path, fault: Fault, what: Drawn) -> N
     Args:
         source: Folder of bags with ``runs.csv`` and ``experiment.yaml``; it stays.
         target: Folder; an earlier one is replaced.
-        fault: What is wrong.
-        what: How much, and where.
+        fault: The fault.
+        what: Its size, joint and direction.
     """
     shutil.rmtree(target, ignore_errors=True)
     target.mkdir(parents=True)

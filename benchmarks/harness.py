@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all benchmarks share: cases, the loop that resumes, the table, and the file of results.
+"""Common parts of all benchmarks: cases, the loop that resumes, the table, and the file of results.
 
-A benchmark is a module in ``boards`` (a truth is hidden, and asked for), ``accuracy`` (against draws, brute force or
-other simulators) or ``timing`` (processor time). It has
+A benchmark is a module in ``boards`` (the program has to find a hidden truth), ``accuracy`` (against draws, brute force
+or other simulators) or ``timing`` (processor time). It has
 
-* ``cases(options)``: what is measured; the first say most, should time run out,
+* ``cases(options)``: cases to measure, the most informative ones first, should time run out,
 * ``run(case, work)``: measures one case and returns its row, which JSON can hold,
 * ``table(rows, options)``: the table of all rows,
 * ``add_options(parser)``, if it has options of its own.
@@ -48,10 +48,10 @@ class Named(Protocol):
 
 @dataclass(frozen=True)
 class Case:
-    """A case that is what it is given."""
+    """A case with a name and arbitrary inputs."""
 
     name: str
-    given: Any = None
+    inputs: Any = None
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,8 @@ class Work:
 
 def names() -> dict[str, str]:
     """Module of every benchmark by name."""
-    found = {path.stem: kind for kind in KINDS for path in sorted((HERE / kind).glob("[!_]*.py"))}
-    return {name: f"benchmarks.{kind}.{name}" for name, kind in found.items()}
+    kinds = {path.stem: kind for kind in KINDS for path in sorted((HERE / kind).glob("[!_]*.py"))}
+    return {name: f"benchmarks.{kind}.{name}" for name, kind in kinds.items()}
 
 
 def parser_of(name: str) -> argparse.ArgumentParser:
@@ -130,16 +130,16 @@ def rows_of(module: ModuleType, options: argparse.Namespace, output: Path) -> li
 
 
 def _plain(value: Any) -> Any:
-    """What JSON has no word for."""
+    """A value that JSON does not know, as lists and numbers."""
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else list(value)
 
 
 def _shown(words: Sequence[str]) -> str:
-    """Options as the docs print them: without where they are saved and with DIR for the folder."""
-    shown, rest = "", iter(words)
-    for word in rest:
+    """Options as the docs print them: without ``--save`` and with DIR for the folder."""
+    shown, remaining = "", iter(words)
+    for word in remaining:
         if word in ("-o", "--output"):
-            next(rest)
+            next(remaining)
             shown += " -o DIR"
         elif word.startswith("--save"):
             break  # the last option
@@ -150,14 +150,14 @@ def _shown(words: Sequence[str]) -> str:
 
 def share(values: Iterable[Any]) -> str:
     """How many of them are true: ``19 of 23``; a dash where there is none."""
-    known = [bool(value) for value in values if value is not None]
-    return f"{sum(known)} of {len(known)}" if known else "–"
+    truths = [bool(value) for value in values if value is not None]
+    return f"{sum(truths)} of {len(truths)}" if truths else "–"
 
 
 def percent(values: Iterable[Any]) -> float:
     """Share of true values [%]; NaN where there is none."""
-    known = [bool(value) for value in values if value is not None]
-    return 100.0 * sum(known) / len(known) if known else math.nan
+    truths = [bool(value) for value in values if value is not None]
+    return 100.0 * sum(truths) / len(truths) if truths else math.nan
 
 
 def quantiles(values: Sequence[float]) -> str:
@@ -171,23 +171,23 @@ def median_and_largest(values: Sequence[float]) -> str:
     return f"{np.median(values):.3g} ({max(values):.3g})"
 
 
-def drawn(draw: Callable[..., Any], case: Any, options: argparse.Namespace, map_tasks: Map) -> list[Any]:
+def map_draws(draw: Callable[..., Any], case: Any, options: argparse.Namespace, map_tasks: Map) -> list[Any]:
     """Results of ``draw(case, options, seed)`` for ``options.draws`` seeds from ``options.first`` on."""
     return list(map_tasks(partial(draw, case, options), range(options.first, options.first + options.draws)))
 
 
 def draw_options(parser: argparse.ArgumentParser, draws: int) -> None:
-    """Options of what is drawn."""
+    """Options of random draws: their number, and the first seed."""
     parser.add_argument("--draws", type=int, default=draws, help="draws of every case")
     parser.add_argument("--first", "--first-seed", dest="first", type=int, default=0, help="seed of the first one")
 
 
 def in_turns(calls: Mapping[str, Callable[[], object]], turns: int) -> dict[str, list[float]]:
     """Processor time of calls that take turns [s]: what slows the machine for a while slows all of them."""
-    taken: dict[str, list[float]] = {name: [] for name in calls}
+    seconds: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(turns):
         for name, call in calls.items():
             began = time.process_time()
             call()
-            taken[name].append(time.process_time() - began)
-    return taken
+            seconds[name].append(time.process_time() - began)
+    return seconds

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Campaigns that hide something: what they hide, on which plant, how they are diagnosed and scored."""
+"""Campaigns with a hidden effect: the effects, the plants that hide them, diagnosis and score."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from impact_rs_trials.blind import BlindTask, run_task
 from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.workers import Map
 
-VISIBLE = 2.0  # times the noise; what is below was hidden in vain
+VISIBLE = 2.0  # times the noise, above which an effect can be seen
 BINS = ((0.0, 0.5), (0.5, 0.75), (0.75, 0.9), (0.9, 1.0))  # of probabilities that a diagnosis states
 
 
@@ -35,9 +35,9 @@ class Entry:
 
     Attributes:
         kind: ``single``, ``pair``, ``null``, ``outside`` or ``tie``.
-        effect: What is hidden; None: drawn.
-        magnitude: How much of it, in parameter scales; None: drawn.
-        seed: All that is drawn depends on it.
+        effect: Name of the hidden effect; None: drawn.
+        magnitude: Its size in parameter scales; None: drawn.
+        seed: Seed of all draws.
     """
 
     kind: str
@@ -52,22 +52,22 @@ class Entry:
         return f"{self.kind}__{self.effect or 'any'}__m{size}__seed{self.seed}"
 
 
-def entries(wanted: Sequence[tuple[str, str | None, float | None]], first_seed: int = 0) -> list[Entry]:
+def entries(contents: Sequence[tuple[str, str | None, float | None]], first_seed: int = 0) -> list[Entry]:
     """Campaigns, each with a seed of its own."""
-    return [Entry(*one, seed) for seed, one in enumerate(wanted, start=first_seed)]
+    return [Entry(*content, seed) for seed, content in enumerate(contents, start=first_seed)]
 
 
 def plant_option(parser: argparse.ArgumentParser, *plants: str) -> None:
-    """Options that say what hides an effect, and from which seeds."""
+    """Options of the plant that hides an effect, and of its seeds."""
     parser.add_argument("--on", choices=plants, default=plants[0], help="what hides the effect, and records it")
     parser.add_argument(
         "--first-seed", type=int, default=0, metavar="N", help="added to all seeds: other campaigns of the same kinds"
     )
 
 
-def reseeded(found: Sequence[Entry], options: argparse.Namespace) -> list[Entry]:
+def reseeded(campaigns: Sequence[Entry], options: argparse.Namespace) -> list[Entry]:
     """Campaigns with the seeds that the options ask for."""
-    return [replace(entry, seed=entry.seed + options.first_seed) for entry in found]
+    return [replace(entry, seed=entry.seed + options.first_seed) for entry in campaigns]
 
 
 def recorder(plant: str) -> Callable[[BlindTask], str]:
@@ -107,8 +107,8 @@ def laboratory_runs(folder: Path, map_tasks: Map) -> Runs:
 def judged(truth: Path, document: DiagnosisDocument) -> Row:
     """A diagnosis against the truth of a campaign.
 
-    ``correct`` is lenient: a hidden effect may be in a tie, others may stand beside it. ``exact`` is strict: those are
-    named that were hidden, no more and no fewer, and where none of the library was, the verdict is right as well.
+    ``correct`` is lenient: a hidden effect may be in a tie, and further effects may be named. ``exact`` is strict: the
+    named effects are exactly the hidden ones, and where no effect of the library is hidden, the verdict is right, too.
     """
     scored = held_against_truth(truth, document)
     before, after, noise = document.held_out_error_before, document.held_out_error_after, document.noise_floor
@@ -127,15 +127,15 @@ def judged(truth: Path, document: DiagnosisDocument) -> Row:
 
 def stated_probabilities(document: DiagnosisDocument) -> dict[str, float]:
     """Probability of each named effect, where the diagnosis states one."""
-    found = {effect.name: getattr(effect, "probability", None) for effect in document.effects}
-    return {name: float(found[name]) for name in document.named if found.get(name) is not None}
+    probabilities = {effect.name: getattr(effect, "probability", None) for effect in document.effects}
+    return {name: float(probabilities[name]) for name in document.named if probabilities.get(name) is not None}
 
 
 def by_probability(stated: Sequence[tuple[float, bool]]) -> list[tuple[str, list[bool]]]:
-    """Named effects by their probability: the bin in words, and of each effect in it whether it was hidden.
+    """Bins of probability in words, each with a truth value per named effect in it: whether it was hidden.
 
     Args:
-        stated: Of every named effect its probability, and whether it was hidden; empty: there are no bins.
+        stated: Probability of every named effect, and whether it was hidden; empty: there are no bins.
     """
     return [
         (
@@ -153,7 +153,7 @@ def timed_diagnosis(document: Path, truth: Path, read: Callable[[], Runs], map_t
 
 
 def is_visible(row: Row) -> bool:
-    """Whether what was hidden shows."""
+    """Whether the hidden effects exceed ``VISIBLE``."""
     if row.get("alone"):  # a pair: each effect, where the model has the other one
         return min(row["alone"].values()) > VISIBLE
     return bool(row["before"] > VISIBLE * row["noise"])
@@ -161,42 +161,50 @@ def is_visible(row: Row) -> bool:
 
 def table_of_diagnoses(rows: Sequence[Row], heading: str) -> Table:
     """How often diagnoses are right, one column."""
-    of = {kind: [row for row in rows if row["kind"] == kind] for kind in ("single", "pair", "null", "outside")}
-    seen, pairs = [row for row in of["single"] if is_visible(row)], [row for row in of["pair"] if is_visible(row)]
+    rows_by_kind = {
+        kind: [row for row in rows if row["kind"] == kind] for kind in ("single", "pair", "null", "outside")
+    }
+    visible, pairs = (
+        [row for row in rows_by_kind["single"] if is_visible(row)],
+        [row for row in rows_by_kind["pair"] if is_visible(row)],
+    )
     lines = [
         ("campaigns that ended right", share(row["correct"] for row in rows)),
         ("campaigns that ended right: exactly what is hidden named", share(row["exact"] for row in rows)),
-        ("single effects above twice the noise: named, or in a tie", share(row["correct"] for row in seen)),
-        ("single effects above twice the noise: by their own name", share(row["by_own_name"] for row in seen)),
-        ("single effects above twice the noise: exactly that named", share(row["exact"] for row in seen)),
+        ("single effects above twice the noise: named, or in a tie", share(row["correct"] for row in visible)),
+        ("single effects above twice the noise: by their own name", share(row["by_own_name"] for row in visible)),
+        ("single effects above twice the noise: exactly that named", share(row["exact"] for row in visible)),
     ]
-    for size in sorted({row["magnitude"] for row in of["single"] if "magnitude" in row}):
-        some = [row for row in of["single"] if row["magnitude"] == size]
+    for size in sorted({row["magnitude"] for row in rows_by_kind["single"] if "magnitude" in row}):
+        rows_of_size = [row for row in rows_by_kind["single"] if row["magnitude"] == size]
         lines += [
-            (f"single effects at {size:g} × scale: named, or in a tie", share(row["correct"] for row in some)),
-            (f"single effects at {size:g} × scale: exactly that named", share(row["exact"] for row in some)),
+            (f"single effects at {size:g} × scale: named, or in a tie", share(row["correct"] for row in rows_of_size)),
+            (f"single effects at {size:g} × scale: exactly that named", share(row["exact"] for row in rows_of_size)),
         ]
     lines += [
-        ("single effects, all: named, or in a tie", share(row["correct"] for row in of["single"])),
-        ("single effects, all: exactly that named", share(row["exact"] for row in of["single"])),
+        ("single effects, all: named, or in a tie", share(row["correct"] for row in rows_by_kind["single"])),
+        ("single effects, all: exactly that named", share(row["exact"] for row in rows_by_kind["single"])),
         ("pairs, both above twice the noise: both named", share(row["correct"] for row in pairs)),
         ("pairs, both above twice the noise: exactly both named", share(row["exact"] for row in pairs)),
-        ("pairs, all: both named", share(row["correct"] for row in of["pair"])),
-        ("pairs, all: exactly both named", share(row["exact"] for row in of["pair"])),
-        ("nothing hidden: `NOTHING-MISSING`", share(row["correct"] for row in of["null"])),
-        ("outside the library: not explained, or marked so", share(row["correct"] for row in of["outside"])),
-        ("outside the library: not explained, and nothing named", share(row["exact"] for row in of["outside"])),
-        ("true parameters in their 95 % intervals, above twice the noise", _covered(seen + pairs)),
-        ("true parameters in their 95 % intervals, all", _covered(of["single"] + of["pair"])),
+        ("pairs, all: both named", share(row["correct"] for row in rows_by_kind["pair"])),
+        ("pairs, all: exactly both named", share(row["exact"] for row in rows_by_kind["pair"])),
+        ("nothing hidden: `NOTHING-MISSING`", share(row["correct"] for row in rows_by_kind["null"])),
+        ("outside the library: not explained, or marked so", share(row["correct"] for row in rows_by_kind["outside"])),
+        (
+            "outside the library: not explained, and nothing named",
+            share(row["exact"] for row in rows_by_kind["outside"]),
+        ),
+        ("true parameters in their 95 % intervals, above twice the noise", _covered(visible + pairs)),
+        ("true parameters in their 95 % intervals, all", _covered(rows_by_kind["single"] + rows_by_kind["pair"])),
         (
             "campaigns with an effect named that is neither there nor confusable",
             share(row["also_named"] for row in rows if row["kind"] != "outside"),
         ),
-        ("outside the library: with an effect named", share(row["also_named"] for row in of["outside"])),
+        ("outside the library: with an effect named", share(row["also_named"] for row in rows_by_kind["outside"])),
     ]
     stated = [(value, right) for row in rows for value, right in row.get("probabilities", ())]
     lines += [(words, share(right)) for words, right in by_probability(stated)]
-    if right := [row["removed"] for row in seen if row["by_own_name"]]:
+    if right := [row["removed"] for row in visible if row["by_own_name"]]:
         lines.append(("excess held-out error removed, median", f"{100.0 * statistics.median(right):.0f} %"))
     if seconds := [row["seconds"] for row in rows if "seconds" in row]:
         lines.append(("time of a diagnosis, median", f"{statistics.median(seconds):.0f} s"))

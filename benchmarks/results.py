@@ -52,20 +52,20 @@ class Table:
     def some(self, columns: Sequence[int] = (), rows: Sequence[int] = ()) -> Table:
         """Some of its columns and rows, counted from 1, all if none is given; without rows that have no entry."""
         chosen = [self.rows[number - 1] for number in rows] if rows else self.rows
-        head, *kept = (
+        head, *body = (
             tuple(row[number - 1] for number in columns) if columns else row for row in (self.columns, *chosen)
         )
-        return Table(head, tuple(row for row in kept if not NO_ENTRIES.issuperset(row[1:])))
+        return Table(head, tuple(row for row in body if not NO_ENTRIES.issuperset(row[1:])))
 
     def with_(self, other: Table) -> Table:
         """Both tables in one."""
         if self.columns == other.columns:
             return Table(self.columns, (*self.rows, *other.rows))
-        own, theirs = ({row[0]: row[1:] for row in table.rows} for table in (self, other))
-        sides = [(cells, len(table.columns) - 1) for cells, table in ((own, self), (theirs, other))]
+        own_cells, other_cells = ({row[0]: row[1:] for row in table.rows} for table in (self, other))
+        sides = [(cells, len(table.columns) - 1) for cells, table in ((own_cells, self), (other_cells, other))]
         rows = [
             (name, *(cell for cells, width in sides for cell in cells.get(name, ("–",) * width)))
-            for name in dict.fromkeys((*own, *theirs))
+            for name in dict.fromkeys((*own_cells, *other_cells))
         ]
         return Table((*self.columns, *other.columns[1:]), tuple(rows))
 
@@ -124,13 +124,13 @@ def section(names: str, columns: str | None, rows: str | None) -> str:
     for other in results[1:]:
         table = table.with_(other.table)
     table = table.some(*([int(number) for number in (chosen or "").split()] for chosen in (columns, rows)))
-    commands = "; ".join(dict.fromkeys(f"`{one.command}`" for one in results if one.command))
+    commands = "; ".join(dict.fromkeys(f"`{result.command}`" for result in results if result.command))
     return f"\n{table.markdown}\n\n{commands}\n\n"
 
 
-def made(text: str) -> str:
+def with_tables(text: str) -> str:
     """A page with its tables made anew."""
-    return BETWEEN.sub(lambda found: f"{found[1]}{section(found[2], found[3], found[4])}{found[5]}", text)
+    return BETWEEN.sub(lambda match: f"{match[1]}{section(match[2], match[3], match[4])}{match[5]}", text)
 
 
 def write_pages() -> list[str]:
@@ -138,7 +138,7 @@ def write_pages() -> list[str]:
     changed = []
     for path in sorted(DOCS.glob("*.md")):
         text = path.read_text(encoding="utf-8")
-        if (new := made(text)) != text:
+        if (new := with_tables(text)) != text:
             write_whole(path, new)
             changed.append(path.name)
     return changed

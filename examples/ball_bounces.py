@@ -61,15 +61,15 @@ def bounce(time: Array, position: Array) -> tuple[Array, Array, float] | str:
     after = np.flatnonzero((time < time[lowest] + WINDOW) & (np.arange(len(time)) > lowest))
     if min(before.size, after.size) < FEWEST:
         return f"fewer than {FEWEST} samples of flight on a side"
-    edge = float(time[before[-1]]), float(time[after[0]])
+    edges = float(time[before[-1]]), float(time[after[0]])
     fits = [
         move(time[rows], position[rows], np.tile(np.eye(3), (rows.size, 1, 1)), at)
-        for rows, at in zip((before, after), edge, strict=True)
+        for rows, at in zip((before, after), edges, strict=True)
     ]
-    meeting = _meeting(fits[0], fits[1], edge)
-    if meeting is None:
+    contact_time = _meeting(fits[0], fits[1], edges)
+    if contact_time is None:
         return "the flights before and after do not meet"
-    ante, post = (fit.at(meeting)[2][:3] for fit in fits)
+    ante, post = (fit.at(contact_time)[2][:3] for fit in fits)
     return ante, post, float(np.hypot(fits[0].noise[0], fits[1].noise[0]))
 
 
@@ -106,20 +106,20 @@ def write_table(
         spin = np.array([x, z, -y])  # from the frame of the camera, which looks along y of the table
         flight = np.array([[float(cell) for cell in line.split(";")] for line in flights[row["traj_file"]].split()])
         flight = flight[np.diff(flight[:, 0], prepend=-np.inf) > 0.0]  # some stamps stand twice
-        found = bounce(flight[:, 0], flight[:, 1:])
+        result = bounce(flight[:, 0], flight[:, 1:])
         if np.linalg.norm(spin) > FASTEST:
-            found = "spin of more than 160 turns a second"
-        if isinstance(found, str):
-            left_out[found] += 1
+            result = "spin of more than 160 turns a second"
+        if isinstance(result, str):
+            left_out[result] += 1
             continue
-        before, after, noise = found
+        before, after, noise = result
         rows.append([row["traj_file"], *before, *spin, *after, noise, MASS, RADIUS, 1.0, friction, restitution])
     if not rows:
         raise InputError("no flight has a bounce", file=archive)
     with output.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([HEADER, *([row[0], *(f"{cell:.6g}" for cell in row[1:])] for row in rows)])
-    said = ", ".join(f"{count} {reason}" for reason, count in left_out.items())
-    say(f"{output}: {len(rows)} of {len(spins)} flights" + (f"; left out: {said}" if said else ""))
+    omitted = ", ".join(f"{count} {reason}" for reason, count in left_out.items())
+    say(f"{output}: {len(rows)} of {len(spins)} flights" + (f"; left out: {omitted}" if omitted else ""))
     return len(rows)
 
 

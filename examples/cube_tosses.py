@@ -113,13 +113,15 @@ def write_table(
         raise InputError("no toss here; expected files called 0.pt, 1.pt and so on", file=folder)
     cube = Body(mass=MASS, size=(2.0 * HALF_WIDTH,) * 3, inertia=(INERTIA,) * 3)
     board = Plane(friction=friction, restitution=restitution)
-    found, left_out = impacts_of_bodies([tracked(path, cube, board) for path in files], cube)
+    impacts, left_out = impacts_of_bodies([tracked(path, cube, board) for path in files], cube)
     # Only the first impact of a toss: those after it are repeats of the same throw.
-    first = [impact for impact in found if ", impact " not in impact.run]
+    first = [impact for impact in impacts if ", impact " not in impact.run]
     output.write_text(table_text(first, body_columns(cube, board)), encoding="utf-8")
-    reasons = Counter(one.reason.split(":")[0].split(" at ")[0] for one in left_out if ", impact " not in one.name)
-    said = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
-    say(f"{output}: {len(first)} of {len(files)} tosses" + (f"; left out: {said}" if said else ""))
+    reasons = Counter(
+        omission.reason.split(":")[0].split(" at ")[0] for omission in left_out if ", impact " not in omission.name
+    )
+    omitted = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
+    say(f"{output}: {len(first)} of {len(files)} tosses" + (f"; left out: {omitted}" if omitted else ""))
     return len(first)
 
 

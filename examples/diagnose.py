@@ -16,8 +16,8 @@ def main(folder: str = "output/heavy", effects: list[str] | None = None) -> Diag
     measured = read_measurements(folder)
     comparison = compare(measured)
     print(f"score {comparison.score:.2f} (repeatability: 1)")
-    for place in comparison.where[:3]:
-        print(f"  {place.phase}: {place.signal} {place.index} off by {place.error:+.3g} {place.unit}")
+    for residual in comparison.where[:3]:
+        print(f"  {residual.phase}: {residual.signal} {residual.index} off by {residual.error:+.3g} {residual.unit}")
     diagnosis = diagnose(measured, only=effects)
     print(diagnosis.summary)
     for name in diagnosis.named:

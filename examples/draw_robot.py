@@ -39,16 +39,16 @@ def main(path: Path = BAG, picture: Path = PICTURE) -> int:
             if connection.topic in (topics.ROBOT_DESCRIPTION, topics.OBJECT_DESCRIPTION):
                 urdfs.append(Xml.fromstring(reader.deserialize(data, connection.msgtype).data))
             if connection.topic in (topics.TF, topics.TF_STATIC) and time - bag.origin_ns < 1e9 * moment:
-                for one in reader.deserialize(data, connection.msgtype).transforms:
-                    at, turn = one.transform.translation, one.transform.rotation
-                    rotation = pin.Quaternion(turn.w, turn.x, turn.y, turn.z).matrix()
-                    placement = pin.SE3(rotation, np.array([at.x, at.y, at.z]))
-                    frames[one.child_frame_id] = one.header.frame_id, placement
+                for item in reader.deserialize(data, connection.msgtype).transforms:
+                    translation, quaternion = item.transform.translation, item.transform.rotation
+                    rotation = pin.Quaternion(quaternion.w, quaternion.x, quaternion.y, quaternion.z).matrix()
+                    placement = pin.SE3(rotation, np.array([translation.x, translation.y, translation.z]))
+                    frames[item.child_frame_id] = item.header.frame_id, placement
 
     axes = Figure(figsize=(7.0, 6.0)).add_subplot(projection="3d", computed_zorder=False)
     axes.autoscale(False)
     axes.set(xlim=(-0.3, 0.9), ylim=(-0.6, 0.6), zlim=(0.0, 1.2), xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
-    shapes = [(link.get("name"), one) for urdf in urdfs for link in urdf.iter("link") for one in link.iter("visual")]
+    shapes = [(link.get("name"), item) for urdf in urdfs for link in urdf.iter("link") for item in link.iter("visual")]
     faces, colours = [], []
     for name, shape in shapes:
         placement = in_world(frames, name) * origin(shape)
@@ -82,8 +82,8 @@ def numbers(text: str) -> np.ndarray:
 
 def origin(visual: Xml.Element) -> pin.SE3:
     """Placement of a shape in its link."""
-    placed = visual.find("origin")
-    return pin.SE3(pin.rpy.rpyToMatrix(*numbers(placed.get("rpy"))), numbers(placed.get("xyz")))
+    element = visual.find("origin")
+    return pin.SE3(pin.rpy.rpyToMatrix(*numbers(element.get("rpy"))), numbers(element.get("xyz")))
 
 
 def faces_of(shape: Xml.Element) -> list[np.ndarray]:

@@ -167,8 +167,8 @@ class ForeignPlant:
         try:
             spec = TrialInfo.from_message(request.trial).spec
             self.joints = joints_of(spec.scene.physics)
-            named = dict(zip(request.start.name, request.start.position, strict=True))
-            start = {arm: np.array([named[joint] for joint in joints]) for arm, joints in self.joints.items()}
+            positions = dict(zip(request.start.name, request.start.position, strict=True))
+            start = {arm: np.array([positions[joint] for joint in joints]) for arm, joints in self.joints.items()}
             self.world = World(spec.scene, start, pose_from_message(request.object_pose))
         except Exception as error:  # a wrong request must not end the node
             response.message = f"plant: {error}"
@@ -241,12 +241,12 @@ class ForeignPlant:
         waited = time.monotonic() - self.since
         if not self.begun:
             # Wait for the recorder on every topic and for the controller on the joints, or the first samples are lost.
-            deaf = [n for n, p in self.publishers.items() if p.get_subscription_count() < 1 + n.endswith("states")]
-            if not deaf:
+            unmatched = [n for n, p in self.publishers.items() if p.get_subscription_count() < 1 + n.endswith("states")]
+            if not unmatched:
                 self.begun = True
                 self.publish()
             elif waited > CONNECTING:
-                self.end(f"no subscriber on {', '.join(deaf)}: are controller and recorder running?")
+                self.end(f"no subscriber on {', '.join(unmatched)}: are controller and recorder running?")
             else:
                 time.sleep(0.005)
             return

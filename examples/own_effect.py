@@ -28,8 +28,8 @@ def main(drags: tuple[float, ...] = (0.0, 20.0)) -> list[float]:
     effect, distances = FormulaEffect(FormulaSpec.model_validate(CABLE)), []
     for drag in drags:
         plant = make_plant(plan, 0, effect.apply_vector(plan.scene.physics, np.array([drag])))
-        seen = [tick.measurement.object for tick in run_closed_loop(plan, plant)]
-        positions = [pose.position for pose in seen if pose is not None]
+        poses = [tick.measurement.object for tick in run_closed_loop(plan, plant)]
+        positions = [pose.position for pose in poses if pose is not None]
         plant.close()
         distances.append(float(np.linalg.norm(positions[-1] - positions[0])))
         print(f"drag {drag:g} N s/m: the box goes {1e3 * distances[-1]:.1f} mm")

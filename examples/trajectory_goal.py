@@ -43,21 +43,21 @@ def goal(scenario_name: str, object_name: str | None = None, case: str | None = 
         points, q = [], arm.initial
         step = round(PERIOD / period)
         for tick in range(step, scenario.timing.ticks + 1, step):
-            held = dict(zip(arm.posture, arm.ante_posture.position[tick].tolist(), strict=True))
-            q = model.inverse_kinematics(pin.SE3(arm.orientation[tick], path.position[tick]), held, q)
+            posture = dict(zip(arm.posture, arm.ante_posture.position[tick].tolist(), strict=True))
+            q = model.inverse_kinematics(pin.SE3(arm.orientation[tick], path.position[tick]), posture, q)
             tasks = np.vstack((model.jacobian(q), np.eye(q.size)[list(arm.posture)]))
-            wanted = np.concatenate((path.velocity[tick], np.zeros(3), arm.ante_posture.velocity[tick]))
-            points.append(_point(tick * period, q, np.linalg.lstsq(tasks, wanted)[0]))
+            task_velocity = np.concatenate((path.velocity[tick], np.zeros(3), arm.ante_posture.velocity[tick]))
+            points.append(_point(tick * period, q, np.linalg.lstsq(tasks, task_velocity)[0]))
     return {"trajectory": {"joint_names": names, "points": points}}
 
 
 def _point(time: float, position: np.ndarray, velocity: np.ndarray) -> dict:
     """A point of the trajectory [s, rad, rad/s]."""
-    seconds, rest = divmod(round(1e9 * time), 10**9)
+    seconds, nanoseconds = divmod(round(1e9 * time), 10**9)
     return {
         "positions": [round(float(value), 6) for value in position],
         "velocities": [round(float(value), 6) for value in velocity],
-        "time_from_start": {"sec": seconds, "nanosec": rest},
+        "time_from_start": {"sec": seconds, "nanosec": nanoseconds},
     }
 
 

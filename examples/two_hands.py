@@ -22,19 +22,19 @@ LOCKED = 1e6  # kg m^2, motor inertia of a brake
 
 def two_armed_robot(arm: str) -> dict[str, Any]:
     """Facts of a torso that turns about z and carries an arm of some robot on either side."""
-    one = json.loads(load_facts(arm).model_dump_json())
+    arm_facts = json.loads(load_facts(arm).model_dump_json())
     joints = [{"name": "waist", "xyz": [0.0, 0.0, 0.0], "rpy": [0.0, 0.0, 0.0]}]
-    links, limits = [{**TORSO, "name": "torso"}], one["limits"]
-    for side, place in SIDES.items():
-        for number, (joint, link) in enumerate(zip(one["joints"], one["links"], strict=True), start=1):
-            first = {"parent": "torso", "xyz": [0.0, place, joint["xyz"][2]]} if number == 1 else {}
+    links, limits = [{**TORSO, "name": "torso"}], arm_facts["limits"]
+    for side, lateral in SIDES.items():
+        for number, (joint, link) in enumerate(zip(arm_facts["joints"], arm_facts["links"], strict=True), start=1):
+            first = {"parent": "torso", "xyz": [0.0, lateral, joint["xyz"][2]]} if number == 1 else {}
             joints.append({**joint, "name": f"{side}_{number}", **first})
             links.append({**link, "name": f"{side}_link_{number}"})
     of_waist = {"position_min_rad": -2.0, "position_max_rad": 2.0, "velocity_rad_s": 2.0, "torque_Nm": 200.0}
     return {
         "source": f"a torso with two arms {arm}", "joints": joints, "links": links,
-        "flange": {**one["flange"], "link": "left_link_7"},
-        "hands": [{**one["flange"], "name": "right", "link": "right_link_7"}],
+        "flange": {**arm_facts["flange"], "link": "left_link_7"},
+        "hands": [{**arm_facts["flange"], "name": "right", "link": "right_link_7"}],
         "limits": {name: [value, *(2 * limits[name])] for name, value in of_waist.items()},
     }  # fmt: skip
 
@@ -60,15 +60,15 @@ def scenario() -> Scenario:
 def main() -> dict[str, tuple[float, float]]:
     """Change of velocity of left and right hand along y [m/s], with a torso that turns and a locked one."""
     scene = Scene.resolve(scenario(), "cat_food", "case_1")
-    problem, before, found = ImpactProblem.at_nominal_impact(scene), velocities_before(scene), {}
+    problem, before, changes = ImpactProblem.at_nominal_impact(scene), velocities_before(scene), {}
     for name, waist in (("turns", problem.motor_inertia["robot"][0]), ("locked", LOCKED)):
         problem.motor_inertia["robot"][0] = waist
         result = compute_impact_map(problem)
         left, right = (float(result.end_effector_twist[hand][1] - before[hand][1]) for hand in ("robot", "right"))
         print(f"torso {name}: left hand {left:+.4f} m/s, right hand {right:+.4f} m/s, ", end="")
         print(f"torso {result.joint_velocity['robot'][0]:+.4f} rad/s, box {result.object_twist[1]:+.4f} m/s")
-        found[name] = (left, right)
-    return found
+        changes[name] = (left, right)
+    return changes
 
 
 if __name__ == "__main__":

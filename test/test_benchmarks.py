@@ -28,7 +28,7 @@ def test_tables_of_the_docs_are_made_from_the_results() -> None:
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
         shown |= {name for names in re.findall(r"\(results: ([\w ]+)\)", text) for name in names.split()}
-        stale += [page.name] if results.made(text) != text else []
+        stale += [page.name] if results.with_tables(text) != text else []
     assert stale == [], "run: ./run python -m benchmarks --docs"
     assert shown == {path.stem for path in results.FOLDER.glob("*.json")}
 
@@ -83,9 +83,9 @@ class Squares:
     def run(self, case: harness.Case, work: harness.Work) -> harness.Row:
         assert work.folder.is_dir()
         self.ran.append(case.name)
-        if case.given == 2 and len(self.ran) == 3:
+        if case.inputs == 2 and len(self.ran) == 3:
             raise KeyboardInterrupt
-        return {"square": case.given**2}
+        return {"square": case.inputs**2}
 
     def table(self, rows: list[harness.Row], options: argparse.Namespace) -> Table:
         del options
@@ -114,14 +114,14 @@ def test_results_come_back_as_they_were_saved_and_are_joined(tmp_path: Path, mon
     assert Results.read("ours") == ours
     Results("./run y", "2026-11-26", None, None, ("", "theirs"), (("time", "9 s"), ("wrong", "0"))).save("theirs")
     page = "before\n\n[//]: # (results: ours theirs)\n\nold\n\n[//]: # (end of results)\n\nafter\n"
-    made = results.made(page)
+    made = results.with_tables(page)
     assert "|  | ours | theirs |" in made and "| right | 3 of 4 | – |" in made
     assert "| time | 2 s | 9 s |" in made and "| wrong | – | 0 |" in made
     assert "\n`./run x`; `./run y`\n" in made
-    chosen = results.made(page.replace("(results: ours theirs)", "(results: ours) (columns: 1 2) (rows: 2)"))
+    chosen = results.with_tables(page.replace("(results: ours theirs)", "(results: ours) (columns: 1 2) (rows: 2)"))
     assert "| time | 2 s |" in chosen and "right" not in chosen
     assert Table(("", "a"), (("one", "not counted"), ("two", "2"))).some().rows == (("two", "2"),)
-    assert "old" not in made and results.made(made) == made
+    assert "old" not in made and results.with_tables(made) == made
     assert Table(("a",), (("1",),)).with_(Table(("a",), (("2",),))).rows == (("1",), ("2",))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Are p values of a diagnosis what they say? Shares below 1 and 5 % where nothing is hidden, and power.
+"""Calibration of the p values of a diagnosis: shares below 1 and 5 % where nothing is hidden, and power.
 
 Nothing is hidden in a campaign of conditions x repeats. Features have the covariance that they have along a trial, in
 which few directions carry most of the noise; the relevance limit is 0.1 or 10 times the noise. Residuals are
@@ -14,11 +14,11 @@ With ``--discrepancy`` they are normal, and the simulator is off by 0.3 or 1.0 o
 all conditions, as its discrepancy says: along the measured patterns of the discrepancy, or, as a simulator that it was
 not measured on, along none of them.
 
-Every draw goes the way of a diagnosis: runs become clusters, scaled by the pure error that their repeats give, and
-these the p values of effects with 1 and with 7 parameters, the smallest adjusted p of six effects, lack of fit, and,
-beside 7 parameters that were fitted, the p value of 1 parameter and lack of fit. A right test calls 1 % of nulls
-significant at 1 %, and 5 % at 5 %. ``--power`` hides an effect of 2 or 4 standard errors instead. The last row is a
-recording, with noise that remembers some samples, in 24 stretches.
+Every draw is treated as in a diagnosis: runs become clusters, scaled by the pure error of their repeats. They give the
+p values of effects with 1 and with 7 parameters, the smallest adjusted p of six effects, lack of fit, and, after a fit
+of 7 parameters, the p value of 1 more parameter and lack of fit. A calibrated test rejects 1 % of nulls at 1 %, and 5 %
+at 5 %. ``--power`` hides an effect of 2 or 4 standard errors instead. The last row is a recording with correlated
+noise, in 24 stretches.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ import numpy as np
 from analytic_world import EFFECTS, FEATURES, AnalyticSource, correlated, features
 
 from benchmarks.closed_form import EXACT, Campaign, Simulator
-from benchmarks.harness import Case, Row, Work, draw_options, drawn
+from benchmarks.harness import Case, Row, Work, draw_options, map_draws
 from benchmarks.results import Table
 from impact_rs_analysis.diagnosis.search import null_distribution
 from impact_rs_analysis.diagnosis.search.candidate import Candidate, Problem, linearise
@@ -66,7 +66,7 @@ def remembering() -> Array:
 
 
 def standard_error(design: tuple[int, int], limit: float) -> float:
-    """Of the estimate of the effect ``straight`` with the true scales."""
+    """Standard error of the estimate of the effect ``straight`` with the true scales."""
     conditions, repeats = design
     weight = 1.0 / (np.square(SPREAD) * (1.0 + (limit / 2.0) ** 2))
     scores = [weight * features(number, (("straight", (1.0,)),)) for number in range(conditions)]
@@ -78,23 +78,23 @@ def standard_error(design: tuple[int, int], limit: float) -> float:
 def p_values(source: AnalyticSource) -> tuple[float, ...]:
     """p values of ``COLUMNS``."""
     evidence = Evidence.of(source)
-    found, problems = {}, {}
+    p_by_effect, problems = {}, {}
     for name, effect in EFFECTS.items():
         if name == "one_sided":
             continue
         candidate = linearise(Candidate.of((effect,), source), source.clusters, evidence.numbers, source)
         assert candidate is not None
         problems[name] = Problem(candidate, source.clusters, evidence.neighbours)
-        found[name] = problems[name].p_value(evidence.null, slice(None))
+        p_by_effect[name] = problems[name].p_value(evidence.null, slice(None))
     fitted = Fit.of(problems["of_motors"].candidate, evidence)
-    beside = evidence.problem(fitted.candidate.beside(problems["straight"].candidate))
+    extended = evidence.problem(fitted.candidate.beside(problems["straight"].candidate))
     return (
-        found["straight"],
-        found["of_joints"],
-        min(benjamini_hochberg(found).values()),
+        p_by_effect["straight"],
+        p_by_effect["of_joints"],
+        min(benjamini_hochberg(p_by_effect).values()),
         np.nan if evidence.lack_of_fit is None else evidence.lack_of_fit,
-        beside.p_value(fitted.left.null, slice(fitted.change.size, None)),
-        np.nan if (left := fitted.lack_of_fit()) is None else left,
+        extended.p_value(fitted.left.null, slice(fitted.change.size, None)),
+        np.nan if (lack_of_fit := fitted.lack_of_fit()) is None else lack_of_fit,
     )
 
 
@@ -114,7 +114,7 @@ def cases(options: argparse.Namespace) -> list[Case]:
     worlds = [(noise, noise, EXACT) for noise in NOISES]
     if options.discrepancy:
         worlds = [(words, NOISES[0], simulator) for words, simulator in SIMULATORS.items()]
-    found = [
+    campaigns = [
         Case(
             f"{design[0]} × {design[1]}, {words}"
             + (f", limit {limit:g}" if len(options.limits) > 1 else "")
@@ -126,25 +126,25 @@ def cases(options: argparse.Namespace) -> list[Case]:
         for limit in options.limits
         for size in ((2.0, 4.0) if options.power else (0.0,))
     ]
-    return found if options.power or options.discrepancy else [*found, Case(RECORDING)]
+    return campaigns if options.power or options.discrepancy else [*campaigns, Case(RECORDING)]
 
 
-def one(case: Case, options: argparse.Namespace, seed: int) -> tuple[float, ...]:
+def draw_case(case: Case, options: argparse.Namespace, seed: int) -> tuple[float, ...]:
     """p values of one draw."""
     null_distribution.NULL_DRAWS = options.null_draws  # type: ignore[attr-defined]
-    if case.given is None:
+    if case.inputs is None:
         return p_values(AnalyticSource(seed, design=(1,) * STRETCHES, correlation=remembering(), repeated=False))
-    design, noise, simulator, limit, size = case.given
+    design, noise, simulator, limit, size = case.inputs
     truth = (("straight", (size * standard_error(design, limit),)),) if size else ()
     return p_values(Campaign(seed, design, truth, limit, ROOT, noise, simulator))
 
 
 def run(case: Case, work: Work) -> Row:
     """Shares below the levels [%], ``columns x levels``."""
-    found = np.array(drawn(one, case, work.options, work.map_tasks))
+    p_values_of_draws = np.array(map_draws(draw_case, case, work.options, work.map_tasks))
     shares = [
         None if np.isnan(column).all() else 100.0 * float(np.mean(column < level))
-        for column in found.T
+        for column in p_values_of_draws.T
         for level in LEVELS
     ]
     return {"shares": shares}
@@ -154,5 +154,7 @@ def table(rows: list[Row], options: argparse.Namespace) -> Table:
     """A row for each design and noise."""
     del options
     head = [f"{name}: {level:.0%}" for name in COLUMNS for level in LEVELS]
-    lines = [(row["name"], *("–" if one is None else f"{one:.1f}" for one in row["shares"])) for row in rows]
+    lines = [
+        (row["name"], *("–" if percent is None else f"{percent:.1f}" for percent in row["shares"])) for row in rows
+    ]
     return Table(("design, noise", *head), tuple(lines))

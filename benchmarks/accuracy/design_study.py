@@ -42,14 +42,14 @@ def cases(options: argparse.Namespace) -> list[Case]:
 def run(case: Case, work: Work) -> Row:
     """Measures of all designs of a robot by both engines, ``(designs, 2, measures)``."""
     conditions = DesignConditions(load_scenario("push"), "cat_food", pads=tuple(work.options.pads))
-    found, failed = [], 0
+    designs, failed = [], 0
     for stance in random_poses(case.name, conditions, work.options.poses)[0]:
         for _, _, problem in problems_of(conditions, stance):
             try:
-                found.append([list(values_by(engine, problem).values()) for engine in ("exact", "bullet")])
+                designs.append([list(values_by(engine, problem).values()) for engine in ("exact", "bullet")])
             except ImpactMapError:
                 failed += 1
-    return {"designs": found, "failed": failed, "said": f"{len(found)} designs, {failed} without an answer"}
+    return {"designs": designs, "failed": failed, "said": f"{len(designs)} designs, {failed} without an answer"}
 
 
 def table(rows: list[Row], options: argparse.Namespace) -> Table:
@@ -67,7 +67,11 @@ def table(rows: list[Row], options: argparse.Namespace) -> Table:
         "Within a robot, the least",
     )
     lines = [
-        (name.replace("_", " "), f"{tau(together, column):.4f}", f"{min(tau(one, column) for one in robots):.3f}")
+        (
+            name.replace("_", " "),
+            f"{tau(together, column):.4f}",
+            f"{min(tau(robot_designs, column) for robot_designs in robots):.3f}",
+        )
         for column, name in enumerate(MEASURES)
     ]
     return Table(columns, tuple(lines))

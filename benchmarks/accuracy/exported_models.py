@@ -86,13 +86,14 @@ def errors(scene: Scene, hit: Callable[[ExportedScene], dict[str, Array]]) -> tu
         return float(np.mean(rows))
 
     predicted = compute_impact_map(ImpactProblem.at_nominal_impact(scene)).joint_velocity
-    found = hit(ExportedScene.of(scene, load_model("nominal")))
+    simulated = hit(ExportedScene.of(scene, load_model("nominal")))
     before = {name: state.velocity for name, state in scene.arms.items()}
-    error = along(found) - along(predicted)
-    off = max(float(np.abs(found[name] - predicted[name]).max()) for name in found)
-    largest = max(float(np.abs(predicted[name] - before[name]).max()) for name in found)
+    error = along(simulated) - along(predicted)
+    joint_error = max(float(np.abs(simulated[name] - predicted[name]).max()) for name in simulated)
+    largest = max(float(np.abs(predicted[name] - before[name]).max()) for name in simulated)
     return tuple(
-        100.0 * value for value in (error / along(predicted), error / (along(predicted) - along(before)), off / largest)
+        100.0 * value
+        for value in (error / along(predicted), error / (along(predicted) - along(before)), joint_error / largest)
     )  # type: ignore[return-value]
 
 
@@ -114,15 +115,15 @@ def cases(options: argparse.Namespace) -> list[Case]:
 def run(case: Case, work: Work) -> Row:
     """Errors of one hit in every simulator that is installed."""
     del work
-    name, *which = case.given
-    scene = Scene.resolve(load_scenario(name), *which)
-    there = {"MuJoCo": "mujoco", "Drake": "pydrake"}
+    name, *object_and_case = case.inputs
+    scene = Scene.resolve(load_scenario(name), *object_and_case)
+    packages = {"MuJoCo": "mujoco", "Drake": "pydrake"}
     return {
-        "set": f"{name} {which[0]}",
+        "set": f"{name} {object_and_case[0]}",
         "errors": {
             simulator: errors(scene, hit)
             for simulator, hit in SIMULATORS.items()
-            if find_spec(there[simulator]) is not None
+            if find_spec(packages[simulator]) is not None
         },
     }
 
@@ -135,8 +136,8 @@ def table(rows: list[Row], options: argparse.Namespace) -> Table:
     for name in dict.fromkeys(row["set"] for row in rows):
         cells = []
         for simulator in simulators:
-            own = np.array([row["errors"][simulator] for row in rows if row["set"] == name])
-            velocity, jump, joint = (sorted(column, key=abs) for column in own.T)
+            errors_of_set = np.array([row["errors"][simulator] for row in rows if row["set"] == name])
+            velocity, jump, joint = (sorted(column, key=abs) for column in errors_of_set.T)
             ends = f"{velocity[0]:+.2f} to {velocity[-1]:+.2f}"
             cells.append(f"{ends} ({abs(jump[0]):.1f} to {abs(jump[-1]):.1f}; {joint[-1]:.0f})")
         lines.append((name, *cells))

@@ -14,7 +14,7 @@ import argparse
 import numpy as np
 from random_impacts import random_problem
 
-from benchmarks.harness import Case, Row, Work, draw_options, drawn
+from benchmarks.harness import Case, Row, Work, draw_options, map_draws
 from benchmarks.results import Table
 from impact_rs_sim.impact_map.derivatives import all_velocities, change, differentiate
 from impact_rs_sim.impact_map.laws import COMPLIANCE, newton, solve_contacts, states
@@ -34,9 +34,9 @@ def solved(
     """All velocities with one parameter changed, and the contact states with which points bounce (None: no answer)."""
     system, terms = change(problem, {name: amount}).terms(models)
     impulses, converged = newton(terms, solve_contacts(terms)[0], compliance=compliance)
-    where = tuple(contact.partner for contact in terms.contacts)
+    partners = tuple(contact.partner for contact in terms.contacts)
     return all_velocities(system, system.velocity + terms.response @ impulses.ravel()), (
-        where,
+        partners,
         states(terms, impulses, compliance),
         tuple((terms.rebound < 0.0).tolist()),
     ) if converged else None
@@ -51,17 +51,17 @@ def difference(
     for step in STEPS:
         (high, above), (low, below) = (solved(problem, models, name, sign * step, compliance) for sign in (1.0, -1.0))
         slopes.append((high - low) / (2.0 * step) if above == below == nominal else None)
-    best, doubt = None, np.inf
-    richer = [
+    best, disagreement = None, np.inf
+    extrapolated = [
         None if a is None or b is None else (16.0 * b - a) / 15.0 for a, b in zip(slopes, slopes[1:], strict=False)
     ]
-    for coarse, fine in zip(richer, richer[1:], strict=False):
+    for coarse, fine in zip(extrapolated, extrapolated[1:], strict=False):
         if coarse is None or fine is None:
             continue
-        apart = float(np.linalg.norm(coarse - fine) / max(np.linalg.norm(fine), 1e-3))
-        if apart < doubt:
-            best, doubt = fine, apart
-    return best, doubt
+        difference_ = float(np.linalg.norm(coarse - fine) / max(np.linalg.norm(fine), 1e-3))
+        if difference_ < disagreement:
+            best, disagreement = fine, difference_
+    return best, disagreement
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -78,40 +78,44 @@ def cases(options: argparse.Namespace) -> list[Case]:
     return [Case(f"compliance {compliance:g}", compliance) for compliance in options.compliances]
 
 
-def one(case: Case, options: argparse.Namespace, seed: int) -> list[float | str]:
+def draw_case(case: Case, options: argparse.Namespace, seed: int) -> list[float | str]:
     """Errors of some columns of a problem; those that could not be compared say why."""
     rng = np.random.default_rng([0, seed])
     problem = random_problem(load_scenario("push"), rng)
     models = problem.physics.robot_models()
     try:
-        found = differentiate(problem, models, [case.given])
+        derivatives = differentiate(problem, models, [case.inputs])
     except ImpactMapError:
         return ["no answer"]
-    names = [parameter.name for parameter in found.parameters]
+    names = [parameter.name for parameter in derivatives.parameters]
     results: list[float | str] = []
     for name in rng.permutation(names)[: options.columns or len(names)]:
-        wanted, doubt = difference(problem, models, str(name), case.given)
-        if wanted is None:
+        reference, disagreement = difference(problem, models, str(name), case.inputs)
+        if reference is None:
             results.append("at a switch")
-        elif doubt > TRUSTED:
+        elif disagreement > TRUSTED:
             results.append("not measurable")
         else:
             # a derivative that vanishes is compared in m/s or rad/s per unit, of which 1e-3 is little
-            off = np.linalg.norm(found.of(name) - wanted) / max(np.linalg.norm(wanted), 1e-3)
-            results.append(float(off))
+            error = np.linalg.norm(derivatives.of(name) - reference) / max(np.linalg.norm(reference), 1e-3)
+            results.append(float(error))
     return results
 
 
 def run(case: Case, work: Work) -> Row:
     """Compare all."""
-    return {"columns": [column for found in drawn(one, case, work.options, work.map_tasks) for column in found]}
+    return {
+        "columns": [
+            column for columns in map_draws(draw_case, case, work.options, work.map_tasks) for column in columns
+        ]
+    }
 
 
 def table(rows: list[Row], options: argparse.Namespace) -> Table:
     """A row for each compliance."""
     lines = []
     for row in rows:
-        errors = np.array([one for one in row["columns"] if not isinstance(one, str)])
+        errors = np.array([entry for entry in row["columns"] if not isinstance(entry, str)])
         lines.append(
             (
                 f"{options.draws} random problems, {row['name']}",
@@ -119,7 +123,7 @@ def table(rows: list[Row], options: argparse.Namespace) -> Table:
                 f"{100.0 * np.mean(errors <= GOAL):.1f} %",
                 f"{np.median(errors):.1e}",
                 f"{errors.max():.1e}",
-                *(str(row["columns"].count(why)) for why in ("at a switch", "not measurable", "no answer")),
+                *(str(row["columns"].count(reason)) for reason in ("at a switch", "not measurable", "no answer")),
             )
         )
     columns = ("Derivatives against central differences", "columns", f"within {GOAL:g}", "median", "largest")

@@ -12,7 +12,7 @@ import argparse
 import numpy as np
 from random_impacts import random_problem
 
-from benchmarks.harness import Case, Row, Work, draw_options, drawn
+from benchmarks.harness import Case, Row, Work, draw_options, map_draws
 from benchmarks.results import Table
 from impact_rs_sim.impact_map import BulletEngine, ExactEngine, ImpactMapError, ImpactResult, kinetic_energy
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
@@ -70,10 +70,10 @@ def cases(options: argparse.Namespace) -> list[Case]:
     return [Case(robot or "push", robot or None) for robot in options.robots]
 
 
-def one(case: Case, options: argparse.Namespace, seed: int) -> Row | None:
+def draw_case(case: Case, options: argparse.Namespace, seed: int) -> Row | None:
     """One problem by both engines; None: one of them has no answer."""
     del options
-    problem = random_problem(push_of(case.given), np.random.default_rng([0, seed]))
+    problem = random_problem(push_of(case.inputs), np.random.default_rng([0, seed]))
     engines = (BulletEngine(problem.physics), ExactEngine(problem.physics))
     try:
         bullet, exact = (engine.solve(problem) for engine in engines)
@@ -97,7 +97,11 @@ def one(case: Case, options: argparse.Namespace, seed: int) -> Row | None:
 
 def run(case: Case, work: Work) -> Row:
     """All problems of a robot."""
-    return {"problems": [found for found in drawn(one, case, work.options, work.map_tasks) if found is not None]}
+    return {
+        "problems": [
+            problem for problem in map_draws(draw_case, case, work.options, work.map_tasks) if problem is not None
+        ]
+    }
 
 
 def table(rows: list[Row], options: argparse.Namespace) -> Table:
@@ -106,17 +110,18 @@ def table(rows: list[Row], options: argparse.Namespace) -> Table:
     columns += ("others, largest [%]", "residual of exact, largest [m/s]")
     lines = []
     for row in rows:
-        alone, others = (
-            [one["percent"] for one in row["problems"] if one["unique"] is unique] for unique in (True, False)
+        with_unique_answer, with_several_answers = (
+            [problem["percent"] for problem in row["problems"] if problem["unique"] is unique]
+            for unique in (True, False)
         )
         lines.append(
             (
                 f"{row['name']}, {options.draws}",
                 str(len(row["problems"])),
-                str(len(alone)),
-                *(f"{value:.2g}" for value in np.percentile(alone, (50, 95, 100))),
-                f"{max(others, default=0.0):.2g}",
-                f"{max(one['residual'] for one in row['problems']):.0e}",
+                str(len(with_unique_answer)),
+                *(f"{value:.2g}" for value in np.percentile(with_unique_answer, (50, 95, 100))),
+                f"{max(with_several_answers, default=0.0):.2g}",
+                f"{max(problem['residual'] for problem in row['problems']):.0e}",
             )
         )
     return Table(columns, tuple(lines))

@@ -14,7 +14,7 @@ import numpy as np
 from gauss_seidel import gauss_seidel
 from random_impacts import random_problem
 
-from benchmarks.harness import Case, Row, Work, draw_options, drawn
+from benchmarks.harness import Case, Row, Work, draw_options, map_draws
 from benchmarks.results import Table
 from impact_rs_sim.impact_map.contacts import contact_pairs, find_contacts
 from impact_rs_sim.impact_map.laws import ContactTerms, build_system
@@ -40,7 +40,7 @@ def cases(options: argparse.Namespace) -> list[Case]:
     return [Case("random pushes")]
 
 
-def one(case: Case, options: argparse.Namespace, seed: int) -> tuple[float, float, float] | None:
+def draw_case(case: Case, options: argparse.Namespace, seed: int) -> tuple[float, float, float] | None:
     """Reported spread, that of brute force, and distance of the nearest of its answers; None: it solves nothing."""
     del case
     rng = np.random.default_rng([0, seed])
@@ -57,39 +57,43 @@ def one(case: Case, options: argparse.Namespace, seed: int) -> tuple[float, floa
     loads[0] = 0.0
     impulses, _ = gauss_seidel(terms, loads * terms.normals, options.sweeps)
     velocities = [terms.before + terms.response @ impulse.ravel() for impulse in impulses]
-    kept = [
+    lawful = [
         velocity
         for impulse, velocity in zip(impulses, velocities, strict=True)
         if terms.residual(impulse, velocity).largest <= LAWFUL
     ]
-    if len(kept) < 2:
+    if len(lawful) < 2:
         return None
-    nearest = min(spread_of(system, [answers[0], velocity]).spread for velocity in kept)
-    return float(spread_of(system, answers).relative), float(spread_of(system, kept).relative), float(nearest)
+    nearest = min(spread_of(system, [answers[0], velocity]).spread for velocity in lawful)
+    return float(spread_of(system, answers).relative), float(spread_of(system, lawful).relative), float(nearest)
 
 
 def run(case: Case, work: Work) -> Row:
     """Solve all."""
-    return {"found": [found for found in drawn(one, case, work.options, work.map_tasks) if found is not None]}
+    return {
+        "found": [
+            spreads for spreads in map_draws(draw_case, case, work.options, work.map_tasks) if spreads is not None
+        ]
+    }
 
 
 def table(rows: list[Row], options: argparse.Namespace) -> Table:
     """Spreads beside each other."""
     reported, brute, nearest = np.array(rows[0]["found"]).T
-    unique, both = nearest[reported <= UNIQUE], reported > OPEN
-    least = (
+    unique, reported_open = nearest[reported <= UNIQUE], reported > OPEN
+    distance_words = (
         f"{np.percentile(unique, 95):.1e} m/s, at most {unique.max():.1e} m/s ({unique.size} problems)"
         if unique.size
         else "–"
     )
     lines = [
         (f"brute force obeys the laws to {LAWFUL:.0e} m/s from two starts or more", f"{reported.size} problems"),
-        ("more than 0.1 % apart: reported / brute force", f"{both.sum()} / {(brute > OPEN).sum()}"),
-        ("same verdict", f"{(both == (brute > OPEN)).sum()} of {reported.size}"),
+        ("more than 0.1 % apart: reported / brute force", f"{reported_open.sum()} / {(brute > OPEN).sum()}"),
+        ("same verdict", f"{(reported_open == (brute > OPEN)).sum()} of {reported.size}"),
         ("brute force finds a larger spread than reported", str((brute > reported + UNIQUE).sum())),
         (
             f"returned solution from the nearest of brute force, where the spread is below {UNIQUE:.0e}",
-            f"95 %: {least}",
+            f"95 %: {distance_words}",
         ),
         (
             "reported spread, median / 95 % / largest, of the ante-impact speed",

@@ -77,39 +77,41 @@ def hit(
     starts = {}
     for name, arm in arms.items():
         for joint, speed in enumerate(arm.velocity, start=1):
-            for what in ("joint", "motor"):
-                cell.data.qvel[cell.model.joint(f"{name}/{what}{joint}").dofadr[0]] = speed
+            for side in ("joint", "motor"):
+                cell.data.qvel[cell.model.joint(f"{name}/{side}{joint}").dofadr[0]] = speed
         placement = scene.models[name].placement(arm.position)
         starts[name] = placement, scene.models[name].jacobian(arm.position)[:3] @ arm.velocity
     rows: dict[str, list[ArmMotion]] = {name: [] for name in arms}
     ticks = round(HIT_WINDOW_S / period)
     for tick in range(ticks + 1):
-        now, torques = tick * period, {}
+        time, torques = tick * period, {}
         measured = cell.measure().arms
-        for name, one in measured.items():
-            rows[name].append(ArmMotion(one.position, one.velocity, one.torque, one.position, one.velocity))
+        for name, motion in measured.items():
+            rows[name].append(
+                ArmMotion(motion.position, motion.velocity, motion.torque, motion.position, motion.velocity)
+            )
             model, (placement, velocity) = scene.models[name], starts[name]
-            terms, here = model.terms(one.position, one.velocity), model.placement(one.position)
-            off = placement.translation + now * velocity - here.translation
-            turn = here.rotation @ pin.log3(here.rotation.T @ placement.rotation)
-            wanted = np.concatenate((velocity, np.zeros(3))) - terms.jacobian @ one.velocity
-            force = STIFFNESS * np.concatenate((off, turn)) + DAMPING * wanted
+            terms, present = model.terms(motion.position, motion.velocity), model.placement(motion.position)
+            position_error = placement.translation + time * velocity - present.translation
+            rotation_error = present.rotation @ pin.log3(present.rotation.T @ placement.rotation)
+            velocity_error = np.concatenate((velocity, np.zeros(3))) - terms.jacobian @ motion.velocity
+            force = STIFFNESS * np.concatenate((position_error, rotation_error)) + DAMPING * velocity_error
             torques[name] = terms.bias + (terms.jacobian.T @ force if impedance else 0.0)
         if tick < ticks:
             cell.step(torques)
     signals = {}
     for name, row in rows.items():
-        stacked = [np.array([getattr(one, field) for one in row]) for field in ("position", "velocity", "torque")]
+        stacked = [np.array([getattr(motion, field) for motion in row]) for field in ("position", "velocity", "torque")]
         signals[name] = ArmMotion(*stacked, stacked[0], stacked[1])
     return quantities(scene, np.arange(ticks + 1) * period, signals)
 
 
 def calibrated() -> dict[str, float]:
     """How far MuJoCo is from the twin: ``JUMP_SHARES`` by kind of the hit, then ``PEAK_SHARES``."""
-    found: dict[str, list[float]] = {kind: [] for kind in (*JUMP_SHARES, *PEAK_SHARES)}
+    deviations: dict[str, list[float]] = {kind: [] for kind in (*JUMP_SHARES, *PEAK_SHARES)}
     scenes = [Scene.resolve(load_scenario(name), item, case) for name, item, case in SQUARE]
     scenes += [
-        Scene.resolve(oblique(load_scenario(name), case, *how), item, case) for name, item, case, *how in OBLIQUE
+        Scene.resolve(oblique(load_scenario(name), case, *angles), item, case) for name, item, case, *angles in OBLIQUE
     ]
     for scene in scenes:
         hits = Hits(scene, Thresholds())
@@ -118,12 +120,12 @@ def calibrated() -> dict[str, float]:
         mujoco = hit(scene, *drawn(problem, scene.models, {}, scene.physics.arms))
         (arm,) = scene.physics.arms.values()
         jumps = np.array(hits.bounds.kinds) == "jump"
-        found[hits.kind] += ((mujoco - twin)[jumps] * reach_of(arm.facts) / hits.speed).tolist()
+        deviations[hits.kind] += ((mujoco - twin)[jumps] * reach_of(arm.facts) / hits.speed).tolist()
         for kind in PEAK_SHARES:
-            own = np.array(hits.bounds.kinds) == kind
-            largest = own & (twin >= 0.3 * twin[own].max())
-            found[kind] += np.log(mujoco[largest] / twin[largest]).tolist()
-    return {kind: float(np.sqrt(np.mean(np.square(values)))) for kind, values in found.items()}
+            of_kind = np.array(hits.bounds.kinds) == kind
+            largest = of_kind & (twin >= 0.3 * twin[of_kind].max())
+            deviations[kind] += np.log(mujoco[largest] / twin[largest]).tolist()
+    return {kind: float(np.sqrt(np.mean(np.square(values)))) for kind, values in deviations.items()}
 
 
 @dataclass(frozen=True)
@@ -171,9 +173,9 @@ def condition(number: int, draws: int, reflexes: bool = True) -> tuple[Hits, Spe
         except Infeasible:
             continue
         hits = Hits(scene, limits, draws=draws, seed=number)
-        found = speed_limit(hits)
-        if 0.0 < found.middle < np.inf:
-            return hits, found
+        limit = speed_limit(hits)
+        if 0.0 < limit.middle < np.inf:
+            return hits, limit
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -195,7 +197,7 @@ def cases(options: argparse.Namespace) -> list[Case]:
 
 def run(case: Case, work: Work) -> Row:
     """Hits of one condition."""
-    options, number = work.options, case.given
+    options, number = work.options, case.inputs
     if number is None:
         return {"shares": calibrated()}
     hits, limit = condition(number, options.draws, not options.no_reflexes)
@@ -203,7 +205,7 @@ def run(case: Case, work: Work) -> Row:
     problem = touching(scene)
     sources = sources_of(problem, scene.scenario.uncertainty)
     rng = np.random.default_rng(10_000 + number)
-    found = []
+    outcomes = []
     for _ in range(options.hits):
         amounts = possible(problem, draw(sources, rng))
         springs = {name: drawn_springs(arm, rng) for name, arm in scene.physics.arms.items()}
@@ -213,8 +215,8 @@ def run(case: Case, work: Work) -> Row:
         ratios = hit(scene, physics, moving, body, options.impedance) / hits.bounds.values
         worst = int(np.argmax(ratios))
         outcome = Outcome(number, speed, limit.speed, limit.middle, float(ratios[worst]), hits.bounds.kinds[worst])
-        found.append(asdict(outcome))
-    return {"hits": found, "assumed": scene.scenario.name != "push"}
+        outcomes.append(asdict(outcome))
+    return {"hits": outcomes, "assumed": scene.scenario.name != "push"}
 
 
 def table(rows: list[Row], options: argparse.Namespace) -> Table:
@@ -233,16 +235,22 @@ def table(rows: list[Row], options: argparse.Namespace) -> Table:
     columns += ("Needless refusals, of all hits", "of hits within all bounds")
     return Table(
         columns,
-        tuple(summary(name, [Outcome(**one) for row in own for one in row["hits"]]) for name, own in parts.items()),
+        tuple(
+            summary(name, [Outcome(**outcome) for row in part_rows for outcome in row["hits"]])
+            for name, part_rows in parts.items()
+        ),
     )
 
 
-def summary(name: str, found: list[Outcome]) -> tuple[str, ...]:
+def summary(name: str, outcomes: list[Outcome]) -> tuple[str, ...]:
     """Figures of some hits."""
-    missed, needless = sum(one.missed for one in found), sum(one.needless for one in found)
-    safe, allowed = sum(one.worst <= 1.0 for one in found), [one.worst for one in found if one.speed <= one.limit]
-    refused = f"{needless} ({100.0 * needless / max(len(found), 1):.1f} %)"
-    counts = (len(found), len(allowed), safe, missed)
+    missed, needless = sum(outcome.missed for outcome in outcomes), sum(outcome.needless for outcome in outcomes)
+    safe, allowed = (
+        sum(outcome.worst <= 1.0 for outcome in outcomes),
+        [outcome.worst for outcome in outcomes if outcome.speed <= outcome.limit],
+    )
+    refused = f"{needless} ({100.0 * needless / max(len(outcomes), 1):.1f} %)"
+    counts = (len(outcomes), len(allowed), safe, missed)
     return (
         name,
         *map(str, counts),

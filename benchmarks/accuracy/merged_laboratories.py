@@ -15,7 +15,7 @@ from collections import Counter
 import numpy as np
 from evidence_packages import package_of
 
-from benchmarks.harness import Case, Row, Work, draw_options, drawn, percent
+from benchmarks.harness import Case, Row, Work, draw_options, map_draws, percent
 from benchmarks.results import Table
 from impact_rs_analysis.sharing.evidence_package import EvidencePackage
 from impact_rs_analysis.sharing.merged_evidence import MergedEvidence, merge_packages
@@ -26,7 +26,7 @@ USUAL = 0.1  # standard error
 
 
 def package(laboratory: str, robot: str, values: list[float], errors: list[float]) -> EvidencePackage:
-    """What one laboratory reports."""
+    """Package of one laboratory."""
     return package_of(laboratory, dict(zip(PARAMETERS, zip(values, errors, strict=True), strict=True)), robot)
 
 
@@ -75,39 +75,41 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def cases(options: argparse.Namespace) -> list[Case]:
-    """What is planted."""
+    """The planted truths."""
     del options
     return [Case(name, planted) for name, planted in PLANTED.items()]
 
 
-def one(case: Case, options: argparse.Namespace, seed: int) -> Row:
+def draw_case(case: Case, options: argparse.Namespace, seed: int) -> Row:
     """One merge."""
     del options
-    robots, _, shift, wrong, by_robot = case.given
-    found = merged(np.random.default_rng([7, seed]), *case.given)
-    odd, off = f"laboratory {len(robots)}", {f"{name}.size" for name in PARAMETERS[:wrong]}
+    robots, _, shift, wrong, by_robot = case.inputs
+    evidence = merged(np.random.default_rng([7, seed]), *case.inputs)
+    odd, odd_parameters = f"laboratory {len(robots)}", {f"{name}.size" for name in PARAMETERS[:wrong]}
     row: Row = {"covered": [], "narrower": [], "belongs": ""}
-    row["named"] = odd in found.odd if shift else None
-    row["others"] = any(name != odd or not shift or not set(where) <= off for name, where in found.odd.items())
-    for one_ in found.parameters:
-        if by_robot and one_.effect == "law_2":
-            row["belongs"] = " or ".join(one_.belongs_to)
+    row["named"] = odd in evidence.odd if shift else None
+    row["others"] = any(
+        name != odd or not shift or not set(where) <= odd_parameters for name, where in evidence.odd.items()
+    )
+    for parameter in evidence.parameters:
+        if by_robot and parameter.effect == "law_2":
+            row["belongs"] = " or ".join(parameter.belongs_to)
             continue
-        low, high = one_.pooled.ci95
+        low, high = parameter.pooled.ci95
         row["covered"].append(low <= TRUTH <= high)
-        alone = [each.ci95[1] - each.ci95[0] for each in one_.contributions]
-        row["narrower"].append(high - low < float(np.median(alone)))
+        widths = [contribution.ci95[1] - contribution.ci95[0] for contribution in parameter.contributions]
+        row["narrower"].append(high - low < float(np.median(widths)))
     return row
 
 
 def run(case: Case, work: Work) -> Row:
     """Shares of all merges [%]."""
-    found = drawn(one, case, work.options, work.map_tasks)
-    belongs = Counter(row["belongs"] for row in found if row["belongs"])
+    rows = map_draws(draw_case, case, work.options, work.map_tasks)
+    belongs = Counter(row["belongs"] for row in rows if row["belongs"])
     return {
-        **{key: percent(value for row in found for value in row[key]) for key in ("covered", "narrower")},
-        **{key: percent(row[key] for row in found) for key in ("named", "others")},
-        "belongs": ", ".join(f"{name} {100.0 * count / len(found):.1f}" for name, count in belongs.most_common()),
+        **{key: percent(value for row in rows for value in row[key]) for key in ("covered", "narrower")},
+        **{key: percent(row[key] for row in rows) for key in ("named", "others")},
+        "belongs": ", ".join(f"{name} {100.0 * count / len(rows):.1f}" for name, count in belongs.most_common()),
     }
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Do intervals from recordings hold the truth? Payload and friction, with an unmodelled friction left in.
+"""Coverage of intervals from recordings: payload and friction, with an unmodelled friction in the data.
 
 A Franka arm with 0.7 kg at its flange swings for 36 s, each joint at two frequencies; motions, friction and the scale
 of each joint's torque (``--scale``, a standard deviation) are drawn anew. Coulomb friction, viscous friction and the
@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from joint_recordings import swinging, write_npz
 
-from benchmarks.harness import Case, Row, Work, draw_options, drawn
+from benchmarks.harness import Case, Row, Work, draw_options, map_draws
 from benchmarks.results import Table
 from impact_rs_analysis.diagnosis.diagnose import effects_for
 from impact_rs_analysis.diagnosis.search.effect_selection import Search
@@ -40,7 +40,7 @@ NOISE = 0.05  # N m
 JOINTS = 7
 
 
-def one(case: Case, options: argparse.Namespace, seed: int) -> list[bool]:
+def draw_case(case: Case, options: argparse.Namespace, seed: int) -> list[bool]:
     """Whether the interval holds the truth, of friction, mass, centre and gyration, ``(2 n + 5,)``."""
     left_out, scale = case.name, options.scale
     rng = np.random.default_rng(seed)
@@ -77,16 +77,16 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def cases(options: argparse.Namespace) -> list[Case]:
-    """What the fit does not have."""
+    """Frictions that the fit does not have."""
     del options
     return [Case(name) for name in LEFT_OUT]
 
 
 def run(case: Case, work: Work) -> Row:
     """Shares of intervals that hold the truth [%]; friction where its truth is defined."""
-    found = 100.0 * np.array(drawn(one, case, work.options, work.map_tasks))
-    friction = found[:, : 2 * JOINTS].mean() if case.name in ("nothing", "ripple") else None
-    return {"friction": friction, "mass": found[:, 2 * JOINTS].mean(), "centre": found[:, 2 * JOINTS + 1 : -1].mean()}
+    inside = 100.0 * np.array(map_draws(draw_case, case, work.options, work.map_tasks))
+    friction = inside[:, : 2 * JOINTS].mean() if case.name in ("nothing", "ripple") else None
+    return {"friction": friction, "mass": inside[:, 2 * JOINTS].mean(), "centre": inside[:, 2 * JOINTS + 1 : -1].mean()}
 
 
 def table(rows: list[Row], options: argparse.Namespace) -> Table:

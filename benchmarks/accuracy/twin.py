@@ -51,8 +51,8 @@ def specs(kind: str) -> Iterator[TrialSpec]:
     elif kind == "square":
         yield from (TrialSpec.of(load_scenario(name), item, case) for name, item, case in SQUARE)
     else:
-        for name, item, case, *how in OBLIQUE:
-            yield TrialSpec.of(oblique(load_scenario(name), case, *how), item, case)
+        for name, item, case, *angles in OBLIQUE:
+            yield TrialSpec.of(oblique(load_scenario(name), case, *angles), item, case)
 
 
 def measured(spec: TrialSpec) -> MeasuredRun:
@@ -83,27 +83,29 @@ def by_bullet(setup: Setup, physics: Physics, factor: int = 1) -> list[Signals]:
 def bullet_signals(window: Window, physics: Physics, period: float) -> Signals:
     """Signals of a window by the mechanics of the plant."""
     mechanics = BulletMechanics.load(physics, period)
-    away = BodyState(np.array([0.0, 50.0, 50.0]), np.eye(3), np.zeros(6))
-    mechanics.start(window.arms, window.drives, window.object if window.contact else away)
+    far_away = BodyState(np.array([0.0, 50.0, 50.0]), np.eye(3), np.zeros(6))
+    mechanics.start(window.arms, window.drives, window.object if window.contact else far_away)
     motions: dict[str, list[ArmMotion]] = {name: [mechanics.arm(name)] for name in window.arms}
     poses = [mechanics.world.object_pose()]
     for tick, time_ in enumerate(window.time[:-1]):
         for row in range(tick * window.substeps, (tick + 1) * window.substeps):
             torque = {name: window.torque[name][acting[row]] for name, acting in window.acting.items()}
             mechanics.step(torque, 1, time_)
-        for name, kept in motions.items():
-            kept.append(mechanics.arm(name))
+        for name, motion_rows in motions.items():
+            motion_rows.append(mechanics.arm(name))
         poses.append(mechanics.world.object_pose())
     tracked = mechanics.world.tracked(np.array(poses))
     mechanics.close()
     arms = {
-        name: ArmSignals(*(np.array([getattr(motion, field.name) for motion in kept]) for field in fields(ArmMotion)))
-        for name, kept in motions.items()
+        name: ArmSignals(
+            *(np.array([getattr(motion, field.name) for motion in motion_rows]) for field in fields(ArmMotion))
+        )
+        for name, motion_rows in motions.items()
     }
     if not window.contact:
         return Signals(window.time, arms)
-    seen = np.column_stack([np.interp(window.seen, window.time, column) for column in tracked.T])
-    return Signals(window.time, arms, window.seen, seen[:, :3], seen[:, 3:])
+    tracked_rows = np.column_stack([np.interp(window.seen, window.time, column) for column in tracked.T])
+    return Signals(window.time, arms, window.seen, tracked_rows[:, :3], tracked_rows[:, 3:])
 
 
 def by_twin(setup: Setup, physics: Physics, factor: int = 1) -> list[Signals]:
@@ -119,18 +121,18 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def cases(options: argparse.Namespace) -> list[Case]:
     """Hits."""
-    found = {kind: list(specs(kind)) for kind in KINDS}
+    specs_by_kind = {kind: list(specs(kind)) for kind in KINDS}
     return [
         Case(f"{kind} {spec.object} {spec.case}", (kind, spec))
-        for kind, every in found.items()
-        for spec in every[:: -(-len(every) // options.hits)]  # of all objects, however few
+        for kind, kind_specs in specs_by_kind.items()
+        for spec in kind_specs[:: -(-len(kind_specs) // options.hits)]  # of all objects, however few
     ]
 
 
 def run(case: Case, work: Work) -> Row:
     """Differences of one hit over the discrepancy, and the ratio of processor times."""
     del work
-    kind, spec = case.given
+    kind, spec = case.inputs
     run_ = measured(spec)
     setup, physics = run_.setup, run_.setup.physics
     limit = np.array([feature.relevance_limit for feature in run_.features])
@@ -147,31 +149,31 @@ def run(case: Case, work: Work) -> Row:
         "plant": partial(bullet_signals, hit, physics, setup.drive_period),
         "twin": partial(simulate, [job_of(hit, physics, setup.drive_period)]),
     }
-    taken = {name: float(np.median(values)) for name, values in in_turns(calls, TURNS).items()}
-    off = {name: ((features[a] - features[b]) / sigma)[touching] for name, (a, b) in PAIRS.items()}
+    seconds = {name: float(np.median(values)) for name, values in in_turns(calls, TURNS).items()}
+    differences = {name: ((features[a] - features[b]) / sigma)[touching] for name, (a, b) in PAIRS.items()}
     return {
         "kind": kind,
-        "off": off,
-        "ratio": taken["plant"] / taken["twin"],
-        "said": f"plant {1e3 * taken['plant']:.1f} ms, twin {1e3 * taken['twin']:.2f} ms",
+        "off": differences,
+        "ratio": seconds["plant"] / seconds["twin"],
+        "said": f"plant {1e3 * seconds['plant']:.1f} ms, twin {1e3 * seconds['twin']:.2f} ms",
     }
 
 
 def table(rows: list[Row], options: argparse.Namespace) -> Table:
     """Kinds beside each other."""
     del options
-    of = {kind: [row for row in rows if row["kind"] == kind] for kind in KINDS}
-    of = {kind: own for kind, own in of.items() if own}
+    rows_by_kind = {kind: [row for row in rows if row["kind"] == kind] for kind in KINDS}
+    rows_by_kind = {kind: kind_rows for kind, kind_rows in rows_by_kind.items() if kind_rows}
     lines = [
         (
             name,
             *(
-                f"{np.sqrt(np.mean(np.square(np.concatenate([row['off'][name] for row in own])))):.2f}"
-                for own in of.values()
+                f"{np.sqrt(np.mean(np.square(np.concatenate([row['off'][name] for row in kind_rows])))):.2f}"
+                for kind_rows in rows_by_kind.values()
             ),
         )
         for name in PAIRS
     ]
-    ratios = [f"{np.median([row['ratio'] for row in own]):.0f}" for own in of.values()]
+    ratios = [f"{np.median([row['ratio'] for row in kind_rows]):.0f}" for kind_rows in rows_by_kind.values()]
     lines.append(("processor time of a hit, plant over twin (median, one process)", *ratios))
-    return Table(("rms of features over the model discrepancy", *of), tuple(lines))
+    return Table(("rms of features over the model discrepancy", *rows_by_kind), tuple(lines))

@@ -34,21 +34,22 @@ def main() -> int:
     args = parser.parse_args()
     start = time.monotonic()
 
-    def every(case: Case) -> None:
+    def report(case: Case) -> None:
         if args.verbose or case.verdict in ("silent", "broken"):
             print(f"{case.verdict:8} {case.name}: {case.why[:300]}", file=sys.stderr, flush=True)
 
     with tempfile.TemporaryDirectory() as folder:
         chosen = [case for case in cases(args.count) if args.only is None or case.number in args.only]
-        found = campaign(chosen, args.seed, Path(folder), every)
+        judged = campaign(chosen, args.seed, Path(folder), report)
     verdicts = ("refused", "same", "said", "silent", "broken")
     print(f"| Command | Files | {' | '.join(verdicts)} |")
     print("|---" * (len(verdicts) + 2) + "|")
     for command in (*COMMANDS, "all"):
-        own = [case.verdict for case in found if command in (case.command, "all")]
-        print(f"| {command} | {len(own)} | {' | '.join(str(own.count(verdict)) for verdict in verdicts)} |")
+        chosen_verdicts = [case.verdict for case in judged if command in (case.command, "all")]
+        counts = [str(chosen_verdicts.count(verdict)) for verdict in verdicts]
+        print(f"| {command} | {len(chosen_verdicts)} | {' | '.join(counts)} |")
     print(f"{time.monotonic() - start:.0f} s, seed {args.seed}")
-    return int(any(case.verdict in ("silent", "broken") for case in found))
+    return int(any(case.verdict in ("silent", "broken") for case in judged))
 
 
 if __name__ == "__main__":

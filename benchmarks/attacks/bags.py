@@ -56,8 +56,10 @@ class Sample:
         if self.kind == TEXT:
             message: Any = MAKE["String"]("not a state")
         elif self.kind == POSE:
-            place, turn = self.numbers[0][:3], self.numbers[0][3:]
-            message = MAKE["PoseStamped"](header, MAKE["Pose"](MAKE["Point"](*place), MAKE["Quaternion"](*turn)))
+            position, quaternion = self.numbers[0][:3], self.numbers[0][3:]
+            message = MAKE["PoseStamped"](
+                header, MAKE["Pose"](MAKE["Point"](*position), MAKE["Quaternion"](*quaternion))
+            )
         else:
             message = MAKE["JointState"](header, list(self.names), *self.numbers)
         return bytes(STORE.serialize_cdr(message, self.kind))
@@ -76,13 +78,13 @@ def joint_states(motion: dict[str, np.ndarray]) -> Samples:
 
 def ball_poses(rows: Table) -> Samples:
     """A table of stamps and places as poses of a ball that hardly turns."""
-    rng, found = np.random.default_rng(5), []
-    for t, *place in np.array(rows[1:], dtype=float).tolist():
-        turn = np.append(1e-4 * rng.standard_normal(3), 1.0)
+    rng, samples = np.random.default_rng(5), []
+    for t, *position in np.array(rows[1:], dtype=float).tolist():
+        quaternion = np.append(1e-4 * rng.standard_normal(3), 1.0)
         stamp = START + round(1e9 * t)
-        numbers = np.concatenate((place, turn / np.linalg.norm(turn)))
-        found.append(Sample(BALL_TOPIC, stamp + LATE, stamp, (numbers,), kind=POSE))
-    return found
+        numbers = np.concatenate((position, quaternion / np.linalg.norm(quaternion)))
+        samples.append(Sample(BALL_TOPIC, stamp + LATE, stamp, (numbers,), kind=POSE))
+    return samples
 
 
 # ---- attacks on messages --------------------------------------------------------------------------------------------
@@ -90,20 +92,20 @@ def ball_poses(rows: Table) -> Samples:
 
 def _some(samples: Samples, rng: Rng, change: Callable[[Sample], Sample]) -> Samples:
     chosen = set(rng.choice(len(samples), int(rng.integers(1, 4)), replace=False).tolist())
-    return [change(one) if number in chosen else one for number, one in enumerate(samples)]
+    return [change(sample) if number in chosen else sample for number, sample in enumerate(samples)]
 
 
 def _from_the_middle(samples: Samples, rng: Rng, change: Callable[[Sample], Sample]) -> Samples:
     first = int(rng.integers(len(samples) // 4, 3 * len(samples) // 4))
-    return [*samples[:first], *(change(one) for one in samples[first:])]
+    return [*samples[:first], *(change(sample) for sample in samples[first:])]
 
 
 def _with(number: float) -> Callable[[Samples, Rng], Samples]:
     def attack(samples: Samples, rng: Rng) -> Samples:
         def change(sample: Sample) -> Sample:
-            numbers = [one.copy() for one in sample.numbers]
-            which = numbers[int(rng.integers(len(numbers)))]
-            which[int(rng.integers(which.size))] = number
+            numbers = [signal.copy() for signal in sample.numbers]
+            chosen = numbers[int(rng.integers(len(numbers)))]
+            chosen[int(rng.integers(chosen.size))] = number
             return replace(sample, numbers=tuple(numbers))
 
         return _some(samples, rng, change)
@@ -116,16 +118,18 @@ def _ordered(sample: Sample, order: Sequence[int]) -> Sample:
     if not sample.names:
         return sample
     names = tuple(sample.names[joint] for joint in order)
-    return replace(sample, names=names, numbers=tuple(one[list(order)] for one in sample.numbers))
+    return replace(sample, names=names, numbers=tuple(signal[list(order)] for signal in sample.numbers))
 
 
 def _permuted(samples: Samples, rng: Rng) -> Samples:
     order = rng.permutation(7).tolist()
-    return _from_the_middle(samples, rng, lambda one: _ordered(one, order))
+    return _from_the_middle(samples, rng, lambda sample: _ordered(sample, order))
 
 
 def _named(change: Callable[[tuple[str, ...]], tuple[str, ...]]) -> Callable[[Samples, Rng], Samples]:
-    return lambda samples, rng: _from_the_middle(samples, rng, lambda one: replace(one, names=change(one.names)))
+    return lambda samples, rng: _from_the_middle(
+        samples, rng, lambda sample: replace(sample, names=change(sample.names))
+    )
 
 
 def _numbers(change: Callable[[np.ndarray], np.ndarray], which: int = 0) -> Callable[[Samples, Rng], Samples]:
@@ -133,8 +137,8 @@ def _numbers(change: Callable[[np.ndarray], np.ndarray], which: int = 0) -> Call
 
     def changed(sample: Sample) -> Sample:
         numbers = list(sample.numbers)
-        place = min(which, len(numbers) - 1)
-        numbers[place] = change(numbers[place])
+        index = min(which, len(numbers) - 1)
+        numbers[index] = change(numbers[index])
         return replace(sample, numbers=tuple(numbers))
 
     return lambda samples, rng: _from_the_middle(samples, rng, changed)
@@ -143,33 +147,35 @@ def _numbers(change: Callable[[np.ndarray], np.ndarray], which: int = 0) -> Call
 def _gripper(sample: Sample) -> Sample:
     if not sample.names:
         return sample
-    numbers = tuple(np.append(one, 0.04) for one in sample.numbers)
+    numbers = tuple(np.append(signal, 0.04) for signal in sample.numbers)
     return replace(sample, names=(*sample.names, "finger_joint"), numbers=numbers)
 
 
 def _two_publishers(names: Callable[[tuple[str, ...]], tuple[str, ...]]) -> Callable[[Samples, Rng], Samples]:
     def attack(samples: Samples, rng: Rng) -> Samples:
         shift = int(rng.integers(10**6, 10**7))
-        others = [
-            replace(one, log=one.log + shift, stamp=one.stamp + shift, names=names(one.names),
-                    numbers=tuple(0.9 * part for part in one.numbers))
-            for one in samples
+        second_publisher = [
+            replace(sample, log=sample.log + shift, stamp=sample.stamp + shift, names=names(sample.names),
+                    numbers=tuple(0.9 * part for part in sample.numbers))
+            for sample in samples
         ]  # fmt: skip
-        return sorted([*samples, *others], key=lambda one: one.log)
+        return sorted([*samples, *second_publisher], key=lambda sample: sample.log)
 
     return attack
 
 
 def _clock(change: Callable[[int, Rng], int]) -> Callable[[Samples, Rng], Samples]:
-    return lambda samples, rng: _from_the_middle(samples, rng, lambda one: replace(one, stamp=change(one.stamp, rng)))
+    return lambda samples, rng: _from_the_middle(
+        samples, rng, lambda sample: replace(sample, stamp=change(sample.stamp, rng))
+    )
 
 
 def _logs(samples: Samples, logs: Sequence[int]) -> Samples:
-    return [replace(one, log=int(log)) for one, log in zip(samples, logs, strict=True)]
+    return [replace(sample, log=int(log)) for sample, log in zip(samples, logs, strict=True)]
 
 
 def _shuffled(samples: Samples, rng: Rng) -> Samples:
-    return _logs([samples[int(number)] for number in rng.permutation(len(samples))], [one.log for one in samples])
+    return _logs([samples[int(number)] for number in rng.permutation(len(samples))], [s.log for s in samples])
 
 
 def _lost(samples: Samples, rng: Rng) -> Samples:
@@ -180,63 +186,64 @@ def _lost(samples: Samples, rng: Rng) -> Samples:
 def _further(**change: Any) -> Callable[[Samples, Rng], Samples]:
     """A few messages of another kind, or under another name, between the others."""
     return lambda samples, rng: sorted(
-        [*samples, *(replace(one, log=one.log + 1000, **change) for one in samples[::40])], key=lambda one: one.log
+        [*samples, *(replace(sample, log=sample.log + 1000, **change) for sample in samples[::40])],
+        key=lambda sample: sample.log,
     )
 
 
 MESSAGES: dict[str, Callable[[Samples, Rng], Samples]] = {
-    "joints in another order": lambda samples, rng: [_ordered(one, [3, 1, 0, 2, 6, 5, 4]) for one in samples],
+    "joints in another order": lambda samples, rng: [_ordered(sample, [3, 1, 0, 2, 6, 5, 4]) for sample in samples],
     "joints in another order later": _permuted,
     "renamed joint later": _named(lambda names: ("joint_x", *names[1:])),
     "no names later": _named(lambda names: ()),
     "same name twice later": _named(lambda names: (*names[:1], *names[:1], *names[2:])),
-    "swapped numbers later": _numbers(lambda one: one[[2, 1, 0, *range(3, one.size)]]),
+    "swapped numbers later": _numbers(lambda values: values[[2, 1, 0, *range(3, values.size)]]),
     "a gripper later": lambda samples, rng: _from_the_middle(samples, rng, _gripper),
-    "a joint less later": lambda samples, rng: _from_the_middle(samples, rng, lambda one: _ordered(one, range(6))),
-    "fewer numbers later": _numbers(lambda one: one[:-1]),
+    "a joint less later": lambda samples, rng: _from_the_middle(samples, rng, lambda s: _ordered(s, range(6))),
+    "fewer numbers later": _numbers(lambda values: values[:-1]),
     "no velocity": lambda samples, rng: [
-        replace(one, numbers=(*one.numbers[:1], one.numbers[-1][:0], *one.numbers[2:])) for one in samples
+        replace(s, numbers=(*s.numbers[:1], s.numbers[-1][:0], *s.numbers[2:])) for s in samples
     ],
-    "no torque later": _numbers(lambda one: one[:0], 2),
-    "degrees later": _numbers(lambda one: one * 57.29578),
-    "zeros later": _numbers(lambda one: 0.0 * one, 1),
+    "no torque later": _numbers(lambda values: values[:0], 2),
+    "degrees later": _numbers(lambda values: values * 57.29578),
+    "zeros later": _numbers(lambda values: 0.0 * values, 1),
     "all zeros later": lambda samples, rng: _from_the_middle(
-        samples, rng, lambda one: replace(one, numbers=tuple(0.0 * part for part in one.numbers))
+        samples, rng, lambda sample: replace(sample, numbers=tuple(0.0 * part for part in sample.numbers))
     ),
     "nan": _with(np.nan),
     "inf": _with(np.inf),
     "huge": _with(1e300),
     "shuffled": _shuffled,
-    "reversed": lambda samples, rng: _logs(samples[::-1], [one.log for one in samples]),
-    "logs back": lambda samples, rng: _logs(samples, [one.log for one in samples][::-1]),
+    "reversed": lambda samples, rng: _logs(samples[::-1], [sample.log for sample in samples]),
+    "logs back": lambda samples, rng: _logs(samples, [sample.log for sample in samples][::-1]),
     "logs alike": lambda samples, rng: _logs(samples, [samples[0].log for _ in samples]),
-    "logs drift": lambda samples, rng: _logs(samples, [one.log + 10**6 * n for n, one in enumerate(samples)]),
-    "stamps back": lambda samples, rng: [replace(one, stamp=START + 10**10 - one.stamp % 10**10) for one in samples],
-    "a stamp back": lambda samples, rng: _some(samples, rng, lambda one: replace(one, stamp=one.stamp - 5 * 10**7)),
-    "stamps of zero": lambda samples, rng: [replace(one, stamp=0) for one in samples],
+    "logs drift": lambda samples, rng: _logs(samples, [sample.log + 10**6 * n for n, sample in enumerate(samples)]),
+    "stamps back": lambda samples, rng: [replace(s, stamp=START + 10**10 - s.stamp % 10**10) for s in samples],
+    "a stamp back": lambda samples, rng: _some(samples, rng, lambda s: replace(s, stamp=s.stamp - 5 * 10**7)),
+    "stamps of zero": lambda samples, rng: [replace(sample, stamp=0) for sample in samples],
     "stamps of zero later": _clock(lambda stamp, rng: 0),
-    "stamps stand still": lambda samples, rng: [replace(one, stamp=START) for one in samples],
+    "stamps stand still": lambda samples, rng: [replace(sample, stamp=START) for sample in samples],
     "another day later": _clock(lambda stamp, rng: stamp + 86_400 * 10**9),
     "an hour back later": _clock(lambda stamp, rng: stamp - 3600 * 10**9),
     "two publishers": _two_publishers(lambda names: names),
     "two arms": _two_publishers(lambda names: tuple(f"left_{name}" for name in names)),
-    "doubled messages": lambda samples, rng: [one for one in samples for _ in range(2)],
+    "doubled messages": lambda samples, rng: [sample for sample in samples for _ in range(2)],
     "lost messages": _lost,
     "one message": lambda samples, rng: samples[:1],
     "no message": lambda samples, rng: [],
-    "another topic": lambda samples, rng: [replace(one, topic="/nothing") for one in samples],
-    "another type": lambda samples, rng: [replace(one, kind=TEXT) for one in samples],
+    "another topic": lambda samples, rng: [replace(sample, topic="/nothing") for sample in samples],
+    "another type": lambda samples, rng: [replace(sample, kind=TEXT) for sample in samples],
     "another type beside": _further(kind=TEXT),
     "another topic beside": _further(topic="/other/joint_states"),
     "cut messages": lambda samples, rng: _some(
-        samples, rng, lambda one: replace(one, raw=one.serialized()[: int(rng.integers(len(one.serialized())))])
+        samples, rng, lambda s: replace(s, raw=s.serialized()[: int(rng.integers(len(s.serialized())))])
     ),
     "longer messages": lambda samples, rng: _some(
-        samples, rng, lambda one: replace(one, raw=one.serialized() + rng.bytes(int(rng.integers(1, 40))))
+        samples, rng, lambda sample: replace(sample, raw=sample.serialized() + rng.bytes(int(rng.integers(1, 40))))
     ),
-    "empty messages": lambda samples, rng: _some(samples, rng, lambda one: replace(one, raw=b"")),
-    "bytes as messages": lambda samples, rng: _some(samples, rng, lambda one: replace(one, raw=rng.bytes(80))),
-    "other encapsulation": lambda samples, rng: [replace(one, raw=b"\0\0" + one.serialized()[2:]) for one in samples],
+    "empty messages": lambda samples, rng: _some(samples, rng, lambda sample: replace(sample, raw=b"")),
+    "bytes as messages": lambda samples, rng: _some(samples, rng, lambda sample: replace(sample, raw=rng.bytes(80))),
+    "other encapsulation": lambda samples, rng: [replace(s, raw=b"\0\0" + s.serialized()[2:]) for s in samples],
 }  # fmt: skip
 
 # ---- attacks on metadata.yaml ---------------------------------------------------------------------------------------
@@ -251,7 +258,7 @@ def _files(instead: str) -> Callable[[str, Rng], str]:
 
 
 def _other_storage(text: str, rng: Rng) -> str:
-    return re.sub(": (mcap|sqlite3)", lambda found: ": sqlite3" if found[1] == "mcap" else ": mcap", text)
+    return re.sub(": (mcap|sqlite3)", lambda match: ": sqlite3" if match[1] == "mcap" else ": mcap", text)
 
 
 def _compressed(text: str, rng: Rng) -> str:
@@ -360,8 +367,8 @@ def _write(path: Path, samples: Samples, form: str, mode: CompressionMode) -> No
     writer.set_compression(mode, CompressionFormat.ZSTD)
     with writer:
         connections: dict[tuple[str, str], Any] = {}
-        for one in samples:
-            key = (one.topic, one.kind)
+        for sample in samples:
+            key = (sample.topic, sample.kind)
             if key not in connections:
                 connections[key] = writer.add_connection(*key, typestore=STORE)
-            writer.write(connections[key], one.log, one.serialized())
+            writer.write(connections[key], sample.log, sample.serialized())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One attack after another: what the command line says of a damaged file, beside what it says of the clean one."""
+"""One attack after another: output of the command line for a damaged file, compared with the clean one."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ MATLAB = " of MATLAB.mat"  # form of the files that MAT attacks; .mat alone is o
 
 @dataclass
 class Case:
-    """One attack, and what came of it."""
+    """One attack, and its verdict."""
 
     number: int
     command: str
@@ -67,7 +67,7 @@ class Case:
 
 @dataclass
 class Answer:
-    """What a command line said."""
+    """Result of a command line."""
 
     code: int
     words: str
@@ -77,33 +77,43 @@ class Answer:
     @property
     def notes(self) -> Counter[str]:
         """Notes, reasons and assumptions, without their numbers, and how many samples and impacts there are."""
-        said = [re.sub(r"\d[\d.e+-]*", "#", line) for line in re.split("[\n│]", self.words)]
-        counted = re.findall(r"\d+ (?:samples|impacts?|recordings?|outliers?)(?: of \d+ runs)?", self.words)
-        return Counter(counted) + Counter(line for line in said if re.search("note:|left out|ASSUMED", line))
+        lines = [re.sub(r"\d[\d.e+-]*", "#", line) for line in re.split("[\n│]", self.words)]
+        counts = re.findall(r"\d+ (?:samples|impacts?|recordings?|outliers?)(?: of \d+ runs)?", self.words)
+        return Counter(counts) + Counter(line for line in lines if re.search("note:|left out|ASSUMED", line))
 
 
 def ask(*words: str | Path) -> Answer:
     """Run a command line in this process."""
     out, code, broken = io.StringIO(), -1, ""
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out), warnings.catch_warnings(record=True) as seen:
+    with (
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(out),
+        warnings.catch_warnings(record=True) as caught,
+    ):
         warnings.simplefilter("always")
         try:
             code = command_line([str(word) for word in words])
         except BaseException:
             broken = traceback.format_exc().strip().splitlines()[-1]
-    said = out.getvalue()
-    strange = [
-        str(one.message) for one in seen if issubclass(one.category, RuntimeWarning | np.exceptions.ComplexWarning)
+    output = out.getvalue()
+    numeric_warnings = [
+        str(warning.message)
+        for warning in caught
+        if issubclass(warning.category, RuntimeWarning | np.exceptions.ComplexWarning)
     ]
-    broken = broken or ("Traceback in its output" if "Traceback" in said else "") or (strange[0] if strange else "")
+    broken = (
+        broken
+        or ("Traceback in its output" if "Traceback" in output else "")
+        or (numeric_warnings[0] if numeric_warnings else "")
+    )
     if not broken and code not in (0, 2):
-        broken = f"exit code {code}: {said.strip().splitlines()[-1] if said.strip() else ''}"
-    return Answer(code, said, broken)
+        broken = f"exit code {code}: {output.strip().splitlines()[-1] if output.strip() else ''}"
+    return Answer(code, output, broken)
 
 
 @dataclass
 class Scene:
-    """Clean files and what is said of them."""
+    """Clean files, and the answers to them."""
 
     folder: Path
     motion: dict[str, np.ndarray] = field(default_factory=joint_motion)
@@ -177,13 +187,15 @@ class Scene:
     def _further_run(lab: Path, run: int, form: str) -> str:
         """A run beside the attacked one; returns its name."""
         if form in bags.FORMS:
-            place = lab / f"run_{run}"
-            return bags.write_bag(place, bags.ball_poses(bounce(run)), bags.FORMS[0], "", np.random.default_rng(0)).name
+            bag_path = lab / f"run_{run}"
+            return bags.write_bag(
+                bag_path, bags.ball_poses(bounce(run)), bags.FORMS[0], "", np.random.default_rng(0)
+            ).name
         (lab / f"run_{run}.csv").write_bytes(text_of(bounce(run)))
         return f"run_{run}.csv"
 
     def judge(self, case: Case, seed: int) -> Case:
-        """Make one attack, and say what came of it."""
+        """Make one attack, and judge the answer."""
         rng = np.random.default_rng((seed, case.number))
         key = (case.command, case.form)
         if key not in self.clean:
@@ -227,8 +239,8 @@ def _same(clean: Any, other: Any) -> bool:
     """Whether numbers are those of the clean file."""
     if isinstance(clean, list) and isinstance(other, list):
         return len(clean) == len(other) and all(
-            one.shape == two.shape and np.allclose(one, two, rtol=1e-9, atol=1e-9)
-            for one, two in zip(clean, other, strict=True)
+            clean_array.shape == other_array.shape and np.allclose(clean_array, other_array, rtol=1e-9, atol=1e-9)
+            for clean_array, other_array in zip(clean, other, strict=True)
         )
     return isinstance(other, str) and other == clean
 
@@ -270,17 +282,17 @@ COMMANDS = tuple(dict.fromkeys(command for command, *_ in GROUPS))
 
 def cases(count: int) -> list[Case]:
     """Attacks in turn, as many as are asked for; commands that run fewer than there are begin at different ones."""
-    found: list[Case] = []
+    attack_cases: list[Case] = []
     for group, (command, forms, attacks, share) in enumerate(GROUPS):
-        wanted = round(share * count)
-        start = 0 if wanted >= len(attacks) else 17 * group
-        for turn in range(wanted):
-            place = start + turn
-            form, attack = forms[(turn + turn // len(attacks)) % len(forms)], attacks[place % len(attacks)]
+        wanted_count = round(share * count)
+        start = 0 if wanted_count >= len(attacks) else 17 * group
+        for number in range(wanted_count):
+            index = start + number
+            form, attack = forms[(number + number // len(attacks)) % len(forms)], attacks[index % len(attacks)]
             if attack in bags.ON_FOLDERS and form == bags.FORMS[2]:
-                form = bags.FORMS[turn % 2]
-            found.append(Case(len(found), command, form, attack))
-    return found
+                form = bags.FORMS[number % 2]
+            attack_cases.append(Case(len(attack_cases), command, form, attack))
+    return attack_cases
 
 
 def campaign(
@@ -295,8 +307,8 @@ def campaign(
         every: Called with each case after it is judged.
     """
     os.environ["COLUMNS"] = "2000"
-    scene, found = Scene(folder), []
+    scene, judged = Scene(folder), []
     for case in chosen:
-        found.append(scene.judge(case, seed))
-        every(found[-1])
-    return found
+        judged.append(scene.judge(case, seed))
+        every(judged[-1])
+    return judged

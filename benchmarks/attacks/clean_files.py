@@ -80,8 +80,11 @@ def bounce(run: int) -> Table:
         0.7 * fall * (t - hit) - 0.5 * GRAVITY * (t - hit) ** 2,
     )
     noise = 1e-4 * np.random.default_rng(run).standard_normal((t.size, 3))
-    place = np.column_stack((0.4 * t, -0.2 * t, z)) + noise
-    return [["t", "x", "y", "z"], *([f"{value:.7g}" for value in row] for row in np.column_stack((t, place)).tolist())]
+    position = np.column_stack((0.4 * t, -0.2 * t, z)) + noise
+    return [
+        ["t", "x", "y", "z"],
+        *([f"{value:.7g}" for value in row] for row in np.column_stack((t, position)).tolist()),
+    ]
 
 
 def impacts_of_a_ball() -> Table:

@@ -31,9 +31,9 @@ def level_73(arrays: Arrays, change: Callable[[h5py.File], None] = lambda file: 
     file = io.BytesIO()
     with h5py.File(file, "w", userblock_size=512) as stored:
         for name, value in arrays.items():
-            whole = np.asarray(value)
-            data = stored.create_dataset(name, data=whole[None, :] if whole.ndim == 1 else whole.T)
-            data.attrs["MATLAB_class"] = np.bytes_(CLASSES[whole.dtype.kind])
+            array = np.asarray(value)
+            data = stored.create_dataset(name, data=array[None, :] if array.ndim == 1 else array.T)
+            data.attrs["MATLAB_class"] = np.bytes_(CLASSES[array.dtype.kind])
         change(stored)
     content = bytearray(file.getvalue())
     content[:128] = HEAD.ljust(124) + b"\x00\x02IM"
@@ -48,8 +48,8 @@ def _instead(name: str, value: Any, kind: str, **further: Any) -> Callable[[Arra
             del file[name]
             data = file.create_dataset(name, data=value(arrays[name]))
             data.attrs["MATLAB_class"] = np.bytes_(kind)
-            for key, said in further.items():
-                data.attrs[key] = np.uint8(said)
+            for key, value_of_attribute in further.items():
+                data.attrs[key] = np.uint8(value_of_attribute)
 
         return level_73(arrays, change)
 
@@ -62,7 +62,7 @@ def _cells_73(arrays: Arrays, rng: Rng) -> bytes:
         del file["q"]
         inner = [file.create_dataset(f"#refs#/{number}", data=row) for number, row in enumerate(value)]
         cells = file.create_dataset("q", (len(inner), 1), dtype=h5py.ref_dtype)
-        cells[:, 0] = [one.ref for one in inner]
+        cells[:, 0] = [cell.ref for cell in inner]
         cells.attrs["MATLAB_class"] = np.bytes_("cell")
 
     return level_73(arrays, change)
@@ -93,8 +93,8 @@ def _structure_73(arrays: Arrays, rng: Rng) -> bytes:
 def _cell(value: Any, shape: tuple[int, ...] = (1, 1)) -> np.ndarray:
     """A cell array."""
     cells = np.empty(shape, dtype=object)
-    for place in np.ndindex(shape):
-        cells[place] = value(*place) if callable(value) else value
+    for index in np.ndindex(shape):
+        cells[index] = value(*index) if callable(value) else value
     return cells
 
 
@@ -102,10 +102,10 @@ def _doubled(arrays: Arrays, rng: Rng) -> bytes:
     return level_5(arrays) + level_5({"q": 0.5 * arrays["q"]})[128:]
 
 
-def _marked(place: int, mark: bytes) -> Callable[[Arrays, Rng], bytes]:
+def _marked(offset: int, mark: bytes) -> Callable[[Arrays, Rng], bytes]:
     def attack(arrays: Arrays, rng: Rng) -> bytes:
         content = bytearray(level_5(arrays))
-        content[place : place + len(mark)] = mark
+        content[offset : offset + len(mark)] = mark
         return bytes(content)
 
     return attack
@@ -126,7 +126,7 @@ def _stamps(change: Callable[[np.ndarray], Any]) -> Callable[[Arrays, Rng], byte
 
 
 def _words(rows: np.ndarray) -> np.ndarray:
-    return np.array([" ".join(f"{one:.6f}" for one in row) for row in rows])
+    return np.array([" ".join(f"{number:.6f}" for number in row) for row in rows])
 
 
 def _complex(rows: np.ndarray) -> np.ndarray:

@@ -73,20 +73,20 @@ class Payloads:
         return self._rng.randbytes(self._rng.choice((0, 1, 4, 7, 16, 100, 1000)))
 
     def _cut(self, kind: str) -> bytes:
-        whole = self._examples[kind]
-        return whole[: self._rng.randrange(len(whole))]
+        example = self._examples[kind]
+        return example[: self._rng.randrange(len(example))]
 
     def _flipped(self, kind: str) -> bytes:
         data = bytearray(self._stamped(kind))
         for _ in range(self._rng.randrange(1, 6)):
-            at = self._rng.randrange(8 * len(data))
-            data[at // 8] ^= 1 << at % 8
+            bit = self._rng.randrange(8 * len(data))
+            data[bit // 8] ^= 1 << bit % 8
         return bytes(data)
 
     def _endless(self, kind: str) -> bytes:
         data = bytearray(self._stamped(kind))
-        at = self._rng.randrange(4, max(5, len(data) - 3), 4)
-        data[at : at + 4] = b"\xff\xff\xff\xff"
+        offset = self._rng.randrange(4, max(5, len(data) - 3), 4)
+        data[offset : offset + 4] = b"\xff\xff\xff\xff"
         return bytes(data)
 
     def _other(self, kind: str) -> bytes:
@@ -124,7 +124,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="of what is sent")
     parser.add_argument("--domain", type=int, default=88, help="ROS_DOMAIN_ID")
     arguments = parser.parse_args()
-    payloads, counts, wrong = Payloads(arguments.seed), Counter[str](), []
+    payloads, counts, failures = Payloads(arguments.seed), Counter[str](), []
     rng = random.Random(arguments.seed)
     kinds = {topic: kind for topic, kind in topics.recorded(["arm"]).items() if available(kind)}
     latched = topics.latched(["arm"])
@@ -159,9 +159,9 @@ def main() -> int:
                 counts[f"disturbed trial {answer.outcome}"] += 1
                 print(answer.message)
             except GraphError as error:
-                wrong.append(f"trial: {error}")
-            wrong += graph.replace_lost()
-            print(f"[{payloads.sent.total()}/{arguments.count}] wrong {len(wrong)}", flush=True)
+                failures.append(f"trial: {error}")
+            failures += graph.replace_lost()
+            print(f"[{payloads.sent.total()}/{arguments.count}] wrong {len(failures)}", flush=True)
         time.sleep(1.0)
         for owner in owners.values():
             owner.destroy_node()
@@ -169,16 +169,16 @@ def main() -> int:
             try:
                 graph.call(GetParameters, f"{name}/get_parameters", GetParameters.Request())
             except GraphError as error:
-                wrong.append(f"{name}: {error}")
+                failures.append(f"{name}: {error}")
         last = graph.call_trial(trial_in(Path(folder) / "last"))
-        wrong += [] if last.outcome == "OK" else [f"the last trial: {last.outcome}, {last.message}"]
+        failures += [] if last.outcome == "OK" else [f"the last trial: {last.outcome}, {last.message}"]
         lost = [name for name, process in graph.processes.items() if process.pid != pids[name]]
-    for what, count in sorted((counts + payloads.sent).items()):
-        print(f"{what}: {count}")
-    for line, count in Counter(wrong).most_common(20):
+    for label, count in sorted((counts + payloads.sent).items()):
+        print(f"{label}: {count}")
+    for line, count in Counter(failures).most_common(20):
         print(f"WRONG {count} x {line[:300]}")
-    print(f"{payloads.sent.total()} payloads, nodes lost: {lost or 'none'}, wrong: {len(wrong)}")
-    return 1 if wrong or lost else 0
+    print(f"{payloads.sent.total()} payloads, nodes lost: {lost or 'none'}, wrong: {len(failures)}")
+    return 1 if failures or lost else 0
 
 
 if __name__ == "__main__":

@@ -59,9 +59,9 @@ def _swapped_rows(rows: Table, rng: Rng) -> bytes:
 
 def _swapped_columns(rows: Table, rng: Rng) -> bytes:
     # Of a ball x and z: to swap x and y would leave a valid file.
-    one, other = (1, 3) if len(rows[0]) == 4 else rng.choice(len(rows[0]) // 3, 2, replace=False) + 1
+    first, second = (1, 3) if len(rows[0]) == 4 else rng.choice(len(rows[0]) // 3, 2, replace=False) + 1
     for row in rows[1:]:
-        row[one], row[other] = row[other], row[one]
+        row[first], row[second] = row[second], row[first]
     return text_of(rows)
 
 
@@ -87,8 +87,8 @@ def _missing_column(rows: Table, rng: Rng) -> bytes:
 
 
 def _same_names(rows: Table, rng: Rng) -> bytes:
-    one, other = rng.choice(len(rows[0]), 2, replace=False)
-    rows[0][one] = rows[0][other]
+    first, second = rng.choice(len(rows[0]), 2, replace=False)
+    rows[0][first] = rows[0][second]
     return text_of(rows)
 
 

@@ -68,11 +68,13 @@ def cases(options: argparse.Namespace) -> list[Entry]:
     plant = options.on
     singles = [("single", name, size) for size in MAGNITUDES[plant] for name in hidden_in(plant)]
     outside = [("outside", name, size) for size in OUTSIDE_MAGNITUDES[plant] for name in outsides(plant)]
-    once: list[tuple[str, str | None, float | None]] = [("null", None, None)] * options.nulls
-    once += [("pair", PLAIN, 4.0)] * (options.pairs if plant == "plant" else 0)
-    found = entries([*singles, *outside, *once, *(singles + outside) * (options.seeds - 1)], FIRST_SEED[plant])
-    found.sort(key=lambda entry: entry.kind == "single" and entry.magnitude != CLEAR)
-    return reseeded(found, options)
+    single_campaigns: list[tuple[str, str | None, float | None]] = [("null", None, None)] * options.nulls
+    single_campaigns += [("pair", PLAIN, 4.0)] * (options.pairs if plant == "plant" else 0)
+    campaigns = entries(
+        [*singles, *outside, *single_campaigns, *(singles + outside) * (options.seeds - 1)], FIRST_SEED[plant]
+    )
+    campaigns.sort(key=lambda entry: entry.kind == "single" and entry.magnitude != CLEAR)
+    return reseeded(campaigns, options)
 
 
 def run(entry: Entry, work: Work) -> Row:
@@ -86,8 +88,8 @@ def run(entry: Entry, work: Work) -> Row:
         row = timed_diagnosis(document, folder, lambda: laboratory_runs(folder / RUNS, work.map_tasks), work.map_tasks)
         return row | {"magnitude": entry.magnitude}
     effect = _plain_pair(folder.parent, entry.seed) if entry.effect == PLAIN else entry.effect
-    how = (work.map_tasks, entry.kind, effect, options.size, entry.magnitude, recorder(options.on))
-    for _ in make(folder, entry.seed, *how, outsides=outsides(options.on)):
+    recording_options = (work.map_tasks, entry.kind, effect, options.size, entry.magnitude, recorder(options.on))
+    for _ in make(folder, entry.seed, *recording_options, outsides=outsides(options.on)):
         pass
     row = timed_diagnosis(document, folder, lambda: read_runs(folder / RUNS, work.map_tasks), work.map_tasks)
     alone = _errors_alone(folder, work.map_tasks) if entry.kind == "pair" else {}
@@ -108,9 +110,9 @@ def _errors_alone(folder: Path, map_tasks: Map) -> dict[str, float]:
     """
     truth = json.loads((folder / TRUTH).read_text())["effects"]
     runs, cache = read_runs(folder / RUNS, map_tasks), ReplayCache(map_tasks)
-    found = {}
-    for own in truth:
-        others = tuple(
+    scores = {}
+    for effect in truth:
+        other_effects = tuple(
             ModelEffect(
                 name=other["name"],
                 parameters={
@@ -119,11 +121,11 @@ def _errors_alone(folder: Path, map_tasks: Map) -> dict[str, float]:
                 },
             )
             for other in truth
-            if other is not own
+            if other is not effect
         )
-        model = load_model("nominal").model_copy(update={"effects": others})
-        found[own["name"]] = score_of(ReplaySource.of(runs, model, cache).clusters)
-    return found
+        model = load_model("nominal").model_copy(update={"effects": other_effects})
+        scores[effect["name"]] = score_of(ReplaySource.of(runs, model, cache).clusters)
+    return scores
 
 
 def table(rows: list[Row], options: argparse.Namespace) -> Table:

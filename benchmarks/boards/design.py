@@ -77,21 +77,21 @@ def cases(options: argparse.Namespace) -> list[Entry]:
     """Whole campaigns in random order, so that those done in time are a sample; then ties."""
     names = hidden_in(options.on)
     singles = [("single", name, size) for size in MAGNITUDES["plant"] for name in names]
-    wanted: list[tuple[str, str | None, float | None]] = [
+    hidden: list[tuple[str, str | None, float | None]] = [
         *singles * options.seeds,
         *[("null", None, None)] * options.nulls,
     ]
-    whole = entries(wanted)
-    order = np.random.default_rng(0).permutation(len(whole))
+    campaigns = entries(hidden)
+    order = np.random.default_rng(0).permutation(len(campaigns))
     ties = entries([("tie", name, size) for size in CLEAR for name in names], 500)
-    return reseeded([*(whole[number] for number in order), *ties], options)
+    return reseeded([*(campaigns[number] for number in order), *ties], options)
 
 
 def hidden_of(directory: Path) -> tuple[tuple[Hidden, ...], str | None, float]:
     """What ``blind make`` hides in a campaign, for further trials on the same plant."""
     truth = json.loads((directory / TRUTH).read_text(encoding="utf-8"))
     hidden = tuple(
-        Hidden(item["name"], tuple(one["value"] for one in item["parameters"].values()), item["magnitude"])
+        Hidden(item["name"], tuple(parameter["value"] for parameter in item["parameters"].values()), item["magnitude"])
         for item in truth["effects"]
     )
     return hidden, truth["outside"], truth["outside_magnitude"]
@@ -147,26 +147,26 @@ def run(entry: Entry, work: Work) -> Row:
         Secret.drawn(entry.seed, "single", entry.effect, entry.magnitude).keep(folder)
         record(FEW.model_copy(update={"seed": entry.seed}), folder / RUNS, work)
     else:
-        how = (map_tasks, entry.kind, entry.effect, "small", entry.magnitude, recorder(work.options.on))
-        for _ in make(folder, entry.seed, *how):
+        recording_options = (map_tasks, entry.kind, entry.effect, "small", entry.magnitude, recorder(work.options.on))
+        for _ in make(folder, entry.seed, *recording_options):
             pass
         for method in METHODS:
             plan = kept(folder / f"{method}.yaml", partial(first_plan, method, 1000 + entry.seed, map_tasks))
             runs[method] = record(plan, folder / method, work)
-    found = {
-        way: diagnosed(folder / f"{way}.json", partial(read_runs, where, map_tasks), map_tasks)
-        for way, where in runs.items()
+    documents = {
+        method_name: diagnosed(folder / f"{method_name}.json", partial(read_runs, folder_of_runs, map_tasks), map_tasks)
+        for method_name, folder_of_runs in runs.items()
     }
     ties = [
-        split(way, method, entry.seed, runs[way], document, work)
-        for way, document in found.items()
+        split(method_name, method, entry.seed, runs[method_name], document, work)
+        for method_name, document in documents.items()
         if document.confusable
         for method in METHODS
     ]
-    said = [f"{way} {document.verdict}" for way, document in found.items()]
-    said += [f"then by {one['method']} {one['verdict']}" for one in ties]
-    ways = {way: judged(folder, document) for way, document in found.items()}
-    return {"kind": entry.kind, "ways": ways, "ties": ties, "said": ", ".join(said)}
+    summary = [f"{method_name} {document.verdict}" for method_name, document in documents.items()]
+    summary += [f"then by {tie['method']} {tie['verdict']}" for tie in ties]
+    ways = {method_name: judged(folder, document) for method_name, document in documents.items()}
+    return {"kind": entry.kind, "ways": ways, "ties": ties, "said": ", ".join(summary)}
 
 
 def split(way: str, method: Method, seed: int, runs: Path, tied: DiagnosisDocument, work: Work) -> Row:
@@ -201,8 +201,8 @@ def table(rows: list[Row], options: argparse.Namespace) -> Table:
     """Ways beside each other, then how ties were split."""
     del options
     whole = [row["ways"] for row in rows if row["kind"] != "tie"]
-    tied = {way: [one for row in rows for one in row["ties"] if one["method"] == way] for way in METHODS}
-    sure = {way: [one for one in ones if one["said_before"] >= SURE] for way, ones in tied.items()}
+    tied = {way: [tie for row in rows for tie in row["ties"] if tie["method"] == way] for way in METHODS}
+    sure = {way: [tie for tie in ties if tie["said_before"] >= SURE] for way, ties in tied.items()}
     lines = [
         ("hidden effect named, or in a tie", *(share(row[way]["correct"] for row in whole) for way in WAYS)),
         ("exactly the hidden effect named", *(share(row[way]["exact"] for row in whole) for way in WAYS)),
@@ -223,9 +223,9 @@ def table(rows: list[Row], options: argparse.Namespace) -> Table:
         (
             f"ties split by {TIE_BUDGET} further trials",
             "",
-            *(share(one["split"] for one in tied[way]) for way in METHODS),
+            *(share(tie["split"] for tie in tied[way]) for way in METHODS),
         ),
-        ("... and right", "", *(share(one["correct"] for one in tied[way]) for way in METHODS)),
-        (f"... promised with {SURE:.0%}: split", "", *(share(one["split"] for one in sure[way]) for way in METHODS)),
+        ("... and right", "", *(share(tie["correct"] for tie in tied[way]) for way in METHODS)),
+        (f"... promised with {SURE:.0%}: split", "", *(share(tie["split"] for tie in sure[way]) for way in METHODS)),
     ]
     return Table(("", "Fixed, 18 trials", "Design, 9", "Random, 9"), tuple(lines))

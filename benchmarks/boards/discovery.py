@@ -80,10 +80,10 @@ def cases(options: argparse.Namespace) -> list[Entry]:
 
         laws = entries([("outside", name, SIZES[0]) for name in OF_THE_CELL], 5000)
         return reseeded(laws + entries(nulls, 5100), options)
-    wanted: list[tuple[str, str | None, float | None]] = [("outside", name, SIZES[0]) for name in LAWS]
-    wanted += [("single", name, 3.0) for name in LIBRARY] + [("outside", name, SIZES[1]) for name in LAWS] + nulls
-    found = sorted(entries(wanted), key=lambda entry: not (entry.effect in FIRST and entry.magnitude == SIZES[0]))
-    return reseeded(found, options)
+    hidden: list[tuple[str, str | None, float | None]] = [("outside", name, SIZES[0]) for name in LAWS]
+    hidden += [("single", name, 3.0) for name in LIBRARY] + [("outside", name, SIZES[1]) for name in LAWS] + nulls
+    campaigns = sorted(entries(hidden), key=lambda entry: not (entry.effect in FIRST and entry.magnitude == SIZES[0]))
+    return reseeded(campaigns, options)
 
 
 def discovered(read: Callable[[], Runs], map_tasks: Map) -> DiscoveryDocument:
@@ -108,8 +108,8 @@ def run(entry: Entry, work: Work) -> Row:
         laboratory.make(entry, work.folder, map_tasks)
         return judged(entry, work.folder, partial(laboratory_runs, runs, map_tasks), map_tasks)
     outsides = tuple(LAWS) if entry.kind == "outside" else ()
-    how = (map_tasks, entry.kind, entry.effect, "small", entry.magnitude)
-    for _ in make(work.folder, entry.seed, *how, outsides=outsides):
+    recording_options = (map_tasks, entry.kind, entry.effect, "small", entry.magnitude)
+    for _ in make(work.folder, entry.seed, *recording_options, outsides=outsides):
         pass
     return judged(entry, work.folder, partial(read_runs, runs, map_tasks), map_tasks)
 
@@ -121,13 +121,13 @@ def judged(entry: Entry, directory: Path, read: Callable[[], Runs], map_tasks: M
     elapsed, spent = time.perf_counter() - started, time.process_time() - spent
     write_discovery(document, directory / "discovery.json")
     right = {**RIGHT, **FOREIGN_RIGHT}.get(entry.effect or "", ())
-    whole = document.diagnosis
+    diagnosis = document.diagnosis
     laws = [law.name for law in document.laws]
-    laws += [name for name in (() if whole is None else whole.named) if name in right and name not in laws]
+    laws += [name for name in (() if diagnosis is None else diagnosis.named) if name in right and name not in laws]
     removed = before = 0.0
-    if whole is not None:
-        before = whole.held_out_error_before
-        removed = (before**2 - whole.held_out_error_after**2) / max(before**2 - whole.noise_floor**2, 1e-9)
+    if diagnosis is not None:
+        before = diagnosis.held_out_error_before
+        removed = (before**2 - diagnosis.held_out_error_after**2) / max(before**2 - diagnosis.noise_floor**2, 1e-9)
     hit = bool(set(laws) & set(right))
     return {
         "kind": entry.kind,
@@ -147,20 +147,20 @@ def judged(entry: Entry, directory: Path, read: Callable[[], Runs], map_tasks: M
 
 def table(rows: list[Row], options: argparse.Namespace) -> Table:
     """Shares of right discoveries."""
-    of = {kind: [row for row in rows if row["kind"] == kind] for kind in ("outside", "null", "single")}
-    clear = [row for row in of["outside"] if row["before"] > CLEAR]
+    rows_by_kind = {kind: [row for row in rows if row["kind"] == kind] for kind in ("outside", "null", "single")}
+    clear = [row for row in rows_by_kind["outside"] if row["before"] > CLEAR]
     above = f"hidden laws above {CLEAR:g} × repeatability"
     removed = [row["removed"] for row in clear if row["correct"]]
     seconds = [row["processor"] for row in rows]
     lines = [
-        ("hidden laws, all: the right one first or tied", share(row["correct"] for row in of["outside"])),
-        ("hidden laws, all: the right one alone", share(row["exact"] for row in of["outside"])),
+        ("hidden laws, all: the right one first or tied", share(row["correct"] for row in rows_by_kind["outside"])),
+        ("hidden laws, all: the right one alone", share(row["exact"] for row in rows_by_kind["outside"])),
         (f"{above}: the right one first or tied", share(row["correct"] for row in clear)),
         (f"{above}: the right one first", share(row["first"] for row in clear)),
         (f"{above}: the right one alone", share(row["exact"] for row in clear)),
         (f"{above}: something proposed", share(row["found"] for row in clear)),
-        ("nothing hidden: nothing proposed", share(not row["found"] for row in of["null"])),
-        ("effects of the library: nothing proposed", share(not row["found"] for row in of["single"])),
+        ("nothing hidden: nothing proposed", share(not row["found"] for row in rows_by_kind["null"])),
+        ("effects of the library: nothing proposed", share(not row["found"] for row in rows_by_kind["single"])),
         ("excess held-out error removed, median", f"{100.0 * statistics.median(removed):.0f} %" if removed else "–"),
         ("processor time, median", f"{statistics.median(seconds):.0f} s" if seconds else "–"),
     ]

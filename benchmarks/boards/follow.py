@@ -137,20 +137,20 @@ def pool(kind: str, work: Work) -> Array:
             effects = {"joint_coulomb_friction": [COLD * (1.0 - int(kind.split()[1]) / (LEVELS - 1.0))] * 7}
         count = work.options.each if kind == "quiet" else max(work.options.each // 3, 4)
         first = 1000 + 100_000 * [*PLANTED, *(f"warming {level}" for level in range(LEVELS)), "quiet"].index(kind)
-        hits = [[pushed(one, first + seed, effects) for seed in range(count)] for one in CONDITIONS]
+        hits = [[pushed(condition, first + seed, effects) for seed in range(count)] for condition in CONDITIONS]
         np.savez(path, hits=hits)
-    with np.load(path) as kept:
-        return np.asarray(kept["hits"])
+    with np.load(path) as stored:
+        return np.asarray(stored["hits"])
 
 
 def drawn(hits: Array, count: int, rng: np.random.Generator, begin: int = 0) -> list[list[object]]:
     """Rows of a table: conditions at random, hits of a pool at random, fresh noise."""
     rows: list[list[object]] = []
     for number in range(count):
-        place = int(rng.integers(len(CONDITIONS)))
-        values = hits[place, int(rng.integers(hits.shape[1]))].copy()
+        index = int(rng.integers(len(CONDITIONS)))
+        values = hits[index, int(rng.integers(hits.shape[1]))].copy()
         values[-13:] += NOISE * rng.standard_normal(13)
-        rows.append([*CONDITIONS[place], float(begin + number), *values])
+        rows.append([*CONDITIONS[index], float(begin + number), *values])
     return rows
 
 
@@ -173,14 +173,14 @@ def follower_of(rows: list[list[object]], folder: Path) -> tuple[Follower, list[
 
 def take(follower: Follower, hit: Hit) -> tuple[HitDocument, float]:
     """What a hit taught, and its processor time [ms]."""
-    began = time.process_time()
+    started = time.process_time()
     (document,) = follower.take([hit])
-    return document, 1e3 * (time.process_time() - began)
+    return document, 1e3 * (time.process_time() - started)
 
 
 def run(case: Case, work: Work) -> Row:
     """One day."""
-    what, day = case.given
+    what, day = case.inputs
     rng = np.random.default_rng([1, day, len(what)])
     if what == "drift":
         return drifting_day(work, rng)
@@ -210,26 +210,30 @@ def changed_day(what: str, work: Work, rng: np.random.Generator) -> Row:
     alarm: HitDocument | None = None
     errors, spent, delay = [], [], None
     for number, hit in enumerate(hits[BEFORE:], start=1):
-        document, took = take(follower, hit)
-        spent.append(took)
+        document, milliseconds = take(follower, hit)
+        spent.append(milliseconds)
         errors.append(math.nan if document.error is None else document.error)  # the model did not predict it
         if alarm is None and document.change is not None:
             alarm, delay = document, number
     offline, frozen = offline_errors(follower, base, effect, values, hits[BEFORE:])
     best = rms(np.array(offline)[LATE])
     causes = [] if alarm is None or alarm.change is None else alarm.change.causes
-    own = next((cause for cause in causes if cause.effect == effect), None)
+    named_cause = next((cause for cause in causes if cause.effect == effect), None)
     part = follower.watch.hits.candidate.part(effect)
-    moved = int(np.argmax(np.abs(values - follower.watch.hits.candidate.nominal[part])))
-    wanted = values[moved] - follower.watch.hits.candidate.nominal[part][moved]
-    name = follower.watch.hits.candidate.scalars[part][moved].name
-    change = next((p.change for p in own.parameters if p.parameter == f"{effect}.{name}"), 0.0) if own else 0.0
+    largest = int(np.argmax(np.abs(values - follower.watch.hits.candidate.nominal[part])))
+    planted_change = values[largest] - follower.watch.hits.candidate.nominal[part][largest]
+    name = follower.watch.hits.candidate.scalars[part][largest].name
+    change = (
+        next((p.change for p in named_cause.parameters if p.parameter == f"{effect}.{name}"), 0.0)
+        if named_cause
+        else 0.0
+    )
     return {
         "what": what,
         "hits": delay,
         "first": bool(causes and causes[0].effect == effect),
-        "among": own is not None,
-        "sign": bool(change * wanted > 0.0),
+        "among": named_cause is not None,
+        "sign": bool(change * planted_change > 0.0),
         "ratio": float(np.sqrt(np.nanmean(np.square(np.array(errors)[LATE])))) / best,
         "frozen": rms(np.array(frozen)[LATE]) / best,
         "spent": spent,
@@ -239,17 +243,17 @@ def changed_day(what: str, work: Work, rng: np.random.Generator) -> Row:
 
 def offline_errors(follower: Follower, base: Any, effect: str, values: Array, hits: list[Hit]) -> tuple[Any, Any]:
     """Prediction errors of the planted effect fitted to all hits since the change, and of the frozen model."""
-    own, window = follower.watch.hits, copy.deepcopy(base)
-    frozen = [rms(base.posterior.now.rest(own.evidence(hit, base.point))) for hit in hits]
+    hit_model, window = follower.watch.hits, copy.deepcopy(base)
+    frozen = [rms(base.posterior.now.rest(hit_model.evidence(hit, base.point))) for hit in hits]
     window.posterior.absorb_before(len(window.posterior.window))
     for hit in hits:
-        window.posterior.add([own.evidence(hit, window.point)])
-    part = own.candidate.part(effect)
-    numbers = [n for n in range(part.start, part.stop) if n in own.active]
-    scale, nominal = own.candidate.scale[part], own.candidate.nominal[part]
+        window.posterior.add([hit_model.evidence(hit, window.point)])
+    part = hit_model.candidate.part(effect)
+    numbers = [n for n in range(part.start, part.stop) if n in hit_model.active]
+    scale, nominal = hit_model.candidate.scale[part], hit_model.candidate.nominal[part]
     start = [(values - nominal)[n - part.start] / scale[n - part.start] for n in numbers]
-    fitted = Causes(own).about(window, ChangeExplanation(effect, 0, np.array(start), 0.0))
-    return [rms(fitted.posterior.now.rest(own.evidence(hit, fitted.point))) for hit in hits], frozen
+    fitted = Causes(hit_model).about(window, ChangeExplanation(effect, 0, np.array(start), 0.0))
+    return [rms(fitted.posterior.now.rest(hit_model.evidence(hit, fitted.point))) for hit in hits], frozen
 
 
 def rms(values: Array) -> float:
@@ -262,12 +266,12 @@ def drifting_day(work: Work, rng: np.random.Generator) -> Row:
     rows: list[list[object]] = []
     count = work.options.drift
     for number in range(count):
-        place = int(rng.integers(len(CONDITIONS)))
+        index = int(rng.integers(len(CONDITIONS)))
         share = max(number - 40, 0) / (count - 40)
         effects = {"restitution": [0.25 * share], "pad_friction": [-0.3 * share]}
-        values = pushed(CONDITIONS[place], 90_000 + number, effects)
+        values = pushed(CONDITIONS[index], 90_000 + number, effects)
         values[-13:] += NOISE * rng.standard_normal(13)
-        rows.append([*CONDITIONS[place], float(number), *values])
+        rows.append([*CONDITIONS[index], float(number), *values])
     follower, hits = follower_of(rows, work.folder)
     base, changes = None, 0
     errors: dict[str, list[float]] = {"followed": [], "frozen": []}
@@ -275,12 +279,12 @@ def drifting_day(work: Work, rng: np.random.Generator) -> Row:
         if follower.watching:
             base = copy.deepcopy(follower.watch.likeliest) if base is None else base
             true = distance(hit.measured)
-            for name, one in (("followed", follower.watch.likeliest), ("frozen", base)):
-                mean, _ = follower.watch.hits.predicted(one, hit)
+            for name, explanation in (("followed", follower.watch.likeliest), ("frozen", base)):
+                mean, _ = follower.watch.hits.predicted(explanation, hit)
                 errors[name].append(distance(mean) - true)
         changes += take(follower, hit)[0].change is not None
-    found = {name: 1e3 * rms(np.array(values)) for name, values in errors.items()}
-    words = f"{found['followed']:.1f} mm, frozen {found['frozen']:.1f} mm; {changes} changes announced"
+    rms_errors = {name: 1e3 * rms(np.array(values)) for name, values in errors.items()}
+    words = f"{rms_errors['followed']:.1f} mm, frozen {rms_errors['frozen']:.1f} mm; {changes} changes announced"
     return {"what": "drift", "said": words, "spent": []}
 
 
@@ -295,23 +299,23 @@ def table(rows: list[Row], options: argparse.Namespace) -> Table:
     columns += ("Error from the sixth hit on, over an offline fit, median (largest)", "Frozen model over the same")
     lines = []
     for what in PLANTED:
-        if own := [row for row in rows if row["what"] == what]:
-            hits = [row["hits"] for row in own if row["hits"] is not None]
+        if rows_of_day := [row for row in rows if row["what"] == what]:
+            hits = [row["hits"] for row in rows_of_day if row["hits"] is not None]
             lines.append(
                 (
                     what,
-                    str(len(own)),
+                    str(len(rows_of_day)),
                     str(len(hits)),
                     median_and_largest(hits) if hits else "–",
-                    str(sum(row["first"] for row in own)),
-                    median_and_largest([row["ratio"] for row in own]),
-                    f"{np.median([row['frozen'] for row in own]):.2g}",
+                    str(sum(row["first"] for row in rows_of_day)),
+                    median_and_largest([row["ratio"] for row in rows_of_day]),
+                    f"{np.median([row['frozen'] for row in rows_of_day]):.2g}",
                 )
             )
     for what in ("quiet", "warming"):
-        if own := [row for row in rows if row["what"] == what]:
-            alarms, watched = (sum(row[key] for row in own) for key in ("alarms", "watched"))
-            lines.append((f"nothing, {what} days", str(len(own)), f"{alarms} in {watched} hits", *("–",) * 4))
+        if rows_of_day := [row for row in rows if row["what"] == what]:
+            alarms, watched = (sum(row[key] for row in rows_of_day) for key in ("alarms", "watched"))
+            lines.append((f"nothing, {what} days", str(len(rows_of_day)), f"{alarms} in {watched} hits", *("–",) * 4))
     lines += [("drift, sliding distance", "1", row["said"], *("–",) * 4) for row in rows if row["what"] == "drift"]
     if spent := [time_ for row in rows for time_ in row["spent"]]:
         lines.append(("processor time of a hit [ms]", "", quantiles(spent), *("–",) * 4))

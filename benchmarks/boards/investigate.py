@@ -115,8 +115,8 @@ def table(rows: list[Row], options: argparse.Namespace) -> Table:
     where = "" if options.on == "plant" else ", in the MuJoCo cell"
     lines = []
     for kind, words in KINDS.items():
-        if own := [row for row in rows if row["kind"] == kind]:
-            counts = [str(sum(row[key] for row in own)) for key in ("correct", "exact", "wrong")]
-            medians = [f"{statistics.median(row[key] for row in own):.0f}" for key in ("trials", "processor")]
-            lines.append((words + where, str(len(own)), *counts, *medians))
+        if rows_of_kind := [row for row in rows if row["kind"] == kind]:
+            counts = [str(sum(row[key] for row in rows_of_kind)) for key in ("correct", "exact", "wrong")]
+            medians = [f"{statistics.median(row[key] for row in rows_of_kind):.0f}" for key in ("trials", "processor")]
+            lines.append((words + where, str(len(rows_of_kind)), *counts, *medians))
     return Table(columns, tuple(lines))

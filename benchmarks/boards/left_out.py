@@ -40,15 +40,15 @@ LEVELS = (0.01, 0.05)
 @cache
 def variants_of() -> dict[str, tuple[list[str], list[tuple[str, Array]]]]:
     """By kind of trial: names of the features, and variant minus replay of every variant and condition, in units."""
-    found: dict[str, tuple[list[str], list[tuple[str, Array]]]] = {}
+    by_kind: dict[str, tuple[list[str], list[tuple[str, Array]]]] = {}
     header: list[str] = []
     with (config_directory() / PATTERNS_FILE).open(encoding="utf-8", newline="") as file:
         for kind, variant, _, *cells in csv.reader(file):
             if kind == "kind":
                 header = cells
             else:
-                found.setdefault(kind, (header, []))[1].append((variant, np.array(cells, dtype=float)))
-    return found
+                by_kind.setdefault(kind, (header, []))[1].append((variant, np.array(cells, dtype=float)))
+    return by_kind
 
 
 def without(simulator: str) -> Discrepancy:
@@ -62,16 +62,16 @@ def without(simulator: str) -> Discrepancy:
     """
     shipped, entries_, patterns = measured_discrepancy(), [], []
     for kind, (names, rows) in variants_of().items():
-        left = [(variant, values) for variant, values in rows if not variant.startswith(simulator)]
-        places: dict[tuple[str, str, str], list[int]] = {}
+        remaining = [(variant, values) for variant, values in rows if not variant.startswith(simulator)]
+        columns_by_signal: dict[tuple[str, str, str], list[int]] = {}
         for column, name in enumerate(names):
             phase, signal, index, _ = name.split("|")
-            places.setdefault((phase, signal, index), []).append(column)
-        for entry in (one for one in shipped.entries if one.kind == kind):
-            columns = places[entry.phase, entry.signal, entry.index]
+            columns_by_signal.setdefault((phase, signal, index), []).append(column)
+        for entry in (entry_ for entry_ in shipped.entries if entry_.kind == kind):
+            columns = columns_by_signal[entry.phase, entry.signal, entry.index]
             by_variant = {
-                name: np.array([values[columns] for variant, values in left if variant == name])
-                for name in dict.fromkeys(variant for variant, _ in left)
+                name: np.array([values[columns] for variant, values in remaining if variant == name])
+                for name in dict.fromkeys(variant for variant, _ in remaining)
             }
             sizes = {name: float(np.sqrt(np.mean(np.square(table)))) for name, table in by_variant.items()}
             largest = max(sizes, key=lambda name: sizes[name])
@@ -81,10 +81,16 @@ def without(simulator: str) -> Discrepancy:
                     update={"value": sizes[largest], "largest": largest, "by_bin": bins, "by_variant": sizes}
                 )
             )
-        (own,) = (table for table in shipped.patterns if table.kind == kind)
-        patterns.append(Patterns(kind=own.kind, features=own.features, rows=tuple(tuple(v.tolist()) for _, v in left)))
-    kept = {name: words for name, words in shipped.variants.items() if not name.startswith(simulator)}
-    return shipped.model_copy(update={"variants": kept, "entries": tuple(entries_), "patterns": tuple(patterns)})
+        (shipped_patterns,) = (table for table in shipped.patterns if table.kind == kind)
+        patterns.append(
+            Patterns(
+                kind=shipped_patterns.kind,
+                features=shipped_patterns.features,
+                rows=tuple(tuple(v.tolist()) for _, v in remaining),
+            )
+        )
+    variants = {name: words for name, words in shipped.variants.items() if not name.startswith(simulator)}
+    return shipped.model_copy(update={"variants": variants, "entries": tuple(entries_), "patterns": tuple(patterns)})
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -96,8 +102,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def cases(options: argparse.Namespace) -> list[Entry]:
     """Nulls."""
-    found = entries([("null", None, None)] * options.nulls, FIRST_SEED[options.on] + LEFT_OUT)
-    return reseeded(found, options)
+    nulls = entries([("null", None, None)] * options.nulls, FIRST_SEED[options.on] + LEFT_OUT)
+    return reseeded(nulls, options)
 
 
 def run(entry: Entry, work: Work) -> Row:
@@ -106,33 +112,35 @@ def run(entry: Entry, work: Work) -> Row:
     for _ in make(folder, entry.seed, work.map_tasks, entry.kind, size=options.size, work=recorder(options.on)):
         pass
     runs, model, cache_ = read_runs(folder / RUNS, work.map_tasks), load_model("nominal"), ReplayCache(work.map_tasks)
-    found = {}
+    documents = {}
     for name, discrepancy in (("shipped", None), ("left_out", without(SIMULATOR[options.on]))):
         began = time.process_time()
         source = ReplaySource.of(runs, model, cache_, discrepancy)
         document = diagnose(source, model)
         write_document(document, folder / f"{name}.json")
-        alone = [one.p_value for one in document.effects if one.p_value is not None]
-        found[name] = judged(folder, document) | {
+        p_values = [effect.p_value for effect in document.effects if effect.p_value is not None]
+        documents[name] = judged(folder, document) | {
             "lack_of_fit": document.lack_of_fit.before,
-            "least_p": min(alone, default=1.0),
+            "least_p": min(p_values, default=1.0),
             "seconds": time.process_time() - began,
         }
-    return found | {"said": f"{found['shipped']['verdict']} | {found['left_out']['verdict']}"}
+    return documents | {"said": f"{documents['shipped']['verdict']} | {documents['left_out']['verdict']}"}
 
 
 def table(rows: list[Row], options: argparse.Namespace) -> Table:
     """Both discrepancies beside each other."""
     sides = [[row[name] for row in rows] for name in ("shipped", "left_out")]
     lines = [
-        (f"nothing hidden: `{NOTHING}`", *(share(one["correct"] for one in side) for side in sides)),
-        ("nothing hidden: an effect named", *(share(bool(one["named"]) for one in side) for side in sides)),
+        (f"nothing hidden: `{NOTHING}`", *(share(document["correct"] for document in side) for side in sides)),
+        ("nothing hidden: an effect named", *(share(bool(document["named"]) for document in side) for side in sides)),
     ]
     for level in LEVELS:
         for key, words in (("lack_of_fit", "lack of fit"), ("least_p", "smallest adjusted p of all effects")):
-            shares = (share(one[key] is not None and one[key] < level for one in side) for side in sides)
+            shares = (share(document[key] is not None and document[key] < level for document in side) for side in sides)
             lines.append((f"{words} below {level:.0%}", *shares))
     if rows:
-        lines.append(("error, times repeatability", *(quantiles([one["before"] for one in side]) for side in sides)))
+        lines.append(
+            ("error, times repeatability", *(quantiles([document["before"] for document in side]) for side in sides))
+        )
     where = COLUMN[options.on]
     return Table(("", f"{where}: shipped", f"made without {SIMULATOR[options.on]}"), tuple(lines))

@@ -90,13 +90,13 @@ class FaultCase:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Which campaigns, and which faults of them."""
-    for option, known, chosen, words in (
+    for option, choices, defaults, words in (
         ("--on", PLANTS, PLANTS[:2], "where it was recorded"),
         ("--base", BASES, BASES, "what is hidden beneath"),
         ("--fault", tuple(FAULTS), tuple(FAULTS), "what is wrong with a reading"),
     ):
-        words = f"{words}: {', '.join(known)}"
-        parser.add_argument(option, nargs="+", choices=known, default=list(chosen), metavar="NAME", help=words)
+        words = f"{words}: {', '.join(choices)}"
+        parser.add_argument(option, nargs="+", choices=choices, default=list(defaults), metavar="NAME", help=words)
     parser.add_argument("--sample", type=int, metavar="N", help="only so many of these campaigns, drawn at random")
     parser.add_argument("--clear", action="store_true", help="only the larger size of every fault")
     parser.add_argument("--seeds", type=int, default=1, help="recordings of every base, each with faults of its own")
@@ -109,7 +109,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def cases(options: argparse.Namespace) -> list[FaultCase]:
     """Clear faults first, those on nothing hidden before the others."""
-    found = [
+    fault_cases = [
         FaultCase(fault, fault.sizes[index], base, plant, options.first_seed + seed)
         for seed in range(options.seeds)
         for index in ((-1,) if options.clear else (-1, -2))
@@ -120,8 +120,8 @@ def cases(options: argparse.Namespace) -> list[FaultCase]:
         for fault in (FAULTS[name] for name in options.fault)
         if len(fault.sizes) >= -index
     ]
-    drawn = np.random.default_rng(options.first_seed).permutation(len(found))[: options.sample]
-    return [found[number] for number in sorted(drawn)]
+    drawn = np.random.default_rng(options.first_seed).permutation(len(fault_cases))[: options.sample]
+    return [fault_cases[number] for number in sorted(drawn)]
 
 
 def run(case: FaultCase, work: Work) -> Row:
@@ -129,22 +129,22 @@ def run(case: FaultCase, work: Work) -> Row:
     campaigns = (work.options.campaigns or work.folder.parent / "campaigns").absolute()
     runs, hidden = base_of(case, campaigns, work.map_tasks)
     bags = work.folder.absolute() / RUNS
-    what = case.fault.drawn(case.size, case.seed, seconds_of(runs))
-    document, took = work.folder / "diagnosis.json", work.folder / "seconds.json"
+    drawn_fault = case.fault.drawn(case.size, case.seed, seconds_of(runs))
+    document, seconds_file = work.folder / "diagnosis.json", work.folder / "seconds.json"
     row = {
-        "fault": case.fault.name, "size": case.size, "unit": case.fault.unit, "joint": what.joint + 1,
-        "sign": what.sign, "angle": what.angle, "base": case.base, "plant": case.plant,
+        "fault": case.fault.name, "size": case.size, "unit": case.fault.unit, "joint": drawn_fault.joint + 1,
+        "sign": drawn_fault.sign, "angle": drawn_fault.angle, "base": case.base, "plant": case.plant,
     }  # fmt: skip
     try:
         if not document.exists():
-            rewrite_campaign(runs, bags, case.fault, what)
+            rewrite_campaign(runs, bags, case.fault, drawn_fault)
             began = processor_time()
             diagnosed(document, lambda: laboratory_runs(bags, work.map_tasks), work.map_tasks)
-            write_whole(took, f"{processor_time() - began}\n")
-        row |= scored(read_document(document), case.fault.truths(what), hidden)
-        row["seconds"] = json.loads(took.read_text(encoding="utf-8"))
+            write_whole(seconds_file, f"{processor_time() - began}\n")
+        row |= scored(read_document(document), case.fault.truths(drawn_fault), hidden)
+        row["seconds"] = json.loads(seconds_file.read_text(encoding="utf-8"))
     except InputError as error:
-        row |= refused(str(error), case.fault.truths(what), hidden)
+        row |= refused(str(error), case.fault.truths(drawn_fault), hidden)
     if not work.options.keep_bags:
         shutil.rmtree(bags, ignore_errors=True)
     return row
@@ -173,7 +173,9 @@ def base_of(case: FaultCase, campaigns: Path, map_tasks: Map) -> tuple[Path, Tru
         runs = folder / "stripped"
         strip_campaign(folder, runs)
     truth = json.loads((folder / TRUTH).read_text(encoding="utf-8"))["effects"]
-    return runs, differences({one["name"]: {k: v["value"] for k, v in one["parameters"].items()} for one in truth})
+    return runs, differences(
+        {effect["name"]: {k: v["value"] for k, v in effect["parameters"].items()} for effect in truth}
+    )
 
 
 def _bench(base: str, folder: Path) -> tuple[Path, Truths]:
@@ -191,8 +193,12 @@ def _bench(base: str, folder: Path) -> tuple[Path, Truths]:
 
 def differences(effects: Mapping[str, Mapping[str, float]]) -> Truths:
     """Parameters of effects of the library as differences from nominal."""
-    nominal = {name: {one.name: one.nominal for one in library()[name].scalars(7)} for name in effects}
-    return {name: {key: value - nominal[name][key] for key, value in own.items()} for name, own in effects.items()}
+    nominal = {
+        name: {parameter.name: parameter.nominal for parameter in library()[name].scalars(7)} for name in effects
+    }
+    return {
+        name: {key: value - nominal[name][key] for key, value in values.items()} for name, values in effects.items()
+    }
 
 
 def scored(document: DiagnosisDocument, faults: Truths, hidden: Truths) -> Row:
@@ -200,32 +206,32 @@ def scored(document: DiagnosisDocument, faults: Truths, hidden: Truths) -> Row:
 
     Args:
         document: Diagnosis.
-        faults: Effects that say the fault, its own one first; empty: no reading is wrong.
+        faults: Effects that describe the fault, its own effect first; empty: no reading is wrong.
         hidden: Effects of physics.
     """
     groups = [set(group) for group in document.confusable]
 
-    def near(name: str) -> set[str]:
+    def tied_with(name: str) -> set[str]:
         return {name}.union(*(group for group in groups if name in group))
 
-    def said(name: str) -> bool:
-        return any(name in near(other) for other in document.named)
+    def is_named(name: str) -> bool:
+        return any(name in tied_with(other) for other in document.named)
 
     named, effects = set(document.named), library()
     sensing = {name for name in named if name in effects and effects[name].acts_on == "sensing"}
     true = set(faults) | set(hidden)
-    vain = [name for name in document.named if not near(name) & true]
-    own = next((name for name in faults if said(name)), None)
+    in_vain = [name for name in document.named if not tied_with(name) & true]
+    found_fault = next((name for name in faults if is_named(name)), None)
     return {
         "verdict": str(document.verdict),
         "named": list(document.named),
-        "fault_found": any(map(said, faults)) if faults else None,
+        "fault_found": any(map(is_named, faults)) if faults else None,
         "fault_by_own_name": bool(set(faults) & named) if faults else None,
-        "fault_covered": _covered(document, own, faults.get(own or "", {})),
-        "physics_right": all(map(said, hidden)) if hidden else None,
+        "fault_covered": _covered(document, found_fault, faults.get(found_fault or "", {})),
+        "physics_right": all(map(is_named, hidden)) if hidden else None,
         "physics_covered": [_covered(document, name, values) for name, values in hidden.items()],
-        "physics_in_vain": [name for name in vain if name not in sensing],
-        "readings_in_vain": [name for name in vain if name in sensing],
+        "physics_in_vain": [name for name in in_vain if name not in sensing],
+        "readings_in_vain": [name for name in in_vain if name in sensing],
         "exact": named - set(faults) == set(hidden) and len(named & set(faults)) == bool(faults),
         "nothing_missing": document.verdict == NOTHING,
         "before": document.held_out_error_before,
@@ -233,7 +239,7 @@ def scored(document: DiagnosisDocument, faults: Truths, hidden: Truths) -> Row:
         "noise": document.noise_floor,
         "estimates": {
             effect.name: {
-                key: [one.estimate, *one.interval, one.unit] for key, one in effect.parameters.items()
+                key: [value.estimate, *value.interval, value.unit] for key, value in effect.parameters.items()
             }
             for effect in document.effects
             if effect.name in named | true
@@ -244,7 +250,7 @@ def scored(document: DiagnosisDocument, faults: Truths, hidden: Truths) -> Row:
     }  # fmt: skip
 
 
-def refused(why: str, faults: Truths, hidden: Truths) -> Row:
+def refused(reason: str, faults: Truths, hidden: Truths) -> Row:
     """A campaign that was not diagnosed."""
     return {
         "verdict": "REFUSED",
@@ -259,7 +265,7 @@ def refused(why: str, faults: Truths, hidden: Truths) -> Row:
         "physics_right": False if hidden else None,
         "physics_covered": [],
         "nothing_missing": False,
-        "said": f"REFUSED: {why}",
+        "said": f"REFUSED: {reason}",
     }
 
 
@@ -268,28 +274,28 @@ def _covered(document: DiagnosisDocument, name: str | None, values: Mapping[str,
     effect = None if name is None else document.effect(name)
     if effect is None or not values:
         return None
-    own = {key: one for key, one in effect.parameters.items() if key in values}
-    return [sum(_holds(one, values[key]) for key, one in own.items()), len(values)]
+    estimates = {key: estimate for key, estimate in effect.parameters.items() if key in values}
+    return [sum(_holds(estimate, values[key]) for key, estimate in estimates.items()), len(values)]
 
 
-def _holds(one: EstimateDocument, difference: float) -> bool:
-    """Whether an interval holds what is so far from nominal."""
-    low, high = one.interval
-    return low <= (one.nominal or 0.0) + difference <= high
+def _holds(estimate: EstimateDocument, difference: float) -> bool:
+    """Whether the interval of an estimate contains nominal + ``difference``."""
+    low, high = estimate.interval
+    return low <= (estimate.nominal or 0.0) + difference <= high
 
 
 def table(rows: list[Row], options: argparse.Namespace) -> Table:
     """A row for each fault, then all of them."""
     del options
-    lines = [(_words(own[0]["fault"]), *_cells(own)) for own in _by(rows, "fault").values()]
-    wrong = [row for row in rows if row["fault_found"] is not None]
+    lines = [(_words(group[0]["fault"]), *_cells(group)) for group in _by(rows, "fault").values()]
+    with_fault = [row for row in rows if row["fault_found"] is not None]
     lines += [
-        (f"all faults, {words}", *_cells(own))
-        for words, own in (
-            ("nothing hidden", [row for row in wrong if row["base"] == NOTHING_HIDDEN]),
-            ("physics beneath", [row for row in wrong if row["base"] != NOTHING_HIDDEN]),
+        (f"all faults, {words}", *_cells(group))
+        for words, group in (
+            ("nothing hidden", [row for row in with_fault if row["base"] == NOTHING_HIDDEN]),
+            ("physics beneath", [row for row in with_fault if row["base"] != NOTHING_HIDDEN]),
         )
-        if own
+        if group
     ]
     return Table(HEAD, tuple(lines))
 
@@ -307,7 +313,7 @@ def _words(name: str) -> str:
 
 def _by(rows: list[Row], key: str) -> dict[str, list[Row]]:
     """Rows by a value, in the order of the table of faults."""
-    return {value: own for value in FAULTS if (own := [row for row in rows if row[key] == value])}
+    return {value: group for value in FAULTS if (group := [row for row in rows if row[key] == value])}
 
 
 def _cells(rows: list[Row]) -> tuple[str, ...]:
@@ -325,4 +331,4 @@ def _cells(rows: list[Row]) -> tuple[str, ...]:
 
 
 def _share_of(counts: Collection[Any]) -> str:
-    return f"{sum(one[0] for one in counts)} of {sum(one[1] for one in counts)}" if counts else "–"
+    return f"{sum(count[0] for count in counts)} of {sum(count[1] for count in counts)}" if counts else "–"

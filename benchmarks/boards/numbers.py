@@ -15,7 +15,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from benchmarks.boards import small
-from benchmarks.harness import Case, Row, Work, draw_options, drawn
+from benchmarks.harness import Case, Row, Work, draw_options, map_draws
 from benchmarks.results import Table
 
 NUMBERS = (
@@ -47,26 +47,26 @@ def cases(options: argparse.Namespace) -> list[Case]:
 @contextmanager
 def multiplied(name: str, factor: float) -> Iterator[None]:
     """Every module of the analysis sees the number times a factor; a number of repeats is rounded."""
-    seen = [m for n, m in sys.modules.items() if n.startswith("impact_rs_analysis.") and name and name in vars(m)]
-    before = [getattr(module, name) for module in seen]
+    modules = [m for n, m in sys.modules.items() if n.startswith("impact_rs_analysis.") and name and name in vars(m)]
+    original = [getattr(module, name) for module in modules]
     try:
-        for module, value in zip(seen, before, strict=True):
+        for module, value in zip(modules, original, strict=True):
             setattr(module, name, max(1, round(factor * value)) if isinstance(value, int) else factor * value)
         yield
     finally:
-        for module, value in zip(seen, before, strict=True):
+        for module, value in zip(modules, original, strict=True):
             setattr(module, name, value)
 
 
-def one(case: Case, options: argparse.Namespace, seed: int) -> list[Row]:
+def draw_case(case: Case, options: argparse.Namespace, seed: int) -> list[Row]:
     """The diagnoses of one draw of every cell."""
-    with multiplied(*case.given):
-        return [small.one(Case(case.name, cell), options, seed) for cell in CELLS]
+    with multiplied(*case.inputs):
+        return [small.draw_case(Case(case.name, cell), options, seed) for cell in CELLS]
 
 
 def run(case: Case, work: Work) -> Row:
     """All draws."""
-    return {"draws": drawn(one, case, work.options, work.map_tasks)}
+    return {"draws": map_draws(draw_case, case, work.options, work.map_tasks)}
 
 
 def table(rows: list[Row], options: argparse.Namespace) -> Table:
@@ -74,12 +74,12 @@ def table(rows: list[Row], options: argparse.Namespace) -> Table:
     del options
     lines = []
     for row in rows:
-        found = []
-        for place, (_, hidden, _) in enumerate(CELLS):
-            draws = [draw[place] for draw in row["draws"]]
+        cells = []
+        for index, (_, hidden, _) in enumerate(CELLS):
+            draws = [draw[index] for draw in row["draws"]]
             outcomes = np.array([small.outcome(hidden, draw) for draw in draws])
-            found += [small.with_error(list(outcomes[:, 0])), small.with_error(list(outcomes[:, 2]))]
-        lines.append((row["name"], *found))
+            cells += [small.with_error(list(outcomes[:, 0])), small.with_error(list(outcomes[:, 2]))]
+        lines.append((row["name"], *cells))
     head = [
         f"{design}, {'discrepancy' if discrepancy else 'exact'}, {hidden}: {what} [%]"
         for design, hidden, discrepancy in CELLS

@@ -54,8 +54,8 @@ def drawn(seed: int, assumed: float) -> tuple[Racket, set[str]]:
 
 def errors(table: ImpactTable, predicted: np.ndarray) -> tuple[float, float]:
     """Mean length of the error of (v_x, v_z) [m/s], mean error of omega_y [rad/s]."""
-    rest = np.array([row.after for row in table.rows]) - predicted
-    return float(np.mean(np.hypot(rest[:, X], rest[:, Z]))), float(np.mean(np.abs(rest[:, Y_TURNING])))
+    residuals = np.array([row.after for row in table.rows]) - predicted
+    return float(np.mean(np.hypot(residuals[:, X], residuals[:, Z]))), float(np.mean(np.abs(residuals[:, Y_TURNING])))
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -73,7 +73,7 @@ def cases(options: argparse.Namespace) -> list[Case]:
 
 def run(case: Case, work: Work) -> Row:
     """Diagnose one racket."""
-    options, seed = work.options, case.given
+    options, seed = work.options, case.inputs
     assumed = {"friction": options.friction, "restitution": options.restitution}
     racket, truth = drawn(seed, options.friction)
     paths = [work.folder / f"{name}.csv" for name in ("train", "test")]
@@ -81,14 +81,14 @@ def run(case: Case, work: Work) -> Row:
         ball_table(path, racket, options.rows, seed=2 * seed + number, **assumed)
     began = time.process_time()
     document = diagnose(ImpactTableSource(read_impact_table(paths[0]), NOMINAL), NOMINAL)
-    took, named = time.process_time() - began, set(document.named)
+    seconds, named = time.process_time() - began, set(document.named)
     effects = {name: document.effect(name).parameters for name in document.named}
-    added = tuple((name, tuple(p.estimate for p in found.values())) for name, found in effects.items())
+    added = tuple((name, tuple(p.estimate for p in parameters.values())) for name, parameters in effects.items())
     unseen = read_impact_table(paths[1])
     source = ImpactTableSource(unseen, NOMINAL)
     # Features are in contact axes; the errors are wanted in x, y, z.
-    turned = source.predicted_with(added).reshape(-1, 2, 3)
-    predicted = np.einsum("nij,nki->nkj", source.entries.axes, turned).reshape(-1, 6)
+    in_contact_axes = source.predicted_with(added).reshape(-1, 2, 3)
+    predicted = np.einsum("nij,nki->nkj", source.entries.axes, in_contact_axes).reshape(-1, 6)
     exact = np.array([bounced(row.impact.object.twist, racket) for row in unseen.rows])
     (v, w), (least_v, least_w) = errors(unseen, predicted), errors(unseen, exact)
     missed, false = sorted(truth - named), sorted(named - truth)
@@ -98,7 +98,7 @@ def run(case: Case, work: Work) -> Row:
         "false": bool(false),
         "speed": v / least_v,
         "spin": w / least_w,
-        "processor": took,
+        "processor": seconds,
         "said": f"{len(truth)} laws, missed {missed or 'none'}, false {false or 'none'}",
     }
 

@@ -51,15 +51,15 @@ class Shape:
 def cases(options: argparse.Namespace) -> list[Shape]:
     """Two effects and nothing, of every shape."""
     del options
-    wanted = [(scenario, effect) for scenario, effects in HIDDEN.items() for effect in (*effects, None)]
-    return [Shape(*one, seed) for seed, one in enumerate(wanted, start=FIRST_SEED)]
+    hidden = [(scenario, effect) for scenario, effects in HIDDEN.items() for effect in (*effects, None)]
+    return [Shape(*scenario_and_effect, seed) for seed, scenario_and_effect in enumerate(hidden, start=FIRST_SEED)]
 
 
 def run(shape: Shape, work: Work) -> Row:
     """Record, diagnose and judge one campaign."""
     kind = "null" if shape.effect is None else "single"
-    how = (work.map_tasks, kind, shape.effect, "small", MAGNITUDE)
-    for _ in make(work.folder, shape.seed, *how, scenarios=SCENARIOS[shape.scenario]):
+    recording_options = (work.map_tasks, kind, shape.effect, "small", MAGNITUDE)
+    for _ in make(work.folder, shape.seed, *recording_options, scenarios=SCENARIOS[shape.scenario]):
         pass
     document = work.folder / "diagnosis.json"
     row = timed_diagnosis(document, work.folder, lambda: read_runs(work.folder / RUNS, work.map_tasks), work.map_tasks)
@@ -69,24 +69,24 @@ def run(shape: Shape, work: Work) -> Row:
 def table(rows: list[Row], options: argparse.Namespace) -> Table:
     """A row a shape."""
     del options
-    found = []
+    lines = []
     for scenario in SCENARIOS:
-        own = [row for row in rows if row["scenario"] == scenario]
-        hidden, nulls = ([row for row in own if row["kind"] == kind] for kind in ("single", "null"))
-        seen = [row for row in hidden if is_visible(row)]
+        scenario_rows = [row for row in rows if row["scenario"] == scenario]
+        hidden, nulls = ([row for row in scenario_rows if row["kind"] == kind] for kind in ("single", "null"))
+        visible = [row for row in hidden if is_visible(row)]
         inside, total = (sum(row["covered"][side] for row in hidden) for side in (0, 1))
-        found.append(
+        lines.append(
             (
                 f"`{scenario}`",
                 share(row["correct"] for row in hidden),
-                share(row["correct"] for row in seen),
+                share(row["correct"] for row in visible),
                 f"{inside} of {total}" if total else "–",
                 share(row["correct"] for row in nulls),
-                share(row["also_named"] for row in own),
+                share(row["also_named"] for row in scenario_rows),
             )
         )
     header = (
         "", "named, or in a tie", "of those above twice the noise", "true parameters in their 95 % intervals",
         "nothing hidden: `NOTHING-MISSING`", "a name neither there nor confusable",
     )  # fmt: skip
-    return Table(header, tuple(found))
+    return Table(header, tuple(lines))

@@ -46,9 +46,9 @@ def hits_of(path: Path, robot: str, session: str) -> tuple[Array, Array, int]:
     if not rows:
         sys.exit(f"{path}: no hit of robot {robot}" + (f" in a session {session}" if session else ""))
     rows.sort(key=lambda row: (row["RecSession"], int(row["HitNumber"])))
-    found = np.array([(float(row["HittingFlux"]), float(row["DistanceTraveled"])) for row in rows])
-    moved = found[found[:, 1] > LEAST]
-    return moved[:, 0], moved[:, 1], len(found) - len(moved)
+    hits = np.array([(float(row["HittingFlux"]), float(row["DistanceTraveled"])) for row in rows])
+    moving = hits[hits[:, 1] > LEAST]
+    return moving[:, 0], moving[:, 1], len(hits) - len(moving)
 
 
 def write_table(path: Path, flux: Array, distance: Array) -> Array:
@@ -58,9 +58,9 @@ def write_table(path: Path, flux: Array, distance: Array) -> Array:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(HEADER)
-        for number, (before, own) in enumerate(zip(flux, after, strict=True)):
+        for number, (before, velocity) in enumerate(zip(flux, after, strict=True)):
             writer.writerow(
-                [number, "box", 0.05, 0.4, round(assumed, 3), 0.0, 0.0, -before, 0.0, 0.0, 0.0, 0.0, 0.0, own]
+                [number, "box", 0.05, 0.4, round(assumed, 3), 0.0, 0.0, -before, 0.0, 0.0, 0.0, 0.0, 0.0, velocity]
             )
     return np.asarray(after)
 
@@ -72,18 +72,20 @@ def errors_of(path: Path, flux: Array, after: Array, distance: Array) -> tuple[A
     follower, frozen = Follower(hit_source, model), None
     errors: list[tuple[float, float]] = []
     changes = []
-    for hit, phi, own, true in zip(list(hit_source.arrived()), flux, after, distance, strict=True):
+    for hit, phi, velocity, true in zip(list(hit_source.arrived()), flux, after, distance, strict=True):
         if follower.watching:
             frozen = copy.deepcopy(follower.watch.likeliest) if frozen is None else frozen
-            place = int(np.argmin(np.abs(hit.measured - own)))
-            found = [follower.watch.hits.predicted(one, hit) for one in (follower.watch.likeliest, frozen)]
-            speeds = [phi + float(one[0][place]) for one in found if one is not None]
+            index = int(np.argmin(np.abs(hit.measured - velocity)))
+            predictions = [
+                follower.watch.hits.predicted(explanation, hit) for explanation in (follower.watch.likeliest, frozen)
+            ]
+            speeds = [phi + float(prediction[0][index]) for prediction in predictions if prediction is not None]
             errors.append((speeds[0] ** 2 / (2.0 * MU * GRAVITY) - true, speeds[1] ** 2 / (2.0 * MU * GRAVITY) - true))
         for document in follower.take([hit]):
             if document.change is not None:
                 changes.append(document.change.words)
-    followed, kept = np.array(errors).T
-    return followed, kept, changes
+    followed, frozen_errors = np.array(errors).T
+    return followed, frozen_errors, changes
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -100,7 +102,7 @@ def cases(options: argparse.Namespace) -> list[Case]:
 
 def run(case: Case, work: Work) -> Row:
     """Follow the hits of one table."""
-    flux, distance, left_out = hits_of(case.given, work.options.robot, work.options.session)
+    flux, distance, left_out = hits_of(case.inputs, work.options.robot, work.options.session)
     path = work.folder / "hits.csv"
     followed, frozen, changes = errors_of(path, flux, write_table(path, flux, distance), distance)
     row: Row = {"hits": len(flux), "left_out": left_out, "changes": changes}

@@ -22,7 +22,7 @@ import numpy as np
 from analytic_world import EFFECTS, correlated, knowing
 
 from benchmarks.closed_form import EXACT, WHITE, Campaign, Simulator, standard_error
-from benchmarks.harness import Case, Row, Work, draw_options, drawn
+from benchmarks.harness import Case, Row, Work, draw_options, map_draws
 from benchmarks.hidden import by_probability, stated_probabilities
 from benchmarks.results import Table
 from impact_rs_analysis.diagnosis.diagnose import diagnose
@@ -60,7 +60,7 @@ def cases(options: argparse.Namespace) -> list[Case]:
 
 def campaign(case: Case, options: argparse.Namespace, seed: int) -> tuple[Campaign, Added]:
     """One draw, and what it hides."""
-    design, hidden, discrepancy = case.given
+    design, hidden, discrepancy = case.inputs
     conditions, repeats = (int(number) for number in design.split("x"))
     root = correlated() if options.correlated else WHITE
     simulator = Simulator(discrepancy) if discrepancy else EXACT
@@ -71,19 +71,19 @@ def campaign(case: Case, options: argparse.Namespace, seed: int) -> tuple[Campai
     return knowing(source, *(EFFECTS[name] for name in CONSIDERED)), truth
 
 
-def one(case: Case, options: argparse.Namespace, seed: int) -> Row:
+def draw_case(case: Case, options: argparse.Namespace, seed: int) -> Row:
     """The diagnosis of one draw."""
     source, truth = campaign(case, options, seed)
     began = time.process_time()
     document = diagnose(source, source.model)
     seconds = time.process_time() - began
-    found = document.effect(HIDDEN)
-    known = found is not None and case.given[1].startswith(HIDDEN) and "a" in found.parameters
-    low, high = found.parameters["a"].interval if known and found is not None else (0.0, 0.0)
+    effect = document.effect(HIDDEN)
+    has_estimate = effect is not None and case.inputs[1].startswith(HIDDEN) and "a" in effect.parameters
+    low, high = effect.parameters["a"].interval if has_estimate and effect is not None else (0.0, 0.0)
     return {
         "named": document.named,
         "verdict": str(document.verdict),
-        "covered": low <= truth[0][1][0] <= high if known else None,
+        "covered": low <= truth[0][1][0] <= high if has_estimate else None,
         "probabilities": stated_probabilities(document),
         "seconds": seconds,
     }
@@ -91,16 +91,22 @@ def one(case: Case, options: argparse.Namespace, seed: int) -> Row:
 
 def run(case: Case, work: Work) -> Row:
     """All draws of a cell."""
-    return {"hidden": case.given[1], "draws": drawn(one, case, work.options, work.map_tasks)}
+    return {"hidden": case.inputs[1], "draws": map_draws(draw_case, case, work.options, work.map_tasks)}
 
 
 def outcome(hidden: str, draw: Row) -> tuple[bool, ...]:
     """Whether it is strictly right, names more than is hidden, other than is hidden, or nothing; whether it is seen."""
     truth = {HIDDEN} if hidden.startswith(HIDDEN) else set()
-    named, seen = set(draw["named"]), draw["verdict"] != str(NOTHING)
-    beside = bool(truth) and truth < named
-    wrong = bool(named) and not (truth and truth <= named)
-    return named == truth and seen == (hidden != "nothing"), beside, wrong, not named, seen
+    named, something_missing = set(draw["named"]), draw["verdict"] != str(NOTHING)
+    with_others = bool(truth) and truth < named
+    wrong_name = bool(named) and not (truth and truth <= named)
+    return (
+        named == truth and something_missing == (hidden != "nothing"),
+        with_others,
+        wrong_name,
+        not named,
+        something_missing,
+    )
 
 
 def with_error(values: list[bool]) -> str:
@@ -108,8 +114,8 @@ def with_error(values: list[bool]) -> str:
     if not values:
         return "–"
     count, share = len(values), float(np.mean(values))
-    kept = min(max(share, 0.5 / count), 1.0 - 0.5 / count)
-    return f"{100.0 * share:.0f} ± {100.0 * float(np.sqrt(kept * (1.0 - kept) / count)):.0f}"
+    clipped = min(max(share, 0.5 / count), 1.0 - 0.5 / count)
+    return f"{100.0 * share:.0f} ± {100.0 * float(np.sqrt(clipped * (1.0 - clipped) / count)):.0f}"
 
 
 def table(rows: list[Row], options: argparse.Namespace) -> Table:
@@ -123,13 +129,13 @@ def table(rows: list[Row], options: argparse.Namespace) -> Table:
     for row in rows:
         draws, hidden = row["draws"], row["hidden"]
         outcomes = np.array([outcome(hidden, draw) for draw in draws])
-        known = [bool(draw["covered"]) for draw in draws if draw["covered"] is not None]
+        covered = [bool(draw["covered"]) for draw in draws if draw["covered"] is not None]
         lines.append(
             (
                 row["name"],
                 str(len(draws)),
                 *(with_error(list(column)) for column in outcomes.T),
-                with_error(known),
+                with_error(covered),
                 f"{np.mean([draw['seconds'] for draw in draws]):.1f}",
             )
         )

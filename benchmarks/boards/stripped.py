@@ -62,8 +62,8 @@ def _poses(bag: TrialBag) -> Iterator[tuple[float, Any]]:
     """Stamp [s] and pose of the object; none where nothing was tracked."""
     if not bag.counts.get(topics.OBJECT_POSE):
         return
-    seen = bag.poses(topics.OBJECT_POSE)
-    rows: Iterator[tuple[float, Array, Array]] = zip(seen.time, seen.position, seen.quaternion, strict=True)
+    poses = bag.poses(topics.OBJECT_POSE)
+    rows: Iterator[tuple[float, Array, Array]] = zip(poses.time, poses.position, poses.quaternion, strict=True)
     for moment, position, quaternion in rows:
         yield moment, MAKE["Pose"](MAKE["Point"](*position), MAKE["Quaternion"](*quaternion))
 
@@ -112,11 +112,11 @@ def cases(options: argparse.Namespace) -> list[Case]:
 def run(case: Case, work: Work) -> Row:
     """Strip and diagnose one campaign, and hold both diagnoses against its truth."""
     folder = work.folder.absolute() / "stripped"
-    strip_campaign(case.given, folder)
+    strip_campaign(case.inputs, folder)
     document = work.folder / "diagnosis.json"
-    found = timed_diagnosis(document, case.given, lambda: laboratory_runs(folder, work.map_tasks), work.map_tasks)
-    full = judged(case.given, read_document(case.given / "diagnosis.json"))
-    return {"full": full, "stripped": found, "said": f"{full['said']} | {found['said']}"}
+    stripped = timed_diagnosis(document, case.inputs, lambda: laboratory_runs(folder, work.map_tasks), work.map_tasks)
+    full = judged(case.inputs, read_document(case.inputs / "diagnosis.json"))
+    return {"full": full, "stripped": stripped, "said": f"{full['said']} | {stripped['said']}"}
 
 
 def table(rows: list[Row], options: argparse.Namespace) -> Table:

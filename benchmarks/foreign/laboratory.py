@@ -73,16 +73,18 @@ def impedance(hit: Hit) -> tuple[Controller, Array, float]:
     start = model.inverse_kinematics(first, {0: float(at_impact.position[0])}, at_impact.position)
     speed = float(np.linalg.norm(velocity))
 
-    def wanted(now: float) -> tuple[Array, Array]:
+    def reference(now: float) -> tuple[Array, Array]:
         share = min(now / RAMP, 1.0)
-        way = speed * (RAMP * (share**3 - share**4 / 2.0) + max(now - RAMP, 0.0))
-        return first.translation + way * direction, speed * (3.0 * share**2 - 2.0 * share**3) * direction
+        distance = speed * (RAMP * (share**3 - share**4 / 2.0) + max(now - RAMP, 0.0))
+        return first.translation + distance * direction, speed * (3.0 * share**2 - 2.0 * share**3) * direction
 
     def torque(now: float, q: Array, dq: Array) -> Array:
-        place, rate = wanted(now)
-        jacobian, here = model.jacobian(q), model.placement(q)
-        off = np.concatenate((place - here.translation, here.rotation @ pin.log3(here.rotation.T @ goal.rotation)))
-        force = STIFFNESS * off + DAMPING * (np.concatenate((rate, np.zeros(3))) - jacobian @ dq)
+        position, rate = reference(now)
+        jacobian, present = model.jacobian(q), model.placement(q)
+        pose_error = np.concatenate(
+            (position - present.translation, present.rotation @ pin.log3(present.rotation.T @ goal.rotation))
+        )
+        force = STIFFNESS * pose_error + DAMPING * (np.concatenate((rate, np.zeros(3))) - jacobian @ dq)
         free = np.eye(q.size) - np.linalg.pinv(jacobian) @ jacobian
         return np.asarray(jacobian.T @ force + model.terms(q, dq).bias + free @ (10.0 * (start - q) - 2.0 * dq))
 
@@ -95,9 +97,9 @@ def excursion(model: RobotModel, middle: Array, rate: float) -> Controller:
 
     def torque(now: float, q: Array, dq: Array) -> Array:
         ramp = min(now / 0.5, 1.0)
-        place = middle + ramp * AMPLITUDE * np.sin(rates * now)
+        position = middle + ramp * AMPLITUDE * np.sin(rates * now)
         speed = ramp * AMPLITUDE * rates * np.cos(rates * now)
-        return np.asarray(JOINT_STIFFNESS * (place - q) + JOINT_DAMPING * (speed - dq) + model.terms(q, dq).bias)
+        return np.asarray(JOINT_STIFFNESS * (position - q) + JOINT_DAMPING * (speed - dq) + model.terms(q, dq).bias)
 
     return torque
 
@@ -171,16 +173,16 @@ def record_run(
         ((name, model),) = scene.models.items()
         start = scene.arms[name].position
         torque, duration = excursion(model, start, FREE[condition]), FREE_TIME
-        far = BodyState(scene.object.position + [5.0, 5.0, 0.0], np.eye(3), np.zeros(6))
+        body = BodyState(scene.object.position + [5.0, 5.0, 0.0], np.eye(3), np.zeros(6))
     else:
         hit = hit_of(object_name, condition)
-        scene, far = hit.scene, hit.scene.object
+        scene, body = hit.scene, hit.scene.object
         (name,) = scene.models
         torque, start, duration = impedance(hit)
     physics = hide(scene.physics, hidden)
     built = None if modify is None else modify(physics)
     cell = MujocoCell(
-        lasting(scene.scenario, duration), physics, {name: start}, far, seed, modify=built, further=further
+        lasting(scene.scenario, duration), physics, {name: start}, body, seed, modify=built, further=further
     )
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
         topics: dict[str, Any] = {}

@@ -54,7 +54,7 @@ class ListedMutant:
 
     Attributes:
         file: Source file, relative to the root of the repository.
-        wrong: What is wrong.
+        wrong: Description of the error.
         text: Content of the file with the mutation.
         tests: Test files that should notice it.
     """
@@ -71,7 +71,7 @@ def listed_mutants() -> list[ListedMutant]:
     Raises:
         MutationError: An original does not stand in its file exactly once, or a test file is missing.
     """
-    found = []
+    mutants = []
     for group in SETTINGS["lines"]:
         file, tests = group["file"], tuple(f"test/{test}.py" for test in group["tests"])
         text = (ROOT / file).read_text(encoding="utf-8")
@@ -80,8 +80,8 @@ def listed_mutants() -> list[ListedMutant]:
         for wrong, old, new in group["mutants"]:
             if text.count(old) != 1:
                 raise MutationError(f"mutation.toml: {wrong}: {old!r} is in {file} {text.count(old)} times, not once")
-            found.append(ListedMutant(file, wrong, text.replace(old, new), tests))
-    return found
+            mutants.append(ListedMutant(file, wrong, text.replace(old, new), tests))
+    return mutants
 
 
 def tests_of(file: str) -> list[str]:
@@ -93,23 +93,23 @@ def tests_of(file: str) -> list[str]:
     path = Path(file)
     folders = (ROOT / "test" / path.parent, ROOT / "test" / path.parts[0])
     patterns = (f"test_{path.stem}.py", f"test_{path.stem}_*.py", f"test_{path.parent.name}_{path.stem}.py")
-    found = sorted({test for folder in folders for pattern in patterns for test in folder.glob(pattern)})
-    if not found:
+    test_files = sorted({test for folder in folders for pattern in patterns for test in folder.glob(pattern)})
+    if not test_files:
         module, name = re.escape(".".join(path.parent.parts)), path.stem
         importing = re.compile(rf"{module}\.{name}\b|from {module} import [^\n]*\b{name}\b")
         tests = sorted((ROOT / "test" / path.parts[0]).rglob("test_*.py"))
-        found = [test for test in tests if importing.search(test.read_text(encoding="utf-8"))]
-    if not found:
+        test_files = [test for test in tests if importing.search(test.read_text(encoding="utf-8"))]
+    if not test_files:
         raise MutationError(f"{file}: no test in test/{path.parts[0]} has its name or imports it; name one by --tests")
-    return [str(test.relative_to(ROOT)) for test in found]
+    return [str(test.relative_to(ROOT)) for test in test_files]
 
 
 def make_copy() -> Path:
     """Copy the working tree with the compiled kernel to ``COPY``; returns the file of the kernel."""
     from impact_rs_sim import _kernel
 
-    listed = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
-    names = subprocess.run(listed, cwd=ROOT, capture_output=True, check=True).stdout.decode().split("\0")
+    command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    names = subprocess.run(command, cwd=ROOT, capture_output=True, check=True).stdout.decode().split("\0")
     shutil.rmtree(COPY, ignore_errors=True)
     for name in filter(None, names):
         if (ROOT / name).is_file():
@@ -121,11 +121,11 @@ def make_copy() -> Path:
 
 
 def run(
-    command: list[str], tree: Path, limit: float | None = None, more: Mapping[str, str] | None = None
+    command: list[str], tree: Path, limit: float | None = None, variables: Mapping[str, str] | None = None
 ) -> tuple[int | None, str]:
     """Exit code and output of a Python command in ``COPY``, whose packages are imported from ``tree``.
 
-    ``more`` are variables of its environment.
+    ``variables`` are variables of its environment.
 
     Without an answer within the limit [s] the code is None, and the process and all that it has started are ended.
     """
@@ -136,7 +136,7 @@ def run(
         "XDG_CACHE_HOME": str(COPY / "build" / "cache"),
         "IMPACT_RS_MUTANT_COPY": str(tree),
         "OMP_NUM_THREADS": "1",
-        **(more or {}),
+        **(variables or {}),
     }
     shutil.rmtree(environment["XDG_CACHE_HOME"], ignore_errors=True)
     process = subprocess.Popen(
@@ -233,10 +233,16 @@ def sanitise(kernel: Path) -> tuple[bool, str]:
     compile_kernel(kernel, SANITISED, BINDINGS)
     kernels = [group for group in SETTINGS["lines"] if group["file"].endswith(".cpp")]
     tests = dict.fromkeys(f"test/{test}.py" for group in kernels for test in group["tests"])
-    asked = [["c++", f"-print-file-name={name}"] for name in SANITISERS]
-    found = [subprocess.run(one, capture_output=True, text=True, check=True).stdout.strip() for one in asked]
+    commands = [["c++", f"-print-file-name={name}"] for name in SANITISERS]
+    libraries = [
+        subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip() for command in commands
+    ]
     # Python leaks on purpose. Without -s the report of a process that dies would be lost.
-    options = {"ASAN_OPTIONS": "detect_leaks=0", "UBSAN_OPTIONS": "print_stacktrace=1", "LD_PRELOAD": ":".join(found)}
+    options = {
+        "ASAN_OPTIONS": "detect_leaks=0",
+        "UBSAN_OPTIONS": "print_stacktrace=1",
+        "LD_PRELOAD": ":".join(libraries),
+    }
     code, output = run(["pytest", "-x", "-q", "-p", "no:cacheprovider", "-s", *tests], COPY, LIMIT, options)
     return code == 0, output
 
@@ -255,17 +261,17 @@ def compile_kernel(kernel: Path, flags: Sequence[str] = ("-O2",), of_bindings: S
     built.mkdir(parents=True, exist_ok=True)
     commands, objects = [], []
     for source in sorted((COPY / "src").glob("*.cpp")):
-        known, compiled = built / source.name, built / f"{source.stem}.o"
+        compiled_source, compiled = built / source.name, built / f"{source.stem}.o"
         objects.append(str(compiled))
-        if not known.exists() or known.read_bytes() != source.read_bytes():
-            own = of_bindings if of_bindings is not None and source.stem.endswith("module") else flags
-            commands.append([*compiler, *own, *include, "-c", str(source), "-o", str(compiled)])
-            shutil.copy(source, known)
+        if not compiled_source.exists() or compiled_source.read_bytes() != source.read_bytes():
+            source_flags = of_bindings if of_bindings is not None and source.stem.endswith("module") else flags
+            commands.append([*compiler, *source_flags, *include, "-c", str(source), "-o", str(compiled)])
+            shutil.copy(source, compiled_source)
     for command in [*commands, [*compiler, *flags, "-shared", *objects, "-o", str(kernel)]]:
-        done = subprocess.run(command, capture_output=True, text=True)
-        if done.returncode:
+        completed = subprocess.run(command, capture_output=True, text=True)
+        if completed.returncode:
             shutil.rmtree(built)
-            raise MutationError(f"{' '.join(command[-4:])}: {done.stderr[-1000:]}")
+            raise MutationError(f"{' '.join(command[-4:])}: {completed.stderr[-1000:]}")
 
 
 def main() -> int:

@@ -85,17 +85,17 @@ class Judgement:
     @property
     def words(self) -> str:
         """The judgement in a cell."""
-        found = [
-            f"{what}: {', '.join(names)}"
-            for what, names in (("wrong", self.contradicted), ("missed", self.missed), ("in doubt", self.doubted))
+        parts = [
+            f"{label}: {', '.join(names)}"
+            for label, names in (("wrong", self.contradicted), ("missed", self.missed), ("in doubt", self.doubted))
             if names
         ]
-        found += [
-            f"{sum(inside)} of {len(inside)} {what} values"
-            for what, inside in (("known", self.known), ("published", self.published))
+        parts += [
+            f"{sum(inside)} of {len(inside)} {label} values"
+            for label, inside in (("known", self.known), ("published", self.published))
             if inside
         ]
-        return "; ".join(found if self.missed or self.contradicted else ["names yes", *found])
+        return "; ".join(parts if self.missed or self.contradicted else ["names yes", *parts])
 
 
 def judge(document: DiagnosisDocument, expected: Expected) -> Judgement:
@@ -104,11 +104,11 @@ def judge(document: DiagnosisDocument, expected: Expected) -> Judgement:
     confirmed = {name for name in named if _effect_verdict(document, name) == CONFIRMED}
 
     def inside(values: dict[str, float]) -> tuple[bool, ...]:
-        found = []
+        contained = []
         for key, truth in values.items():
             low, high = _parameter(document, key).interval
-            found.append(key.split(".")[0] in named and low <= truth <= high)
-        return tuple(found)
+            contained.append(key.split(".")[0] in named and low <= truth <= high)
+        return tuple(contained)
 
     return Judgement(
         tuple(name for name in expected.effects if name not in named),
@@ -133,11 +133,11 @@ def _effect_verdict(document: DiagnosisDocument, name: str) -> DiagnosisVerdict 
     return None if effect is None else effect.verdict
 
 
-def run_set(one: RealSet, data: Path, out: Path) -> DiagnosisDocument:
+def run_set(real_set: RealSet, data: Path, out: Path) -> DiagnosisDocument:
     """Run the commands of a set; its last one leaves ``diagnosis.json``.
 
     Args:
-        one: The set.
+        real_set: The set.
         data: Folder with the clones.
         out: Folder for all that is written; an earlier one is replaced.
 
@@ -146,40 +146,40 @@ def run_set(one: RealSet, data: Path, out: Path) -> DiagnosisDocument:
     """
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
-    for folder, pattern in one.collect.items():
-        found = sorted(data.glob(pattern))
-        if not found:
-            raise InputError(f"no {pattern} here; get the data with: {one.get}", file=data)
+    for folder, pattern in real_set.collect.items():
+        paths = sorted(data.glob(pattern))
+        if not paths:
+            raise InputError(f"no {pattern} here; get the data with: {real_set.get}", file=data)
         (out / folder).mkdir(parents=True)
-        for path in found:
+        for path in paths:
             shutil.copy(path, out / folder / "_".join(path.relative_to(data).parts[-2:]))
-    for name, content in one.files.items():
+    for name, content in real_set.files.items():
         (out / name).write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-    for step in one.steps:
+    for step in real_set.steps:
         words = [word.format(data=data, out=out, here=HERE) for word in shlex.split(step)]
         program = {"impact-rs": ["-m", "impact_rs_cli.main"], "python": []}[words[0]]
         with (out / "log.txt").open("a", encoding="utf-8") as log:
             print(f"$ {shlex.join(words)}", file=log, flush=True)
-            ran = subprocess.run(
+            completed = subprocess.run(
                 [sys.executable, *program, *words[1:]], cwd=ROOT, stdout=log, stderr=subprocess.STDOUT, check=False
             )
-        if ran.returncode:
-            last = (out / "log.txt").read_text(encoding="utf-8").strip().splitlines()[-1]
-            raise InputError(f"{step}: {last}", file=out / "log.txt")
+        if completed.returncode:
+            last_line = (out / "log.txt").read_text(encoding="utf-8").strip().splitlines()[-1]
+            raise InputError(f"{step}: {last_line}", file=out / "log.txt")
     return read_document(out / "diagnosis.json")
 
 
 def row(name: str, expected: Expected, shown: Sequence[str], document: DiagnosisDocument) -> tuple[str, ...]:
     """Cells of the table for a set that was run."""
-    wanted = ", ".join(f"`{effect}`" for effect in expected.effects)
+    expected_names = ", ".join(f"`{effect}`" for effect in expected.effects)
     if expected.absent:
-        wanted += f"; not {', '.join(f'`{effect}`' for effect in expected.absent)}"
-    said = ", ".join(f"`{effect}`{_doubt(document, effect)}" for effect in document.named) or f"`{document.verdict}`"
+        expected_names += f"; not {', '.join(f'`{effect}`' for effect in expected.absent)}"
+    named = ", ".join(f"`{effect}`{_doubt(document, effect)}" for effect in document.named) or f"`{document.verdict}`"
     truths = expected.known | expected.published
     estimates = [_estimate(document, key, truths.get(key)) for key in (*truths, *shown)]
     before, after = document.held_out_error_before, document.held_out_error_after
     error = f"{before:.3g} → {after:.3g} {document.error_unit}"
-    return name, wanted, said, "; ".join(estimates), error, judge(document, expected).words
+    return name, expected_names, named, "; ".join(estimates), error, judge(document, expected).words
 
 
 def _doubt(document: DiagnosisDocument, name: str) -> str:
@@ -203,8 +203,10 @@ def save(rows: Sequence[tuple[str, ...]]) -> None:
     """Put rows of sets that were run into the results, each with its day."""
     day = datetime.date.today().isoformat()
     new = {line[0]: (*line, day) for line in rows if line[-1] != NOT_RUN}
-    kept = {line[0]: line for line in Results.read("real").rows} | new
-    Results.measured("./run python -m benchmarks.real", Table((*HEAD, "Measured"), tuple(kept.values()))).save("real")
+    all_rows = {line[0]: line for line in Results.read("real").rows} | new
+    Results.measured("./run python -m benchmarks.real", Table((*HEAD, "Measured"), tuple(all_rows.values()))).save(
+        "real"
+    )
 
 
 def sets() -> dict[str, RealSet]:
@@ -214,12 +216,14 @@ def sets() -> dict[str, RealSet]:
 
 def total(judgements: Sequence[Judgement]) -> str:
     """All sets in one line."""
-    right = sum(not (one.missed or one.contradicted) for one in judgements)
-    known, published = ([v for one in judgements for v in getattr(one, name)] for name in ("known", "published"))
+    right = sum(not (judgement.missed or judgement.contradicted) for judgement in judgements)
+    known, published = (
+        [v for judgement in judgements for v in getattr(judgement, name)] for name in ("known", "published")
+    )
+    wrong = sum(bool(judgement.contradicted) for judgement in judgements)
     return (
-        f"{len(judgements)} sets: names as expected in {right}, wrong names in "
-        f"{sum(bool(one.contradicted) for one in judgements)}; inside their intervals are {sum(known)} of {len(known)} "
-        f"known values and {sum(published)} of {len(published)} published estimates"
+        f"{len(judgements)} sets: names as expected in {right}, wrong names in {wrong}; inside their intervals are "
+        f"{sum(known)} of {len(known)} known values and {sum(published)} of {len(published)} published estimates"
     )
 
 
@@ -233,27 +237,27 @@ def main() -> int:
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="also draw sets of impacts: DIR/real_SET.png")
     parser.add_argument("--save", action="store_true", help="keep the rows in benchmarks/results/real.json")
     args = parser.parse_args()
-    known = sets()
+    real_sets = sets()
     if args.list:
-        for name, one in known.items():
-            print(f"{name}: {one.what}\n    {one.get}  ({one.licence})")
-            if one.not_taken:
-                print(f"    not taken yet: {one.not_taken}")
+        for name, real_set in real_sets.items():
+            print(f"{name}: {real_set.what}\n    {real_set.get}  ({real_set.licence})")
+            if real_set.not_taken:
+                print(f"    not taken yet: {real_set.not_taken}")
         return 0
-    if unknown := set(args.sets) - set(known):
-        parser.error(f"no set {', '.join(unknown)}; there are {', '.join(known)}")
+    if unknown := set(args.sets) - set(real_sets):
+        parser.error(f"no set {', '.join(unknown)}; there are {', '.join(real_sets)}")
     rows, judgements = [], []
-    for name in args.sets or known:
-        one = known[name]
+    for name in args.sets or real_sets:
+        real_set = real_sets[name]
         try:
-            if one.expected is None:
-                raise InputError(f"not taken yet: {one.not_taken}")
-            document = run_set(one, args.data.resolve(), args.output.resolve() / name)
-            rows.append(row(name, one.expected, one.shown, document))
-            judgements.append(judge(document, one.expected))
-            if one.picture and args.pictures is not None:
+            if real_set.expected is None:
+                raise InputError(f"not taken yet: {real_set.not_taken}")
+            document = run_set(real_set, args.data.resolve(), args.output.resolve() / name)
+            rows.append(row(name, real_set.expected, real_set.shown, document))
+            judgements.append(judge(document, real_set.expected))
+            if real_set.picture and args.pictures is not None:
                 args.pictures.mkdir(parents=True, exist_ok=True)
-                tracks = tracks_of(args.output.resolve() / name / one.picture, document)
+                tracks = tracks_of(args.output.resolve() / name / real_set.picture, document)
                 draw(tracks, args.pictures / f"real_{name}.png")
         except InputError as error:
             rows.append((name, "", str(error), "", "", NOT_RUN))

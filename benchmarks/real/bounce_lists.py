@@ -18,16 +18,16 @@ import numpy as np
 
 def arrays_in(path: Path) -> dict[str, np.ndarray]:
     """Two-dimensional arrays of numbers by the names to which a file assigns them."""
-    found = {}
+    arrays = {}
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if not (isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name)):
             continue
         if isinstance(node.value, ast.Call) and node.value.args:
             try:
-                found[node.targets[0].id] = np.array(ast.literal_eval(node.value.args[0]), dtype=float)
+                arrays[node.targets[0].id] = np.array(ast.literal_eval(node.value.args[0]), dtype=float)
             except ValueError:
                 continue
-    return found
+    return arrays
 
 
 def heights(arrays: dict[str, np.ndarray], before: str, after: str) -> tuple[str, np.ndarray]:
@@ -39,9 +39,9 @@ def heights(arrays: dict[str, np.ndarray], before: str, after: str) -> tuple[str
 
 def times(arrays: dict[str, np.ndarray], prefix: str) -> tuple[str, np.ndarray]:
     """Every time between bounces with the next one of its drop; rows of an array are bounces, columns are drops."""
-    own = [array for name, array in sorted(arrays.items()) if name.startswith(prefix) and array.ndim == 2]
+    chosen = [array for name, array in sorted(arrays.items()) if name.startswith(prefix) and array.ndim == 2]
     return "flight_before [s],flight_after [s]", np.vstack(
-        [np.column_stack(pair) for one in own for drop in one.T for pair in [(drop[:-1], drop[1:])]]
+        [np.column_stack(pair) for intervals in chosen for drop in intervals.T for pair in [(drop[:-1], drop[1:])]]
     )
 
 

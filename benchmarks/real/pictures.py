@@ -50,8 +50,8 @@ def draw(tracks: tuple[Track, ...], path: Path) -> Path:
     axes = canvas.subplots(1, len(groups), squeeze=False)[0]
     for (group, unit), axis in zip(groups.items(), axes, strict=True):
         for track in tracks:
-            own = [signal for signal in track.curves if signal.name.rsplit(" ", 1)[0] == group]
-            x, y = (np.concatenate([getattr(signal, name) for signal in own]) for name in ("predicted", "measured"))
+            signals = [signal for signal in track.curves if signal.name.rsplit(" ", 1)[0] == group]
+            x, y = (np.concatenate([getattr(signal, name) for signal in signals]) for name in ("predicted", "measured"))
             colour = BLUE if track is tracks[-1] else GREY
             axis.plot(x, y, linestyle="", marker="o", markersize=3, alpha=0.7, color=colour, label=track.label)
             axis.axline((0.0, 0.0), slope=1.0, color="#999999", linewidth=0.8, zorder=0)

@@ -43,11 +43,11 @@ def main() -> None:
         states[:, [0, 3]] *= -1.0 if args.mirror else 1.0
     moment = args.mass * args.gyration**2
     rows = []
-    for one, other, along, up in zip(before, after, lever, height, strict=True):
-        x, _, theta, *rates = one
+    for state_before, state_after, along, up in zip(before, after, lever, height, strict=True):
+        x, _, theta, *rates = state_before
         pose = [x, 0.0, up, 0.0, -np.sin(0.5 * theta), 0.0, np.cos(0.5 * theta)]
         body = [args.mass, moment, moment, moment, x + along, 0.0, 0.0]
-        rows.append([*pose, *_twist(rates), *_twist(other[3:]), *body])
+        rows.append([*pose, *_twist(rates), *_twist(state_after[3:]), *body])
     with args.output.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(HEAD.split(","))

@@ -34,7 +34,7 @@ def run(case: Case, work: Work) -> Row:
         name: ImpactProblem.at_nominal_impact(Scene.resolve(load_scenario(name), "cat_food", "case_2"))
         for name in SCENARIOS
     }
-    return {name: warm_calls(problem, case.given, work.options.calls) for name, problem in problems.items()}
+    return {name: warm_calls(problem, case.inputs, work.options.calls) for name, problem in problems.items()}
 
 
 def warm_calls(problem: ImpactProblem, kind: type[ExactEngine | BulletEngine], calls: int) -> str:

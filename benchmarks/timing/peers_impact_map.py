@@ -80,11 +80,11 @@ class Question:
         if name == "grid":
             contacts = grid(contacts, 4)
         system = build_system(problem, models)
-        found = ExactEngine(physics).solve(problem, contacts)
-        if found.residual.largest > EXACT:
-            raise ArithmeticError(f"no exact solution: a law is broken by {found.residual.largest:.1e} m/s")
-        exact = np.concatenate((*found.joint_velocity.values(), found.object_twist))
-        return Question(name, problem, models, contacts, system, exact, found.residual.largest)
+        solution = ExactEngine(physics).solve(problem, contacts)
+        if solution.residual.largest > EXACT:
+            raise ArithmeticError(f"no exact solution: a law is broken by {solution.residual.largest:.1e} m/s")
+        exact = np.concatenate((*solution.joint_velocity.values(), solution.object_twist))
+        return Question(name, problem, models, contacts, system, exact, solution.residual.largest)
 
     def points(self) -> dict[str, list[ContactPoint]]:
         """Contact points by partner of the object."""
@@ -296,8 +296,8 @@ class DrakePeer:
             AddContactMaterial(material, point_stiffness=stiffness, friction=friction)
             if relaxation_time is not None:
                 material.AddProperty("material", "relaxation_time", relaxation_time)
-            where = transform(case.plate(contacts))
-            plates[name] = plant.RegisterCollisionGeometry(body, where, Box(*PLATE), name, material)
+            plate_placement = transform(case.plate(contacts))
+            plates[name] = plant.RegisterCollisionGeometry(body, plate_placement, Box(*PLATE), name, material)
             owner = plant.world_body()
             if name != SUPPORT:
                 owner = plant.GetBodyByName("end_effector", plant.GetModelInstanceByName(name))
@@ -315,9 +315,9 @@ class DrakePeer:
         declaration = CollisionFilterDeclaration()
         declaration.ExcludeWithin(GeometrySet([ball for group in balls.values() for ball in group]))
         for name, plate in plates.items():
-            others = [ball for other, group in balls.items() if other != name for ball in group]
-            if others:
-                declaration.ExcludeBetween(GeometrySet([plate]), GeometrySet(others))
+            other_balls = [ball for other, group in balls.items() if other != name for ball in group]
+            if other_balls:
+                declaration.ExcludeBetween(GeometrySet([plate]), GeometrySet(other_balls))
         shapes.collision_filter_manager().Apply(declaration)
         self._plant = plant
         self._diagram = builder.Build()
@@ -367,8 +367,8 @@ def competitors(case: Question) -> dict[str, Callable[[], Callable[[], Array]]]:
 
     def exact() -> Callable[[], Array]:
         engine = ExactEngine(physics)
-        given = case.contacts if case.name == "grid" else None
-        return ours(lambda problem: engine.solve(problem, given))
+        contacts = case.contacts if case.name == "grid" else None
+        return ours(lambda problem: engine.solve(problem, contacts))
 
     makers: dict[str, Callable[[], Callable[[], Array]]] = {
         "ours: exact": exact,
@@ -390,13 +390,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def cases(options: argparse.Namespace) -> list[Case]:
     """Scenes with each friction."""
-    return [Case(f"{scene}, {how}", (scene, how)) for how in options.frictions for scene in SCENES]
+    return [Case(f"{scene}, {friction}", (scene, friction)) for friction in options.frictions for scene in SCENES]
 
 
 def run(case: Case, work: Work) -> Row:
     """Every solver: time of a call [ms], distance from the exact solution [-]; of that itself its residual [-]."""
-    question = Question.make(*case.given)
-    found: dict[str, object] = {}
+    question = Question.make(*case.inputs)
+    results: dict[str, object] = {}
     for name, make in competitors(question).items():
         try:
             solve, times = make(), []
@@ -405,14 +405,14 @@ def run(case: Case, work: Work) -> Row:
                 velocity = solve()
                 times.append(1e3 * (time.process_time() - began))
         except OtherPoints as error:
-            found[name] = str(error)
+            results[name] = str(error)
         except (ImpactMapError, RuntimeError):
-            found[name] = "no answer"
+            results[name] = "no answer"
         else:
-            own = name == "ours: exact"
-            off = question.residual / question.speed if own else question.distance(velocity)
-            found[name] = float(np.median(times[1:])), off
-    return {"points": len(question.contacts), "found": found}
+            is_reference = name == "ours: exact"
+            distance = question.residual / question.speed if is_reference else question.distance(velocity)
+            results[name] = float(np.median(times[1:])), distance
+    return {"points": len(question.contacts), "found": results}
 
 
 def table(rows: list[Row], options: argparse.Namespace) -> Table:
@@ -420,17 +420,17 @@ def table(rows: list[Row], options: argparse.Namespace) -> Table:
     del options
     names = list(rows[0]["found"])
 
-    def cell(found: str | tuple[float, float]) -> str:
-        if isinstance(found, str):
-            return found
-        milliseconds, distance = found
+    def cell(result: str | tuple[float, float]) -> str:
+        if isinstance(result, str):
+            return result
+        milliseconds, distance = result
         bold = "**" if distance > NEGLIGIBLE else ""
         return f"{milliseconds:.3f}, {bold}{distance:.0e}{bold}"
 
     lines = [(f"{row['name']}, {row['points']}", *(cell(row["found"][name]) for name in names)) for row in rows]
-    good = (
+    within_count = (
         sum(not isinstance(row["found"][name], str) and row["found"][name][1] <= NEGLIGIBLE for row in rows)
         for name in names
     )
-    within = (f"within {NEGLIGIBLE:.0e}", *(f"{count} of {len(rows)}" for count in good))
+    within = (f"within {NEGLIGIBLE:.0e}", *(f"{count} of {len(rows)}" for count in within_count))
     return Table(("Scene, friction, contact points", *names), (*lines, within))

@@ -53,7 +53,7 @@ def run(case: Case, work: Work) -> Row:
     plan = plan_trial(Scene.resolve(scenario, next(iter(scenario.objects)), next(iter(scenario.cases))))
     timing = plan.scene.scenario.timing
     impact = round(timing.nominal_impact / timing.control_period)
-    found: dict[str, list[float]] = {name: [] for name in ("ticks", "free", "touching")}
+    times: dict[str, list[float]] = {name: [] for name in ("ticks", "free", "touching")}
     for seed in range(work.options.trials):
         plant, controller = make_plant(plan, seed), Controller(plan)
         with without_garbage_collection():
@@ -63,12 +63,12 @@ def run(case: Case, work: Work) -> Row:
                 commands = controller.update(tick, measured.arms)
                 decided = time.process_time()
                 plant.step({name: command.torque for name, command in commands.items()})
-                found["free" if tick < impact else "touching"].append((time.process_time() - decided) / timing.substeps)
-                found["ticks"].append(decided - began)
+                times["free" if tick < impact else "touching"].append((time.process_time() - decided) / timing.substeps)
+                times["ticks"].append(decided - began)
         plant.close()
     calls = {name: partial(whole, plan, name) for name in ("bullet", "twin")}
-    found |= in_turns(calls, work.options.trials)
-    return {name: quantiles([PARTS[name][1] * value for value in values]) for name, values in found.items()}
+    times |= in_turns(calls, work.options.trials)
+    return {name: quantiles([PARTS[name][1] * value for value in values]) for name, values in times.items()}
 
 
 def table(rows: list[Row], options: argparse.Namespace) -> Table:

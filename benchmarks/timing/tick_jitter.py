@@ -124,9 +124,9 @@ def ticks(graph: Graph, work: Work, seed: int) -> tuple[Array, str]:
     subscription = graph.node.create_subscription(JointState, "arm/joint_states", state, RECORD, raw=True)
     while subscription.get_publisher_count() == 0:
         graph.spin(0.05)
-    place = work.folder / f"{time.monotonic_ns()}"
-    place.mkdir(parents=True)
-    result = graph.call_trial(RunTrial.Goal(**TRIAL, seed=seed, output_directory=str(place)))
+    folder = work.folder / f"{time.monotonic_ns()}"
+    folder.mkdir(parents=True)
+    result = graph.call_trial(RunTrial.Goal(**TRIAL, seed=seed, output_directory=str(folder)))
     graph.node.destroy_subscription(subscription)
     if result.outcome == "ABORTED":
         raise RuntimeError(f"the trial ended {result.outcome}: {result.message}")
@@ -137,27 +137,27 @@ def run(case: Case, work: Work) -> Row:
     """Times of all ticks with and without calls, in turns [s], and answers per second."""
     os.environ["ROS_DOMAIN_ID"] = str(DOMAIN_ID)
     set_middleware(os.environ)
-    found: dict[str, list[float]] = {"no service called": [], CALLED: []}
-    good = dict.fromkeys(found, 0)
-    answers, lasted = 0, 0.0
+    tick_times: dict[str, list[float]] = {"no service called": [], CALLED: []}
+    ok_counts = dict.fromkeys(tick_times, 0)
+    answers, call_duration = 0, 0.0
     work.folder.mkdir(parents=True, exist_ok=True)
     with Graph.running("push", DOMAIN_ID, root=work.folder) as graph:
-        real = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=case.given)
+        realtime = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=case.inputs)
         limit = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=1.0)  # late ticks are what is measured
-        chosen = [Parameter(name="realtime", value=real), Parameter(name="missed_ticks_limit", value=limit)]
+        chosen = [Parameter(name="realtime", value=realtime), Parameter(name="missed_ticks_limit", value=limit)]
         graph.call(SetParameters, "plant/set_parameters", SetParameters.Request(parameters=chosen))
         ticks(graph, work, 0)  # the first trial loads what later ones have
         for seed in range(1, 1 + work.options.trials):
-            for name, own in found.items():
+            for name, durations in tick_times.items():
                 with caller(work.options.rate if name == CALLED else 0.0) as process:
                     began = time.monotonic()
                     times, outcome = ticks(graph, work, seed)
-                    own += times.tolist()
-                    good[name] += outcome == "OK"
+                    durations += times.tolist()
+                    ok_counts[name] += outcome == "OK"
                     if process is not None:
                         answers += answered(process)
-                        lasted += time.monotonic() - began
-    return {"ticks": found, "good": good, "answers": answers / lasted}
+                        call_duration += time.monotonic() - began
+    return {"ticks": tick_times, "good": ok_counts, "answers": answers / call_duration}
 
 
 def table(rows: list[Row], options: argparse.Namespace) -> Table:
@@ -165,13 +165,13 @@ def table(rows: list[Row], options: argparse.Namespace) -> Table:
     del options
     period, lines = load_scenario("push").timing.control_period, []
     for row in rows:
-        for name, own in row["ticks"].items():
-            times = np.array(own)
+        for name, durations in row["ticks"].items():
+            times = np.array(durations)
             jitter = np.abs(times - (period if row["name"] == "real time" else np.median(times)))
             numbers = [*np.quantile(times, (0.5, 0.99)), times.max(), *np.quantile(jitter, (0.5, 0.99))]
-            what = f"{row['name']}, {name}" + (f", {row['answers']:.0f} a second" if name == CALLED else "")
+            label = f"{row['name']}, {name}" + (f", {row['answers']:.0f} a second" if name == CALLED else "")
             lines.append(
-                (what, *(f"{1e3 * number:.3f}" for number in numbers), str(times.size), str(row["good"][name]))
+                (label, *(f"{1e3 * number:.3f}" for number in numbers), str(times.size), str(row["good"][name]))
             )
     columns = (
         "median [ms]",

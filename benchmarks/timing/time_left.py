@@ -60,7 +60,7 @@ def run(case: Case, work: Work) -> Row:
         patch.object(progress.ProgressFile, "update", watched),
         contextlib.redirect_stdout(io.StringIO()),
     ):
-        main(["diagnose", *case.given, "--jobs", "1", "-o", str(folder / "diagnosis.json")])
+        main(["diagnose", *case.inputs, "--jobs", "1", "-o", str(folder / "diagnosis.json")])
     end = time.process_time()
     ratios = _ratios(reported, begin, end)
     stages: dict[str, float] = reported[-1][1]["stages"] if reported else {}
@@ -77,14 +77,14 @@ def run(case: Case, work: Work) -> Row:
 def _ratios(reported: list[tuple[float, dict[str, Any]]], begin: float, end: float) -> np.ndarray:
     """Shown over true time left [-]; 0 where no time is shown."""
     looks = begin + (end - begin) * np.linspace(SKIPPED_SHARE, 1.0, LOOKS, endpoint=False)
-    found, seen, number = np.zeros(LOOKS), None, 0
-    for place, now in enumerate(looks):
+    ratios, shown, number = np.zeros(LOOKS), None, 0
+    for index, now in enumerate(looks):
         while number < len(reported) and reported[number][0] <= now:
             new: Remaining = remaining(reported[number][1], STAGES["diagnose"], reported[number][0])
-            seen, number = smoothed(seen, new), number + 1
-        if seen is not None and seen.seconds is not None:
-            found[place] = max(0.0, seen.seconds - (now - seen.time)) / (end - now)
-    return found
+            shown, number = smoothed(shown, new), number + 1
+        if shown is not None and shown.seconds is not None:
+            ratios[index] = max(0.0, shown.seconds - (now - shown.time)) / (end - now)
+    return ratios
 
 
 def table(rows: list[Row], options: argparse.Namespace) -> Table:

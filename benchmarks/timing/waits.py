@@ -67,30 +67,30 @@ def seconds(checkout: Path, out: Path, command: list[str], turn: int) -> tuple[f
     words = [word.format(out=out, turn=turn) for word in command]
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     program = checkout / ".venv" / "bin" / "impact-rs"
-    done = subprocess.run([program, *words], env=environment, cwd=out, capture_output=True, text=True, check=False)
-    took, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
-    if done.returncode:
-        raise RuntimeError(f"{program} {' '.join(words)}: {done.stderr.strip()[-500:]}")
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, took
+    completed = subprocess.run([program, *words], env=environment, cwd=out, capture_output=True, text=True, check=False)
+    wall_time, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+    if completed.returncode:
+        raise RuntimeError(f"{program} {' '.join(words)}: {completed.stderr.strip()[-500:]}")
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, wall_time
 
 
 def run(case: Case, work: Work) -> Row:
     """Times of one command, by version."""
     versions = {"now": HERE} | ({} if work.options.beside is None else {"beside": work.options.beside.resolve()})
-    shared, taken = work.folder.parent.absolute(), {name: [] for name in versions}
-    for turn in range(1 if case.given[0] in ONCE else work.options.turns):
+    shared, times = work.folder.parent.absolute(), {name: [] for name in versions}
+    for turn in range(1 if case.inputs[0] in ONCE else work.options.turns):
         for name, checkout in versions.items():
-            taken[name].append(seconds(checkout, shared / "made" / name, case.given, turn))
-    medians = {name: list(np.median(values, axis=0)) for name, values in taken.items()}
+            times[name].append(seconds(checkout, shared / "made" / name, case.inputs, turn))
+    medians = {name: list(np.median(values, axis=0)) for name, values in times.items()}
     return {"taken": medians, "said": f"{medians['now'][0]:.2f} s of processor time, {medians['now'][1]:.2f} s"}
 
 
 def table(rows: list[Row], options: argparse.Namespace) -> Table:
     """A row for each command."""
     lines = [(f"`{row['name']}`", *(f"{value:.2f}" for value in row["taken"]["now"])) for row in rows]
-    found = Table(("What", "processor time [s]", "wall time [s]"), tuple(lines))
+    present = Table(("What", "processor time [s]", "wall time [s]"), tuple(lines))
     if options.beside is None:
-        return found
+        return present
     ratios = [
         (
             f"`{row['name']}`",
@@ -99,4 +99,4 @@ def table(rows: list[Row], options: argparse.Namespace) -> Table:
         )
         for row in rows
     ]
-    return found.with_(Table(("What", "the other version [s]", "over this one"), tuple(ratios)))
+    return present.with_(Table(("What", "the other version [s]", "over this one"), tuple(ratios)))

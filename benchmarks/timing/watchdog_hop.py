@@ -58,11 +58,11 @@ def robot() -> None:
         message.header.stamp = node.get_clock().now().to_msg()
         states.publish(message)
         due += PERIOD
-        while (left := due - time.monotonic()) > 0.0:
-            inbox.wait(left)
+        while (remaining := due - time.monotonic()) > 0.0:
+            inbox.wait(remaining)
             now = time.monotonic()
-            for topic, came in inbox.take():
-                rows.append(f"{WAYS.index(topic)} {round(came.data[0] / STEP)} {now}")
+            for topic, message_received in inbox.take():
+                rows.append(f"{WAYS.index(topic)} {round(message_received.data[0] / STEP)} {now}")
     print("\n".join(rows), flush=True)
 
 
@@ -118,8 +118,8 @@ def table(rows: list[Row], options: argparse.Namespace) -> Table:
     del options
     through, past = ([1e3 * value for value in rows[0][way]] for way in ("0", "1"))
     lines = [
-        (name, *(f"{value:.3f}" for value in np.quantile(own, (0.5, 0.99))), str(len(own)))
-        for name, own in (("through the watchdog", through), ("past it", past))
+        (name, *(f"{value:.3f}" for value in np.quantile(times, (0.5, 0.99))), str(len(times)))
+        for name, times in (("through the watchdog", through), ("past it", past))
     ]
     added = (f"{np.quantile(through, q) - np.quantile(past, q):.3f}" for q in (0.5, 0.99))
     return Table(("Way of a torque", "median [ms]", "99 % [ms]", "torques"), (*lines, ("added", *added, "")))

@@ -78,10 +78,10 @@ def served(folder: Path) -> Iterator[tuple[str, float]]:
     command = [sys.executable, "-m", "impact_rs_cli.main", "workbench", str(folder), "--no-browser"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        found = re.search(r"http://\S+", process.stdout.readline())
-        assert found is not None
+        address = re.search(r"http://\S+", process.stdout.readline())
+        assert address is not None
         try:
-            yield found[0], time.perf_counter() - begun
+            yield address[0], time.perf_counter() - begun
         finally:
             process.send_signal(signal.SIGINT)
 
@@ -145,5 +145,5 @@ def run(case: Case, work: Work) -> Row:
 def table(rows: list[Row], options: argparse.Namespace) -> Table:
     """A row for each wait."""
     del options
-    lines = [(what, quantiles(times)) for what, times in rows[0].items() if what != "name"]
+    lines = [(label, quantiles(times)) for label, times in rows[0].items() if label != "name"]
     return Table(("Workbench with 3D, drawn by software", "wall time [ms], median (10 to 90 %)"), tuple(lines))
