@@ -125,17 +125,17 @@ def _with_column(values: Array, joint: int, column: Array) -> Array:
     return changed
 
 
-def untouched(run: Readings, what: Drawn) -> Readings:
+def untouched(run: Readings, drawn: Drawn) -> Readings:
     """Nothing is wrong."""
-    del what
+    del drawn
     return run
 
 
-def quantised(run: Readings, what: Drawn) -> Readings:
+def quantised(run: Readings, drawn: Drawn) -> Readings:
     """Coarse converters; size 1: 2^16 counts a turn, 0.005 rad/s, 0.05 N m, 0.1 mm, and multiples of these steps."""
 
     def rounded(values: Array, step: float) -> Array:
-        return np.round(values / (what.size * step)) * what.size * step
+        return np.round(values / (drawn.size * step)) * drawn.size * step
 
     return replace(
         run,
@@ -146,46 +146,46 @@ def quantised(run: Readings, what: Drawn) -> Readings:
     )
 
 
-def encoder_offset(run: Readings, what: Drawn) -> Readings:
+def encoder_offset(run: Readings, drawn: Drawn) -> Readings:
     """The zero of an encoder is off; size in degrees."""
-    shifted = run.position[:, what.joint] + np.radians(what.value)
-    return replace(run, position=_with_column(run.position, what.joint, shifted))
+    shifted = run.position[:, drawn.joint] + np.radians(drawn.value)
+    return replace(run, position=_with_column(run.position, drawn.joint, shifted))
 
 
-def encoder_scale(run: Readings, what: Drawn) -> Readings:
+def encoder_scale(run: Readings, drawn: Drawn) -> Readings:
     """A wrong gear ratio: position and the velocity that the driver takes from it; size in percent."""
-    factor = 1.0 + what.value / 100.0
+    factor = 1.0 + drawn.value / 100.0
     return replace(
         run,
-        position=_with_column(run.position, what.joint, factor * run.position[:, what.joint]),
-        velocity=_with_column(run.velocity, what.joint, factor * run.velocity[:, what.joint]),
+        position=_with_column(run.position, drawn.joint, factor * run.position[:, drawn.joint]),
+        velocity=_with_column(run.velocity, drawn.joint, factor * run.velocity[:, drawn.joint]),
     )
 
 
-def torque_gain(run: Readings, what: Drawn) -> Readings:
+def torque_gain(run: Readings, drawn: Drawn) -> Readings:
     """A torque sensor shows too much or too little; size in percent."""
-    scaled = (1.0 + what.value / 100.0) * run.torque[:, what.joint]
-    return replace(run, torque=_with_column(run.torque, what.joint, scaled))
+    scaled = (1.0 + drawn.value / 100.0) * run.torque[:, drawn.joint]
+    return replace(run, torque=_with_column(run.torque, drawn.joint, scaled))
 
 
-def torque_offset(run: Readings, what: Drawn) -> Readings:
+def torque_offset(run: Readings, drawn: Drawn) -> Readings:
     """A torque sensor does not show 0 at rest; size in N m."""
-    return replace(run, torque=_with_column(run.torque, what.joint, run.torque[:, what.joint] + what.value))
+    return replace(run, torque=_with_column(run.torque, drawn.joint, run.torque[:, drawn.joint] + drawn.value))
 
 
-def torque_crosstalk(run: Readings, what: Drawn) -> Readings:
+def torque_crosstalk(run: Readings, drawn: Drawn) -> Readings:
     """Each of two neighbouring torque sensors shows a share of the other joint's torque; size in percent."""
-    joint, neighbour, share = what.joint, what.joint + 1, what.value / 100.0
+    joint, neighbour, share = drawn.joint, drawn.joint + 1, drawn.value / 100.0
     mixed = run.torque.copy()
     mixed[:, joint] += share * run.torque[:, neighbour]
     mixed[:, neighbour] += share * run.torque[:, joint]
     return replace(run, torque=mixed)
 
 
-def torque_drift(run: Readings, what: Drawn) -> Readings:
+def torque_drift(run: Readings, drawn: Drawn) -> Readings:
     """A torque sensor that was set to zero before the first run drifts evenly; size in N m until the last run."""
-    drifted = run.torque[:, what.joint] + what.value * run.share
-    return replace(run, torque=_with_column(run.torque, what.joint, drifted))
+    drifted = run.torque[:, drawn.joint] + drawn.value * run.share
+    return replace(run, torque=_with_column(run.torque, drawn.joint, drifted))
 
 
 def low_passed(time: Array, values: Array, cutoff: float, order: int) -> Array:
@@ -202,63 +202,63 @@ def low_passed(time: Array, values: Array, cutoff: float, order: int) -> Array:
     return np.asarray(filtered)
 
 
-def torque_low_pass(run: Readings, what: Drawn) -> Readings:
+def torque_low_pass(run: Readings, drawn: Drawn) -> Readings:
     """RC filter on all torques; size: its cutoff in Hz."""
-    return replace(run, torque=low_passed(run.time, run.torque, what.size, 1))
+    return replace(run, torque=low_passed(run.time, run.torque, drawn.size, 1))
 
 
-def torque_butterworth(run: Readings, what: Drawn) -> Readings:
+def torque_butterworth(run: Readings, drawn: Drawn) -> Readings:
     """Butterworth filter of second order on all torques; size: its cutoff in Hz."""
-    return replace(run, torque=low_passed(run.time, run.torque, what.size, 2))
+    return replace(run, torque=low_passed(run.time, run.torque, drawn.size, 2))
 
 
-def velocity_low_pass(run: Readings, what: Drawn) -> Readings:
+def velocity_low_pass(run: Readings, drawn: Drawn) -> Readings:
     """RC filter on all velocities; size: its cutoff in Hz."""
-    return replace(run, velocity=low_passed(run.time, run.velocity, what.size, 1))
+    return replace(run, velocity=low_passed(run.time, run.velocity, drawn.size, 1))
 
 
-def velocity_butterworth(run: Readings, what: Drawn) -> Readings:
+def velocity_butterworth(run: Readings, drawn: Drawn) -> Readings:
     """Butterworth filter of second order on all velocities; size: its cutoff in Hz."""
-    return replace(run, velocity=low_passed(run.time, run.velocity, what.size, 2))
+    return replace(run, velocity=low_passed(run.time, run.velocity, drawn.size, 2))
 
 
-def own_difference(run: Readings, what: Drawn) -> Readings:
+def own_difference(run: Readings, drawn: Drawn) -> Readings:
     """Velocity as difference of the positions over the last samples; size: how many. The first ones repeat."""
-    n = round(what.size)
+    n = round(drawn.size)
     slopes = (run.position[n:] - run.position[:-n]) / (run.time[n:] - run.time[:-n])[:, None]
     return replace(run, velocity=np.concatenate((np.repeat(slopes[:1], n, axis=0), slopes)))
 
 
-def velocity_gain(run: Readings, what: Drawn) -> Readings:
+def velocity_gain(run: Readings, drawn: Drawn) -> Readings:
     """The velocity of a joint is shown too large or too small; size in percent."""
-    scaled = (1.0 + what.value / 100.0) * run.velocity[:, what.joint]
-    return replace(run, velocity=_with_column(run.velocity, what.joint, scaled))
+    scaled = (1.0 + drawn.value / 100.0) * run.velocity[:, drawn.joint]
+    return replace(run, velocity=_with_column(run.velocity, drawn.joint, scaled))
 
 
-def tracker_turned(run: Readings, what: Drawn) -> Readings:
+def tracker_turned(run: Readings, drawn: Drawn) -> Readings:
     """Poses are turned about z of the robot's base, for the motion capture has other axes; size in degrees."""
-    rotation = Rotation.from_euler("z", what.value, degrees=True)
+    rotation = Rotation.from_euler("z", drawn.value, degrees=True)
     quaternions = (rotation * Rotation.from_quat(run.object_rotation)).as_quat()
     return replace(run, object_position=rotation.apply(run.object_position), object_rotation=quaternions)
 
 
-def tracker_shifted(run: Readings, what: Drawn) -> Readings:
+def tracker_shifted(run: Readings, drawn: Drawn) -> Readings:
     """Poses are shifted, for the motion capture has another origin; size in mm."""
-    return replace(run, object_position=run.object_position + _across(what))
+    return replace(run, object_position=run.object_position + _across(drawn))
 
 
-def tracked_point(run: Readings, what: Drawn) -> Readings:
+def tracked_point(run: Readings, drawn: Drawn) -> Readings:
     """A point of the object beside its centre is tracked, the same of all objects, in their axes; size in mm."""
-    offset = Rotation.from_quat(run.object_rotation).apply(_across(what))
+    offset = Rotation.from_quat(run.object_rotation).apply(_across(drawn))
     return replace(run, object_position=run.object_position + offset)
 
 
-def tracker_late(run: Readings, what: Drawn) -> Readings:
+def tracker_late(run: Readings, drawn: Drawn) -> Readings:
     """Poses have stamps of when they were ready; size in ms."""
-    return replace(run, object_time=run.object_time + what.size / 1000.0)
+    return replace(run, object_time=run.object_time + drawn.size / 1000.0)
 
 
-def tracker_low_pass(run: Readings, what: Drawn) -> Readings:
+def tracker_low_pass(run: Readings, drawn: Drawn) -> Readings:
     """RC filter on the pose of the object; size: its cutoff in Hz."""
     if not run.object_time.size:
         return run
@@ -266,34 +266,34 @@ def tracker_low_pass(run: Readings, what: Drawn) -> Readings:
     rotation_vectors = (
         first.inv() * Rotation.from_quat(run.object_rotation)
     ).as_rotvec()  # a box turns far less than pi
-    filtered = first * Rotation.from_rotvec(low_passed(run.object_time, rotation_vectors, what.size, 1))
-    positions = low_passed(run.object_time, run.object_position, what.size, 1)
+    filtered = first * Rotation.from_rotvec(low_passed(run.object_time, rotation_vectors, drawn.size, 1))
+    positions = low_passed(run.object_time, run.object_position, drawn.size, 1)
     return replace(run, object_position=positions, object_rotation=filtered.as_quat())
 
 
-def _across(what: Drawn) -> Array:
+def _across(drawn: Drawn) -> Array:
     """A horizontal shift of so many mm [m]."""
-    return what.size / 1000.0 * np.array([math.cos(what.angle), math.sin(what.angle), 0.0])
+    return drawn.size / 1000.0 * np.array([math.cos(drawn.angle), math.sin(drawn.angle), 0.0])
 
 
-def _horizontal(what: Drawn) -> dict[str, float]:
-    x, y, _ = _across(what)
+def _horizontal(drawn: Drawn) -> dict[str, float]:
+    x, y, _ = _across(drawn)
     return {"x": float(x), "y": float(y)}
 
 
-def _rc(what: Drawn) -> float:
+def _rc(drawn: Drawn) -> float:
     """Time constant of an RC filter [s]."""
-    return 1.0 / (2.0 * math.pi * what.size)
+    return 1.0 / (2.0 * math.pi * drawn.size)
 
 
-def _delay(what: Drawn) -> float:
+def _delay(drawn: Drawn) -> float:
     """Delay of a Butterworth filter of second order at low frequencies [s]."""
-    return math.sqrt(2.0) * _rc(what)
+    return math.sqrt(2.0) * _rc(drawn)
 
 
-def _crosstalk(what: Drawn) -> Truths:
-    share = what.value / 100.0
-    of_both = {what.at("from_next"): share, what.at("from_previous", what.joint + 1): share}
+def _crosstalk(drawn: Drawn) -> Truths:
+    share = drawn.value / 100.0
+    of_both = {drawn.at("from_next"): share, drawn.at("from_previous", drawn.joint + 1): share}
     return {"torque_sensor_crosstalk": of_both}
 
 
@@ -304,72 +304,76 @@ FAULTS = {
         Fault("quantised", "steps", (1.0, 2.0), quantised, lambda _: {}),
         Fault(
             "encoder_offset", "deg", (0.5, 1.0), encoder_offset,
-            lambda what: {"encoder_offset": {what.at("offset"): math.radians(what.value)}},
+            lambda drawn: {"encoder_offset": {drawn.at("offset"): math.radians(drawn.value)}},
         ),
         Fault(
             "encoder_scale", "%", (0.3, 1.0), encoder_scale,
-            lambda what: {"encoder_scale": {what.at("scale"): what.value / 100.0}}, (2, 3, 4, 5),
+            lambda drawn: {"encoder_scale": {drawn.at("scale"): drawn.value / 100.0}}, (2, 3, 4, 5),
         ),
         Fault(
             "torque_gain", "%", (3.0, 7.0), torque_gain,
-            lambda what: {"torque_sensor_gain": {what.at("gain"): what.value / 100.0}}, (1, 2, 3),
+            lambda drawn: {"torque_sensor_gain": {drawn.at("gain"): drawn.value / 100.0}}, (1, 2, 3),
         ),
         Fault(
             "torque_offset", "N m", (0.3, 1.0), torque_offset,
-            lambda what: {"torque_sensor_offset": {what.at("offset"): what.value}}, tuple(range(7)),
+            lambda drawn: {"torque_sensor_offset": {drawn.at("offset"): drawn.value}}, tuple(range(7)),
         ),
         Fault("torque_crosstalk", "%", (2.0, 5.0), torque_crosstalk, _crosstalk, (0, 1, 2, 3)),
         Fault(
             "torque_low_pass", "Hz", (20.0, 8.0), torque_low_pass,
-            lambda what: {"torque_sensor_lag": {"lag": _rc(what)}, "torque_sensor_butterworth": {}, "torque_delay": {}},
+            lambda drawn: {
+                "torque_sensor_lag": {"lag": _rc(drawn)}, "torque_sensor_butterworth": {}, "torque_delay": {},
+            },
         ),
         Fault(
             "torque_butterworth", "Hz", (20.0, 8.0), torque_butterworth,
-            lambda what: {
-                "torque_sensor_butterworth": {"lag": _delay(what)}, "torque_sensor_lag": {}, "torque_delay": {},
+            lambda drawn: {
+                "torque_sensor_butterworth": {"lag": _delay(drawn)}, "torque_sensor_lag": {}, "torque_delay": {},
             },
         ),
         Fault(
             "torque_drift", "N m", (0.15, 0.35), torque_drift,
-            lambda what: {"torque_sensor_drift": {what.at("rate"): what.value / what.seconds}}, tuple(range(7)),
+            lambda drawn: {"torque_sensor_drift": {drawn.at("rate"): drawn.value / drawn.seconds}}, tuple(range(7)),
         ),
         Fault(
             "velocity_low_pass", "Hz", (25.0, 12.0), velocity_low_pass,
-            lambda what: {"velocity_lag": {"lag": _rc(what)}, "velocity_butterworth": {}, "velocity_delay": {}},
+            lambda drawn: {"velocity_lag": {"lag": _rc(drawn)}, "velocity_butterworth": {}, "velocity_delay": {}},
         ),
         Fault(
             "velocity_butterworth", "Hz", (25.0, 12.0), velocity_butterworth,
-            lambda what: {"velocity_butterworth": {"lag": _delay(what)}, "velocity_lag": {}, "velocity_delay": {}},
+            lambda drawn: {"velocity_butterworth": {"lag": _delay(drawn)}, "velocity_lag": {}, "velocity_delay": {}},
         ),
         Fault(
             "velocity_difference", "samples", (10.0, 25.0), own_difference,
-            lambda what: {
-                "velocity_delay": {"delay": 0.5e-3 * what.size}, "velocity_butterworth": {}, "velocity_lag": {},
+            lambda drawn: {
+                "velocity_delay": {"delay": 0.5e-3 * drawn.size}, "velocity_butterworth": {}, "velocity_lag": {},
             },
         ),
         Fault(
             "velocity_gain", "%", (1.0, 3.0), velocity_gain,
-            lambda what: {"velocity_gain": {what.at("gain"): what.value / 100.0}},
+            lambda drawn: {"velocity_gain": {drawn.at("gain"): drawn.value / 100.0}},
         ),
         Fault(
             "tracker_turned", "deg", (0.8, 1.6), tracker_turned,
-            lambda what: {"tracker_frame": {"x": 0.0, "y": 0.0, "yaw": math.radians(what.value)}},
+            lambda drawn: {"tracker_frame": {"x": 0.0, "y": 0.0, "yaw": math.radians(drawn.value)}},
         ),
         Fault(
             "tracker_shifted", "mm", (4.0, 8.0), tracker_shifted,
-            lambda what: {"tracker_frame": _horizontal(what) | {"yaw": 0.0}},
+            lambda drawn: {"tracker_frame": _horizontal(drawn) | {"yaw": 0.0}},
         ),
         Fault(
             "tracked_point", "mm", (5.0, 15.0), tracked_point,
-            lambda what: {"tracked_point": _horizontal(what)},
+            lambda drawn: {"tracked_point": _horizontal(drawn)},
         ),
         Fault(
             "tracker_late", "ms", (8.0, 18.0), tracker_late,
-            lambda what: {"tracker_delay": {"delay": what.size / 1000.0}, "tracker_butterworth": {}, "tracker_lag": {}},
+            lambda drawn: {
+                "tracker_delay": {"delay": drawn.size / 1000.0}, "tracker_butterworth": {}, "tracker_lag": {},
+            },
         ),
         Fault(
             "tracker_low_pass", "Hz", (20.0, 8.0), tracker_low_pass,
-            lambda what: {"tracker_lag": {"lag": _rc(what)}, "tracker_butterworth": {}, "tracker_delay": {}},
+            lambda drawn: {"tracker_lag": {"lag": _rc(drawn)}, "tracker_butterworth": {}, "tracker_delay": {}},
         ),
     )
 }  # fmt: skip
@@ -482,21 +486,21 @@ def _bags(folder: Path) -> list[str]:
         return [row["bag"] for row in csv.DictReader(file)]
 
 
-def rewrite_campaign(source: Path, target: Path, fault: Fault, what: Drawn) -> None:
+def rewrite_campaign(source: Path, target: Path, fault: Fault, drawn: Drawn) -> None:
     """Write the folder of a campaign whose readings have a fault; every two minutes a run begins.
 
     Args:
         source: Folder of bags with ``runs.csv`` and ``experiment.yaml``; it stays.
         target: Folder; an earlier one is replaced.
         fault: The fault.
-        what: Its size, joint and direction.
+        drawn: Its size, joint and direction.
     """
     shutil.rmtree(target, ignore_errors=True)
     target.mkdir(parents=True)
     names = _bags(source)
     for number, name in enumerate(names):
         rewrite_bag(
-            source / name, target / name, lambda run: fault.rewrite(run, what),
+            source / name, target / name, lambda run: fault.rewrite(run, drawn),
             number / max(len(names) - 1, 1), BEGIN + number * BETWEEN,
         )  # fmt: skip
     for name in ("runs.csv", "experiment.yaml"):

@@ -67,5 +67,5 @@ if __name__ == "__main__":
     parser.add_argument("object", nargs="?")
     parser.add_argument("case", nargs="?")
     parser.add_argument("--start", action="store_true", help="the goal that moves the arm to where the hit begins")
-    given = parser.parse_args()
-    print(json.dumps(goal(given.scenario, given.object, given.case, given.start)))
+    arguments = parser.parse_args()
+    print(json.dumps(goal(arguments.scenario, arguments.object, arguments.case, arguments.start)))

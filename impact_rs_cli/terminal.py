@@ -138,19 +138,19 @@ class Terminal:
                 self._bars -= self._errors.is_terminal
 
     @contextmanager
-    def progress(self, what: str) -> Iterator[Report]:
+    def progress(self, stage: str) -> Iterator[Report]:
         """A bar with the time left on standard error, if that is a terminal."""
         with self._bar() as bar:
-            task = bar.add_task(what, total=None)
+            task = bar.add_task(stage, total=None)
 
             def report(done: int, total: int) -> None:
                 bar.update(task, completed=done, total=total)
-                self._update(what, done, total)
+                self._update(stage, done, total)
 
             yield report
 
-    def _update(self, what: str, done: int, total: int | None) -> None:
-        self._file.update(what, done, total)
+    def _update(self, stage: str, done: int, total: int | None) -> None:
+        self._file.update(stage, done, total)
         self._time_left_column.look(self._file)
 
     @contextmanager
@@ -159,10 +159,10 @@ class Terminal:
         with self._bar() as bar:
             task = bar.add_task("", total=None)
 
-            def report(what: str, done: int, total: int) -> None:
+            def report(stage: str, done: int, total: int) -> None:
                 if total > 0:
-                    bar.update(task, description=what, completed=done, total=total)
-                self._update(what, done, total)
+                    bar.update(task, description=stage, completed=done, total=total)
+                self._update(stage, done, total)
 
             yield report
 

@@ -452,7 +452,7 @@ def values_of(path: Path, kind: str) -> dict[str, Any]:
         InputError: The file cannot be read, has no section of the node, one of this node in a namespace, or one with an
             unknown name or a value that the node refuses.
     """
-    known = {parameter.name: parameter for parameter in PARAMETERS[kind]}
+    declared = {parameter.name: parameter for parameter in PARAMETERS[kind]}
     values, content = defaults_of(kind), load_mapping(path)
     _refuse_former_section(path, kind, content)
     sections = [
@@ -463,11 +463,11 @@ def values_of(path: Path, kind: str) -> dict[str, Any]:
     for section, section_values in sections:
         for key, new_value in section_values.items():
             key_path = f"{section}.{key}"
-            if key in known:
-                _check(known[key], kind, new_value, path, key_path)
+            if key in declared:
+                _check(declared[key], kind, new_value, path, key_path)
                 values[key] = new_value
             elif _node_of(section) == kind and key != "use_sim_time":
-                hint = did_you_mean(str(key), known) or f"; known: {', '.join(known)}"
+                hint = did_you_mean(str(key), declared) or f"; known: {', '.join(declared)}"
                 raise InputError(f"the {kind} has no such parameter{hint}", file=path, key=key_path)
     return values
 
@@ -565,13 +565,22 @@ def markdown() -> str:
         "`ros2 param describe /plant realtime` describes a parameter of a running node. A change (`ros2 param set`)",
         "acts at once (on the next request) or from the next trial on; `read_only`: the node reads it when it starts.",
     ]
-    first, *others = PARAMETERS.values()
-    common = [one for one in first if all(one.name in {p.name for p in parameters} for parameters in others)]
+    first, *further_nodes = PARAMETERS.values()
+    common = [
+        parameter
+        for parameter in first
+        if all(parameter.name in {p.name for p in parameters} for parameters in further_nodes)
+    ]
     owners = {
-        (one.name, one.description): kind for kind, parameters in reversed(PARAMETERS.items()) for one in parameters
+        (parameter.name, parameter.description): kind
+        for kind, parameters in reversed(PARAMETERS.items())
+        for parameter in parameters
     }
-    own = {kind: [one for one in parameters if one not in common] for kind, parameters in PARAMETERS.items()}
-    for kind, parameters in {"every node": common, **own}.items():
+    specific = {
+        kind: [parameter for parameter in parameters if parameter not in common]
+        for kind, parameters in PARAMETERS.items()
+    }
+    for kind, parameters in {"every node": common, **specific}.items():
         if parameters:
             lines += ["", f"## {kind}", "", "| Name | Value | Default | A change acts | Meaning |", "|---" * 5 + "|"]
         for p in parameters:

@@ -55,16 +55,18 @@ class Payloads:
         self.sent: Counter[str] = Counter()
         kinds = {kind for kind in topics.recorded(["arm"]).values() if available(kind)}
         self._examples = {kind: _example(kind) for kind in sorted(kinds)}
-        ways = (self._random, self._cut, self._flipped, self._endless, self._other, self._large)
-        self._ways: dict[str, Callable[[str], bytes]] = {way.__name__.strip("_"): way for way in ways}
+        generators = (self._random, self._cut, self._flipped, self._endless, self._other, self._large)
+        self._generators: dict[str, Callable[[str], bytes]] = {
+            generator.__name__.strip("_"): generator for generator in generators
+        }
 
     def draw(self, topic: str, kind: str) -> bytes:
         """A payload for a topic."""
         if topic in SMALL:
             name, data = "random", self._rng.randbytes(self._rng.randrange(12))
         else:
-            name = self._rng.choice(list(self._ways))
-            data = self._ways[name](kind)
+            name = self._rng.choice(list(self._generators))
+            data = self._generators[name](kind)
         self.sent[name] += 1
         return data
 

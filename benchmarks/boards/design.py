@@ -111,7 +111,7 @@ def record(plan: ExperimentPlan, runs: Path, work: Work) -> Path:
     return runs
 
 
-def kept(path: Path, make_plan: Callable[[], ExperimentPlan]) -> ExperimentPlan:
+def stored_plan(path: Path, make_plan: Callable[[], ExperimentPlan]) -> ExperimentPlan:
     """A plan; one that exists is kept."""
     if not path.exists():
         write_plan(make_plan(), path)
@@ -151,7 +151,7 @@ def run(entry: Entry, work: Work) -> Row:
         for _ in make(folder, entry.seed, *recording_options):
             pass
         for method in METHODS:
-            plan = kept(folder / f"{method}.yaml", partial(first_plan, method, 1000 + entry.seed, map_tasks))
+            plan = stored_plan(folder / f"{method}.yaml", partial(first_plan, method, 1000 + entry.seed, map_tasks))
             runs[method] = record(plan, folder / method, work)
     documents = {
         method_name: diagnosed(folder / f"{method_name}.json", partial(read_runs, folder_of_runs, map_tasks), map_tasks)
@@ -165,15 +165,15 @@ def run(entry: Entry, work: Work) -> Row:
     ]
     summary = [f"{method_name} {document.verdict}" for method_name, document in documents.items()]
     summary += [f"then by {tie['method']} {tie['verdict']}" for tie in ties]
-    ways = {method_name: judged(folder, document) for method_name, document in documents.items()}
-    return {"kind": entry.kind, "ways": ways, "ties": ties, "said": ", ".join(summary)}
+    judged_by_kind = {method_name: judged(folder, document) for method_name, document in documents.items()}
+    return {"kind": entry.kind, "ways": judged_by_kind, "ties": ties, "said": ", ".join(summary)}
 
 
-def split(way: str, method: Method, seed: int, runs: Path, tied: DiagnosisDocument, work: Work) -> Row:
+def split(kind: str, method: Method, seed: int, runs: Path, tied: DiagnosisDocument, work: Work) -> Row:
     """Whether the first proposal after a tie splits it."""
     decide = left_open(tied, load_model("nominal"))
     assert decide is not None
-    folder, map_tasks = work.folder / f"{way}_tie_{method}", work.map_tasks
+    folder, map_tasks = work.folder / f"{kind}_tie_{method}", work.map_tasks
     before = read_runs(runs, map_tasks)
 
     def proposed() -> ExperimentPlan:
@@ -186,11 +186,11 @@ def split(way: str, method: Method, seed: int, runs: Path, tied: DiagnosisDocume
         """Repeats of a condition have the features that all of them have."""
         return Runs.of(before.directory, [*before.runs, *read_runs(folder, map_tasks).runs])
 
-    plan = kept(folder.with_suffix(".yaml"), proposed)
+    plan = stored_plan(folder.with_suffix(".yaml"), proposed)
     record(plan, folder, work)
     after = diagnosed(folder.with_suffix(".json"), together, map_tasks)
     return judged(work.folder, after) | {
-        "way": way,
+        "way": kind,
         "method": method,
         "split": not after.confusable,
         "said_before": min((pair.after for pair in plan.pairs), default=1.0),
@@ -201,31 +201,31 @@ def table(rows: list[Row], options: argparse.Namespace) -> Table:
     """Ways beside each other, then how ties were split."""
     del options
     whole = [row["ways"] for row in rows if row["kind"] != "tie"]
-    tied = {way: [tie for row in rows for tie in row["ties"] if tie["method"] == way] for way in METHODS}
-    sure = {way: [tie for tie in ties if tie["said_before"] >= SURE] for way, ties in tied.items()}
+    tied = {kind: [tie for row in rows for tie in row["ties"] if tie["method"] == kind] for kind in METHODS}
+    sure = {kind: [tie for tie in ties if tie["said_before"] >= SURE] for kind, ties in tied.items()}
     lines = [
-        ("hidden effect named, or in a tie", *(share(row[way]["correct"] for row in whole) for way in WAYS)),
-        ("exactly the hidden effect named", *(share(row[way]["exact"] for row in whole) for way in WAYS)),
+        ("hidden effect named, or in a tie", *(share(row[kind]["correct"] for row in whole) for kind in WAYS)),
+        ("exactly the hidden effect named", *(share(row[kind]["exact"] for row in whole) for kind in WAYS)),
         (
             "the effect and nothing else in the headline",
-            *(share(row[way]["headline"] for row in whole) for way in WAYS),
+            *(share(row[kind]["headline"] for row in whole) for kind in WAYS),
         ),
         (
             "the same effects named as by the fixed campaign",
             "",
-            *(share(set(row[way]["named"]) == set(row["fixed"]["named"]) for row in whole) for way in METHODS),
+            *(share(set(row[kind]["named"]) == set(row["fixed"]["named"]) for row in whole) for kind in METHODS),
         ),
         (
             "right where the fixed campaign is right",
             "",
-            *(share(row[way]["correct"] for row in whole if row["fixed"]["correct"]) for way in METHODS),
+            *(share(row[kind]["correct"] for row in whole if row["fixed"]["correct"]) for kind in METHODS),
         ),
         (
             f"ties split by {TIE_BUDGET} further trials",
             "",
-            *(share(tie["split"] for tie in tied[way]) for way in METHODS),
+            *(share(tie["split"] for tie in tied[kind]) for kind in METHODS),
         ),
-        ("... and right", "", *(share(tie["correct"] for tie in tied[way]) for way in METHODS)),
-        (f"... promised with {SURE:.0%}: split", "", *(share(tie["split"] for tie in sure[way]) for way in METHODS)),
+        ("... and right", "", *(share(tie["correct"] for tie in tied[kind]) for kind in METHODS)),
+        (f"... promised with {SURE:.0%}: split", "", *(share(tie["split"] for tie in sure[kind]) for kind in METHODS)),
     ]
     return Table(("", "Fixed, 18 trials", "Design, 9", "Random, 9"), tuple(lines))

@@ -120,7 +120,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def cases(options: argparse.Namespace) -> list[Case]:
     """Days."""
-    days = [Case(f"changed, {what}, day {day}", (what, day)) for what in PLANTED for day in range(options.changed)]
+    days = [
+        Case(f"changed, {day_kind}, day {day}", (day_kind, day))
+        for day_kind in PLANTED
+        for day in range(options.changed)
+    ]
     days += [Case(f"quiet, day {day}", ("quiet", day)) for day in range(options.quiet)]
     days += [Case(f"warming, day {day}", ("warming", day)) for day in range(options.warming)]
     return days + [Case("drifting day", ("drift", 0))] * (options.drift > 0)
@@ -180,15 +184,15 @@ def take(follower: Follower, hit: Hit) -> tuple[HitDocument, float]:
 
 def run(case: Case, work: Work) -> Row:
     """One day."""
-    what, day = case.inputs
-    rng = np.random.default_rng([1, day, len(what)])
-    if what == "drift":
+    day_kind, day = case.inputs
+    rng = np.random.default_rng([1, day, len(day_kind)])
+    if day_kind == "drift":
         return drifting_day(work, rng)
-    if what in PLANTED:
-        return changed_day(what, work, rng)
-    rows = drawn(pool("quiet", work), work.options.length, rng) if what == "quiet" else warming(work, rng)
+    if day_kind in PLANTED:
+        return changed_day(day_kind, work, rng)
+    rows = drawn(pool("quiet", work), work.options.length, rng) if day_kind == "quiet" else warming(work, rng)
     follower, hits = follower_of(rows, work.folder)
-    row: Row = {"what": what, "watched": 0, "odd": 0, "alarms": 0, "spent": []}
+    row: Row = {"what": day_kind, "watched": 0, "odd": 0, "alarms": 0, "spent": []}
     for hit in hits:
         document, spent = take(follower, hit)
         if document.error is not None:
@@ -199,10 +203,10 @@ def run(case: Case, work: Work) -> Row:
     return row | {"said": f"{row['alarms']} alarms in {row['watched']} hits"}
 
 
-def changed_day(what: str, work: Work, rng: np.random.Generator) -> Row:
+def changed_day(day_kind: str, work: Work, rng: np.random.Generator) -> Row:
     """One day with a change."""
-    effect, values = PLANTED[what][0], np.array(PLANTED[what][1])
-    rows = drawn(pool("quiet", work), BEFORE, rng) + drawn(pool(what, work), AFTER, rng, BEFORE)
+    effect, values = PLANTED[day_kind][0], np.array(PLANTED[day_kind][1])
+    rows = drawn(pool("quiet", work), BEFORE, rng) + drawn(pool(day_kind, work), AFTER, rng, BEFORE)
     follower, hits = follower_of(rows, work.folder)
     for hit in hits[:BEFORE]:
         follower.take([hit])
@@ -229,7 +233,7 @@ def changed_day(what: str, work: Work, rng: np.random.Generator) -> Row:
         else 0.0
     )
     return {
-        "what": what,
+        "what": day_kind,
         "hits": delay,
         "first": bool(causes and causes[0].effect == effect),
         "among": named_cause is not None,
@@ -298,12 +302,12 @@ def table(rows: list[Row], options: argparse.Namespace) -> Table:
     columns = ("Planted after 60 quiet hits", "Days", "Found", "Hits to the alarm, median (largest)", "Named first")
     columns += ("Error from the sixth hit on, over an offline fit, median (largest)", "Frozen model over the same")
     lines = []
-    for what in PLANTED:
-        if rows_of_day := [row for row in rows if row["what"] == what]:
+    for day_kind in PLANTED:
+        if rows_of_day := [row for row in rows if row["what"] == day_kind]:
             hits = [row["hits"] for row in rows_of_day if row["hits"] is not None]
             lines.append(
                 (
-                    what,
+                    day_kind,
                     str(len(rows_of_day)),
                     str(len(hits)),
                     median_and_largest(hits) if hits else "–",
@@ -312,10 +316,12 @@ def table(rows: list[Row], options: argparse.Namespace) -> Table:
                     f"{np.median([row['frozen'] for row in rows_of_day]):.2g}",
                 )
             )
-    for what in ("quiet", "warming"):
-        if rows_of_day := [row for row in rows if row["what"] == what]:
+    for day_kind in ("quiet", "warming"):
+        if rows_of_day := [row for row in rows if row["what"] == day_kind]:
             alarms, watched = (sum(row[key] for row in rows_of_day) for key in ("alarms", "watched"))
-            lines.append((f"nothing, {what} days", str(len(rows_of_day)), f"{alarms} in {watched} hits", *("–",) * 4))
+            lines.append(
+                (f"nothing, {day_kind} days", str(len(rows_of_day)), f"{alarms} in {watched} hits", *("–",) * 4)
+            )
     lines += [("drift, sliding distance", "1", row["said"], *("–",) * 4) for row in rows if row["what"] == "drift"]
     if spent := [time_ for row in rows for time_ in row["spent"]]:
         lines.append(("processor time of a hit [ms]", "", quantiles(spent), *("–",) * 4))

@@ -81,8 +81,8 @@ def table(rows: list[Row], options: argparse.Namespace) -> Table:
             cells += [small.with_error(list(outcomes[:, 0])), small.with_error(list(outcomes[:, 2]))]
         lines.append((row["name"], *cells))
     head = [
-        f"{design}, {'discrepancy' if discrepancy else 'exact'}, {hidden}: {what} [%]"
+        f"{design}, {'discrepancy' if discrepancy else 'exact'}, {hidden}: {measure} [%]"
         for design, hidden, discrepancy in CELLS
-        for what in ("right", "wrong name")
+        for measure in ("right", "wrong name")
     ]
     return Table(("number", *head), tuple(lines))

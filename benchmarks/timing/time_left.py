@@ -49,8 +49,8 @@ def run(case: Case, work: Work) -> Row:
     reported: list[tuple[float, dict[str, Any]]] = []
     update = progress.ProgressFile.update
 
-    def watched(file: progress.ProgressFile, what: str, done: int, total: int | None) -> None:
-        update(file, what, done, total)
+    def watched(file: progress.ProgressFile, stage: str, done: int, total: int | None) -> None:
+        update(file, stage, done, total)
         if file.document:
             reported.append((time.process_time(), file.document))
 

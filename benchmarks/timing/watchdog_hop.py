@@ -34,7 +34,7 @@ from impact_rs_trials.spec import TrialSpec
 
 PERIOD = 0.001  # s
 PAST = "/past/arm/commands"
-WAYS = (commands_topic("arm"), PAST)
+ROUTES = (commands_topic("arm"), PAST)
 STEP = 1e-6  # N m from one torque to the next, so that the rate limit changes none and each tells its number
 SETTLING = 500  # torques that are not counted
 
@@ -44,7 +44,7 @@ def robot() -> None:
     spec = TrialSpec.of(load_scenario("push"), "cat_food", "case_2").plan
     node = Node("robot")
     inbox = Inbox(node, RECORD)
-    inbox.connect(dict.fromkeys(WAYS, "std_msgs/msg/Float64MultiArray"))
+    inbox.connect(dict.fromkeys(ROUTES, "std_msgs/msg/Float64MultiArray"))
     states = node.create_publisher(JointState, "/joint_states", 10)
     model, q = spec.scene.models["arm"], spec.arms["arm"].initial
     message = JointState(name=[f"arm_joint{number}" for number in range(1, q.size + 1)])
@@ -62,7 +62,7 @@ def robot() -> None:
             inbox.wait(remaining)
             now = time.monotonic()
             for topic, message_received in inbox.take():
-                rows.append(f"{WAYS.index(topic)} {round(message_received.data[0] / STEP)} {now}")
+                rows.append(f"{ROUTES.index(topic)} {round(message_received.data[0] / STEP)} {now}")
     print("\n".join(rows), flush=True)
 
 
@@ -91,15 +91,15 @@ def run(case: Case, work: Work) -> Row:
         listener.stdout.readline()
         rclpy.init()
         node = Node("cell")
-        ways = [node.create_publisher(Float64MultiArray, name, COMMAND) for name in (watched_topic("arm"), PAST)]
-        while not all(way.get_subscription_count() for way in ways) or not node.count_publishers(WAYS[0]):
+        routes = [node.create_publisher(Float64MultiArray, name, COMMAND) for name in (watched_topic("arm"), PAST)]
+        while not all(route.get_subscription_count() for route in routes) or not node.count_publishers(ROUTES[0]):
             time.sleep(0.05)
         time.sleep(1.0)  # until the watchdog has matched the robot, which nobody else can see
         sent, due = [], time.monotonic()
         for number in range(round(work.options.duration / PERIOD)):
             message = Float64MultiArray(data=array("d", [number * STEP] * 7))
             sent.append(time.monotonic())
-            ways[number % 2].publish(message)
+            routes[number % 2].publish(message)
             due = max(due + PERIOD, time.monotonic() - PERIOD)
             time.sleep(max(0.0, due - time.monotonic()))
         time.sleep(0.5)
@@ -108,7 +108,9 @@ def run(case: Case, work: Work) -> Row:
         rows = [line.split() for line in listener.stdout.read().splitlines()]
         rclpy.try_shutdown()
     return {
-        str(index): [float(when) - sent[int(n)] for way, n, when in rows if int(way) == index and int(n) >= SETTLING]
+        str(index): [
+            float(when) - sent[int(n)] for route, n, when in rows if int(route) == index and int(n) >= SETTLING
+        ]
         for index in range(2)
     }
 
@@ -116,7 +118,7 @@ def run(case: Case, work: Work) -> Row:
 def table(rows: list[Row], options: argparse.Namespace) -> Table:
     """Both ways, and their difference."""
     del options
-    through, past = ([1e3 * value for value in rows[0][way]] for way in ("0", "1"))
+    through, past = ([1e3 * value for value in rows[0][route]] for route in ("0", "1"))
     lines = [
         (name, *(f"{value:.3f}" for value in np.quantile(times, (0.5, 0.99))), str(len(times)))
         for name, times in (("through the watchdog", through), ("past it", past))

@@ -181,8 +181,8 @@ def _show(document: FollowDocument, follower: Follower, terminal: Terminal) -> N
 
 
 def _show_prediction(prediction: NextHit, terminal: Terminal) -> None:
-    what = f" of {prediction.condition}" if prediction.condition else ""
-    table = Table(title=escape(f"Next hit{what}, if it starts as {prediction.like}"), title_justify="left")
+    condition = f" of {prediction.condition}" if prediction.condition else ""
+    table = Table(title=escape(f"Next hit{condition}, if it starts as {prediction.like}"), title_justify="left")
     for heading in ("signal", "", "prediction", "95 % interval", "unit"):
         table.add_column(heading, no_wrap=True)
     shown = [value for value in prediction.values if value.phase != "free"] or list(prediction.values)

@@ -32,33 +32,33 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         raise InputError("no experiment file here; name one with --experiment (import writes one)", file=args.directory)
     experiment = load_experiment(file)
     with started_workers(args) as map_tasks:
-        found = find_impacts(args.directory.absolute(), experiment, map_tasks)
-    if not found.impacts:
-        reasons = "; ".join(f"{omitted.name}: {omitted.reason}" for omitted in found.left_out[:MAX_SHOWN_FILES])
-        raise InputError(f"no impact was found in {found.runs} runs; {reasons}", file=args.directory)
-    write_whole(args.output, table_text(found.impacts, found.constants))
-    _show(found, terminal)
+        search = find_impacts(args.directory.absolute(), experiment, map_tasks)
+    if not search.impacts:
+        reasons = "; ".join(f"{omitted.name}: {omitted.reason}" for omitted in search.left_out[:MAX_SHOWN_FILES])
+        raise InputError(f"no impact was found in {search.runs} runs; {reasons}", file=args.directory)
+    write_whole(args.output, table_text(search.impacts, search.constants))
+    _show(search, terminal)
     terminal.result(
         {
-            "table": str(args.output), "rows": len(found.impacts), "runs": found.runs,
-            "left_out": [asdict(omitted) for omitted in found.left_out], "remarks": list(found.remarks),
+            "table": str(args.output), "rows": len(search.impacts), "runs": search.runs,
+            "left_out": [asdict(omitted) for omitted in search.left_out], "remarks": list(search.remarks),
         }
     )  # fmt: skip
-    terminal.say(f"{args.output}: {len(found.impacts)} impacts of {found.runs} runs")
+    terminal.say(f"{args.output}: {len(search.impacts)} impacts of {search.runs} runs")
     further = command_line("compare", {"impacts": args.output, "scenario": experiment.scenario})
     terminal.say(f"next: {further}")
     return 0
 
 
-def _show(found: FoundImpacts, terminal: Terminal) -> None:
-    noise = np.median([impact.noise for impact in found.impacts], axis=0)
+def _show(search: FoundImpacts, terminal: Terminal) -> None:
+    noise = np.median([impact.noise for impact in search.impacts], axis=0)
     terminal.say(f"noise of a change of velocity, median: {noise[0]:.3g} m/s, {noise[1]:.3g} rad/s")
-    laws = Counter(impact.model for impact in found.impacts)
+    laws = Counter(impact.model for impact in search.impacts)
     terminal.say("after the impact: " + ", ".join(f"{law} {count}" for law, count in laws.items()))
-    for remark in found.remarks:
+    for remark in search.remarks:
         terminal.say(f"note: {remark}")
     reasons: dict[str, list[str]] = {}
-    for omitted in found.left_out:
+    for omitted in search.left_out:
         reasons.setdefault(omitted.reason, []).append(omitted.name)
     for reason, names in reasons.items():
         shown = ", ".join(names[:MAX_SHOWN_FILES]) + (" ..." if len(names) > MAX_SHOWN_FILES else "")

@@ -43,9 +43,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     done = 0
     with terminal.stages() as report:
 
-        def say(what: str) -> None:
+        def say(stage: str) -> None:
             nonlocal done
-            report(what, done, PHASES)
+            report(stage, done, PHASES)
             done += 1
 
         checklist = rehearse(plan, profile, reflexes, file_parameters or values_for(profile, plan.arms), args.seed, say)

@@ -60,9 +60,9 @@ def _none_of(args: argparse.Namespace, names: tuple[str, ...], why: str) -> None
         InputError: One is.
     """
     spelled = {"path": "BAG", "output": "-o", "run_name": "--run"}
-    given = [spelled.get(name, f"--{name}") for name in names if getattr(args, name) is not None]
-    if given:
-        raise InputError(f"{why}; leave {', '.join(given)} out")
+    flags = [spelled.get(name, f"--{name}") for name in names if getattr(args, name) is not None]
+    if flags:
+        raise InputError(f"{why}; leave {', '.join(flags)} out")
 
 
 def _output(args: argparse.Namespace, name: str) -> Path:

@@ -47,7 +47,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             f"{trial_report.outcome}: net feedback {trial.net:+.4f} m/s along {info.axis} at a post-impact reference "
             f"of {info.reference_post_velocity:+.4f} m/s"
         )
-        for left in objects_left({(info.scenario, info.object, info.case_name): [trial.departures]}):
-            terminal.warn(left.words)
+        for departure in objects_left({(info.scenario, info.object, info.case_name): [trial.departures]}):
+            terminal.warn(departure.words)
     terminal.say(f"bag: {path}")
     return 0 if trial_report.outcome == "OK" else 1

@@ -7,28 +7,28 @@ import {$, h, LatestRequest, note} from './tools.js';
 
 // ---- the first two lines of a step, or of a tab -------------------------------------------------------------------
 
-const said = Object.fromEntries(Object.entries(LEADS)
+const statusTexts = Object.fromEntries(Object.entries(LEADS)
   .map(([key, {empty}]) => [key, h('span', {'data-says': key}, empty)]));
 
 /** What a step is; what it says, and what comes next. @param {string} key of LEADS */
 function lead(key) {
   const {what, next, to} = LEADS[key];
   const link = h('a', {href: `#${to}`}, next);
-  return h('div', {class: 'lead'}, h('p', {}, what), h('p', {}, said[key], ' Next: ', link, '.'));
+  return h('div', {class: 'lead'}, h('p', {}, what), h('p', {}, statusTexts[key], ' Next: ', link, '.'));
 }
 
 export const leads = Object.fromEntries(Object.keys(LEADS).map((key) => [key, lead(key)]));
 
 /** What a step or tab says; without a text what it says at first. @param {string} key @param {string} [text] */
-export function says(key, text) { said[key].textContent = text || LEADS[key].empty; }
+export function says(key, text) { statusTexts[key].textContent = text || LEADS[key].empty; }
 
 // ---- the right column ---------------------------------------------------------------------------------------------
 
 /** @param {string} markup */
 function drawing(markup) {
-  const made = document.createElement('template');
-  made.innerHTML = markup;
-  return made.content;
+  const template = document.createElement('template');
+  template.innerHTML = markup;
+  return template.content;
 }
 
 /** @param {string} step */

@@ -23,7 +23,7 @@ const COLOURS = ['#0072B2', '#D55E00', '#009E73', '#CC79A7', '#E69F00', '#56B4E9
 export const colourOf = (index) => COLOURS[index % COLOURS.length];
 
 /** A colour of a figure as the page shows it, light or dark: palette.css. @param {any} colour */
-export function seen(colour) {
+export function themed(colour) {
   if (typeof colour !== 'string' || colour[0] !== '#') return colour;
   return style.getPropertyValue(`--figure-${colour.slice(1).toLowerCase()}`).trim() || colour;
 }
@@ -33,7 +33,7 @@ const COLOURED = ['line', 'marker', 'error_y']; // parts of a trace
 // All colours in a part of a figure.
 function lit(part) {
   if (Array.isArray(part)) return part.map(lit);
-  if (part?.constructor !== Object) return seen(part);
+  if (part?.constructor !== Object) return themed(part);
   return Object.fromEntries(Object.entries(part).map(([name, value]) => [name, lit(value)]));
 }
 
@@ -95,12 +95,12 @@ export async function draw(node, figure, config = {}) {
   const ink = style.getPropertyValue('--ink').trim(), grid = style.getPropertyValue('--grid').trim();
   const data = figure.data.map((trace) => ({...trace, ...Object.fromEntries(COLOURED.filter((part) => trace[part])
     .map((part) => [part, lit(trace[part])]))}));
-  const own = lit(figure.layout), axis = {gridcolor: grid, zerolinecolor: grid, color: ink};
-  const named = ['xaxis', 'yaxis', 'xaxis2', 'yaxis2'].filter((name) => own[name] || !name.endsWith('2'));
-  const axes = Object.fromEntries(named.map((name) => [name, {...own[name], ...axis}]));
-  const layout = {...own, ...axes, paper_bgcolor: 'rgba(0,0,0,0)', plot_bgcolor: 'rgba(0,0,0,0)',
-    autosize: false, width: node.clientWidth || 600, height: own.height ?? 450, // hidden, it has no width yet
-    font: {...own.font, color: ink, family: 'system-ui, sans-serif'}};
+  const themedLayout = lit(figure.layout), axis = {gridcolor: grid, zerolinecolor: grid, color: ink};
+  const named = ['xaxis', 'yaxis', 'xaxis2', 'yaxis2'].filter((name) => themedLayout[name] || !name.endsWith('2'));
+  const axes = Object.fromEntries(named.map((name) => [name, {...themedLayout[name], ...axis}]));
+  const layout = {...themedLayout, ...axes, paper_bgcolor: 'rgba(0,0,0,0)', plot_bgcolor: 'rgba(0,0,0,0)',
+    autosize: false, width: node.clientWidth || 600, height: themedLayout.height ?? 450, // hidden, it has no width yet
+    font: {...themedLayout.font, color: ink, family: 'system-ui, sans-serif'}};
   widths.observe(node);
   return turn.of(Plotly.react(node, data, layout, {displaylogo: false, displayModeBar: false, ...config}));
 }

@@ -25,20 +25,20 @@ function scoreText({fit, held_out: heldOut, floor, unit: of}) {
 }
 
 // The newest state of an entry, which may have changed since it was listed.
-const newest = (kind, path) => state.workspace[kind].find((one) => one.path === path);
+const newest = (kind, path) => state.workspace[kind].find((item) => item.path === path);
 
 // ---- the first lines of steps that count what is there ------------------------------------------------------------
 
 function sayWhatIsThere() {
   const {campaigns, models, diagnoses, blinds, reports} = state.workspace;
-  const trials = campaigns.reduce((sum, one) => sum + one.present, 0), scored = models.filter((one) => one.score);
+  const trials = campaigns.reduce((sum, {present}) => sum + present, 0), scored = models.filter(({score}) => score);
   const compared = reports.filter((path) => path.endsWith('compare.html')).length;
   const measured = campaigns.length ? `${count(trials, 'trial')} in ${count(campaigns.length, 'campaign')}.` : '';
   says('measure/campaign', measured);
   says('measure/recorded', measured);
   says('measure/blind', blinds.length ? `${count(blinds.length, 'practice campaign')}.` : '');
   says('add', models.length > 1 ? `${count(models.length, 'model')}; the newest is ` +
-    `${models.find((one) => one.path === newestModel()).name}.` : '');
+    `${models.find((model) => model.path === newestModel()).name}.` : '');
   says('overlay/runs', trials ? `${count(trials, 'trial')} to choose from.` : '');
   says('overlay/models', compared ? `${count(compared, 'comparison')} to choose from.` : '');
   const diagnosed = count(diagnoses.length, 'diagnosis', 'diagnoses');
@@ -62,8 +62,8 @@ function campaignEntry({path, error, scenario, present, trials}) {
 }
 
 function laboratoryEntry({path, error, experiment, recordings}) {
-  const known = experiment ? 'described' : `${count(recordings.length, 'recording')}, not described`;
-  return entry(`lab ${path}`, path === '.' ? 'this folder' : path, [error || known], () => chooseLaboratory(path));
+  const status = experiment ? 'described' : `${count(recordings.length, 'recording')}, not described`;
+  return entry(`lab ${path}`, path === '.' ? 'this folder' : path, [error || status], () => chooseLaboratory(path));
 }
 
 function diagnosisEntry({path, model, verdict}) {
@@ -73,8 +73,8 @@ function diagnosisEntry({path, model, verdict}) {
 
 /** Models with this parent, each with its own children. @param {string | null} parent @returns {HTMLLIElement[]} */
 function modelBranch(parent) {
-  const own = state.workspace.models.filter((one) => one.parent === parent && one.path !== parent);
-  return own.map(({path, name, error, effects, score}) => {
+  const branch = state.workspace.models.filter((model) => model.parent === parent && model.path !== parent);
+  return branch.map(({path, name, error, effects, score}) => {
     const small = [error || effects.join(' + ') || 'nothing added'], children = modelBranch(path);
     if (score) small.push(`${scoreText(score)}, in ${score.report}`);
     const item = entry(`model ${path}`, name, small, () => chooseModel(newest('models', path)));

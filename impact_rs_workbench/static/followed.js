@@ -18,13 +18,14 @@ export function showFollowed(node, {prediction, changes, diagnosis, refused, unr
   const items = [], open = node.querySelector('details')?.open ?? false;
   if (changes.length) {
     items.push(h('div', {class: 'changes'}, h('strong', {}, 'The cell has changed'),
-      ...changes.map((one) => h('p', {}, one.words)), commandLine(changes[0].diagnose)));
+      ...changes.map((change) => h('p', {}, change.words)), commandLine(changes[0].diagnose)));
   }
   if (diagnosis) items.push(h('p', {}, `Full diagnosis: ${diagnosis.words}`));
   if (prediction?.followed.length) {
     items.push(h('div', {}, h('p', {}, h('strong', {}, 'Estimates after the last hit')),
       table({id: 'believed'}, ['parameter', 'estimate', '95 % interval'],
-        prediction.followed.map((one) => [one.parameter, ...estimated(one.estimate, one.ci95, one.unit)]), 1)));
+        prediction.followed.map(({parameter, estimate, ci95, unit: of}) =>
+          [parameter, ...estimated(estimate, ci95, of)]), 1)));
   }
   if (prediction) {
     items.push(h('details', {open}, h('summary', {},

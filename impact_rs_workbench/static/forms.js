@@ -188,7 +188,8 @@ export function commandForm(command, label, {offers = [], first = 'scenario', su
   const typed = new Set(), all = Object.values(fields), requests = new LatestRequest();
   let before = null; // content of the form, as JSON
   const value = (name) => fields[name].value();
-  const body = () => ready() ? {command, ...Object.fromEntries(all.map((one) => [one.field.name, one.value()]))} : null;
+  const contents = () => Object.fromEntries(all.map((entry) => [entry.field.name, entry.value()]));
+  const body = () => ready() ? {command, ...contents()} : null;
   const check = async () => {
     const turn = requests.begin();
     await turn.pause(TYPING);
@@ -222,7 +223,7 @@ export function commandForm(command, label, {offers = [], first = 'scenario', su
   // Boxes come last.
   const rank = ({field, node}) => field.name === first && !field.advanced ? 0 : node.classList.contains('wide') ? 2 : 1;
   const nodes = (advanced) => all.filter(({field}) => field.advanced === advanced).sort((a, b) => rank(a) - rank(b))
-    .map((one) => one.node);
+    .map((entry) => entry.node);
   const offerAll = () => {
     for (const {field, offer} of all) {
       if (choicesOf(field) && !offers.includes(field.name)) offer(choicesOf(field)(field));
@@ -263,26 +264,27 @@ export function commandForm(command, label, {offers = [], first = 'scenario', su
  * @param {object} options those of `commandForm`, and
  * @param {string[]} options.offers
  * @param {Record<string, () => any>} [options.suggest]
- * @param {(found: any, only: Only, form: CommandForm) => void} options.offer is given what the chosen scenario has
+ * @param {(scenario: any, only: Only, form: CommandForm) => void} options.offer is given what the chosen scenario has
  */
 export function scenarioForm(command, label, {offer, ...options}) {
   const requests = new LatestRequest();
-  const form = commandForm(command, label, {...options, ready: () => made.found});
+  const form = commandForm(command, label, {...options, ready: () => extended.chosenScenario});
   let asked = false;
   const choose = async (only = {}) => {
     const turn = requests.begin();
-    made.found = null;
+    extended.chosenScenario = null;
     form.refresh();
     try {
-      const found = made.found = await turn.ask(`/api/scenario?${query({name: form.value('scenario')})}`);
-      offer(found, /** @type {Only} */ (only), form);
+      const scenario = await turn.ask(`/api/scenario?${query({name: form.value('scenario')})}`);
+      extended.chosenScenario = scenario;
+      offer(scenario, /** @type {Only} */ (only), form);
       form.refresh();
     } catch (error) { form.message.error(error); }
   };
-  const made = {
+  const extended = {
     ...form,
     /** @type {any} what the chosen scenario has; null: it is being asked for */
-    found: null,
+    chosenScenario: null,
     /** @param {{scenario: string} & Only} [wanted] hits to choose */
     update(wanted) {
       if (!asked) form.offer('scenario', plain(state.workspace.scenarios), 'push'); // it is first in sight
@@ -293,33 +295,33 @@ export function scenarioForm(command, label, {offer, ...options}) {
     },
   };
   form.control('scenario').addEventListener('change', () => choose());
-  return made;
+  return extended;
 }
 
 /** Objects of a scenario. @returns {[string, string][]} */
-export const objectsOf = (found) => Object.entries(found.objects).map(([key, one]) => [key, one.label]);
+export const objectsOf = (scenario) => Object.entries(scenario.objects).map(([key, object]) => [key, object.label]);
 
 /** Cases of a scenario. @returns {[string, string][]} */
-export const casesOf = (found) => Object.entries(found.cases);
+export const casesOf = (scenario) => Object.entries(scenario.cases);
 
 /** @param {[string, string][]} entries @returns {Choice[]} */
 export const listed = (entries) => entries.map(([value, text]) => ({value, text}));
 
 /** The form of a command about the hits of a scenario. @param {Record<string, () => any>} suggest */
 export function hitsForm(command, label, suggest) {
-  const names = FORMS[command].fields.map((one) => one.name);
+  const names = FORMS[command].fields.map((field) => field.name);
   const offers = ['object', 'objects', 'case', 'cases'].filter((name) => names.includes(name));
-  return scenarioForm(command, label, {offers, suggest, offer(found, _, form) {
+  return scenarioForm(command, label, {offers, suggest, offer(scenario, _, form) {
     const give = (kind, entries) => {
       if (form.has(`${kind}s`)) {
-        form.offer(`${kind}s`, listed(entries).map((one, index) => ({...one, on: index === 0})));
+        form.offer(`${kind}s`, listed(entries).map((choice, index) => ({...choice, on: index === 0})));
       } else if (form.has(kind)) {
         const {required, otherwise} = form.field(kind);
         form.offer(kind, [...(required ? [] : [{value: '', text: otherwise}]), ...listed(entries)]);
       }
     };
-    give('object', objectsOf(found));
-    give('case', casesOf(found));
+    give('object', objectsOf(scenario));
+    give('case', casesOf(scenario));
   }});
 }
 
@@ -337,7 +339,7 @@ export function runsForm(command, label, suggest = {}) {
     chooseSoon(runs) { wanted = runs; },
     update() {
       form.update();
-      if (wanted && runsChoices().some((one) => one.value === wanted)) { form.choose('runs', wanted); wanted = null; }
+      if (wanted && runsChoices().some(({value}) => value === wanted)) { form.choose('runs', wanted); wanted = null; }
     },
   };
 }

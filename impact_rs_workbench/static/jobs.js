@@ -100,9 +100,9 @@ export function jobButton(text, body, attributes = {}) {
 
 /** @param {Job} job */
 function keepJob(job) {
-  const seen = state.jobs.find((other) => other.number === job.number);
-  if (!seen) showJobs([{...job, progress: null}, ...state.jobs]);
-  else if (seen.ended !== null) finished(seen); // it had ended before the answer to its start came
+  const listed = state.jobs.find((other) => other.number === job.number);
+  if (!listed) showJobs([{...job, progress: null}, ...state.jobs]);
+  else if (listed.ended !== null) finished(listed); // it had ended before the answer to its start came
 }
 
 // ---- the output of a command below its form -----------------------------------------------------------------------
@@ -122,7 +122,7 @@ export class Printed {
   }
 
   async update() {
-    const job = state.jobs.find((one) => this.words.every((word, index) => one.arguments[index] === word));
+    const job = state.jobs.find((job) => this.words.every((word, index) => job.arguments[index] === word));
     if (!job) return;
     this.heading.textContent = `Job ${job.number}: ${stateText(job)}`;
     const key = JSON.stringify([job.number, job.ended, job.printed]);
@@ -180,12 +180,12 @@ async function showOutput(job) {
 
 /** @param {Job} job */
 function jobRow(job) {
-  const act = (what) => async ({target}) => {
+  const act = (action) => async ({target}) => {
     const reply = target.parentElement.querySelector('.reply');
-    reply.textContent = {stop: 'stopping …', again: 'starting …'}[what];
+    reply.textContent = {stop: 'stopping …', again: 'starting …'}[action];
     try {
-      keepJob(await ask(`/api/jobs/${job.number}/${what}`, {}));
-      if (what === 'again') reply.textContent = 'started above';
+      keepJob(await ask(`/api/jobs/${job.number}/${action}`, {}));
+      if (action === 'again') reply.textContent = 'started above';
     } catch (error) { reply.textContent = inFolder(error.message); }
   };
   const look = ({target}) => {
@@ -240,9 +240,9 @@ function placeRow(job, index) {
     item?.remove();
     list.insertBefore(row, list.children[index] ?? null);
   }
-  const kept = list.children[index];
-  if (focused && !kept.contains(document.activeElement)) {
-    [...kept.querySelectorAll('button')].find((one) => one.textContent === focused)?.focus();
+  const placed = list.children[index];
+  if (focused && !placed.contains(document.activeElement)) {
+    [...placed.querySelectorAll('button')].find((candidate) => candidate.textContent === focused)?.focus();
   }
   if (opened.has(job.number)) showOutput(job.number);
   return Boolean(item);
@@ -267,8 +267,8 @@ export function showJobs(jobs) {
   shown.forEach((job, index) => {
     const item = list.children[index]?.getAttribute('data-job') === String(job.number);
     if (item && before.get(job.number) === JSON.stringify(job)) return;
-    const known = placeRow(job, index);
-    if (job.ended !== null && known) finished(job);
+    const wasListed = placeRow(job, index);
+    if (job.ended !== null && wasListed) finished(job);
   });
   if (state.workspace) for (const act of listeners) act();
 }

@@ -51,16 +51,17 @@ export function go(step, tab = '') {
   const {part} = steps[step], {tabs} = part;
   state.step = step;
   if (tabs && tab && tabs.chosen !== tab) tabs.show(tab);
-  const key = tabs ? `${step}/${tabs.chosen}` : step, own = ABOUT[tabs?.chosen];
+  const key = tabs ? `${step}/${tabs.chosen}` : step, tabAbout = ABOUT[tabs?.chosen];
   // The address of the step alone is replaced, so that a step back in the history leaves it.
   if (location.hash === `#${step}`) history.replaceState(null, '', `#${key}`); else location.hash = key;
   tabs?.lead.replaceChildren(leads[key]);
   for (const [name, {panel}] of Object.entries(steps)) panel.hidden = name !== step;
-  for (const one of /** @type {NodeListOf<HTMLElement>} */ ($('steps').querySelectorAll('button'))) {
-    if (one.dataset.step === step) one.setAttribute('aria-current', 'step'); else one.removeAttribute('aria-current');
+  for (const item of /** @type {NodeListOf<HTMLElement>} */ ($('steps').querySelectorAll('button'))) {
+    if (item.dataset.step === step) item.setAttribute('aria-current', 'step');
+    else item.removeAttribute('aria-current');
   }
-  showAbout({...(own ?? ABOUT[step]), terms: own ? [] : termsOf(step)});
-  for (const one of Object.values(steps)) one.part.sightChanged?.();
+  showAbout({...(tabAbout ?? ABOUT[step]), terms: tabAbout ? [] : termsOf(step)});
+  for (const item of Object.values(steps)) item.part.sightChanged?.();
   if (state.workspace) part.update();
   requestAnimationFrame(fitAll);
 }

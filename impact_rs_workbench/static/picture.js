@@ -50,7 +50,7 @@ export class ImpactScene {
     this.key = key;
     this.ready = false;
     if (this.coming?.key !== key) this.ahead(scenario, object);
-    const [found] = await turn.of(Promise.all([this.coming.scene, threeD()])).catch((error) => {
+    const [scene] = await turn.of(Promise.all([this.coming.scene, threeD()])).catch((error) => {
       this.key = this.coming = null; // asked for again by the next answer
       throw error;
     });
@@ -59,7 +59,7 @@ export class ImpactScene {
       this.node.replaceChildren(place);
       this.picture = new ImpactPicture(place);
     }
-    this.picture.show(found);
+    this.picture.show(scene);
     this.ready = true;
     this.soon();
   }

@@ -41,7 +41,7 @@ export class ResultChooser {
   }
 
   update() {
-    const choices = this.choices(), has = (value) => choices.some((one) => one.value === value);
+    const choices = this.choices(), has = (value) => choices.some((choice) => choice.value === value);
     fill(this.select, choices, this.wanted && has(this.wanted) ? this.wanted : this.opened ? undefined : this.first());
     this.label.hidden = !choices.length;
     const {value} = this.select;
@@ -127,21 +127,21 @@ export function replayOf(path, turn) {
     const data = (await turn.of(pageOf(path))).getElementById('replay-data');
     if (!data) return null;
     node.hidden = false;
-    const recorded = JSON.parse(data.textContent), {runs} = recorded, made = await replayIn(place, recorded);
+    const recorded = JSON.parse(data.textContent), {runs} = recorded, replay = await replayIn(place, recorded);
     choose.replaceChildren(...runs.map((run, index) => new Option(run.label, index)));
     choose.hidden = runs.length < 2;
-    choose.addEventListener('change', () => made.show(Number(choose.value)));
-    return {runs, made};
+    choose.addEventListener('change', () => replay.show(Number(choose.value)));
+    return {runs, made: replay};
   })().catch((error) => { place.textContent = error.message; return null; });
   return {
     node,
     /** @param {string} label of the run @param {number | null} time [s] */
     async show(label, time) {
-      const found = await ready, index = found?.runs.findIndex((run) => run.label === label) ?? -1;
+      const loaded = await ready, index = loaded?.runs.findIndex((run) => run.label === label) ?? -1;
       if (index < 0) return;
       choose.value = String(index);
-      if (found.made.number !== index) found.made.show(index);
-      if (time !== null) found.made.seek(time);
+      if (loaded.made.number !== index) loaded.made.show(index);
+      if (time !== null) loaded.made.seek(time);
     },
   };
 }

@@ -8,6 +8,6 @@ import {$} from './tools.js';
 
 window.impact_rs = watch('/api/events', $('live'), { // for the browser's console
   status(text) { $('status').textContent = text; },
-  followed(found) { showFollowed($('followed'), found); },
+  followed(messages) { showFollowed($('followed'), messages); },
   lost(is) { $('lost').hidden = !is; },
 });

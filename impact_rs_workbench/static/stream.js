@@ -9,7 +9,7 @@
  * @param {object} hear
  * @param {(text: string) => void} hear.status is given each status line
  * @param {(lost: boolean) => void} hear.lost whether the server is gone
- * @param {(found: any) => void} hear.followed is given what a node identify has published
+ * @param {(messages: any) => void} hear.followed is given the messages of a node identify
  * @param {(scene: any) => void} [hear.scene] is given each new scene
  * @param {(state: any) => void} [hear.state] is given each state
  */
@@ -24,9 +24,9 @@ export function watch(address, node, {status, lost, followed, scene = () => {}, 
 
   events.addEventListener('scene', ({data}) => {
     newest = null;
-    const found = JSON.parse(data);
-    live.show(found);
-    scene(found);
+    const received = JSON.parse(data);
+    live.show(received);
+    scene(received);
   });
   events.addEventListener('status', ({data}) => {
     const text = JSON.parse(data);

@@ -96,8 +96,8 @@ export const number = (value, digits = 3) => value === null || value === undefin
 export const fixed = (value, digits = 3) => value === null ? '–' :
   (Number(value.toFixed(digits)) + 0).toFixed(digits).replace('-', MINUS); // + 0: no −0.000
 
-/** @param {number} many */
-export const count = (many, one, more = `${one}s`) => `${many} ${many === 1 ? one : more}`;
+/** @param {number} amount */
+export const count = (amount, singular, plural = `${singular}s`) => `${amount} ${amount === 1 ? singular : plural}`;
 
 /** A unit behind a number; nothing for a dimensionless one. @param {string} [text] */
 export const unit = (text) => !text || text === '-' ? '' : ` ${text}`;
@@ -137,10 +137,10 @@ export const plain = (values) => values.map((value) => ({value, text: value}));
  */
 export function fill(select, choices, wanted) {
   const before = wanted ?? select.value;
-  const content = (all) => JSON.stringify([...all].map((one) => [one.value, one.text]));
+  const content = (all) => JSON.stringify([...all].map((entry) => [entry.value, entry.text]));
   const same = content(select.options) === content(choices);
-  if (!same) select.replaceChildren(...choices.map((one) => new Option(one.text, one.value)));
-  if (choices.some((one) => one.value === before)) select.value = before;
+  if (!same) select.replaceChildren(...choices.map((choice) => new Option(choice.text, choice.value)));
+  if (choices.some((choice) => choice.value === before)) select.value = before;
   fit(select);
 }
 
@@ -158,7 +158,7 @@ export function fit(select) {
   if (!label || !select.isConnected) return;
   pen.font = getComputedStyle(select).font;
   const wide = (text) => pen.measureText(text).width + ARROW;
-  const longest = Math.max(0, ...[...select.options].map((one) => wide(one.text)));
+  const longest = Math.max(0, ...[...select.options].map((option) => wide(option.text)));
   label.classList.toggle('long', longest > ONE_COLUMN && longest <= TWO_COLUMNS);
   label.classList.toggle('wide', longest > TWO_COLUMNS);
   const text = select.selectedOptions[0]?.text ?? '', cut = select.clientWidth > 0 && wide(text) > select.clientWidth;
@@ -270,17 +270,17 @@ export class Tabs {
    * @param {string} [prefix] of identifiers
    */
   constructor(parts, prefix = '') {
-    const made = Object.entries(parts);
+    const entries = Object.entries(parts);
     /** @type {(name: string) => void} */
     this.changed = () => {};
-    this.buttons = made.map(([name, [text]]) => button(text, () => { this.show(name); this.changed(name); },
+    this.buttons = entries.map(([name, [text]]) => button(text, () => { this.show(name); this.changed(name); },
       {role: 'tab', id: `tab-${prefix}${name}`, 'aria-controls': `part-${prefix}${name}`}));
-    this.panels = made.map(([name, [, node]]) => h('div', {role: 'tabpanel', id: `part-${prefix}${name}`,
+    this.panels = entries.map(([name, [, node]]) => h('div', {role: 'tabpanel', id: `part-${prefix}${name}`,
       'data-part': name, 'aria-labelledby': `tab-${prefix}${name}`}, node));
     arrowKeys(this.buttons);
     this.list = h('div', {class: 'tabs', role: 'tablist'}, ...this.buttons);
     this.lead = h('div', {}); // place of the first two lines
-    this.show(made[0][0]);
+    this.show(entries[0][0]);
   }
 
   /** @param {string} name */
@@ -290,10 +290,10 @@ export class Tabs {
   show(name) {
     this.chosen = name;
     this.panels.forEach((panel, index) => {
-      const own = panel.dataset.part === name;
-      panel.hidden = !own;
-      this.buttons[index].setAttribute('aria-selected', String(own));
-      this.buttons[index].tabIndex = own ? 0 : -1; // the arrow keys lead on from here
+      const isShown = panel.dataset.part === name;
+      panel.hidden = !isShown;
+      this.buttons[index].setAttribute('aria-selected', String(isShown));
+      this.buttons[index].tabIndex = isShown ? 0 : -1; // the arrow keys lead on from here
     });
   }
 }

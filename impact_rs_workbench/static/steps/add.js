@@ -70,11 +70,11 @@ class Add {
     this.note.textContent = `Reading ${path} …`;
     this.form.refresh();
     try {
-      const found = await turn.ask(`/api/diagnosis?${query({path})}`);
-      this.parent = state.workspace.models.find((model) => model.digest === found.digest)?.path ?? null;
-      this.note.textContent = this.parent ? `Diagnosis of ${found.model}: ${found.summary}` :
-        `The diagnosed model ${found.model} is not in this folder.`;
-      this.offer(found);
+      const diagnosis = await turn.ask(`/api/diagnosis?${query({path})}`);
+      this.parent = state.workspace.models.find((model) => model.digest === diagnosis.digest)?.path ?? null;
+      this.note.textContent = this.parent ? `Diagnosis of ${diagnosis.model}: ${diagnosis.summary}` :
+        `The diagnosed model ${diagnosis.model} is not in this folder.`;
+      this.offer(diagnosis);
       this.form.refresh();
     } catch (error) { this.note.textContent = error.message; }
   }
@@ -82,12 +82,12 @@ class Add {
   // Effects of a diagnosis: the named ones come first and are ticked; where there are none, the best one.
   offer({effects, named}) {
     const rank = ({name}) => named.includes(name) ? 0 : 1, order = [...effects].sort((a, b) => rank(a) - rank(b));
-    const best = order.slice(0, 1).map((one) => one.name);
+    const best = order.slice(0, 1).map((effect) => effect.name);
     const ticked = this.wanted?.effect ? [this.wanted.effect] : named.length ? named : best;
     const text = ({name, verdict, of_measurement: faulty}) =>
       `${name}: ${verdict}${faulty ? ' (a fault of the readings: goes into the calibration)' : ''}`;
-    this.form.offer('effect', order.map((one) =>
-      ({value: one.name, text: text(one), on: ticked.includes(one.name)})));
+    this.form.offer('effect', order.map((effect) =>
+      ({value: effect.name, text: text(effect), on: ticked.includes(effect.name)})));
     this.wanted = null;
   }
 

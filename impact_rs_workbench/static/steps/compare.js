@@ -50,31 +50,33 @@ class Compare {
     } else this.show(await turn.ask(`/api/comparison?${query({path: folderOf(path)})}`), path, turn, place);
   }
 
-  show(found, path, turn, place) {
-    this.yardstick = found.yardstick;
+  show(comparison, path, turn, place) {
+    this.yardstick = comparison.yardstick;
     this.tracks = null; // read once, when the first cell is opened
     this.signal = h('div', {id: 'signal'});
     this.replay = replayOf(path, turn);
-    const open = (index) => this.openCell(found.cells[index], path);
+    const open = (index) => this.openCell(comparison.cells[index], path);
     const name = ({row, column, map, error,
       times}) => `${row}, ${column} ${map ? `(${map})` : ''}: ${error}, ${times} ×`;
-    const listed = found.cells.map((cell, index) => ({cell, index})).filter(({cell}) => cell.matters)
+    const listed = comparison.cells.map((cell, index) => ({cell, index})).filter(({cell}) => cell.matters)
       .slice(0, MOST_CELLS);
     const choose = h('select', {'aria-label': 'cell', id: 'cell', onchange: () => open(Number(choose.value))},
       ...listed.map(({cell, index}) => new Option(name(cell), String(index))));
-    const maps = found.figures.map(({title, figure}) =>
+    const maps = comparison.figures.map(({title, figure}) =>
       ({title, figure, node: plotPlace(`Where the model fails: ${title}`, {class: 'plot clickable'})}));
-    says('compare', `${found.model}: score ${number(found.score)}, where ${number(found.floor)} is noise.`);
-    place.replaceChildren(h('p', {class: 'answer'}, h('b', {}, `Score ${number(found.score)}`), found.headline),
-      maps.length ? note(`Measured minus model, in multiples of ${found.yardstick} (blue: the measured value is ` +
+    const score = number(comparison.score);
+    says('compare', `${comparison.model}: score ${score}, where ${number(comparison.floor)} is noise.`);
+    place.replaceChildren(h('p', {class: 'answer'}, h('b', {}, `Score ${score}`), comparison.headline),
+      maps.length ? note(`Measured minus model, in multiples of ${comparison.yardstick} (blue: the measured value is ` +
         'larger, red: smaller). Click on a cell to see its signal over time.') : '',
       ...maps.flatMap(({title, node}) => [h('h3', {}, title), node]),
-      found.cells.length ? labelled('or choose a cell, the worst first', choose) : '', this.signal, this.replay.node,
-      ...wholeReport(path, false), ...found.remarks.map((text) => note(`Note: ${text}`)));
+      comparison.cells.length ? labelled('or choose a cell, the worst first', choose) : '',
+      this.signal, this.replay.node,
+      ...wholeReport(path, false), ...comparison.remarks.map((text) => note(`Note: ${text}`)));
     for (const {title, figure, node} of maps) {
       draw(node, figure).then(() => node.on('plotly_click', ({points: [point]}) => {
         const clicked = ({row, column, map}) => row === point.y && column === point.x && (!map || map === title);
-        const index = found.cells.findIndex(clicked);
+        const index = comparison.cells.findIndex(clicked);
         if (index < 0) return;
         choose.value = String(index);
         node.after(this.signal);
@@ -86,11 +88,11 @@ class Compare {
   // The signal that shows a cell best, measured and predicted, from the data of the report's own page.
   async openCell(cell, path) {
     this.tracks ??= tracksOf(path);
-    const found = await this.signals.begin().of(this.tracks);
-    if (!found) { this.signal.replaceChildren(note('This report has no signals over time.')); return; }
-    const {sets, figure} = found, plot = plotPlace(`Signal of ${cell.row}`);
-    const set = sets.find((one) => one.label.startsWith(cell.set)) ?? sets[0];
-    const signal = set.signals.find((one) => one.name === cell.signal) ?? set.signals[0];
+    const tracks = await this.signals.begin().of(this.tracks);
+    if (!tracks) { this.signal.replaceChildren(note('This report has no signals over time.')); return; }
+    const {sets, figure} = tracks, plot = plotPlace(`Signal of ${cell.row}`);
+    const set = sets.find((set) => set.label.startsWith(cell.set)) ?? sets[0];
+    const signal = set.signals.find((signal) => signal.name === cell.signal) ?? set.signals[0];
     this.signal.replaceChildren(h('h3', {}, `${signal.name}, ${set.label}`),
       note(`${cell.row} differs by ${cell.error}, ${cell.times} × ${this.yardstick}; this signal shows it best. ` +
         'Dotted: start of the impact.'), plot);

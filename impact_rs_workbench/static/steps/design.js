@@ -40,11 +40,11 @@ class DesignPart {
       h('div', {class: 'actions'}, ...jobButton('Run the plan',
         () => ({command: 'campaign', plan: path, output: `campaigns/${stem(path)}`}), {class: 'primary'})),
       table({id: 'planned'}, ['trials', 'condition', 'purpose'],
-        conditions.map((one) => [one.trials, one.what, one.adds])));
+        conditions.map((condition) => [condition.trials, condition.what, condition.adds])));
     if (!pairs.length) return;
     place.append(h('h3', {}, 'Probability that the next diagnosis distinguishes two explanations, the lowest first'),
       table({id: 'pairs'}, ['explanation', 'other explanation', 'before', 'after'],
-        pairs.map((one) => [one.first, one.second, percent(one.before), percent(one.after)]), 2));
+        pairs.map((pair) => [pair.first, pair.second, percent(pair.before), percent(pair.after)]), 2));
   }
 }
 

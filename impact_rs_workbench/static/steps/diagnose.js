@@ -37,7 +37,7 @@ class Diagnose {
 
   // Of a running diagnosis, with its ranking so far.
   showProgress() {
-    const job = state.jobs.find((one) => one.arguments[0] === 'diagnose' && one.ended === null);
+    const job = state.jobs.find((job) => job.arguments[0] === 'diagnose' && job.ended === null);
     const ranking = job?.progress?.ranking ?? [], largest = ranking.at(-1)?.[1];
     const bar = ([name, error]) => h('li', {}, h('span', {}, name),
       h('i', {style: `width: ${Math.min(100, 100 * error / largest).toFixed(1)}%`}), h('span', {}, number(error)));
@@ -48,24 +48,24 @@ class Diagnose {
 
   /** @param {string} path @param {import('../tools.js').Turn} turn @param {HTMLElement} place */
   async open(path, turn, place) {
-    const found = await turn.ask(`/api/diagnosis?${query({path})}`);
+    const diagnosis = await turn.ask(`/api/diagnosis?${query({path})}`);
     const plot = plotPlace('Held-out error by effect');
-    const report = path.replace(/[^/]*$/, found.report);
-    const named = found.effects.filter((effect) => found.named.includes(effect.name));
-    says('diagnose', `${found.model}: ${found.verdict}.`);
-    place.replaceChildren(h('p', {class: 'answer', id: 'verdict'}, h('b', {}, found.verdict), found.summary),
+    const report = path.replace(/[^/]*$/, diagnosis.report);
+    const named = diagnosis.effects.filter((effect) => diagnosis.named.includes(effect.name));
+    says('diagnose', `${diagnosis.model}: ${diagnosis.verdict}.`);
+    place.replaceChildren(h('p', {class: 'answer', id: 'verdict'}, h('b', {}, diagnosis.verdict), diagnosis.summary),
       ...named.flatMap(estimates),
-      h('h3', {}, 'Ranking'), note(`Held-out error without and with the effect, ${found.unit}.`), plot,
-      ranking(found, path),
-      found.left.length ? unexplained(found) : '',
-      found.calls_for_a_law ? law(found, path) : '',
-      found.practice ? practice(path) : '',
-      found.calibrate.length ? calibrations(found) : '',
-      found.next ? next(found.next, path, found.runs) : '',
+      h('h3', {}, 'Ranking'), note(`Held-out error without and with the effect, ${diagnosis.unit}.`), plot,
+      ranking(diagnosis, path),
+      diagnosis.left.length ? unexplained(diagnosis) : '',
+      diagnosis.calls_for_a_law ? law(diagnosis, path) : '',
+      diagnosis.practice ? practice(path) : '',
+      diagnosis.calibrate.length ? calibrations(diagnosis) : '',
+      diagnosis.next ? next(diagnosis.next, path, diagnosis.runs) : '',
       ...(state.workspace.reports.includes(report) ? [replayOf(report, turn).node, ...wholeReport(report, false)] :
         [note('This diagnosis has no report: name a folder of the report to get one.')]),
-      ...found.remarks.map((text) => note(`Note: ${text}`)));
-    if (found.figure) draw(plot, found.figure); else plot.remove();
+      ...diagnosis.remarks.map((text) => note(`Note: ${text}`)));
+    if (diagnosis.figure) draw(plot, diagnosis.figure); else plot.remove();
   }
 }
 
@@ -96,13 +96,13 @@ const calibrations = ({calibrate}) => h('div', {class: 'answer', id: 'calibrate'
 
 // An error that no effect explains may follow a law: discover gets the options of the diagnosis.
 function law({law: options, digest}, path) {
-  const known = options.runs || options.impacts, folder = folderOf(path);
-  const model = state.workspace.models.find((one) => one.digest === digest)?.path ?? options.model;
+  const inFolder = options.runs || options.impacts, folder = folderOf(path);
+  const model = state.workspace.models.find((model) => model.digest === digest)?.path ?? options.model;
   const body = () => ({command: 'discover', ...options, model, report: folder,
     output: `${folder === '.' ? '' : `${folder}/`}discovery.json`});
   return h('div', {class: 'answer', id: 'law'}, h('b', {}, 'A law that the library does not have'),
     h('p', {}, 'A formula may explain the remaining error; if none holds, a curve describes it.'),
-    known ? h('div', {class: 'actions'}, ...jobButton('Look for a law', body, {class: 'primary'})) :
+    inFolder ? h('div', {class: 'actions'}, ...jobButton('Look for a law', body, {class: 'primary'})) :
       note('The measurements of this diagnosis are not in this folder, or an earlier version wrote it. Diagnose them ' +
         'here, or use impact-rs discover in a terminal.'));
 }
@@ -114,7 +114,7 @@ function practice(path) {
 }
 
 // Further trials are written next to the measured ones, so that the same RUNS contains them.
-const nextFolder = (runs) => state.workspace.campaigns.some((one) => one.path === runs && one.scenario) ?
+const nextFolder = (runs) => state.workspace.campaigns.some((campaign) => campaign.path === runs && campaign.scenario) ?
   runs.split('/').slice(0, -1).join('/') || 'campaigns' : runs || 'campaigns';
 
 function next({advice, scenario, object, case: case_}, path, runs) {

@@ -59,8 +59,8 @@ const outputOf = (laboratory, many) => `evidence/${slug(laboratory ?? 'laborator
 
 // The model of a diagnosis.
 function modelOf(diagnosis) {
-  const digest = state.workspace?.diagnoses.find((one) => one.path === diagnosis)?.digest;
-  return state.workspace?.models.find((one) => one.digest === digest)?.path ?? 'nominal';
+  const digest = state.workspace?.diagnoses.find((entry) => entry.path === diagnosis)?.digest;
+  return state.workspace?.models.find((model) => model.digest === digest)?.path ?? 'nominal';
 }
 
 export const versions = new VersionsPart();

@@ -35,7 +35,7 @@ class LoopPart {
   }
 }
 
-const modelPaths = () => (state.workspace?.models ?? []).map((one) => one.path);
+const modelPaths = () => (state.workspace?.models ?? []).map((model) => model.path);
 
 /** @implements {Step} */
 class FollowPart {

@@ -79,8 +79,8 @@ class ImpactsPart {
 
   // The scenario of the recordings in which a job has found the impacts of a table.
   scenarioOf(path) {
-    const job = state.jobs.find((one) => one.arguments[0] === 'impacts' &&
-      one.writes.some((written) => inFolder(written) === path));
+    const job = state.jobs.find((job) => job.arguments[0] === 'impacts' &&
+      job.writes.some((written) => inFolder(written) === path));
     const experiment = job && job.arguments[job.arguments.indexOf('--experiment') + 1];
     return state.workspace.laboratories.find((lab) => lab.experiment && experiment?.endsWith(lab.experiment))?.scenario;
   }
@@ -94,8 +94,8 @@ const OBJECT_POSE = {name: 'object_pose', text: 'pose of the object', optional: 
 
 const MOTIONS = {turn: 'revolute joints', slide: 'prismatic joints'};
 
-// Where timestamps and rows are in the files of an arm, as far as import has found it.
-const layoutOf = ({given: {time, table: rows}}) => ({...(time && {time}), ...(rows && {table: rows})});
+// Where timestamps and rows are in the files of an arm, as far as import has identified them.
+const layoutOf = ({proposal: {time, table: rows}}) => ({...(time && {time}), ...(rows && {table: rows})});
 
 /** Source and unit of one signal, with a preview. */
 class Signal {
@@ -106,46 +106,47 @@ class Signal {
    * @param {number | null} proposed index of its stream
    */
   constructor(page, signal, arm, proposed) {
-    const {streams, units} = page.found, pose = signal === OBJECT_POSE;
+    const {streams, units} = page.description, pose = signal === OBJECT_POSE;
     this.page = page;
     this.arm = arm;
     this.name = signal.name;
     this.requests = new LatestRequest();
-    this.prismatic = pose ? [] : arm.given.slides; // by joint
-    const what = pose ? signal.text : `${signal.text}${arm.label}`;
+    this.prismatic = pose ? [] : arm.proposal.slides; // by joint
+    const title = pose ? signal.text : `${signal.text}${arm.label}`;
     this.source = h('select', {'data-signal': signal.name}, signal.optional ? new Option('not recorded', '') : '',
       ...streams.flatMap((stream, index) => stream.pose === pose ? [new Option(stream.label, String(index))] : []));
     this.source.value = String(proposed ?? (signal.optional ? '' : this.source.options[0]?.value ?? ''));
     const [turning, sliding] = units[signal.name];
     this.slidingUnit = sliding[0]; // SI
-    const turns = pose || this.prismatic.some((one) => !one) || !this.prismatic.length;
-    const unitList = (motion, all) => ({motion, select: h('select', {}, ...all.map((one) => new Option(one, one)))});
+    const turns = pose || this.prismatic.some((slides) => !slides) || !this.prismatic.length;
+    const unitList = (motion, all) => ({motion, select: h('select', {}, ...all.map((unit) => new Option(unit, unit)))});
     this.units = [...(turns ? [unitList('turn', turning)] : []),
       ...(this.prismatic.some(Boolean) ? [unitList('slide', sliding)] : [])];
     for (const {select} of this.units) {
-      for (const unit of [arm.given.units[signal.name]].flat()) {
-        if ([...select.options].some((one) => one.value === unit)) select.value = unit;
+      for (const unit of [arm.proposal.units[signal.name]].flat()) {
+        if ([...select.options].some((option) => option.value === unit)) select.value = unit;
       }
     }
-    this.plot = plotPlace(`preview of ${what}`);
+    this.plot = plotPlace(`preview of ${title}`);
     this.line = h('p', {class: 'note', 'aria-live': 'polite'});
     // All signals of an arm have the clock of its joint positions.
-    const changed = () => { for (const one of this.name === 'position' ? arm.signals : [this]) one.show(); };
-    for (const control of [this.source, ...this.units.map((one) => one.select)]) {
+    const changed = () => { for (const item of this.name === 'position' ? arm.signals : [this]) item.show(); };
+    for (const control of [this.source, ...this.units.map((list) => list.select)]) {
       control.addEventListener('change', changed);
     }
     const mixed = this.units.length > 1;
     const lists = this.units.map(({motion, select}) => labelled(mixed ? `unit, ${MOTIONS[motion]}` : 'unit', select));
     this.node = h('div', {'data-lab-signal': signal.name},
-      h('div', {class: `fields ${mixed ? 'mixed' : ''}`}, labelled(what, this.source), ...lists), this.line, this.plot);
+      h('div', {class: `fields ${mixed ? 'mixed' : ''}`}, labelled(title, this.source), ...lists),
+      this.line, this.plot);
   }
 
   /** Stream and unit as a mapping has them; null: not recorded. */
   value() {
     if (this.source.value === '') return null;
-    const unitOf = (motion) => (this.units.find((one) => one.motion === motion) ?? this.units[0]).select.value;
-    return {...this.page.found.streams[this.source.value].source, unit: this.units.length > 1 ?
-      this.prismatic.map((one) => unitOf(one ? 'slide' : 'turn')) : this.units[0].select.value};
+    const unitOf = (motion) => (this.units.find((list) => list.motion === motion) ?? this.units[0]).select.value;
+    return {...this.page.description.streams[this.source.value].source, unit: this.units.length > 1 ?
+      this.prismatic.map((slides) => unitOf(slides ? 'slide' : 'turn')) : this.units[0].select.value};
   }
 
   clear(text, kind) {
@@ -158,14 +159,16 @@ class Signal {
     const turn = this.requests.begin(), {page, arm} = this, source = this.value();
     if (!source) { this.clear('', 'note'); return; }
     try {
-      const seen = await turn.ask('/api/laboratory/preview', {path: page.found.path, scenario: page.scenario.value,
+      const preview = await turn.ask('/api/laboratory/preview', {path: page.description.path,
+        scenario: page.scenario.value,
         arm: arm.name, signal: this.name, source, position: arm.signals[0]?.value() ?? source, joints: arm.joints(),
         command_includes_gravity: arm.gravity.checked, ...layoutOf(arm)});
-      const ranges = seen.ranges.map((one) => `from ${number(one.low)} to ${number(one.high)} ${one.unit}`).join(', ');
-      this.line.className = seen.wrong ? 'error' : 'note';
-      this.line.textContent = seen.wrong ||
-        `${seen.place}; ${seen.samples} samples at ${number(seen.rate)} Hz; ${ranges}`;
-      await draw(this.plot, this.figure(seen));
+      const ranges = preview.ranges.map(({low, high, unit}) => `from ${number(low)} to ${number(high)} ${unit}`)
+        .join(', ');
+      this.line.className = preview.wrong ? 'error' : 'note';
+      this.line.textContent = preview.wrong ||
+        `${preview.place}; ${preview.samples} samples at ${number(preview.rate)} Hz; ${ranges}`;
+      await draw(this.plot, this.figure(preview));
     } catch (error) { this.clear(error.message, 'error'); }
   }
 
@@ -176,38 +179,40 @@ class Signal {
       hovertemplate: `%{y:.4g} ${unit}`, ...(unit === second ? {yaxis: 'y2'} : {})});
     const right = {title: {text: second}, overlaying: 'y', side: 'right', tickmode: 'auto', showgrid: false};
     const layout = {height: 170, margin: {l: 50, r: second ? 50 : 10, t: 6, b: 34}, showlegend: false,
-      xaxis: {title: {text: 'time [s]'}}, yaxis: {title: {text: ranges.find((one) => one.unit !== second).unit}}};
+      xaxis: {title: {text: 'time [s]'}}, yaxis: {title: {text: ranges.find((range) => range.unit !== second).unit}}};
     return {data: columns.map(trace), layout: second ? {...layout, yaxis2: right} : layout};
   }
 }
 
 /** Joints, signals and gravity of one arm; with a heading where there are several. */
 class Arm {
-  /** @param {DescribePart} page @param {string} name @param {any} given what import has found */
-  constructor(page, name, given) {
-    const several = Object.keys(page.found.arms).length > 1;
-    const named = page.found.streams.some((stream) => stream.joints.length);
+  /** @param {DescribePart} page @param {string} name @param {any} proposal of import */
+  constructor(page, name, proposal) {
+    const several = Object.keys(page.description.arms).length > 1;
+    const named = page.description.streams.some((stream) => stream.joints.length);
     this.name = name;
-    this.given = given;
+    this.proposal = proposal;
     this.label = several ? ` of ${name}` : '';
     /** @type {Signal[]} */
     this.signals = [];
     this.names = h('textarea', {class: 'names', rows: several ? 3 : 2,
-      onchange: () => { for (const one of this.signals) one.show(); }}, given.joints.join(', '));
+      onchange: () => { for (const item of this.signals) item.show(); }}, proposal.joints.join(', '));
     this.gravity = h('input', {type: 'checkbox', checked: true, onchange: () => this.signals.at(-1).show()});
-    this.signals = ARM_SIGNALS.map((signal) => new Signal(page, signal, this, given.signals[signal.name]));
-    this.node = h('section', {'data-lab-arm': name}, several ? h('h3', {}, `Arm ${name}, ${given.robot}`) : '',
-      given.said.length ?
-        h('details', {'data-lab-said': name}, h('summary', {}, 'Evidence'), ...given.said.map((one) => note(one))) : '',
-      named ? labelled(`joints in order, base to tip (${given.slides.length} of ${given.robot})`, this.names) : '',
-      ...this.signals.map((one) => one.node),
+    this.signals = ARM_SIGNALS.map((signal) => new Signal(page, signal, this, proposal.signals[signal.name]));
+    this.node = h('section', {'data-lab-arm': name}, several ? h('h3', {}, `Arm ${name}, ${proposal.robot}`) : '',
+      proposal.said.length ?
+        h('details', {'data-lab-said': name}, h('summary', {}, 'Evidence'),
+          ...proposal.said.map((line) => note(line))) : '',
+      named ?
+        labelled(`joints in order, base to tip (${proposal.slides.length} of ${proposal.robot})`, this.names) : '',
+      ...this.signals.map((signal) => signal.node),
       h('label', {class: 'tick'}, this.gravity, ' the commanded torque includes gravity compensation'));
   }
 
   joints() { return this.names.value.split(/[\s,]+/).filter(Boolean); }
 
   described() {
-    const signals = this.signals.map((one) => [one.name, one.value()]).filter(([, value]) => value);
+    const signals = this.signals.map((signal) => [signal.name, signal.value()]).filter(([, value]) => value);
     return {joints: this.joints(), command_includes_gravity: this.gravity.checked, signals: Object.fromEntries(signals),
       ...layoutOf(this)};
   }
@@ -234,30 +239,30 @@ class DescribePart {
   }
 
   update() {
-    const found = state.workspace.laboratories;
-    this.none.hidden = found.length > 0;
-    this.fields.hidden = !found.length;
-    const first = found.find((lab) => !lab.experiment)?.path;
-    const choices = found.map(({path, experiment}) => ({value: path,
+    const labs = state.workspace.laboratories;
+    this.none.hidden = labs.length > 0;
+    this.fields.hidden = !labs.length;
+    const first = labs.find((lab) => !lab.experiment)?.path;
+    const choices = labs.map(({path, experiment}) => ({value: path,
       text: `${path}${experiment ? ' (described)' : ''}`}));
     fill(this.folder, choices, this.wanted ?? (this.folder.value || first));
     this.wanted = null;
     fill(this.scenario, plain(state.workspace.scenarios), this.scenario.value || 'push');
     if (this.folder.value && this.folder.value !== this.looked) this.look();
-    else if (this.offered && this.offered === this.looked && !this.found.table) this.addRows();
+    else if (this.offered && this.offered === this.looked && !this.description.table) this.addRows();
   }
 
   // Recordings that have come since; what is filled in stays.
   addRows() {
-    const there = new Set([...this.rows.children].map((row) => row.getAttribute('data-recording')));
-    const lab = state.workspace.laboratories.find((one) => one.path === this.looked);
-    for (const name of lab?.recordings ?? []) if (!there.has(name)) this.rows.append(this.row(name));
+    const listed = new Set([...this.rows.children].map((row) => row.getAttribute('data-recording')));
+    const lab = state.workspace.laboratories.find((lab) => lab.path === this.looked);
+    for (const name of lab?.recordings ?? []) if (!listed.has(name)) this.rows.append(this.row(name));
   }
 
   async look() {
     const folder = this.looked = this.folder.value, name = this.scenario.value,
       turn = this.turn = this.requests.begin();
-    const lab = () => state.workspace.laboratories.find((one) => one.path === folder);
+    const lab = () => state.workspace.laboratories.find((lab) => lab.path === folder);
     says('laboratory/laboratory', `${folder} is shown.`);
     this.offered = null;
     this.message.show();
@@ -265,11 +270,11 @@ class DescribePart {
     const before = lab();
     if (before.error) this.message.error(new Error(before.error));
     try {
-      const [found, {objects}] = await Promise.all([
+      const [description, {objects}] = await Promise.all([
         turn.ask(`/api/laboratory?${query({path: folder, scenario: name})}`),
         turn.ask(`/api/scenario?${query({name})}`),
       ]);
-      this.found = found;
+      this.description = description;
       this.objects = objects;
       this.offered = folder;
       this.show((lab() ?? before).recordings); // recordings may have come meanwhile
@@ -281,36 +286,36 @@ class DescribePart {
 
   /** @param {string[]} recordings */
   show(recordings) {
-    const {found} = this, {table: own} = found;
-    this.arms = Object.entries(found.arms).map(([name, given]) => new Arm(this, name, given));
-    this.pose = new Signal(this, OBJECT_POSE, this.arms[0], found.object_pose);
+    const {description} = this, {table: runTable} = description;
+    this.arms = Object.entries(description.arms).map(([name, proposal]) => new Arm(this, name, proposal));
+    this.pose = new Signal(this, OBJECT_POSE, this.arms[0], description.object_pose);
     this.world = h('input', {type: 'checkbox', id: 'lab-world'});
-    const rows = own ? own.rows.map(({bag, object, kind, condition}) => [bag, object, kind, condition]) :
+    const rows = runTable ? runTable.rows.map(({bag, object, kind, condition}) => [bag, object, kind, condition]) :
       recordings.map((name) => this.row(name));
     const runs = table({}, ['recording', 'object', 'kind', 'condition'], rows);
     this.rows = runs.querySelector('tbody');
-    const source = !own ? '' : own.error ? h('p', {class: 'error'}, own.error) :
-      note(`From ${own.name} of the folder; change it in an editor.`, {id: 'lab-table'});
-    this.body.replaceChildren(h('h3', {}, `Signals of ${found.recording}`),
+    const source = !runTable ? '' : runTable.error ? h('p', {class: 'error'}, runTable.error) :
+      note(`From ${runTable.name} of the folder; change it in an editor.`, {id: 'lab-table'});
+    this.body.replaceChildren(h('h3', {}, `Signals of ${description.recording}`),
       note('Choose the source and the unit of each signal, and check its plot: are the numbers right?'),
-      h('div', {class: this.arms.length > 1 ? 'arms' : ''}, ...this.arms.map((one) => one.node)), this.pose.node,
+      h('div', {class: this.arms.length > 1 ? 'arms' : ''}, ...this.arms.map((arm) => arm.node)), this.pose.node,
       h('label', {class: 'tick'}, this.world,
         ' the world frame of the tracker differs from that of the robot: estimate it from the contact in the hits'),
       h('h3', {}, 'Runs'), source, runs,
       h('div', {class: 'actions'},
         button('Write experiment.yaml and mapping', () => this.keep(), {class: 'primary', id: 'lab-save'})));
-    for (const one of [...this.arms.flatMap((arm) => arm.signals), this.pose]) one.show();
+    for (const signal of [...this.arms.flatMap((arm) => arm.signals), this.pose]) signal.show();
   }
 
   /** One row of the table of runs; object and kind are guessed from the name. @param {string} recording */
   row(recording) {
-    const names = Object.entries(this.objects).map(([value, one]) => new Option(one.label, value));
+    const names = Object.entries(this.objects).map(([value, entry]) => new Option(entry.label, value));
     const object = h('select', {'aria-label': `object of ${recording}`}, ...names);
     const kind = h('select', {'aria-label': `kind of ${recording}`}, ...['hit',
-      'free motion'].map((one) => new Option(one, one)),
+      'free motion'].map((entry) => new Option(entry, entry)),
       new Option('leave out', ''));
     const condition = h('input', {'aria-label': `condition of ${recording}`, value: 'case_1'});
-    object.value = Object.keys(this.objects).find((one) => recording.includes(one)) ?? object.options[0].value;
+    object.value = Object.keys(this.objects).find((entry) => recording.includes(entry)) ?? object.options[0].value;
     if (/free|excite/i.test(recording)) kind.value = 'free motion';
     const enable = () => { object.disabled = kind.value !== 'hit'; };
     kind.addEventListener('change', enable);
@@ -321,7 +326,7 @@ class DescribePart {
 
   // Rows of the table of runs that are not left out; null: the folder has its own.
   runs() {
-    if (this.found.table) return null;
+    if (this.description.table) return null;
     return [...this.rows.children].map((row) => {
       const [object, kind] = row.querySelectorAll('select');
       return {bag: row.getAttribute('data-recording'), object: kind.value === 'hit' ? object.value : 'none',

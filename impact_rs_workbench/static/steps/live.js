@@ -40,7 +40,7 @@ export function watchable(job) {
 export function watchJob(job) {
   const folder = inFolder(job.writes[0] ?? '');
   go('measure', watchable(job) ?? 'recorded');
-  recorded.wanted = state.workspace.campaigns.find((one) => `${one.path}/`.startsWith(`${folder}/`))?.path;
+  recorded.wanted = state.workspace.campaigns.find((campaign) => `${campaign.path}/`.startsWith(`${folder}/`))?.path;
   recorded.update();
 }
 
@@ -68,7 +68,7 @@ class Samples {
     };
     if (velocities) put('velocity', velocities);
     if (forces) put('force', forces.map((force) => Math.hypot(...force)));
-    const drop = this.time.findIndex((one) => one >= now - WINDOW);
+    const drop = this.time.findIndex((sampled) => sampled >= now - WINDOW);
     if (drop > 0) for (const row of [this.time, ...Object.values(this.values).flat()]) row.splice(0, drop);
   }
 
@@ -76,16 +76,16 @@ class Samples {
   of(row) { return this.time.slice(this.time.length - row.length); }
 }
 
-const moving = (scene) => scene.joints.filter((one) => one.column !== undefined).sort((a, b) => a.column - b.column);
+const moving = (scene) => scene.joints.filter(({column}) => column !== undefined).sort((a, b) => a.column - b.column);
 
 function speedUnit(types) {
   if (!types.includes('prismatic')) return 'rad/s';
-  return types.every((one) => one === 'prismatic') ? 'm/s' : 'rad/s, m/s';
+  return types.every((type) => type === 'prismatic') ? 'm/s' : 'rad/s, m/s';
 }
 
 const SIGNALS = {
-  velocity: {title: 'Joint velocities', unit: (scene) => speedUnit(moving(scene).map((one) => one.type)),
-    names: (scene) => moving(scene).map((one) => one.child)},
+  velocity: {title: 'Joint velocities', unit: (scene) => speedUnit(moving(scene).map((joint) => joint.type)),
+    names: (scene) => moving(scene).map((joint) => joint.child)},
   force: {title: 'Force on the object', unit: () => 'N', names: (scene) => scene.arms},
 };
 
@@ -141,7 +141,7 @@ class LivePart {
       this.place.replaceChildren();
       const watched = this.watched = watch(address, this.place, {
         status: (text) => { this.status.textContent = text; },
-        followed: (found) => showFollowed(this.followed, found),
+        followed: (messages) => showFollowed(this.followed, messages),
         lost: (lost) => { if (lost && watched.events.readyState === EventSource.CLOSED) this.refused(address, turn); },
         scene: (scene) => { this.scene = scene; this.samples.clear(); },
         state: (newest) => { if (this.scene) { this.samples.add(newest); this.paint(); } },
@@ -181,7 +181,7 @@ class LivePart {
 
   // A running job sets the namespace of its nodes; trials inside a command are shown when they are done.
   jobs() {
-    const job = state.jobs.find((one) => one.ended === null && TRIALS.includes(one.arguments[0]));
+    const job = state.jobs.find((job) => job.ended === null && TRIALS.includes(job.arguments[0]));
     const nodes = job && byNodes(job), namespace = job && (optionOf(job, '--namespace') ?? '');
     if (nodes && !this.typed && this.namespace.value !== namespace) {
       this.namespace.value = namespace;

@@ -42,9 +42,9 @@ class HitScene {
 
   /** @param {ReturnType<typeof scenarioForm>} form */
   async show(form) {
-    const one = (kind) => form.has(`${kind}s`) ? form.value(`${kind}s`)[0] : form.value(kind);
-    const question = {scenario: form.value('scenario'), object: one('object'), case: one('case')};
-    if (!form.found || !question.object || !question.case || JSON.stringify(question) === this.shown) return;
+    const firstOf = (kind) => form.has(`${kind}s`) ? form.value(`${kind}s`)[0] : form.value(kind);
+    const question = {scenario: form.value('scenario'), object: firstOf('object'), case: firstOf('case')};
+    if (!form.chosenScenario || !question.object || !question.case || JSON.stringify(question) === this.shown) return;
     this.shown = JSON.stringify(question);
     const turn = this.requests.begin();
     try {
@@ -65,14 +65,14 @@ class CampaignPart {
 
   build() {
     this.form = scenarioForm('campaign', 'Start the campaign', {offers: ['objects', 'cases', 'scales'],
-      suggest: {trials: () => 2, output: () => `campaigns/${this.name()}`}, offer: (found, only, form) => {
+      suggest: {trials: () => 2, output: () => `campaigns/${this.name()}`}, offer: (scenario, only, form) => {
         const chosen = (entries, wanted) => listed(entries)
-          .map((one, index) => ({...one, on: wanted ? one.value === wanted : index === 0}));
+          .map((choice, index) => ({...choice, on: wanted ? choice.value === wanted : index === 0}));
         this.only = only.object ?? '';
-        form.offer('objects', chosen(objectsOf(found), only.object));
-        form.offer('cases', chosen(casesOf(found), only.case));
+        form.offer('objects', chosen(objectsOf(scenario), only.object));
+        form.offer('cases', chosen(casesOf(scenario), only.case));
         // All of them: an estimate needs several.
-        form.offer('scales', found.scales.map((scale) => ({value: scale, text: `${scale}`, on: true})));
+        form.offer('scales', scenario.scales.map((scale) => ({value: scale, text: `${scale}`, on: true})));
         this.count();
         this.offered();
       }});
@@ -86,9 +86,9 @@ class CampaignPart {
   // The number of trials, and whether an analysis needs more.
   count() {
     const [objects, cases, scales] = ['objects', 'cases', 'scales'].map((name) => this.form.value(name).length);
-    const {found} = this.form, trials = this.form.value('trials') ?? found?.trials;
+    const {chosenScenario: scenario} = this.form, trials = this.form.value('trials') ?? scenario?.trials;
     const total = objects * cases * scales * trials;
-    const few = found?.hits && total && (scales < 2 || scales * trials < 3);
+    const few = scenario?.hits && total && (scales < 2 || scales * trials < 3);
     this.counted.textContent = !total ? '' : few ? `${count(total, 'trial')}. ${TOO_FEW}` : `${count(total, 'trial')}.`;
   }
 
@@ -105,10 +105,10 @@ class TrialPart {
   build() {
     this.form = scenarioForm('trial', 'Run the trial', {offers: ['object', 'case'],
       suggest: {output: () => free((many) => many === 1 ? 'trials' : `trials_${many}`, this.taken())},
-      offer: (found, _, form) => {
-        form.control('scale').max = found.largest_scale;
-        form.offer('object', listed(objectsOf(found)));
-        form.offer('case', listed(casesOf(found)));
+      offer: (scenario, _, form) => {
+        form.control('scale').max = scenario.largest_scale;
+        form.offer('object', listed(objectsOf(scenario)));
+        form.offer('case', listed(casesOf(scenario)));
         this.offered();
       }});
     this.view = new TrialView('trial');
@@ -119,7 +119,7 @@ class TrialPart {
   taken() {
     const {campaigns = [], laboratories = []} = state.workspace ?? {};
     const name = trialName(this.form.value('object'), this.form.value('case'), this.form.value('scale'));
-    const others = campaigns.filter((one) => one.scenario || one.error || one.loose.includes(name));
+    const others = campaigns.filter((campaign) => campaign.scenario || campaign.error || campaign.loose.includes(name));
     return [...others, ...laboratories].map(({path}) => path);
   }
 
@@ -128,11 +128,11 @@ class TrialPart {
   // The newest single trial, in 3D and over time.
   showNewest() {
     this.view.node.hidden = !inSight('measure', 'trial');
-    const job = state.jobs.find((one) => one.arguments[0] === 'trial' && one.ended !== null && one.exit_code < 2);
+    const job = state.jobs.find((job) => job.arguments[0] === 'trial' && job.ended !== null && job.exit_code < 2);
     if (!job || job.number === this.shown || this.view.node.hidden || !state.workspace) return;
     const [, , object, case_, ...flags] = job.arguments, folder = inFolder(job.writes[0]);
     const trial = trialName(object, case_, Number(flags.includes('--scale') ? flags[flags.indexOf('--scale') + 1] : 1));
-    if (!state.workspace.campaigns.some((one) => one.path === folder)) return;
+    if (!state.workspace.campaigns.some((campaign) => campaign.path === folder)) return;
     this.shown = job.number;
     says('measure/trial', `${trial.replaceAll('__', ' ')}, in ${folder}.`);
     this.view.open({path: `${folder}/${trial}`});
@@ -159,11 +159,11 @@ class PracticePart {
 
   update() {
     this.form.update();
-    const found = state.workspace.blinds;
-    if (JSON.stringify(found) === this.listed) return;
-    this.listed = JSON.stringify(found);
-    const heading = found.length ? [h('h3', {}, 'Practice campaigns')] : [];
-    this.made.replaceChildren(...heading, ...found.map((path) => this.row(path)));
+    const campaigns = state.workspace.blinds;
+    if (JSON.stringify(campaigns) === this.listed) return;
+    this.listed = JSON.stringify(campaigns);
+    const heading = campaigns.length ? [h('h3', {}, 'Practice campaigns')] : [];
+    this.made.replaceChildren(...heading, ...campaigns.map((path) => this.row(path)));
   }
 
   /** @param {string} path */

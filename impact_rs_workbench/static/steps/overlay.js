@@ -20,7 +20,7 @@ const INK = '#000000', NAMED = '#009E73', NOT_NAMED = '#777777';
 
 // ---- choices, which the server keeps ------------------------------------------------------------------------------
 
-let kept = null; // what was chosen before, asked for once
+let savedChoices = null; // what was chosen before, asked for once
 
 /**
  * Keeps the newest value of one list: posts go one after the other, so that none overtakes a later one. A value that
@@ -85,33 +85,33 @@ class Choice {
   async offer(all) {
     if (JSON.stringify(all) === JSON.stringify(this.all)) return;
     this.all = all;
-    kept ??= ask('/api/choices').catch(() => ({}));
-    const own = (await kept)[this.name];
+    savedChoices ??= ask('/api/choices').catch(() => ({}));
+    const saved = (await savedChoices)[this.name];
     if (this.all !== all) return; // there are others meanwhile
-    if (own && !this.touched) {
+    if (saved && !this.touched) {
       this.touched = true;
-      this.chosen = new Set(own.chosen);
-      this.pinned = new Set(own.pinned);
+      this.chosen = new Set(saved.chosen);
+      this.pinned = new Set(saved.pinned);
     }
     for (const set of [this.chosen, this.pinned]) {
-      for (const key of set) if (!all.some((one) => one.key === key)) set.delete(key);
+      for (const key of set) if (!all.some((entry) => entry.key === key)) set.delete(key);
     }
     const first = [...all].sort((a, b) => (a.last ?? 0) - (b.last ?? 0));
-    if (!this.touched && !this.chosen.size) for (const one of first.slice(0, FIRST)) this.chosen.add(one.key);
+    if (!this.touched && !this.chosen.size) for (const {key} of first.slice(0, FIRST)) this.chosen.add(key);
     this.show();
     this.drawn();
   }
 
   // In the order of the list, the pinned ones first.
   selected() {
-    const own = this.all.filter((one) => this.chosen.has(one.key)), pinned = (one) => this.pinned.has(one.key);
-    return [...own.filter(pinned), ...own.filter((one) => !pinned(one))];
+    const chosen = this.all.filter(({key}) => this.chosen.has(key)), pinned = ({key}) => this.pinned.has(key);
+    return [...chosen.filter(pinned), ...chosen.filter((entry) => !pinned(entry))];
   }
 
   // Entries that contain every word of the filter.
   fitting() {
     const words = this.filter.value.toLowerCase().split(/\s+/).filter(Boolean);
-    return this.all.filter((one) => words.every((word) => one.text.toLowerCase().includes(word)));
+    return this.all.filter((entry) => words.every((word) => entry.text.toLowerCase().includes(word)));
   }
 
   /** @param {Entry} entry */
@@ -132,10 +132,10 @@ class Choice {
   }
 
   show() {
-    const pinned = (one) => this.pinned.has(one.key);
-    const shown = [...this.all.filter(pinned), ...this.fitting().filter((one) => !pinned(one))];
+    const pinned = (entry) => this.pinned.has(entry.key);
+    const shown = [...this.all.filter(pinned), ...this.fitting().filter((entry) => !pinned(entry))];
     const quiet = (text) => h('li', {class: 'quiet'}, text);
-    this.list.replaceChildren(...shown.slice(0, MOST).map((one) => this.row(one)),
+    this.list.replaceChildren(...shown.slice(0, MOST).map((entry) => this.row(entry)),
       ...(shown.length > MOST ? [quiet(`${shown.length - MOST} more: type into the filter`)] : []),
       ...(shown.length ? [] : [quiet('none')]));
   }
@@ -184,17 +184,17 @@ class RunsPart {
   }
 
   async update() {
-    const campaigns = state.workspace.campaigns.filter((one) => one.present && !one.error);
-    const key = campaigns.map((one) => `${one.path} ${one.present}`).join();
+    const campaigns = state.workspace.campaigns.filter((campaign) => campaign.present && !campaign.error);
+    const key = campaigns.map((campaign) => `${campaign.path} ${campaign.present}`).join();
     if (key === this.key) return;
     this.key = key;
     const turn = this.lists.begin();
     const entry = (path, name) => ({key: `${path}/${name}`, text: `${path}: ${name.replaceAll('__', ' ')}`,
       last: name.startsWith('none__') ? 1 : 0}); // free motion
     try {
-      const found = await Promise.all(campaigns.map(async ({path}) =>
+      const entries = await Promise.all(campaigns.map(async ({path}) =>
         (await turn.ask(`/api/trials?${query({path})}`)).map((name) => entry(path, name))));
-      this.choice.offer(found.flat());
+      this.choice.offer(entries.flat());
     } catch (error) { this.note.replaceChildren(mistake(error)); }
   }
 
@@ -203,20 +203,20 @@ class RunsPart {
     this.note.textContent = chosen.length ? `Reading ${count(chosen.length, 'run')} …` : '';
     const read = ({key: path}) => this.known.of(path, () => ask(`/api/trial?${query({path})}`));
     try {
-      const found = await turn.of(Promise.all(chosen.map(read))), curves = found.map(curvesOf);
-      fill(this.signal, plain([...new Set(curves.flatMap((one) => Object.keys(one)))]));
+      const trials = await turn.of(Promise.all(chosen.map(read))), curves = trials.map(curvesOf);
+      fill(this.signal, plain([...new Set(curves.flatMap((curve) => Object.keys(curve)))]));
       const name = this.signal.value, data = [];
       chosen.forEach((entry, index) => {
-        const curve = curves[index][name], zero = found[index].replay.runs[0].impact ?? 0;
+        const curve = curves[index][name], zero = trials[index].replay.runs[0].impact ?? 0;
         if (curve) {
           data.push({x: Array.from(curve.x, (time) => time - zero), y: curve.y, name: entry.text, mode: 'lines',
             line: this.choice.lineOf(index, entry), hovertemplate: '%{y:.4g}'});
         }
       });
       this.note.textContent = chosen.length ? 'Impacts are at time 0.' : 'Choose runs from the list.';
-      const axis = curves.map((one) => one[name]?.axis).find(Boolean) ?? '';
+      const axis = curves.map((curve) => curve[name]?.axis).find(Boolean) ?? '';
       await drawOverlay(this.plot, data, 'time since the impact [s]', `${name} ${axis}`);
-      this.plot.dataset.shown = chosen.map((one) => one.key).join();
+      this.plot.dataset.shown = chosen.map((entry) => entry.key).join();
     } catch (error) { this.note.replaceChildren(mistake(error)); }
   }
 }
@@ -238,8 +238,8 @@ class ModelsPart {
   }
 
   update() {
-    const found = state.workspace.reports.filter((path) => path.endsWith('compare.html'));
-    this.choice.offer(found.map((path) => ({key: path, stamp: state.workspace.stamps[path], text: folderOf(path)})));
+    const pages = state.workspace.reports.filter((path) => path.endsWith('compare.html'));
+    this.choice.offer(pages.map((path) => ({key: path, stamp: state.workspace.stamps[path], text: folderOf(path)})));
   }
 
   /** @param {string} path */
@@ -254,27 +254,27 @@ class ModelsPart {
     /** @param {Entry} entry */
     const read = ({key, stamp}) => this.known.of(`${key}?${stamp}`, () => this.read(key));
     try {
-      const found = await turn.of(Promise.all(chosen.map(read)));
-      fill(this.run, plain([...new Set(found.flatMap((one) => one.sets.map((set) => set.label)))]));
-      const sets = found.map((one) => one.sets.find((set) => set.label === this.run.value));
-      fill(this.signal, plain([...new Set(sets.flatMap((set) => set?.signals.map((one) => one.name) ?? []))]));
-      const name = this.signal.value, signals = sets.map((set) => set?.signals.find((one) => one.name === name));
+      const comparisons = await turn.of(Promise.all(chosen.map(read)));
+      fill(this.run, plain([...new Set(comparisons.flatMap((item) => item.sets.map((set) => set.label)))]));
+      const sets = comparisons.map((item) => item.sets.find((set) => set.label === this.run.value));
+      fill(this.signal, plain([...new Set(sets.flatMap((set) => set?.signals.map((signal) => signal.name) ?? []))]));
+      const name = this.signal.value, signals = sets.map((set) => set?.signals.find((signal) => signal.name === name));
       const data = [];
-      chosen.forEach((entry, index) => {
+      chosen.forEach((item, index) => {
         const signal = signals[index];
         if (!signal) return;
         const x = floats(sets[index].time), curve = (values, title, line) =>
           data.push({x, y: floats(values), name: title, mode: 'lines', line});
         if (!data.length) curve(signal.measured, 'measured', {color: INK, width: 2});
-        const line = {...this.choice.lineOf(index, entry), dash: 'dash'};
-        curve(signal.predicted, `${found[index].model} (${entry.text})`, line);
+        const line = {...this.choice.lineOf(index, item), dash: 'dash'};
+        curve(signal.predicted, `${comparisons[index].model} (${item.text})`, line);
       });
       const scores = chosen.map(({text}, index) =>
-        [found[index].model, text, number(found[index].score), number(found[index].floor)]);
+        [comparisons[index].model, text, number(comparisons[index].score), number(comparisons[index].floor)]);
       this.note.replaceChildren(chosen.length ? table({}, ['model', 'comparison', 'score', 'noise'], scores, 2) :
         note('Compare models with measurements first; each comparison appears in the list.'));
       await drawOverlay(this.plot, data, 'time [s]', withUnit(name, signals.findLast(Boolean)?.unit));
-      this.plot.dataset.shown = chosen.map((one) => one.text).join();
+      this.plot.dataset.shown = chosen.map((item) => item.text).join();
     } catch (error) { this.note.replaceChildren(mistake(error)); }
   }
 }
@@ -286,10 +286,10 @@ const MARGIN_SHARE = 0.08; // of the time between the first and the last
 
 // Estimates with their intervals as a trace.
 const estimatesTrace = (rows, name, color, symbol) => ({
-  x: rows.map((one) => new Date(1000 * one.when)), y: rows.map((one) => one.estimate), name, mode: 'markers',
-  marker: {color, size: 11, symbol}, text: rows.map((one) => `${one.diagnosis}<br>${one.model}: ${one.verdict}`),
-  error_y: {type: 'data', symmetric: false, array: rows.map((one) => (one.high ?? one.estimate) - one.estimate),
-    arrayminus: rows.map((one) => one.estimate - (one.low ?? one.estimate)), color, thickness: 2},
+  x: rows.map((row) => new Date(1000 * row.when)), y: rows.map((row) => row.estimate), name, mode: 'markers',
+  marker: {color, size: 11, symbol}, text: rows.map((row) => `${row.diagnosis}<br>${row.model}: ${row.verdict}`),
+  error_y: {type: 'data', symmetric: false, array: rows.map((row) => (row.high ?? row.estimate) - row.estimate),
+    arrayminus: rows.map((row) => row.estimate - (row.low ?? row.estimate)), color, thickness: 2},
   hovertemplate: '%{y:.4g}<br>%{text}<extra></extra>'});
 
 /** The estimates of one parameter, diagnosis after diagnosis. @implements {Step} */
@@ -297,7 +297,7 @@ class EstimatesPart {
   build() {
     this.requests = new LatestRequest();
     /** @type {any[] | null} */
-    this.found = null;
+    this.estimates = null;
     this.parameter = h('select', {id: 'overlay-parameter', onchange: () => this.draw()});
     this.label = labelled('parameter', this.parameter);
     this.plot = plotPlace('Estimates of a parameter', {id: 'overlay-estimates'});
@@ -306,18 +306,18 @@ class EstimatesPart {
   }
 
   async update() {
-    const key = JSON.stringify(state.workspace.diagnoses.map((one) => [one.path, state.workspace.stamps[one.path]]));
+    const {diagnoses, stamps} = state.workspace, key = JSON.stringify(diagnoses.map(({path}) => [path, stamps[path]]));
     if (key === this.key) return;
     this.key = key;
-    if (!this.found) {
+    if (!this.estimates) {
       this.label.hidden = true;
       this.note.textContent = 'Reading the diagnoses and the times of their trials …';
     }
     try {
-      this.found = await this.requests.begin().ask('/api/estimates');
-      const many = (name) => this.found.filter((one) => one.parameter === name).length;
-      const named = new Set(this.found.filter((one) => one.named).map((one) => one.parameter));
-      const names = [...new Set(this.found.map((one) => one.parameter))]
+      this.estimates = await this.requests.begin().ask('/api/estimates');
+      const many = (name) => this.estimates.filter((entry) => entry.parameter === name).length;
+      const named = new Set(this.estimates.filter((entry) => entry.named).map((entry) => entry.parameter));
+      const names = [...new Set(this.estimates.map((entry) => entry.parameter))]
         .sort((a, b) => Number(named.has(b)) - Number(named.has(a)) || many(b) - many(a));
       fill(this.parameter, names.map((name) => ({value: name, text: `${name} (${many(name)})`})));
       this.label.hidden = !names.length;
@@ -326,20 +326,20 @@ class EstimatesPart {
   }
 
   async draw() {
-    const name = this.parameter.value, own = this.found.filter((one) => one.parameter === name);
-    const named = own.filter((one) => one.named), others = own.filter((one) => !one.named);
+    const name = this.parameter.value, points = this.estimates.filter((entry) => entry.parameter === name);
+    const named = points.filter((estimate) => estimate.named), unnamed = points.filter((estimate) => !estimate.named);
     const data = [estimatesTrace(named, 'named', NAMED, 'circle'),
-      estimatesTrace(others, 'not named', NOT_NAMED, 'circle-open')].filter((one) => one.x.length);
-    const times = own.map((one) => 1000 * one.when), first = Math.min(...times), last = Math.max(...times);
+      estimatesTrace(unnamed, 'not named', NOT_NAMED, 'circle-open')].filter((trace) => trace.x.length);
+    const times = points.map((estimate) => 1000 * estimate.when), first = Math.min(...times), last = Math.max(...times);
     const margin = Math.max(SHORTEST_MARGIN, MARGIN_SHARE * (last - first));
-    const unknown = own.filter((one) => !one.measured).length;
-    const many = count(own.length, 'diagnosis', 'diagnoses');
+    const unknown = points.filter((estimate) => !estimate.measured).length;
+    const many = count(points.length, 'diagnosis', 'diagnoses');
     this.note.textContent = `${many}, each at the time of its last trial; bars are 95 % intervals.` +
       (unknown ? ` For ${unknown} of them this time is unknown, and the time of the file is used.` : '');
     await draw(this.plot, {data, layout: {height: 360, margin: {l: 60, r: 12, t: 10, b: 80}, showlegend: true,
       xaxis: {title: {text: 'time of the measurement'}, type: 'date', nticks: 6,
         range: [new Date(first - margin), new Date(last + margin)]},
-      yaxis: {title: {text: withUnit(name, own[0].unit)}, automargin: true}, legend: LEGEND_BELOW}});
+      yaxis: {title: {text: withUnit(name, points[0].unit)}, automargin: true}, legend: LEGEND_BELOW}});
     this.plot.dataset.shown = name;
   }
 }

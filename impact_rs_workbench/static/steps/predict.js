@@ -4,7 +4,7 @@
 
 import {says, showAbout} from '../about.js';
 import {ABOUT} from '../explain.js';
-import {darkScheme, draw, erase, legendHeight, LEGEND_BELOW, plotPlace, seen} from '../figures.js';
+import {darkScheme, draw, erase, legendHeight, LEGEND_BELOW, plotPlace, themed} from '../figures.js';
 import {casesOf, free, listed, modelChoices} from '../forms.js';
 import {inSight, Tabbed} from '../navigation.js';
 import {ImpactScene} from '../picture.js';
@@ -39,7 +39,7 @@ class ImpactPart {
     /** @type {any} */
     this.answer = null;
     /** @type {any} what can be chosen in the scenario; null: it is being asked for */
-    this.found = null;
+    this.choices = null;
     this.scenarios = new LatestRequest();
     this.requests = new LatestRequest(); // of the choices above the sliders
     this.refinements = new LatestRequest(); // of sliders at rest
@@ -95,15 +95,15 @@ class ImpactPart {
 
   async choose() {
     const name = this.chosen = this.scenario.value, turn = this.scenarios.begin();
-    this.found = null; // what the user chooses meanwhile is asked with the answer
+    this.choices = null; // what the user chooses meanwhile is asked with the answer
     this.clear();
     try {
-      const found = this.found = await turn.ask(`/api/scenario?${query({name})}`);
-      const objects = Object.entries(found.objects).map(([value, {label, mass}]) => ({value,
+      const scenario = this.choices = await turn.ask(`/api/scenario?${query({name})}`);
+      const objects = Object.entries(scenario.objects).map(([value, {label, mass}]) => ({value,
         text: `${label}, ${mass} kg`}));
       fill(this.object, objects, this.object.value || 'cat_food');
-      fill(this.case, listed(casesOf(found)), this.case.value || 'case_2');
-      fill(this.arm, plain(Object.keys(found.arms)));
+      fill(this.case, listed(casesOf(scenario)), this.case.value || 'case_2');
+      fill(this.arm, plain(Object.keys(scenario.arms)));
       this.armLabel.hidden = this.arm.options.length < 2;
       this.objectChosen();
     } catch (error) { this.failed(error); }
@@ -139,13 +139,13 @@ class ImpactPart {
   }
 
   objectChosen() {
-    if (!this.found) return;
+    if (!this.choices) return;
     this.values = {};
     this.impact.ahead(this.scenario.value, this.object.value);
-    const all = this.found.sliders[this.object.value];
+    const all = this.choices.sliders[this.object.value];
     this.over = all[0].key;
-    this.sliders.replaceChildren(...all.filter((one) => !one.known).map((one) => this.sliderOf(one)));
-    this.known.replaceChildren(...all.filter((one) => one.known).map((one) => this.sliderOf(one)));
+    this.sliders.replaceChildren(...all.filter((slider) => !slider.known).map((slider) => this.sliderOf(slider)));
+    this.known.replaceChildren(...all.filter((slider) => slider.known).map((slider) => this.sliderOf(slider)));
     this.anew();
   }
 
@@ -175,7 +175,7 @@ class ImpactPart {
 
   // Velocities, with an interval from few draws. One question is under way at a time, and only the newest waits.
   async again() {
-    if (!this.found) return;
+    if (!this.choices) return;
     this.refinements.begin();
     this.wanted = {scenario: this.scenario.value, object: this.object.value, case: this.case.value, arm: this.arm.value,
       model: this.model.value, motor_inertia: this.inertia.value, values: {...this.values}, moving: true};
@@ -232,11 +232,11 @@ class ImpactPart {
 
   // How the interval was computed.
   method() {
-    const {moving, interval: found} = this.answer;
+    const {moving, interval: computed} = this.answer;
     if (moving) return '; interval from few draws while a slider moves';
-    if (!found) return '';
-    const method = {monte_carlo: 'Monte Carlo'}[found.method] ?? found.method.replace('_', ' ');
-    return `; interval by ${method}, ${found.draws} draws`;
+    if (!computed) return '';
+    const method = {monte_carlo: 'Monte Carlo'}[computed.method] ?? computed.method.replace('_', ' ');
+    return `; interval by ${method}, ${computed.draws} draws`;
   }
 
   show(answer, question) {
@@ -257,25 +257,25 @@ class ImpactPart {
       h('i', {style: `width: ${(100 * share).toFixed(1)}%`}), h('span', {}, `${Math.round(100 * share)} %`));
     if (!answer.moving) this.budget.replaceChildren(...answer.budget.slice(0, MOST_SOURCES).map(bar));
     const main = answer.rows.filter((row) => row.main);
-    const said = main.map((row) => `${row.body} ${fixed(row.before, 2)} → ${fixed(row.after, 2)} m/s`);
+    const texts = main.map((row) => `${row.body} ${fixed(row.before, 2)} → ${fixed(row.after, 2)} m/s`);
     this.turn.of(this.impact.draw(question.scenario, question.object, answer.moment))
       .catch((error) => { this.scene.textContent = error.message; });
-    says('predict/impact', `${said.join(', ')}, along ${answer.axis}.`);
+    says('predict/impact', `${texts.join(', ')}, along ${answer.axis}.`);
     this.mark(question);
   }
 
   // The row of the arm in the figure.
-  row() { return this.answer.rows.find((one) => one.main && one.body === this.answer.arm); }
+  row() { return this.answer.rows.find((row) => row.main && row.body === this.answer.arm); }
 
-  slider() { return this.found.sliders[this.object.value].find((one) => one.key === this.over); }
+  slider() { return this.choices.sliders[this.object.value].find((slider) => slider.key === this.over); }
 
   // Markers of the current values: shapes, which Plotly moves without computing lines and axes again.
   marks() {
     const slider = this.slider(), x = this.values[slider.key] ?? slider.value;
-    const row = this.row(), object = this.answer.rows.find((one) => one.main && one.body === 'object');
+    const row = this.row(), object = this.answer.rows.find((row) => row.main && row.body === 'object');
     const dot = (y, size, colour) => ({type: 'circle', xsizemode: 'pixel', ysizemode: 'pixel', xanchor: x, yanchor: y,
-      x0: -size, x1: size, y0: -size, y1: size, fillcolor: seen(colour), line: {width: 0}});
-    const bar = {type: 'line', x0: x, x1: x, y0: row.low, y1: row.high, line: {width: 4, color: seen(INK)}};
+      x0: -size, x1: size, y0: -size, y1: size, fillcolor: themed(colour), line: {width: 0}});
+    const bar = {type: 'line', x0: x, x1: x, y0: row.low, y1: row.high, line: {width: 4, color: themed(INK)}};
     return [...(row.low === null ? [] : [bar]), dot(row.after, 6, INK), dot(object.after, 4, OBJECT)];
   }
 
@@ -328,15 +328,15 @@ class ImpactPart {
 const limits = new PagePart('limits', {run: 'Compute the limits', label: 'speed limits', page: 'limits.html',
   output: (part) => `limits/${stem(part.scenario())}`,
   opened: async (folder) => {
-    const {scenario, limits: found} = await ask(`/files/${folder}/limits.json`);
-    const [least] = [...found].sort((a, b) => a.limit_m_s - b.limit_m_s);
+    const {scenario, limits: computed} = await ask(`/files/${folder}/limits.json`);
+    const [least] = [...computed].sort((a, b) => a.limit_m_s - b.limit_m_s);
     const [limit, planned] = [least.limit_m_s, least.planned_m_s].map((speed) => `${number(speed)} m/s`);
     says('predict/limits', `${scenario}, ${least.object}, ${least.case}: limit ${limit}, planned ${planned}.`);
   }});
 
 const designs = new PagePart('study-design', {run: 'Rank the designs', label: 'design study', page: 'design_study.html',
   output: (part) => free((many) => `designs/${many}`,
-    state.workspace ? part.pages.choices().map((one) => one.value) : []),
+    state.workspace ? part.pages.choices().map((page) => page.value) : []),
   opened: (folder) => says('predict/designs', `The page below ranks the designs of ${folder}.`)});
 
 export const impact = new ImpactPart();

@@ -25,18 +25,18 @@ export class TrialView {
     this.node.replaceChildren(reading(trial.run ?? trial.path));
     const turn = this.requests.begin();
     try {
-      const found = await turn.ask(`/api/${trial.run ? 'run' : 'trial'}?${query(trial)}`);
+      const page = await turn.ask(`/api/${trial.run ? 'run' : 'trial'}?${query(trial)}`);
       const replay = h('div', {id: `${this.name}-replay`});
-      const plots = found.plots.map(({title, figure}) => ({title, figure, node: plotPlace(title)}));
-      this.node.replaceChildren(h('h3', {}, found.title), replay,
-        ...plots.flatMap(({title, node}) => [h('h3', {}, title), node]), ...found.facts.map((text) => note(text)));
+      const plots = page.plots.map(({title, figure}) => ({title, figure, node: plotPlace(title)}));
+      this.node.replaceChildren(h('h3', {}, page.title), replay,
+        ...plots.flatMap(({title, node}) => [h('h3', {}, title), node]), ...page.facts.map((text) => note(text)));
       await turn.of(Promise.all(plots.map(({figure, node}) => draw(node, figure))));
-      const made = await turn.of(replayIn(replay, found.replay,
+      const view = await turn.of(replayIn(replay, page.replay,
         {onSeek: (time) => { for (const {node} of plots) cursor(node, time); }}));
       for (const {node} of plots) {
-        node.on('plotly_click', ({points: [point]}) => made.seek(point.x));
-        node.on('plotly_afterplot', () => cursor(node, made.time)); // also when its width has changed
-        cursor(node, made.time);
+        node.on('plotly_click', ({points: [point]}) => view.seek(point.x));
+        node.on('plotly_afterplot', () => cursor(node, view.time)); // also when its width has changed
+        cursor(node, view.time);
       }
     } catch (error) { this.failed(error); }
   }
@@ -67,25 +67,26 @@ class RecordedPart {
   // Campaigns with trials, and described laboratories, with the number of their recordings.
   folders() {
     const {campaigns, laboratories} = state.workspace;
-    const tried = campaigns.filter((one) => !one.error && one.present);
-    const described = laboratories.filter((one) => one.experiment && !one.error && one.recordings.length);
+    const tried = campaigns.filter((campaign) => !campaign.error && campaign.present);
+    const described = laboratories.filter((lab) => lab.experiment && !lab.error && lab.recordings.length);
     const entry = (path, many, text, lab) => ({path, many, text: `${path} (${text})`, lab});
     return [...tried.map(({path, present, trials}) => entry(path, present, `${present} of ${trials}`, false)),
       ...described.map(({path, recordings}) => entry(path, recordings.length, 'laboratory', true))];
   }
 
   update() {
-    const found = this.folders();
-    this.none.hidden = found.length > 0;
-    this.fields.hidden = !found.length;
-    fill(this.folder, found.map(({path, text}) => ({value: path, text})), this.wanted);
+    const folders = this.folders();
+    this.none.hidden = folders.length > 0;
+    this.fields.hidden = !folders.length;
+    fill(this.folder, folders.map(({path, text}) => ({value: path, text})), this.wanted);
     this.wanted = undefined;
-    const key = `${this.folder.value} ${found.find((one) => one.path === this.folder.value)?.many}`;
-    if (found.length && key !== this.listed) { this.listed = key; this.list(); }
+    const key = `${this.folder.value} ${folders.find((entry) => entry.path === this.folder.value)?.many}`;
+    if (folders.length && key !== this.listed) { this.listed = key; this.list(); }
   }
 
   async list() {
-    const path = this.folder.value, turn = this.lists.begin(), {lab} = this.folders().find((one) => one.path === path);
+    const path = this.folder.value, turn = this.lists.begin();
+    const {lab} = this.folders().find((folder) => folder.path === path);
     /** @type {string[]} */
     let names;
     try { names = await turn.ask(`/api/trials?${query({path})}`); } catch (error) { this.view.failed(error); return; }
@@ -101,8 +102,8 @@ class RecordedPart {
   /** @param {string} name */
   open(name) {
     this.opened = `${this.path}/${name}`;
-    for (const one of this.trials.querySelectorAll('button')) {
-      one.setAttribute('aria-pressed', String(one.dataset.trial === name));
+    for (const item of this.trials.querySelectorAll('button')) {
+      item.setAttribute('aria-pressed', String(item.dataset.trial === name));
     }
     this.view.open(this.lab ? {path: this.path, run: name} : {path: this.opened});
   }
