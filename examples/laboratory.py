@@ -28,17 +28,13 @@ MAKE = {name.split("/")[-1]: kind for name, kind in STORE.types.items()}
 def messages(tick: Tick) -> Iterator[tuple[str, int, object]]:
     """Topic, delay of the log [ns] and message of each recording; joints are out of order, and poses come late."""
     header = MAKE["Header"](MAKE["Time"](START + tick.number // 1000, tick.number % 1000 * 1_000_000), "world")
-    arm, object_pose, names = (
-        tick.measurement.arms["arm"],
-        tick.measurement.object,
-        [f"panda_joint{n + 1}" for n in ORDER],
-    )
+    arm, tracked, names = tick.measurement.arms["arm"], tick.measurement.object, [f"panda_joint{n + 1}" for n in ORDER]
     numbers = (values[ORDER] for values in (arm.position, arm.velocity, arm.torque))
     yield "/joint_states", 200_000, MAKE["JointState"](header, names, *numbers)
     layout = MAKE["MultiArrayLayout"]([], 0)
     yield "/effort_controller/commands", 350_000, MAKE["Float64MultiArray"](layout, tick.commands["arm"].torque)
-    if object_pose is not None:
-        pose = MAKE["Pose"](MAKE["Point"](*object_pose.position), MAKE["Quaternion"](*object_pose.quaternion))
+    if tracked is not None:
+        pose = MAKE["Pose"](MAKE["Point"](*tracked.position), MAKE["Quaternion"](*tracked.quaternion))
         yield "/mocap/box/pose", 4_200_000, MAKE["PoseStamped"](header, pose)
 
 

@@ -5,8 +5,8 @@ From arming until the node ends, the arms are either led by the controller, in a
 
 With the parameter ``watchdog`` the torques go to the watchdog node, which alone sends them to the robot. If the
 watchdog has forwarded no torque for ``watchdog_timeout``, because it has died, the cell bypasses it: it brakes the
-arms itself, and empty messages tell a watchdog that comes back to send nothing. ``docs/safety.md`` has the safety
-argument.
+arms itself, and sends empty messages, after which a watchdog that comes back forwards nothing. ``docs/safety.md`` has
+the safety argument.
 """
 
 from __future__ import annotations
