@@ -87,13 +87,13 @@ def p_values(source: AnalyticSource) -> tuple[float, ...]:
         problems[name] = Problem(candidate, source.clusters, evidence.neighbours)
         p_by_effect[name] = problems[name].p_value(evidence.null, slice(None))
     fitted = Fit.of(problems["of_motors"].candidate, evidence)
-    extended = evidence.problem(fitted.candidate.beside(problems["straight"].candidate))
+    extended = evidence.problem(fitted.candidate.joined_with(problems["straight"].candidate))
     return (
         p_by_effect["straight"],
         p_by_effect["of_joints"],
         min(benjamini_hochberg(p_by_effect).values()),
         np.nan if evidence.lack_of_fit is None else evidence.lack_of_fit,
-        extended.p_value(fitted.left.null, slice(fitted.change.size, None)),
+        extended.p_value(fitted.residual_evidence.null, slice(fitted.change.size, None)),
         np.nan if (lack_of_fit := fitted.lack_of_fit()) is None else lack_of_fit,
     )
 

@@ -60,23 +60,23 @@ def faults_among(names: Sequence[str], model: Model, document: DiagnosisDocument
         model: The diagnosed model.
         document: Its diagnosis.
     """
-    known = model.model_copy(update={"formulas": (*model.formulas, *document.formulas)}).known_effects
-    return [name for name in names if name in known and known[name].of_measurement]
+    effects = model.model_copy(update={"formulas": (*model.formulas, *document.formulas)}).known_effects
+    return [name for name in names if name in effects and effects[name].of_measurement]
 
 
 def calibration_file(document: DiagnosisDocument, source: Path) -> Path:
-    """The calibration file of the diagnosed measurements: the file that was read, or the default in their folder.
+    """The calibration file of the diagnosed measurements: the file of the diagnosis, or the default in their folder.
 
     Args:
         document: A diagnosis.
         source: Its file.
 
     Raises:
-        InputError: It does not say where they are, or they are there no longer.
+        InputError: The diagnosis does not name the folder of the measurements, or the folder is gone.
     """
-    given, data = document.options.get("calibration"), document.options.get("impacts", document.options.get("runs"))
-    if given is not None and is_file(given):
-        return Path(given)
+    file, data = document.options.get("calibration"), document.options.get("impacts", document.options.get("runs"))
+    if file is not None and is_file(file):
+        return Path(file)
     if data is None or not Path(data).exists():
         where = "does not say where its measurements are" if data is None else f"has measurements of {data}, now gone"
         raise InputError(
@@ -93,18 +93,18 @@ def add_faults(
     """The calibration with diagnosed faults of the readings, not yet written.
 
     Args:
-        calibration: As it was when the measurements were diagnosed.
+        calibration: The calibration of the diagnosis.
         document: Diagnosis.
         source: File of the diagnosis.
         names: Effects of the measurement to add.
         force: As for :func:`add_effects`.
 
     Raises:
-        InputError: The calibration has changed since the diagnosis, which does not contain an effect or advises against
-            it.
+        InputError: The calibration has changed since the diagnosis, or the diagnosis does not contain an effect or
+            advises against it.
     """
-    faults, known = calibration.faults, document.calibration
-    if (faults.digest if calibration else None) != (None if known is None else known.digest):
+    faults, diagnosed = calibration.faults, document.calibration
+    if (faults.digest if calibration else None) != (None if diagnosed is None else diagnosed.digest):
         raise InputError(
             f"this calibration is not the one of the diagnosis {source}: its faults would be included twice; "
             "diagnose the measurements again",
@@ -138,22 +138,22 @@ def _diagnosed(
     model: Model, document: DiagnosisDocument, source: Path, name: str, force: bool
 ) -> tuple[ModelEffect, tuple[FormulaSpec, ...], str]:
     """An effect with its parameters, its formula if it has one, and a note on its verdict."""
-    found = document.effect(name)
-    if found is None:
-        known = [effect.name for effect in document.effects]
+    diagnosed = document.effect(name)
+    if diagnosed is None:
+        names = [effect.name for effect in document.effects]
         raise InputError(
-            f"no effect {name!r} in this diagnosis{did_you_mean(name, known)}; it considered: {', '.join(known)}",
+            f"no effect {name!r} in this diagnosis{did_you_mean(name, names)}; it considered: {', '.join(names)}",
             file=source,
         )
-    if found.verdict in (UNIDENTIFIABLE, TOO_FEW):
+    if diagnosed.verdict in (UNIDENTIFIABLE, TOO_FEW):
         raise InputError(
-            f"{name} is {found.verdict}: these {document.source} do not determine its parameters, so there is nothing "
-            f"to add ({found.reason})",
+            f"{name} is {diagnosed.verdict}: these {document.source} do not determine its parameters, so there is "
+            f"nothing to add ({diagnosed.reason})",
             file=source,
         )
-    without = found.held_out_error_before if name in document.named else found.held_out_error_without
-    before, after = without or 0.0, found.held_out_error_after or 0.0
-    if found.verdict == NO_IMPROVEMENT and not force:
+    without = diagnosed.held_out_error_before if name in document.named else diagnosed.held_out_error_without
+    before, after = without or 0.0, diagnosed.held_out_error_after or 0.0
+    if diagnosed.verdict == NO_IMPROVEMENT and not force:
         raise InputError(
             f"{name} is NO-IMPROVEMENT: it predicts unseen conditions no better "
             f"({before:.3g} -> {after:.3g} {document.error_unit}); "
@@ -167,32 +167,35 @@ def _diagnosed(
             f"the values from 'dependences' of this file, or --force adds the mean over {depends}",
             file=source,
         )
-    formulas = tuple(_with_room(spec, found) for spec in document.formulas if spec.name == name)
+    formulas = tuple(_with_room(spec, diagnosed) for spec in document.formulas if spec.name == name)
     effect = model.model_copy(update={"formulas": (*model.formulas, *formulas)}).known_effects.get(name)
-    joints = len({value.joint for value in found.parameters.values()} - {None})
+    joints = len({value.joint for value in diagnosed.parameters.values()} - {None})
     scalars = [] if effect is None else effect.scalars(joints)
     nominal = {scalar.name: ParameterValue(estimate=scalar.nominal, unit=scalar.unit) for scalar in scalars}
     estimated = {
         key: ParameterValue(estimate=value.estimate, unit=value.unit, ci95=rounded_interval(value.ci95))
-        for key, value in found.parameters.items()
+        for key, value in diagnosed.parameters.items()
     }
     fall = f"held-out error {before:.3g} -> {after:.3g} {document.error_unit}"
-    why = found.reason if name in document.required else fall
+    why = diagnosed.reason if name in document.required else fall
     note = (
-        f"{name}: {found.verdict}; {why} in {document.runs.trials} {document.source}"
+        f"{name}: {diagnosed.verdict}; {why} in {document.runs.trials} {document.source}"
         f"{f'; depends on {depends}, the mean was taken' if depends else ''}"
     )
     return ModelEffect(name=name, parameters={**nominal, **estimated}), formulas, note
 
 
-def _with_room(spec: FormulaSpec, found: EffectDocument) -> FormulaSpec:
-    """The formula with wider ranges for estimates outside of them: twice as far from nominal."""
+def _with_room(spec: FormulaSpec, diagnosed: EffectDocument) -> FormulaSpec:
+    """The formula with ranges widened to estimates beyond them, up to twice their distance from nominal."""
     parameters = {}
-    for name, own in spec.parameters.items():
-        value = found.parameters[name].estimate
-        far = 2.0 * value - own.nominal
-        lower, upper = (far if value < own.lower else own.lower), (far if value > own.upper else own.upper)
-        parameters[name] = own.model_copy(update={"lower": lower, "upper": upper})
+    for name, parameter in spec.parameters.items():
+        estimate = diagnosed.parameters[name].estimate
+        far = 2.0 * estimate - parameter.nominal
+        lower, upper = (
+            (far if estimate < parameter.lower else parameter.lower),
+            (far if estimate > parameter.upper else parameter.upper),
+        )
+        parameters[name] = parameter.model_copy(update={"lower": lower, "upper": upper})
     return spec.model_copy(update={"parameters": parameters})
 
 

@@ -1,24 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which readings agree with each other, and which contradict each other.
+"""Agreement of readings: which of them are consistent, and which contradict each other.
 
-Every group of features is a relation between readings, which holds if these are right and the physics between them is
-that of the model (:mod:`impact_rs_analysis.evidence.replays.features`):
+Every group of features is a relation between readings. It holds if the readings are right and the physics between them
+is as in the model (:mod:`impact_rs_analysis.evidence.replays.features`):
 
     motor torque balance      tau_d - tau_J - B ddtheta        command, torque sensor, velocities of motor and link
     link torque balance       tau_J - M(q) ddq - h(q, dq)      torque sensor, encoder, velocity
     elastic deflection        (theta - q) - tau_J / K          motor encoder, encoder, torque sensor
-    velocity of positions     mean of dq - change of q / T     velocity, encoder; no model has a part in it
+    velocity of positions     mean of dq - change of q / T     velocity, encoder; independent of the model
     object and end effector   v_object - v_E                   tracker, encoder; while the pad pushes the object
 
-The residual of the model with each, joint by joint, is tested against repeatability and model discrepancy by the test
-of lack of fit (:meth:`~impact_rs_analysis.diagnosis.search.null_distribution.NullDistribution.lack_of_fit`), adjusted
-for the number of joints. Readings disagree where it is significant and above the relevance limit; without repeats,
-where the residual exceeds ``MAX_NOISE_RATIO`` times the known noise.
+The residual of each relation at each joint is tested against repeatability and model discrepancy by the lack-of-fit
+test (:meth:`~impact_rs_analysis.diagnosis.search.null_distribution.NullDistribution.lack_of_fit`), adjusted for the
+number of joints. Readings disagree if the residual is significant and above the relevance limit; without repeats, if
+it exceeds ``MAX_NOISE_RATIO`` times the known noise.
 
 A wrong reading takes part in every relation that disagrees. A relation that agrees clears the readings to whose faults
-it is sensitive (``clears``): a torque balance is hardly sensitive to the zero of an encoder, on which gravity alone
-depends, and the derivative of positions is not sensitive to it at all. The uncleared readings of all relations that
-disagree are those *in common*. Where a single relation disagrees, the physics that it assumes is an explanation too.
+it is sensitive (``clears``). A torque balance, for example, is hardly sensitive to the zero of an encoder, which
+changes gravity only, and the derivative of positions is insensitive to it. Readings that take part in all disagreeing
+relations and are not cleared are *in common*. A single disagreeing relation may also be explained by the physics that
+it assumes.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.schema import Schema
 
 COMMAND, TORQUE, ENCODER, VELOCITY = "command", "torque sensor", "encoder", "velocity"
-SERVO = "servo (desired position and gains)"  # which the torque was computed of, where none was recorded
+SERVO = "servo (desired position and gains)"  # from which an unrecorded torque is computed
 MOTOR_ENCODER, MOTOR_VELOCITY, TRACKER = "motor encoder", "motor velocity", "tracker"
 PUSH_SIGNALS = ("object velocity", "end-effector velocity")
 
@@ -54,9 +55,9 @@ class Relation:
 
     Attributes:
         name: Its name.
-        signals: Signals of the features whose residual it is; for two signals their difference.
+        signals: Signals of the features with its residual; for two signals their difference.
         readings: Readings that take part.
-        clears: Readings to whose faults it is sensitive, which are right if it agrees.
+        clears: Readings to whose faults it is sensitive; they are right if it agrees.
         assumes: Physics that it assumes.
     """
 
@@ -120,15 +121,18 @@ class InCommon(Schema):
     @property
     def in_words(self) -> str:
         """One sentence."""
-        where, relations = joints_in_words(self.place.split(", ")), " and ".join(f"the {one}" for one in self.relations)
+        joints, relations = (
+            joints_in_words(self.place.split(", ")),
+            " and ".join(f"the {relation}" for relation in self.relations),
+        )
         if len(self.relations) > 1:
             common = (
                 f"in common: {' or '.join(self.readings)}" if self.readings else "no single reading is in all of them"
             )
-            return f"{where}: {relations} do not hold; {common}"
+            return f"{joints}: {relations} do not hold; {common}"
         causes = [*self.readings, *([f"the physics ({self.assumes})"] if self.assumes else [])]
         possible = " or ".join(causes) or "a reading of another joint"
-        return f"{where}: {relations} does not hold; possible causes: {possible}"
+        return f"{joints}: {relations} does not hold; possible causes: {possible}"
 
 
 class AgreementDocument(Schema):
@@ -140,28 +144,28 @@ class AgreementDocument(Schema):
     @property
     def by_joint(self) -> dict[str, dict[str, RelationDocument]]:
         """Relations by joint or axis, and by name."""
-        found: dict[str, dict[str, RelationDocument]] = {}
-        for one in self.relations:
-            found.setdefault(one.place, {})[one.relation] = one
-        return found
+        relations: dict[str, dict[str, RelationDocument]] = {}
+        for relation in self.relations:
+            relations.setdefault(relation.place, {})[relation.relation] = relation
+        return relations
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the relations that were measured."""
-        return tuple(dict.fromkeys(one.relation for one in self.relations))
+        return tuple(dict.fromkeys(relation.relation for relation in self.relations))
 
     def readings_of(self, name: str) -> tuple[str, ...]:
         """Readings that take part in a relation."""
-        return next(one.readings for one in self.relations if one.relation == name)
+        return next(relation.readings for relation in self.relations if relation.relation == name)
 
     def against(self, name: str) -> tuple[str, ...]:
         """Joints and axes at which a relation does not hold."""
-        return tuple(one.place for one in self.relations if one.relation == name and not one.agrees)
+        return tuple(relation.place for relation in self.relations if relation.relation == name and not relation.agrees)
 
 
 def joints_in_words(places: Sequence[str]) -> str:
     """Joints and axes in a few words, as "joints 1 to 4, 7"; those of several arms by their names."""
-    numbers = [int(one[1]) for place in places if (one := re.fullmatch(r"joint(\d+)", place))]
+    numbers = [int(match[1]) for place in places if (match := re.fullmatch(r"joint(\d+)", place))]
     if len(numbers) < max(len(places), 2):
         return ", ".join(places)
     starts = [n for n in numbers if n - 1 not in numbers]
@@ -181,11 +185,13 @@ def agreement_of(source: Source) -> AgreementDocument:
     """
     tested: list[tuple[Relation, str, list[Cluster]]] = []
     for relation in FEATURE_RELATIONS:
-        tested += [(relation, *one) for one in _by_index(source.clusters, partial(_belongs_to, relation))]
+        tested += [(relation, *entry) for entry in _by_index(source.clusters, partial(_belongs_to, relation))]
     if source.runs is not None:
-        tested += [(POSITION_SLOPE, *one) for one in _by_index(slope_clusters(source.runs.runs), lambda feature: True)]
         tested += [
-            (OBJECT_TRACKING, *one) for one in _by_index(tracking_clusters(source.clusters), lambda feature: True)
+            (POSITION_SLOPE, *entry) for entry in _by_index(slope_clusters(source.runs.runs), lambda feature: True)
+        ]
+        tested += [
+            (OBJECT_TRACKING, *entry) for entry in _by_index(tracking_clusters(source.clusters), lambda feature: True)
         ]
     limited = source.noise_size() is None
     raw = {
@@ -194,16 +200,16 @@ def agreement_of(source: Source) -> AgreementDocument:
     }
     p_values: dict[str, float] = {}
     for relation in dict.fromkeys(relation for relation, _, _ in tested):  # each is a question of its own
-        own = {str(n): p for n, p in raw.items() if p is not None and tested[n][0] is relation}
-        p_values |= benjamini_hochberg(own)
+        of_relation = {str(n): p for n, p in raw.items() if p is not None and tested[n][0] is relation}
+        p_values |= benjamini_hochberg(of_relation)
     motor = any(relation is ELASTIC_DEFLECTION for relation, _, _ in tested)
     computed = source.recording is not None and "torque" not in source.recording.signals
-    found = []
+    documents = []
     for number, (relation, place, clusters) in enumerate(tested):
         p = p_values.get(str(number))
-        noise, relevant = (_size(clusters, of, limited) for of in (expected_of, relevant_of))
+        noise, relevant = (_size(clusters, scale, limited) for scale in (expected_of, relevant_of))
         agrees = relevant < MAX_NOISE_RATIO if p is None else p >= SIGNIFICANCE_LEVEL or relevant < 1.0
-        found.append(
+        documents.append(
             RelationDocument(
                 relation=relation.name,
                 place=place,
@@ -215,8 +221,8 @@ def agreement_of(source: Source) -> AgreementDocument:
                 agrees=agrees,
             )
         )
-    found.sort(key=lambda one: _order(one.place))
-    document = AgreementDocument(relations=tuple(found))
+    documents.sort(key=lambda relation: _order(relation.place))
+    document = AgreementDocument(relations=tuple(documents))
     return document.model_copy(update={"in_common": tuple(_in_common(document))})
 
 
@@ -225,149 +231,153 @@ def _belongs_to(relation: Relation, feature: Feature) -> bool:
 
 
 def _renamed(readings: Sequence[str], motor: bool, computed: bool) -> list[str]:
-    """Readings of a relation, without the motor's velocity if its motor has no encoder, and servos for sensors."""
+    """Readings of a relation, without the velocity of a motor without encoder, with servos in place of sensors."""
     names = [SERVO if computed and name == TORQUE else name for name in readings]
     return [name for name in names if motor or name != MOTOR_VELOCITY]
 
 
-def _by_index(clusters: Sequence[Cluster], wanted: Callable[[Feature], bool]) -> list[tuple[str, list[Cluster]]]:
-    """Clusters by joint or axis, restricted to the wanted features of it."""
-    places = dict.fromkeys(f.index for item in clusters for f in item.features if wanted(f))
-    found = []
-    for place in places:
-        masks = [[wanted(f) and f.index == place for f in item.features] for item in clusters]
-        own = [item.only(mask, False) for item, mask in zip(clusters, masks, strict=True) if any(mask)]
-        found.append((place, own))
-    return found
+def _by_index(clusters: Sequence[Cluster], belongs: Callable[[Feature], bool]) -> list[tuple[str, list[Cluster]]]:
+    """Clusters by joint or axis, restricted to its features that belong to a relation."""
+    indices = dict.fromkeys(f.index for item in clusters for f in item.features if belongs(f))
+    clusters_by_index = []
+    for index in indices:
+        masks = [[belongs(f) and f.index == index for f in item.features] for item in clusters]
+        restricted = [item.only(mask, False) for item, mask in zip(clusters, masks, strict=True) if any(mask)]
+        clusters_by_index.append((index, restricted))
+    return clusters_by_index
 
 
-def _size(clusters: Sequence[Cluster], of: Callable[[Cluster, bool], Array], limited: bool) -> float:
-    """Root mean square of the mean residuals in multiples of the scale ``of``."""
-    return root_mean_square(np.concatenate([item.mean / of(item, limited) for item in clusters]))
+def _size(clusters: Sequence[Cluster], scale: Callable[[Cluster, bool], Array], limited: bool) -> float:
+    """Root mean square of the mean residuals in multiples of ``scale``."""
+    return root_mean_square(np.concatenate([item.mean / scale(item, limited) for item in clusters]))
 
 
 def _in_common(document: AgreementDocument) -> list[InCommon]:
-    """Common readings of the relations that disagree, with joints of equal result in one entry."""
-    result: dict[tuple[tuple[str, ...], tuple[str, ...], str], list[str]] = {}
-    for place, own in document.by_joint.items():
-        against = [one for one in own.values() if not one.agrees]
-        if not against:
+    """Common readings of the disagreeing relations; joints with equal results share an entry."""
+    places_by_result: dict[tuple[tuple[str, ...], tuple[str, ...], str], list[str]] = {}
+    for place, relations in document.by_joint.items():
+        disagreeing = [relation for relation in relations.values() if not relation.agrees]
+        if not disagreeing:
             continue
-        cleared = {name for one in own.values() if one.agrees for name in one.clears}
-        shared = [name for name in against[0].readings if all(name in one.readings for one in against)]
-        readings = tuple(name for name in shared if name not in cleared)
-        assumes = against[0].assumes if len(against) == 1 else ""
-        result.setdefault((tuple(one.relation for one in against), readings, assumes), []).append(place)
+        cleared = {name for relation in relations.values() if relation.agrees for name in relation.clears}
+        common = [
+            name for name in disagreeing[0].readings if all(name in relation.readings for relation in disagreeing)
+        ]
+        readings = tuple(name for name in common if name not in cleared)
+        assumes = disagreeing[0].assumes if len(disagreeing) == 1 else ""
+        places_by_result.setdefault(
+            (tuple(relation.relation for relation in disagreeing), readings, assumes), []
+        ).append(place)
     return [
         InCommon(place=", ".join(places), relations=relations, readings=readings, assumes=assumes)
-        for (relations, readings, assumes), places in result.items()
+        for (relations, readings, assumes), places in places_by_result.items()
     ]
 
 
 def _order(place: str) -> tuple[str, int, str]:
     """Sort key: by arm, joints in their order before axes."""
-    arm, _, own = place.rpartition(".")
-    number = re.fullmatch(r"joint(\d+)", own)
-    return (arm, int(number[1]), "") if number else (arm, 10**6, own)
+    arm, _, index = place.rpartition(".")
+    number = re.fullmatch(r"joint(\d+)", index)
+    return (arm, int(number[1]), "") if number else (arm, 10**6, index)
 
 
 def slope_clusters(runs: Sequence[MeasuredRun]) -> list[Cluster]:
-    """Mean velocity minus the difference quotient of the position in windows of free motion, condition by condition.
+    """Mean velocity minus difference quotient of the position, in windows of free motion, by condition.
 
     Args:
         runs: Runs; those without signals are left out.
     """
     rows: dict[str, list[Array]] = {}
     features: dict[str, tuple[Feature, ...]] = {}
-    firsts: dict[str, MeasuredRun] = {}
+    first_runs: dict[str, MeasuredRun] = {}
     for run in runs:
         if run.signals.time.size < 2:
             continue
-        several, values, own = len(run.setup.physics.arms) > 1, [], []
+        several, values, run_features = len(run.setup.physics.arms) > 1, [], []
         limit = VELOCITY_LIMIT_RAD_S * Proportion.of(run.physics).factor("rad/s")
         for number, (window, signals) in enumerate(zip(run.setup.windows, run.windowed, strict=True)):
             for name, arm in () if window.contact else signals.arms.items():
-                last = float(signals.time[-1] - signals.time[0])
-                mean = np.trapezoid(arm.velocity, signals.time, axis=0) / last
-                values.append(mean - (arm.position[-1] - arm.position[0]) / last)
+                duration = float(signals.time[-1] - signals.time[0])
+                mean = np.trapezoid(arm.velocity, signals.time, axis=0) / duration
+                values.append(mean - (arm.position[-1] - arm.position[0]) / duration)
                 label = f"{name}." if several else ""
-                own += [
+                run_features += [
                     Feature("free", POSITION_SLOPE.name, f"{label}joint{joint + 1}", number, "rad/s", limit, name)
                     for joint in range(arm.velocity.shape[1])
                 ]
-        if values and features.setdefault(run.condition, tuple(own)) == tuple(own):
+        if values and features.setdefault(run.condition, tuple(run_features)) == tuple(run_features):
             rows.setdefault(run.condition, []).append(np.concatenate(values))
-            firsts.setdefault(run.condition, run)
-    named = {name: (firsts[name].condition_key, features[name]) for name in rows}
-    return _clusters({name: np.array(own) for name, own in rows.items()}, named)
+            first_runs.setdefault(run.condition, run)
+    keys_and_features = {name: (first_runs[name].condition_key, features[name]) for name in rows}
+    return _clusters({name: np.array(residuals) for name, residuals in rows.items()}, keys_and_features)
 
 
 def tracking_clusters(clusters: Sequence[Cluster]) -> list[Cluster]:
-    """Residual of the velocity of the object minus that of the end effector while it is pushed, condition by condition.
+    """Residual of the object velocity minus residual of the end-effector velocity during the push, by condition.
 
     Args:
-        clusters: Conditions of trials; those without an object have none.
+        clusters: Conditions of trials; conditions without an object are skipped.
     """
     rows: dict[str, Array] = {}
-    named: dict[str, tuple[tuple[str, str, str], tuple[Feature, ...]]] = {}
+    keys_and_features: dict[str, tuple[tuple[str, str, str], tuple[Feature, ...]]] = {}
     patterns: dict[str, tuple[str, Array]] = {}
     for item in clusters:
-        places = {(f.signal, f.index, f.bin): n for n, f in enumerate(item.features) if f.phase == "push"}
+        positions = {(f.signal, f.index, f.bin): n for n, f in enumerate(item.features) if f.phase == "push"}
         arms = {f.arm for f in item.features if f.arm}
         pairs = [
-            (own, places[PUSH_SIGNALS[1], index, number])
-            for (signal, index, number), own in places.items()
-            if signal == PUSH_SIGNALS[0] and (PUSH_SIGNALS[1], index, number) in places
+            (object_feature, positions[PUSH_SIGNALS[1], index, number])
+            for (signal, index, number), object_feature in positions.items()
+            if signal == PUSH_SIGNALS[0] and (PUSH_SIGNALS[1], index, number) in positions
         ]
         if not pairs or len(arms) > 1:  # either of two arms may push
             continue
         first, second = (list(column) for column in zip(*pairs, strict=True))
         scaled = item.residuals * item.sigma
-        moved = item.discrepancy_factor * item.sigma
+        discrepancy = item.discrepancy_factor * item.sigma
         rows[item.name] = scaled[:, first] - scaled[:, second]
-        patterns[item.name] = item.discrepancy_group, moved[:, first] - moved[:, second]
-        named[item.name] = (
+        patterns[item.name] = item.discrepancy_group, discrepancy[:, first] - discrepancy[:, second]
+        keys_and_features[item.name] = (
             item.condition_key,
             tuple(replace(item.features[n], signal=OBJECT_TRACKING.name) for n in first),
         )
-    return _clusters(rows, named, patterns)
+    return _clusters(rows, keys_and_features, patterns)
 
 
 def _clusters(
     rows: dict[str, Array],
-    named: dict[str, tuple[tuple[str, str, str], tuple[Feature, ...]]],
+    keys_and_features: dict[str, tuple[tuple[str, str, str], tuple[Feature, ...]]],
     patterns: dict[str, tuple[str, Array]] | None = None,
 ) -> list[Cluster]:
     """Clusters from residuals of repeats ``(n, F)`` by condition, with key and features.
 
-    The patterns ``(k, F)`` of their discrepancy, with the key of the clusters that share its amplitudes, may be absent.
+    ``patterns``: by condition, key of the clusters that share amplitudes, and patterns of the discrepancy ``(k, F)``.
     """
-    alike: dict[tuple[Feature, ...], list[str]] = {}
-    for name, (_, features) in named.items():
-        alike.setdefault(features, []).append(name)
-    pooled = {features: pooled_error([rows[name] for name in names]) for features, names in alike.items()}
-    found = []
-    for name, (key, features) in named.items():
-        known = pooled[features]
-        pure = np.zeros(len(features)) if known is None else known
+    names_by_features: dict[tuple[Feature, ...], list[str]] = {}
+    for name, (_, features) in keys_and_features.items():
+        names_by_features.setdefault(features, []).append(name)
+    pooled = {features: pooled_error([rows[name] for name in names]) for features, names in names_by_features.items()}
+    clusters = []
+    for name, (key, features) in keys_and_features.items():
+        pooled_of_layout = pooled[features]
+        pure = np.zeros(len(features)) if pooled_of_layout is None else pooled_of_layout
         limit = np.array([feature.relevance_limit for feature in features]) / 2.0
-        group, moved = (None, np.zeros((0, len(features)))) if patterns is None else patterns[name]
-        differing = np.sqrt(np.sum(np.square(moved), axis=0))
-        sigma = np.maximum(np.sqrt(pure**2 + limit**2 + differing**2), 1e-12)
-        found.append(
+        group, discrepancy = (None, np.zeros((0, len(features)))) if patterns is None else patterns[name]
+        discrepancy_sigma = np.sqrt(np.sum(np.square(discrepancy), axis=0))
+        sigma = np.maximum(np.sqrt(pure**2 + limit**2 + discrepancy_sigma**2), 1e-12)
+        clusters.append(
             Cluster(
                 name=name,
                 condition_key=key,
-                layout=f"{len(alike)}: {list(alike).index(features)}",
+                layout=f"{len(names_by_features)}: {list(names_by_features).index(features)}",
                 unit=name,
                 contact=False,
                 features=features,
                 residuals=rows[name] / sigma,
                 sigma=sigma,
                 pure_error=pure / sigma,
-                discrepancy=differing / sigma,
-                patterns=moved / sigma if moved.size else None,
+                discrepancy=discrepancy_sigma / sigma,
+                patterns=discrepancy / sigma if discrepancy.size else None,
                 discrepancy_key=group,
             )
         )
-    return found
+    return clusters

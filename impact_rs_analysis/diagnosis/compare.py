@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a model fails: measurement against model, and one number per model.
+"""Comparison of a model with measurements: where it fails, and one score per model.
 
 Trials are compared on three levels:
 
@@ -9,9 +9,9 @@ Trials are compared on three levels:
 
 recordings on one level, the torque balance of free motion; tables of impacts on one level, the velocities just after
 the impact. Every difference is given in its unit and in multiples of repeatability, so that torques and velocities can
-be ranked together. The score of trials is the one that the diagnosis minimises: the size of the mean residuals over
-repeatability (:func:`impact_rs_analysis.evidence.cluster.size_of`) [-]. The score of recordings is the root mean square
-of the torque residual [N m], that of impacts without repeats the root mean square of the velocity residual
+be ranked together. The score of trials is minimised by the diagnosis: the size of the mean residuals over repeatability
+(:func:`impact_rs_analysis.evidence.cluster.size_of`) [-]. The score of recordings is the root mean square of the torque
+residual [N m]; the score of impacts without repeats is the root mean square of the velocity residual
 (:mod:`impact_rs_analysis.evidence.sources.table_source`) [m/s].
 """
 
@@ -80,11 +80,11 @@ def compare(
 
     Args:
         source: Measurements with the model's predictions.
-        model: The model of the file; None: that of the source, which has no calibration.
-        calibration: Faults of the readings, which the model of the source has as well.
+        model: The model of the file; None: the model of the source, without calibration.
+        calibration: Faults of the readings; the model of the source contains them.
     """
     model = source.declared_model if model is None else model
-    found, runs, noise = source.compare_levels(), source.runs, source.noise_size()
+    comparison, runs, noise = source.compare_levels(), source.runs, source.noise_size()
     jump, remarks = ({}, []) if runs is None else jump_level(runs, source.model, source.discrepancy)
     skipped = source.left_out
     if runs is not None:
@@ -96,15 +96,15 @@ def compare(
         calibration=CalibrationIdentity.of(calibration),
         trials=identity.count,
         runs_digest=identity.digest,
-        conditions=found.conditions,
+        conditions=comparison.conditions,
         score=rounded(source.size()),
         score_is=source.size_is,
         score_unit=source.size_unit,
         noise_floor=None if noise is None else rounded(noise),
-        levels=jump | found.levels,
-        where=found.where,
+        levels=jump | comparison.levels,
+        where=comparison.where,
         arms=arms,
-        joints=found.joints,
+        joints=comparison.joints,
         not_measured=source.not_measured,
         skipped=tuple(LeftOut(name=name, reason=why) for name, why in skipped),
         recording=source.recording,

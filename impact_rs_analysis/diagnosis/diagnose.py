@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnosis: search for missing effects, cross-validate, conclude; the same for every source of evidence."""
+"""Diagnosis of any source of evidence: search for missing effects, cross-validation, verdicts."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from impact_rs_analysis.diagnosis.document import (
     tied_with_best,
 )
 from impact_rs_analysis.diagnosis.drift import drift_in_words, drift_of, low_confidence_sentence
-from impact_rs_analysis.diagnosis.search.bounds import NO_BOUNDS, Bounds, bounded
+from impact_rs_analysis.diagnosis.search.bounds import NO_BOUNDS, Bounds, with_bounds
 from impact_rs_analysis.diagnosis.search.budget import SEARCH_TIME_SHARE, UNLIMITED, Budget
-from impact_rs_analysis.diagnosis.search.effect_selection import NOTHING_KNOWN, ProgressCallback, Search
+from impact_rs_analysis.diagnosis.search.effect_selection import NO_OPTIMA, ProgressCallback, Search
 from impact_rs_analysis.diagnosis.search.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.search.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.search.model_comparison import Rival
@@ -59,7 +59,12 @@ from impact_rs_analysis.diagnosis.verdicts.model_verdict import (
 )
 from impact_rs_analysis.diagnosis.verdicts.next_experiment import next_experiment
 from impact_rs_analysis.diagnosis.verdicts.required import with_likelier_model, with_required
-from impact_rs_analysis.diagnosis.verdicts.residuals import MAX_RESIDUALS, noise_size, residual_unit, rests_of
+from impact_rs_analysis.diagnosis.verdicts.residuals import (
+    MAX_RESIDUALS,
+    noise_size,
+    residual_unit,
+    residuals_by_signal,
+)
 from impact_rs_analysis.diagnosis.verdicts.words import not_tried, summary_of
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.source import Source, View
@@ -81,18 +86,18 @@ def diagnose(
     earlier: Model | None = None,
     budget: Budget = UNLIMITED,
 ) -> DiagnosisDocument:
-    """Find out which effects are missing in a model.
+    """Find the effects that a model lacks.
 
     Args:
         source: Measurements with the model's predictions.
-        model: The model of the file, if that of the source has further user-defined effects; None: that of the source
-            as declared.
+        model: The model of the file, if the model of the source has further user-defined effects; None: the declared
+            model of the source.
         only: Names of the effects to consider; None: all that the model does not contain, for trials and tables without
-            those that recordings calibrate.
-        progress: Called with effects and their held-out error during the search (:class:`Search`).
-        bounds: Ranges of parameters that a user knows better.
-        earlier: A model with effects that this one may lack; its estimates are further starts of their fits.
-        budget: Processor time for all of it; what was not tried is in the document.
+            effects that recordings calibrate.
+        progress: Called with effects and their leave-one-out error during the search (:class:`Search`).
+        bounds: Ranges of parameters by the user.
+        earlier: A model with effects that this one may lack; its estimates are further starts of fits.
+        budget: Processor time of the diagnosis; the document lists the steps that were not tried.
 
     Raises:
         InputError: Too few conditions for a hold-out.
@@ -102,18 +107,20 @@ def diagnose(
     all_rows, source = source, source.searched()
     effects = effects_for(source, only, bounds)
     known_estimates = () if earlier is None else _estimates_of(earlier, source)
-    found = findings_of(source, effects, progress, known_estimates, budget)
-    present = [item.name for item in source.model.effects]
-    known = [bounded(source.known_effects[name].in_proportion(source.proportion), bounds) for name in present]
+    findings = findings_of(source, effects, progress, known_estimates, budget)
+    present = [effect.name for effect in source.model.effects]
+    present_effects = [
+        with_bounds(source.known_effects[name].in_proportion(source.proportion), bounds) for name in present
+    ]
     covariates = [item.name for item in source.covariates]
-    no_time = bool(covariates) and budget.leaves_out(f"what depends on {' and '.join(covariates)}")
-    dependences = None if no_time else dependences_of(found, known, progress)
-    document = document_of(found, source, model)
+    no_time = bool(covariates) and budget.leaves_out(f"dependences on {' and '.join(covariates)}")
+    dependences = None if no_time else dependences_of(findings, present_effects, progress)
+    document = document_of(findings, source, model)
     if dependences is not None and dependences.pairs and not {p.effect.name for p in dependences.pairs} & set(present):
-        # Variation with a covariate was scatter to the first search: it hides effects, or imitates some.
+        # To the first search, variation with a covariate was scatter, which hides effects or imitates them.
         again = findings_of(dependences.source, dependences.in_place_of(effects), progress, budget=budget)
-        if dependences.confirmed_by(found, again) and again.chosen is not None:
-            dependences, pairs = dependences.beside(again.chosen), dependences.pairs
+        if dependences.confirmed_by(findings, again) and again.chosen is not None:
+            dependences, pairs = dependences.selected_by(again.chosen), dependences.pairs
             document = with_estimates_of(document, document_of(again, dependences.source, model), pairs)
     views = [
         _whole_view(view, model, effects_for(view.source, only, bounds), dependences, budget)
@@ -127,7 +134,7 @@ def diagnose(
     left_out = tuple(budget.left_out)
     spent = BudgetDocument(limit=limit, left_out=left_out, stopped=bool(left_out) and budget.stop())
     remarks = (*filter(None, [not_tried(spent)]), *document.remarks, *unseen)
-    rollouts = held_out_rollouts(source, found.hold_out)
+    rollouts = held_out_rollouts(source, findings.hold_out)
     document = document.model_copy(
         update={"runs": _runs(all_rows), "budget": spent, "remarks": remarks, "rollouts": rollouts}
     )
@@ -143,55 +150,55 @@ def added_of(document: DiagnosisDocument, source: Source) -> Added:
 
     Args:
         document: A diagnosis.
-        source: Has the effects. One that depends on a covariate has no single estimate, and is left out.
+        source: The measurements. An effect that depends on a covariate has no single estimate and is left out.
     """
-    found = []
+    added = []
     for name in document.named:
         effect = document.effect(name)
         values = {} if effect is None else effect.parameters
         scalars = source.known_effects[name].scalars(source.joints)
         if all(scalar.name in values for scalar in scalars):
-            found.append((name, tuple(values[scalar.name].estimate for scalar in scalars)))
-    return tuple(found)
+            added.append((name, tuple(values[scalar.name].estimate for scalar in scalars)))
+    return tuple(added)
 
 
 def _whole_view(
     view: View, model: Model, effects: Sequence[Effect], dependences: Dependences | None, budget: Budget
 ) -> ViewDocument | None:
-    """The verdict on a view; None: the processor time ended its search, whose first steps may name another effect."""
-    own = Budget(budget.remaining, budget.clock, budget.stop)
-    found = None if own.spent else _view(view, model, effects, dependences, own)
-    if found is None or own.left_out:
+    """The verdict on a view; None if the processor time ended its search: an unfinished search may name others."""
+    view_budget = Budget(budget.remaining, budget.clock, budget.stop)
+    document = None if view_budget.spent else _view(view, model, effects, dependences, view_budget)
+    if document is None or view_budget.left_out:
         budget.add(f"the verdict on {view.name}")
         return None
-    return found
+    return document
 
 
 def _view(
     view: View, model: Model, effects: Sequence[Effect], dependences: Dependences | None, budget: Budget
 ) -> ViewDocument:
-    """The verdict on a view of the measurements, given the dependences."""
+    """The verdict on a view of the measurements, with the dependences."""
     source, pairs = view.source, () if dependences is None else dependences.pairs
     if dependences is not None and pairs:
         source, effects = source.with_dependences(pairs), dependences.in_place_of(effects)
     findings = findings_of(source, effects, budget=budget)
-    found = document_of(findings, source, model)
+    document = document_of(findings, source, model)
     return ViewDocument(
         name=view.name,
         option=view.option,
-        verdict=found.verdict,
-        named=found.named,
-        held_out_error_before=found.held_out_error_before,
-        held_out_error_after=found.held_out_error_after,
+        verdict=document.verdict,
+        named=document.named,
+        held_out_error_before=document.held_out_error_before,
+        held_out_error_after=document.held_out_error_after,
         of=view.of,
         value=view.value if view.of else None,
         unit=view.unit,
-        parameters={effect.name: effect.parameters for effect in found.effects if effect.name in found.named},
+        parameters={effect.name: effect.parameters for effect in document.effects if effect.name in document.named},
     )
 
 
 def _over_ranges(document: DiagnosisDocument) -> DiagnosisDocument:
-    """The document with intervals over the range of each uncertain quantity, as far as the data allow it."""
+    """The document with intervals widened over the allowed range of each uncertain quantity."""
     views = []
     for view in document.views:
         others = [other.held_out_error_after for other in document.views if other.of == view.of]
@@ -200,14 +207,19 @@ def _over_ranges(document: DiagnosisDocument) -> DiagnosisDocument:
         views.append(view.model_copy(update={"allowed": allowed}) if view.of else view)
     effects = []
     for effect in document.effects:
-        named = [view for view in views if view.of and view.allowed and effect.name in view.parameters]
-        own = [view.parameters[effect.name] for view in named if effect.name in document.named]
-        wider = {}
+        views_with_effect = [view for view in views if view.of and view.allowed and effect.name in view.parameters]
+        parameters_in_views = [
+            view.parameters[effect.name] for view in views_with_effect if effect.name in document.named
+        ]
+        widened = {}
         for name, value in effect.parameters.items():
-            ends = [value.interval, *(other[name].interval for other in own if name in other)]
-            span = (min(low for low, _ in ends), max(high for _, high in ends))
-            wider[name] = value.model_copy(update={"ci95": span}) if own else value
-        effects.append(effect.model_copy(update={"parameters": wider}))
+            intervals = [
+                value.interval,
+                *(parameters[name].interval for parameters in parameters_in_views if name in parameters),
+            ]
+            span = (min(low for low, _ in intervals), max(high for _, high in intervals))
+            widened[name] = value.model_copy(update={"ci95": span}) if parameters_in_views else value
+        effects.append(effect.model_copy(update={"parameters": widened}))
     return document.model_copy(update={"effects": tuple(effects), "views": tuple(views)})
 
 
@@ -216,21 +228,23 @@ def effects_for(source: Source, only: Sequence[str] | None = None, bounds: Bound
 
     Args:
         source: Measurements with the model's predictions.
-        only: Their names; None: all that the model does not contain and the source offers.
-        bounds: Ranges of parameters that a user knows better.
+        only: Names of the effects; None: all that the source offers and the model does not contain.
+        bounds: Ranges of parameters by the user.
     """
     known, present = source.model.known_effects, {item.name for item in source.model.effects}
     offered = [name for name, effect in known.items() if source.offers(effect)]
     return [
-        bounded(known[name].in_proportion(source.proportion), bounds) for name in only or offered if name not in present
+        with_bounds(known[name].in_proportion(source.proportion), bounds)
+        for name in only or offered
+        if name not in present
     ]
 
 
 def _estimates_of(model: Model, source: Source) -> Added:
-    """Estimates of those effects of a model that a source has."""
+    """Estimates of the effects of a model that a source knows."""
     effects, joints = source.known_effects, source.joints
-    known = [(item, effects[item.name].scalars(joints)) for item in model.effects if item.name in effects]
-    return tuple((item.name, tuple(item.vector(scalars).tolist())) for item, scalars in known)
+    items = [(item, effects[item.name].scalars(joints)) for item in model.effects if item.name in effects]
+    return tuple((item.name, tuple(item.vector(scalars).tolist())) for item, scalars in items)
 
 
 def findings_of(
@@ -247,7 +261,7 @@ def findings_of(
         effects: Effects to consider.
         progress: Called with effects and their held-out error during the search (:class:`Search`).
         earlier: Estimates of an earlier model: further starts of fits.
-        budget: Processor time; half of it is for the hold-out. It lists what was not tried.
+        budget: Processor time, half of it for the hold-out; it lists the steps that were not tried.
 
     Raises:
         InputError: Too few conditions for a hold-out.
@@ -260,7 +274,7 @@ def findings_of(
         )
     search_budget = budget.part(SEARCH_TIME_SHARE)
     evidence = Evidence.of(source, budget=search_budget)
-    if (left := evidence.lack_of_fit) is not None and left > SIGNIFICANCE_LEVEL:  # then nothing is found, usually
+    if (p_value := evidence.lack_of_fit) is not None and p_value > SIGNIFICANCE_LEVEL:  # then usually nothing is found
         source.report(SEARCH)
         source.report(HOLD_OUT)
     search = Search(effects, evidence, progress, earlier=earlier)
@@ -269,31 +283,34 @@ def findings_of(
     if chosen is None:
         source.report(HOLD_OUT)
     rivals: Sequence[Rival] = ()
-    held, unsupported = None, ""
+    held_out, unsupported = None, ""
     suspected: tuple[str, ...] = ()
     if chosen is not None:
         chosen, rivals = search.exchange(chosen)
-        if (certain := without_uncertain_effects(search, chosen)) is not chosen:
-            chosen, rivals = certain, () if certain is None else search.rivals(certain)
+        if (certain_fit := without_uncertain_effects(search, chosen)) is not chosen:
+            chosen, rivals = certain_fit, () if certain_fit is None else search.rivals(certain_fit)
     # Folds of motions start at the estimates of all data; impacts are cheap, and nonlinear in slip.
-    fold_starts = search.ended if source.of_motion else NOTHING_KNOWN
-    if chosen is not None and (held := hold_out(source, effects, chosen.candidate, fold_starts, budget)) is not None:
-        supported = supported_by_hold_out(search, chosen, held)
+    fold_starts = search.optima if source.of_motion else NO_OPTIMA
+    if (
+        chosen is not None
+        and (held_out := hold_out(source, effects, chosen.candidate, fold_starts, budget)) is not None
+    ):
+        supported = supported_by_hold_out(search, chosen, held_out)
         if supported is not chosen:
-            kept = () if supported is None else supported.candidate.names
-            dropped = tuple(name for name in chosen.candidate.names if name not in kept)
-            unsupported = unsupported_words(search, dropped, held)
-            suspected = dropped if lowers_held_out_error(search, held) and not held.failed else ()
+            supported_names = () if supported is None else supported.candidate.names
+            dropped = tuple(name for name in chosen.candidate.names if name not in supported_names)
+            unsupported = unsupported_words(search, dropped, held_out)
+            suspected = dropped if lowers_held_out_error(search, held_out) and not held_out.failed else ()
             chosen, rivals = supported, () if supported is None else search.rivals(supported)
         if chosen is None:
-            held = None
+            held_out = None
     chosen = None if chosen is None else search.finished(chosen)
     decided = chosen is not None or suspected or undecidable
     return Findings(
         search=search,
         chosen=chosen,
         rivals=tuple(rivals),
-        hold_out=held,
+        hold_out=held_out,
         p_values=_p_values(search, chosen),
         suspected=suspected,
         within_discrepancy=() if decided else within_discrepancy(search),
@@ -302,49 +319,50 @@ def findings_of(
 
 
 def _p_values(search: Search, chosen: Fit | None) -> dict[str, float]:
-    """Unadjusted p-values: of unchosen effects given the chosen ones, of each chosen effect given the others."""
-    own = () if chosen is None else chosen.candidate.names
+    """Unadjusted p-values: unchosen effects given the chosen ones, chosen effects given the other chosen ones."""
+    chosen_names = () if chosen is None else chosen.candidate.names
     others = search.screening.raw_p_values(chosen)
-    return others | {name: search.p_value_of_chosen(chosen, name) for name in own if chosen}
+    return others | {name: search.p_value_of_chosen(chosen, name) for name in chosen_names if chosen}
 
 
-def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocument:
+def document_of(findings: Findings, source: Source, model: Model) -> DiagnosisDocument:
     """The diagnosis as a document.
 
     Args:
-        found: Result of the search.
+        findings: Result of the search.
         source: The searched measurements.
-        model: The model of the file; that of the source may have further user-defined effects.
+        model: The model of the file; the model of the source may have further user-defined effects.
     """
-    evidence, known = found.evidence, source.known_effects
-    verdict, lack_of_fit = headline(found)
+    evidence, known = findings.evidence, source.known_effects
+    verdict, lack_of_fit = headline(findings)
     before = evidence.means
-    after: Sequence[Array] = before if found.hold_out is None else found.hold_out.residuals
-    effects = tuple(with_readings(effect_documents(found, known), known))
+    after: Sequence[Array] = before if findings.hold_out is None else findings.hold_out.residuals
+    effects = tuple(with_readings(effect_documents(findings, known), known))
     rivals = {effect.name: effect.rivals for effect in effects}
     drift = drift_of(source.clusters)
-    remarks = [*filter(None, [drift_in_words(drift)]), *_remarks(found, source)]
+    remarks = [*filter(None, [drift_in_words(drift)]), *_remarks(findings, source)]
     return DiagnosisDocument(
         source=source.kind,
         verdict=verdict,
         impossible=source.impossible,
-        named=found.shown(found.names),
-        suspected=found.shown(found.suspected),
-        within_discrepancy=found.shown(found.within_discrepancy),
+        named=findings.shown(findings.names),
+        suspected=findings.shown(findings.suspected),
+        within_discrepancy=findings.shown(findings.within_discrepancy),
         effects=effects,
-        confusable=tuple((name, *rivals[name]) for name in found.shown(found.names) if rivals[name]),
+        confusable=tuple((name, *rivals[name]) for name in findings.shown(findings.names) if rivals[name]),
         unexplained=UnexplainedDocument(
-            share_of_excess=found.share_left, where=tuple(rests_of(evidence, found.unexplained)[:MAX_RESIDUALS])
+            share_of_excess=findings.remaining_share,
+            where=tuple(residuals_by_signal(evidence, findings.unexplained)[:MAX_RESIDUALS]),
         ),
-        next_experiment=next_experiment(found, known),
+        next_experiment=next_experiment(findings, known),
         model=ModelIdentity.of(model),
         runs=_runs(source),
         error_unit=residual_unit(evidence),
         noise_floor=noise_size(evidence),
-        held_out_error_before=found.held_out_sizes[0],
-        held_out_error_after=found.held_out_sizes[1],
-        held_out_change_ci95=change_interval(before, after, evidence) if found.hold_out is not None else None,
-        hold_out=_hold_out(found.hold_out, source),
+        held_out_error_before=findings.held_out_sizes[0],
+        held_out_error_after=findings.held_out_sizes[1],
+        held_out_change_ci95=change_interval(before, after, evidence) if findings.hold_out is not None else None,
+        hold_out=_hold_out(findings.hold_out, source),
         lack_of_fit=lack_of_fit,
         design=DesignDocument(
             clusters=len(evidence.clusters),
@@ -353,7 +371,7 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
             shortage=evidence.null.shortage,
         ),
         discrepancy=source.discrepancy_document,
-        identifiability=_identifiability(found.chosen),
+        identifiability=_identifiability(findings.chosen),
         joints=_joints(source, before, after),
         recording=source.recording,
         drift=drift,
@@ -367,7 +385,7 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
 
 def _limits(source: Source) -> tuple[LimitDocument, ...]:
     """Relevance limits of all signals, each once."""
-    found = {
+    limits = {
         (feature.phase, feature.signal, feature.unit): LimitDocument(
             phase=feature.phase, signal=feature.signal, limit=feature.relevance_limit, unit=feature.unit
         )
@@ -375,30 +393,33 @@ def _limits(source: Source) -> tuple[LimitDocument, ...]:
         for feature in item.features
         if feature.relevance_limit > 0.0
     }
-    return tuple(found.values())
+    return tuple(limits.values())
 
 
 def _runs(source: Source) -> RunsIdentity:
-    found = source.identity
-    return RunsIdentity(digest=found.digest, trials=found.count, conditions=found.conditions, recorded=found.recorded)
+    identity = source.identity
+    return RunsIdentity(
+        digest=identity.digest, trials=identity.count, conditions=identity.conditions, recorded=identity.recorded
+    )
 
 
-def _hold_out(found: HoldOut | None, source: Source) -> HoldOutDocument:
-    if found is None:
+def _hold_out(result: HoldOut | None, source: Source) -> HoldOutDocument:
+    if result is None:
         return HoldOutDocument(what="no hold-out, because no effect was found", folds=0)
-    count = len(found.folds)
+    count = len(result.folds)
     if source.repeated:
         what = f"conditions with all their repeats, in {count} folds"
     elif len({item.unit for item in source.clusters}) >= MIN_CLUSTERS:
         what = f"whole recordings, in {count} folds"
     else:
-        neighbours = "of neighbours; every fold is predicted from the others without those that touch it"
-        turn = f"that take one of every {count} neighbours"
-        what = f"{len(source.clusters)} {source.pieces} in {count} folds {turn if source.interleaved else neighbours}"
+        division = "of neighbours; every fold is predicted from the others without those that touch it"
+        if source.interleaved:
+            division = f"that take one of every {count} neighbours"
+        what = f"{len(source.clusters)} {source.pieces} in {count} folds {division}"
     how = "the whole search is repeated without the held-out data"
-    if fitted := count - sum(found.searched):
-        how += f", in {fitted} folds the fit alone, for a search lacks conditions, repeats or time"
-    return HoldOutDocument(what=f"{what}; {how}", folds=count, searched=sum(found.searched))
+    if fitted := count - sum(result.searched):
+        how += f", in {fitted} folds the fit alone, because a search lacks conditions, repeats or time"
+    return HoldOutDocument(what=f"{what}; {how}", folds=count, searched=sum(result.searched))
 
 
 def _joints(source: Source, before: Sequence[Array], after: Sequence[Array]) -> tuple[JointError, ...]:
@@ -410,9 +431,9 @@ def _joints(source: Source, before: Sequence[Array], after: Sequence[Array]) -> 
     )
 
 
-def _remarks(found: Findings, source: Source) -> list[str]:
+def _remarks(findings: Findings, source: Source) -> list[str]:
     remarks = [*source.remarks, *beyond(source), *assumptions(arms_of(source.worlds))]
-    null = found.evidence.null
+    null = findings.evidence.null
     if null.shortage is not None:
         remarks.append(f"too few data for a verdict: {null.shortage}")
     if source.repeated and source.of_motion and all(item.contact for item in source.clusters):
@@ -426,13 +447,13 @@ def _remarks(found: Findings, source: Source) -> list[str]:
             f"arms {', '.join(together)} are of one kind and share the parameters of every effect; --each-arm gives "
             "each arm its own"
         )
-    if found.unsupported:
-        remarks.append(found.unsupported)
-    if found.search.screening.not_simulated:
-        names = ", ".join(sorted(found.shown(found.search.screening.not_simulated)))
+    if findings.unsupported:
+        remarks.append(findings.unsupported)
+    if findings.search.screening.not_simulated:
+        names = ", ".join(sorted(findings.shown(findings.search.screening.not_simulated)))
         remarks.append(f"these cannot be simulated near nominal, so they were not tried: {names}")
-    if found.search.screening.ruled_out:
-        names = ", ".join(sorted(found.shown(found.search.screening.ruled_out)))
+    if findings.search.screening.ruled_out:
+        names = ", ".join(sorted(findings.shown(findings.search.screening.ruled_out)))
         remarks.append(f"free motion shows no sign of these, so they were not fitted in contact: {names}")
     return remarks
 

@@ -28,7 +28,7 @@ from impact_rs_sim.files import write_whole
 from impact_rs_sim.model import Model
 from impact_rs_sim.schema import Schema, omitted, read_json, validate
 
-MAX_JSON_BYTES = 50_000_000  # a diagnosis usually has about ten thousand
+MAX_JSON_BYTES = 50_000_000  # a diagnosis usually has about 10 kB
 
 
 class EstimateDocument(Schema):
@@ -53,7 +53,7 @@ class EstimateDocument(Schema):
 
     @classmethod
     def of(cls, parameter: Parameter, estimate: float, ci95: tuple[float, float] | None, **further: Any) -> Self:
-        """An estimate of a parameter, with all that the parameter itself says.
+        """An estimate of a parameter, with unit, meaning, joint, arm, nominal value, scale and range.
 
         Args:
             parameter: The parameter.
@@ -61,7 +61,7 @@ class EstimateDocument(Schema):
             ci95: Its 95 % interval, in its unit.
             further: Other fields of the document.
         """
-        own = {
+        facts = {
             "unit": parameter.unit,
             "meaning": parameter.meaning,
             "joint": None if parameter.joint is None else f"joint{parameter.joint + 1}",
@@ -70,40 +70,40 @@ class EstimateDocument(Schema):
             "scale": None if parameter.shape else parameter.scale,
             "range": (parameter.lower, parameter.upper),
         }
-        return cls(estimate=estimate, ci95=ci95, **(own | further))
+        return cls(estimate=estimate, ci95=ci95, **(facts | further))
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval, in its unit; unbounded where none is known."""
+        """95 % interval, in its unit; unbounded if it is unknown."""
         return (-math.inf, math.inf) if self.ci95 is None else self.ci95
 
     @property
     def excludes_nominal(self) -> bool:
-        """Whether the interval leaves out the value at which the effect does nothing."""
+        """Whether the interval excludes the value at which the effect does nothing."""
         low, high = self.interval
         return self.nominal is not None and not low <= self.nominal <= high
 
     @property
     def reach(self) -> float:
-        """How far the interval reaches from the value at which the effect does nothing, in noticeable changes [-]."""
+        """Largest distance of the interval from the value at which the effect does nothing [noticeable changes]."""
         if self.ci95 is None or self.nominal is None or not self.scale:
             return 0.0
         return max(abs(end - self.nominal) for end in self.ci95) / self.scale
 
 
 def explained(before: float, after: float, noise: float) -> float:
-    """Share of the squared error beyond noise that is gone [-]; below 0: there is more.
+    """Share of the squared error beyond noise that the effects explain [-]; negative if the error grows.
 
     Args:
         before: Held-out error without the effects.
-        after: The same with them.
-        noise: The same of noise alone; 0: not known.
+        after: Held-out error with the effects.
+        noise: Held-out error of noise alone; 0: unknown.
     """
     return (before**2 - after**2) / max(before**2 - noise**2, 1e-300)
 
 
 def tied_with_best(error: float, best: float) -> bool:
-    """Whether a held-out error is tied with the lowest one, of which the square may be ``MAX_TIE_LOG_RATIO`` less."""
+    """Whether a held-out error is tied with the lowest one: a log ratio of squares up to ``MAX_TIE_LOG_RATIO``."""
     return error <= best * math.exp(MAX_TIE_LOG_RATIO / 2.0)
 
 
@@ -152,7 +152,7 @@ class EffectDocument(Schema):
     def held_out_error_without(self) -> float | None:
         """Error on unseen clusters with the other effects of ``held_out_error_after``; null: not measured.
 
-        Documents of earlier versions lack it; the error without any effect stands for it.
+        In documents of earlier versions, which lack it, the error without any effect.
         """
         others = self.held_out_error_others
         return self.held_out_error_before if others is None else others
@@ -209,14 +209,14 @@ class DependenceDocument(Schema):
     held_out_error_after: float | None = Field(None, description="the same with all dependences that were found")
 
     @property
-    def found(self) -> bool:
-        """Whether the effect depends on the covariate, as far as these measurements say."""
+    def accepted(self) -> bool:
+        """Whether these measurements show that the effect depends on the covariate."""
         return bool(self.levels or self.curve or self.at_mean)
 
     @property
     def suspected(self) -> bool:
-        """Whether it may depend on it, but that predicts unseen data no better."""
-        return not self.found and not self.rivals and self.p_value is not None and bool(self.reason)
+        """Whether the effect may depend on the covariate, although this predicts unseen data no better."""
+        return not self.accepted and not self.rivals and self.p_value is not None and bool(self.reason)
 
 
 class ModelIdentity(Schema):
@@ -257,7 +257,7 @@ class RunsIdentity(Schema):
     )
 
 
-class RestDocument(Schema):
+class ResidualDocument(Schema):
     """One remaining residual."""
 
     phase: str = Field(description="phase of the motion")
@@ -281,7 +281,7 @@ class UnexplainedDocument(Schema):
     share_of_excess: float | None = Field(
         None, description="share of the squared held-out error beyond noise that remains"
     )
-    where: tuple[RestDocument, ...] = Field((), description="largest remaining residuals")
+    where: tuple[ResidualDocument, ...] = Field((), description="largest remaining residuals")
 
 
 class NextExperiment(Schema):
@@ -433,11 +433,11 @@ class HeldOutRollouts(Schema):
     def in_words(self) -> str:
         """Errors before and after in one line."""
         pairs = list(zip(self.before.horizons, self.after.horizons, strict=False))
-        tool = ", ".join(f"{shown(one.tool_mm)} → {shown(other.tool_mm)}" for one, other in pairs)
-        time = ", ".join(f"{one.horizon_s:g}" for one, _ in pairs)
-        number, worst = max(enumerate(self.before.last.joints), key=lambda one: one[1].error)
+        tool = ", ".join(f"{shown(before.tool_mm)} → {shown(after.tool_mm)}" for before, after in pairs)
+        time = ", ".join(f"{before.horizon_s:g}" for before, _ in pairs)
+        number, worst = max(enumerate(self.before.last.joints), key=lambda item: item[1].error)
         joint = ", ".join(
-            f"{shown(one.joints[number].error)} → {shown(other.joints[number].error)}" for one, other in pairs
+            f"{shown(before.joints[number].error)} → {shown(after.joints[number].error)}" for before, after in pairs
         )
         test = "" if self.p_value is None else f" (Wilcoxon signed-rank test, p = {self.p_value:.2g})"
         return (
@@ -453,7 +453,7 @@ class HeldOutRollouts(Schema):
         return f" after {self.horizon_s:g} s, beyond which neither predicts," if shorter else ""
 
     def disagreement(self, change: tuple[float, float] | None) -> str:
-        """Sentence on a torque balance that improves where rollouts get worse; empty: they do not disagree.
+        """Sentence if the torque balance improves but rollouts get worse; else empty.
 
         Args:
             change: 95 % interval of the change of the held-out error.
@@ -561,54 +561,54 @@ class DiagnosisDocument(Schema):
 
     @property
     def dependent(self) -> dict[str, tuple[str, ...]]:
-        """Covariates on which the parameters of an effect noticeably depend, by effect: one value would be wrong."""
-        found: dict[str, tuple[str, ...]] = {}
-        for one in self.dependences:
-            if one.found and one.verdict != SMALL:
-                found[one.effect] = (*found.get(one.effect, ()), one.covariate)
-        return found
+        """Covariates on which the parameters of an effect depend noticeably, by effect."""
+        covariates: dict[str, tuple[str, ...]] = {}
+        for dependence in self.dependences:
+            if dependence.accepted and dependence.verdict != SMALL:
+                covariates[dependence.effect] = (*covariates.get(dependence.effect, ()), dependence.covariate)
+        return covariates
 
     @property
     def addable(self) -> tuple[str, ...]:
-        """Named effects with one value for all measurements, which the measurements determine."""
-        own = [(name, self.effect(name)) for name in self.named if name not in self.dependent]
-        return tuple(name for name, effect in own if effect is not None and effect.verdict != UNIDENTIFIABLE)
+        """Named effects with one value for all measurements, determined by these measurements."""
+        candidates = [(name, self.effect(name)) for name in self.named if name not in self.dependent]
+        return tuple(name for name, effect in candidates if effect is not None and effect.verdict != UNIDENTIFIABLE)
 
     @property
     def not_excluded(self) -> dict[str, str]:
-        """Effects that were not found, yet could be there at a noticeable size: the parameter that could be largest.
+        """Effects that were not named, but may be present at a noticeable size, with their parameter of largest reach.
 
-        By name of the effect, those of the largest reach first. An effect that no signal depends on is not among them.
+        By name of the effect, largest reach first; effects on which no signal depends are omitted.
         """
         if self.impossible:
             return {}
-        near = {*self.named, *(name for group in self.confusable for name in group)}
-        found = []
+        named_or_tied = {*self.named, *(name for group in self.confusable for name in group)}
+        entries = []
         for effect in self.effects:
-            if effect.measured and effect.parameters and effect.name not in near:
+            if effect.measured and effect.parameters and effect.name not in named_or_tied:
                 name, widest = max(effect.parameters.items(), key=lambda item: item[1].reach)
                 if widest.reach > 1.0:
-                    found.append((-widest.reach, effect.name, name))
-        return {effect: name for _, effect, name in sorted(found)}
+                    entries.append((-widest.reach, effect.name, name))
+        return {effect: name for _, effect, name in sorted(entries)}
 
     @property
     def nominally_significant(self) -> tuple[str, ...]:
         """Effects that are not excluded at a noticeable size, and would be significant (5 %) if tested alone.
 
-        Of twenty that are not there one is. More trials of it decide. None where the error is no larger than noise and
-        discrepancy alone make it: an effect that explains less than that is never named.
+        One in twenty absent effects is among them; more trials decide. Empty if the held-out error does not exceed
+        noise and discrepancy: no effect would be named then.
         """
         if self.held_out_error_after <= self.noise_floor:
             return ()
-        found = [effect for name in self.not_excluded if (effect := self.effect(name)) is not None]
+        effects = [effect for name in self.not_excluded if (effect := self.effect(name)) is not None]
         return tuple(
-            one.name
-            for one in found
-            if one.lowers and one.p_value_alone is not None and one.p_value_alone < UNADJUSTED_LEVEL
+            effect.name
+            for effect in effects
+            if effect.lowers and effect.p_value_alone is not None and effect.p_value_alone < UNADJUSTED_LEVEL
         )
 
     def effect(self, name: str) -> EffectDocument | None:
-        """Document of one effect; None if there is none."""
+        """Document of one effect; None: the diagnosis did not consider it."""
         return next((effect for effect in self.effects if effect.name == name), None)
 
 

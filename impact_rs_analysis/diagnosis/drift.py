@@ -1,21 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Drift: whether repeats of a condition change with the order in which they were measured.
 
-Friction falls as a robot warms up, pads wear, a balance loses its zero. Within a condition nothing but time and noise
-distinguishes the repeats, so with t the rank of every run in the campaign and r its residuals, both less their mean
-over the condition, a drift is a slope
+Friction falls as a robot warms up, pads wear, a balance loses its zero. Repeats of a condition differ by time and noise
+only. With t the rank of a run in the campaign and r its residuals, both minus their mean over the condition, a drift is
+a slope
 
     beta_f = sum t r_f / sum t^2,        rho_f = (sum t r_f)^2 / (sum t^2 sum r_f^2)
 
-of feature f. The squared correlation rho_f, averaged over the time bins of a signal, needs no scale. Its null
-distribution is that along random directions among the repeats: under normal noise every direction is equally likely
+of feature f. The squared correlation rho_f, averaged over the time bins of a signal, is free of scale. Its null
+distribution is given by random directions among the repeats: under normal noise every direction is equally likely
 (Langsrud 2005, *Rotation tests*), whatever the covariance of the features. The largest standardised rho of all signals
-is compared with the largest of every direction, so that the family-wise level holds (Westfall and Young 1993,
+is compared with the largest in every direction, so that the family-wise level holds (Westfall and Young 1993,
 *Resampling-based multiple testing*).
 
-The prediction of a condition is the same for all its repeats, so a missing effect is no drift. The converse holds only
-if conditions alternate. If they were measured one after the other, drift and conditions are confounded (Fisher 1935,
-*The Design of Experiments*: randomise). The share of the variance of t between conditions measures that: 1 - 1/C^2 for
+All repeats of a condition have one prediction, so a missing effect causes no drift. A drift, however, imitates an
+effect unless conditions alternate: conditions measured one after the other are confounded with drift (Fisher 1935, *The
+Design of Experiments*: randomise). The measure is the share of the variance of t between conditions: 1 - 1/C^2 for
 C conditions one after the other, about (C - 1)/(N - 1) in random order.
 """
 
@@ -40,7 +40,7 @@ from impact_rs_sim.robots.robot import Array
 
 
 def drift_of(clusters: Sequence[Cluster]) -> DriftDocument | None:
-    """The signal that drifts most; None if the order is unknown or hardly anything was repeated.
+    """The signal that drifts most; None if the order is unknown or there are too few repeats.
 
     Args:
         clusters: Residuals of any model by condition, with timestamps.
@@ -49,8 +49,8 @@ def drift_of(clusters: Sequence[Cluster]) -> DriftDocument | None:
     if len(stamps) < len(clusters) or sum(item.count - 1 for item in clusters) < MIN_DEGREES_OF_FREEDOM:
         return None
     order = scipy.stats.rankdata(np.concatenate(stamps))
-    places = np.split(order, np.cumsum([item.count for item in clusters])[:-1])
-    within = sum(float(np.sum(np.square(own - own.mean()))) for own in places)
+    ranks = np.split(order, np.cumsum([item.count for item in clusters])[:-1])
+    within = sum(float(np.sum(np.square(rank - rank.mean()))) for rank in ranks)
     if within == 0.0:  # timestamps too coarse to order any repeats
         return None
     groups = list(dict.fromkeys(feature.group for item in clusters for feature in item.features))
@@ -62,25 +62,27 @@ def drift_of(clusters: Sequence[Cluster]) -> DriftDocument | None:
         if not chosen:
             continue
         features = clusters[chosen[0]].features
-        along = _centred([places[number] for number in chosen])
+        centred_ranks = _centred([ranks[number] for number in chosen])
         rows = _centred([clusters[number].residuals * clusters[number].sigma for number in chosen])
         draws = [rng.standard_normal((clusters[number].count, NULL_DRAWS)) for number in chosen]
-        directions = np.column_stack((along, _centred(draws)))
+        directions = np.column_stack((centred_ranks, _centred(draws)))
         powers = np.outer(np.sum(np.square(directions), axis=0), np.sum(np.square(rows), axis=0))
         rho = np.square(directions.T @ rows) / np.maximum(powers, 1e-300)
-        slope = along @ rows / max(float(along @ along), 1e-300) * float(np.ptp(order))
+        slope = centred_ranks @ rows / max(float(centred_ranks @ centred_ranks), 1e-300) * float(np.ptp(order))
         for number, group in enumerate(groups):
-            own = np.array([feature.group == group for feature in features])
-            correlation[:, number] += rho[:, own].sum(axis=1)
+            of_group = np.array([feature.group == group for feature in features])
+            correlation[:, number] += rho[:, of_group].sum(axis=1)
             changes.setdefault(group, []).extend(
-                (feature, float(value)) for feature, value, mine in zip(features, slope, own, strict=True) if mine
+                (feature, float(value))
+                for feature, value, belongs in zip(features, slope, of_group, strict=True)
+                if belongs
             )
     standard = (correlation - correlation.mean(axis=0)) / np.maximum(correlation.std(axis=0), 1e-300)
     most = int(np.argmax(standard[0]))
     largest = standard.max(axis=1)
-    moved = changes[groups[most]]
-    values = np.array([value for _, value in moved])
-    feature = moved[0][0]
+    entries = changes[groups[most]]
+    values = np.array([value for _, value in entries])
+    feature = entries[0][0]
     return DriftDocument(
         phase=feature.phase,
         signal=feature.signal,
@@ -98,34 +100,34 @@ def _centred(parts: Sequence[Array]) -> Array:
     return np.concatenate([part - part.mean(axis=0) for part in parts])
 
 
-def low_confidence_sentence(found: DriftDocument | None) -> str:
+def low_confidence_sentence(drift: DriftDocument | None) -> str:
     """Sentence of the summary if a drift is confounded with the conditions; else empty."""
-    if found is None or not found.confounded or found.p_value >= SIGNIFICANCE_LEVEL:
+    if drift is None or not drift.confounded or drift.p_value >= SIGNIFICANCE_LEVEL:
         return ""
     return (
-        f"Confidence is low: the {found.signal} {found.index} drifts, and conditions were measured one after the other."
+        f"Confidence is low: the {drift.signal} {drift.index} drifts, and conditions were measured one after the other."
     )
 
 
-def drift_in_words(found: DriftDocument | None) -> str:
-    """Warning on a drift, or on an order of measurement that would hide one; empty: none."""
-    if found is None:
+def drift_in_words(drift: DriftDocument | None) -> str:
+    """Warning of a drift, or of an order of measurement that would hide one; empty: no warning."""
+    if drift is None:
         return ""
-    drifts = found.p_value < SIGNIFICANCE_LEVEL
+    drifts = drift.p_value < SIGNIFICANCE_LEVEL
     what = (
-        f"the {found.signal} {found.index} ({found.phase}) {'rises' if found.change > 0.0 else 'falls'} by "
-        f"{abs(found.change):.2g} {found.unit} over the {found.runs} runs of the campaign, in repeats of the same "
-        f"condition (p {'<=' if found.p_value <= MIN_REPORTED_P else '='} {found.p_value:.2g})"
+        f"the {drift.signal} {drift.index} ({drift.phase}) {'rises' if drift.change > 0.0 else 'falls'} by "
+        f"{abs(drift.change):.2g} {drift.unit} over the {drift.runs} runs of the campaign, in repeats of the same "
+        f"condition (p {'<=' if drift.p_value <= MIN_REPORTED_P else '='} {drift.p_value:.2g})"
     )
     order = "conditions were measured one after the other"
-    if drifts and found.confounded:
+    if drifts and drift.confounded:
         return (
             f"low confidence: {what}, and {order}: the drift looks like an effect of the conditions. Measure them in "
             "random order"
         )
     if drifts:
         return f"{what}: a drift of the campaign. Conditions alternate, so estimates are means over it"
-    if found.confounded:
+    if drift.confounded:
         return (
             f"{order}: a drift between them would look like an effect. No drift is seen within them; random order "
             "would show one"

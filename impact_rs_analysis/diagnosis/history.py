@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fitted and held-out error from model version to model version.
 
-Where measurements have a calibration, its faults of the readings come first, one by one, on top of the first model.
+If measurements have a calibration, its faults of the readings follow the first model one by one.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Version:
         file: Its file.
         model: The model.
         effects_added: Effects added to its parent; empty for the first.
-        applied: The model with what is known of the readings; None: nothing is.
+        applied: The model with the known faults of the readings; None: without calibration.
     """
 
     file: str
@@ -47,7 +47,7 @@ class Version:
 
     @property
     def effect_added(self) -> str | None:
-        """Effects added, as they are shown; None: there are none."""
+        """Effects added, joined by ``+``; None: without added effects."""
         return "+".join(self.effects_added) or None
 
 
@@ -99,7 +99,7 @@ def versions(path: Path) -> list[Version]:
     chain: list[tuple[Path, Model]] = []
     file: Path = path
     while True:
-        if any(file.exists() and known.exists() and known.samefile(file) for known, _ in chain):
+        if any(file.exists() and ancestor.exists() and ancestor.samefile(file) for ancestor, _ in chain):
             raise InputError("this model is its own ancestor", file=file, key="parent")
         model = load_model(file)
         if chain:
@@ -114,33 +114,33 @@ def versions(path: Path) -> list[Version]:
         chain.append((file, model))
         if model.parent is None:
             break
-        beside = file.parent / model.parent
-        file = beside if beside.exists() else Path(model.parent)
+        beside_child = file.parent / model.parent
+        file = beside_child if beside_child.exists() else Path(model.parent)
     chain.reverse()
     result = []
-    for number, (found, model) in enumerate(chain):
+    for number, (model_file, model) in enumerate(chain):
         before = set() if number == 0 else {item.model_dump_json() for item in chain[number - 1][1].effects}
         new = [item.name for item in model.effects if item.model_dump_json() not in before]
-        result.append(Version(str(found), model, tuple(new) if number else ()))
+        result.append(Version(str(model_file), model, tuple(new) if number else ()))
     return result
 
 
 def with_calibration(chain: Sequence[Version], calibration: LaboratoryCalibration) -> list[Version]:
-    """The first model, the same with the faults of the readings one by one, and its children with all of them.
+    """The first model, then with the faults of the readings one by one, then its children with all faults.
 
     Args:
         chain: The models from the first to the last.
         calibration: Faults of the readings.
 
     Raises:
-        InputError: It has an effect of a model, or does not fit it.
+        InputError: The calibration contains an effect of a model, or does not fit it.
     """
     if not calibration:
         return list(chain)
     first = chain[0]
     steps = [
-        Version(str(calibration.file), one.faults, (one.faults.effects[-1].name,), one.of(first.model))
-        for one in calibration.steps()
+        Version(str(calibration.file), partial.faults, (partial.faults.effects[-1].name,), partial.of(first.model))
+        for partial in calibration.steps()
     ]
     return [first, *steps, *(replace(version, applied=calibration.of(version.model)) for version in chain[1:])]
 
@@ -153,13 +153,13 @@ def history(
     Args:
         path: File of the last model.
         source_of: The measurements against a model as it is, without a calibration; called once for every version.
-        calibration: Faults of the readings; their errors come after that of the first model.
+        calibration: Faults of the readings; their errors follow the error of the first model.
 
     Raises:
         InputError: See :func:`versions` and :func:`with_calibration`; or the replay with one of the models has no
             contact.
     """
-    found: list[VersionError] = []
+    errors: list[VersionError] = []
     for version in with_calibration(versions(path), calibration):
         source = source_of(version.whole)
         error, noise = source.size(), source.noise_size()
@@ -168,42 +168,42 @@ def history(
             held_out = _held_out(version, source, source_of)
         rollouts = source.rollouts()
         document = None if rollouts is None else rollouts.document()
-        digest = found[0].runs_digest if found else source.identity.digest  # opens every bag
-        found.append(VersionError(version, error, held_out, noise, source.size_unit, document, digest))
-    return found
+        digest = errors[0].runs_digest if errors else source.identity.digest  # opens every bag
+        errors.append(VersionError(version, error, held_out, noise, source.size_unit, document, digest))
+    return errors
 
 
 def _held_out(version: Version, source: Source, source_of: Callable[[Model], Source]) -> float | None:
     """Error of every condition with the added effects fitted to all others, about the estimate in the model file.
 
     Args:
-        version: With added effects.
-        source: The measurements against it, on whose scale the error is.
+        version: Version with added effects.
+        source: The measurements against it; they set the scale of the error.
         source_of: See :func:`history`.
     """
     names, model = version.effects_added, version.whole
     bare = source_of(
         model.model_copy(update={"effects": tuple(item for item in model.effects if item.name not in names)})
     )
-    # A replay without the effect may hit nothing, so that a condition is left out.
-    places = {item.name: number for number, item in enumerate(bare.clusters)}
-    clusters = tuple(item for item in source.clusters if item.name in places)
+    # A replay without the effect may hit nothing; the source then lacks this condition.
+    index_of = {item.name: number for number, item in enumerate(bare.clusters)}
+    clusters = tuple(item for item in source.clusters if item.name in index_of)
     if len(clusters) < 2:
         return None
-    numbers = tuple(places[item.name] for item in clusters)
+    numbers = tuple(index_of[item.name] for item in clusters)
     effects = tuple(bare.model.known_effects[name] for name in names)
     values = {item.name: item.parameters for item in model.effects}
     point = np.array(
         [
-            (own.get(scalar.name) or own[scalar.shared_name]).estimate
+            (parameters.get(scalar.name) or parameters[scalar.shared_name]).estimate
             for effect in effects
-            for own in [values[effect.name]]
+            for parameters in [values[effect.name]]
             for scalar in effect.scalars(bare.joints)
         ]
     )
     bare_candidate = Candidate.of(effects, bare, point)
     candidate = linearise(
-        replace(bare_candidate, origin=bare_candidate.split(point)),
+        replace(bare_candidate, origin=bare_candidate.effects_at(point)),
         clusters,
         numbers,
         bare,
@@ -211,5 +211,5 @@ def _held_out(version: Version, source: Source, source_of: Callable[[Model], Sou
     )
     if candidate is None:
         return None
-    rest = Evidence(bare, numbers, clusters).problem(candidate).leave_one_out_residuals
-    return residual_size(Evidence(source, numbers, clusters), rest)
+    residuals = Evidence(bare, numbers, clusters).problem(candidate).leave_one_out_residuals
+    return residual_size(Evidence(source, numbers, clusters), residuals)

@@ -63,11 +63,11 @@ def jump_level(runs: Runs, model: Model, discrepancy: Discrepancy) -> tuple[dict
 
 
 def _entry(
-    place: tuple[str, str, str], signal: str, index: str, values: tuple[float, float], unit: str, noise: float
+    key: tuple[str, str, str], signal: str, index: str, values: tuple[float, float], unit: str, noise: float
 ) -> JumpLevel:
     """A measured and a predicted number, in ``unit``; ``noise`` is the repeatability of a single trial."""
     measured, predicted = values
-    scenario, item, case = place
+    scenario, item, case = key
     error = measured - predicted
     return JumpLevel(
         scenario=scenario,
@@ -105,10 +105,10 @@ def jump_entries(runs: Runs, measured: Sequence[Cluster], model: Model) -> tuple
             remarks.append(f"impact map of {item.name}: {error}")
             continue
         for feature, value, sigma in zip(item.features, item.mean, item.sigma, strict=True):
-            known = predicted.get((feature.signal, feature.index, feature.bin))
-            if feature.phase != "impact" or known is None:
+            prediction = predicted.get((feature.signal, feature.index, feature.bin))
+            if feature.phase != "impact" or prediction is None:
                 continue
-            name, expected = known
+            name, expected = prediction
             entries.append(
                 _entry(key, name, feature.index, (float(value * sigma), expected), feature.unit, float(sigma))
             )
@@ -126,15 +126,15 @@ def jump_entries(runs: Runs, measured: Sequence[Cluster], model: Model) -> tuple
 
 
 def _left_the_pad(key: tuple[str, str, str], runs: Sequence[MeasuredRun]) -> list[str]:
-    """Warnings on a set whose object does not stay at the pad, as the impact map assumes."""
-    found = []
+    """Warnings if an object leaves the pad; the impact map assumes that it stays."""
+    movements = []
     for run in runs:
         try:
             bag = TrialBag.open(run.path)
-            found.append(departures(bag, {arm: bag.controller(arm) for arm in run.physics.arms}))
+            movements.append(departures(bag, {arm: bag.controller(arm) for arm in run.physics.arms}))
         except BagError:
             continue
-    return [f"{left.object} {left.case}: {left.words}" for left in objects_left({key: found})]
+    return [f"{departed.object} {departed.case}: {departed.words}" for departed in objects_left({key: movements})]
 
 
 def _scale(run: MeasuredRun) -> float:
@@ -152,8 +152,11 @@ def _predict(group: Sequence[MeasuredRun], model: Model) -> dict[tuple[str, str,
     else:
         physics = model.apply(first.setup.physics)
         problems = [problem_of(run, physics) for run in group]
-    every = [_numbers(problem, first) for problem in problems]
-    return {key: (name, float(np.mean([one[key][1] for one in every]))) for key, (name, _) in every[0].items()}
+    numbers = [_numbers(problem, first) for problem in problems]
+    return {
+        key: (name, float(np.mean([numbers_of_run[key][1] for numbers_of_run in numbers])))
+        for key, (name, _) in numbers[0].items()
+    }
 
 
 def _numbers(problem: ImpactProblem, run: MeasuredRun) -> dict[tuple[str, str, int], tuple[str, float]]:

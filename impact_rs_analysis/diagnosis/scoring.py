@@ -22,10 +22,10 @@ class Score:
 
     Attributes:
         kind: Kind of the campaign.
-        truth: Hidden effects; for ``outside`` the hidden cause, which no effect of the library is.
+        truth: Hidden effects; for ``outside`` the hidden cause outside the library.
         named: Effects that the diagnosis chose.
         correct: Whether the diagnosis is right, see :func:`held_against_truth`.
-        by_own_name: Whether every hidden effect was chosen by its own name.
+        by_own_name: Whether every hidden effect was named itself, not a rival.
         headline: Whether the headline is exactly the hidden effects, or the right verdict where there are none.
         intervals_cover: Whether all true parameters lie in their 95 % intervals, also of effects that were not named;
             None where no hidden effect was measured.
@@ -55,10 +55,10 @@ def score(directory: Path, document: DiagnosisDocument, source: Path) -> Score:
     Raises:
         InputError: No blind campaign, or a diagnosis of other runs.
     """
-    found = held_against_truth(directory, document)
+    result = held_against_truth(directory, document)
     if document.runs.digest != runs_digest(directory / RUNS):
         raise InputError(f"this is a diagnosis of other runs than those in {directory / RUNS}", file=source)
-    return found
+    return result
 
 
 def truth_of(directory: Path) -> tuple[str, tuple[str, ...]]:
@@ -84,10 +84,10 @@ def _read_truth(directory: Path) -> tuple[str, dict[str, Any], str]:
 
 
 def held_against_truth(directory: Path, document: DiagnosisDocument) -> Score:
-    """Compare a diagnosis with the truth of a blind campaign, whatever files it was made from.
+    """Compare a diagnosis of any files of a blind campaign with its truth.
 
-    Correct is: for ``single``, the hidden effect is named or confusable with a named one; for ``pair``, both are; for
-    ``null``, NOTHING-MISSING; for ``outside``, NONE-EXPLAINS, or a named effect with a verdict that residuals remain.
+    Correct verdicts: for ``single``, the hidden effect is named or confusable with a named one; for ``pair``, both are;
+    for ``null``, NOTHING-MISSING; for ``outside``, NONE-EXPLAINS, or a named effect and remaining residuals.
 
     Args:
         directory: Blind campaign.
@@ -100,18 +100,20 @@ def held_against_truth(directory: Path, document: DiagnosisDocument) -> Score:
     named = document.named
     groups = [set(group) for group in document.confusable]
 
-    def near(name: str) -> set[str]:
+    def confusable_with(name: str) -> set[str]:
         return {name}.union(*(group for group in groups if name in group))
 
-    found = {name: name in named or any(name in near(other) for other in named) for name in hidden}
-    right = all(found.values())
+    is_named = {name: name in named or any(name in confusable_with(chosen) for chosen in named) for name in hidden}
+    correct = all(is_named.values())
     headline = document.verdict.kind is Kind.NAMED and set(document.verdict.names) == set(hidden)
     if kind == "null":
-        right = headline = document.verdict == NOTHING
+        correct = headline = document.verdict == NOTHING
     elif kind == "outside":
-        left = document.lack_of_fit.after
-        stays = document.verdict.kind is Kind.PARTLY or (bool(named) and left is not None and left < SIGNIFICANCE_LEVEL)
-        right = headline = document.verdict == NONE or stays
+        p_value = document.lack_of_fit.after
+        residuals_reported = document.verdict.kind is Kind.PARTLY or (
+            bool(named) and p_value is not None and p_value < SIGNIFICANCE_LEVEL
+        )
+        correct = headline = document.verdict == NONE or residuals_reported
     covered = [
         estimate.interval[0] <= hidden[name][key]["value"] <= estimate.interval[1]
         for name in hidden
@@ -123,10 +125,10 @@ def held_against_truth(directory: Path, document: DiagnosisDocument) -> Score:
         kind=kind,
         truth=(outside,) if kind == "outside" else tuple(hidden),
         named=named,
-        correct=right,
+        correct=correct,
         by_own_name=bool(hidden) and all(name in named for name in hidden),
         headline=headline,
         intervals_cover=all(covered) if covered else None,
         covered=(sum(covered), len(covered)),
-        also_named=tuple(name for name in named if not near(name) & set(hidden)),
+        also_named=tuple(name for name in named if not confusable_with(name) & set(hidden)),
     )

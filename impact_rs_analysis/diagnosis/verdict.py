@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A verdict: on a model, on an effect, on one of its joints, or on a dependence; the only place that knows its text."""
+"""Verdict on a model, an effect, a joint of an effect, or a dependence; the text of verdicts is defined here alone."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pydantic import GetCoreSchemaHandler, PlainSerializer, PlainValidator
 class Kind(StrEnum):
     """Kind of a verdict: its word in files and reports."""
 
-    NAMED = "NAMED"  # of a model that lacks some effects: their names, without this word
+    NAMED = "NAMED"  # verdict on a model: names of the missing effects, without this word
     NOTHING = "NOTHING-MISSING"
     NONE = "NONE-EXPLAINS"
     PARTLY = "PARTLY"  # with the effects that explain a part
@@ -58,13 +58,13 @@ class DiagnosisVerdict:
 
     @classmethod
     def parse(cls, text: str | DiagnosisVerdict) -> DiagnosisVerdict:
-        """The verdict with a text; what is no other verdict names effects."""
+        """The verdict with a text; any text that is no other verdict names effects."""
         if isinstance(text, DiagnosisVerdict):
             return text
         if not isinstance(text, str):
             raise ValueError("expected a verdict")
-        if (found := WITH_NAMES.fullmatch(text)) is not None:
-            return cls(Kind(found[1]), tuple(found[2].split(", ")))
+        if (match := WITH_NAMES.fullmatch(text)) is not None:
+            return cls(Kind(match[1]), tuple(match[2].split(", ")))
         return cls(Kind(text)) if text in WITHOUT_NAMES else cls(Kind.NAMED, tuple(text.split("+")))
 
     @classmethod

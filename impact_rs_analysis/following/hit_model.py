@@ -121,12 +121,12 @@ class HitModel:
         own, numbers = replace(self.candidate, point=point), tuple(parameters)
         key = (hit.shared, point.tobytes(), numbers)
         if hit.shared and key in self._jacobians:
-            (predicted,) = self.hit_source.predict(hit, [own.split(point)])
+            (predicted,) = self.hit_source.predict(hit, [own.effects_at(point)])
             return None if predicted is None else (predicted, self._jacobians[key])
         if (plan := self._plans.get(key[1:])) is None:
             steps = own.steps(self.joints)
             moved = [point + steps[number] * (np.arange(point.size) == number) for number in numbers]
-            plan = self._plans[key[1:]] = steps, [own.split(one) for one in (point, *moved)]
+            plan = self._plans[key[1:]] = steps, [own.effects_at(one) for one in (point, *moved)]
         steps, points = plan
         predicted, *others = self.hit_source.predict(hit, points)
         if predicted is None:
@@ -144,7 +144,7 @@ class HitModel:
         off, hit = evidence.residual, evidence.hit
         start = self.candidate.point
         if not np.array_equal(point, start):
-            (given,) = self.hit_source.predict(hit, [self.candidate.split(start)])
+            (given,) = self.hit_source.predict(hit, [self.candidate.effects_at(start)])
             off = off if given is None else self.whiten[hit.layout] @ (hit.measured - given)
         return math.sqrt(float(np.mean(np.square(off))))
 

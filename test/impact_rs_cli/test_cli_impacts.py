@@ -66,7 +66,7 @@ def test_a_dependence_on_a_covariate_is_in_text_document_and_page(
     shown = " ".join(capfd.readouterr().out.split())
     assert "restitution depends on session: 0." in shown and "Dependences on circumstances" in shown
     found = read_document(diagnosis)
-    (one,) = (entry for entry in found.dependences if entry.found)
+    (one,) = (entry for entry in found.dependences if entry.accepted)
     estimates = [one.levels[level]["restitution"].estimate for level in "AB"]
     assert estimates == pytest.approx([0.2, 0.4], abs=0.02)
     page = (report / "diagnosis.html").read_text(encoding="utf-8")

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Discovery of a law (symbolic regression over a grammar), where no effect of the library explains the measurements.
 
-A law is an effect made of a formula, so search, cross-validation, p-values and verdicts are those of a diagnosis, with
-the laws of the grammar (:mod:`impact_rs_analysis.diagnosis.laws.grammar`) in addition to the library. It runs only if
-the library leaves more than noise, with laws that act where free motion or contact has a residual. A law that sets in
-outside the range of free motion, as a stop or a slack cable, is searched for if contact has a residual. In a table of
-impacts the laws are coefficients of a single contact over closing and sliding speed.
+A law is an effect made of a formula. So a discovery is a diagnosis with the laws of the grammar
+(:mod:`impact_rs_analysis.diagnosis.laws.grammar`) in addition to the library. It runs only if the library leaves
+residuals beyond noise, with the laws that act where free motion or contact has a residual. A law that sets in outside
+the range of free motion, such as a stop or a slack cable, is tried if contact has a residual. In a table of impacts
+laws are coefficients of a single contact over closing and sliding speed.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from impact_rs_analysis.diagnosis.thresholds import (
 )
 from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, NOTHING, SMALL, TOO_FEW
 from impact_rs_analysis.diagnosis.verdicts.model_verdict import Findings, headline
-from impact_rs_analysis.diagnosis.verdicts.residuals import residual_unit, rests_of
+from impact_rs_analysis.diagnosis.verdicts.residuals import residual_unit, residuals_by_signal
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.evidence.visited import Range, measured_ranges
 from impact_rs_sim.effects import Effect
@@ -53,10 +53,10 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.rotations import AXES
 
-LAW_POINTS = 41  # at which a law is evaluated over the range of its quantity
-MIN_LAW_DIFFERENCE = 0.3  # of the largest force in the range; a larger difference separates two laws
-MAX_EXTRAPOLATION = 3.0  # times the end of the range, where such a difference is searched for
-MAX_RIVAL_LAWS = 8  # fitted in the place of a law
+LAW_POINTS = 41  # of a law, over the range of its quantity
+MIN_LAW_DIFFERENCE = 0.3  # of two distinguishable laws, over the largest force in the range
+MAX_EXTRAPOLATION = 3.0  # times the end of the range, in the search for such a difference
+MAX_RIVAL_LAWS = 8  # fitted in place of a law
 MAX_OTHER_LAWS = 8  # listed without being proposed
 
 
@@ -70,38 +70,38 @@ def discover(
     """Search for a law that a model lacks.
 
     Args:
-        source_of: Measurements against a model.
+        source_of: Source of the measurements for a model.
         model: The model.
-        grammar: Which laws.
+        grammar: Grammar of the laws.
         only: Names of library effects to consider as well; None: all that the model does not contain.
-        progress: Called with laws and their held-out error during the search.
+        progress: Called with laws and their leave-one-out error during the search.
 
     Raises:
         InputError: Too few conditions for a hold-out.
     """
     source = source_of(model)
     library = effects_for(source, only)
-    known = _of_library(source, library, progress)
-    verdict = _settled(known)
+    library_findings = _library_search(source, library, progress)
+    verdict = _settled(library_findings)
     if verdict is not None:
         return DiscoveryDocument(
-            verdict=verdict, summary=_no_need(verdict), error_unit=residual_unit(Evidence.of(source))
+            verdict=verdict, summary=_reason_without_search(verdict), error_unit=residual_unit(Evidence.of(source))
         )
     ranges = measured_ranges(source)
     joints = min((len(kinds) for world in source.worlds for _, kinds in world.arm_joints), default=0)
     of_impacts = bool(source.contact_speeds)
     laws = {law.spec.name: law for law in laws_of(grammar, ranges, joints) if bool(law.coefficient) == of_impacts}
-    wanted = set(_where(known, laws.values()))
-    laws = {name: law for name, law in laws.items() if name in wanted and name not in model.known_effects}
+    names = set(_acting_laws(library_findings, laws.values()))
+    laws = {name: law for name, law in laws.items() if name in names and name not in model.known_effects}
     domains = measured_ranges(
         source, {law.symbol for law in laws.values() if not law.quantity.of_place and not law.quantity.shapes}
     )
     laws = {name: law for name, law in laws.items() if not law.coefficient or _varies(law, domains)}
-    tried = _searched(source_of, model, library, laws, progress)
-    document = _document(tried, model, laws, domains)
+    searched = _searched(source_of, model, library, laws, progress)
+    document = _document(searched, model, laws, domains)
     if document.verdict == LIBRARY:
         return document
-    if document.verdict == NO_LAW or _settled(tried.found) is None:
+    if document.verdict == NO_LAW or _settled(searched.findings) is None:
         curves = {curve.spec.name: curve for curve in _curves(laws.values(), ranges, source, library)}
 
         def look(among: Mapping[str, Law]) -> DiscoveryDocument:
@@ -110,11 +110,11 @@ def discover(
         described = _described(look, curves, laws, document)
         if described is not None:
             return described
-    return _with_curve(source_of, model, tried, laws, domains, document) if document.verdict == FOUND else document
+    return _with_curve(source_of, model, searched, laws, domains, document) if document.verdict == FOUND else document
 
 
 def _described(
-    look: Callable[[Mapping[str, Law]], DiscoveryDocument],
+    search: Callable[[Mapping[str, Law]], DiscoveryDocument],
     curves: Mapping[str, Law],
     laws: Mapping[str, Law],
     document: DiscoveryDocument,
@@ -122,15 +122,15 @@ def _described(
     """The discovery with free curves in place of laws; None if they predict no better.
 
     Args:
-        look: Searches for some laws.
+        search: Search among some laws.
         curves: Free curves.
         laws: Searched laws.
-        document: The discovery among them.
+        document: The discovery among the searched laws.
     """
-    over = {(curve.place, curve.where, curve.symbol) for curve in curves.values()}  # such a curve contains a law
-    found = [laws[law.name] for law in document.laws]
-    held = {law.spec.name: law for law in found if (law.place, law.where, law.symbol) not in over}
-    described = look({**held, **curves})
+    curve_keys = {(curve.place, curve.where, curve.symbol) for curve in curves.values()}  # such a curve contains a law
+    chosen_laws = [laws[law.name] for law in document.laws]
+    kept_laws = {law.spec.name: law for law in chosen_laws if (law.place, law.where, law.symbol) not in curve_keys}
+    described = search({**kept_laws, **curves})
     if described.verdict != DESCRIBED or not _predicts_better(described, document):
         return None
     best = described.laws[0]
@@ -138,30 +138,30 @@ def _described(
 
 
 def _varies(law: Law, domains: Mapping[str, Range]) -> bool:
-    """Whether the quantity of a law varies in the measurements; else the law is a constant, as in the library."""
+    """Whether the quantity of a law varies in the measurements; else the law is a constant of the library."""
     low, high = domains.get(law.symbol, (0.0, 0.0))
     return high - low > MIN_SPAN_SHARE * law.quantity.typical
 
 
 def _predicts_better(curves: DiscoveryDocument, laws: DiscoveryDocument) -> bool:
-    """Whether curves have a held-out error clearly below that of laws, which have fewer parameters."""
+    """Whether curves have a clearly lower held-out error than laws, which have fewer parameters."""
     assert curves.diagnosis is not None and laws.diagnosis is not None
     after, before = curves.diagnosis.held_out_error_after, laws.diagnosis.held_out_error_after
     return after**2 <= (1.0 - MIN_GAIN_SHARE) * before**2
 
 
 @dataclass(frozen=True)
-class _Tried:
+class _LawSearch:
     """A search with laws.
 
     Attributes:
         source: The searched measurements.
-        found: Result of the search.
+        findings: Result of the search.
         counts: Number of laws and effects, and number of starts.
     """
 
     source: Source
-    found: Findings
+    findings: Findings
     counts: tuple[int, int]
 
 
@@ -171,62 +171,64 @@ def _searched(
     library: Sequence[Effect],
     laws: Mapping[str, Law],
     progress: ProgressCallback,
-) -> _Tried:
+) -> _LawSearch:
     """Search for laws and library effects together."""
     source = source_of(model.model_copy(update={"formulas": (*model.formulas, *(law.spec for law in laws.values()))}))
     starts = [effect for law in laws.values() for effect in law.effects]
-    found = findings_of(source, [*library, *starts], progress)
-    found = replace(found, rivals=_rivals(found))
-    return _Tried(source, found, (len(library) + len(laws), len(library) + len(starts)))
+    findings = findings_of(source, [*library, *starts], progress)
+    findings = replace(findings, rivals=_rivals(findings))
+    return _LawSearch(source, findings, (len(library) + len(laws), len(library) + len(starts)))
 
 
 def _with_curve(
     source_of: Callable[[Model], Source],
     model: Model,
-    tried: _Tried,
+    searched: _LawSearch,
     laws: Mapping[str, Law],
     ranges: Mapping[str, Range],
     document: DiscoveryDocument,
 ) -> DiscoveryDocument:
-    """The discovery with a free curve fitted in place of its best law, together with all other effects found."""
-    best, chosen = laws[document.laws[0].name], tried.found.chosen
+    """The discovery with a free curve fitted in place of its best law, together with all other chosen effects."""
+    best, chosen = laws[document.laws[0].name], searched.findings.chosen
     if best.symbol not in ranges or chosen is None or best.spec.name not in chosen.candidate.names:
         return document
     curve = curve_of(best, ranges[best.symbol])
-    beside = [(effect, part) for effect, part in chosen.candidate.parts if effect.name != best.spec.name]
-    others = [laws[effect.name] for effect, _ in beside if effect.name in laws]
-    if any((law.place, law.where, law.symbol) == (best.place, best.where, best.symbol) for law in others):
+    others = [(effect, part) for effect, part in chosen.candidate.parts if effect.name != best.spec.name]
+    other_laws = [laws[effect.name] for effect, _ in others if effect.name in laws]
+    if any((law.place, law.where, law.symbol) == (best.place, best.where, best.symbol) for law in other_laws):
         return document  # a law and a curve over the same quantity are confounded
-    specs = [laws[effect.name].spec for effect, _ in beside if effect.name in laws]
+    specs = [laws[effect.name].spec for effect, _ in others if effect.name in laws]
     source = source_of(model.model_copy(update={"formulas": (*model.formulas, *specs, curve.spec)}))
     evidence, effect = Evidence.of(source), curve.effects[0]
     start, _ = _band(best, document.laws[0], np.array(curve.knots))
     start = np.clip(start, *effect.bounds(source.physics))
-    point = np.concatenate([*(chosen.estimate[part] for _, part in beside), start])
-    near = Candidate.of((*(other for other, _ in beside), effect), source, point)
-    seen = linearise(near, evidence.clusters, evidence.numbers, source)
-    if seen is None:
+    point = np.concatenate([*(chosen.estimate[part] for _, part in others), start])
+    candidate = Candidate.of((*(other for other, _ in others), effect), source, point)
+    linearised = linearise(candidate, evidence.clusters, evidence.numbers, source)
+    if linearised is None:
         return document
-    fitted = chord_method(seen, evidence)
-    own = fitted.candidate.part(effect.name)
-    forces, half = fitted.estimate[own], (fitted.half_widths * fitted.candidate.scale)[own]
+    fitted = chord_method(linearised, evidence)
+    part = fitted.candidate.part(effect.name)
+    forces, half = fitted.estimate[part], (fitted.half_widths * fitted.candidate.scale)[part]
     at = np.linspace(min(curve.knots), max(curve.knots), LAW_POINTS)
     values, band = _band(best, document.laws[0], at)
     points = []
-    for knot, force, wide in zip(curve.knots, forces.tolist(), half.tolist(), strict=True):
-        if wide <= float(np.max(np.abs(values))):  # the data do not determine the sign of the others
-            there = float(np.interp(knot, at, values))
-            points.append(PointDocument(at=knot, force=force, ci95=(force - wide, force + wide), law=there))
+    for knot, force, half_width in zip(curve.knots, forces.tolist(), half.tolist(), strict=True):
+        if half_width <= float(np.max(np.abs(values))):  # at other knots the data do not even determine the sign
+            law_force = float(np.interp(knot, at, values))
+            points.append(
+                PointDocument(at=knot, force=force, ci95=(force - half_width, force + half_width), law=law_force)
+            )
     return _with_first(document, _drawn(at, values, band, points, best.unit))
 
 
-def _as_curve(curve: Law, found: LawDocument) -> CurveDocument:
+def _as_curve(curve: Law, document: LawDocument) -> CurveDocument:
     """A discovered free curve, with its knots."""
     at = np.linspace(min(curve.knots), max(curve.knots), LAW_POINTS)
-    values, band = _band(curve, found, at)
+    values, band = _band(curve, document, at)
     points = [
         PointDocument(at=knot, force=value.estimate, ci95=value.ci95, law=value.estimate)
-        for knot, value in zip(curve.knots, found.parameters.values(), strict=True)
+        for knot, value in zip(curve.knots, document.parameters.values(), strict=True)
         if value.ci95 is not None
     ]
     return _drawn(at, values, band, points, curve.unit)
@@ -248,12 +250,12 @@ def _with_first(document: DiscoveryDocument, curve: CurveDocument) -> DiscoveryD
     return document.model_copy(update={"laws": (law, *document.laws[1:])})
 
 
-def _band(law: Law, found: LawDocument, at: Array) -> tuple[Array, Array]:
-    """Force of a law and half width of its 95 % band, ``(k,)`` each: changes at interval ends, in quadrature."""
+def _band(law: Law, document: LawDocument, at: Array) -> tuple[Array, Array]:
+    """Force of a law and half width of its 95 % band, ``(k,)`` each: changes by interval ends in quadrature."""
     sign = -1.0 if law.opposes and not law.quantity.vector(AXES[0]) else 1.0
-    numbers = {name: value.estimate for name, value in found.parameters.items()}
+    numbers = {name: value.estimate for name, value in document.parameters.items()}
     values, squares = sign * law.force(at, numbers), np.zeros_like(at)
-    for name, value in found.parameters.items():
+    for name, value in document.parameters.items():
         if value.ci95 is not None:
             low, high = (law.force(at, {**numbers, name: end}) for end in value.ci95)
             squares += np.square((high - low) / 2.0)
@@ -263,14 +265,14 @@ def _band(law: Law, found: LawDocument, at: Array) -> tuple[Array, Array]:
 def _curves(
     laws: Iterable[Law], ranges: Mapping[str, Range], source: Source, library: Sequence[Effect]
 ) -> Iterator[Law]:
-    """The free curves of some laws, one for each place and measured quantity.
+    """The free curves of some laws, by place and measured quantity.
 
-    Where the library has a constant offset of joints, or of a coefficient of contacts, their curves contain no
-    constant: the two would be confounded.
+    If the library has a constant offset of joints or of a contact coefficient, their curves contain no constant: the
+    two would be confounded.
     """
     offset = _has_offset(source, library)
-    apart = {(law.place, law.where, law.symbol): law for law in laws if law.symbol in ranges}
-    for law in apart.values():
+    distinct = {(law.place, law.where, law.symbol): law for law in laws if law.symbol in ranges}
+    for law in distinct.values():
         for count in FREE_CURVE_KNOTS:
             absolute = not (offset and law.joints) and not _shifts(source, library, law.coefficient)
             yield curve_of(law, ranges[law.symbol], count, absolute)
@@ -280,8 +282,8 @@ def _has_offset(source: Source, library: Sequence[Effect]) -> bool:
     """Whether an effect of the library is a constant joint torque."""
     for effect in library:
         start = effect.nominal(source.joints)
-        moved = effect.apply_vector(source.physics, start + effect.steps(source.joints, start))
-        pairs = ((arm, source.physics.arms[name]) for name, arm in moved.arms.items())
+        physics = effect.apply_vector(source.physics, start + effect.steps(source.joints, start))
+        pairs = ((arm, source.physics.arms[name]) for name, arm in physics.arms.items())
         if any(not np.array_equal(arm.torque_offset, before.torque_offset) for arm, before in pairs):
             return True
     return False
@@ -291,7 +293,7 @@ def _shifts(source: Source, library: Sequence[Effect], coefficient: str) -> bool
     """Whether an effect of the library changes a contact coefficient by a constant, at any closing speed."""
     if not coefficient:
         return False
-    speeds = np.linspace(0.1, 1.0, LAW_POINTS)  # m/s; a constant is one at any
+    speeds = np.linspace(0.1, 1.0, LAW_POINTS)  # m/s; any range would do
     on_support = np.ones(LAW_POINTS, dtype=bool)
 
     def values(physics: Physics) -> Array:
@@ -306,78 +308,80 @@ def _shifts(source: Source, library: Sequence[Effect], coefficient: str) -> bool
     return False
 
 
-def _rivals(found: Findings) -> tuple[Rival, ...]:
-    """More rivals of the chosen effects, tied if the chosen one is not significant given its rival.
+def _rivals(findings: Findings) -> tuple[Rival, ...]:
+    """More rivals of the chosen effects, tied if a chosen effect is not significant given its rival.
 
-    Two laws that predict to within the noise are tied, whichever has the smaller error.
+    Two laws that predict to within the noise are tied, whatever their errors.
     """
-    if found.chosen is None:
+    if findings.chosen is None:
         return ()
     return tuple(
-        replace(rival, tied=rival.tied or _adds_nothing(found.chosen, rival))
-        for rival in found.search.rivals(found.chosen, max(1, MAX_RIVAL_LAWS // len(found.names)), hopeless=np.inf)
+        replace(rival, tied=rival.tied or _adds_nothing(findings.chosen, rival))
+        for rival in findings.search.rivals(
+            findings.chosen, max(1, MAX_RIVAL_LAWS // len(findings.names)), max_score_ratio=np.inf
+        )
     )
 
 
 def _adds_nothing(chosen: Fit, rival: Rival) -> bool:
     """Whether the chosen effect is not significant given the rival in its place (J test)."""
-    near = rival.fit.score <= max(MAX_ERROR_RATIO * chosen.score, float(rival.fit.evidence.expected.mean()))
-    return near and j_test_p_value(chosen, rival.instead_of, rival.fit) > SIGNIFICANCE_LEVEL
+    comparable = rival.fit.score <= max(MAX_ERROR_RATIO * chosen.score, float(rival.fit.evidence.expected.mean()))
+    return comparable and j_test_p_value(chosen, rival.instead_of, rival.fit) > SIGNIFICANCE_LEVEL
 
 
-def _of_library(source: Source, library: Sequence[Effect], progress: ProgressCallback) -> Findings:
+def _library_search(source: Source, library: Sequence[Effect], progress: ProgressCallback) -> Findings:
     """Result of a search with effects of the library alone."""
     search = Search(library, Evidence.of(source), progress)
     decidable = search.evidence.null.shortage is None and search.has_lack_of_fit
     return Findings(search, search.forward_selection() if decidable else None, (), None, {})
 
 
-def _settled(known: Findings) -> str | None:
+def _settled(findings: Findings) -> str | None:
     """Verdict if effects of the library leave nothing to discover; else None."""
-    (verdict, _), source = headline(known), known.evidence.source
+    (verdict, _), source = headline(findings), findings.evidence.source
     if verdict == IMPOSSIBLE:
         return str(verdict)
     if source.contact_speeds and source.noise_size() is None and verdict != TOO_FEW:
-        return None  # the noise is not known: the hold-out decides on laws
+        return None  # unknown noise: the hold-out decides on laws
     if not source.contact_speeds and not source.repeated and verdict not in (TOO_FEW, NOTHING):
-        left = max(rest.times_noise for rest in rests_of(known.evidence, known.unexplained))
-        return None if left > MIN_RESIDUAL_RATIO_OF_LAW else LIBRARY
+        largest = max(rest.times_noise for rest in residuals_by_signal(findings.evidence, findings.unexplained))
+        return None if largest > MIN_RESIDUAL_RATIO_OF_LAW else LIBRARY
     if verdict.leaves_residuals:
         return None
     return str(verdict) if verdict in (TOO_FEW, NOTHING, SMALL) else LIBRARY
 
 
-def _no_need(verdict: str) -> str:
-    """Why no law was searched for."""
+def _reason_without_search(verdict: str) -> str:
+    """Why no search for laws was made."""
     return {
         str(NOTHING): "These measurements show nothing missing in the model: there is no law to discover.",
-        str(SMALL): "What these measurements show beyond noise is below the relevance limits: no law is proposed.",
+        str(SMALL): "Residuals beyond noise are below the relevance limits: no law is proposed.",
         str(TOO_FEW): "These measurements have too few repeats to decide what the model lacks.",
         str(IMPOSSIBLE): "These measurements break a law of every impact, which no law of a contact explains: "
         "`impact-rs diagnose` says which.",
     }.get(verdict, "Effects of the library explain these measurements up to noise: `impact-rs diagnose` names them.")
 
 
-def _where(known: Findings, laws: Iterable[Law]) -> list[str]:
-    """Names of the laws that act where the model has a residual; in recordings, where the library leaves one.
+def _acting_laws(findings: Findings, laws: Iterable[Law]) -> list[str]:
+    """Names of the laws that act where the model has a residual; in recordings, where the library leaves a residual.
 
     Every contact law acts in every impact of a table.
     """
-    evidence = known.evidence
+    evidence = findings.evidence
     if evidence.source.contact_speeds:
         return [law.spec.name for law in laws]
     if not evidence.source.repeated:
-        return _where_in_recordings(known, laws)
+        return _acting_laws_in_recordings(findings, laws)
     sizes: dict[str, dict[str, dict[str, float]]] = {"free": {}, "push": {}}
     in_contact = 0.0
-    for rest in rests_of(evidence, evidence.means):
-        joint = rest.index.rpartition(".")[2]
-        if rest.phase in ("impact", "push"):
-            in_contact = max(in_contact, rest.times_noise)
-        if rest.phase in sizes:
-            own = sizes[rest.phase].setdefault(rest.signal, {})
-            own[joint] = max(own.get(joint, 0.0), rest.times_noise)
-    free = measured_ranges(evidence.source, after=0.0)
+    for residual in residuals_by_signal(evidence, evidence.means):
+        joint = residual.index.rpartition(".")[2]
+        if residual.phase in ("impact", "push"):
+            in_contact = max(in_contact, residual.times_noise)
+        if residual.phase in sizes:
+            by_joint = sizes[residual.phase].setdefault(residual.signal, {})
+            by_joint[joint] = max(by_joint.get(joint, 0.0), residual.times_noise)
+    free_ranges = measured_ranges(evidence.source, after=0.0)
 
     def shown(law: Law, phase: str) -> bool:
         signal = sizes[phase].get(law.needs, {})
@@ -387,65 +391,69 @@ def _where(known: Findings, laws: Iterable[Law]) -> list[str]:
     def possible(law: Law) -> bool:
         if not law.needs:
             return in_contact > MIN_RESIDUAL_RATIO_OF_LAW
-        beyond = in_contact > MIN_RESIDUAL_RATIO_OF_LAW and _begins_beyond(law, free)
+        beyond = in_contact > MIN_RESIDUAL_RATIO_OF_LAW and _begins_beyond(law, free_ranges)
         return shown(law, "free") or (beyond and (law.needs not in sizes["push"] or shown(law, "push")))
 
     return [law.spec.name for law in laws if possible(law)]
 
 
 def _stands_out(size: float, largest: float) -> bool:
-    """Whether a residual in multiples of repeatability shows a law, beside the largest one of its kind."""
+    """Whether a residual indicates a law, given the largest one of its kind, both in multiples of repeatability."""
     return size > max(MIN_RESIDUAL_RATIO_OF_LAW, MIN_SHARE_OF_LARGEST_RESIDUAL * largest)
 
 
-def _where_in_recordings(known: Findings, laws: Iterable[Law]) -> list[str]:
+def _acting_laws_in_recordings(findings: Findings, laws: Iterable[Law]) -> list[str]:
     """Names of the laws at joints with unexplained torque, and of forces if several joints have one."""
-    rows = known.evidence.source.joint_sizes(known.unexplained)
-    left = {joint: size / noise for joint, size, noise, _ in rows if noise > 0.0}
-    seen = {joint for joint, size in left.items() if _stands_out(size, max(left.values()))}
-    apart: dict[tuple[str, ...], str] = {}  # torques on a motor and on its link are confounded there
+    rows = findings.evidence.source.joint_sizes(findings.unexplained)
+    ratios = {joint: size / noise for joint, size, noise, _ in rows if noise > 0.0}
+    joints = {joint for joint, size in ratios.items() if _stands_out(size, max(ratios.values()))}
+    chosen: dict[tuple[str, ...], str] = {}  # one each: torques on a motor and on its link are confounded
     for law in laws:
-        if seen & set(law.joints):
-            apart.setdefault((law.where, law.symbol, law.form), law.spec.name)
-        elif law.needs and not law.joints and len(seen) > 1:
-            apart[law.spec.name,] = law.spec.name
-    return list(apart.values())
+        if joints & set(law.joints):
+            chosen.setdefault((law.where, law.symbol, law.form), law.spec.name)
+        elif law.needs and not law.joints and len(joints) > 1:
+            chosen[law.spec.name,] = law.spec.name
+    return list(chosen.values())
 
 
 def _begins_beyond(law: Law, ranges: Mapping[str, Range]) -> bool:
-    """Whether a law, at one of its starts, is zero in all of these ranges: it sets in beyond them."""
-    if law.symbol not in ranges or not any(one.shape for one in law.spec.parameters.values()):
+    """Whether a law at one of its starts is zero in the measured range, so that it sets in beyond."""
+    if law.symbol not in ranges or not any(parameter.shape for parameter in law.spec.parameters.values()):
         return False
     at = np.linspace(*ranges[law.symbol], LAW_POINTS)
-    amplitudes = {name: 1.0 for name, one in law.spec.parameters.items() if not one.shape}
+    amplitudes = {name: 1.0 for name, parameter in law.spec.parameters.items() if not parameter.shape}
     return any(not np.any(law.force(at, amplitudes | dict(start))) for start in law.starts)
 
 
-def _document(tried: _Tried, model: Model, laws: Mapping[str, Law], ranges: Mapping[str, Range]) -> DiscoveryDocument:
-    found = tried.found
+def _document(
+    searched: _LawSearch, model: Model, laws: Mapping[str, Law], ranges: Mapping[str, Range]
+) -> DiscoveryDocument:
+    findings = searched.findings
     best = sorted(
-        (name for name in found.search.screening.singles if name in laws and name not in found.names),
-        key=lambda name: found.search.screening.linear_fit_with(found.chosen, name).score,
+        (name for name in findings.search.screening.singles if name in laws and name not in findings.names),
+        key=lambda name: findings.search.screening.linear_fit_with(findings.chosen, name).score,
     )
-    rivals = [rival.name for rival in found.rivals]
-    shown = [name for name in dict.fromkeys([*found.names, *rivals, *best[:MAX_OTHER_LAWS]]) if name in laws]
-    found.search.screening.keep({*shown, *(name for name in found.search.screening.singles if name not in laws)})
-    diagnosis = document_of(found, tried.source, model)
+    rivals = [rival.name for rival in findings.rivals]
+    shown = [name for name in dict.fromkeys([*findings.names, *rivals, *best[:MAX_OTHER_LAWS]]) if name in laws]
+    findings.search.screening.keep({*shown, *(name for name in findings.search.screening.singles if name not in laws)})
+    diagnosis = document_of(findings, searched.source, model)
     diagnosis = diagnosis.model_copy(update={"formulas": tuple(laws[name].spec for name in shown)})
     chosen = [name for name in diagnosis.named if name in laws]
-    every = {
+    documents = {
         effect.name: _law(diagnosis, laws[effect.name], ranges, laws)
         for effect in diagnosis.effects
         if effect.name in laws and effect.measured
     }
-    ties = {group[0]: [name for name in group[1:] if name in every] for group in diagnosis.confusable}
-    listed = {name for one in chosen for name in (one, *ties.get(one, ()))}
+    tied = {group[0]: [name for name in group[1:] if name in documents] for group in diagnosis.confusable}
+    listed = {name for law in chosen for name in (law, *tied.get(law, ()))}
     groups = [
-        sorted((every[name] for name in (one, *ties.get(one, ()))), key=lambda law: law.held_out_error_after)
-        for one in sorted(chosen, key=lambda name: -every[name].held_out_error_before)  # what is lost without it
+        sorted((documents[tie] for tie in (name, *tied.get(name, ()))), key=lambda law: law.held_out_error_after)
+        for name in sorted(
+            chosen, key=lambda name: -documents[name].held_out_error_before
+        )  # largest contribution first
     ]
-    first = {law.name: law for group in groups for law in group}
-    instead = (law for name, law in every.items() if name not in listed and (name in rivals or not chosen))
+    listed_laws = {law.name: law for group in groups for law in group}
+    instead = (law for name, law in documents.items() if name not in listed and (name in rivals or not chosen))
     others = tuple(sorted(instead, key=lambda law: law.held_out_error_after))
     if chosen:
         verdict = DESCRIBED if any(laws[name].knots for name in chosen) else FOUND
@@ -453,11 +461,11 @@ def _document(tried: _Tried, model: Model, laws: Mapping[str, Law], ranges: Mapp
         verdict = LIBRARY if diagnosis.named and not diagnosis.verdict.leaves_residuals else NO_LAW
     return DiscoveryDocument(
         verdict=verdict,
-        summary=_summary(verdict, [group[0] for group in groups], diagnosis, tried.counts[0]),
-        laws=tuple(first.values()),
+        summary=_summary(verdict, [group[0] for group in groups], diagnosis, searched.counts[0]),
+        laws=tuple(listed_laws.values()),
         others=others,
-        looked_at=tried.counts[0],
-        starts=tried.counts[1],
+        looked_at=searched.counts[0],
+        starts=searched.counts[1],
         error_unit=diagnosis.error_unit,
         diagnosis=diagnosis,
     )
@@ -467,25 +475,24 @@ def _summary(verdict: str, laws: Sequence[LawDocument], diagnosis: DiagnosisDocu
     if verdict == NO_LAW and diagnosis.named:
         s = "s" if len(diagnosis.named) == 1 else ""
         return (
-            f"None of {count} laws and effects holds beside {' and '.join(diagnosis.named)} of the library, which "
-            f"explain{s} a part: at least one more cause is missing."
+            f"None of {count} laws and effects holds in addition to {' and '.join(diagnosis.named)} of the library, "
+            f"which explain{s} a part: at least one more cause is missing."
         )
     if verdict == NO_LAW:
-        return (
-            f"None of {count} laws and effects holds: the best of them is not supported by conditions that the search "
-            "has not seen."
-        )
+        return f"None of {count} laws and effects holds: held-out conditions do not support the best of them."
     if verdict == LIBRARY:
         return f"Among {count} laws and effects, {' and '.join(diagnosis.named)} of the library explains most."
     before, after = diagnosis.held_out_error_before, diagnosis.held_out_error_after
     named = {law.name for law in laws} | {name for law in laws for name in law.tied_with}
-    beside = [name for name in diagnosis.named if name not in named]
+    library_effects = [name for name in diagnosis.named if name not in named]
     sentences = [
         "No law of the grammar explains all of it; a curve describes the rest." if verdict == DESCRIBED else "",
         *(law.sentence if law.curved else f"{law.sentence} {law.formula}." for law in laws),
         f"Held-out error: {before:.3g} → {after:.3g} {diagnosis.error_unit}.",
         *(law.tie for law in laws),
-        f"Beside {' and '.join(beside)} of the library, fitted together: add them together." if beside else "",
+        f"Fitted together with {' and '.join(library_effects)} of the library: add them together."
+        if library_effects
+        else "",
     ]
     return " ".join(filter(None, sentences))
 
@@ -522,7 +529,7 @@ def _law(diagnosis: DiagnosisDocument, law: Law, ranges: Mapping[str, Range], la
 
 
 def _in_one_line(rows: Mapping[str, str], law: Law) -> str:
-    """Formulas by joint or axis in one line; equal ones, and components of a vector, are merged."""
+    """Formulas by joint or axis in one line; equal formulas and components of a vector are merged."""
     vector, of_place = law.quantity.vector, law.quantity.of_place
     if not vector(AXES[0]) or len(rows) != len(AXES):
         return "; ".join(dict.fromkeys(rows.values()))
@@ -550,34 +557,36 @@ PLACES_OF = {
 def _tie(
     diagnosis: DiagnosisDocument, law: Law, rivals: Sequence[str], ranges: Mapping[str, Range], laws: Mapping[str, Law]
 ) -> str:
-    """Sentence on why a law and its rivals are confounded, and on a measurement that separates them."""
+    """Sentence on the range in which a law and its rivals are alike, and on a measurement that separates them."""
     if not rivals:
         return ""
     text = f"{law.spec.name} and {', '.join(rivals)} cannot be distinguished"
     domain = ranges.get(law.symbol)
     fitted = [laws[name] for name in rivals if name in laws and diagnosis.effect(name) is not None]
-    alike = [other for other in fitted if other.symbol == law.symbol]
-    if domain is None or not alike or law.knots:  # a curve says nothing beyond its range
+    same_quantity = [other for other in fitted if other.symbol == law.symbol]
+    if domain is None or not same_quantity or law.knots:  # a curve does not extrapolate
         return f"{text}: in these measurements they are nearly the same."
     low, high = domain
     unit = law.quantity.unit
     text += f" between {low:.2g} and {high:.2g} {unit} of {law.symbol}"
-    apart = [where for other in alike if (where := _apart(law, other, diagnosis, domain)) is not None]
-    return f"{text}: measure at {max(apart):.2g} {unit}." if apart else f"{text}."
+    separating = [
+        where for other in same_quantity if (where := _separating_value(law, other, diagnosis, domain)) is not None
+    ]
+    return f"{text}: measure at {max(separating):.2g} {unit}." if separating else f"{text}."
 
 
-def _apart(law: Law, other: Law, diagnosis: DiagnosisDocument, domain: Range) -> float | None:
-    """Nearest value out of range at which two laws differ by ``MIN_LAW_DIFFERENCE`` of their size; None if nowhere."""
+def _separating_value(law: Law, other: Law, diagnosis: DiagnosisDocument, domain: Range) -> float | None:
+    """Nearest value beyond the range at which two laws differ by ``MIN_LAW_DIFFERENCE`` of their size, or None."""
     low, high = domain
     forces = []
     reach = np.linspace(1.0, MAX_EXTRAPOLATION, 50)
     inside = np.linspace(low, high, 50)
     outside = (high if abs(high) >= abs(low) else low) * reach
-    for one in (law, other):
-        effect = diagnosis.effect(one.spec.name)
+    for compared in (law, other):
+        effect = diagnosis.effect(compared.spec.name)
         assert effect is not None
         numbers = {name: value.estimate for name, value in effect.parameters.items()}
-        forces.append((one.force(inside, numbers), one.force(outside, numbers)))
+        forces.append((compared.force(inside, numbers), compared.force(outside, numbers)))
     size = float(np.max(np.abs(forces[0][0])))
-    off = np.flatnonzero(np.abs(forces[0][1] - forces[1][1]) > MIN_LAW_DIFFERENCE * size)
-    return float(outside[off[0]]) if off.size else None
+    different = np.flatnonzero(np.abs(forces[0][1] - forces[1][1]) > MIN_LAW_DIFFERENCE * size)
+    return float(outside[different[0]]) if different.size else None

@@ -20,7 +20,7 @@ def try_out(effects: Iterable[FormulaEffect], file: str | Path) -> None:
 
     Args:
         effects: The effects.
-        file: Where they come from, for errors.
+        file: Their file, for error messages.
 
     Raises:
         InputError: One of them is not finite.

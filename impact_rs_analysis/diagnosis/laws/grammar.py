@@ -36,17 +36,17 @@ from impact_rs_sim.rotations import AXES
 from impact_rs_sim.schema import Schema, load
 
 GRAMMAR_FILE = "grammar.yaml"
-MAX_AMPLITUDE = 300.0  # noticeable amplitudes; the end of a range
-FREE_CURVE_KNOTS = (5, 9)  # more where they predict better
+MAX_AMPLITUDE = 300.0  # upper end of the range, in noticeable amplitudes
+FREE_CURVE_KNOTS = (5, 9)  # the larger number if it predicts better
 MAX_WAVE_NUMBER_STARTS = 24
-MAX_WAVE_NUMBER = 80.0  # rad over the unit of the quantity, at a start
-MIN_SPAN_SHARE = 1e-3  # of the typical size; a quantity that hardly moves still has a range
-ANCHOR_REACH = 4.0  # typical distances; how far an anchor may lie from the start of its fit
+MAX_WAVE_NUMBER = 80.0  # of a start, rad over the unit of the quantity
+MIN_SPAN_SHARE = 1e-3  # of the typical size; smallest range of a quantity
+ANCHOR_REACH = 4.0  # typical distances; largest distance of an anchor from the start of its fit
 MIN_WIDTH_SHARE = 0.01  # of the range of the quantity
 
 
 class QuantityShape(Schema):
-    """A number in the formula of a quantity, as a time constant."""
+    """A number in the formula of a quantity, such as a time constant."""
 
     unit: str = Field(description="unit")
     starts: tuple[float, ...] = Field(min_length=1, description="values from which fits start, above 0, in its unit")
@@ -144,19 +144,19 @@ class Law:
     Attributes:
         spec: The formula effect.
         place: Name of its place in the grammar.
-        where: Joint (``joint4``), two of them (``joint4_5``) or axis; empty: none.
+        where: Joint (``joint4``), two joints (``joint4_5``) or axis; empty: neither.
         quantity: Its quantity.
-        symbol: The same as a formula.
+        symbol: Formula of the quantity.
         form: Name of its form.
-        profile: The force over the quantity ``u``, before its sign.
-        needs: Signal of free motion that shows it; empty: none.
+        profile: The force over the quantity ``u``, without the sign by ``opposes``.
+        needs: Signal of free motion that shows the law; empty: no signal.
         starts: Values of its shape parameters by name.
-        words: Its place, in a sentence.
+        words: The place, in words.
         unit: Unit of the force or torque.
-        noticeable: Amplitude at which it matters, in the unit.
+        noticeable: Noticeable amplitude, in the unit.
         opposes: Whether the formula is minus the profile.
         reacts: Whether the second of two joints has the reaction.
-        knots: Knots of a piecewise linear free curve; empty: it is a law.
+        knots: Knots of a piecewise linear free curve; empty: a law.
     """
 
     spec: FormulaSpec
@@ -177,39 +177,39 @@ class Law:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Joints that it acts on, as ``joint4``; empty: a force, which may load all joints."""
+        """Joints on which it acts, as ``joint4``; empty: a force, which may load all joints."""
         return _joints(self.where)
 
     @property
     def coefficient(self) -> str:
-        """Contact coefficient that it changes; empty: it acts during a motion."""
+        """Contact coefficient that the law changes; empty: it acts during a motion."""
         return self.where if self.where in COEFFICIENTS else ""
 
     @property
     def formula(self) -> tuple[str, dict[str, str] | str]:
-        """Key of its place among the keys of a formula effect, and its formulas there."""
+        """Key of the place in a formula effect, and the formulas of this key."""
         return next((key, table) for key in PLACES if (table := getattr(self.spec, key)))
 
     @property
     def effects(self) -> list[FormulaEffect]:
-        """The effect, once for every start."""
-        found = []
+        """The effect at each of its starts."""
+        effects = []
         for start in self.starts:
             parameters = {
                 name: parameter.model_copy(update={"nominal": start.get(name, parameter.nominal)})
                 for name, parameter in self.spec.parameters.items()
             }
-            found.append(FormulaEffect(self.spec.model_copy(update={"parameters": parameters}), self.family))
-        return found
+            effects.append(FormulaEffect(self.spec.model_copy(update={"parameters": parameters}), self.family))
+        return effects
 
     @property
     def family(self) -> str:
-        """Key of the laws of one form at several joints, which may be accepted together."""
+        """Key of the laws of one form at several joints; they may be accepted together."""
         where = "" if self.where.startswith("joint") else self.where
         return f"{self.place} {where} {self.quantity.words} {self.form}"
 
     def force(self, u: Array, numbers: Mapping[str, float]) -> Array:
-        """Its force at values ``u`` of the quantity, ``(k,)``, for some parameters, ``(k,)`` [unit of the place]."""
+        """Force without the sign by ``opposes`` at values ``u`` of the quantity, ``(k,)`` each [unit of the place]."""
         return np.broadcast_to(Formula(self.profile, {"u", *numbers})({"u": u, **numbers}), u.shape)
 
 
@@ -221,11 +221,11 @@ def load_grammar(more: Path | None = None) -> Grammar:
     """
     grammar = load(Grammar, config_directory() / GRAMMAR_FILE)
     if more is not None:
-        own = load(Grammar, more)
+        added = load(Grammar, more)
         grammar = Grammar(
-            quantities={**grammar.quantities, **own.quantities},
-            forms={**grammar.forms, **own.forms},
-            places={**grammar.places, **own.places},
+            quantities={**grammar.quantities, **added.quantities},
+            forms={**grammar.forms, **added.forms},
+            places={**grammar.places, **added.places},
         )
     for name, place in grammar.places.items():
         for quantity, forms in place.laws.items():
@@ -250,8 +250,8 @@ def laws_of(grammar: Grammar, ranges: Mapping[str, Range], joints: int) -> Itera
 
     Args:
         grammar: The grammar.
-        ranges: Ranges of the symbols that were measured.
-        joints: Joints of an arm.
+        ranges: Measured ranges, by symbol.
+        joints: Number of joints of an arm.
 
     Raises:
         InputError: A law has a wrong unit, or does not parse.
@@ -260,13 +260,13 @@ def laws_of(grammar: Grammar, ranges: Mapping[str, Range], joints: int) -> Itera
         for quantity_name, forms in place.laws.items():
             quantity = grammar.quantities[quantity_name]
             for form_name in forms:
-                for where in _wheres(place, joints):
+                for where in _locations(place, joints):
                     if where == "joint1" and "{before}" in quantity.formula:
                         continue
                     yield _law(name, place, quantity_name, quantity, form_name, grammar.forms[form_name], where, ranges)
 
 
-def _wheres(place: Place, joints: int) -> Sequence[str]:
+def _locations(place: Place, joints: int) -> Sequence[str]:
     if place.each == "joint":
         return [f"joint{number}" for number in range(1, joints + 1)]
     if place.each in ("pair", "opposed"):
@@ -312,7 +312,7 @@ def _law(
     )
     check_units(spec)
     FormulaEffect(spec)
-    own = [dict(zip(starts, values, strict=True)) for values in product(*starts.values())]
+    shapes = [dict(zip(starts, values, strict=True)) for values in product(*starts.values())]
     return Law(
         spec=spec,
         place=place_name,
@@ -322,7 +322,7 @@ def _law(
         form=form_name,
         profile=profile,
         needs=place.needs,
-        starts=tuple(anchor | shape for anchor in anchors for shape in own),
+        starts=tuple(anchor | shape for anchor in anchors for shape in shapes),
         words=words,
         unit=place.unit,
         noticeable=place.noticeable,
@@ -343,33 +343,33 @@ def _span(quantity: Quantity, ranges: Mapping[str, Range], symbol: str) -> Range
 def _parameters(
     place: Place, quantity: Quantity, form: Form, span: Range, anchor: Mapping[str, float]
 ) -> dict[str, FormulaParameter]:
-    """Parameters of a law: amplitudes and shapes of its form, shapes of its quantity, and its anchor."""
+    """Parameters of a law: amplitudes and shapes of the form, shapes of the quantity, and the anchor."""
     bounded = quantity.opposes or form.restores or place.against
     size = max(map(abs, span))
-    found: dict[str, FormulaParameter] = {}
+    parameters: dict[str, FormulaParameter] = {}
     for name, item in form.numbers.items():
         if item.shape:
-            found[name] = _shape(item, quantity.unit, *span, _starts(item, *span)[0])
+            parameters[name] = _shape(item, quantity.unit, *span, _starts(item, *span)[0])
             continue
         scale = place.noticeable / size**item.power
-        found[name] = FormulaParameter(
+        parameters[name] = FormulaParameter(
             unit=unit_of(place.unit, quantity.unit, item.power),
             lower=0.0 if bounded else -MAX_AMPLITUDE * scale,
             upper=MAX_AMPLITUDE * scale,
             scale=scale,
         )
-    found |= {name: inner.parameter for name, inner in quantity.shapes.items()}
+    parameters |= {name: inner.parameter for name, inner in quantity.shapes.items()}
     reach = ANCHOR_REACH * quantity.typical
     for name, value in anchor.items():
-        found[name] = FormulaParameter(
+        parameters[name] = FormulaParameter(
             unit=quantity.unit, nominal=value, lower=value - reach, upper=value + reach,
             scale=0.1 * quantity.typical, shape=True,
         )  # fmt: skip
-    return found
+    return parameters
 
 
 def _formula(place: Place, quantity: Quantity, form: Form, where: str, text: str) -> dict[str, str] | str:
-    """Formula of a law, by axis or joint where it has several; ``text`` for a scalar."""
+    """Formula of a law, by axis or joint if there are several; ``text`` for a scalar."""
     if place.each == "vector":
         factor = _inserted(form.along, _symbol(quantity, where))
         return {axis: f"-({factor}) * {quantity.vector(axis)}" for axis in AXES}
@@ -383,9 +383,9 @@ def _joints(where: str) -> tuple[str, ...]:
 
 
 def _on_joints(text: str, joints: Sequence[str], reacts: bool) -> dict[str, str]:
-    """A torque on one joint or two, by joint."""
+    """Formulas of a torque on one or two joints, by joint."""
     reaction = text.removeprefix("-") if text.startswith("-(") else f"-({text})"
-    return {joint: reaction if reacts and place > 0 else text for place, joint in enumerate(joints)}
+    return {joint: reaction if reacts and number > 0 else text for number, joint in enumerate(joints)}
 
 
 def _symbol(quantity: Quantity, where: str) -> str:
@@ -406,29 +406,29 @@ def _region(quantity: Quantity, ranges: Mapping[str, Range]) -> tuple[Array, flo
 
 def _anchors(middle: Array, distance: float) -> list[dict[str, float]]:
     """Starts of the fit of an anchor: at a distance from the centre in both directions of every axis."""
-    found = []
-    for place in (middle + side * distance * row for row in np.eye(3) for side in (-1.0, 1.0)):
-        found.append({f"anchor_{axis}": float(value) for axis, value in zip(AXES, place, strict=True)})
-    return found
+    anchors = []
+    for position in (middle + side * distance * row for row in np.eye(3) for side in (-1.0, 1.0)):
+        anchors.append({f"anchor_{axis}": float(value) for axis, value in zip(AXES, position, strict=True)})
+    return anchors
 
 
 def curve_of(law: Law, domain: Range, count: int = FREE_CURVE_KNOTS[0], absolute: bool = True) -> Law:
     """A piecewise linear free curve in place of a law, with a force at each knot over the range of its quantity.
 
-    Beyond the knots it falls to 0 within one spacing: it is valid in the measured range alone.
+    Beyond the knots it falls to 0 within one spacing: it is valid in the measured range only.
 
     Args:
-        law: Gives place and quantity.
+        law: Law with the place and quantity of the curve.
         domain: Range of the quantity.
         count: Number of knots.
-        absolute: Whether it contains a constant; else it is 0 at the knot nearest to 0, for use with an offset.
+        absolute: Whether the curve contains a constant; else it is 0 at the knot nearest to 0, for use with an offset.
     """
     (key, table), (low, high) = law.formula, domain
-    # A speed: at rest the force is 0 or stiction, no point of a curve. A slow impact has its coefficients as well.
+    # A speed: at rest the force is 0 or stiction, which is no point of a curve. Slow impacts do have coefficients.
     from_rest = 0.0 <= low < high / count and not law.coefficient
-    every = np.linspace(0.0, high, count + 1)[1:] if from_rest else np.linspace(low, high, count)
-    width = float(every[1] - every[0])
-    knots = every if absolute else np.delete(every, np.argmin(np.abs(every)))
+    positions = np.linspace(0.0, high, count + 1)[1:] if from_rest else np.linspace(low, high, count)
+    width = float(positions[1] - positions[0])
+    knots = positions if absolute else np.delete(positions, np.argmin(np.abs(positions)))
     profile = " + ".join(f"f{n} * max(0, 1 - abs(u - {knot:.4g}) / {width:.4g})" for n, knot in enumerate(knots))
     profile = profile.replace("u - -", "u + ")
     text = _inserted(profile, law.symbol)
@@ -467,26 +467,26 @@ def _name(place_name: str, place: Place, quantity: str, form: str, number: str) 
 
 
 def _inserted(law: str, symbol: str) -> str:
-    """The formula of a form with its quantity substituted for u."""
+    """The formula of a form with the quantity substituted for u."""
     inner = symbol if re.fullmatch(r"\w+", symbol) else f"({symbol})"
     return re.sub(r"\bu\b", inner, law)
 
 
 def _shape(item: Number, unit: str, low: float, high: float, start: float) -> FormulaParameter:
-    """A shape parameter of a quantity with this unit and range."""
+    """A shape parameter for a quantity with this unit and range."""
     span = high - low
     if item.shape == "wave_number":
-        own, lower, scale = unit_of("-", unit, 1), 0.0, 0.1 * item.starts[0] / span
+        shape_unit, lower, scale = unit_of("-", unit, 1), 0.0, 0.1 * item.starts[0] / span
         upper = max(2.0 * MAX_WAVE_NUMBER, 4.0 * start)
     elif item.shape == "width":
-        own, lower, upper, scale = unit, MIN_WIDTH_SHARE * span, 10.0 * span, 0.1 * span
+        shape_unit, lower, upper, scale = unit, MIN_WIDTH_SHARE * span, 10.0 * span, 0.1 * span
     else:
-        own, lower, upper, scale = unit, low - span, high + span, 0.1 * span
-    return FormulaParameter(unit=own, nominal=start, lower=lower, upper=upper, scale=scale, shape=True)
+        shape_unit, lower, upper, scale = unit, low - span, high + span, 0.1 * span
+    return FormulaParameter(unit=shape_unit, nominal=start, lower=lower, upper=upper, scale=scale, shape=True)
 
 
 def _starts(item: Number, low: float, high: float) -> list[float]:
-    """Starts of the fit of a shape."""
+    """Starts of the fit of a shape parameter."""
     span = high - low
     if item.shape == "wave_number":
         step = item.starts[0] / span
@@ -496,7 +496,7 @@ def _starts(item: Number, low: float, high: float) -> list[float]:
 
 
 def unit_of(place: str, quantity: str, power: int) -> str:
-    """Unit of a place over that of a quantity to a power, as ``N m s^3/rad^3``; ``-`` is none."""
+    """Unit of a place over the unit of a quantity to a power, as ``N m s^3/rad^3``; ``-``: no unit."""
     exponents: dict[str, int] = {}
     for unit, factor in ((place, 1), (quantity, -power)):
         for part, sign in zip(unit.split("/"), (1, -1), strict=False):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bounds of parameters that a user knows better (``diagnose --bounds``).
+"""Ranges of parameters by the user (``diagnose --bounds``).
 
-A range that follows from the size of the robot is doubled where a fit ends at its end; one that is given is kept.
-Bounds of physics, such as no friction below none, hold as well.
+A default range follows from the size of the robot and is doubled if a fit ends at its end; a range by the user is kept.
+Bounds of physics, such as friction >= 0, hold as well.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ Bounds = Mapping[str, tuple[float, float]]
 NO_BOUNDS: Bounds = MappingProxyType({})
 
 
-def read_bounds(texts: Iterable[str], known: Mapping[str, Effect]) -> Bounds:
+def read_bounds(texts: Iterable[str], effects: Mapping[str, Effect]) -> Bounds:
     """Bounds of a command line.
 
     Args:
         texts: ``EFFECT.PARAMETER=LOW:HIGH``, or YAML files that map ``EFFECT.PARAMETER`` to ``[LOW, HIGH]``.
-        known: Effects by name.
+        effects: Effects by name.
 
     Raises:
-        InputError: A text or file cannot be read, there is no such parameter, or no range that holds its nominal value.
+        InputError: A text or file cannot be read, a parameter does not exist, or a range excludes its nominal value.
     """
-    found = read_ranges(texts, "--bounds", EXPECTED_BOUNDS)
-    for name, (low, high) in found.items():
-        _check(name, low, high, known)
-    return found
+    bounds = read_ranges(texts, "--bounds", EXPECTED_BOUNDS)
+    for name, (low, high) in bounds.items():
+        _check(name, low, high, effects)
+    return bounds
 
 
 def read_ranges(texts: Iterable[str], option: str, expected: str) -> dict[str, tuple[float, float]]:
@@ -44,22 +44,22 @@ def read_ranges(texts: Iterable[str], option: str, expected: str) -> dict[str, t
 
     Args:
         texts: ``NAME=LOW:HIGH``, or YAML files that map names to ``[LOW, HIGH]``.
-        option: Option that has them, for messages.
+        option: Option of the command, for messages.
         expected: Expected values, for messages.
 
     Raises:
-        InputError: A text or file cannot be read, or is no range.
+        InputError: A text or file cannot be read, or holds no range.
     """
-    found: dict[str, tuple[float, float]] = {}
+    ranges: dict[str, tuple[float, float]] = {}
     for text in texts:
         name, equals, span = text.partition("=")
         if equals:
-            found[name.strip()] = _span(span.split(":"), text, None, option, expected)
+            ranges[name.strip()] = _span(span.split(":"), text, None, option, expected)
             continue
         for key, values in load_mapping(text).items():
             parts = values if isinstance(values, list) else [values]
-            found[str(key)] = _span(parts, str(key), text, option, expected)
-    return found
+            ranges[str(key)] = _span(parts, str(key), text, option, expected)
+    return ranges
 
 
 def _span(parts: Sequence[object], key: str, file: str | None, option: str, expected: str) -> tuple[float, float]:
@@ -77,26 +77,28 @@ def _span(parts: Sequence[object], key: str, file: str | None, option: str, expe
     return low, high
 
 
-def _check(name: str, low: float, high: float, known: Mapping[str, Effect]) -> None:
+def _check(name: str, low: float, high: float, effects: Mapping[str, Effect]) -> None:
     """Refuse a parameter that does not exist, and a range without its nominal value."""
-    parameters = {f"{effect.name}.{own.name}": own for effect in known.values() for own in effect.parameters}
+    parameters = {
+        f"{effect.name}.{parameter.name}": parameter for effect in effects.values() for parameter in effect.parameters
+    }
     if name not in parameters:
-        there = ", ".join(sorted(parameters))
-        raise InputError(f"no parameter {name!r}{did_you_mean(name, parameters)}; known: {there}", key="--bounds")
-    own = parameters[name]
-    if not low <= own.nominal <= high:
+        names = ", ".join(sorted(parameters))
+        raise InputError(f"no parameter {name!r}{did_you_mean(name, parameters)}; known: {names}", key="--bounds")
+    parameter = parameters[name]
+    if not low <= parameter.nominal <= high:
         raise InputError(
-            f"the range of {name} must hold {own.nominal:g} [{own.unit}], at which the effect does nothing",
+            f"the range of {name} must hold {parameter.nominal:g} [{parameter.unit}], at which the effect does nothing",
             key="--bounds",
             value=f"{low:g}:{high:g}",
         )
 
 
-def bounded(effect: Effect, bounds: Bounds) -> Effect:
-    """The effect with given ranges."""
-    own = {name.partition(".")[2]: span for name, span in bounds.items() if name.partition(".")[0] == effect.name}
-    if not own:
+def with_bounds(effect: Effect, bounds: Bounds) -> Effect:
+    """The effect with the ranges of the user."""
+    spans = {name.partition(".")[2]: span for name, span in bounds.items() if name.partition(".")[0] == effect.name}
+    if not spans:
         return effect
     return effect.with_parameters(
-        lambda parameter: parameter.within(*own[parameter.name]) if parameter.name in own else parameter
+        lambda parameter: parameter.within(*spans[parameter.name]) if parameter.name in spans else parameter
     )

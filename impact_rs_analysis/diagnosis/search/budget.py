@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Processor time that a diagnosis may take, and what it left out to stay within it.
+"""Processor time of a diagnosis, and the steps omitted to stay within it.
 
-A search asks between two fits whether its time is spent. From then on it keeps the best answer so far, begins nothing
-new, and notes what it did not try. The limit is exceeded by the step at hand, and by the fit that is reported
-(:meth:`Budget.without_limit`). After a request to stop, as by Ctrl-C, no time is left, except in worker processes,
-which have a copy of the request.
+A search checks between two fits whether its time is spent. If so, it keeps the best answer so far, starts nothing new,
+and lists the steps that it did not try. The current step may exceed the limit, and so may the reported fit
+(:meth:`Budget.without_limit`). After a request to stop, as by Ctrl-C, the remaining time is 0, except in worker
+processes, which have a copy of the request.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import math
 import time
 from collections.abc import Callable
 
-SEARCH_TIME_SHARE = 0.5  # of the processor time; the hold-out, without which nothing is named, repeats the search
+SEARCH_TIME_SHARE = 0.5  # of the processor time; the other half is for the hold-out, which repeats the search
 
 Clock = Callable[[], float]
 
@@ -36,11 +36,11 @@ class Budget:
 
     Args:
         limit: Processor time from now on [s].
-        clock: Processor time that was spent by this process, and by its workers if there are any [s].
-        stop: Request of the user; once it is made, no time is left.
+        clock: Processor time of this process and of its workers [s].
+        stop: Request of the user; after it the remaining time is 0.
 
     Attributes:
-        left_out: Parts of the search that were not tried because the time was spent, in words, in order.
+        left_out: Steps of the search that were not tried because the time was spent, in words, in order.
     """
 
     def __init__(
@@ -52,37 +52,37 @@ class Budget:
 
     @property
     def remaining(self) -> float:
-        """Processor time that is left, not below 0 [s]."""
+        """Remaining processor time, not below 0 [s]."""
         if self.stop():
             return 0.0
         return math.inf if self._begin is None else max(0.0, self.limit - (self.clock() - self._begin))
 
     @property
     def spent(self) -> bool:
-        """Whether the time is spent, so that nothing new may start."""
+        """Whether the time is spent; then no new step starts."""
         return self.remaining <= 0.0
 
-    def leaves_out(self, what: str) -> bool:
-        """Whether the time is spent; then ``what`` is noted as not tried."""
+    def leaves_out(self, step: str) -> bool:
+        """Whether the time is spent; if so, ``step`` is listed as not tried."""
         if self.spent:
-            self.left_out[what] = None
+            self.left_out[step] = None
             return True
         return False
 
     def part(self, share: float) -> Budget:
-        """A share of the remaining time; what it leaves out is listed here as well."""
-        found = Budget(share * self.remaining, self.clock, self.stop)
-        found.left_out = self.left_out
-        return found
+        """A share of the remaining time; steps that it leaves out are listed here as well."""
+        budget = Budget(share * self.remaining, self.clock, self.stop)
+        budget.left_out = self.left_out
+        return budget
 
     def without_limit(self) -> Budget:
-        """Unlimited time for a fit that is reported, unless the user stops it; what it leaves out is listed here."""
-        found = Budget(clock=self.clock, stop=self.stop)
-        found.left_out = self.left_out
-        return found
+        """Unlimited time for a reported fit, unless the user stops it; steps that it leaves out are listed here."""
+        budget = Budget(clock=self.clock, stop=self.stop)
+        budget.left_out = self.left_out
+        return budget
 
     def add(self, *left_out: str) -> None:
-        """Note what a part of the work did not try."""
+        """List steps as not tried."""
         self.left_out.update(dict.fromkeys(left_out))
 
 

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Candidates: effects, alone or together, with their sensitivities, fitted to the evidence.
+"""Candidates: one or several effects with their sensitivities, and their least-squares fit to the evidence.
 
 In scaled coordinates the mean residual of cluster c is
 
     r_c = J_c (theta - theta_0) + noise,        cov(noise) = (pure error + discrepancy) of c
 
 fitted by bounded least squares with a weak normal prior of ``PRIOR_DEVIATION`` parameter scales about nominal. Fits are
-compared by their leave-one-out error: the error of each cluster, predicted by a fit to all others.
+compared by their leave-one-out error: each cluster is predicted by a fit to all other clusters.
 """
 
 from __future__ import annotations
@@ -33,19 +33,24 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import Array
 
 PROBE_SHARES = (0.25, 0.5, 1.0)  # of the distance from nominal to either end of a range
-MIN_STEP_ROOM_SHARE = 0.2  # of a finite-difference step; nearer a bound the step goes the other way
-# Unfitted share of the squared change by a calibration; with less left, the parameters of a fit stand for it.
+MIN_STEP_ROOM_SHARE = 0.2  # of a finite-difference step; with less room to a bound the step is reversed
+# Share of the squared change by a calibration that a fit leaves; below, its parameters include the calibration.
 MIN_UNFITTED_SHARE = 1e-3
-# Mean square residual, scaled [-]: a smaller one would leave parameters that the data do not determine without a prior.
+# Mean square scaled residual [-]; a smaller one would leave undetermined parameters without a prior.
 MIN_NOISE_VARIANCE = 1e-4
 MIN_BOUND_GAP = 1e-9  # parameter scales, between bounds that coincide
 MIN_INFORMATION_SHARE = 1e-9  # of the information of the prior; less is rounding
 MAX_ACTIVE_SETS = 20  # iterations of the active-set method; three are usual
-EDGE_TOLERANCE = 1e-4  # of the distance from nominal: bisection to the last point with bodies, 1/100 of an interval
-EDGE_MARGIN = (
-    1e-3  # of the distance from nominal: so near the edge of the bodies an estimate lies at it; steps end there
-)
-DIFFERENCE_STEP_FACTORS = (1.0, -1.0, 0.1, -0.1, 0.01, -0.01)  # tried in this order until there are bodies
+EDGE_TOLERANCE = 1e-4  # of the distance from nominal, in the bisection for the boundary; 1/100 of an interval
+EDGE_MARGIN = 1e-3  # of the distance from nominal; nearer to the boundary an estimate lies at it, and steps end there
+DIFFERENCE_STEP_FACTORS = (
+    1.0,
+    -1.0,
+    0.1,
+    -0.1,
+    0.01,
+    -0.01,
+)  # tried in this order until the point is physically consistent
 
 
 @dataclass(frozen=True)
@@ -54,16 +59,16 @@ class Candidate:
 
     Attributes:
         effects: The effects.
-        sizes: Number of parameters of each.
+        sizes: Number of parameters of each effect.
         scalars: Parameters of all effects, concatenated.
-        lower: Bounds of the parameters under the physics at hand, ``(p,)``.
-        upper: The same, ``(p,)``.
+        lower: Lower bounds of the parameters in the measured physics, ``(p,)``.
+        upper: Upper bounds, ``(p,)``.
         point: Parameter values of the linearisation, ``(p,)``.
-        offsets: Per cluster, scaled features at ``point`` minus those at ``origin``, ``(F,)`` each.
+        offsets: Per cluster, scaled features at ``point`` minus features at ``origin``, ``(F,)`` each.
         jacobians: Per cluster, scaled features per parameter scale, ``(F, p)`` each.
         origin: Effects added to the model when the residuals were computed.
-        share: Finite-difference step of the sensitivities, over the step of each parameter; infinite: they were
-            computed at another point.
+        share: Finite-difference step of the sensitivities over the declared step of each parameter; infinite:
+            sensitivities of another point.
         inertial: Mask of the parameters that change inertial parameters of bodies, ``(p,)``.
         worlds: Physics without the effects, for the test of physical consistency.
     """
@@ -83,7 +88,7 @@ class Candidate:
 
     @staticmethod
     def of(effects: tuple[Effect, ...], source: Source, point: Array | None = None, origin: Added = ()) -> Candidate:
-        """Effects without sensitivities, at ``point`` (None: nominal values)."""
+        """A candidate without sensitivities, at ``point`` (None: nominal values)."""
         joints = source.joints
         bounds = [effect.bounds_in(source.worlds) for effect in effects]
         changing = [effect.changes_bodies(source.worlds[0]) for effect in effects]
@@ -114,7 +119,7 @@ class Candidate:
 
     @cached_property
     def shapes(self) -> NDArray[np.bool_]:
-        """Mask of the shape parameters, which change nothing while the others are nominal, ``(p,)``."""
+        """Mask of the shape parameters, which change nothing while the amplitudes are nominal, ``(p,)``."""
         return np.array([scalar.shape for scalar in self.scalars], dtype=bool)
 
     @cached_property
@@ -125,17 +130,19 @@ class Candidate:
     @cached_property
     def prior(self) -> Array:
         """Standard deviations of the prior about nominal, in parameter scales, ``(p,)``."""
-        return np.array([PRIOR_DEVIATION if one.prior is None else one.prior / one.scale for one in self.scalars])
+        return np.array(
+            [PRIOR_DEVIATION if scalar.prior is None else scalar.prior / scalar.scale for scalar in self.scalars]
+        )
 
     def physically_consistent(self, vector: Array) -> bool:
-        """Whether the inertial parameters at ``vector``, ``(p,)``, are physically consistent: those of rigid bodies."""
+        """Whether rigid bodies have the inertial parameters at ``vector``, ``(p,)`` (physical consistency)."""
         if not self.worlds:
             return True
-        moved = self.inertial & (vector != self.nominal)
-        own = [(effect, vector[part]) for effect, part in self.parts if moved[part].any()]
+        inertial_changes = self.inertial & (vector != self.nominal)
+        acting = [(effect, vector[part]) for effect, part in self.parts if inertial_changes[part].any()]
         try:
-            for physics in self.worlds if own else ():
-                for effect, values in own:
+            for physics in self.worlds if acting else ():
+                for effect, values in acting:
                     physics = effect.apply_vector(physics, values)
         except NotABody:
             return False
@@ -148,12 +155,12 @@ class Candidate:
     def consistency_boundary(self, vector: Array) -> list[Array]:
         """Physically consistent points nearest to an inconsistent one, ``(p,)`` each.
 
-        By bisection on the line to nominal, where bodies are those of the model, in three subspaces: all inertial
-        parameters, their shapes alone (a mass nearer to the rest), or all but the shapes (less mass in the same place).
+        Bisection on the line to nominal, the bodies of the model, in three subspaces: all inertial parameters, their
+        shapes only (the mass moves towards the body), or all but the shapes (less mass in the same place).
         """
-        found = []
-        for moved in (self.inertial, self.inertial & self.shapes, self.inertial & ~self.shapes):
-            start = np.where(moved, self.nominal, vector)
+        points = []
+        for subspace in (self.inertial, self.inertial & self.shapes, self.inertial & ~self.shapes):
+            start = np.where(subspace, self.nominal, vector)
             if not self.physically_consistent(start):
                 continue
             low, high = 0.0, 1.0
@@ -162,14 +169,14 @@ class Candidate:
                 low, high = (
                     (middle, high) if self.physically_consistent(start + middle * (vector - start)) else (low, middle)
                 )
-            found.append(start + low * (vector - start))
-        return found
+            points.append(start + low * (vector - start))
+        return points
 
     def at_consistency_boundary(self, vector: Array) -> NDArray[np.bool_]:
-        """Mask of inertial parameters at the boundary: together they cannot grow physically consistently, ``(p,)``."""
-        away = np.where(self.inertial, vector - self.nominal, 0.0)
-        edge = not self.physically_consistent(vector + EDGE_MARGIN * away)
-        return np.asarray((away != 0.0) & edge)
+        """Mask of inertial parameters at the boundary of physical consistency, ``(p,)``."""
+        displacement = np.where(self.inertial, vector - self.nominal, 0.0)
+        at_edge = not self.physically_consistent(vector + EDGE_MARGIN * displacement)
+        return np.asarray((displacement != 0.0) & at_edge)
 
     @cached_property
     def parts(self) -> tuple[tuple[Effect, slice], ...]:
@@ -184,28 +191,28 @@ class Candidate:
         return next(part for effect, part in self.parts if effect.name == name)
 
     @property
-    def seen(self) -> bool:
+    def has_sensitivity(self) -> bool:
         """Whether some sensitivity at ``point`` is not zero."""
         return any(np.any(jacobian) for jacobian in self.jacobians)
 
     @property
-    def unseen(self) -> list[int]:
-        """Indices of the parameters with zero sensitivity at ``point``, as the centre of a payload without mass."""
+    def insensitive(self) -> list[int]:
+        """Indices of the parameters with zero sensitivity at ``point``, such as the centre of a payload of mass 0."""
         zero = np.all([np.all(jacobian == 0.0, axis=0) for jacobian in self.jacobians], axis=0)
         return [int(index) for index in np.flatnonzero(zero)]
 
     @property
-    def unseen_shapes(self) -> list[int]:
-        """Indices of the unseen shape parameters of effects that are off at ``point``, as that centre of a payload."""
+    def insensitive_shapes(self) -> list[int]:
+        """Indices of the insensitive shape parameters of effects that are absent at ``point``."""
         acts = (self.point != self.nominal) & ~self.shapes
-        idle = np.repeat([not acts[part].any() for _, part in self.parts], self.sizes) & self.shapes
-        return [index for index in self.unseen if idle[index]]
+        shapes_of_absent_effects = np.repeat([not acts[part].any() for _, part in self.parts], self.sizes) & self.shapes
+        return [index for index in self.insensitive if shapes_of_absent_effects[index]]
 
     def curved(self, index: int) -> bool:
         """Whether the valley of the error is curved along a parameter: its effect has several shapes without a grid.
 
-        The length of a cable and the position of its end are an example. The position of a payload is not: torques are
-        linear in its mass and first moment, so that Gauss-Newton steps reach the minimum.
+        The length of a cable and the position of its end are an example. The position of a payload is none: torques are
+        linear in mass and first moment, so Gauss-Newton steps reach the minimum.
         """
         effect, part = next(item for item in self.parts if item[1].start <= index < item[1].stop)
         return (
@@ -217,10 +224,10 @@ class Candidate:
         """Points over the range of one parameter, nearest to ``point`` first, ``(p,)`` each."""
         low, high = self.lower[index], self.upper[index]
         ends = [low, high, *np.clip(self.scalars[index].far, low, high)]
-        here = self.point[index]
-        values = {here + share * (end - here) for end in ends for share in PROBE_SHARES if end != here}
+        current = self.point[index]
+        values = {current + share * (end - current) for end in ends for share in PROBE_SHARES if end != current}
         points = []
-        for value in sorted(values, key=lambda value: abs(value - here)):
+        for value in sorted(values, key=lambda value: abs(value - current)):
             points.append(self.point.copy())
             points[-1][index] = value
         return points
@@ -233,7 +240,7 @@ class Candidate:
         return replace(self, jacobians=jacobians)
 
     def steps(self, joints: Joints) -> Array:
-        """Finite-difference steps within the bounds; near a bound they go away from it, ``(p,)``."""
+        """Finite-difference steps within the bounds, reversed near a bound, ``(p,)``."""
         steps = np.concatenate([effect.steps(joints, self.point[part]) for effect, part in self.parts])
         room = np.clip(self.point + steps, self.lower, self.upper) - self.point
         steps = np.where(np.abs(room) < MIN_STEP_ROOM_SHARE * np.abs(steps), -steps, room)
@@ -252,7 +259,7 @@ class Candidate:
         return ends
 
     def consistent_step(self, vector: Array, index: int, step: float) -> float:
-        """A step of one parameter from a point; backwards or shorter where it is not physically consistent."""
+        """A step of one parameter from a point, reversed or shortened until it is physically consistent."""
         if not self.inertial[index]:
             return step
         alone = step * (np.arange(vector.size) == index)
@@ -271,56 +278,58 @@ class Candidate:
     def without(self, name: str) -> Candidate:
         """The candidate without one of its effects."""
         part = self.part(name)
-        kept = [number for number, effect in enumerate(self.effects) if effect.name != name]
-        keep = np.setdiff1d(np.arange(self.point.size), np.arange(part.start, part.stop))
+        remaining = [number for number, effect in enumerate(self.effects) if effect.name != name]
+        columns = np.setdiff1d(np.arange(self.point.size), np.arange(part.start, part.stop))
         return replace(
             self,
-            effects=tuple(self.effects[number] for number in kept),
-            sizes=tuple(self.sizes[number] for number in kept),
-            scalars=tuple(self.scalars[index] for index in keep),
-            lower=self.lower[keep],
-            upper=self.upper[keep],
-            point=self.point[keep],
-            jacobians=tuple(jacobian[:, keep] for jacobian in self.jacobians),
-            inertial=self.inertial[keep],
+            effects=tuple(self.effects[number] for number in remaining),
+            sizes=tuple(self.sizes[number] for number in remaining),
+            scalars=tuple(self.scalars[index] for index in columns),
+            lower=self.lower[columns],
+            upper=self.upper[columns],
+            point=self.point[columns],
+            jacobians=tuple(jacobian[:, columns] for jacobian in self.jacobians),
+            inertial=self.inertial[columns],
         )
 
     def fixed(self, *indices: int) -> Candidate:
         """The candidate with some parameters fixed at nominal, to first order."""
-        chosen = list(indices)
-        off = ((self.nominal - self.point) / self.scale)[chosen]
-        frozen = []
+        fixed_indices = list(indices)
+        to_nominal = ((self.nominal - self.point) / self.scale)[fixed_indices]
+        jacobians = []
         for jacobian in self.jacobians:
             copy = jacobian.copy()
-            copy[:, chosen] = 0.0
-            frozen.append(copy)
+            copy[:, fixed_indices] = 0.0
+            jacobians.append(copy)
         offsets = tuple(
-            offset + jacobian[:, chosen] @ off for offset, jacobian in zip(self.offsets, self.jacobians, strict=True)
+            offset + jacobian[:, fixed_indices] @ to_nominal
+            for offset, jacobian in zip(self.offsets, self.jacobians, strict=True)
         )
-        return replace(self, offsets=offsets, jacobians=tuple(frozen))
+        return replace(self, offsets=offsets, jacobians=tuple(jacobians))
 
-    def widened(self, at: NDArray[np.bool_], source: Source) -> Candidate | None:
-        """The candidate with wider ranges for effects with a parameter at a bound; None if physics sets the bounds.
+    def widened(self, at_bound: NDArray[np.bool_], source: Source) -> Candidate | None:
+        """The candidate with wider ranges for effects with a parameter at a bound; None at bounds of physics.
 
         Args:
-            at: Mask of the parameters at a bound, ``(p,)``.
-            source: Measurements, whose physics bounds parameters.
+            at_bound: Mask of the parameters at a bound, ``(p,)``.
+            source: Measurements; their physics bounds parameters.
         """
         effects = tuple(
-            effect.with_parameters(Parameter.widened) if np.any(at[part]) else effect for effect, part in self.parts
+            effect.with_parameters(Parameter.widened) if np.any(at_bound[part]) else effect
+            for effect, part in self.parts
         )
         wider = Candidate.of(effects, source)
-        if np.all((wider.lower == self.lower)[at] & (wider.upper == self.upper)[at]):
+        if np.all((wider.lower == self.lower)[at_bound] & (wider.upper == self.upper)[at_bound]):
             return None
         return replace(self, effects=effects, scalars=wider.scalars, lower=wider.lower, upper=wider.upper)
 
-    def split(self, vector: Array) -> Added:
-        """Effect names with their parameter values, without effects at nominal, so that equal physics share replays."""
+    def effects_at(self, vector: Array) -> Added:
+        """Effect names with parameter values; effects at nominal are omitted, so that equal physics share replays."""
         acts = (vector != self.nominal) & ~self.shapes
         return tuple((effect.name, tuple(vector[part].tolist())) for effect, part in self.parts if acts[part].any())
 
-    def beside(self, other: Candidate) -> Candidate:
-        """Both candidates as one, the sum of both linearisations: exact for small effects, a start for large ones."""
+    def joined_with(self, other: Candidate) -> Candidate:
+        """Both candidates as one, by superposition: exact for small effects, a start of the fit for large ones."""
         return Candidate(
             effects=self.effects + other.effects,
             sizes=self.sizes + other.sizes,
@@ -340,19 +349,24 @@ class Candidate:
 def required_predictions(
     candidate: Candidate, numbers: Sequence[int], source: Source, share: float = 1.0, central: bool = False
 ) -> list[tuple[int, Added]]:
-    """Predictions that :func:`linearise` needs, listed so that those of many effects run in one batch."""
+    """Predictions that :func:`linearise` needs; a list, so that predictions for many effects run in one batch."""
     at_nominal = not candidate.origin and bool(np.all(candidate.point == candidate.nominal))
-    here, ends = candidate.split(candidate.point), candidate.difference_ends(source.joints, share, central)
-    moved = [[candidate.split(end) for end in (both if central else both[1:])] for both in ends]
-    result: list[tuple[int, Added]] = []
+    at_point, differences = (
+        candidate.effects_at(candidate.point),
+        candidate.difference_ends(source.joints, share, central),
+    )
+    added_by_parameter = [
+        [candidate.effects_at(end) for end in (difference if central else difference[1:])] for difference in differences
+    ]
+    predictions: list[tuple[int, Added]] = []
     for number in numbers:
-        result.append((number, candidate.origin))
+        predictions.append((number, candidate.origin))
         if not at_nominal:
-            result.append((number, here))
+            predictions.append((number, at_point))
         for effect, part in candidate.parts:
             if effect.seen_in(source.clusters[number].contact):
-                result += [(number, added) for both in moved[part] for added in both]
-    return result
+                predictions += [(number, added) for difference in added_by_parameter[part] for added in difference]
+    return predictions
 
 
 def linearise(
@@ -360,44 +374,44 @@ def linearise(
     clusters: Sequence[Cluster],
     numbers: Sequence[int],
     source: Source,
-    what: str = "sensitivities",
+    purpose: str = "sensitivities",
     share: float = 1.0,
     central: bool = False,
 ) -> Candidate | None:
-    """Sensitivities about the candidate's point by finite differences; None if a replay has no contact.
+    """The candidate with sensitivities by finite differences about its point; None if a replay has no contact.
 
     Args:
         candidate: Effects and point.
         clusters: Evidence, with the scale of the features.
         numbers: Indices of these clusters in the source.
         source: Predicts the features.
-        what: Purpose, shown as progress.
-        share: Finite-difference step over the step of each parameter. Whole steps reach past stiction of joints and
-            contacts; near an optimum forward differences over them are biased by curvature.
-        central: Whether differences are central, at twice the cost: without that bias over whole steps, which average
-            what is rough on a smaller scale, as the torques of a pad that meets an edge first.
+        purpose: Purpose, shown as progress.
+        share: Finite-difference step over the declared step of each parameter. Whole steps reach past stiction of
+            joints and contacts; near an optimum curvature biases forward differences over whole steps.
+        central: Whether differences are central, at twice the cost. They have no such bias, and whole steps average
+            features that are rough on a smaller scale, such as the torques of a pad that meets an edge first.
     """
     at_nominal = not candidate.origin and bool(np.all(candidate.point == candidate.nominal))
     ends = candidate.difference_ends(source.joints, share, central)
-    results = iter(source.predict(required_predictions(candidate, numbers, source, share, central), what))
+    results = iter(source.predict(required_predictions(candidate, numbers, source, share, central), purpose))
     offsets, jacobians = [], []
     for item in clusters:
-        base = next(results)
-        here = base if at_nominal else next(results)
-        if base is None or here is None:
+        at_origin = next(results)
+        at_point = at_origin if at_nominal else next(results)
+        if at_origin is None or at_point is None:
             return None
-        jacobian = np.zeros((base.size, candidate.point.size))
+        jacobian = np.zeros((at_origin.size, candidate.point.size))
         for effect, part in candidate.parts:
             if not effect.seen_in(item.contact):
                 continue
             for index in range(part.start, part.stop):
-                low = next(results) if central else here
+                low = next(results) if central else at_point
                 high = next(results)
                 if low is None or high is None:
                     return None
                 span = (ends[index][1][index] - ends[index][0][index]) / candidate.scale[index]
                 jacobian[:, index] = (high - low) / item.sigma / span
-        offsets.append((here - base) / item.sigma)
+        offsets.append((at_point - at_origin) / item.sigma)
         jacobians.append(jacobian)
     return replace(candidate, offsets=tuple(offsets), jacobians=tuple(jacobians), share=share)
 
@@ -408,10 +422,10 @@ class Problem:
     Args:
         candidate: Effects with sensitivities.
         clusters: Residuals, in the same order.
-        neighbours: Per cluster, neighbours with correlated noise, which are left out of its leave-one-out fit as well.
-        noise_unknown: Whether residuals are scaled by those of the model, as without repeats. The residual of the fit
-            is then the noise for the weight of the prior. Else the prior would pull the estimates of a light arm,
-            whose parameter scales are small, to their nominal values.
+        neighbours: Per cluster, neighbours with correlated noise, which its leave-one-out fit excludes as well.
+        noise_unknown: Whether the noise is unknown and residuals are scaled by residuals of the model, as without
+            repeats. The prior is then weighted by the residual of the fit. With a full weight it would pull the
+            estimates of a light arm, whose parameter scales are small, to their nominal values.
     """
 
     def __init__(
@@ -435,7 +449,7 @@ class Problem:
             ]
         )
         self._counts = np.array([item.count * target.size for item, target in zip(clusters, self.targets, strict=True)])
-        self._powers = np.array([target @ target / target.size for target in self.targets])
+        self._mean_squares = np.array([target @ target / target.size for target in self.targets])
         scale = candidate.scale
         self._lower = (candidate.lower - candidate.point) / scale
         self._upper = np.maximum((candidate.upper - candidate.point) / scale, self._lower + MIN_BOUND_GAP)
@@ -447,50 +461,55 @@ class Problem:
     def _weigh_prior(self, noise: float) -> None:
         """Weigh the prior for a noise variance in the scale of the clusters [-].
 
-        Where the noise is not known, residuals are scaled by those of the model. A prior that is weak beside these is
-        strong beside the smaller residuals of a better model.
+        If the noise is unknown, residuals are scaled by residuals of the model. A prior that is weak against these is
+        strong against the smaller residuals of a better model.
         """
         self._prior = noise / np.square(self.candidate.prior)
         information = self.information.sum(axis=0)
         self.total = information + np.diag(self._prior)
-        # A parameter without influence at the point, as the friction of a contact that sticks, stays there.
-        seen = np.diagonal(information) > MIN_INFORMATION_SHARE * self._prior
-        self._total_score = self.scores.sum(axis=0) + np.where(seen, self._nominal * self._prior, 0.0)
+        # A parameter without influence at the point, such as the friction of a sticking contact, stays at the point.
+        influential = np.diagonal(information) > MIN_INFORMATION_SHARE * self._prior
+        self._total_score = self.scores.sum(axis=0) + np.where(influential, self._nominal * self._prior, 0.0)
 
-    def solve(self, without: Sequence[int] = (), within: float = np.inf) -> Array:
+    def solve(self, excluded: Sequence[int] = (), radius: float = np.inf) -> Array:
         """Least-squares change from the candidate's point in parameter scales, ``(p,)``.
 
         Args:
-            without: Clusters that are left out.
-            within: Radius of the box trust region, in scales.
+            excluded: Indices of the clusters to leave out.
+            radius: Radius of the box trust region, in scales.
         """
         information, score = self.total, self._total_score
-        if len(without) > 0:
-            chosen = list(without)
-            information = information - self.information[chosen].sum(axis=0)
-            score = score - self.scores[chosen].sum(axis=0)
-        lower, upper = np.clip(self._lower, -within, within), np.clip(self._upper, -within, within)
+        if len(excluded) > 0:
+            indices = list(excluded)
+            information = information - self.information[indices].sum(axis=0)
+            score = score - self.scores[indices].sum(axis=0)
+        lower, upper = np.clip(self._lower, -radius, radius), np.clip(self._upper, -radius, radius)
         upper = np.maximum(upper, lower + MIN_BOUND_GAP)
         return self._consistent(bounded(information, score, lower, upper), information, score, lower, upper)
 
     def _consistent(self, change: Array, information: Array, score: Array, lower: Array, upper: Array) -> Array:
-        """Physically consistent change: inertial parameters at the boundary, all others solved for there."""
+        """Physically consistent change: inertial parameters at the boundary, the others solved for given these."""
         candidate = self.candidate
-        wanted = candidate.point + change * candidate.scale
-        if candidate.physically_consistent(wanted):
+        point = candidate.point + change * candidate.scale
+        if candidate.physically_consistent(point):
             return change
-        held, found = candidate.inertial, []
-        for edge in candidate.consistency_boundary(wanted):
-            ends = (edge - candidate.point) / candidate.scale
-            found.append(
-                bounded(information, score, np.where(held, ends, lower), np.where(held, ends + MIN_BOUND_GAP, upper))
+        inertial, bounded_changes = candidate.inertial, []
+        for edge in candidate.consistency_boundary(point):
+            edge_change = (edge - candidate.point) / candidate.scale
+            bounded_changes.append(
+                bounded(
+                    information,
+                    score,
+                    np.where(inertial, edge_change, lower),
+                    np.where(inertial, edge_change + MIN_BOUND_GAP, upper),
+                )
             )
-        return min(found, key=lambda one: 0.5 * one @ information @ one - score @ one, default=np.zeros_like(change))
+        return min(bounded_changes, key=lambda b: 0.5 * b @ information @ b - score @ b, default=np.zeros_like(change))
 
     def errors(self, change: Array) -> Array:
         """Mean square scaled error per cluster, ``(c,)`` [-], at a change from the point, ``(p,)`` or ``(c, p)``."""
         gains = np.sum((2.0 * self.scores - (self.information @ change[..., None])[..., 0]) * change, axis=-1)
-        return np.maximum(self._powers - gains / self._counts, 0.0)
+        return np.maximum(self._mean_squares - gains / self._counts, 0.0)
 
     def error(self, change: Array) -> float:
         """Objective of :meth:`solve` at a change from the point ``(p,)``: the mean square over all measurements.
@@ -507,147 +526,160 @@ class Problem:
 
     @cached_property
     def leave_one_out_residuals(self) -> list[Array]:
-        """Leave-one-out residuals: of every cluster after the fit to all others, ``(F,)`` each [-]."""
+        """Leave-one-out residuals: residuals of every cluster by the fit to all other clusters, ``(F,)`` each [-]."""
         return [
             target - jacobian @ change
-            for target, jacobian, change in zip(self.targets, self.candidate.jacobians, self.left_out, strict=True)
+            for target, jacobian, change in zip(
+                self.targets, self.candidate.jacobians, self.leave_one_out_changes, strict=True
+            )
         ]
 
     @cached_property
-    def left_out(self) -> Array:
+    def leave_one_out_changes(self) -> Array:
         """Leave-one-out estimates, as changes in parameter scales, ``(c, p)``."""
         neighbours = self._neighbours or [()] * len(self.clusters)
         return self._solved_without([[c, *neighbours[c]] for c in range(len(self.clusters))])
 
-    def _solved_without(self, left_out: Sequence[Sequence[int]]) -> Array:
-        """:meth:`solve` without some clusters, for every choice, ``(k, p)``; most solutions lie within the bounds."""
-        informations = np.array([self.total - self.information[chosen].sum(axis=0) for chosen in left_out])
-        scores = np.array([self._total_score - self.scores[chosen].sum(axis=0) for chosen in left_out])
+    def _solved_without(self, exclusions: Sequence[Sequence[int]]) -> Array:
+        """:meth:`solve` for several sets of excluded clusters at once, ``(k, p)``."""
+        informations = np.array([self.total - self.information[excluded].sum(axis=0) for excluded in exclusions])
+        scores = np.array([self._total_score - self.scores[excluded].sum(axis=0) for excluded in exclusions])
         changes = bounded(informations, scores, self._lower, self._upper)
-        candidate, held = self.candidate, self.candidate.inertial
-        if not np.any(held):
+        candidate, inertial = self.candidate, self.candidate.inertial
+        if not np.any(inertial):
             return changes
-        whole = self.solve()
+        change_of_all = self.solve()
         for number, change in enumerate(changes):
             if not candidate.physically_consistent(
                 candidate.point + change * candidate.scale
             ):  # as in the fit to all clusters
-                lower, upper = np.where(held, whole, self._lower), np.where(held, whole + MIN_BOUND_GAP, self._upper)
+                lower, upper = (
+                    np.where(inertial, change_of_all, self._lower),
+                    np.where(inertial, change_of_all + MIN_BOUND_GAP, self._upper),
+                )
                 changes[number] = bounded(informations[number], scores[number], lower, upper)
         return changes
 
     @cached_property
-    def held_out(self) -> Array:
+    def leave_one_out_errors(self) -> Array:
         """Leave-one-out mean square error of every cluster, ``(c,)`` [-]."""
-        return self.errors(self.left_out)
+        return self.errors(self.leave_one_out_changes)
 
-    def jackknife(self) -> Array:
+    def jackknife_standard_errors(self) -> Array:
         """Jackknife standard errors over the clusters, in parameter scales, ``(p,)`` (Efron 1982)."""
         count = len(self.clusters)
-        alone = self._solved_without([[c] for c in range(count)]) if self._neighbours else self.left_out
-        spread = np.square(alone - alone.mean(axis=0)).sum(axis=0)
-        return np.asarray(np.sqrt((count - 1) / count * spread))
+        replicates = (
+            self._solved_without([[c] for c in range(count)]) if self._neighbours else self.leave_one_out_changes
+        )
+        squares = np.square(replicates - replicates.mean(axis=0)).sum(axis=0)
+        return np.asarray(np.sqrt((count - 1) / count * squares))
 
     def half_widths(self, change: Array, null: NullDistribution) -> Array:
         """Half widths of 95 % intervals in parameter scales, ``(p,)``.
 
-        The larger of two estimates, from the noise and from the jackknife over clusters, each with its own quantile;
-        model discrepancy is added in quadrature.
+        The larger of two estimates, by the noise and by the jackknife over clusters, each with its own quantile of
+        Student's t; model discrepancy is added in quadrature.
 
-        The prior shrinks parameters that the data do not determine to nominal. For true parameters that scatter about
-        nominal with the prior's covariance S, this bias has the covariance A^-1 P S P A^-1, with the total information
-        A and that of the prior P.
+        The prior shrinks undetermined parameters to nominal. If true parameters scatter about nominal with the
+        covariance S of the prior, this bias has the covariance A^-1 P S P A^-1, with the total information A and the
+        information P of the prior.
         """
-        noise, jackknife, systematic, freedom = self._errors(change, null)
-        seen = sum(bool(np.any(jacobian)) for jacobian in self.candidate.jacobians)
-        of_clusters = np.maximum(np.minimum(seen - 1.0, freedom if null.by_blocks else np.inf), 1.0)
-        pairs = ((noise, freedom), (jackknife, of_clusters))
+        noise, jackknife, systematic, freedom = self._standard_errors(change, null)
+        informative = sum(bool(np.any(jacobian)) for jacobian in self.candidate.jacobians)
+        jackknife_freedom = np.maximum(np.minimum(informative - 1.0, freedom if null.by_blocks else np.inf), 1.0)
+        pairs = ((noise, freedom), (jackknife, jackknife_freedom))
         scatter = np.maximum(*(scipy.stats.t.ppf(0.975, degrees) * error for error, degrees in pairs))
         return np.asarray(np.hypot(scatter, scipy.stats.norm.ppf(0.975) * systematic))
 
-    def p_by_interval(self, change: Array, null: NullDistribution, index: int) -> float:
+    def t_test_p_value(self, change: Array, null: NullDistribution, index: int) -> float:
         """p-value of one parameter being nominal, by Student's t with the standard error of its interval.
 
-        The sign-flip test has no power where few blocks depend on a parameter, however well these determine it.
-        Calibrations are left out.
+        For a parameter on which few blocks depend: there the sign-flip test has no power, even if the blocks determine
+        the parameter well. Calibration errors are ignored.
         """
-        noise, jackknife, systematic, freedom = (part[index] for part in self._errors(change, null))
+        noise, jackknife, systematic, freedom = (values[index] for values in self._standard_errors(change, null))
         error = math.hypot(max(noise, jackknife), systematic)
         distance = abs(float(change[index] - self._nominal[index]))
         return float(2.0 * scipy.stats.t.sf(distance / max(error, 1e-300), freedom))
 
-    def _errors(self, change: Array, null: NullDistribution) -> tuple[Array, Array, Array, Array]:
-        """Standard errors by noise, jackknife, and discrepancy with prior; degrees of freedom of noise, ``(p,)`` each.
+    def _standard_errors(self, change: Array, null: NullDistribution) -> tuple[Array, Array, Array, Array]:
+        """Standard errors by noise, by jackknife, and by discrepancy and prior; degrees of freedom of the noise.
 
-        See :meth:`half_widths`.
+        ``(p,)`` each, see :meth:`half_widths`.
         """
         inverse = np.linalg.inv(self.total)
         jacobians = self.candidate.jacobians
         noise = null.covariance(jacobians, self.residuals_at(change), inverse)
-        pulled = inverse @ (np.square(self.candidate.prior * self._prior)[:, None] * inverse)
-        systematic = null.discrepancy(jacobians, inverse) + pulled
-        from_noise, from_others = (np.sqrt(np.maximum(np.diag(part), 0.0)) for part in (noise, systematic))
-        return from_noise, self.jackknife(), from_others, null.freedoms(jacobians, inverse)
+        shrinkage = inverse @ (np.square(self.candidate.prior * self._prior)[:, None] * inverse)
+        systematic = null.discrepancy(jacobians, inverse) + shrinkage
+        noise_errors, systematic_errors = (
+            np.sqrt(np.maximum(np.diag(covariance), 0.0)) for covariance in (noise, systematic)
+        )
+        return noise_errors, self.jackknife_standard_errors(), systematic_errors, null.freedoms(jacobians, inverse)
 
-    def moved_by_calibrations(self) -> Array:
-        """Standard errors of the estimate from calibrations that all clusters share, ``(p,)``.
+    def calibration_standard_errors(self) -> Array:
+        """Standard errors of the estimate due to calibrations that all clusters share, ``(p,)`` [parameter scales].
 
-        A calibration that an effect of the candidate spans, such as the gain of a torque, is fitted and adds none.
+        A calibration in the span of the candidate's sensitivities, such as the gain of a torque, is fitted and adds no
+        error.
         """
-        pairs = [
+        weighted = [
             (np.sqrt(item.count) * item.calibrations, np.sqrt(item.count) * jacobian)
             for item, jacobian in zip(self.clusters, self.candidate.jacobians, strict=True)
             if item.calibrations is not None
         ]
-        if not pairs:
+        if not weighted:
             return np.zeros(self.total.shape[0])
-        scores = np.sum([rows @ jacobian for rows, jacobian in pairs], axis=0)
+        scores = np.sum([rows @ jacobian for rows, jacobian in weighted], axis=0)
         changes = np.linalg.solve(self.total, scores.T).T
-        rests = [(rows, rows - changes @ jacobian.T) for rows, jacobian in pairs]
-        whole, left = np.sum([[np.sum(np.square(part), axis=1) for part in both] for both in rests], axis=0)
-        changes[left < MIN_UNFITTED_SHARE * whole] = 0.0
+        unfitted = [(rows, rows - changes @ jacobian.T) for rows, jacobian in weighted]
+        total_squares, unfitted_squares = np.sum(
+            [[np.sum(np.square(part), axis=1) for part in pair] for pair in unfitted], axis=0
+        )
+        changes[unfitted_squares < MIN_UNFITTED_SHARE * total_squares] = 0.0
         return np.asarray(np.sqrt(np.sum(np.square(changes), axis=0)))
 
     def p_value(self, null: NullDistribution, tested: Sequence[int]) -> float:
         """p-value of some parameters being nominal while all others of the candidate are fitted (score test).
 
         Args:
-            null: Of the residuals of the fit without the tested parameters, or of the model if nothing else is fitted.
+            null: Null distribution of the residuals of the fit without the tested parameters, or of the model if
+                nothing else is fitted.
             tested: Indices of the tested parameters.
         """
-        others = np.setdiff1d(np.arange(self.total.shape[0]), tested)
+        nuisance = np.setdiff1d(np.arange(self.total.shape[0]), tested)
         return null.p_value(
             [jacobian[:, list(tested)] for jacobian in self.candidate.jacobians],
-            [jacobian[:, others] for jacobian in self.candidate.jacobians],
+            [jacobian[:, nuisance] for jacobian in self.candidate.jacobians],
         )
 
 
 def bounded(information: Array, score: Array, lower: Array, upper: Array) -> Array:
     """Minimiser of ``b^T information b / 2 - score^T b`` within bounds, of one problem or of several, ``(k, p)``.
 
-    Primal-dual active set method (Hintermüller, Ito and Kunisch 2002): entries stay at a bound as long as their
-    multipliers have the sign for it. The few problems that do not converge go to :func:`scipy.optimize.lsq_linear`.
+    Primal-dual active set method (Hintermüller, Ito and Kunisch 2002): entries stay at a bound while their multipliers
+    have the sign for it. The few problems that do not converge are solved by :func:`scipy.optimize.lsq_linear`.
     """
     change = np.linalg.solve(information, score[..., None])[..., 0]
     matrices = information.reshape(-1, *information.shape[-2:])
-    scores, found = np.atleast_2d(score), np.atleast_2d(change)
-    low, high = found < lower - 1e-12, found > upper + 1e-12
-    left = np.flatnonzero(np.any(low | high, axis=-1))
+    scores, solutions = np.atleast_2d(score), np.atleast_2d(change)
+    low, high = solutions < lower - 1e-12, solutions > upper + 1e-12
+    pending = np.flatnonzero(np.any(low | high, axis=-1))
     for _ in range(MAX_ACTIVE_SETS):
-        if left.size == 0:
+        if pending.size == 0:
             break
-        held = low[left] | high[left]
-        matrix = np.where(held[..., None], np.eye(held.shape[-1]), matrices[left])
-        ends = np.where(low[left], lower, np.where(high[left], upper, scores[left]))
-        found[left] = np.linalg.solve(matrix, ends[..., None])[..., 0]
-        pull = scores[left] - (matrices[left] @ found[left][..., None])[..., 0]
-        lower_now = np.where(low[left], pull <= 0.0, found[left] < lower - 1e-12)
-        upper_now = np.where(high[left], pull >= 0.0, found[left] > upper + 1e-12)
-        moved = np.any((lower_now != low[left]) | (upper_now != high[left]), axis=-1)
-        low[left], high[left] = lower_now, upper_now
-        left = left[moved]
-    for place in left:
-        root = np.linalg.cholesky(matrices[place]).T
-        target = np.linalg.solve(root.T, scores[place])
-        found[place] = scipy.optimize.lsq_linear(root, target, bounds=(lower, upper), method="bvls").x
-    return np.clip(found, lower, upper).reshape(score.shape)
+        fixed = low[pending] | high[pending]
+        matrix = np.where(fixed[..., None], np.eye(fixed.shape[-1]), matrices[pending])
+        right_sides = np.where(low[pending], lower, np.where(high[pending], upper, scores[pending]))
+        solutions[pending] = np.linalg.solve(matrix, right_sides[..., None])[..., 0]
+        multipliers = scores[pending] - (matrices[pending] @ solutions[pending][..., None])[..., 0]
+        lower_now = np.where(low[pending], multipliers <= 0.0, solutions[pending] < lower - 1e-12)
+        upper_now = np.where(high[pending], multipliers >= 0.0, solutions[pending] > upper + 1e-12)
+        moved = np.any((lower_now != low[pending]) | (upper_now != high[pending]), axis=-1)
+        low[pending], high[pending] = lower_now, upper_now
+        pending = pending[moved]
+    for index in pending:
+        root = np.linalg.cholesky(matrices[index]).T
+        target = np.linalg.solve(root.T, scores[index])
+        solutions[index] = scipy.optimize.lsq_linear(root, target, bounds=(lower, upper), method="bvls").x
+    return np.clip(solutions, lower, upper).reshape(score.shape)

@@ -23,11 +23,11 @@ from impact_rs_sim.robots.robot import Array
 
 # Gauss-Newton steps
 MAX_STEPS_OF_TRIALS = 6  # their simulations are expensive
-MAX_STEPS_WITHOUT_REPEATS = 12  # of recordings and tables, whose predictions are cheap
-MIN_RELATIVE_DECREASE = 0.02  # of the squared error by a step; with less, a fit has converged
-DIFFERENCE_STEP_SHARES = (1.0, 0.3)  # of the finite-difference steps, far from and near the optimum
-MAX_CHORD_ERROR_RATIO = 0.5  # squared error after over before a step with the first sensitivities; above, new ones
-MAX_FINAL_CORRECTION = 0.1  # parameter scales; a smaller one does not depend on where a trial starts
+MAX_STEPS_WITHOUT_REPEATS = 12  # recordings and tables: predictions are cheap
+MIN_RELATIVE_DECREASE = 0.02  # of the squared error in one step; below, a fit has converged
+DIFFERENCE_STEP_SHARES = (1.0, 0.3)  # of the declared finite-difference steps, far from and near the optimum
+MAX_CHORD_ERROR_RATIO = 0.5  # squared error after over before a chord step; above, new sensitivities are computed
+MAX_FINAL_CORRECTION = 0.1  # parameter scales; a smaller correction ends the final replays
 MAX_FINAL_REPLAYS = 4  # of every run, at the end of a fit
 MAX_RANGE_DOUBLINGS = 4  # to sixteen times the declared width
 # Trust region (Conn, Gould and Toint 2000); the gain ratio is the actual over the predicted decrease of the error.
@@ -35,23 +35,23 @@ TRUST_RADIUS = 4.0  # parameter scales, after a full step with a low gain ratio
 TRUST_RADIUS_FACTOR = 4.0  # wider after a step with a high gain ratio, narrower after one without a decrease
 MAX_STEP_TRIALS = 4  # steps of decreasing length
 MIN_GAIN_RATIO = 0.75  # above, the radius grows
-MIN_GAIN_RATIO_OF_FULL_STEP = 0.95  # likewise, for a step without a radius that is longer than TRUST_RADIUS
-VALLEY_FTOL, VALLEY_MAX_EVALUATIONS = 1e-6, 200  # of SciPy's trust-region method along a curved valley, flat along it
+MIN_GAIN_RATIO_OF_FULL_STEP = 0.95  # likewise, for an unlimited step longer than TRUST_RADIUS
+VALLEY_FTOL, VALLEY_MAX_EVALUATIONS = 1e-6, 200  # of SciPy's trust-region method; a curved valley has a flat floor
 # Downhill simplex (Nelder and Mead 1965)
 SIMPLEX_EDGE = 0.3  # parameter scales, of the first simplex
-SIMPLEX_EVALUATIONS = 25  # for each parameter, at most
-UNSIMULATED_ERROR = 1e100  # stands for inf, whose differences are nan
+SIMPLEX_EVALUATIONS = 25  # per parameter, at most
+UNSIMULATED_ERROR = 1e100  # in place of inf, because inf - inf is nan
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Some clusters of a source, with residuals of the model or of the model with effects switched on.
+    """Residuals of some clusters of a source, by the model or by the model with effects.
 
     Attributes:
         source: The measurements, with the model that predicts them.
         numbers: Indices of the clusters in the source.
         clusters: Residuals.
-        budget: Processor time that fits to them may take.
+        budget: Processor time that fits may take.
     """
 
     source: Source
@@ -61,7 +61,7 @@ class Evidence:
 
     @staticmethod
     def of(source: Source, numbers: Sequence[int] | None = None, budget: Budget = UNLIMITED) -> Evidence:
-        """Residuals of the model in some clusters; None: in all."""
+        """Residuals of the model in some clusters, by index; None: in all clusters."""
         chosen = tuple(range(len(source.clusters)) if numbers is None else numbers)
         return Evidence(source, chosen, tuple(source.clusters[number] for number in chosen), budget)
 
@@ -93,16 +93,16 @@ class Evidence:
 
     @cached_property
     def neighbours(self) -> tuple[tuple[int, ...], ...] | None:
-        """Neighbours of every cluster on the same recording, with correlated noise; None for trials."""
+        """Positions of the neighbours of every cluster in its recording, whose noise is correlated; None for trials."""
         if self.source.repeated:
             return None
-        place = {number: position for position, number in enumerate(self.numbers)}
+        position_of = {number: position for position, number in enumerate(self.numbers)}
         units = [item.unit for item in self.clusters]
         return tuple(
             tuple(
-                place[near]
-                for near in (number - 1, number + 1)
-                if near in place and units[place[near]] == units[position]
+                position_of[neighbour]
+                for neighbour in (number - 1, number + 1)
+                if neighbour in position_of and units[position_of[neighbour]] == units[position]
             )
             for position, number in enumerate(self.numbers)
         )
@@ -116,108 +116,117 @@ class Evidence:
         )
 
     @cached_property
-    def _free(self) -> list[tuple[int, NDArray[np.bool_]]]:
-        """Indices of the clusters with free motion, each with the mask of its features before contact."""
+    def _free_masks(self) -> list[tuple[int, NDArray[np.bool_]]]:
+        """Positions of the clusters with free motion, each with the mask of its features before contact."""
         masks = [np.array([not item.contact or f.phase == "free" for f in item.features]) for item in self.clusters]
         return [(position, mask) for position, mask in enumerate(masks) if np.any(mask)]
 
     @cached_property
     def free_motion_part(self) -> Evidence | None:
         """The evidence of free motion alone; None without free motion, or without contact."""
-        if not self._free or not any(item.contact for item in self.clusters):
+        if not self._free_masks or not any(item.contact for item in self.clusters):
             return None
-        numbers = tuple(self.numbers[position] for position, _ in self._free)
-        clusters = tuple(self.clusters[position].only(mask.tolist(), contact=False) for position, mask in self._free)
+        numbers = tuple(self.numbers[position] for position, _ in self._free_masks)
+        clusters = tuple(
+            self.clusters[position].only(mask.tolist(), contact=False) for position, mask in self._free_masks
+        )
         return replace(self, numbers=numbers, clusters=clusters)
 
     def linearised_in_free_motion(self, candidate: Candidate) -> Candidate:
-        """The rows of a linearised candidate that belong to :attr:`free_motion_part`."""
+        """A linearised candidate restricted to the features of :attr:`free_motion_part`."""
         return replace(
             candidate,
-            offsets=tuple(candidate.offsets[position][mask] for position, mask in self._free),
-            jacobians=tuple(candidate.jacobians[position][mask] for position, mask in self._free),
+            offsets=tuple(candidate.offsets[position][mask] for position, mask in self._free_masks),
+            jacobians=tuple(candidate.jacobians[position][mask] for position, mask in self._free_masks),
         )
 
     def extended_beyond_free_motion(self, candidate: Candidate) -> Candidate:
         """A candidate linearised in :attr:`free_motion_part`, with zero sensitivity of all other features."""
         offsets = [np.zeros(item.sigma.size) for item in self.clusters]
         jacobians = [np.zeros((item.sigma.size, candidate.point.size)) for item in self.clusters]
-        for (position, mask), offset, jacobian in zip(self._free, candidate.offsets, candidate.jacobians, strict=True):
+        for (position, mask), offset, jacobian in zip(
+            self._free_masks, candidate.offsets, candidate.jacobians, strict=True
+        ):
             offsets[position][mask], jacobians[position][mask] = offset, jacobian
         return replace(candidate, offsets=tuple(offsets), jacobians=tuple(jacobians))
 
     @cached_property
-    def signals(self) -> list[list[NDArray[np.bool_]]]:
-        """Masks of features by cluster, for every signal with a noise of its own; else one mask of all features."""
+    def noise_masks(self) -> list[list[NDArray[np.bool_]]]:
+        """Masks of features by cluster: one per signal if noise differs between signals, else one of all features."""
         if not self.source.noise_apart:
             return [[np.ones(len(item.features), dtype=bool) for item in self.clusters]]
-        return self._each_signal
+        return self._signal_masks
 
     @cached_property
-    def _each_signal(self) -> list[list[NDArray[np.bool_]]]:
+    def _signal_masks(self) -> list[list[NDArray[np.bool_]]]:
         """Masks of features by cluster, for every signal."""
         names = dict.fromkeys((f.signal, f.index) for item in self.clusters for f in item.features)
         return [
             [np.array([(f.signal, f.index) == name for f in item.features]) for item in self.clusters] for name in names
         ]
 
-    def gains(self, before: Sequence[Array], after: Sequence[Array], whole: bool = False) -> bool:
-        """Whether an effect removes enough of the excess error, beyond repeatability and discrepancy.
+    def lowers_excess(self, before: Sequence[Array], after: Sequence[Array], all_features: bool = False) -> bool:
+        """Whether an effect removes enough of the excess error (:meth:`excess`).
 
-        Enough is ``MIN_GAIN_SHARE`` of the excess of all features. Where every joint has an unknown noise of its own,
+        Enough is ``MIN_GAIN_SHARE`` of the excess of all features. If the noise of every joint is unknown,
         ``MIN_GAIN_SHARE_OF_JOINT`` of the excess of one joint is enough as well: residuals are scaled by those of the
-        model without effects, so that whatever acts in a well explained joint looks small. In a table of single impacts
-        the gain is also compared with the excess of the signals that the effect moves (:meth:`_gain_where_it_acts`).
+        model without effects, so an effect in a well explained joint looks small. In a table of single impacts the gain
+        is also compared with the excess of the signals that the effect changes (:meth:`_weighted_gain_share`).
 
         Args:
-            before: Mean residuals without an effect, ``(F,)`` per cluster [-].
-            after: The same with it.
-            whole: Whether a table's gain is compared with the excess of all features alone: the residual of a coarse
-                curve in one signal is no further dependence.
+            before: Mean residuals without the effect, ``(F,)`` per cluster [-].
+            after: Mean residuals with the effect, ``(F,)`` per cluster [-].
+            all_features: Whether a table's gain is compared with the excess of all features only: a coarse curve leaves
+                a residual in one signal, which is no further dependence.
         """
-        first, second = (self.excess(rest) for rest in (before, after))
-        if float(np.sum(first - second)) > MIN_GAIN_SHARE * float(np.sum(first)) or (
-            self.source.noise_apart and bool(np.any(first - second > MIN_GAIN_SHARE_OF_JOINT * first))
+        excess_before, excess_after = (self.excess(residuals) for residuals in (before, after))
+        if float(np.sum(excess_before - excess_after)) > MIN_GAIN_SHARE * float(np.sum(excess_before)) or (
+            self.source.noise_apart
+            and bool(np.any(excess_before - excess_after > MIN_GAIN_SHARE_OF_JOINT * excess_before))
         ):
             return True
-        single = not whole and not self.source.of_motion and not self.source.repeated
-        return single and self._gain_where_it_acts(before, after) > MIN_GAIN_SHARE
+        single_impacts = not all_features and not self.source.of_motion and not self.source.repeated
+        return single_impacts and self._weighted_gain_share(before, after) > MIN_GAIN_SHARE
 
-    def _gain_where_it_acts(self, before: Sequence[Array], after: Sequence[Array]) -> float:
+    def _weighted_gain_share(self, before: Sequence[Array], after: Sequence[Array]) -> float:
         """Share of a table's excess error that an effect removes, weighted by its change of each signal [-].
 
         With the excess a_s of signal s and the mean square c_s of its change, the weight is c_s / a_s, the largest
-        share that the effect can explain. The noise of a signal that it does not change has no weight, such as that
-        of the spin where an effect acts along the normal.
+        share that the effect can explain. Signals that the effect does not change have no weight: an effect along the
+        normal is not judged by the noise of the spin.
         """
-        gained, weights = 0.0, 0.0
-        for masks in self._each_signal:
-            first, second = (
+        explained, total_weight = 0.0, 0.0
+        for masks in self._signal_masks:
+            excess_before, excess_after = (
                 np.mean(
                     np.concatenate(
                         [
-                            np.square(own[mask]) - item.expected_squares[mask]
-                            for own, mask, item in zip(rest, masks, self.clusters, strict=True)
+                            np.square(residual[mask]) - item.expected_squares[mask]
+                            for residual, mask, item in zip(residuals, masks, self.clusters, strict=True)
                         ]
                     )
                 )
-                for rest in (before, after)
+                for residuals in (before, after)
             )
-            moved = [(a - b)[mask] for a, b, mask in zip(before, after, masks, strict=True)]
-            if first > 0.0:
-                weight = float(np.mean(np.square(np.concatenate(moved))) / first)
-                gained, weights = gained + weight * float(first - second) / float(first), weights + weight
-        return gained / weights if weights else 0.0
+            changes = [(a - b)[mask] for a, b, mask in zip(before, after, masks, strict=True)]
+            if excess_before > 0.0:
+                weight = float(np.mean(np.square(np.concatenate(changes))) / excess_before)
+                explained += weight * float(excess_before - excess_after) / float(excess_before)
+                total_weight += weight
+        return explained / total_weight if total_weight else 0.0
 
-    def excess(self, rest: Sequence[Array]) -> Array:
-        """Mean square error beyond repeatability and discrepancy, for each mask of :attr:`signals`, ``(g,)`` [-]."""
+    def excess(self, residuals: Sequence[Array]) -> Array:
+        """Mean square error beyond repeatability and discrepancy, per mask of :attr:`noise_masks`, ``(g,)`` [-]."""
         expected = [item.expected_squares for item in self.clusters]
         return np.array(
             [
                 np.mean(
-                    [max(np.mean(np.square(r[m]) - e[m]), 0.0) for r, e, m in zip(rest, expected, own, strict=True)]
+                    [
+                        max(np.mean(np.square(r[m]) - e[m]), 0.0)
+                        for r, e, m in zip(residuals, expected, masks, strict=True)
+                    ]
                 )
-                for own in self.signals
+                for masks in self.noise_masks
             ]
         )
 
@@ -226,9 +235,9 @@ class Evidence:
         return size_of(errors, self.expected)
 
     def problem(self, candidate: Candidate) -> Problem:
-        """Least squares of a candidate that is linearised in these clusters."""
-        known = self.source.of_motion and self.source.repeated
-        return Problem(candidate, self.clusters, self.neighbours, noise_unknown=not known)
+        """Least-squares problem of a candidate that is linearised in these clusters."""
+        noise_known = self.source.of_motion and self.source.repeated
+        return Problem(candidate, self.clusters, self.neighbours, noise_unknown=not noise_known)
 
 
 @dataclass(frozen=True)
@@ -249,7 +258,7 @@ class Fit:
 
     @staticmethod
     def of(candidate: Candidate, evidence: Evidence) -> Fit:
-        """Fit a candidate where it is linearised."""
+        """Linear fit of a candidate about its point."""
         problem = evidence.problem(candidate)
         return Fit(candidate, evidence, problem, problem.solve())
 
@@ -260,17 +269,17 @@ class Fit:
         return np.clip(candidate.point + self.change * candidate.scale, candidate.lower, candidate.upper)
 
     @property
-    def away(self) -> Array:
+    def distance_from_nominal(self) -> Array:
         """Distance of the estimate from nominal, in parameter scales, ``(p,)``."""
         return np.asarray((self.estimate - self.candidate.nominal) / self.candidate.scale)
 
     @cached_property
-    def _at_ends(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    def _at_range_ends(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Masks of the estimates at their lower and at their upper bound, where that is not nominal, ``(p,)`` each."""
         candidate = self.candidate
-        near = 1e-6 * candidate.scale
+        tolerance = 1e-6 * candidate.scale
         low, high = (
-            (np.abs(self.estimate - bound) < near) & (np.abs(bound - candidate.nominal) > near)
+            (np.abs(self.estimate - bound) < tolerance) & (np.abs(bound - candidate.nominal) > tolerance)
             for bound in (candidate.lower, candidate.upper)
         )
         return low, high
@@ -278,38 +287,43 @@ class Fit:
     @cached_property
     def at_bound(self) -> NDArray[np.bool_]:
         """Mask of the estimates at a bound that is not nominal, or at the edge of physical consistency, ``(p,)``."""
-        return np.asarray(self.at_end | self.candidate.at_consistency_boundary(self.estimate))
+        return np.asarray(self.at_range_end | self.candidate.at_consistency_boundary(self.estimate))
 
     @property
-    def at_end(self) -> NDArray[np.bool_]:
+    def at_range_end(self) -> NDArray[np.bool_]:
         """Mask of the estimates at an end of their range that is not nominal, ``(p,)``."""
-        low, high = self._at_ends
+        low, high = self._at_range_ends
         return np.asarray(low | high)
 
     @cached_property
-    def held_at_bound(self) -> NDArray[np.bool_]:
-        """Mask of the estimates that the data push to a bound, ``(p,)``; undetermined ones may lie there by chance."""
-        return np.asarray(self.at_bound & (self.candidate.shapes | (np.abs(self.away) > self.half_widths)))
+    def pushed_to_bound(self) -> NDArray[np.bool_]:
+        """Mask of the estimates at a bound that differ from nominal by more than their half width, ``(p,)``.
+
+        An estimate that the data do not determine may lie at a bound by chance.
+        """
+        return np.asarray(
+            self.at_bound & (self.candidate.shapes | (np.abs(self.distance_from_nominal) > self.half_widths))
+        )
 
     @cached_property
-    def at_end_of_range(self) -> NDArray[np.bool_]:
+    def at_search_limit(self) -> NDArray[np.bool_]:
         """Mask of the estimates at a bound of the search that is no bound of physics, ``(p,)``."""
         candidate = self.candidate
-        wider = candidate.widened(self.at_end, self.evidence.source)
+        wider = candidate.widened(self.at_range_end, self.evidence.source)
         if wider is None:
-            return np.zeros_like(self.at_end)
-        low, high = self._at_ends
+            return np.zeros_like(self.at_range_end)
+        low, high = self._at_range_ends
         return np.asarray((low & (wider.lower < candidate.lower)) | (high & (wider.upper > candidate.upper)))
 
     @property
-    def held_out(self) -> Array:
+    def leave_one_out_errors(self) -> Array:
         """Leave-one-out mean square error per cluster, ``(c,)`` [-]."""
-        return self.problem.held_out
+        return self.problem.leave_one_out_errors
 
     @property
     def score(self) -> float:
         """Leave-one-out mean square error, mean over clusters [-]."""
-        return float(self.held_out.mean())
+        return float(self.leave_one_out_errors.mean())
 
     @property
     def cost(self) -> int:
@@ -318,24 +332,25 @@ class Fit:
 
     @cached_property
     def half_widths(self) -> Array:
-        """Half widths of the 95 % intervals in parameter scales, ``(p,)``, with the uncertainty of the calibrations."""
+        """Half widths of the 95 % intervals in parameter scales, ``(p,)``, including clock and calibration errors."""
         clock = 0.95 * self.evidence.source.clock  # half width of a uniform distribution
-        unsure = np.array([clock if scalar.unit == "s" else 0.0 for scalar in self.candidate.scalars])
-        moved = scipy.stats.norm.ppf(0.975) * self.problem.moved_by_calibrations()
-        return np.asarray(np.sqrt(self.half_widths_of_noise**2 + moved**2 + (unsure / self.candidate.scale) ** 2))
+        clocks = np.array([clock if scalar.unit == "s" else 0.0 for scalar in self.candidate.scalars])
+        calibrations = scipy.stats.norm.ppf(0.975) * self.problem.calibration_standard_errors()
+        squares = self.half_widths_of_noise**2 + calibrations**2 + (clocks / self.candidate.scale) ** 2
+        return np.asarray(np.sqrt(squares))
 
     @cached_property
     def half_widths_of_noise(self) -> Array:
-        """Half widths if clocks and calibrations are exact, in parameter scales, ``(p,)``."""
+        """Half widths of the 95 % intervals for exact clocks and calibrations, in parameter scales, ``(p,)``."""
         return self.problem.half_widths(self.change, self.evidence.null)
 
     @property
-    def with_room(self) -> Candidate:
+    def widened_to_intervals(self) -> Candidate:
         """The candidate with ranges as wide as the intervals, within the bounds of physics and of the user."""
-        candidate, half = self.candidate, self.half_widths * self.candidate.scale
+        candidate, half_width = self.candidate, self.half_widths * self.candidate.scale
         for _ in range(MAX_RANGE_DOUBLINGS):
-            beyond = (self.estimate - half < candidate.lower) | (self.estimate + half > candidate.upper)
-            wider = candidate.widened(beyond, self.evidence.source) if np.any(beyond) else None
+            outside = (self.estimate - half_width < candidate.lower) | (self.estimate + half_width > candidate.upper)
+            wider = candidate.widened(outside, self.evidence.source) if np.any(outside) else None
             if wider is None:
                 break
             candidate = wider
@@ -358,15 +373,15 @@ class Fit:
 
     @property
     def step_by_free_motion(self) -> Array:
-        """Step to the estimates by free motion, in parameter scales, ``(p,)``; 0 where it does not determine them.
+        """Step to the estimates of free motion, in parameter scales, ``(p,)``; 0 for parameters it leaves undetermined.
 
-        A parameter such as the offset of an encoder moves the position of the impact. If the pad then starts inside
-        the object, the replay has no useful sensitivity; before the impact it has.
+        The offset of an encoder, for example, moves the position of the impact. If the pad then starts inside the
+        object, sensitivities after the impact are useless; those before the impact still hold.
         """
-        free = self.evidence.free_motion_part
-        if free is None:
+        free_motion = self.evidence.free_motion_part
+        if free_motion is None:
             return np.zeros_like(self.change)
-        fitted = Fit.of(self.evidence.linearised_in_free_motion(self.candidate), free)
+        fitted = Fit.of(self.evidence.linearised_in_free_motion(self.candidate), free_motion)
         return np.where(np.abs(fitted.change) > fitted.half_widths, fitted.change, 0.0)
 
     @property
@@ -376,13 +391,13 @@ class Fit:
 
     @property
     def stalled(self) -> bool:
-        """Whether the linear model promises a lower error that no simulated step has, as where features are rough."""
-        promised = self.error_at_point - self.problem.error(self.problem.solve())
-        return not np.any(self.change) and promised > MIN_RELATIVE_DECREASE * self.error_at_point
+        """Whether no simulated step has the lower error that the linear model predicts, as with rough features."""
+        predicted_decrease = self.error_at_point - self.problem.error(self.problem.solve())
+        return not np.any(self.change) and predicted_decrease > MIN_RELATIVE_DECREASE * self.error_at_point
 
     @property
     def out_of_time(self) -> bool:
-        """Whether the processor time is spent; further steps of this fit are then listed as not tried."""
+        """Whether the processor time is spent; if so, further steps of this fit are listed as not tried."""
         return self.evidence.budget.leaves_out(f"further steps of the fit of {' and '.join(self.candidate.names)}")
 
     @property
@@ -396,10 +411,10 @@ class Fit:
         return self.problem.residuals_at(self.change)
 
     @cached_property
-    def left(self) -> Evidence:
-        """The evidence with the residuals of the fit in place of those of the model."""
+    def residual_evidence(self) -> Evidence:
+        """The evidence with residuals of the fit in place of residuals of the model."""
         pairs = zip(self.evidence.clusters, self.residuals, strict=True)
-        clusters = tuple(replace(item, residuals=item.residuals - (item.mean - rest)) for item, rest in pairs)
+        clusters = tuple(replace(item, residuals=item.residuals - (item.mean - residual)) for item, residual in pairs)
         return replace(self.evidence, clusters=clusters)
 
     def lack_of_fit(self) -> float | None:
@@ -407,51 +422,51 @@ class Fit:
         return self.evidence.null.lack_of_fit(self.residuals)
 
 
-def chord_method(candidate: Candidate, evidence: Evidence, give_up: float = np.inf) -> Fit:
+def chord_method(candidate: Candidate, evidence: Evidence, max_error: float = np.inf) -> Fit:
     """Fit by the chord method: simulations at every step, with the sensitivities of the start.
 
-    A fit that ends at a bound of the search goes on with a wider range, within the bounds of physics.
+    A fit that ends at a search limit continues with a wider range, within the bounds of physics.
 
     Args:
         candidate: Start, linearised.
         evidence: The residuals to explain.
-        give_up: Mean square error; a fit that the linear model puts above it after the first step stops [-].
+        max_error: Mean square error; a fit that the linear model puts above it after the first step stops [-].
     """
-    return _beyond_bounds(lambda start: _refine(start, evidence, give_up), candidate)
+    return _with_wider_ranges(lambda start: _chord_steps(start, evidence, max_error), candidate)
 
 
-def _beyond_bounds(fit: Callable[[Candidate], Fit], start: Candidate) -> Fit:
-    """A fit, repeated with a wider range while it ends at a bound of the search that is no bound of physics."""
+def _with_wider_ranges(fit: Callable[[Candidate], Fit], start: Candidate) -> Fit:
+    """A fit, repeated with wider ranges while it ends at a search limit within the bounds of physics."""
     fitted = fit(start)
     for _ in range(MAX_RANGE_DOUBLINGS):
-        at = fitted.at_end
-        wider = fitted.candidate.widened(at, fitted.evidence.source) if np.any(at) else None
+        at_end = fitted.at_range_end
+        wider = fitted.candidate.widened(at_end, fitted.evidence.source) if np.any(at_end) else None
         if wider is None or fitted.out_of_time:
             break
         fitted = fit(wider)
     return fitted
 
 
-def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
+def _chord_steps(candidate: Candidate, evidence: Evidence, max_error: float) -> Fit:
     """Chord steps within the bounds of the candidate, with new sensitivities where they converge slowly.
 
-    The chord method is cheap where features are nearly linear. Where sensitivities change along the way, as for a
-    damping that takes most of the velocity from a trial, its steps are short. Recordings keep them: there, slow steps
-    belong to parameters that the data hardly determine, or to shapes, which converge after their amplitudes
-    (:func:`gauss_newton`).
+    The chord method is cheap for nearly linear features. Its steps are short if sensitivities change on the way to the
+    optimum, as with a damping that takes most of the velocity of a trial. Recordings keep the first sensitivities:
+    their slow steps belong to parameters that the data hardly determine, or to shapes, which converge after their
+    amplitudes (:func:`gauss_newton`).
     """
-    fitted, trust, unseen = Fit.of(candidate, evidence), np.inf, candidate.unseen
-    shaped = any(scalar.shape and not scalar.grid for scalar in candidate.scalars)
-    may_be_slow = evidence.source.repeated and not shaped
+    fitted, radius, insensitive = Fit.of(candidate, evidence), np.inf, candidate.insensitive
+    has_shapes = any(scalar.shape and not scalar.grid for scalar in candidate.scalars)
+    may_be_slow = evidence.source.repeated and not has_shapes
     for number in range(_steps(evidence)):
-        if fitted.converged or (number >= 1 and (unseen or fitted.misfit > give_up or fitted.out_of_time)):
+        if fitted.converged or (number >= 1 and (insensitive or fitted.misfit > max_error or fitted.out_of_time)):
             break
-        moved, trust = _moved(fitted, trust)
-        if moved is None:  # no simulation has the decrease that the sensitivities predict
+        stepped, radius = _trust_region_step(fitted, radius)
+        if stepped is None:  # no simulation has the decrease that the sensitivities predict
             return fitted.at_point
-        least = max(MAX_CHORD_ERROR_RATIO * fitted.error_at_point, evidence.expected_error)
-        slow = may_be_slow and moved.error_at_point > least
-        fitted = Fit.of(_relinearised(moved.candidate, evidence), evidence) if slow else moved
+        slow_error = max(MAX_CHORD_ERROR_RATIO * fitted.error_at_point, evidence.expected_error)
+        slow = may_be_slow and stepped.error_at_point > slow_error
+        fitted = Fit.of(_relinearised(stepped.candidate, evidence), evidence) if slow else stepped
     return fitted
 
 
@@ -460,45 +475,47 @@ def _steps(evidence: Evidence) -> int:
     return MAX_STEPS_OF_TRIALS if evidence.source.repeated else MAX_STEPS_WITHOUT_REPEATS
 
 
-def _moved(fitted: Fit, trust: float) -> tuple[Fit | None, float]:
+def _trust_region_step(fitted: Fit, radius: float) -> tuple[Fit | None, float]:
     """The fit after a step in a box trust region, and the next radius.
 
-    No parameter moves by more than the radius ``trust``, in scales, unless features are linear: one of many parameters
-    with a wrong sensitivity would reach values at which it changes nothing any more, as friction in which a joint
-    sticks, while the others lower the error. Where no nearby step helps, the whole step is taken, or the step by free
-    motion (:meth:`Fit.step_by_free_motion`) if its error is lower. The gain ratio of actual to predicted decrease sets
-    the next radius. None if no step lowers the error by ``MIN_RELATIVE_DECREASE`` of it.
+    No parameter moves by more than ``radius`` [parameter scales], unless features are linear: a parameter with a wrong
+    sensitivity would reach values without any effect, as friction in which a joint sticks, while the other parameters
+    lower the error. If no nearby step helps, the whole step is taken, or the step by free motion
+    (:meth:`Fit.step_by_free_motion`) if its error is lower. The gain ratio of actual to predicted decrease sets the
+    next radius. None if no step lowers the error by the share ``MIN_RELATIVE_DECREASE``.
     """
     error = fitted.error_at_point
-    far: Fit | None = None
+    long_step: Fit | None = None
     for _ in range(MAX_STEP_TRIALS):
-        step = fitted.problem.solve(within=trust)
+        step = fitted.problem.solve(radius=radius)
         length = float(np.max(np.abs(step)))
         if length < 1e-6:
             break
-        moved, gained = _stepped(fitted, step)
-        promised = error - fitted.problem.error(step)
-        unbounded = np.isinf(trust) and length > TRUST_RADIUS
-        if np.isinf(trust) and error - gained > fitted.evidence.expected_error:
-            free, gained_there = _stepped(fitted, fitted.step_by_free_motion)
-            if gained_there > max(gained, MIN_RELATIVE_DECREASE * error):
-                return free, TRUST_RADIUS
-        if gained > (MIN_GAIN_RATIO_OF_FULL_STEP if unbounded else MIN_GAIN_RATIO) * promised:
-            return moved, TRUST_RADIUS_FACTOR * trust
-        if gained > MIN_RELATIVE_DECREASE * error:
+        stepped, decrease = _fit_after_step(fitted, step)
+        predicted_decrease = error - fitted.problem.error(step)
+        unbounded = np.isinf(radius) and length > TRUST_RADIUS
+        if np.isinf(radius) and error - decrease > fitted.evidence.expected_error:
+            stepped_by_free_motion, decrease_by_free_motion = _fit_after_step(fitted, fitted.step_by_free_motion)
+            if decrease_by_free_motion > max(decrease, MIN_RELATIVE_DECREASE * error):
+                return stepped_by_free_motion, TRUST_RADIUS
+        if decrease > (MIN_GAIN_RATIO_OF_FULL_STEP if unbounded else MIN_GAIN_RATIO) * predicted_decrease:
+            return stepped, TRUST_RADIUS_FACTOR * radius
+        if decrease > MIN_RELATIVE_DECREASE * error:
             if not unbounded:
-                return moved, max(length, TRUST_RADIUS)
-            far = moved
-        trust = min(trust / TRUST_RADIUS_FACTOR, length / TRUST_RADIUS_FACTOR, TRUST_RADIUS)
-    return far, TRUST_RADIUS if far is not None else trust
+                return stepped, max(length, TRUST_RADIUS)
+            long_step = stepped
+        radius = min(radius / TRUST_RADIUS_FACTOR, length / TRUST_RADIUS_FACTOR, TRUST_RADIUS)
+    return long_step, TRUST_RADIUS if long_step is not None else radius
 
 
-def _stepped(fitted: Fit, step: Array) -> tuple[Fit | None, float]:
-    """The fit simulated after a step, None where it cannot be simulated, and the actual decrease of its error."""
+def _fit_after_step(fitted: Fit, step: Array) -> tuple[Fit | None, float]:
+    """The fit at a simulated step, and the actual decrease of its error; None and -inf if it cannot be simulated."""
     candidate = fitted.candidate
-    there = evaluate_at(candidate, candidate.point + step * candidate.scale, fitted.evidence) if np.any(step) else None
-    moved = None if there is None else Fit.of(there, fitted.evidence)
-    return moved, -np.inf if moved is None else fitted.error_at_point - moved.error_at_point
+    candidate_there = (
+        evaluate_at(candidate, candidate.point + step * candidate.scale, fitted.evidence) if np.any(step) else None
+    )
+    refitted = None if candidate_there is None else Fit.of(candidate_there, fitted.evidence)
+    return refitted, -np.inf if refitted is None else fitted.error_at_point - refitted.error_at_point
 
 
 def _relinearised(candidate: Candidate, evidence: Evidence, share: float = 1.0) -> Candidate:
@@ -515,19 +532,19 @@ def has_shape_parameter(candidate: Candidate) -> bool:
 def gauss_newton(fitted: Fit) -> Fit:
     """Continue by Gauss-Newton steps, with new sensitivities at every point, while the error falls.
 
-    The sensitivities of the start are zero for a parameter without effect there, and wrong where parameters interact,
-    as the size of friction and the speed at which it fades. Finite-difference steps shrink: whole steps reach past
-    stiction of joints and contacts, and are too coarse near the optimum.
+    The sensitivities of the start are zero for a parameter without effect there, and wrong for interacting parameters,
+    such as the size of friction and the speed at which it fades. Finite-difference steps shrink: whole steps reach
+    past stiction of joints and contacts, but are too coarse near the optimum.
     """
     evidence = fitted.evidence
-    return _beyond_bounds(lambda start: _descended(start, evidence), fitted.candidate)
+    return _with_wider_ranges(lambda start: _gauss_newton_steps(start, evidence), fitted.candidate)
 
 
-def _descended(candidate: Candidate, evidence: Evidence) -> Fit:
+def _gauss_newton_steps(candidate: Candidate, evidence: Evidence) -> Fit:
     """Gauss-Newton steps within the bounds of the candidate."""
     fitted = Fit.of(candidate, evidence)
     for share in DIFFERENCE_STEP_SHARES:
-        trust = np.inf
+        radius = np.inf
         for _ in range(_steps(evidence)):
             if not fitted.converged and fitted.out_of_time:
                 break
@@ -535,148 +552,160 @@ def _descended(candidate: Candidate, evidence: Evidence) -> Fit:
                 fitted = Fit.of(_relinearised(fitted.candidate, evidence, share), evidence)
             if fitted.converged:
                 break
-            moved, trust = _moved(fitted, trust)
-            if moved is None:
+            stepped, radius = _trust_region_step(fitted, radius)
+            if stepped is None:
                 break
-            fitted = moved
+            fitted = stepped
     cheap = not evidence.source.repeated
-    return _to_the_bottom(fitted) if cheap and any(map(candidate.curved, range(candidate.point.size))) else fitted
+    return _valley_minimum(fitted) if cheap and any(map(candidate.curved, range(candidate.point.size))) else fitted
 
 
-def _to_the_bottom(fitted: Fit) -> Fit:
+def _valley_minimum(fitted: Fit) -> Fit:
     """The fit at the minimum of a curved valley, by SciPy's trust-region reflective method.
 
-    Steps in a box trust region creep along such a valley: each lowers the error little, all together by a fifth.
+    Steps in a box trust region creep along such a valley: single steps hardly lower the error, all of them by a fifth.
     """
     candidate, evidence, scale = fitted.candidate, fitted.evidence, fitted.candidate.scale
 
-    def rest(vector: Array) -> Array:
-        there = evaluate_at(candidate, vector * scale, evidence)
-        if there is None:
+    def residuals(vector: Array) -> Array:
+        evaluated = evaluate_at(candidate, vector * scale, evidence)
+        if evaluated is None:
             return np.full(size, np.inf)
-        pairs = zip(evidence.clusters, there.offsets, strict=True)
+        pairs = zip(evidence.clusters, evaluated.offsets, strict=True)
         return np.concatenate([math.sqrt(item.count) * (item.mean - offset) for item, offset in pairs])
 
     size = sum(item.sigma.size for item in evidence.clusters)
     ends = candidate.lower / scale, candidate.upper / scale
     start = np.clip(candidate.point / scale, *ends)
-    if not np.isfinite(rest(start)).all():  # some impact map has no solution at the rounded point
+    if not np.isfinite(residuals(start)).all():  # some impact map has no solution at the rounded point
         return fitted
-    found = scipy.optimize.least_squares(
-        rest, start, bounds=ends, x_scale="jac", ftol=VALLEY_FTOL, xtol=None,
+    solution = scipy.optimize.least_squares(
+        residuals, start, bounds=ends, x_scale="jac", ftol=VALLEY_FTOL, xtol=None,
         gtol=None, max_nfev=VALLEY_MAX_EVALUATIONS,
     )  # fmt: skip
-    moved = evaluate_at(candidate, found.x * scale, evidence)
-    if moved is None:
+    minimum = evaluate_at(candidate, solution.x * scale, evidence)
+    if minimum is None:
         return fitted
-    there = Fit.of(_relinearised(moved, evidence, DIFFERENCE_STEP_SHARES[-1]), evidence)
-    return there if there.error_at_point < fitted.error_at_point else fitted
+    refitted = Fit.of(_relinearised(minimum, evidence, DIFFERENCE_STEP_SHARES[-1]), evidence)
+    return refitted if refitted.error_at_point < fitted.error_at_point else fitted
 
 
 def restart_from_afar(fitted: Fit) -> Fit:
-    """Restart a fit whose error exceeds noise from distant points, where contacts may be in another mode.
+    """Restart a fit whose error exceeds noise from distant points, at which contacts may be in another mode.
 
-    A box that stands flat tips only once its centre of mass lies beyond an edge; before that the sensitivity is zero.
+    A flat box tips only if its centre of mass lies beyond an edge; up to there the sensitivity is zero.
     """
     scalars = fitted.candidate.scalars
     for _ in scalars:
         evidence = fitted.evidence
         if not fitted.exceeds_noise or fitted.out_of_time:
             break
-        places = []
+        starts = []
         for index, scalar in enumerate(scalars):
             for value in scalar.far:
                 point = fitted.estimate.copy()
                 point[index] = np.clip(value, fitted.candidate.lower[index], fitted.candidate.upper[index])
-                if (moved := evaluate_at(fitted.candidate, point, evidence)) is not None:
-                    places.append(moved)
-        if not places:
+                if (evaluated := evaluate_at(fitted.candidate, point, evidence)) is not None:
+                    starts.append(evaluated)
+        if not starts:
             break
-        errors = [Fit.of(moved, evidence).error_at_point for moved in places]
+        errors = [Fit.of(evaluated, evidence).error_at_point for evaluated in starts]
         if min(errors) >= fitted.misfit:
             break
-        again = chord_method(_relinearised(places[int(np.argmin(errors))], evidence), evidence)
-        if again.misfit >= fitted.misfit:
+        restarted = chord_method(_relinearised(starts[int(np.argmin(errors))], evidence), evidence)
+        if restarted.misfit >= fitted.misfit:
             break
-        fitted = again
+        fitted = restarted
     return fitted
 
 
 def nelder_mead(fitted: Fit) -> Fit:
-    """The fit at the minimum of a downhill simplex (Nelder and Mead 1965), or unchanged if that is no better.
+    """The fit at the minimum of a downhill simplex (Nelder and Mead 1965); unchanged if the minimum is no better.
 
-    Where joints stick and slip, the error has many local minima, in which Gauss-Newton steps end.
+    Stick-slip of joints gives the error many local minima, in which Gauss-Newton steps end.
     """
     candidate, evidence, scale = fitted.candidate, fitted.evidence, fitted.candidate.scale
 
     def error(vector: Array) -> float:
-        there = evaluate_at(candidate, vector * scale, evidence)
-        return UNSIMULATED_ERROR if there is None else Fit.of(there, evidence).error_at_point
+        evaluated = evaluate_at(candidate, vector * scale, evidence)
+        return UNSIMULATED_ERROR if evaluated is None else Fit.of(evaluated, evidence).error_at_point
 
-    def in_time(intermediate_result: scipy.optimize.OptimizeResult) -> None:
+    def stop_when_spent(intermediate_result: scipy.optimize.OptimizeResult) -> None:
         del intermediate_result  # SciPy passes it to a parameter of this name
         if fitted.out_of_time:
             raise StopIteration
 
     start, ends = fitted.estimate / scale, (candidate.lower / scale, candidate.upper / scale)
     corners = np.clip(start + np.vstack((np.zeros(start.size), SIMPLEX_EDGE * np.eye(start.size))), *ends)
-    found = scipy.optimize.minimize(
-        error, start, method="Nelder-Mead", bounds=np.transpose(ends), callback=in_time,
+    solution = scipy.optimize.minimize(
+        error, start, method="Nelder-Mead", bounds=np.transpose(ends), callback=stop_when_spent,
         options={"initial_simplex": corners, "maxfev": SIMPLEX_EVALUATIONS * start.size},
     )  # fmt: skip
-    moved = evaluate_at(candidate, found.x * scale, evidence) if found.fun < fitted.misfit else None
-    return fitted if moved is None else Fit.of(_relinearised(moved, evidence, DIFFERENCE_STEP_SHARES[-1]), evidence)
+    minimum = evaluate_at(candidate, solution.x * scale, evidence) if solution.fun < fitted.misfit else None
+    return fitted if minimum is None else Fit.of(_relinearised(minimum, evidence, DIFFERENCE_STEP_SHARES[-1]), evidence)
 
 
-def replay_and_refit(fitted: Fit, near: bool = False) -> Fit:
-    """Fit again to the residuals of the model with its effects, every run replayed from its own start.
+def replay_and_refit(fitted: Fit, at_optimum: bool = False) -> Fit:
+    """Fit again to the residuals of the model with the fitted effects, with every run replayed from its own start.
 
-    The last correction of the estimate, its interval and the test of lack of fit use this fit.
+    The final estimate, its interval and the lack-of-fit test use this fit.
 
     Args:
         fitted: The fit.
-        near: Whether its sensitivities were computed at an optimum.
+        at_optimum: Whether its sensitivities were computed at an optimum.
     """
-    like = fitted.evidence
+    first_evidence = fitted.evidence
     best: Fit | None = None  # at a simulated point
-    for look in range(MAX_FINAL_REPLAYS):
+    for replay in range(MAX_FINAL_REPLAYS):
         candidate, point = fitted.candidate, fitted.estimate
-        added = candidate.split(point)
-        clusters = like.source.residuals_with(added, [like.source.clusters[number] for number in like.numbers])
+        added = candidate.effects_at(point)
+        clusters = first_evidence.source.residuals_with(
+            added, [first_evidence.source.clusters[number] for number in first_evidence.numbers]
+        )
         if clusters is None:
             return fitted
-        evidence = replace(like, clusters=tuple(clusters))
-        nothing = tuple(np.zeros_like(item.sigma) for item in clusters)
-        fresh = replace(candidate, point=point, origin=added, offsets=nothing)
-        here = Fit(fresh, evidence, evidence.problem(fresh), np.zeros_like(point))
+        evidence = replace(first_evidence, clusters=tuple(clusters))
+        zeros = tuple(np.zeros_like(item.sigma) for item in clusters)
+        replayed = replace(candidate, point=point, origin=added, offsets=zeros)
+        simulated = Fit(replayed, evidence, evidence.problem(replayed), np.zeros_like(point))
         if (
-            best is not None and here.misfit > (1.0 + MIN_RELATIVE_DECREASE) * best.misfit
-        ):  # contacts are others where it led
+            best is not None and simulated.misfit > (1.0 + MIN_RELATIVE_DECREASE) * best.misfit
+        ):  # the estimate has other contacts
             return best
-        best = here
-        if look > 0 or not near:
-            fresh = linearise(fresh, clusters, like.numbers, like.source, "final sensitivities", central=True) or fresh
-        fitted = _confirmed(chord_method(fresh, evidence))
+        best = simulated
+        if replay > 0 or not at_optimum:
+            replayed = (
+                linearise(
+                    replayed,
+                    clusters,
+                    first_evidence.numbers,
+                    first_evidence.source,
+                    "final sensitivities",
+                    central=True,
+                )
+                or replayed
+            )
+        fitted = _confirmed_by_simulation(chord_method(replayed, evidence))
         if fitted.out_of_time or np.all(np.abs(fitted.estimate - point) < MAX_FINAL_CORRECTION * candidate.scale):
             break
     return fitted
 
 
-def _confirmed(fitted: Fit) -> Fit:
-    """The fit with its last linear correction only if a simulation confirms it: the valley may be curved."""
-    there = evaluate_at(fitted.candidate, fitted.estimate, fitted.evidence)
-    better = there is not None and Fit.of(there, fitted.evidence).error_at_point <= fitted.error_at_point
-    return fitted if better else fitted.at_point
+def _confirmed_by_simulation(fitted: Fit) -> Fit:
+    """The fit with its last linear correction if a simulation confirms it, else without: the valley may be curved."""
+    evaluated = evaluate_at(fitted.candidate, fitted.estimate, fitted.evidence)
+    confirmed = evaluated is not None and Fit.of(evaluated, fitted.evidence).error_at_point <= fitted.error_at_point
+    return fitted if confirmed else fitted.at_point
 
 
 def evaluate_at(candidate: Candidate, point: Array, evidence: Evidence) -> Candidate | None:
-    """The candidate with its features evaluated at another point, sensitivities kept; None if it cannot be simulated.
+    """The candidate with features simulated at another point and the same sensitivities; None if this fails.
 
     One run of a condition represents its repeats; :func:`replay_and_refit` replays every run.
     """
-    changes = evidence.source.differences(evidence.numbers, candidate.origin, candidate.split(point), SEARCH)
+    changes = evidence.source.differences(evidence.numbers, candidate.origin, candidate.effects_at(point), SEARCH)
     if any(change is None for change in changes):
         return None
     offsets = tuple(np.asarray(change) / item.sigma for change, item in zip(changes, evidence.clusters, strict=True))
-    stays = np.array_equal(point, candidate.point)
-    return replace(candidate, point=point, offsets=offsets, share=candidate.share if stays else np.inf)
+    same_point = np.array_equal(point, candidate.point)
+    return replace(candidate, point=point, offsets=offsets, share=candidate.share if same_point else np.inf)

@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nested cross-validation (hold-out): every cluster is predicted by a search that has not seen it.
+"""Nested cross-validation (hold-out): every cluster is predicted by a search without it.
 
 Held-out data influence neither shortlist, nor selection, nor estimate of the effects that predict them. For every fold
 the whole search (:mod:`impact_rs_analysis.diagnosis.search.effect_selection`) runs on the training clusters, and the
-model with the selected effects predicts the fold. A fit of a fold starts at the fit of the same effects to all
-clusters, which saves simulations; it ends at the optimum of the training clusters. Fits of impacts start at nominal:
-they are cheap, and secants from other points mislead where contacts slip.
+model with the selected effects predicts the fold. To save simulations, fits of a fold start at the optimum of all
+clusters; they end at the optimum of the training clusters. Fits of impacts start at nominal: they are cheap, and
+secants from other points mislead if contacts slip.
 
 A search needs two clusters that depend on an effect, to predict one from the other, and as many repeats as any verdict.
-With fewer, or without processor time, the fold fits the effects that the search of all clusters selected, and does not
-test the selection.
+With fewer, or without processor time, a fold only fits the effects selected in all clusters and does not test their
+selection.
 
-Conditions are held out with all their repeats, several recordings as whole recordings, and a single recording in runs
-of neighbouring stretches, with a guard stretch on either side. Where effects may depend on covariates
-(``Source.interleaved``) folds are interleaved, one of every six neighbours each: a session of neighbouring rows in one
-fold could not be predicted from the other sessions.
+Conditions are held out with all their repeats, several recordings as whole recordings, and a single recording in groups
+of neighbouring stretches, with a guard stretch on either side. If effects may depend on covariates
+(``Source.interleaved``), folds are interleaved, with one of every six neighbours each: a session of neighbouring rows
+in one fold could not be predicted from the other sessions.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ from impact_rs_sim.robots.robot import Array
 
 @dataclass(frozen=True)
 class Fold:
-    """Clusters that are held out together, and those that predict them.
+    """Clusters that are held out together, and the clusters that predict them.
 
     Attributes:
-        held: Indices of the predicted clusters.
+        held_out: Indices of the predicted clusters.
         training: Indices of the clusters of the search.
     """
 
-    held: tuple[int, ...]
+    held_out: tuple[int, ...]
     training: tuple[int, ...]
 
 
@@ -57,12 +57,12 @@ class HoldOut:
 
     Attributes:
         folds: The folds.
-        residuals: Mean residuals after prediction, ``(F,)`` per cluster [-].
+        residuals: Mean held-out residuals, ``(F,)`` per cluster [-].
         chosen: Names of the effects that predict each fold.
-        searched: Whether a search of the training clusters has selected them; else they were only fitted, because too
-            few clusters or repeats are left for a search.
-        failed: Indices of the clusters in which the effects of the fold cannot be simulated, such as a hit that they
-            predict to miss; their ``residuals`` are those of the model.
+        searched: By fold, whether a search of the training clusters selected the effects; else they were only fitted,
+            because the training clusters have too few conditions or repeats for a search.
+        failed: Indices of the clusters in which the effects of the fold cannot be simulated, such as a hit predicted to
+            miss; their ``residuals`` are residuals of the model.
         added: The effects that predict each fold, with their estimates.
     """
 
@@ -74,9 +74,9 @@ class HoldOut:
     added: tuple[Added, ...] = ()
 
     @property
-    def found(self) -> tuple[tuple[str, ...], ...]:
-        """Names of the effects that the search of each fold has selected."""
-        return tuple(names for names, own in zip(self.chosen, self.searched, strict=True) if own)
+    def selected(self) -> tuple[tuple[str, ...], ...]:
+        """Names of the effects that each search of a fold selected; folds without a search are omitted."""
+        return tuple(names for names, was_searched in zip(self.chosen, self.searched, strict=True) if was_searched)
 
 
 def folds_of(source: Source) -> list[Fold]:
@@ -86,35 +86,35 @@ def folds_of(source: Source) -> list[Fold]:
         units.setdefault(item.unit, []).append(number)
     groups: list[list[int]]
     if len(units) >= MIN_CLUSTERS:
-        owners = list(units.values())
-        count = min(source.folds, len(owners))
-        groups = [[number for owner in owners[start::count] for number in owner] for start in range(count)]
+        clusters_of_units = list(units.values())
+        count = min(source.folds, len(clusters_of_units))
+        groups = [[number for owner in clusters_of_units[start::count] for number in owner] for start in range(count)]
     elif source.repeated:
         return []
     else:
         numbers = np.arange(len(source.clusters))
-        parts = _in_turn(numbers, source.folds) if source.interleaved else np.array_split(numbers, source.folds)
+        parts = _interleaved(numbers, source.folds) if source.interleaved else np.array_split(numbers, source.folds)
         groups = [part.tolist() for part in parts]
-    result = []
-    for held in groups:
-        alone = source.repeated or source.interleaved or len(units) >= MIN_CLUSTERS
-        beside = set() if alone else _neighbours(source, held)
-        training = tuple(n for n in range(len(source.clusters)) if n not in held and n not in beside)
-        result.append(Fold(tuple(held), training))
-    return result
+    folds = []
+    for held_out in groups:
+        independent = source.repeated or source.interleaved or len(units) >= MIN_CLUSTERS
+        guards = set() if independent else _guard_stretches(source, held_out)
+        training = tuple(n for n in range(len(source.clusters)) if n not in held_out and n not in guards)
+        folds.append(Fold(tuple(held_out), training))
+    return folds
 
 
-def _in_turn(numbers: NDArray[np.int_], folds: int) -> list[NDArray[np.int_]]:
+def _interleaved(numbers: NDArray[np.int_], folds: int) -> list[NDArray[np.int_]]:
     """Interleaved folds, randomised within every group of neighbours: alternating conditions would fill one fold."""
     rng = np.random.default_rng(0)
     drawn = np.concatenate([rng.permutation(folds) for _ in range(0, numbers.size, folds)])[: numbers.size]
     return [numbers[drawn == fold] for fold in range(folds)]
 
 
-def _neighbours(source: Source, held: Sequence[int]) -> set[int]:
+def _guard_stretches(source: Source, held_out: Sequence[int]) -> set[int]:
     """Guard stretches: neighbours of the held-out ones on the same recording."""
-    near = {number + step for number in held for step in (-1, 1)} - set(held)
-    units = {source.clusters[number].unit for number in held}
+    near = {number + step for number in held_out for step in (-1, 1)} - set(held_out)
+    units = {source.clusters[number].unit for number in held_out}
     return {n for n in near if 0 <= n < len(source.clusters) and source.clusters[n].unit in units}
 
 
@@ -122,7 +122,7 @@ def hold_out(
     source: Source,
     effects: Sequence[Effect],
     chosen: Candidate,
-    known: Mapping[tuple[str, ...], Candidate],
+    optima: Mapping[tuple[str, ...], Candidate],
     budget: Budget = UNLIMITED,
 ) -> HoldOut | None:
     """Run the search on all but one fold in turn; None with too few clusters for a hold-out.
@@ -130,66 +130,72 @@ def hold_out(
     Args:
         source: Measurements with the model's predictions.
         effects: Effects to consider.
-        chosen: Effects that the search of all clusters found.
-        known: Results of its fits, by names of effects (:attr:`Search.ended`).
-        budget: Processor time, in equal shares for all folds; it lists what a fold does not try.
+        chosen: Effects selected in all clusters.
+        optima: Starts of fits, by names of effects (:attr:`Search.optima` of all clusters).
+        budget: Processor time, in equal shares for all folds; steps that a fold does not try are listed in it.
     """
     folds = folds_of(source)
     if not folds:
         return None
     searched = [
         not budget.leaves_out("the searches of the hold-out")
-        and _seen_by(chosen, fold.training) >= MIN_CLUSTERS_OF_EFFECT
+        and _clusters_that_depend(chosen, fold.training) >= MIN_CLUSTERS_OF_EFFECT
         and Evidence.of(source, fold.training).null.shortage is None
         for fold in folds
     ]
     tasks = list(zip(folds, searched, strict=True))
     limit = budget.remaining / len(folds)
-    task = partial(_predicted, effects, chosen, dict(known), limit, budget)
-    names, fitted, left, left_out = zip(*source.spread(task, tasks, HOLD_OUT), strict=True)
-    rest = {n: own for fold, every in zip(folds, left, strict=True) for n, own in zip(fold.held, every, strict=True)}
-    failed = tuple(sorted(number for number, own in rest.items() if own is None))
-    ordered = tuple(item.mean if (own := rest[n]) is None else own for n, item in enumerate(source.clusters))
+    task = partial(_predict_fold, effects, chosen, dict(optima), limit, budget)
+    names, added, residuals, left_out = zip(*source.spread(task, tasks, HOLD_OUT), strict=True)
+    residual_of = {
+        n: residual
+        for fold, fold_residuals in zip(folds, residuals, strict=True)
+        for n, residual in zip(fold.held_out, fold_residuals, strict=True)
+    }
+    failed = tuple(sorted(number for number, residual in residual_of.items() if residual is None))
+    ordered = tuple(
+        item.mean if (residual := residual_of[n]) is None else residual for n, item in enumerate(source.clusters)
+    )
     if any(left_out):
         budget.add(f"all of the search in {sum(map(bool, left_out))} of {len(folds)} folds of the hold-out")
-    return HoldOut(tuple(folds), ordered, names, tuple(searched), failed, fitted)
+    return HoldOut(tuple(folds), ordered, names, tuple(searched), failed, added)
 
 
-def _seen_by(chosen: Candidate, clusters: Sequence[int]) -> int:
+def _clusters_that_depend(chosen: Candidate, clusters: Sequence[int]) -> int:
     """Smallest number of clusters that depend on a chosen effect, over the chosen effects."""
     return min(sum(bool(np.any(chosen.jacobians[number][:, part])) for number in clusters) for _, part in chosen.parts)
 
 
-def _predicted(
+def _predict_fold(
     effects: Sequence[Effect],
     chosen: Candidate,
-    known: Mapping[tuple[str, ...], Candidate],
+    optima: Mapping[tuple[str, ...], Candidate],
     limit: float,
     whole: Budget,
     source: Source,
     task: tuple[Fold, bool],
 ) -> tuple[tuple[str, ...], Added, list[Array | None], tuple[str, ...]]:
-    """Effects selected without a fold, with their estimates, and what they predict of it.
+    """Effects selected without a fold, with their estimates, and the residuals of the fold.
 
     Returns:
-        Names, effects with estimates, mean residuals of its clusters (None: not simulated), and what was not tried.
+        Names, effects with estimates, mean residuals of the fold (None: not simulated), and steps that were not tried.
     """
     fold, searched = task
     budget = Budget(limit, whole.clock, whole.stop)
     evidence = Evidence.of(source, fold.training, budget)
-    search = Search(effects, evidence, known=known, earlier=chosen.split(chosen.point))
-    found = search.forward_selection() if searched else search.fitted(chosen.names)
-    if found is not None and searched:
-        found, _ = search.exchange(found)
-    added: Added = () if found is None else found.candidate.split(found.estimate)
-    rest = held_out_residuals(source, added, fold.held)
-    return () if found is None else found.candidate.names, added, rest, tuple(budget.left_out)
+    search = Search(effects, evidence, full_data_optima=optima, earlier=chosen.effects_at(chosen.point))
+    fitted = search.forward_selection() if searched else search.fitted(chosen.names)
+    if fitted is not None and searched:
+        fitted, _ = search.exchange(fitted)
+    added: Added = () if fitted is None else fitted.candidate.effects_at(fitted.estimate)
+    residuals = held_out_residuals(source, added, fold.held_out)
+    return () if fitted is None else fitted.candidate.names, added, residuals, tuple(budget.left_out)
 
 
-def held_out_residuals(source: Source, added: Added, held: Sequence[int]) -> list[Array | None]:
-    """Mean residuals of held-out clusters with effects, ``(F,)`` each [-]; None: they cannot be simulated there.
+def held_out_residuals(source: Source, added: Added, held_out: Sequence[int]) -> list[Array | None]:
+    """Mean residuals of held-out clusters with effects, ``(F,)`` each [-]; None: a cluster cannot be simulated.
 
-    Repeats differ in slip: each is predicted from its own start.
+    Repeats differ in slip, so each is predicted from its measured start.
     """
-    found = [source.residuals_with(added, [source.clusters[number]]) for number in held]
-    return [None if own is None else own[0].mean for own in found]
+    predictions = [source.residuals_with(added, [source.clusters[number]]) for number in held_out]
+    return [None if clusters is None else clusters[0].mean for clusters in predictions]

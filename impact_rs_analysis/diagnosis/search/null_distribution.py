@@ -6,17 +6,17 @@ information matrix, with W the inverse squared scales of the features:
 
     s = sum_c n_c J_c^T W rbar_c,        M = sum_c n_c J_c^T W J_c,        T = s^T M^-1 s
 
-the part of the squared residual that it explains. With parameters that were fitted before, T is the increase by the
-tested ones. Two tests give the distribution of T under noise alone.
+the part of the squared residual that the effect explains. With nuisance parameters, fitted before, T is the increase by
+the tested parameters. Two tests give the distribution of T under noise alone.
 
 **Repeats** (:class:`RotationNull`). Repeats of a condition are written as a mean row sqrt(n_c) rbar_c and n_c - 1
 orthonormal contrasts; if nothing is missing, all N rows of a layout are independent draws of one normal distribution,
 whatever its covariance. Given their Gram matrix, every rotation of them is then equally likely (Langsrud 2005,
 *Rotation tests*, Statistics and Computing 15; Solari, Finos and Goeman 2014, *Rotation-based multiple testing in the
 multivariate linear model*, Biometrics 70). The share of rotations with a T at least as large as the measured one is an
-exact p-value for any number of features and repeats, if all that enters T comes from the rotated rows. That includes
-the scales. The pure error of few repeats is uncertain: features whose contrasts happen to be small count much in the
-measurement, and if they counted as much in every rotation, noise would be significant (3 conditions with 2 repeats:
+exact p-value for any number of features and repeats, if T is computed from the rotated rows alone, scales included. The
+pure error of few repeats is uncertain: features whose contrasts happen to be small have a large weight in the
+measurement, and with the same weight in every rotation noise would be significant (3 conditions with 2 repeats:
 p < 1 % in 11 to 31 % of all campaigns). So the variance is estimated anew from the contrasts of every rotation,
 
     1 / W_f = (d_0 v_g + d v_f) / (d_0 + d) + (relevance limit / 2)^2
@@ -25,26 +25,26 @@ with v_f the variance of feature f by d contrasts, v_g its mean over the time bi
 ``PRIOR_DEGREES_OF_FREEDOM``: the moderated variance of Smyth (2004, *Linear models and empirical Bayes methods*,
 Statistical Applications in Genetics 3), in rotations as in Wu et al. (2010, *ROAST: rotation gene set tests*,
 Bioinformatics 26). Where a layout has fewer than ``MIN_DEGREES_OF_FREEDOM`` contrasts, v_g is the mean over all layouts
-with the signal. By itself it would have the tails of Student's t with one or two degrees of freedom, in which 300 times
-the noise is not rare.
-Rows from which q directions were fitted are smaller than noise; rotations of all n numbers are scaled by
-sqrt(n / (n - q)), without which p < 1 % in 5 % of the campaigns with 3 conditions, 2 repeats and 2 fitted parameters.
+with the signal. The variance of one layout would have the tails of Student's t with one or two degrees of freedom, in
+which 300 times the noise is not rare.
+Rows are smaller than noise after q directions were fitted. Rotations of all n numbers are therefore scaled by
+sqrt(n / (n - q)); without it p < 1 % in 5 % of the campaigns with 3 conditions, 2 repeats and 2 fitted parameters.
 With a single feature and condition the test is Student's t with n - 1 degrees of freedom. Heavy tails make it
 conservative rather than wrong: an outlier of one repeat is in the mean row and in the contrasts of its condition.
 
 Where the model discrepancy is known, residuals have a second source: sum_k a_k P_k + u, with patterns P_k in which
-simulators differ and a_k standard normal, partly the same in all clusters of one kind. Patterns are used instead of
-single features because simulators differ in friction or stiffness of a contact, which changes many features at once. Of
-all rows, only the means have it: a share is common to the clusters of one kind, the rest differs between clusters.
+simulators differ and a_k standard normal, partly common to all clusters of one kind. Patterns are used instead of
+single features because simulators differ in friction or stiffness of a contact, which changes many features at once.
+Only mean rows have this source: a share is common to the clusters of one kind, the remainder differs between clusters.
 Along its principal directions the means and their sensitivities are scaled to the size of the noise (generalised least
-squares), so that all rows may be rotated. The uncertainty of a calibration (clock of the commands) is a third source,
-with one amplitude in all clusters, and is scaled likewise. The rotations of the same rows give the null distribution of
-the lack of fit, sum_c n_c rbar_c^T W rbar_c.
+squares), so that all rows may be rotated. The error of a calibration (clock of the commands) is a third source, with
+one amplitude in all clusters, and is scaled likewise. Rotations of these rows also give the null distribution of the
+lack of fit, sum_c n_c rbar_c^T W rbar_c.
 
 **Blocks** (:class:`SignFlipNull`). A recording has no repeats. Stretches longer than the correlation time of its
 noise are independent, and their scores are about symmetric: signs are flipped at random (wild cluster bootstrap of the
-score, Cameron, Gelbach and Miller 2008, Review of Economics and Statistics 90). Their scale is that of all residuals
-of a signal, which no flip changes.
+score, Cameron, Gelbach and Miller 2008, Review of Economics and Statistics 90). They are scaled by all residuals of a
+signal, and no flip changes this scale.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_sim.robots.robot import Array
 
 RIDGE = 1e-12  # of the trace; keeps a covariance of rank zero invertible
-MANY_SIGN_DRAWS = 49999  # where fewer draws have less than MIN_EXCEEDANCES beyond the observation
+MANY_SIGN_DRAWS = 49999  # if NULL_DRAWS have less than MIN_EXCEEDANCES beyond the observation
 MIN_EXCEEDANCES = 10  # draws beyond an observation; with fewer, the Pareto tail gives its p-value
 TAIL_DRAWS = 250  # largest draws that the Pareto tail is fitted to (Knijnenburg et al. 2009)
 MIN_TAIL_SHAPE = 1e-3  # of the generalised Pareto distribution: exponential, without an end
@@ -98,7 +98,7 @@ class NullDistribution(ABC):
     @property
     @abstractmethod
     def shortage(self) -> str | None:
-        """Additional data that a verdict needs, for the user; None if there are enough."""
+        """Additional data that a verdict needs, for the user; None: there are enough."""
 
     def p_value(self, jacobians: Sequence[Array], fitted: Sequence[Array] = ()) -> float:
         """p-value of an effect being absent.
@@ -114,16 +114,16 @@ class NullDistribution(ABC):
         """:meth:`p_value` of several effects, each tested alone given the fitted parameters."""
 
     @abstractmethod
-    def lack_of_fit(self, rest: Sequence[Array]) -> float | None:
+    def lack_of_fit(self, residuals: Sequence[Array]) -> float | None:
         """p-value of the lack-of-fit test of mean residuals ``(F,)`` by cluster; None without repeats."""
 
     @abstractmethod
-    def covariance(self, jacobians: Sequence[Array], rest: Sequence[Array], inverse: Array) -> Array:
+    def covariance(self, jacobians: Sequence[Array], residuals: Sequence[Array], inverse: Array) -> Array:
         """Covariance of an estimate due to noise (sandwich), ``(p, p)``.
 
         Args:
             jacobians: Sensitivities by cluster, ``(F, p)`` each.
-            rest: Mean residuals of the fit by cluster, ``(F,)`` each.
+            residuals: Mean residuals of the fit by cluster, ``(F,)`` each.
             inverse: Inverse of the information, ``(p, p)``.
         """
 
@@ -145,16 +145,21 @@ class NullDistribution(ABC):
 
 
 def _whitened(clusters: Sequence[Cluster], jacobians: Sequence[Array], fitted: Sequence[Array]) -> list[Array] | None:
-    """Sensitivities orthogonal to the fitted ones and whitened (M = 1), ``(F, p)``; None if none is left."""
-    whole = sum(float(np.sum(np.square(j))) for j in jacobians)
+    """Sensitivities orthogonal to the fitted ones and whitened (M = 1), ``(F, p)``; None if nothing remains."""
+    total = sum(float(np.sum(np.square(j))) for j in jacobians)
     if fitted and fitted[0].shape[1]:
         roots = [np.sqrt(item.count) for item in clusters]
-        others, own = (np.vstack([r * j for r, j in zip(roots, some, strict=True)]) for some in (fitted, jacobians))
-        share = np.linalg.lstsq(others, own, rcond=None)[0]
-        jacobians = [j - other @ share for j, other in zip(jacobians, fitted, strict=True)]
+        nuisance, tested = (
+            np.vstack([r * j for r, j in zip(roots, sensitivities, strict=True)])
+            for sensitivities in (fitted, jacobians)
+        )
+        coefficients = np.linalg.lstsq(nuisance, tested, rcond=None)[0]
+        jacobians = [
+            j - nuisance_jacobian @ coefficients for j, nuisance_jacobian in zip(jacobians, fitted, strict=True)
+        ]
     information = np.sum([item.count * j.T @ j for item, j in zip(clusters, jacobians, strict=True)], axis=0)
     size = float(np.trace(information))
-    if size <= RIDGE * whole:
+    if size <= RIDGE * total:
         return None
     root = np.linalg.inv(np.linalg.cholesky(information + RIDGE * size * np.eye(len(information)))).T
     return [j @ root for j in jacobians]
@@ -176,9 +181,9 @@ def monte_carlo_p_value(observed: float, null: Array) -> float:
 def p_value_with_pareto_tail(observed: float, null: Array) -> float:
     """Monte Carlo p-value of a continuous statistic, with a generalised Pareto tail beyond nearly all draws.
 
-    The tail has the probability-weighted moments of the largest draws (Knijnenburg et al. 2009, *Fewer permutations,
-    more accurate P-values*, Bioinformatics 25; Hosking and Wallis 1987) and no upper end. It resolves p-values below
-    one over the number of draws, which the adjustment for many tests needs.
+    The tail is fitted to the largest draws by probability-weighted moments (Knijnenburg et al. 2009, *Fewer
+    permutations, more accurate P-values*, Bioinformatics 25; Hosking and Wallis 1987) and has no upper end. It resolves
+    p-values below one over the number of draws; the adjustment for many tests needs such p-values.
     """
     share = monte_carlo_p_value(observed, null)
     if _exceedances(observed, null) >= MIN_EXCEEDANCES:
@@ -208,17 +213,17 @@ def westfall_young_p_value(observed: Array, null: Array) -> float:
         observed: Statistics, ``(G,)``.
         null: Statistics in draws of the null distribution, ``(B, G)``; columns that are never above zero are ignored.
     """
-    everything = np.vstack((observed, null))
-    below = scipy.stats.rankdata(-everything, method="max", axis=0)  # number of draws at least as large
-    below[:, ~np.any(everything > 0.0, axis=0)] = len(everything)
-    least = below.min(axis=1)
-    return float(np.count_nonzero(least <= least[0]) / least.size)
+    statistics = np.vstack((observed, null))
+    ranks = scipy.stats.rankdata(-statistics, method="max", axis=0)  # number of draws at least as large
+    ranks[:, ~np.any(statistics > 0.0, axis=0)] = len(statistics)
+    smallest = ranks.min(axis=1)
+    return float(np.count_nonzero(smallest <= smallest[0]) / smallest.size)
 
 
 def _members(item: Cluster, groups: Sequence[tuple[str, str]]) -> NDArray[np.bool_]:
-    """Membership of features in groups, of which the last holds all, ``(G + 1, F)``."""
-    own = [[feature.group[:2] == group for feature in item.features] for group in groups]
-    return np.array([*own, [True] * len(item.features)])
+    """Membership of features in groups, and in a last group of all features, ``(G + 1, F)``."""
+    members = [[feature.group[:2] == group for feature in item.features] for group in groups]
+    return np.array([*members, [True] * len(item.features)])
 
 
 @lru_cache(maxsize=32)
@@ -230,112 +235,120 @@ def _rotations(rows: int, count: int, seed: int) -> Array:
     return np.concatenate((np.eye(rows)[None, :count], drawn))
 
 
-class _Rows:
+class _Layout:
     """Rows of the clusters of one layout: first the means, then the contrasts.
 
     Attributes:
-        numbers: Indices of the clusters among all.
-        items: The clusters.
+        numbers: Indices of these clusters among all clusters.
+        clusters: The clusters.
         rows: Means and contrasts, ``(N, F)``, in multiples of ``unit``.
         unit: Unit of the features, ``(F,)``: the scale of the first cluster.
         means: Number of means.
         freedom: Number of contrasts.
-        donors: Layouts whose contrasts give the mean variance of a signal: its own, or all if it has few.
-        apart: Square of half the relevance limit, ``(F,)`` in squares of ``unit``.
+        donors: Layouts whose contrasts give the mean variance of a signal: this one, or all if it has few contrasts.
+        limit_squares: Square of half the relevance limit, ``(F,)`` in squares of ``unit``.
     """
 
     def __init__(self, numbers: list[int], clusters: Sequence[Cluster], means: Sequence[Array]) -> None:
-        self.numbers, self.items = numbers, [clusters[number] for number in numbers]
-        self.unit = self.items[0].sigma
-        firsts: list[Array] = []
+        self.numbers, self.clusters = numbers, [clusters[number] for number in numbers]
+        self.unit = self.clusters[0].sigma
+        scaled_means: list[Array] = []
         contrasts: list[Array] = []
-        for number, item in zip(numbers, self.items, strict=True):
+        for number, item in zip(numbers, self.clusters, strict=True):
             scale = item.sigma / self.unit
-            firsts.append(np.sqrt(item.count) * means[number] * scale)
+            scaled_means.append(np.sqrt(item.count) * means[number] * scale)
             contrasts.extend((scipy.linalg.helmert(item.count) @ item.residuals) * scale)
-        self.rows = np.array(firsts + contrasts)
-        self.means, self.freedom = len(firsts), len(contrasts)
-        self.donors: Sequence[_Rows] = (self,)
-        self.apart = np.mean([np.square(item.sigma / self.unit) * item.limit_squares for item in self.items], axis=0)
+        self.rows = np.array(scaled_means + contrasts)
+        self.means, self.freedom = len(scaled_means), len(contrasts)
+        self.donors: Sequence[_Layout] = (self,)
+        self.limit_squares = np.mean(
+            [np.square(item.sigma / self.unit) * item.limit_squares for item in self.clusters], axis=0
+        )
 
     def rotated(self, seed: int) -> Iterator[Array]:
         """Every mean row, as measured and in rotations, ``(1 + B, F)`` each."""
-        frames = _rotations(len(self.rows), self.means, seed)
-        return (frames[:, number] @ self.rows for number in range(self.means))
+        rotations = _rotations(len(self.rows), self.means, seed)
+        return (rotations[:, number] @ self.rows for number in range(self.means))
 
     def mean_rows(self, columns: Iterable[Array]) -> Array:
-        """Columns by cluster, ``(F, p)`` each, as mean rows like those of the residuals, ``(means, F, p)``."""
+        """Columns by cluster, ``(F, p)`` each, scaled like the mean rows of the residuals, ``(means, F, p)``."""
         return np.array(
             [
                 np.sqrt(item.count) * column * (item.sigma / self.unit)[:, None]
-                for item, column in zip(self.items, columns, strict=True)
+                for item, column in zip(self.clusters, columns, strict=True)
             ]
         )
 
     def scaled(self, means: Array) -> Array:
-        """Mean rows ``(means, F, p)`` in units of the noise, their discrepancy scaled to it.
+        """Mean rows ``(means, F, p)`` in units of the noise, with the discrepancy scaled to the size of the noise.
 
-        In units of the noise, the mean of n runs has the variance v + n lambda^2 along a principal direction of its own
-        discrepancy, and so has the mean over all runs that share amplitudes; all other rows have v. Both are scaled by
-        sqrt(v / (v + n lambda^2)), first the rows one by one, then what they share.
+        In units of the noise, the mean of n runs has the variance v + n lambda^2 along a principal direction of its
+        discrepancy, as has the mean over all runs that share amplitudes; contrasts have the variance v. Both are scaled
+        by sqrt(v / (v + n lambda^2)): first every row, then the mean over the rows that share amplitudes.
         """
-        own, shared = self._scalings
-        found = np.array([operator @ mean for operator, mean in zip(own, means / self.noise[:, None], strict=True)])
+        operators, shared = self._scalings
+        rows = np.array(
+            [operator @ mean for operator, mean in zip(operators, means / self.noise[:, None], strict=True)]
+        )
         for members, share, operator in shared:
-            mean = np.tensordot(share, found[members], 1)
-            found[members] += np.multiply.outer(share, operator @ mean - mean)
-        return found
+            mean = np.tensordot(share, rows[members], 1)
+            rows[members] += np.multiply.outer(share, operator @ mean - mean)
+        return rows
 
     @cached_property
     def noise(self) -> Array:
         """Standard deviation of the noise, moderated, ``(F,)``."""
-        squares = [np.sum(np.square(own.rows[own.means :]), axis=0)[None] for own in self.donors]
+        squares = [np.sum(np.square(donor.rows[donor.means :]), axis=0)[None] for donor in self.donors]
         contrasts, mean = self.rows[self.means :], self.mean_variance(squares)[0]
         return np.sqrt(_moderated(mean, np.sum(np.square(contrasts), axis=0), self.freedom) + RIDGE)
 
-    def mean_variance(self, left: Sequence[Array]) -> Array:
+    def mean_variance(self, contrast_squares: Sequence[Array]) -> Array:
         """Mean variance of the signals in every rotation, ``(1 + B, F)`` in ``unit``, from the donors' contrasts.
 
         The mean over the bins of a signal is taken in physical units, because ``unit`` depends on the contrasts.
 
         Args:
-            left: Sum of squares of the contrasts of every donor, ``(1 + B, F)`` each.
+            contrast_squares: Sum of squares of the contrasts of every donor, ``(1 + B, F)`` each.
         """
-        keys = list(dict.fromkeys(feature.group for feature in self.items[0].features))
+        keys = list(dict.fromkeys(feature.group for feature in self.clusters[0].features))
         members = [donor.signals_of(keys) for donor in self.donors]
-        total = sum((each * np.square(own.unit)) @ m for each, own, m in zip(left, self.donors, members, strict=True))
-        number = sum(own.freedom * m.sum(axis=0) for own, m in zip(self.donors, members, strict=True))
-        place = np.argmax(self.signals_of(keys), axis=1)
-        return np.asarray((total / np.maximum(number, 1.0))[:, place] / np.square(self.unit))
+        total = sum(
+            (squares * np.square(donor.unit)) @ m
+            for squares, donor, m in zip(contrast_squares, self.donors, members, strict=True)
+        )
+        number = sum(donor.freedom * m.sum(axis=0) for donor, m in zip(self.donors, members, strict=True))
+        signal_index = np.argmax(self.signals_of(keys), axis=1)
+        return np.asarray((total / np.maximum(number, 1.0))[:, signal_index] / np.square(self.unit))
 
     @cached_property
     def _scalings(self) -> tuple[list[Array], list[tuple[list[int], Array, Array]]]:
-        """Operator ``(F, F)`` of every mean row; places, their shares in the mean, and operator of every group."""
-        own, groups = list[Array](), dict[str, list[int]]()
-        known = dict[tuple[int, str], Array]()
-        for place, item in enumerate(self.items):
-            groups.setdefault(item.discrepancy_group, []).append(place)
+        """Operator ``(F, F)`` of every mean row; rows, their weights in the mean, and operator of every group."""
+        operators, groups = list[Array](), dict[str, list[int]]()
+        computed = dict[tuple[int, str], Array]()
+        for position, item in enumerate(self.clusters):
+            groups.setdefault(item.discrepancy_group, []).append(position)
             key = item.count, item.discrepancy_group
-            if key not in known:
-                known[key] = self._operator(np.sqrt(item.count) * self._in_noise(item, item.own_discrepancy))
-            own.append(known[key])
+            if key not in computed:
+                computed[key] = self._operator(np.sqrt(item.count) * self._in_noise(item, item.own_discrepancy))
+            operators.append(computed[key])
         shared = []
         for members in groups.values():
-            roots = np.sqrt([self.items[place].count for place in members])
+            roots = np.sqrt([self.clusters[position].count for position in members])
             share = roots / np.linalg.norm(roots)
             scaled = [
-                self._in_noise(self.items[place], self.items[place].shared_discrepancy) @ own[place]
-                for place in members
+                self._in_noise(self.clusters[position], self.clusters[position].shared_discrepancy)
+                @ operators[position]
+                for position in members
             ]
             shared.append((members, share, self._operator(np.tensordot(share * roots, scaled, 1))))
-        return own, shared
+        return operators, shared
 
     def _in_noise(self, item: Cluster, factor: Array) -> Array:
-        """A factor of the discrepancy of a cluster in units of the noise, ``(k, F)``."""
+        """A factor of the discrepancy covariance of a cluster in units of the noise, ``(k, F)``."""
         return np.asarray(factor * (item.sigma / self.unit / self.noise))
 
     def _operator(self, factor: Array) -> Array:
-        """Operator that scales a row with the discrepancy covariance L^T L to noise, in units of it, ``(F, F)``."""
+        """Operator that scales rows with discrepancy covariance L^T L to noise, all in units of noise, ``(F, F)``."""
         sizes, directions = np.linalg.eigh(factor.T @ factor)
         contrasts = self.rows[self.means :] / self.noise
         noise = _moderated(1.0, np.sum(np.square(contrasts @ directions), axis=0), self.freedom)
@@ -345,68 +358,78 @@ class _Rows:
         """Sum of squares of the mean rows in every rotation, ``(1 + B, F)``."""
         return reduce(np.add, map(np.square, self.rotated(seed)))
 
-    def left(self, squares: Array, inflation: float = 1.0) -> Array:
+    def contrast_squares(self, squares: Array, inflation: float = 1.0) -> Array:
         """Sum of squares of the contrasts in every rotation, from the squares of the mean rows, ``(1 + B, F)``.
 
         Args:
             squares: Result of :meth:`squares`.
-            inflation: Variance of the noise over the variance of the rows, which a fit has reduced [-].
+            inflation: Variance of the noise over the variance of the rows, which fitted parameters reduce [-].
         """
-        found = np.maximum(np.sum(np.square(self.rows), axis=0) - squares, 0.0)
-        found[1:] *= inflation
-        return found
+        remaining = np.maximum(np.sum(np.square(self.rows), axis=0) - squares, 0.0)
+        remaining[1:] *= inflation
+        return remaining
 
     def signals_of(self, keys: Sequence[tuple[str, str, str]]) -> Array:
         """Indicator matrix of features in signals, ``(F, S)``."""
-        place = {key: number for number, key in enumerate(keys)}
-        member = np.zeros((self.unit.size, len(keys)))
-        for number, feature in enumerate(self.items[0].features):
-            if feature.group in place:
-                member[number, place[feature.group]] = 1.0
-        return member
+        column_of = {key: number for number, key in enumerate(keys)}
+        indicators = np.zeros((self.unit.size, len(keys)))
+        for number, feature in enumerate(self.clusters[0].features):
+            if feature.group in column_of:
+                indicators[number, column_of[feature.group]] = 1.0
+        return indicators
 
 
-def _scaled_to_noise(layouts: Sequence[_Rows], means: Sequence[Array], largest: float = math.inf) -> list[Array]:
+def _scaled_to_noise(
+    layouts: Sequence[_Layout], means: Sequence[Array], max_amplitude: float = math.inf
+) -> list[Array]:
     """Mean rows of every layout, ``(means, F, p)``, with discrepancy and calibrations scaled to the size of noise.
 
     All rows are exchangeable then. A calibration is one amplitude for the clusters of all layouts.
 
     Args:
-        layouts: Their rows.
-        means: Of residuals, or of sensitivities.
-        largest: Of an amplitude that a calibration explains, in its standard deviations; the rest stays in the rows.
+        layouts: The layouts.
+        means: Mean rows of residuals, or of sensitivities, ``(means, F, p)`` per layout.
+        max_amplitude: Largest amplitude that a calibration explains, in its standard deviations; any excess remains in
+            the rows.
     """
-    found = [own.scaled(rows) for own, rows in zip(layouts, means, strict=True)]
+    scaled = [layout.scaled(rows) for layout, rows in zip(layouts, means, strict=True)]
     basis, sizes = _calibrations(layouts)
     if sizes.size:
-        stacked = np.concatenate([rows.reshape(-1, rows.shape[-1]) for rows in found])
+        stacked = np.concatenate([rows.reshape(-1, rows.shape[-1]) for rows in scaled])
         deviations = np.sqrt(1.0 + np.square(sizes))[:, None]
-        explained = np.clip(basis.T @ stacked, -largest * deviations, largest * deviations)
+        explained = np.clip(basis.T @ stacked, -max_amplitude * deviations, max_amplitude * deviations)
         stacked -= basis @ ((1.0 - 1.0 / deviations) * explained)
-        ends = np.cumsum([rows.shape[0] * rows.shape[1] for rows in found])[:-1]
-        found = [part.reshape(rows.shape) for part, rows in zip(np.split(stacked, ends), found, strict=True)]
-    return [rows * own.noise[:, None] for own, rows in zip(layouts, found, strict=True)]
+        ends = np.cumsum([rows.shape[0] * rows.shape[1] for rows in scaled])[:-1]
+        scaled = [part.reshape(rows.shape) for part, rows in zip(np.split(stacked, ends), scaled, strict=True)]
+    return [rows * layout.noise[:, None] for layout, rows in zip(layouts, scaled, strict=True)]
 
 
-def _calibrations(layouts: Sequence[_Rows]) -> tuple[Array, Array]:
+def _calibrations(layouts: Sequence[_Layout]) -> tuple[Array, Array]:
     """Principal directions of the calibrations over all scaled mean rows, ``(N, k)``, and sizes in noise, ``(k,)``."""
-    known = [item.calibrations for own in layouts for item in own.items if item.calibrations is not None]
-    number = max(map(len, known), default=0)
-    rows = [np.zeros((0, number))]
-    for own in layouts if number else ():
-        none = np.zeros((number, own.unit.size))
-        columns = [none.T if item.calibrations is None else item.calibrations.T for item in own.items]
-        rows.append(own.scaled(own.mean_rows(columns)).reshape(-1, number))
+    calibrations = [
+        item.calibrations for layout in layouts for item in layout.clusters if item.calibrations is not None
+    ]
+    count = max(map(len, calibrations), default=0)
+    rows = [np.zeros((0, count))]
+    for layout in layouts if count else ():
+        exact = np.zeros((count, layout.unit.size))
+        columns = [exact.T if item.calibrations is None else item.calibrations.T for item in layout.clusters]
+        rows.append(layout.scaled(layout.mean_rows(columns)).reshape(-1, count))
     basis, sizes, _ = np.linalg.svd(np.concatenate(rows), full_matrices=False)
     return np.asarray(basis), np.asarray(sizes)
 
 
-def _weights_of(layouts: Sequence[_Rows], squares: Sequence[Array], inflation: float = 1.0) -> Iterator[Array]:
+def _weights_of(layouts: Sequence[_Layout], squares: Sequence[Array], inflation: float = 1.0) -> Iterator[Array]:
     """Moderated weights W by layout in every rotation, from the squares of the mean rows, ``(1 + B, F)`` each."""
-    left = {id(own): own.left(each, inflation) for own, each in zip(layouts, squares, strict=True)}
-    for own in layouts:
-        mean = own.mean_variance([left[id(donor)] for donor in own.donors])
-        yield np.asarray(1.0 / (_moderated(mean, left[id(own)], own.freedom) + own.apart + RIDGE))
+    contrast_squares = {
+        id(layout): layout.contrast_squares(mean_squares, inflation)
+        for layout, mean_squares in zip(layouts, squares, strict=True)
+    }
+    for layout in layouts:
+        mean = layout.mean_variance([contrast_squares[id(donor)] for donor in layout.donors])
+        yield np.asarray(
+            1.0 / (_moderated(mean, contrast_squares[id(layout)], layout.freedom) + layout.limit_squares + RIDGE)
+        )
 
 
 def _moderated(prior: Array | float, squares: Array, freedom: int) -> Array:
@@ -418,31 +441,31 @@ class RotationNull(NullDistribution):
     """Rotation test with repeats, see the module; arguments as for :class:`NullDistribution`."""
 
     @cached_property
-    def _layouts(self) -> list[_Rows]:
-        return self._rows([item.mean for item in self.clusters])
+    def _layouts(self) -> list[_Layout]:
+        return self._layouts_of([item.mean for item in self.clusters])
 
-    def _rows(self, means: Sequence[Array]) -> list[_Rows]:
-        """Rows of every layout, for some mean residuals."""
+    def _layouts_of(self, means: Sequence[Array]) -> list[_Layout]:
+        """Layouts with the rows of some mean residuals, ``(F,)`` per cluster."""
         numbers: dict[str, list[int]] = {}
         for number, item in enumerate(self.clusters):
             numbers.setdefault(item.layout, []).append(number)
-        layouts = [_Rows(chosen, self.clusters, means) for chosen in numbers.values()]
-        for own in layouts:
-            own.donors = layouts if own.freedom < MIN_DEGREES_OF_FREEDOM else (own,)
-        means = [own.rows[: own.means, :, None] for own in layouts]
+        layouts = [_Layout(chosen, self.clusters, means) for chosen in numbers.values()]
+        for layout in layouts:
+            layout.donors = layouts if layout.freedom < MIN_DEGREES_OF_FREEDOM else (layout,)
+        means = [layout.rows[: layout.means, :, None] for layout in layouts]
         scaled = _scaled_to_noise(layouts, means, MAX_CALIBRATION_ERROR)
-        for own, rows in zip(layouts, scaled, strict=True):
-            own.rows[: own.means] = rows[:, :, 0]
+        for layout, rows in zip(layouts, scaled, strict=True):
+            layout.rows[: layout.means] = rows[:, :, 0]
         return layouts
 
     @cached_property
     def _squares(self) -> list[Array]:
         """Sum of squares of the mean rows of every layout in all rotations, ``(1 + B, F)``."""
-        return [own.squares(seed) for seed, own in enumerate(self._layouts)]
+        return [layout.squares(seed) for seed, layout in enumerate(self._layouts)]
 
     def _inflation(self, fitted: Sequence[Array]) -> float:
         """Variance of the noise over the variance of the rows, n / (n - q) with q of n directions fitted [-]."""
-        count = sum(own.rows.size for own in self._layouts)
+        count = sum(layout.rows.size for layout in self._layouts)
         return count / max(count - (fitted[0].shape[1] if fitted else 0), 1)
 
     @property
@@ -464,22 +487,30 @@ class RotationNull(NullDistribution):
         """See :meth:`NullDistribution.p_values`; all effects share the rotations."""
         if self.shortage is not None or not effects:
             return [1.0] * len(effects)
-        every = [
-            [np.hstack(both) for both in zip(fitted, own, strict=True)] if fitted else list(own) for own in effects
+        columns_by_effect = [
+            [np.hstack(pair) for pair in zip(fitted, jacobians, strict=True)] if fitted else list(jacobians)
+            for jacobians in effects
         ]
-        edges = np.cumsum([0, *(own[0].shape[1] for own in every)])
+        edges = np.cumsum([0, *(columns[0].shape[1] for columns in columns_by_effect)])
         scores = np.zeros((1 + NULL_DRAWS, edges[-1]))
-        columns = [
-            layout.mean_rows(np.hstack([own[n] for own in every]) for n in layout.numbers) for layout in self._layouts
+        mean_rows = [
+            layout.mean_rows(np.hstack([columns[n] for columns in columns_by_effect]) for n in layout.numbers)
+            for layout in self._layouts
         ]
-        scaled, inflation = _scaled_to_noise(self._layouts, columns), self._inflation(fitted)
+        scaled, inflation = _scaled_to_noise(self._layouts, mean_rows), self._inflation(fitted)
         scales = list(_weights_of(self._layouts, self._squares, inflation))
         for seed, (layout, weights) in enumerate(zip(self._layouts, scales, strict=True)):
-            for rows, own in zip(layout.rotated(seed), scaled[seed], strict=True):
-                scores += (rows * weights) @ own
+            for rows, sensitivities in zip(layout.rotated(seed), scaled[seed], strict=True):
+                scores += (rows * weights) @ sensitivities
         scores[1:] *= math.sqrt(inflation)
         return [
-            self._p_value(jacobians, fitted, [own[:, :, first:last] for own in scaled], scores[:, first:last], scales)
+            self._p_value(
+                jacobians,
+                fitted,
+                [sensitivities[:, :, first:last] for sensitivities in scaled],
+                scores[:, first:last],
+                scales,
+            )
             for jacobians, first, last in zip(effects, edges[:-1], edges[1:], strict=True)
         ]
 
@@ -491,34 +522,36 @@ class RotationNull(NullDistribution):
         scores: Array,
         scales: Sequence[Array],
     ) -> float:
-        """:meth:`p_value` from the scaled sensitivities to all its parameters, their scores and W by layout."""
+        """:meth:`p_value` by scaled sensitivities to nuisance and tested parameters, their scores and W by layout."""
         if _whitened(self.clusters, jacobians, fitted) is None:
             return 1.0
         count = scores.shape[1]
         information = np.zeros((1 + NULL_DRAWS, count * count))
-        for own, weights in zip(scaled, scales, strict=True):
-            information += weights @ np.einsum("cfp,cfq->fpq", own, own).reshape(own.shape[1], -1)
+        for sensitivities, weights in zip(scaled, scales, strict=True):
+            information += weights @ np.einsum("cfp,cfq->fpq", sensitivities, sensitivities).reshape(
+                sensitivities.shape[1], -1
+            )
         information = information.reshape(-1, count, count)
         explained = _score_statistic(scores, information)
-        if fitted and (before := fitted[0].shape[1]):
-            explained -= _score_statistic(scores[:, :before], information[:, :before, :before])
+        if fitted and (nuisance_count := fitted[0].shape[1]):
+            explained -= _score_statistic(scores[:, :nuisance_count], information[:, :nuisance_count, :nuisance_count])
         return p_value_with_pareto_tail(float(explained[0]), explained[1:])
 
-    def lack_of_fit(self, rest: Sequence[Array]) -> float | None:
+    def lack_of_fit(self, residuals: Sequence[Array]) -> float | None:
         """See :meth:`NullDistribution.lack_of_fit`; by the sum of squares.
 
-        A test of all features at once has little power against a misfit of one signal. So every signal is tested by
-        itself as well as all together, and the smallest p-value is compared with the smallest in every rotation
-        (Westfall and Young 1993, *Resampling-based multiple testing*). The family-wise level holds for any number of
-        signals and any correlation between them.
+        A test of all features at once has little power against a misfit of one signal. So each signal and all signals
+        together are tested, and the smallest p-value is compared with the smallest p-value of every rotation (Westfall
+        and Young 1993, *Resampling-based multiple testing*). The family-wise level holds for any number of signals and
+        any correlation between them.
         """
         if self.shortage is not None:
             return None
-        layouts = self._rows(rest)
-        squares = [own.squares(seed) for seed, own in enumerate(layouts)]
+        layouts = self._layouts_of(residuals)
+        squares = [layout.squares(seed) for seed, layout in enumerate(layouts)]
         total = np.zeros((1 + NULL_DRAWS, len(self._groups) + 1))
-        for own, each, weights in zip(layouts, squares, _weights_of(layouts, squares), strict=True):
-            total += (each * weights) @ _members(own.items[0], self._groups).T
+        for layout, mean_squares, weights in zip(layouts, squares, _weights_of(layouts, squares), strict=True):
+            total += (mean_squares * weights) @ _members(layout.clusters[0], self._groups).T
         return westfall_young_p_value(total[0], total[1:])
 
     @cached_property
@@ -526,27 +559,27 @@ class RotationNull(NullDistribution):
         """Signals by phase, of all features."""
         return list(dict.fromkeys(feature.group[:2] for item in self.clusters for feature in item.features))
 
-    def covariance(self, jacobians: Sequence[Array], rest: Sequence[Array], inverse: Array) -> Array:
+    def covariance(self, jacobians: Sequence[Array], residuals: Sequence[Array], inverse: Array) -> Array:
         """See :meth:`NullDistribution.covariance`; trials are independent of each other, their features are not.
 
-        A condition without repeats has the scatter of the others of its layout.
+        A condition without repeats takes the scatter pooled over its layout.
         """
-        del rest  # the scatter of repeats about their mean does not depend on the fit
-        meat = np.zeros_like(inverse)
+        del residuals  # the scatter of repeats about their mean does not depend on the fit
+        score_covariance = np.zeros_like(inverse)
         for item, jacobian in zip(self.clusters, jacobians, strict=True):
-            alike = [item] if item.count > 1 else [other for other in self.clusters if other.layout == item.layout]
-            freedom = max(sum(other.count - 1 for other in alike), 1)
-            scatter = np.vstack([other.residuals - other.mean for other in alike]) @ jacobian
-            meat += item.count / freedom * scatter.T @ scatter
-        return np.asarray(inverse @ meat @ inverse)
+            pooled = [item] if item.count > 1 else [other for other in self.clusters if other.layout == item.layout]
+            freedom = max(sum(other.count - 1 for other in pooled), 1)
+            scatter = np.vstack([other.residuals - other.mean for other in pooled]) @ jacobian
+            score_covariance += item.count / freedom * scatter.T @ scatter
+        return np.asarray(inverse @ score_covariance @ inverse)
 
 
-@lru_cache(maxsize=4)  # one search asks for two
+@lru_cache(maxsize=4)  # one search uses two
 def _signs(draws: int, blocks: int) -> Array:
     """Signs of blocks in draws of the null distribution, ``(draws, blocks)``."""
-    found = np.random.default_rng(0).choice([-1.0, 1.0], size=(draws, blocks))
-    found.flags.writeable = False
-    return found
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(draws, blocks))
+    signs.flags.writeable = False
+    return signs
 
 
 class SignFlipNull(NullDistribution):
@@ -575,10 +608,10 @@ class SignFlipNull(NullDistribution):
 
     def _p_value(self, jacobians: Sequence[Array], fitted: Sequence[Array]) -> float:
         """See :meth:`NullDistribution.p_value`."""
-        turned = _whitened(self.clusters, jacobians, fitted)
-        if self.shortage is not None or turned is None:
+        whitened = _whitened(self.clusters, jacobians, fitted)
+        if self.shortage is not None or whitened is None:
             return 1.0
-        scores = np.array([j.T @ item.mean for item, j in zip(self.clusters, turned, strict=True)])
+        scores = np.array([j.T @ item.mean for item, j in zip(self.clusters, whitened, strict=True)])
         observed = float(np.sum(np.square(scores.sum(axis=0))))
         share = 1.0
         for draws in (NULL_DRAWS, MANY_SIGN_DRAWS):
@@ -588,9 +621,9 @@ class SignFlipNull(NullDistribution):
                 break
         return max(share, 2.0 ** (1 - len(self.clusters)))  # a pattern of signs and its opposite have one statistic
 
-    def lack_of_fit(self, rest: Sequence[Array]) -> float | None:
+    def lack_of_fit(self, residuals: Sequence[Array]) -> float | None:
         """None: without repeats there is no test of the remaining residuals."""
-        del rest
+        del residuals
         return None
 
     def freedoms(self, jacobians: Sequence[Array], inverse: Array) -> Array:
@@ -599,13 +632,13 @@ class SignFlipNull(NullDistribution):
         The weights w are the information of the blocks about a parameter (Satterthwaite 1946; for clusters Imbens and
         Kolesár 2016). A joint that moves in three of twenty stretches has three effective blocks.
         """
-        moved = np.array([np.sum(np.square(jacobian @ inverse), axis=0) for jacobian in jacobians])
-        squares = np.maximum(np.sum(np.square(moved), axis=0), 1e-300)
-        return np.asarray(np.maximum(np.square(moved.sum(axis=0)) / squares - 1.0, 1.0))
+        weights = np.array([np.sum(np.square(jacobian @ inverse), axis=0) for jacobian in jacobians])
+        squares = np.maximum(np.sum(np.square(weights), axis=0), 1e-300)
+        return np.asarray(np.maximum(np.square(weights.sum(axis=0)) / squares - 1.0, 1.0))
 
-    def covariance(self, jacobians: Sequence[Array], rest: Sequence[Array], inverse: Array) -> Array:
+    def covariance(self, jacobians: Sequence[Array], residuals: Sequence[Array], inverse: Array) -> Array:
         """See :meth:`NullDistribution.covariance`; blocks are independent, neighbouring samples are not."""
-        scores = np.array([j.T @ left for left, j in zip(rest, jacobians, strict=True)])
+        scores = np.array([j.T @ residual for residual, j in zip(residuals, jacobians, strict=True)])
         count = len(self.clusters)
         return np.asarray(inverse @ (scores.T @ scores) @ inverse * count / max(count - 1.0, 1.0))
 
@@ -615,9 +648,9 @@ def benjamini_hochberg(p_values: Mapping[str, float], tests: int = 0) -> dict[st
 
     Args:
         p_values: By name.
-        tests: Number of tests, including those with larger p-values; 0: these alone.
+        tests: Number of tests, including tests with larger p-values; 0: the tests of ``p_values``.
     """
     if not p_values:
         return {}
-    every = [*p_values.values(), *[1.0] * (tests - len(p_values))]
-    return dict(zip(p_values, scipy.stats.false_discovery_control(every).tolist(), strict=False))
+    padded = [*p_values.values(), *[1.0] * (tests - len(p_values))]
+    return dict(zip(p_values, scipy.stats.false_discovery_control(padded).tolist(), strict=False))

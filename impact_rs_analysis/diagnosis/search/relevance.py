@@ -9,7 +9,7 @@ from impact_rs_analysis.diagnosis.document import SizeDocument
 from impact_rs_analysis.diagnosis.search.fit import Fit
 from impact_rs_sim.robots.robot import Array
 
-MAX_SIZES = 3  # listed for an effect
+MAX_SIZES = 3  # signals that are listed for an effect
 
 
 def changes_of(fitted: Fit, part: slice = slice(None), distance: Array | None = None) -> list[Array]:
@@ -19,10 +19,10 @@ def changes_of(fitted: Fit, part: slice = slice(None), distance: Array | None = 
 
     Args:
         fitted: The fit.
-        part: Which parameters.
-        distance: delta from a point without effect, ``(p,)`` [parameter scales]; None: from nominal.
+        part: The parameters.
+        distance: delta, distance from a point without effect, ``(p,)`` [parameter scales]; None: from nominal.
     """
-    distance = fitted.away[part] if distance is None else distance
+    distance = fitted.distance_from_nominal[part] if distance is None else distance
     pairs = zip(fitted.evidence.clusters, fitted.candidate.jacobians, strict=True)
     return [np.abs(jacobian[:, part] @ distance) * item.sigma for item, jacobian in pairs]
 
@@ -30,30 +30,33 @@ def changes_of(fitted: Fit, part: slice = slice(None), distance: Array | None = 
 def exceeds_relevance_limit(fitted: Fit, part: slice = slice(None), distance: Array | None = None) -> bool:
     """Whether some parameters of a fit change a feature by more than its relevance limit; see :func:`changes_of`."""
     return any(
-        np.any(moved > [feature.relevance_limit for feature in item.features])
-        for item, moved in zip(fitted.evidence.clusters, changes_of(fitted, part, distance), strict=True)
+        np.any(change > [feature.relevance_limit for feature in item.features])
+        for item, change in zip(fitted.evidence.clusters, changes_of(fitted, part, distance), strict=True)
     )
 
 
 def noticeable(fitted: Fit, first: int = 0) -> bool:
-    """Whether the interval of a parameter, from index ``first`` on, excludes changes below that of the source.
+    """Whether some parameter, from index ``first`` on, differs from nominal by ``source.least_change`` at least (95 %).
 
-    An estimate at a bound of physics, such as no friction, is included; one at the end of a search range is not,
-    because its interval is invalid. Calibrations are taken as exact: they affect the size of an effect, not whether
-    there is one.
+    An estimate at a bound of physics, such as no friction, is considered. An estimate at a search limit is not: its
+    interval is invalid. Calibrations are taken as exact: they affect the size of an effect, not its existence.
     """
-    beyond = np.abs(fitted.away) - fitted.half_widths_of_noise > fitted.evidence.source.least_change
-    return bool(np.any((beyond & ~fitted.candidate.shapes & ~fitted.at_end_of_range)[first:]))
+    noticed = np.abs(fitted.distance_from_nominal) - fitted.half_widths_of_noise > fitted.evidence.source.least_change
+    return bool(np.any((noticed & ~fitted.candidate.shapes & ~fitted.at_search_limit)[first:]))
 
 
 def sizes_of(fitted: Fit, name: str) -> list[SizeDocument]:
-    """Largest changes of signals by one effect of a fit, sorted by their ratio to the relevance limit."""
+    """Largest changes of signals by one effect of a fit, sorted by the ratio of change to relevance limit."""
     largest: dict[tuple[str, str], SizeDocument] = {}
-    for item, moved in zip(fitted.evidence.clusters, changes_of(fitted, fitted.candidate.part(name)), strict=True):
-        for one, value in zip(item.features, moved.tolist(), strict=True):
-            before = largest.get((one.phase, one.signal))
-            if value > (0.0 if before is None else before.value):
-                largest[one.phase, one.signal] = SizeDocument(
-                    phase=one.phase, signal=one.signal, value=value, unit=one.unit, floor=one.relevance_limit
+    for item, change in zip(fitted.evidence.clusters, changes_of(fitted, fitted.candidate.part(name)), strict=True):
+        for feature, value in zip(item.features, change.tolist(), strict=True):
+            previous = largest.get((feature.phase, feature.signal))
+            if value > (0.0 if previous is None else previous.value):
+                largest[feature.phase, feature.signal] = SizeDocument(
+                    phase=feature.phase,
+                    signal=feature.signal,
+                    value=value,
+                    unit=feature.unit,
+                    floor=feature.relevance_limit,
                 )
     return sorted(largest.values(), key=lambda size: -size.value / (size.floor or 1.0))[:MAX_SIZES]

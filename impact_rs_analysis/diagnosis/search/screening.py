@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Screening of effects: sensitivities and score tests of every effect, alone and in the presence of chosen ones.
+"""Screening of effects: sensitivities and score tests of every effect, alone and in the presence of chosen effects.
 
-Sensitivities are taken at nominal, at starts by the measurements, and where an effect changes nothing at nominal along
-secants. An effect that free motion rules out is not fitted.
+Sensitivities are derivatives at nominal or at starts suggested by the measurements, and secants if an effect changes
+nothing at nominal. An effect that free motion rules out is not fitted.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.robots.robot import Array
 
-MIN_SECANT_RATIO = 1.5  # features that a secant changes over those of the slope at nominal: another contact mode
+MIN_SECANT_RATIO = 1.5  # number of features changed by a secant over features changed at nominal: another contact mode
 MIN_FEATURE_CHANGE = 1e-6  # scaled features per parameter scale; the solver's rounding
 
 
@@ -31,13 +31,13 @@ class Screening:
     """Every effect by its sensitivities.
 
     Args:
-        effects: Effects to consider; several of one name are one effect with several starts of its shape, of which the
-            best is kept.
+        effects: Effects to consider; several with one name are one effect with several starts of its shape. The best
+            start is kept.
         evidence: Residuals of the model.
 
     Attributes:
-        singles: Every measurable effect, linearised at nominal or at its best start, by secants where it changes
-            nothing there; or in the presence of chosen effects, if it changes nothing alone.
+        singles: Every measurable effect, linearised at nominal or at its best start, or by secants if it changes
+            nothing there; in the presence of chosen effects if it changes nothing alone.
         not_simulated: Effects that cannot be simulated at their start.
         ruled_out: Effects that free motion rules out.
     """
@@ -47,11 +47,11 @@ class Screening:
         self.singles: dict[str, Candidate] = {}
         self.ruled_out: set[str] = set()
         self.not_simulated: set[str] = set()
-        self._looks = Counter(effect.name for effect in effects)
+        self._starts_tried = Counter(effect.name for effect in effects)
         self._starts: dict[str, Candidate] = {}
-        self._unseen: dict[str, Candidate] = {}
-        self._unseen_alone: dict[str, Candidate] = {}  # visible in the presence of chosen effects
-        self._beside: dict[tuple[str, Added], Candidate] = {}
+        self._insensitive: dict[str, Candidate] = {}
+        self._insensitive_alone: dict[str, Candidate] = {}  # visible in the presence of chosen effects
+        self._given_chosen: dict[tuple[str, Added], Candidate] = {}
         self._screen(effects)
 
     def _screen(self, effects: Sequence[Effect]) -> None:
@@ -60,7 +60,7 @@ class Screening:
         for effect in effects:
             starts = self.source.starts(effect.name)
             candidates += [Candidate.of((effect,), self.source, start) for start in starts]
-            self._looks[effect.name] += len(starts)
+            self._starts_tried[effect.name] += len(starts)
         self._rule_out(candidates)
         candidates = [candidate for candidate in candidates if candidate.names[0] not in self.ruled_out]
         batch = [
@@ -70,18 +70,18 @@ class Screening:
         ]
         self.source.predict(batch, "sensitivities of all effects")
         for candidate in candidates:
-            name, found = candidate.names[0], self.linearised(candidate)
-            if found is None:
+            name, linearised = candidate.names[0], self.linearised(candidate)
+            if linearised is None:
                 self.not_simulated.add(name)
                 continue
-            found, known = self._with_secants(found), self.singles.get(name)
-            if not found.seen:
-                self._unseen[name] = found
-            elif known is None or self._misfit(found) < self._misfit(known):
-                self.singles[name] = found
+            linearised, previous = self._with_secants(linearised), self.singles.get(name)
+            if not linearised.has_sensitivity:
+                self._insensitive[name] = linearised
+            elif previous is None or self._misfit(linearised) < self._misfit(previous):
+                self.singles[name] = linearised
         for name in self.singles:
-            self._unseen.pop(name, None)
-        self.not_simulated -= {*self.singles, *self._unseen}
+            self._insensitive.pop(name, None)
+        self.not_simulated -= {*self.singles, *self._insensitive}
 
     def _misfit(self, candidate: Candidate) -> float:
         return Fit.of(candidate, self.evidence).misfit
@@ -89,154 +89,170 @@ class Screening:
     def _with_secants(self, candidate: Candidate, base: Added = ()) -> Candidate:
         """The candidate with secants as sensitivities of parameters that change more features far from nominal.
 
-        A sticking contact does not depend on its friction until it slips, and a frictionless one has no tangential
-        restitution until the model has friction, so other effects may be the ``base``. Where a few impacts slip and
-        most stick, friction changes hardly any feature at nominal. For impacts, whose predictions are cheap, every
-        parameter is probed, and the secant to the point with the most changed features is taken; for motions only
-        parameters without sensitivity, and the nearest point at which some feature changes.
+        A sticking contact does not depend on its friction until it slips, and a frictionless contact has no tangential
+        restitution until the model has friction; ``base`` holds such other effects. If a few impacts slip and most
+        stick, friction changes hardly any feature at nominal. Predictions of impacts are cheap: every parameter is
+        probed, and the secant to the point with the most changed features is taken. In motions only parameters without
+        sensitivity are probed, up to the nearest point at which a feature changes.
         """
         if not any(effect.seen_in(item.contact) for effect in candidate.effects for item in self.evidence.clusters):
             return candidate
         features = sum(item.sigma.size for item in self.evidence.clusters)
         for index, scalar in enumerate(candidate.scalars):
-            here = _changed([jacobian[:, index] for jacobian in candidate.jacobians])
-            if scalar.shape or (here and self.source.of_motion) or MIN_SECANT_RATIO * here >= features:
+            changed_at_point = _changed([jacobian[:, index] for jacobian in candidate.jacobians])
+            if (
+                scalar.shape
+                or (changed_at_point and self.source.of_motion)
+                or MIN_SECANT_RATIO * changed_at_point >= features
+            ):
                 continue
-            best, most = None, MIN_SECANT_RATIO * here
+            best_columns, most_changed = None, MIN_SECANT_RATIO * changed_at_point
             for point in candidate.probes(index):
                 columns = self._secant(candidate, index, point[index], base)
-                if columns is not None and (seen := _changed(columns)) > most:
-                    best, most = columns, seen
+                if columns is not None and (changed := _changed(columns)) > most_changed:
+                    best_columns, most_changed = columns, changed
                     if self.source.of_motion:
                         break
-            if best is not None:
-                candidate = candidate.with_sensitivity(index, best)
+            if best_columns is not None:
+                candidate = candidate.with_sensitivity(index, best_columns)
         return candidate
 
     def _secant(self, candidate: Candidate, index: int, value: float, base: Added) -> list[Array] | None:
-        """Secant of one parameter from its point to a value: scaled change per parameter scale, ``(F,)`` by cluster."""
+        """Secant of one parameter from the point to a value: scaled change per parameter scale, ``(F,)`` by cluster."""
         point = candidate.point.copy()
         point[index] = value
-        before, after = ((*base, *candidate.split(vector)) for vector in (candidate.point, point))
+        before, after = ((*base, *candidate.effects_at(vector)) for vector in (candidate.point, point))
         changes = self.source.differences(self.evidence.numbers, before, after, "probes of effects")
         steps = (value - candidate.point[index]) / candidate.scale[index]
         pairs = list(zip(changes, self.evidence.clusters, strict=True))
         columns = [change / (item.sigma * steps) for change, item in pairs if change is not None]
         return columns if len(columns) == len(pairs) else None
 
-    def with_sensitivities_beside(self, single: Candidate, chosen: Fit | None) -> Candidate:
-        """An effect with its sensitivities in the presence of the chosen ones: impacts do not superpose.
+    def with_sensitivities_given(self, single: Candidate, chosen: Fit | None) -> Candidate:
+        """An effect with its sensitivities in the presence of the chosen effects.
 
-        Rolling resistance acts differently on a body that slips than on one that sticks. For motions, whose predictions
-        are expensive, superposition is assumed.
+        Effects in impacts do not superpose: rolling resistance acts differently on a slipping and on a sticking body.
+        Predictions of motions are expensive, so superposition is assumed.
         """
         name = single.names[0]
         if chosen is None:
-            return self._unseen_alone.get(name, single)
+            return self._insensitive_alone.get(name, single)
         if self.source.of_motion:
             return single
-        base = chosen.candidate.split(chosen.estimate)
-        if (name, base) not in self._beside:
+        base = chosen.candidate.effects_at(chosen.estimate)
+        if (name, base) not in self._given_chosen:
             for index, step in enumerate(single.steps(self.source.joints)):
                 columns = self._secant(single, index, single.point[index] + step, base)
                 if columns is not None:
                     single = single.with_sensitivity(index, columns)
-            self._beside[name, base] = self._with_secants(single, base)
-        return self._beside[name, base]
+            self._given_chosen[name, base] = self._with_secants(single, base)
+        return self._given_chosen[name, base]
 
     def add_visible_with(self, chosen: Fit) -> None:
         """Add effects that change some feature only in the presence of the chosen ones."""
-        base = chosen.candidate.split(chosen.estimate)
-        for name in sorted(self._unseen):
-            found = self._with_secants(self._unseen[name], base)
-            if found.seen:
-                self.singles[name] = found
-                self._unseen_alone[name] = self._unseen.pop(name)
+        base = chosen.candidate.effects_at(chosen.estimate)
+        for name in sorted(self._insensitive):
+            candidate = self._with_secants(self._insensitive[name], base)
+            if candidate.has_sensitivity:
+                self.singles[name] = candidate
+                self._insensitive_alone[name] = self._insensitive.pop(name)
 
     def keep(self, names: Collection[str]) -> None:
-        """Forget all other effects."""
+        """Drop all effects but these."""
         self.singles = {name: candidate for name, candidate in self.singles.items() if name in names}
-        self._unseen = {name: candidate for name, candidate in self._unseen.items() if name in names}
+        self._insensitive = {name: candidate for name, candidate in self._insensitive.items() if name in names}
 
     @property
     def unmeasured(self) -> set[str]:
         """Effects without sensitivity in any measured feature."""
-        return set(self._unseen)
+        return set(self._insensitive)
 
     def linearised(self, candidate: Candidate, evidence: Evidence | None = None) -> Candidate | None:
         evidence = evidence or self.evidence
         return linearise(candidate, evidence.clusters, evidence.numbers, self.source)
 
     def _rule_out(self, candidates: Sequence[Candidate]) -> None:
-        """Rule out effects with several parameters that would change free motion, by their p-value there.
+        """Rule out effects with several parameters by their p-value in free motion.
 
-        Simulators agree in free motion and differ in contact, where one parameter per joint explains a part of any
-        difference. Such an effect is judged by free motion alone and not simulated in contact.
+        Simulators agree in free motion and differ in contact; there an effect with one parameter per joint explains a
+        part of any difference. Such an effect is tested in free motion only and not simulated in contact.
         """
-        free, source = self.evidence.free_motion_part, self.source.free_motion_part
-        if free is None or source is None or free.null.shortage is not None:
+        free_motion, source = self.evidence.free_motion_part, self.source.free_motion_part
+        if free_motion is None or source is None or free_motion.null.shortage is not None:
             return
-        several = [c for c in candidates if np.count_nonzero(~c.shapes) > 1]
+        several = [candidate for candidate in candidates if np.count_nonzero(~candidate.shapes) > 1]
         source.predict(
-            [w for c in several for w in required_predictions(c, free.numbers, source)], "sensitivities in free motion"
+            [
+                prediction
+                for candidate in several
+                for prediction in required_predictions(candidate, free_motion.numbers, source)
+            ],
+            "sensitivities in free motion",
         )
-        found = [linearise(candidate, free.clusters, free.numbers, source) for candidate in several]
-        seen = [one for one in found if one is not None and one.seen]
+        linearised = [linearise(candidate, free_motion.clusters, free_motion.numbers, source) for candidate in several]
+        sensitive = [candidate for candidate in linearised if candidate is not None and candidate.has_sensitivity]
         p_values = dict[str, float]()
-        for one, p_value in zip(seen, free.null.p_values([one.jacobians for one in seen]), strict=True):
-            p_values[one.names[0]] = min(p_value, p_values.get(one.names[0], 1.0))  # of several starts of its shape
+        for candidate, p_value in zip(
+            sensitive, free_motion.null.p_values([candidate.jacobians for candidate in sensitive]), strict=True
+        ):
+            p_values[candidate.names[0]] = min(
+                p_value, p_values.get(candidate.names[0], 1.0)
+            )  # of several starts of its shape
         self.ruled_out = {name for name, p_value in p_values.items() if p_value > MIN_P_IN_FREE_MOTION}
-        for one in seen:
-            if one.names[0] in self.ruled_out:
-                extended, known = self.evidence.extended_beyond_free_motion(one), self.singles.get(one.names[0])
-                if known is None or self._misfit(extended) < self._misfit(known):
-                    self.singles[one.names[0]] = extended
+        for candidate in sensitive:
+            if candidate.names[0] in self.ruled_out:
+                extended, previous = (
+                    self.evidence.extended_beyond_free_motion(candidate),
+                    self.singles.get(candidate.names[0]),
+                )
+                if previous is None or self._misfit(extended) < self._misfit(previous):
+                    self.singles[candidate.names[0]] = extended
 
     def start(self, name: str) -> Candidate:
         """Start of the fit of a single effect."""
         return self._starts.get(name, self.singles[name])
 
     def find_shapes(self, names: Iterable[str]) -> None:
-        """Best grid points of the shapes of some effects, from which fits start."""
+        """Set the starts of the fits of some effects to the best grid points of their shapes."""
         self._starts |= {name: self.best_shape(self.singles[name]) for name in names if name not in self._starts}
 
     def best_shape(self, candidate: Candidate) -> Candidate:
         """The candidate at the best grid point of its shape parameters, by the misfit of the linear fit.
 
-        A shape without sensitivity at nominal, as the centre of a payload of mass 0, is linearised again at the fit of
-        the other parameters: in recordings, whose torque is linear in mass and first moment; contacts are not.
+        A shape without sensitivity at nominal, such as the centre of a payload of mass 0, is linearised again at the
+        fit of the other parameters. In recordings only: their torque is linear in mass and first moment.
         """
         shapes = [index for index, scalar in enumerate(candidate.scalars) if scalar.grid]
-        tried = [candidate]
+        candidates = [candidate]
         for values in product(*(candidate.scalars[index].grid for index in shapes)) if shapes else ():
             point = candidate.point.copy()
             point[shapes] = values
-            if (moved := self.linearised(replace(candidate, point=point))) is not None:
-                tried.append(moved)
-        if candidate.unseen and self.source.recording is not None:
+            if (linearised := self.linearised(replace(candidate, point=point))) is not None:
+                candidates.append(linearised)
+        if candidate.insensitive and self.source.recording is not None:
             point = Fit.of(candidate, self.evidence).estimate
-            if (moved := self.linearised(replace(candidate, point=point))) is not None:
-                tried.append(moved)
-        return min(tried, key=lambda entry: Fit.of(entry, self.evidence).misfit)
+            if (linearised := self.linearised(replace(candidate, point=point))) is not None:
+                candidates.append(linearised)
+        return min(candidates, key=lambda entry: Fit.of(entry, self.evidence).misfit)
 
     def p_values(self, chosen: Fit | None) -> dict[str, float]:
-        """Adjusted p-value of each effect given the chosen ones, and of each law at all joints (:meth:`groups`)."""
+        """Adjusted p-value of each effect given the chosen effects, and of each law at all joints (:meth:`groups`)."""
         return self.adjusted(self.raw_p_values(chosen))
 
     def adjusted(self, p_values: Mapping[str, float]) -> dict[str, float]:
-        """Benjamini-Hochberg adjusted p-values, for tests of all of these at every start of their shapes."""
-        return benjamini_hochberg(p_values, sum(max(1, self._looks[name]) for name in p_values))
+        """Benjamini-Hochberg adjusted p-values; every start of a shape is one test."""
+        return benjamini_hochberg(p_values, sum(max(1, self._starts_tried[name]) for name in p_values))
 
     def raw_p_values(self, chosen: Fit | None) -> dict[str, float]:
-        """:meth:`p_values` without adjustment for multiple testing, each at its best start."""
+        """:meth:`p_values` without adjustment for multiple testing, at the best start of every effect."""
         return self.p_values_of(self.groups(chosen), chosen)
 
     def groups(self, chosen: Fit | None, laws: bool = True) -> list[str]:
-        """Candidates of one selection step: an effect, or one law at several joints, joined by ``+``.
+        """Candidates of one selection step: effects, and laws at several joints, joined by ``+``.
 
         Args:
             chosen: The chosen effects.
-            laws: Whether laws are considered beside the effects of the library.
+            laws: Whether laws are considered in addition to the effects of the library.
         """
         present = () if chosen is None else chosen.candidate.names
         family_of = {name: single.effects[0].family for name, single in self.singles.items() if name not in present}
@@ -250,52 +266,52 @@ class Screening:
         """A group at the starts of its fits, in the presence of the chosen effects."""
         starts = [self.start(name) for name in group.split("+")]
         return reduce(
-            Candidate.beside,
-            (s if has_shape_parameter(s) else self.with_sensitivities_beside(s, chosen) for s in starts),
+            Candidate.joined_with,
+            (s if has_shape_parameter(s) else self.with_sensitivities_given(s, chosen) for s in starts),
         )
 
     def p_values_of(self, groups: Sequence[str], chosen: Fit | None) -> dict[str, float]:
         """:meth:`raw_p_values` of some groups, by their sensitivities in the presence of the chosen effects."""
-        beside = {}
+        joined = {}
         for group in groups:
-            own = reduce(
-                Candidate.beside,
-                (self.with_sensitivities_beside(self.singles[name], chosen) for name in group.split("+")),
+            group_candidate = reduce(
+                Candidate.joined_with,
+                (self.with_sensitivities_given(self.singles[name], chosen) for name in group.split("+")),
             )
-            beside[group] = own if chosen is None else chosen.candidate.beside(own)
-        null = (self.evidence if chosen is None else chosen.left).null
+            joined[group] = group_candidate if chosen is None else chosen.candidate.joined_with(group_candidate)
+        null = (self.evidence if chosen is None else chosen.residual_evidence).null
         first = 0 if chosen is None else chosen.candidate.point.size
-        own_part = [[jacobian[:, first:] for jacobian in fitted.jacobians] for fitted in beside.values()]
+        tested = [[jacobian[:, first:] for jacobian in fitted.jacobians] for fitted in joined.values()]
         fitted = () if chosen is None else chosen.candidate.jacobians
-        return dict(zip(beside, null.p_values(own_part, fitted), strict=True))
+        return dict(zip(joined, null.p_values(tested, fitted), strict=True))
 
     def with_shapes(self, linear: Sequence[Fit]) -> list[Fit]:
-        """Linear fits, best first; unseen shapes are linearised again where the fit puts amplitudes.
+        """Linear fits, best first; insensitive shapes are linearised again at the fitted amplitudes.
 
-        The length of a cable changes nothing while it does not pull. At a length from which a fit starts it pulls in
-        few conditions, and predicts the others worse than what is wrong everywhere.
+        The length of a cable changes nothing while the cable is slack. At the start of its fit it may pull in a few
+        conditions only, and then predict all conditions worse than another effect.
         """
-        found = {entry.candidate.names: entry for entry in linear}
-        unsure = [entry for entry in linear if entry.candidate.unseen_shapes]
-        for entry in unsure:
-            there = self.linearised(replace(entry.candidate, point=entry.estimate), entry.evidence)
-            if there is not None and (seen := Fit.of(there, entry.evidence)).score < entry.score:
-                found[entry.candidate.names] = seen
-        return sorted(found.values(), key=lambda entry: entry.score)
+        fits = {entry.candidate.names: entry for entry in linear}
+        insensitive = [entry for entry in linear if entry.candidate.insensitive_shapes]
+        for entry in insensitive:
+            linearised = self.linearised(replace(entry.candidate, point=entry.estimate), entry.evidence)
+            if linearised is not None and (refitted := Fit.of(linearised, entry.evidence)).score < entry.score:
+                fits[entry.candidate.names] = refitted
+        return sorted(fits.values(), key=lambda entry: entry.score)
 
     def linear_fit_with(self, chosen: Fit | None, group: str) -> Fit:
-        """Linear fit of one more effect or group; one with a shape parameter is linearised with the chosen ones.
+        """Linear fit of one more effect or group; with a shape parameter it is linearised with the chosen effects.
 
         Alone such an effect imitates others: friction that decreases with speed imitates an offset.
         """
         start = self.joined(group, chosen)
         if chosen is None:
             return Fit.of(start, self.evidence)
-        joined = Fit.of(chosen.candidate.beside(start), chosen.evidence)
+        joined = Fit.of(chosen.candidate.joined_with(start), chosen.evidence)
         if not has_shape_parameter(start):
             return joined
-        there = self.linearised(replace(joined.candidate, point=joined.estimate), chosen.evidence)
-        return joined if there is None else Fit.of(there, chosen.evidence)
+        linearised = self.linearised(replace(joined.candidate, point=joined.estimate), chosen.evidence)
+        return joined if linearised is None else Fit.of(linearised, chosen.evidence)
 
 
 def _changed(columns: Sequence[Array]) -> int:

@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rollouts held out: motions that the effects of a diagnosis have not seen, predicted from measured states.
+"""Held-out rollouts: open-loop predictions of held-out motions from measured states.
 
-Every fold of the hold-out is rolled out with the model, and with the effects that were fitted without it, from the same
-measured states (:mod:`impact_rs_analysis.evidence.rollouts`). The torque balance judges accelerations, a rollout what
-their errors add up to. If a model of the right class is missing an effect, both improve with it. If the balance
-improves and rollouts get worse, the effect stands in for something else.
+Every fold of the hold-out is rolled out with the model, and with the effects fitted without the fold, from the same
+measured states (:mod:`impact_rs_analysis.evidence.rollouts`). The torque balance measures errors of acceleration, a
+rollout their integral. If a model of the right class lacks an effect, both improve with it. If the balance improves and
+rollouts get worse, the effect imitates another cause.
 
 Rollouts that do not overlap are paired, after minus before, and tested by Wilcoxon's signed-rank test (Wilcoxon 1945)
-of the mean squared error of the joints, each over its mean square under both models. They are compared after the
-longest horizon at which one of both models predicts: its squared error is below
+of the mean squared error of the joints, each over its mean square under both models. They are compared at the longest
+horizon at which one of the two models predicts: its squared error is below
 
     2 var(q),
 
-that of another moment of the motion, at which a prediction knows nothing (the limit of predictability, against
-climatology: Leith 1974, Mon. Weather Rev. 102). Beyond, a wrist of little inertia has turned several times, and the
-errors of right and wrong models differ by chance.
+the squared difference of two random moments of the motion (limit of predictability, against climatology: Leith 1974,
+Mon. Weather Rev. 102). At longer horizons a wrist of little inertia has turned several times, and the errors of right
+and wrong models differ by chance.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.robots.robot import Array
 
 
-def held_out_rollouts(source: Source, found: HoldOut | None) -> HeldOutRollouts | None:
-    """Rollouts of every fold without and with the effects that were fitted to the others.
+def held_out_rollouts(source: Source, hold_out: HoldOut | None) -> HeldOutRollouts | None:
+    """Rollouts of every fold without and with the effects that were fitted to the other folds.
 
-    None without a motion, and where the effects change none, such as effects of contact alone.
+    None without a motion, or if the effects change no motion, as effects of contact alone.
 
     Args:
         source: Measurements with the model's predictions.
-        found: Result of the hold-out; None: there was none.
+        hold_out: Result of the hold-out; None: there was none.
     """
-    if found is None:
+    if hold_out is None:
         return None
     parts = [
         (motion, added)
-        for fold, added in zip(found.folds, found.added, strict=True)
-        for motion in source.free_motions(fold.held)
+        for fold, added in zip(hold_out.folds, hold_out.added, strict=True)
+        for motion in source.free_motions(fold.held_out)
     ]
     before = source.rollouts([(motion, ()) for motion, _ in parts])
     after = source.rollouts(parts)
@@ -54,11 +54,11 @@ def held_out_rollouts(source: Source, found: HoldOut | None) -> HeldOutRollouts 
         return None
     row = _row_compared(before, after, [motion for motion, _ in parts])
     change = _changes(before, after, row)
-    moved = change[change != 0.0]
-    if not moved.size:
+    nonzero = change[change != 0.0]
+    if not nonzero.size:
         return None
-    # Not by permutation where rollouts tie: only those tie that diverge, and 8,192 permutations take a second.
-    p_value = float(scipy.stats.wilcoxon(moved, method="exact").pvalue) if moved.size >= MIN_STARTS_APART else None
+    # Exact, not by permutation in spite of ties: only diverged rollouts tie, and 8,192 permutations take a second.
+    p_value = float(scipy.stats.wilcoxon(nonzero, method="exact").pvalue) if nonzero.size >= MIN_STARTS_APART else None
     return HeldOutRollouts(
         before=before.document(),
         after=after.document(),
@@ -70,7 +70,7 @@ def held_out_rollouts(source: Source, found: HoldOut | None) -> HeldOutRollouts 
 
 
 def _row_compared(before: Rollouts, after: Rollouts, motions: Sequence[FreeMotion]) -> int:
-    """Moment of the longest horizon at which one of both models predicts; of the shortest one, if neither does."""
+    """Row of the longest horizon at which one of the two models predicts; of the shortest if neither does."""
     positions: dict[str, list[Array]] = {}
     for motion in motions:
         positions.setdefault(motion.arm, []).append(motion.position)
@@ -78,18 +78,18 @@ def _row_compared(before: Rollouts, after: Rollouts, motions: Sequence[FreeMotio
     rows = min(before.rows, after.rows, key=len)
     for row in rows[:0:-1]:
         with np.errstate(invalid="ignore"):
-            if min(np.mean(_scores(one, spreads, row)) for one in (before, after)) < 1.0:
+            if min(np.mean(_scores(rollouts, spreads, row)) for rollouts in (before, after)) < 1.0:
                 return row
     return rows[0]
 
 
 def _changes(before: Rollouts, after: Rollouts, row: int) -> Array:
-    """Change of the error of every rollout that overlaps no other, at one moment, ``(S,)`` [-]."""
+    """Change of the error of every rollout that overlaps no other, at one row, ``(S,)`` [-]."""
     scales: dict[str, Array] = {}
     for arm in dict.fromkeys(part.arm for part in before.parts):
         squares = [np.square(part.joints[row]) for part in (*before.parts, *after.parts) if part.arm == arm]
         scales[arm] = np.nanmean(np.concatenate(squares), axis=0)
-    scores = [_scores(one, scales, row)[one.apart] for one in (after, before)]
+    scores = [_scores(rollouts, scales, row)[rollouts.apart] for rollouts in (after, before)]
     with np.errstate(invalid="ignore"):
         return np.nan_to_num(scores[0] - scores[1], nan=0.0)
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of the readings that a diagnosis names, in words, and the experiments that calibrate them.
+"""Faults of the readings named by a diagnosis, in words, and experiments that calibrate them.
 
-"joint 2 reads 0.51 degrees too much [0.50, 0.52] (encoder_offset)": the clause of the effect (:attr:`Effect.reading`)
-with the size of the fault in units that a laboratory uses, the same in terminal, report and workbench.
+Example: "joint 2 reads 0.51 degrees too much [0.50, 0.52] (encoder_offset)". The clause of the effect
+(:attr:`Effect.reading`) with the size of the fault in laboratory units; terminal, report and workbench use one text.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from impact_rs_analysis.diagnosis.verdict import CONFIRMED, IMPOSSIBLE, NONE, TO
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.numbers import estimate_text
 
-SHOWN_AS = {  # unit: factor and unit that people read; a number without unit is a share
+SHOWN_AS = {  # unit: factor and displayed unit; a number without unit is shown in percent
     "rad": (180.0 / math.pi, "degrees"),
     "rad/s": (180.0 / math.pi, "degrees/s"),
     "s": (1e3, "ms"),
@@ -31,33 +31,33 @@ DIRECTIONS = {"more": ("too much", "too little"), "late": ("late", "early")}  # 
 
 
 def with_readings(documents: Sequence[EffectDocument], known: Mapping[str, Effect]) -> list[EffectDocument]:
-    """Documents of effects with the words on faults of readings.
+    """Documents of effects, completed with the clauses on faults of readings.
 
     Args:
         documents: Documents of all effects.
         known: Effects by name.
     """
-    found = []
+    completed = []
     for document in documents:
         effect = known.get(document.name)
         if effect is not None and effect.of_measurement:
-            own = {"of_measurement": True, "reading": effect.reading, "calibration": effect.calibration}
-            document = document.model_copy(update=own)
-        found.append(document)
-    return found
+            fields = {"of_measurement": True, "reading": effect.reading, "calibration": effect.calibration}
+            document = document.model_copy(update=fields)
+        completed.append(document)
+    return completed
 
 
 def measurement_of(document: DiagnosisDocument) -> str:
-    """Sentence on the faults of readings that are named; empty: none."""
+    """Sentence on the named faults of readings; empty: no fault is named."""
     if not document.faults or document.verdict in (NONE, TOO_FEW, IMPOSSIBLE):
         return ""
-    found = [effect for effect in document.effects if effect.name in document.faults]
-    clauses = [f"{'; '.join(clauses_of(effect))} ({effect.name})" for effect in found]
+    effects = [effect for effect in document.effects if effect.name in document.faults]
+    clauses = [f"{'; '.join(clauses_of(effect))} ({effect.name})" for effect in effects]
     return f"The measurement: {'; '.join(clauses)}."
 
 
 def clauses_of(effect: EffectDocument) -> list[str]:
-    """Clauses on the fault of a reading, by joint: confirmed joints, or else those whose interval excludes nominal.
+    """Clauses on the fault of a reading: confirmed joints, or else joints whose interval excludes nominal.
 
     Args:
         effect: An effect of the measurement, with its estimates.
@@ -70,15 +70,15 @@ def clauses_of(effect: EffectDocument) -> list[str]:
     if not shown:
         name, value = max(effect.parameters.items(), key=lambda item: abs(_fault(item[1])) / (item[1].scale or 1.0))
         shown = {name: value}
-    places: dict[tuple[str | None, str | None], dict[str, EstimateDocument]] = {}
+    by_place: dict[tuple[str | None, str | None], dict[str, EstimateDocument]] = {}
     for name, value in shown.items():
-        places.setdefault((value.arm, value.joint), {})[name] = value
+        by_place.setdefault((value.arm, value.joint), {})[name] = value
     several = len(effect.parameters) > len({(value.arm, value.joint) for value in effect.parameters.values()})
-    return [_clause(effect.reading, plain, own, several) for own in places.values()]
+    return [_clause(effect.reading, plain, values, several) for values in by_place.values()]
 
 
 def experiments_of(document: DiagnosisDocument) -> tuple[CalibrationExperiment, ...]:
-    """Experiments that determine the faults of the readings that are named, tied or suspected."""
+    """Experiments that determine the named, tied or suspected faults of readings."""
     tied = [name for group in document.confusable for name in group]
     names = dict.fromkeys([*document.named, *tied, *document.suspected, *document.within_discrepancy])
     effects = [effect for name in names if (effect := document.effect(name)) is not None]
@@ -89,9 +89,9 @@ def experiments_of(document: DiagnosisDocument) -> tuple[CalibrationExperiment, 
     )
 
 
-def calibration_text(one: CalibrationExperiment) -> str:
-    """An experiment for a fault of the readings, in a line."""
-    return f"to calibrate {one.effect}: {one.experiment}"
+def calibration_text(experiment: CalibrationExperiment) -> str:
+    """An experiment for a fault of a reading, in one line."""
+    return f"to calibrate {experiment.effect}: {experiment.experiment}"
 
 
 def _fault(value: EstimateDocument) -> float:
@@ -121,7 +121,7 @@ def _called(name: str, value: EstimateDocument) -> str:
 
 
 def _size(value: EstimateDocument, absolute: bool = False) -> tuple[str, str]:
-    """Size of a fault with its unit, and its interval in the same unit; empty: it has none."""
+    """Size of a fault with its unit, and its interval in the same unit; empty: without interval."""
     factor, unit = SHOWN_AS.get(value.unit, (1.0, value.unit))
     fault, nominal = _fault(value), value.nominal or 0.0
     if absolute and fault < 0.0:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The next experiment: the trial that is most informative about the open questions of a diagnosis."""
+"""The next experiment: the most informative trial for the open questions of a diagnosis."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ from impact_rs_sim.scenarios.scenario import load_scenario
 FREE_MOTION_SCENARIO = "excite"
 
 
-def next_experiment(found: Findings, known: dict[str, Effect]) -> NextExperiment | None:
-    """Experiment that discriminates the first pair of confusable effects; None for trials without such a pair."""
-    tie = next((rival for rival in found.rivals if rival.tied), None)
-    source = found.search.source
+def next_experiment(findings: Findings, known: dict[str, Effect]) -> NextExperiment | None:
+    """Experiment that discriminates the first pair of tied effects; None for trials without such a pair."""
+    tie = next((rival for rival in findings.rivals if rival.tied), None)
+    source = findings.search.source
     if source.runs is None:
-        return _of_recordings(found, known) if source.of_motion else None
-    if tie is None or found.chosen is None:
+        return _of_recordings(findings, known) if source.of_motion else None
+    if tie is None or findings.chosen is None:
         return None
     assert isinstance(source, ReplaySource)
-    both = [
-        Explanation(name, fit.candidate.split(fit.estimate))
-        for name, fit in ((tie.instead_of, found.chosen), (tie.name, tie.fit))
+    explanations = [
+        Explanation(name, fit.candidate.effects_at(fit.estimate))
+        for name, fit in ((tie.instead_of, findings.chosen), (tie.name, tie.fit))
     ]
-    decision = Decision.between(both, "rivals")
+    decision = Decision.between(explanations, "rivals")
     trials = forecast_of(source.model, _own_trials(source.runs), source.store, runs=source.runs).under(decision)
     best = most_informative(Discrimination(decision, trials), trials)
     if best is None:
@@ -72,17 +72,21 @@ def left_open(document: DiagnosisDocument, model: Model) -> Decide | None:
         model: The diagnosed model.
 
     Raises:
-        InputError: It is the diagnosis of another model.
+        InputError: The diagnosis is of another model.
     """
     if document.model.digest != model.digest:
         raise InputError(
             f"this is a diagnosis of model {document.model.name!r}, not of {model.name!r}; give the diagnosed model"
         )
-    found = {effect.name: effect for effect in document.effects if effect.parameters}
-    ties = dict.fromkeys((name, rival) for name in document.named for rival in found[name].rivals if rival in found)
-    others = [tuple(dict.fromkeys(rival if one == name else one for one in document.named)) for name, rival in ties]
-    others += [(*document.named, name) for name in document.suspected if name in found]
-    if not document.named and not others:
+    effects_of = {effect.name: effect for effect in document.effects if effect.parameters}
+    ties = dict.fromkeys(
+        (name, rival) for name in document.named for rival in effects_of[name].rivals if rival in effects_of
+    )
+    alternatives = [
+        tuple(dict.fromkeys(rival if named == name else named for named in document.named)) for name, rival in ties
+    ]
+    alternatives += [(*document.named, name) for name in document.suspected if name in effects_of]
+    if not document.named and not alternatives:
         return None
 
     def decide(source: Source) -> Decision:
@@ -91,20 +95,20 @@ def left_open(document: DiagnosisDocument, model: Model) -> Decide | None:
         def explanation(names: Sequence[str]) -> Explanation:
             centre: list[tuple[str, tuple[float, ...]]] = []
             deviations, bounds = {}, {}
-            for one in names:
-                scalars = effects[one].scalars(source.joints)
-                values = found[one].parameters
-                centre.append((one, tuple(values[scalar.name].estimate for scalar in scalars)))
+            for effect_name in names:
+                scalars = effects[effect_name].scalars(source.joints)
+                values = effects_of[effect_name].parameters
+                centre.append((effect_name, tuple(values[scalar.name].estimate for scalar in scalars)))
                 widths = [np.diff(values[scalar.name].interval)[0] / (2.0 * NORMAL_95) for scalar in scalars]
-                deviations[one] = np.minimum(widths, [RIVAL_RANGE_SCALES * scalar.scale for scalar in scalars])
-                bounds[one] = effects[one].bounds_in(source.worlds)
+                deviations[effect_name] = np.minimum(widths, [RIVAL_RANGE_SCALES * scalar.scale for scalar in scalars])
+                bounds[effect_name] = effects[effect_name].bounds_in(source.worlds)
             return estimated("+".join(names) or AS_IS, tuple(centre), deviations, bounds)
 
-        first = explanation(document.named)
-        if not others:
-            return Decision("parameters", (first,))
-        pairs = tuple((0, number) for number in range(1, 1 + len(others)))
-        return Decision("rivals", (first, *map(explanation, others)), pairs)
+        of_named = explanation(document.named)
+        if not alternatives:
+            return Decision("parameters", (of_named,))
+        pairs = tuple((0, number) for number in range(1, 1 + len(alternatives)))
+        return Decision("rivals", (of_named, *map(explanation, alternatives)), pairs)
 
     return decide
 
@@ -118,8 +122,8 @@ def considered(document: DiagnosisDocument, model: Model) -> Model:
         document: The diagnosis.
         model: The diagnosed model.
     """
-    own = {spec.name: spec for spec in (*model.formulas, *document.formulas)}
-    return model.model_copy(update={"formulas": tuple(own.values()), "arms": document.arms or model.arms})
+    formulas = {spec.name: spec for spec in (*model.formulas, *document.formulas)}
+    return model.model_copy(update={"formulas": tuple(formulas.values()), "arms": document.arms or model.arms})
 
 
 def _own_trials(runs: Runs) -> list[PossibleTrial]:
@@ -128,12 +132,12 @@ def _own_trials(runs: Runs) -> list[PossibleTrial]:
     if scenarios and FREE_MOTION_SCENARIO not in scenarios:
         with suppress(InputError):
             scenarios[FREE_MOTION_SCENARIO] = load_scenario(FREE_MOTION_SCENARIO)
-    return [trial for name, own in scenarios.items() for trial in trials_of(name, own) if trial.of_file]
+    return [trial for name, scenario in scenarios.items() for trial in trials_of(name, scenario) if trial.of_file]
 
 
-def _of_recordings(found: Findings, known: dict[str, Effect]) -> NextExperiment:
+def _of_recordings(findings: Findings, known: dict[str, Effect]) -> NextExperiment:
     """Advice on what to record next, by where the confusable effects act."""
-    tied = {name for rival in found.rivals if rival.tied for name in (rival.name, rival.instead_of)}
+    tied = {name for rival in findings.rivals if rival.tied for name in (rival.name, rival.instead_of)}
     motor = sorted(name for name in tied if known[name].acts_on == "motor side")
     rigid = sorted(name for name in tied if name not in motor and not known[name].of_measurement)
     if len(motor) > 1:
@@ -149,5 +153,5 @@ def _of_recordings(found: Findings, known: dict[str, Effect]) -> NextExperiment:
         )
     return NextExperiment(
         advice="run an impact campaign, because contact and object act on nothing in a free motion",
-        splits=tuple(sorted(found.search.screening.unmeasured)),
+        splits=tuple(sorted(findings.search.screening.unmeasured)),
     )

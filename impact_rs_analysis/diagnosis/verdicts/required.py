@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects without which replays miss the object, in a diagnosis.
+"""Required effects of a diagnosis: effects without which replays miss the object.
 
-A recorded impact that the replay of a model does not have refutes the model, whatever its other residuals. The effect
-that makes all replays hit (:attr:`.Source.required`) is therefore named before those of the search. It is confusable
-with another one that does so too and leaves residuals as small. It is not required if an effect of another kind makes
-all replays hit and leaves smaller residuals: a filter of the velocities shows an impact late and at another place.
+A recorded impact that is absent from the replay of a model refutes the model, whatever its other residuals. The effect
+that makes all replays hit (:attr:`.Source.required`) is therefore named before the effects of the search. It is
+confusable with other such effects whose residuals are as small. It is not required if an effect of another kind makes
+all replays hit with smaller residuals: a filter of the velocities shows an impact late and at another position.
 """
 
 from __future__ import annotations
@@ -22,43 +22,43 @@ from impact_rs_sim.effects import Effect
 
 
 def with_likelier_model(source: Source, effects: Sequence[Effect], budget: Budget) -> Source:
-    """The source without its required effect, if another single effect makes its replays hit and fits better.
+    """The source without its required effect, if another single effect makes all replays hit and fits better.
 
     Args:
         source: The measurements.
         effects: Effects to consider.
-        budget: Processor time that the comparison may take.
+        budget: Processor time of the comparison.
     """
-    alone, rivals = source.without_required, {one.item.name for one in source.required}
-    if alone is None:
+    without_required, rivals = source.without_required, {effect.item.name for effect in source.required}
+    if without_required is None:
         return source
-    evidence = Evidence.of(alone, budget=budget)
+    evidence = Evidence.of(without_required, budget=budget)
     if evidence.null.shortage is not None:
         return source
     best = Search([effect for effect in effects if effect.name not in rivals], evidence).first()
-    size = None if best is None else source.size_by_declared_model(best.candidate.split(best.estimate))
-    return alone if size is not None and size < source.required[0].size else source
+    size = None if best is None else source.size_by_declared_model(best.candidate.effects_at(best.estimate))
+    return without_required if size is not None and size < source.required[0].size else source
 
 
 def with_required(document: DiagnosisDocument, source: Source) -> DiagnosisDocument:
-    """The diagnosis with the effect that the impacts require, which is named first.
+    """The diagnosis with the required effect named first.
 
     Args:
-        document: Diagnosis of the source, whose model has that effect.
+        document: Diagnosis of the source; its model has the required effect.
         source: The measurements.
     """
     if not source.required or document.verdict in (TOO_FEW, IMPOSSIBLE):
         return document
     best, *others = source.required
     name = source.known_effects[best.item.name].shown_name
-    rivals = tuple(one.item.name for one in others if tied_with_best(one.size, best.size))
-    found = () if document.verdict.kind is Kind.SMALL else document.named
+    rivals = tuple(other.item.name for other in others if tied_with_best(other.size, best.size))
+    named = () if document.verdict.kind is Kind.SMALL else document.named
     kind = Kind.PARTLY if document.verdict.leaves_residuals else Kind.NAMED
     effect = _document(best, rivals, source)
     return document.model_copy(
         update={
-            "verdict": DiagnosisVerdict(kind, (name, *found)),
-            "named": (name, *found),
+            "verdict": DiagnosisVerdict(kind, (name, *named)),
+            "named": (name, *named),
             "required": (name,),
             "effects": (*with_readings([effect], source.known_effects), *document.effects),
             "confusable": (*([(name, *rivals)] if rivals else []), *document.confusable),
@@ -67,12 +67,12 @@ def with_required(document: DiagnosisDocument, source: Source) -> DiagnosisDocum
 
 
 def _document(required: RequiredEffect, rivals: tuple[str, ...], source: Source) -> EffectDocument:
-    """The verdict on a required effect, with the estimate that the impacts determine."""
+    """The verdict on a required effect, with its estimate from the impacts."""
     effect = source.known_effects[required.item.name]
     values = required.item.parameters
     parameters = {
-        one.name: EstimateDocument.of(one, values[one.name].estimate, values[one.name].ci95)
-        for one in effect.scalars(source.joints)
+        scalar.name: EstimateDocument.of(scalar, values[scalar.name].estimate, values[scalar.name].ci95)
+        for scalar in effect.scalars(source.joints)
     }
     return EffectDocument(
         name=effect.shown_name,

@@ -10,7 +10,7 @@ import pytest
 from impact_table_cases import CUBE_HEADER, cube, cube_rows, write_csv
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
-from impact_rs_analysis.diagnosis.search.bounds import bounded, read_bounds
+from impact_rs_analysis.diagnosis.search.bounds import read_bounds, with_bounds
 from impact_rs_analysis.diagnosis.verdict import AT_BOUND
 from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
 from impact_rs_sim.effects import library
@@ -55,12 +55,12 @@ def test_a_file_with_other_content_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_given_range_is_not_widened_and_other_parameters_keep_theirs() -> None:
-    effect = bounded(library()["joint_coulomb_friction"], {COULOMB: (0.0, 0.2)})
+    effect = with_bounds(library()["joint_coulomb_friction"], {COULOMB: (0.0, 0.2)})
     (own,) = (parameter for parameter in effect.parameters if parameter.name == "coulomb")
     assert (own.lower, own.upper) == (0.0, 0.2)
     assert own.widened() is own
     other = library()["torque_gain"]
-    assert bounded(other, {COULOMB: (0.0, 0.2)}) is other
+    assert with_bounds(other, {COULOMB: (0.0, 0.2)}) is other
 
 
 def test_an_estimate_at_a_given_bound_is_said_in_the_summary(tmp_path: Path) -> None:

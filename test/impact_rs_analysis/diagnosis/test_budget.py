@@ -61,7 +61,7 @@ def test_a_search_ends_in_its_time_with_the_best_answer_so_far() -> None:
 def test_what_was_not_tried_is_said() -> None:
     found, _ = diagnosed(LIMIT)
     assert found.budget.limit == LIMIT
-    assert any(what.startswith("further effects beside straight") for what in found.budget.left_out)
+    assert any(what.startswith("effects in addition to straight") for what in found.budget.left_out)
     first = found.remarks[0]
     assert first.startswith("not tried, because the processor time of 1e+03 s was spent: ") and "--budget" in first
     assert all(what in first for what in found.budget.left_out)

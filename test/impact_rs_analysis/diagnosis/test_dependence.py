@@ -69,7 +69,7 @@ def test_an_effect_that_depends_on_a_covariate_is_shown_by_its_own_name() -> Non
 
 def only(found: Dependences) -> DependenceDocument:
     """The one dependence that is found."""
-    (one,) = (one for one in dependence_documents(found) if one.found)
+    (one,) = (one for one in dependence_documents(found) if one.accepted)
     return one
 
 
@@ -109,7 +109,7 @@ def test_a_dependence_is_supported_where_most_folds_find_it_and_predict_better_w
 
     def told(function: object, tasks: Sequence[Fold], what: str) -> list[object]:
         return [
-            ((OF_SESSION,) if number < folds else (), {n: (whole.before[n], after[n]) for n in fold.held})
+            ((OF_SESSION,) if number < folds else (), {n: (whole.before[n], after[n]) for n in fold.held_out})
             for number, fold in enumerate(tasks)
         ]
 
@@ -267,7 +267,7 @@ def diagnosed(path: Path, *covariates: str) -> DiagnosisDocument:
 
 
 def found(document: DiagnosisDocument) -> dict[tuple[str, str], DependenceDocument]:
-    return {(one.effect, one.covariate): one for one in document.dependences if one.found}
+    return {(one.effect, one.covariate): one for one in document.dependences if one.accepted}
 
 
 @pytest.fixture(scope="module")
@@ -297,7 +297,7 @@ def test_a_restitution_that_differs_between_sessions_is_found_and_nothing_else(
     assert " in A, 0.6" in document.summary and "; held-out error 0." in document.summary
     tried = {(other.effect, other.covariate) for other in document.dependences}
     assert tried == {(effect, name) for effect in CONSIDERED for name in ("session", "temperature")}
-    assert all(other.p_value is None or other.p_value > 0.01 for other in document.dependences if not other.found)
+    assert all(other.p_value is None or other.p_value > 0.01 for other in document.dependences if not other.accepted)
 
 
 @pytest.mark.slow
@@ -422,11 +422,11 @@ def test_folds_take_neighbours_in_turn_and_no_session_as_a_whole(tmp_path: Path)
     table = read_impact_table(made(tmp_path / "balls.csv", rows=90), covariates=["session"])
     source = ImpactTableSource(table, NOMINAL).with_dependences(())
     folds = folds_of(source)
-    assert sorted(number for fold in folds for number in fold.held) == list(range(90))
+    assert sorted(number for fold in folds for number in fold.held_out) == list(range(90))
     for fold in folds:
-        assert set(fold.held) | set(fold.training) == set(range(90)) and not set(fold.held) & set(fold.training)
-        assert [number // 6 for number in fold.held] == list(range(15))  # one of six neighbours each
-        assert {source.covariates[0].values[number][0] for number in fold.held} == {"A", "B"}
+        assert set(fold.held_out) | set(fold.training) == set(range(90)) and not set(fold.held_out) & set(fold.training)
+        assert [number // 6 for number in fold.held_out] == list(range(15))  # one of six neighbours each
+        assert {source.covariates[0].values[number][0] for number in fold.held_out} == {"A", "B"}
 
 
 def test_a_diagnosis_without_covariates_says_nothing_of_them(tmp_path: Path) -> None:

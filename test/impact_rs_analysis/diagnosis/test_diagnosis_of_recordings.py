@@ -186,7 +186,7 @@ def test_whole_recordings_are_held_out_where_there_are_several(planted: Columns,
     folds = folds_of(source)
     assert len(folds) == 3
     for fold in folds:
-        held, training = ({source.clusters[n].unit for n in numbers} for numbers in (fold.held, fold.training))
+        held, training = ({source.clusters[n].unit for n in numbers} for numbers in (fold.held_out, fold.training))
         assert (len(held), len(training), held & training) == (1, 2, set())
 
 

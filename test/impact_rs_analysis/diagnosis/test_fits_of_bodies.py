@@ -173,6 +173,6 @@ def test_the_place_of_a_payload_is_unsure_only_while_there_is_no_payload(tmp_pat
     """A radius of gyration that no torque feels although there is a mass stays unfelt."""
     source = source_of(tmp_path, WITH_TOOL, mounted(WITH_TOOL, 0.5, np.zeros(3)))
     none = linearise(Candidate.of((source.known_effects[PAYLOAD],), source), source.clusters, range(24), source)
-    assert none is not None and none.unseen_shapes == none.unseen == [1, 2, 3, 4]
+    assert none is not None and none.insensitive_shapes == none.insensitive == [1, 2, 3, 4]
     some = replace(none, point=np.array([0.5, 0.0, 0.0, 0.0, 0.0]))
-    assert some.unseen == [1, 2, 3, 4] and some.unseen_shapes == []
+    assert some.insensitive == [1, 2, 3, 4] and some.insensitive_shapes == []

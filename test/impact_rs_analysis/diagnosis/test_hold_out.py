@@ -34,8 +34,8 @@ from impact_rs_trials.workers import _packed, _work
 def test_every_condition_is_held_out_once_in_at_most_six_folds(design: tuple[int, ...], count: int) -> None:
     folds, all_of_them = folds_of(AnalyticSource(0, design=design)), set(range(len(design)))
     assert len(folds) == count
-    assert sorted(number for fold in folds for number in fold.held) == sorted(all_of_them)
-    assert all(set(fold.held) | set(fold.training) == all_of_them for fold in folds)
+    assert sorted(number for fold in folds for number in fold.held_out) == sorted(all_of_them)
+    assert all(set(fold.held_out) | set(fold.training) == all_of_them for fold in folds)
 
 
 def test_two_conditions_hold_nothing_out() -> None:
@@ -46,8 +46,8 @@ def test_stretches_of_a_recording_are_predicted_without_their_neighbours() -> No
     folds = folds_of(AnalyticSource(0, design=(1,) * 24, repeated=False))
     assert len(folds) == 6
     for fold in folds:
-        assert not {n + step for n in fold.held for step in (-1, 1)} & set(fold.training)
-        assert list(fold.held) == list(range(fold.held[0], fold.held[0] + 4))
+        assert not {n + step for n in fold.held_out for step in (-1, 1)} & set(fold.training)
+        assert list(fold.held_out) == list(range(fold.held_out[0], fold.held_out[0] + 4))
 
 
 def errors_of(found: HoldOut) -> Array:
@@ -62,7 +62,7 @@ def held_out(source: Source, effects: Sequence[Effect], from_known: bool = True)
     first = linearise(Candidate.of((effects[0],), source), evidence.clusters, evidence.numbers, source)
     candidate = first if chosen is None else chosen.candidate
     assert candidate is not None
-    found = hold_out(source, effects, candidate, search.ended if from_known else {})
+    found = hold_out(source, effects, candidate, search.optima if from_known else {})
     assert found is not None
     return found
 
@@ -87,7 +87,7 @@ def test_what_a_held_out_cluster_holds_does_not_change_its_prediction(number: in
     spoiled = AnalyticSource(1, WORLD)
     spoiled.spoil(number, 50.0 * np.random.default_rng(number).standard_normal(FEATURES))
     found = honest(), (spoiled, held_out(spoiled, CONSIDERED))
-    fold = next(index for index, fold in enumerate(found[0][1].folds) if number in fold.held)
+    fold = next(index for index, fold in enumerate(found[0][1].folds) if number in fold.held_out)
     assert [held.chosen[fold] for _, held in found] == [("straight",)] * 2
     predicted = [source.clusters[number].mean - held.residuals[number] for source, held in found]
     np.testing.assert_allclose(*predicted, atol=1e-9)
@@ -114,7 +114,7 @@ def test_a_fold_that_is_stuck_looks_where_the_search_of_all_clusters_has_ended(
     assert chosen is not None
     monkeypatch.setattr(search, "nelder_mead", lambda fitted: fitted)
     if not looked:
-        monkeypatch.setattr(Search, "_at_earlier", lambda *_: None)
+        monkeypatch.setattr(Search, "_from_earlier_estimates", lambda *_: None)
     elsewhere = {("straight",): chosen.candidate}  # no fit of these effects to begin at
     found = hold_out(source, [EFFECTS["stick_slip"]], chosen.candidate, elsewhere)
     assert found is not None
@@ -145,7 +145,7 @@ def test_a_fold_with_too_few_repeats_to_choose_fits_what_all_data_have_chosen() 
     for design, searched in (((2, 2, 2), False), ((2, 2, 2, 2), True)):
         found = held_out(AnalyticSource(3, (("straight", (3.0,)),), design=design), [EFFECTS["straight"]])
         assert found.searched == (searched,) * len(design) and found.chosen == (("straight",),) * len(design)
-        assert found.found == (found.chosen if searched else ())
+        assert found.selected == (found.chosen if searched else ())
 
 
 def test_a_condition_in_which_the_effects_cannot_be_simulated_is_one_that_they_fail(
@@ -216,6 +216,6 @@ def test_the_order_of_effects_does_not_decide_which_are_supported(
         evidence=SimpleNamespace(source=SimpleNamespace(repeated=False), means=()),
         without=lambda chosen, name: fit_of(*(own for own in chosen.candidate.names if own != name)),
     )
-    held = SimpleNamespace(failed=False, residuals=(), found=(("one",),) * 3 + (("other",),) * 3)
+    held = SimpleNamespace(failed=False, residuals=(), selected=(("one",),) * 3 + (("other",),) * 3)
     monkeypatch.setattr(model_verdict, "change_interval", lambda *_: (-2.0, -1.0))
     assert model_verdict.supported_by_hold_out(stub, fit_of(*names), held) is None

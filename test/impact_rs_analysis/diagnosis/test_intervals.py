@@ -59,9 +59,9 @@ def test_an_end_is_the_first_doubling_at_which_the_squares_rise_half_as_much_as_
     start, half = fitted.estimate[0], fitted.half_widths[0] * fitted.candidate.scale[0]
     rise = MIN_RISE_RATIO * fitted.half_widths[0] ** 2 * fitted.problem.total[0, 0]
     [(_, high)] = intervals_of([(fitted, [0])])
-    ends = [min(start + 2.0**k * half, fitted.with_room.upper[0]) for k in range(MAX_INTERVAL_DOUBLINGS + 1)]
+    ends = [min(start + 2.0**k * half, fitted.widened_to_intervals.upper[0]) for k in range(MAX_INTERVAL_DOUBLINGS + 1)]
     enough = [squares(fitted, name, end) - squares(fitted, name, start) >= rise for end in ends]
-    first = enough.index(True) if True in enough else ends.index(fitted.with_room.upper[0])
+    first = enough.index(True) if True in enough else ends.index(fitted.widened_to_intervals.upper[0])
     assert high[0] == pytest.approx(ends[first], rel=1e-9)
     assert min(first, 1) == widened
 

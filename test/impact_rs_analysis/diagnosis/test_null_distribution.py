@@ -399,7 +399,9 @@ def test_intervals_take_the_quantile_of_the_estimator_that_made_them() -> None:
     def half_width(*errors: float, by_blocks: bool = False) -> float:
         """Of errors by noise, jackknife and simulators, with 12 degrees of freedom of the noise and 6 clusters."""
         problem: Any = SimpleNamespace(
-            _errors=lambda change, null: tuple(np.array([part]) for part in (*errors, 2.0 if by_blocks else 12.0)),
+            _standard_errors=lambda change, null: tuple(
+                np.array([part]) for part in (*errors, 2.0 if by_blocks else 12.0)
+            ),
             candidate=SimpleNamespace(jacobians=[np.ones(1)] * 6),
         )
         null: Any = SimpleNamespace(by_blocks=by_blocks)

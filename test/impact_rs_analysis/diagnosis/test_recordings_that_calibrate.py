@@ -247,7 +247,9 @@ def test_the_p_of_a_joint_that_moves_seldom_agrees_with_its_interval(tmp_path: P
 
 def test_few_stretches_have_few_degrees_of_freedom(tmp_path: Path) -> None:
     source = seldom_moved(tmp_path)
-    fit = Search(effects_for(source, ["joint_viscous_friction"]), Evidence.of(source)).alone("joint_viscous_friction")
+    fit = Search(effects_for(source, ["joint_viscous_friction"]), Evidence.of(source)).fit_alone(
+        "joint_viscous_friction"
+    )
     null, inverse = fit.evidence.null, np.linalg.inv(fit.problem.total)
     often, seldom = null.freedoms(fit.candidate.jacobians, inverse)
     assert 10.0 < often < len(source.clusters) - 1 and 1.0 <= seldom < 8.0

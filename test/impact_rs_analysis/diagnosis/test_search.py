@@ -102,7 +102,7 @@ def test_an_effect_that_does_something_else_than_its_first_step_has_a_small_p(be
     hidden = (*((name, (5.0,)) for name in beside), ("turning", (30.0,)))
     search = searched(AnalyticSource(1, hidden), *beside, "turning")
     there = [replace(search.screening.singles[name], point=np.array(values)) for name, values in hidden]
-    point = functools.reduce(Candidate.beside, there)
+    point = functools.reduce(Candidate.joined_with, there)
     found = linearise(point, search.evidence.clusters, search.evidence.numbers, search.source)
     assert found is not None
     chosen = Fit.of(found, search.evidence)
@@ -117,7 +117,7 @@ def test_an_effect_whose_sensitivities_vanish_at_the_estimate_has_a_small_p(besi
     hidden = (*((name, (5.0,)) for name in beside), ("circling", (np.pi,)))
     search = searched(AnalyticSource(2, hidden), *beside, "circling")
     there = [replace(search.screening.singles[name], point=np.array(values)) for name, values in hidden]
-    point = functools.reduce(Candidate.beside, there)
+    point = functools.reduce(Candidate.joined_with, there)
     evidence = search.evidence
     found = linearise(point, evidence.clusters, evidence.numbers, search.source, central=True)
     assert found is not None
@@ -286,7 +286,7 @@ def test_leaving_a_cluster_out_uses_all_others_but_its_guard() -> None:
             out = {number, *(() if neighbours is None else neighbours[number])}
             kept = [index for index in range(6) if index not in out]
             direct = Problem(candidate.only(kept), [source.clusters[index] for index in kept]).solve()
-            np.testing.assert_allclose(problem.left_out[number], direct, rtol=1e-9)
+            np.testing.assert_allclose(problem.leave_one_out_changes[number], direct, rtol=1e-9)
 
 
 def test_a_scale_larger_than_the_noise_does_not_make_the_prior_strong() -> None:
@@ -318,7 +318,7 @@ def test_a_parameter_that_the_data_leave_open_is_not_held_at_a_bound(sensitivity
     fitted = Fit.of(faint, search.evidence)
     fitted = replace(fitted, change=(single.upper - single.point) / single.scale)
     assert fitted.at_bound.tolist() == [True]
-    assert fitted.held_at_bound.tolist() == [held]
+    assert fitted.pushed_to_bound.tolist() == [held]
 
 
 def test_the_jackknife_of_a_mean_is_its_standard_error() -> None:
@@ -328,7 +328,7 @@ def test_the_jackknife_of_a_mean_is_its_standard_error() -> None:
     problem = Problem(replace(searched(source).screening.singles["straight"], jacobians=ones), source.clusters)
     means = np.array([item.mean.mean() for item in source.clusters])
     assert problem.solve()[0] == pytest.approx(means.mean(), rel=1e-5)
-    assert problem.jackknife()[0] == pytest.approx(means.std(ddof=1) / np.sqrt(6), rel=1e-4)
+    assert problem.jackknife_standard_errors()[0] == pytest.approx(means.std(ddof=1) / np.sqrt(6), rel=1e-4)
 
 
 def test_errors_of_a_change_are_those_of_the_residuals_it_leaves() -> None:
@@ -357,7 +357,7 @@ def test_a_point_outside_its_bounds_comes_back_by_the_trusted_step(point: float,
     single = searched(source, "of_joints").screening.singles["of_joints"]
     away = replace(single, point=single.nominal + point * single.scale, lower=single.nominal - single.scale,
                    upper=single.nominal + single.scale)  # fmt: skip
-    np.testing.assert_allclose(Problem(away, source.clusters).solve(within=3.0), step)
+    np.testing.assert_allclose(Problem(away, source.clusters).solve(radius=3.0), step)
 
 
 def test_bounds_hold_and_the_optimum_obeys_kuhn_and_tucker() -> None:
@@ -516,8 +516,8 @@ def test_p_of_nothing_is_uniform_beside_an_effect_that_looks_like_it() -> None:
         chosen = Fit.of(search.screening.singles["straight"], search.evidence)
         own = search.screening.singles["one_sided"]
         alike = tuple(a + 2.0 * b for a, b in zip(own.jacobians, chosen.candidate.jacobians, strict=True))
-        joined = search.evidence.problem(chosen.candidate.beside(replace(own, jacobians=alike)))
-        found.append(joined.p_value(chosen.left.null, [1]))
+        joined = search.evidence.problem(chosen.candidate.joined_with(replace(own, jacobians=alike)))
+        found.append(joined.p_value(chosen.residual_evidence.null, [1]))
     assert_uniform(found)
 
 
@@ -620,7 +620,7 @@ def test_a_parameter_without_influence_stays_where_it_is() -> None:
     single = replace(searched(AnalyticSource(3), "straight").screening.singles["straight"], point=np.array([4.0]))
     blind = replace(single, jacobians=tuple(np.zeros_like(jacobian) for jacobian in single.jacobians))
     problem = Problem(blind, AnalyticSource(3).clusters)
-    assert problem.solve() == 0.0 and np.all(problem.left_out == 0.0)
+    assert problem.solve() == 0.0 and np.all(problem.leave_one_out_changes == 0.0)
 
 
 def test_the_last_correction_of_a_fit_is_taken_where_a_simulation_confirms_it() -> None:
@@ -629,8 +629,8 @@ def test_the_last_correction_of_a_fit_is_taken_where_a_simulation_confirms_it() 
         Fit.of(*linearised(AnalyticSource(3, ((name, (value,)),)), EFFECTS[name]))
         for name, value in (("inverse", 0.45), ("straight", 5.0))
     )
-    assert fit._confirmed(straight) is straight
-    assert bent.estimate[0] != 1.0 and fit._confirmed(bent).estimate[0] == 1.0
+    assert fit._confirmed_by_simulation(straight) is straight
+    assert bent.estimate[0] != 1.0 and fit._confirmed_by_simulation(bent).estimate[0] == 1.0
 
 
 def test_an_error_below_what_noise_leaves_is_no_excess() -> None:
@@ -643,7 +643,7 @@ def test_an_effect_in_the_limit_in_which_it_is_a_simpler_one_is_no_rival_of_it()
     """What fades is constant at its lowest rate, and predicts as well. Kills: the limit is not asked."""
     search = searched(AnalyticSource(1, (("constant", (5.0,)),)), "constant", "fading")
     chosen = fit_alone(search, "constant")
-    (rival,) = search.rivals(chosen, hopeless=np.inf)  # fading as it starts is
+    (rival,) = search.rivals(chosen, max_score_ratio=np.inf)  # fading as it starts is
     assert rival.name == "fading" and rival.fit.estimate[1] == pytest.approx(0.01)
     assert tied(chosen, rival.fit) and not rival.tied
 
@@ -673,7 +673,7 @@ def test_a_rival_that_repeats_exclude_is_none_although_it_predicts_as_well() -> 
     for seed in range(8):
         search = searched(AnalyticSource(seed, (("bent", (6.0,)),), (2,) * 5), "bent", "nearly_bent")
         chosen = fit_alone(search, "bent")
-        found += [(tied(chosen, rival.fit), rival.tied) for rival in search.rivals(chosen, hopeless=np.inf)]
+        found += [(tied(chosen, rival.fit), rival.tied) for rival in search.rivals(chosen, max_score_ratio=np.inf)]
     alike, rivals = np.mean(found, axis=0)
     assert alike > 0.5 and rivals < 0.3
 
@@ -740,7 +740,7 @@ def test_a_valley_whose_start_has_no_answer_any_more_keeps_its_fit(monkeypatch: 
     candidate = SimpleNamespace(lower=-one, upper=one, scale=one, point=0.0 * one)
     fitted = SimpleNamespace(candidate=candidate, evidence=SimpleNamespace(clusters=[SimpleNamespace(sigma=one)]))
     monkeypatch.setattr(fit, "evaluate_at", lambda *_: None)
-    assert fit._to_the_bottom(fitted) is fitted  # type: ignore[arg-type, comparison-overlap]
+    assert fit._valley_minimum(fitted) is fitted  # type: ignore[arg-type, comparison-overlap]
 
 
 def test_a_fit_leaves_a_small_minimum_that_slips_have_made() -> None:
@@ -765,7 +765,7 @@ def test_a_fit_begins_at_the_estimates_of_an_earlier_model_where_it_is_stuck(mon
     stuck = gauss_newton(chord_method(start, evidence))
     near = tuple((truth + 0.05).tolist())
     for name, free in (("stick_slip", True), ("straight", False)):
-        found = Search([EFFECTS["stick_slip"]], evidence, earlier=((name, near),))._out_of_small_minima(stuck)
+        found = Search([EFFECTS["stick_slip"]], evidence, earlier=((name, near),))._out_of_local_minima(stuck)
         assert bool(np.all(np.abs(found.estimate - truth) < 0.1)) == free
 
 

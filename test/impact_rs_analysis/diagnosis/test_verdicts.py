@@ -30,7 +30,7 @@ from impact_rs_analysis.diagnosis.verdicts.model_verdict import (
     excludes_nominal,
     reported_p,
 )
-from impact_rs_analysis.diagnosis.verdicts.residuals import residual_size, rests_of
+from impact_rs_analysis.diagnosis.verdicts.residuals import residual_size, residuals_by_signal
 from impact_rs_analysis.diagnosis.verdicts.words import not_excluded
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_sim.errors import InputError
@@ -220,7 +220,7 @@ def test_what_is_left_has_the_unit_of_the_signal_and_no_noise_in_it() -> None:
     own = np.array([f % 4 == 0 for f in range(FEATURES)])
     clusters = tuple(replace(item, residuals=item.residuals + 3.0 * own / item.sigma) for item in source.clusters)
     evidence = Evidence(source, (0, 1, 2), clusters)
-    rests = {rest.signal: rest for rest in rests_of(evidence, means_of(clusters))}
+    rests = {rest.signal: rest for rest in residuals_by_signal(evidence, means_of(clusters))}
     assert rests["signal 0"].value == pytest.approx(3.0, rel=1e-2)
     assert all(rests[f"signal {number}"].value < 0.05 for number in (1, 2, 3))
     assert rests["signal 0"].share > 0.99
@@ -239,7 +239,7 @@ def test_where_only_noise_is_left_the_rest_is_next_to_nothing() -> None:
     sizes = []
     for seed in range(10):
         evidence = Evidence.of(AnalyticSource(seed))
-        sizes += [rest.value for rest in rests_of(evidence, means_of(evidence.clusters))]
+        sizes += [rest.value for rest in residuals_by_signal(evidence, means_of(evidence.clusters))]
     assert np.mean(sizes) < 0.15
 
 
@@ -370,7 +370,7 @@ def test_an_effect_is_certain_where_one_interval_leaves_out_nothing() -> None:
 def test_a_wide_interval_determines_nothing_unless_it_leaves_out_the_nominal_value() -> None:
     """Kills: width alone, or place alone."""
     estimates, half_widths = np.array([10.0, 50.0, 10.0]), np.array([30.0, 30.0, 15.0])
-    found: Any = SimpleNamespace(away=estimates, half_widths=half_widths)
+    found: Any = SimpleNamespace(distance_from_nominal=estimates, half_widths=half_widths)
     assert undetermined(found).tolist() == [True, False, False]
 
 

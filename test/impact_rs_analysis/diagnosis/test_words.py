@@ -18,7 +18,7 @@ from impact_rs_analysis.diagnosis.document import (
     EffectDocument,
     EstimateDocument,
     ModelIdentity,
-    RestDocument,
+    ResidualDocument,
     RunsIdentity,
     SizeDocument,
     UnexplainedDocument,
@@ -83,7 +83,7 @@ def documents(draw: st.DrawFn) -> DiagnosisDocument:
     share = draw(st.floats(lowest, highest)) if named else 0.0
     after = float(np.sqrt(before**2 - share * (before**2 - noise**2)))
     rests = [
-        RestDocument(phase="push", signal="force", index=axis, value=draw(st.floats(0.0, 2.0)), unit="N",
+        ResidualDocument(phase="push", signal="force", index=axis, value=draw(st.floats(0.0, 2.0)), unit="N",
                      floor=1.0, share=0.1, times_noise=2.0)
         for axis in "xyz"
     ]  # fmt: skip

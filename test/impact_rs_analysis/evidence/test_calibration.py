@@ -57,7 +57,7 @@ def test_an_interval_widens_those_of_other_effects_by_what_they_move(tmp_path: P
         )
         assert candidate is not None
         problem = evidence.problem(candidate)
-        return candidate.point / candidate.scale + problem.solve(), problem.moved_by_calibrations()
+        return candidate.point / candidate.scale + problem.solve(), problem.calibration_standard_errors()
 
     exact, moved_exact = fitted(late(0.0))
     _, moved = fitted(late(0.0, NORMAL_95 * SIGMA))

@@ -209,7 +209,7 @@ def test_every_effect_that_the_map_knows_changes_what_is_remembered(tmp_path: Pa
     for source in (cubes, pushes):
         for effect in effects_for(source):
             candidate = Candidate.of((effect,), source)
-            added = candidate.split(candidate.nearest_consistent(candidate.nominal + 0.5 * candidate.scale))
+            added = candidate.effects_at(candidate.nearest_consistent(candidate.nominal + 0.5 * candidate.scale))
             (alone,) = source.predict_row(0, [added])
             assert alone is not None
             np.testing.assert_allclose(source.predicted_with(added)[0], alone, atol=1e-7, err_msg=effect.name)
