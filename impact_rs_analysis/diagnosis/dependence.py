@@ -99,15 +99,15 @@ class Dependences:
         """Effects of the second search, with dependent effects in place of their constant forms."""
         return [next((pair for pair in self.pairs if pair.effect.name == effect.name), effect) for effect in effects]
 
-    def confirmed_by(self, first: Findings, again: Findings) -> bool:
+    def confirmed_by(self, first: Findings, second: Findings) -> bool:
         """Whether the second search selects the dependences, or new effects in their place.
 
         Args:
             first: Result of the first search.
-            again: Result of the second search.
+            second: Result of the second search.
         """
         pairs = {pair.name for pair in self.pairs}
-        return pairs <= set(again.names) or bool(set(again.names) - pairs - set(first.names))
+        return pairs <= set(second.names) or bool(set(second.names) - pairs - set(first.names))
 
     def selected_by(self, chosen: Fit) -> Dependences:
         """The dependences that the second search selects, with its fit."""
@@ -227,8 +227,8 @@ def _selected_in_most_folds(
     pair: Depending, pairs: Sequence[Depending], choice: Choice, selected_in_folds: Sequence[tuple[str, ...]]
 ) -> bool:
     """Whether more than half of the folds select a dependence, another form of it, or a rival."""
-    alike = forms_of(pair, pairs) | set(choice.rivals[pair.name])
-    return 2 * sum(bool(alike & set(names)) for names in selected_in_folds) > len(selected_in_folds)
+    accepted_names = forms_of(pair, pairs) | set(choice.rivals[pair.name])
+    return 2 * sum(bool(accepted_names & set(names)) for names in selected_in_folds) > len(selected_in_folds)
 
 
 def _predicted(
@@ -276,9 +276,9 @@ def _choose(evidence: Evidence, fitted: Fit | None, pairs: Sequence[Depending], 
     p_values: dict[str, float] = {}
     while True:
         dependent_names = {other.effect.name for other in chosen}
-        free = [other for other in pairs if other.effect.name not in dependent_names]
+        available = [other for other in pairs if other.effect.name not in dependent_names]
         evidence = evidence if fitted is None else fitted.evidence
-        proposals = {p.name: entry for p in free if (entry := _depending(evidence, fitted, p)) is not None}
+        proposals = {p.name: entry for p in available if (entry := _depending(evidence, fitted, p)) is not None}
         for entry in proposals.values():
             progress("+".join(entry.candidate.names), evidence.size(entry.leave_one_out_errors))
         p_values |= benjamini_hochberg(_p_values(evidence, fitted, proposals), len(pairs))
@@ -293,11 +293,11 @@ def _choose(evidence: Evidence, fitted: Fit | None, pairs: Sequence[Depending], 
         if not refined:
             return Choice(fitted, tuple(chosen), rivals, p_values)
         best = simplest(refined)
-        (pair,) = (pair for pair in free if pair.name in best.candidate.names)
+        (pair,) = (pair for pair in available if pair.name in best.candidate.names)
         others = [entry for entry in refined if entry is not best and entry.cost <= best.cost and tied(best, entry)]
         forms = forms_of(pair, pairs)
         rivals[pair.name] = tuple(
-            p.name for p in free for entry in others if p.name in entry.candidate.names and p.name not in forms
+            p.name for p in available for entry in others if p.name in entry.candidate.names and p.name not in forms
         )
         chosen.append(pair)
         fitted = replay_and_refit(best, at_optimum=True)

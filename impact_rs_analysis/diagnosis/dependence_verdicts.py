@@ -37,16 +37,16 @@ def covariate_documents(source: Source) -> tuple[CovariateDocument, ...]:
     for item in source.covariates:
         others = [other for other in (*source.covariates, *source.state) if other.name != item.name]
         correlations = {other.name: correlation_of(item, other) for other in others}
-        numbers = [float(value) for value in _every(item)] if item.numeric else []
+        numbers = [float(value) for value in _all_values(item)] if item.numeric else []
         documents.append(
             CovariateDocument(
                 name=item.name,
                 unit=item.unit,
-                levels=() if item.numeric else tuple(sorted({str(value) for value in _every(item)})),
+                levels=() if item.numeric else tuple(sorted({str(value) for value in _all_values(item)})),
                 mean=float(np.mean(numbers)) if numbers else None,
                 range=(min(numbers), max(numbers)) if numbers else None,
                 tried=bool(terms[item.name]),
-                ways=_ways(terms[item.name]),
+                ways=_forms_in_words(terms[item.name]),
                 why_not="" if terms[item.name] else _why_not(item, source),
                 goes_with={name: value for name, value in correlations.items() if value > MIN_CANONICAL_CORRELATION},
             )
@@ -54,7 +54,7 @@ def covariate_documents(source: Source) -> tuple[CovariateDocument, ...]:
     return tuple(documents)
 
 
-def _ways(terms: Sequence[Terms]) -> tuple[str, ...]:
+def _forms_in_words(terms: Sequence[Terms]) -> tuple[str, ...]:
     """Forms of dependence that are tried for a covariate, in words."""
     ways = ["a value for each level"] if any(isinstance(form, Levels) for form in terms) else []
     ways += ["a straight line"] if any(isinstance(form, Slope) for form in terms) else []
@@ -91,14 +91,14 @@ def correlation_of(first: Covariate, second: Covariate) -> float:
     return float(min(np.linalg.svd(bases[0].T @ bases[1], compute_uv=False)[0], 1.0))
 
 
-def _every(item: Covariate) -> list[float | str]:
+def _all_values(item: Covariate) -> list[float | str]:
     """Values of all rows."""
     return [value for rows in item.values for value in rows]
 
 
 def _columns(item: Covariate) -> Array:
     """Design matrix of a covariate: its numbers, or an indicator of every level, ``(rows, k)``."""
-    values = _every(item)
+    values = _all_values(item)
     if item.numeric:
         return np.array(values, dtype=float)[:, None]
     return np.array([[float(value == name) for name in dict.fromkeys(values)] for value in values])

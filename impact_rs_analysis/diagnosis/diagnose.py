@@ -118,10 +118,10 @@ def diagnose(
     document = document_of(findings, source, model)
     if dependences is not None and dependences.pairs and not {p.effect.name for p in dependences.pairs} & set(present):
         # To the first search, variation with a covariate was scatter, which hides effects or imitates them.
-        again = findings_of(dependences.source, dependences.in_place_of(effects), progress, budget=budget)
-        if dependences.confirmed_by(findings, again) and again.chosen is not None:
-            dependences, pairs = dependences.selected_by(again.chosen), dependences.pairs
-            document = with_estimates_of(document, document_of(again, dependences.source, model), pairs)
+        second_findings = findings_of(dependences.source, dependences.in_place_of(effects), progress, budget=budget)
+        if dependences.confirmed_by(findings, second_findings) and second_findings.chosen is not None:
+            dependences, pairs = dependences.selected_by(second_findings.chosen), dependences.pairs
+            document = with_estimates_of(document, document_of(second_findings, dependences.source, model), pairs)
     views = [
         _whole_view(view, model, effects_for(view.source, only, bounds), dependences, budget)
         for view in (() if document.verdict in (TOO_FEW, IMPOSSIBLE) else source.views())
@@ -231,10 +231,10 @@ def effects_for(source: Source, only: Sequence[str] | None = None, bounds: Bound
         only: Names of the effects; None: all that the source offers and the model does not contain.
         bounds: Ranges of parameters by the user.
     """
-    known, present = source.model.known_effects, {item.name for item in source.model.effects}
-    offered = [name for name, effect in known.items() if source.offers(effect)]
+    effects_by_name, present = source.model.known_effects, {item.name for item in source.model.effects}
+    offered = [name for name, effect in effects_by_name.items() if source.offers(effect)]
     return [
-        with_bounds(known[name].in_proportion(source.proportion), bounds)
+        with_bounds(effects_by_name[name].in_proportion(source.proportion), bounds)
         for name in only or offered
         if name not in present
     ]
@@ -333,11 +333,11 @@ def document_of(findings: Findings, source: Source, model: Model) -> DiagnosisDo
         source: The searched measurements.
         model: The model of the file; the model of the source may have further user-defined effects.
     """
-    evidence, known = findings.evidence, source.known_effects
+    evidence, effects_by_name = findings.evidence, source.known_effects
     verdict, lack_of_fit = headline(findings)
     before = evidence.means
     after: Sequence[Array] = before if findings.hold_out is None else findings.hold_out.residuals
-    effects = tuple(with_readings(effect_documents(findings, known), known))
+    effects = tuple(with_readings(effect_documents(findings, effects_by_name), effects_by_name))
     rivals = {effect.name: effect.rivals for effect in effects}
     drift = drift_of(source.clusters)
     remarks = [*filter(None, [drift_in_words(drift)]), *_remarks(findings, source)]
@@ -354,7 +354,7 @@ def document_of(findings: Findings, source: Source, model: Model) -> DiagnosisDo
             share_of_excess=findings.remaining_share,
             where=tuple(residuals_by_signal(evidence, findings.unexplained)[:MAX_RESIDUALS]),
         ),
-        next_experiment=next_experiment(findings, known),
+        next_experiment=next_experiment(findings, effects_by_name),
         model=ModelIdentity.of(model),
         runs=_runs(source),
         error_unit=residual_unit(evidence),
@@ -408,18 +408,18 @@ def _hold_out(result: HoldOut | None, source: Source) -> HoldOutDocument:
         return HoldOutDocument(what="no hold-out, because no effect was found", folds=0)
     count = len(result.folds)
     if source.repeated:
-        what = f"conditions with all their repeats, in {count} folds"
+        data = f"conditions with all their repeats, in {count} folds"
     elif len({item.unit for item in source.clusters}) >= MIN_CLUSTERS:
-        what = f"whole recordings, in {count} folds"
+        data = f"whole recordings, in {count} folds"
     else:
         division = "of neighbours; every fold is predicted from the others without those that touch it"
         if source.interleaved:
             division = f"that take one of every {count} neighbours"
-        what = f"{len(source.clusters)} {source.pieces} in {count} folds {division}"
-    how = "the whole search is repeated without the held-out data"
+        data = f"{len(source.clusters)} {source.pieces} in {count} folds {division}"
+    procedure = "the whole search is repeated without the held-out data"
     if fitted := count - sum(result.searched):
-        how += f", in {fitted} folds the fit alone, because a search lacks conditions, repeats or time"
-    return HoldOutDocument(what=f"{what}; {how}", folds=count, searched=sum(result.searched))
+        procedure += f", in {fitted} folds the fit alone, because a search lacks conditions, repeats or time"
+    return HoldOutDocument(what=f"{data}; {procedure}", folds=count, searched=sum(result.searched))
 
 
 def _joints(source: Source, before: Sequence[Array], after: Sequence[Array]) -> tuple[JointError, ...]:

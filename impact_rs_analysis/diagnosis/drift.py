@@ -114,7 +114,7 @@ def drift_in_words(drift: DriftDocument | None) -> str:
     if drift is None:
         return ""
     drifts = drift.p_value < SIGNIFICANCE_LEVEL
-    what = (
+    change = (
         f"the {drift.signal} {drift.index} ({drift.phase}) {'rises' if drift.change > 0.0 else 'falls'} by "
         f"{abs(drift.change):.2g} {drift.unit} over the {drift.runs} runs of the campaign, in repeats of the same "
         f"condition (p {'<=' if drift.p_value <= MIN_REPORTED_P else '='} {drift.p_value:.2g})"
@@ -122,11 +122,11 @@ def drift_in_words(drift: DriftDocument | None) -> str:
     order = "conditions were measured one after the other"
     if drifts and drift.confounded:
         return (
-            f"low confidence: {what}, and {order}: the drift looks like an effect of the conditions. Measure them in "
+            f"low confidence: {change}, and {order}: the drift looks like an effect of the conditions. Measure them in "
             "random order"
         )
     if drifts:
-        return f"{what}: a drift of the campaign. Conditions alternate, so estimates are means over it"
+        return f"{change}: a drift of the campaign. Conditions alternate, so estimates are means over it"
     if drift.confounded:
         return (
             f"{order}: a drift between them would look like an effect. No drift is seen within them; random order "

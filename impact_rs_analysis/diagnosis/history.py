@@ -41,8 +41,8 @@ class Version:
     applied: Model | None = None
 
     @property
-    def whole(self) -> Model:
-        """A model that predicts the measurements."""
+    def calibrated(self) -> Model:
+        """The model with the known faults of the readings, which predicts the measurements."""
         return self.model if self.applied is None else self.applied
 
     @property
@@ -161,7 +161,7 @@ def history(
     """
     errors: list[VersionError] = []
     for version in with_calibration(versions(path), calibration):
-        source = source_of(version.whole)
+        source = source_of(version.calibrated)
         error, noise = source.size(), source.noise_size()
         held_out: float | None = error
         if version.effects_added:
@@ -181,7 +181,7 @@ def _held_out(version: Version, source: Source, source_of: Callable[[Model], Sou
         source: The measurements against it; they set the scale of the error.
         source_of: See :func:`history`.
     """
-    names, model = version.effects_added, version.whole
+    names, model = version.effects_added, version.calibrated
     bare = source_of(
         model.model_copy(update={"effects": tuple(item for item in model.effects if item.name not in names)})
     )

@@ -104,10 +104,10 @@ def discover(
     if document.verdict == NO_LAW or _settled(searched.findings) is None:
         curves = {curve.spec.name: curve for curve in _curves(laws.values(), ranges, source, library)}
 
-        def look(among: Mapping[str, Law]) -> DiscoveryDocument:
+        def search_among(among: Mapping[str, Law]) -> DiscoveryDocument:
             return _document(_searched(source_of, model, library, among, progress), model, among, ranges)
 
-        described = _described(look, curves, laws, document)
+        described = _described(search_among, curves, laws, document)
         if described is not None:
             return described
     return _with_curve(source_of, model, searched, laws, domains, document) if document.verdict == FOUND else document
@@ -344,7 +344,7 @@ def _settled(findings: Findings) -> str | None:
     if source.contact_speeds and source.noise_size() is None and verdict != TOO_FEW:
         return None  # unknown noise: the hold-out decides on laws
     if not source.contact_speeds and not source.repeated and verdict not in (TOO_FEW, NOTHING):
-        largest = max(rest.times_noise for rest in residuals_by_signal(findings.evidence, findings.unexplained))
+        largest = max(residual.times_noise for residual in residuals_by_signal(findings.evidence, findings.unexplained))
         return None if largest > MIN_RESIDUAL_RATIO_OF_LAW else LIBRARY
     if verdict.leaves_residuals:
         return None

@@ -229,13 +229,13 @@ def load_grammar(more: Path | None = None) -> Grammar:
         )
     for name, place in grammar.places.items():
         for quantity, forms in place.laws.items():
-            _known("quantity", quantity, grammar.quantities, f"places.{name}.laws", more)
+            _check_known("quantity", quantity, grammar.quantities, f"places.{name}.laws", more)
             for form in forms:
-                _known("form", form, grammar.forms, f"places.{name}.laws", more)
+                _check_known("form", form, grammar.forms, f"places.{name}.laws", more)
     return grammar
 
 
-def _known(kind: str, word: str, table: Mapping[str, object], key: str, file: Path | None) -> None:
+def _check_known(kind: str, word: str, table: Mapping[str, object], key: str, file: Path | None) -> None:
     if word not in table:
         raise InputError(
             f"unknown {kind}; known: {', '.join(table)}",

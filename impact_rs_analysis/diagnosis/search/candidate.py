@@ -262,9 +262,9 @@ class Candidate:
         """A step of one parameter from a point, reversed or shortened until it is physically consistent."""
         if not self.inertial[index]:
             return step
-        alone = step * (np.arange(vector.size) == index)
+        direction = step * (np.arange(vector.size) == index)
         return step * next(
-            (share for share in DIFFERENCE_STEP_FACTORS if self.physically_consistent(vector + share * alone)), 1.0
+            (share for share in DIFFERENCE_STEP_FACTORS if self.physically_consistent(vector + share * direction)), 1.0
         )
 
     def only(self, clusters: Sequence[int]) -> Candidate:
@@ -675,9 +675,9 @@ def bounded(information: Array, score: Array, lower: Array, upper: Array) -> Arr
         multipliers = scores[pending] - (matrices[pending] @ solutions[pending][..., None])[..., 0]
         lower_now = np.where(low[pending], multipliers <= 0.0, solutions[pending] < lower - 1e-12)
         upper_now = np.where(high[pending], multipliers >= 0.0, solutions[pending] > upper + 1e-12)
-        moved = np.any((lower_now != low[pending]) | (upper_now != high[pending]), axis=-1)
+        changed = np.any((lower_now != low[pending]) | (upper_now != high[pending]), axis=-1)
         low[pending], high[pending] = lower_now, upper_now
-        pending = pending[moved]
+        pending = pending[changed]
     for index in pending:
         root = np.linalg.cholesky(matrices[index]).T
         target = np.linalg.solve(root.T, scores[index])

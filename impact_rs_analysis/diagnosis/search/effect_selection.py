@@ -251,8 +251,8 @@ class Search:
         if optimum is not None:
             point = optimum.point.copy()
             point[start.insensitive] = start.point[start.insensitive]
-            moved = replace(optimum.only(evidence.numbers), origin=start.origin, point=point)
-            start = evaluate_at(moved, moved.point, evidence) or start
+            at_optimum = replace(optimum.only(evidence.numbers), origin=start.origin, point=point)
+            start = evaluate_at(at_optimum, at_optimum.point, evidence) or start
         return self._store(chord_method(start, evidence, give_up))
 
     def _final_fit(self, fitted: Fit) -> Fit:
@@ -290,9 +290,9 @@ class Search:
         """Fit of one effect alone: the linear fit or the simulated optimum, whichever has the lower score."""
         fits = [self.screening.linear_fit_with(None, name)]
         optimum = self.optima.get((name,))
-        moved = None if optimum is None else evaluate_at(replace(optimum, origin=()), optimum.point, self.evidence)
-        if moved is not None:
-            fits.append(Fit.of(moved, self.evidence))
+        evaluated = None if optimum is None else evaluate_at(replace(optimum, origin=()), optimum.point, self.evidence)
+        if evaluated is not None:
+            fits.append(Fit.of(evaluated, self.evidence))
         return min(fits, key=lambda fitted: fitted.score)
 
     def _best(self, shortlist: Sequence[Fit], chosen: Fit | None) -> Fit | None:
@@ -414,8 +414,8 @@ class Search:
     def _exchanged(self, chosen: Fit, name: str, start: Candidate) -> Fit | None:
         """Linear fit of another effect in the place of a chosen one; None if it cannot be simulated."""
         swapped = self._remaining_effects(chosen, name).joined_with(start)
-        moved = evaluate_at(swapped, swapped.point, chosen.evidence)
-        return None if moved is None else Fit.of(moved, chosen.evidence)
+        evaluated = evaluate_at(swapped, swapped.point, chosen.evidence)
+        return None if evaluated is None else Fit.of(evaluated, chosen.evidence)
 
     def rivals(self, chosen: Fit, count: int = 3, max_score_ratio: float = MAX_ERROR_RATIO) -> list[Rival]:
         """Alternatives to every chosen effect, fitted together with the other chosen effects.

@@ -113,9 +113,9 @@ def _interleaved(numbers: NDArray[np.int_], folds: int) -> list[NDArray[np.int_]
 
 def _guard_stretches(source: Source, held_out: Sequence[int]) -> set[int]:
     """Guard stretches: neighbours of the held-out ones on the same recording."""
-    near = {number + step for number in held_out for step in (-1, 1)} - set(held_out)
+    adjacent = {number + step for number in held_out for step in (-1, 1)} - set(held_out)
     units = {source.clusters[number].unit for number in held_out}
-    return {n for n in near if 0 <= n < len(source.clusters) and source.clusters[n].unit in units}
+    return {n for n in adjacent if 0 <= n < len(source.clusters) and source.clusters[n].unit in units}
 
 
 def hold_out(
@@ -171,7 +171,7 @@ def _predict_fold(
     chosen: Candidate,
     optima: Mapping[tuple[str, ...], Candidate],
     limit: float,
-    whole: Budget,
+    shared_budget: Budget,
     source: Source,
     task: tuple[Fold, bool],
 ) -> tuple[tuple[str, ...], Added, list[Array | None], tuple[str, ...]]:
@@ -181,7 +181,7 @@ def _predict_fold(
         Names, effects with estimates, mean residuals of the fold (None: not simulated), and steps that were not tried.
     """
     fold, searched = task
-    budget = Budget(limit, whole.clock, whole.stop)
+    budget = Budget(limit, shared_budget.clock, shared_budget.stop)
     evidence = Evidence.of(source, fold.training, budget)
     search = Search(effects, evidence, full_data_optima=optima, earlier=chosen.effects_at(chosen.point))
     fitted = search.forward_selection() if searched else search.fitted(chosen.names)

@@ -256,11 +256,11 @@ class Screening:
         """
         present = () if chosen is None else chosen.candidate.names
         family_of = {name: single.effects[0].family for name, single in self.singles.items() if name not in present}
-        alone = [name for name, family in family_of.items() if laws or not family]
+        singles = [name for name, family in family_of.items() if laws or not family]
         families: dict[str, list[str]] = {}
-        for name in alone:
+        for name in singles:
             families.setdefault(family_of[name], []).append(name)
-        return alone + ["+".join(members) for family, members in families.items() if family and len(members) > 1]
+        return singles + ["+".join(members) for family, members in families.items() if family and len(members) > 1]
 
     def joined(self, group: str, chosen: Fit | None) -> Candidate:
         """A group at the starts of its fits, in the presence of the chosen effects."""

@@ -44,19 +44,21 @@ NOT_MEASURED = {
 }
 
 
-def effect_documents(findings: Findings, known: dict[str, Effect]) -> list[EffectDocument]:
+def effect_documents(findings: Findings, effects_by_name: dict[str, Effect]) -> list[EffectDocument]:
     """Documents of all effects: chosen, then others by leave-one-out error, then effects that were not measured."""
     search = findings.search
     fits = {name: _fitted(findings, name) for name in dict.fromkeys([*findings.names, *search.screening.singles])}
     ends = _ends(findings, fits)
-    chosen = [_chosen_document(findings, known[name], ends[name]) for name in findings.names]
+    chosen = [_chosen_document(findings, effects_by_name[name], ends[name]) for name in findings.names]
     others = [
-        _other_document(findings, known[name], fits[name], ends[name]) for name in fits if name not in findings.names
+        _other_document(findings, effects_by_name[name], fits[name], ends[name])
+        for name in fits
+        if name not in findings.names
     ]
     others.sort(key=lambda report: report.held_out_error_after or 0.0)
     reports = [*chosen, *others]
     for name in sorted(search.screening.unmeasured):
-        effect = known[name]
+        effect = effects_by_name[name]
         why = NOT_MEASURED.get(effect.acts_on, "no measured signal depends on it")
         reports.append(
             EffectDocument(

@@ -30,16 +30,16 @@ SHOWN_AS = {  # unit: factor and displayed unit; a number without unit is shown 
 DIRECTIONS = {"more": ("too much", "too little"), "late": ("late", "early")}  # above nominal, and below
 
 
-def with_readings(documents: Sequence[EffectDocument], known: Mapping[str, Effect]) -> list[EffectDocument]:
+def with_readings(documents: Sequence[EffectDocument], effects_by_name: Mapping[str, Effect]) -> list[EffectDocument]:
     """Documents of effects, completed with the clauses on faults of readings.
 
     Args:
         documents: Documents of all effects.
-        known: Effects by name.
+        effects_by_name: Effects by name.
     """
     completed = []
     for document in documents:
-        effect = known.get(document.name)
+        effect = effects_by_name.get(document.name)
         if effect is not None and effect.of_measurement:
             fields = {"of_measurement": True, "reading": effect.reading, "calibration": effect.calibration}
             document = document.model_copy(update=fields)

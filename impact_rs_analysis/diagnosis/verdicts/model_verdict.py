@@ -300,14 +300,14 @@ def _by_clusters(before: Sequence[Array], after: Sequence[Array], evidence: Evid
     """
     count = len(before)
 
-    def ratio(numbers: Sequence[int]) -> float:
+    def log_ratio_of(numbers: Sequence[int]) -> float:
         part = evidence.only(numbers)
         sizes = [residual_size(part, [residuals[n] for n in numbers]) for residuals in (before, after)]
         return math.log(max(sizes[1], 1e-12) / max(sizes[0], 1e-12))
 
-    whole = ratio(range(count))
-    replicates = np.array([ratio([n for n in range(count) if n != excluded]) for excluded in range(count)])
+    log_ratio = log_ratio_of(range(count))
+    replicates = np.array([log_ratio_of([n for n in range(count) if n != excluded]) for excluded in range(count)])
     standard_error = math.sqrt((count - 1) / count * float(np.sum(np.square(replicates - replicates.mean()))))
     half = float(scipy.stats.t.ppf(0.975, count - 1)) * standard_error
     size = residual_size(evidence, before)
-    return size * math.expm1(whole - half), size * math.expm1(whole + half)
+    return size * math.expm1(log_ratio - half), size * math.expm1(log_ratio + half)

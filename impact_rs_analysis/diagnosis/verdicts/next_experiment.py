@@ -28,12 +28,12 @@ from impact_rs_sim.scenarios.scenario import load_scenario
 FREE_MOTION_SCENARIO = "excite"
 
 
-def next_experiment(findings: Findings, known: dict[str, Effect]) -> NextExperiment | None:
+def next_experiment(findings: Findings, effects_by_name: dict[str, Effect]) -> NextExperiment | None:
     """Experiment that discriminates the first pair of tied effects; None for trials without such a pair."""
     tie = next((rival for rival in findings.rivals if rival.tied), None)
     source = findings.search.source
     if source.runs is None:
-        return _of_recordings(findings, known) if source.of_motion else None
+        return _of_recordings(findings, effects_by_name) if source.of_motion else None
     if tie is None or findings.chosen is None:
         return None
     assert isinstance(source, ReplaySource)
@@ -48,7 +48,7 @@ def next_experiment(findings: Findings, known: dict[str, Effect]) -> NextExperim
         return None
     trial, gain = best
     scenario, item, case = trial.cluster.condition_key
-    what = f"measure {trial.name} more often" if trial.repeats else f"measure {trial.name}"
+    action = f"measure {trial.name} more often" if trial.repeats else f"measure {trial.name}"
     return NextExperiment(
         splits=(tie.instead_of, tie.name),
         scenario=scenario,
@@ -56,7 +56,7 @@ def next_experiment(findings: Findings, known: dict[str, Effect]) -> NextExperim
         case=case,
         expected_information=gain,
         already_measured=bool(trial.repeats),
-        advice=f"{what}: {tie.instead_of} and {tie.name} differ most there",
+        advice=f"{action}: {tie.instead_of} and {tie.name} differ most there",
     )
 
 
@@ -135,11 +135,11 @@ def _own_trials(runs: Runs) -> list[PossibleTrial]:
     return [trial for name, scenario in scenarios.items() for trial in trials_of(name, scenario) if trial.of_file]
 
 
-def _of_recordings(findings: Findings, known: dict[str, Effect]) -> NextExperiment:
+def _of_recordings(findings: Findings, effects_by_name: dict[str, Effect]) -> NextExperiment:
     """Advice on what to record next, by where the confusable effects act."""
     tied = {name for rival in findings.rivals if rival.tied for name in (rival.name, rival.instead_of)}
-    motor = sorted(name for name in tied if known[name].acts_on == "motor side")
-    rigid = sorted(name for name in tied if name not in motor and not known[name].of_measurement)
+    motor = sorted(name for name in tied if effects_by_name[name].acts_on == "motor side")
+    rigid = sorted(name for name in tied if name not in motor and not effects_by_name[name].of_measurement)
     if len(motor) > 1:
         return NextExperiment(
             advice="record the same motion at a quarter and at twice the speed: friction that does not depend on speed "
