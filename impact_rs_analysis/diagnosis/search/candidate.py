@@ -351,13 +351,9 @@ def required_predictions(
 ) -> list[tuple[int, Added]]:
     """Predictions that :func:`linearise` needs; a list, so that predictions for many effects run in one batch."""
     at_nominal = not candidate.origin and bool(np.all(candidate.point == candidate.nominal))
-    at_point, differences = (
-        candidate.effects_at(candidate.point),
-        candidate.difference_ends(source.joints, share, central),
-    )
-    added_by_parameter = [
-        [candidate.effects_at(end) for end in (difference if central else difference[1:])] for difference in differences
-    ]
+    at_point = candidate.effects_at(candidate.point)
+    differences = candidate.difference_ends(source.joints, share, central)
+    added_by_parameter = [[candidate.effects_at(end) for end in ends[0 if central else 1 :]] for ends in differences]
     predictions: list[tuple[int, Added]] = []
     for number in numbers:
         predictions.append((number, candidate.origin))
@@ -365,7 +361,7 @@ def required_predictions(
             predictions.append((number, at_point))
         for effect, part in candidate.parts:
             if effect.seen_in(source.clusters[number].contact):
-                predictions += [(number, added) for difference in added_by_parameter[part] for added in difference]
+                predictions += [(number, added) for ends in added_by_parameter[part] for added in ends]
     return predictions
 
 

@@ -154,9 +154,7 @@ def _whitened(clusters: Sequence[Cluster], jacobians: Sequence[Array], fitted: S
             for sensitivities in (fitted, jacobians)
         )
         coefficients = np.linalg.lstsq(nuisance, tested, rcond=None)[0]
-        jacobians = [
-            j - nuisance_jacobian @ coefficients for j, nuisance_jacobian in zip(jacobians, fitted, strict=True)
-        ]
+        jacobians = [j - f @ coefficients for j, f in zip(jacobians, fitted, strict=True)]
     information = np.sum([item.count * j.T @ j for item, j in zip(clusters, jacobians, strict=True)], axis=0)
     size = float(np.trace(information))
     if size <= RIDGE * total:
@@ -316,9 +314,9 @@ class _Layout:
             (squares * np.square(donor.unit)) @ m
             for squares, donor, m in zip(contrast_squares, self.donors, members, strict=True)
         )
-        number = sum(donor.freedom * m.sum(axis=0) for donor, m in zip(self.donors, members, strict=True))
+        freedom = sum(donor.freedom * m.sum(axis=0) for donor, m in zip(self.donors, members, strict=True))
         signal_index = np.argmax(self.signals_of(keys), axis=1)
-        return np.asarray((total / np.maximum(number, 1.0))[:, signal_index] / np.square(self.unit))
+        return np.asarray((total / np.maximum(freedom, 1.0))[:, signal_index] / np.square(self.unit))
 
     @cached_property
     def _scalings(self) -> tuple[list[Array], list[tuple[list[int], Array, Array]]]:
@@ -498,8 +496,8 @@ class RotationNull(NullDistribution):
             for layout in self._layouts
         ]
         scaled, inflation = _scaled_to_noise(self._layouts, mean_rows), self._inflation(fitted)
-        scales = list(_weights_of(self._layouts, self._squares, inflation))
-        for seed, (layout, weights) in enumerate(zip(self._layouts, scales, strict=True)):
+        weights_by_layout = list(_weights_of(self._layouts, self._squares, inflation))
+        for seed, (layout, weights) in enumerate(zip(self._layouts, weights_by_layout, strict=True)):
             for rows, sensitivities in zip(layout.rotated(seed), scaled[seed], strict=True):
                 scores += (rows * weights) @ sensitivities
         scores[1:] *= math.sqrt(inflation)
@@ -509,7 +507,7 @@ class RotationNull(NullDistribution):
                 fitted,
                 [sensitivities[:, :, first:last] for sensitivities in scaled],
                 scores[:, first:last],
-                scales,
+                weights_by_layout,
             )
             for jacobians, first, last in zip(effects, edges[:-1], edges[1:], strict=True)
         ]
@@ -520,14 +518,14 @@ class RotationNull(NullDistribution):
         fitted: Sequence[Array],
         scaled: Sequence[Array],
         scores: Array,
-        scales: Sequence[Array],
+        weights_by_layout: Sequence[Array],
     ) -> float:
         """:meth:`p_value` by scaled sensitivities to nuisance and tested parameters, their scores and W by layout."""
         if _whitened(self.clusters, jacobians, fitted) is None:
             return 1.0
         count = scores.shape[1]
         information = np.zeros((1 + NULL_DRAWS, count * count))
-        for sensitivities, weights in zip(scaled, scales, strict=True):
+        for sensitivities, weights in zip(scaled, weights_by_layout, strict=True):
             information += weights @ np.einsum("cfp,cfq->fpq", sensitivities, sensitivities).reshape(
                 sensitivities.shape[1], -1
             )
