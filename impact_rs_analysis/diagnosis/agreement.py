@@ -103,10 +103,10 @@ class RelationDocument(Schema):
     relation: str = Field(description="name")
     place: str = Field(description="joint or axis, with the arm's name in front where there are several")
     readings: tuple[str, ...] = Field(description="readings that take part")
-    clears: tuple[str, ...] = Field((), description="those of them that are right where it agrees")
-    assumes: str = Field("", description="physics that it takes for granted; empty: none")
+    clears: tuple[str, ...] = Field((), description="readings that are right if the relation agrees")
+    assumes: str = Field("", description="physics that it assumes; empty: none")
     times_noise: float = Field(description="residual in multiples of repeatability, or of noise")
-    p_value: float | None = Field(None, description="of noise and discrepancy alone, adjusted; null: no repeats")
+    p_value: float | None = Field(None, description="p-value of lack of fit, adjusted; null: no repeats")
     agrees: bool = Field(description="whether the readings agree")
 
 
@@ -116,7 +116,7 @@ class InCommon(Schema):
     place: str = Field(description="joints or axes, as a list")
     relations: tuple[str, ...] = Field(description="relations that disagree")
     readings: tuple[str, ...] = Field((), description="readings in all of them that no relation clears")
-    assumes: str = Field("", description="physics that explains it as well; empty: several relations disagree")
+    assumes: str = Field("", description="physics as another explanation; empty: several relations disagree")
 
     @property
     def in_words(self) -> str:
@@ -139,7 +139,7 @@ class AgreementDocument(Schema):
     """Agreement of the readings, relation by relation."""
 
     relations: tuple[RelationDocument, ...] = Field((), description="relations, joint by joint")
-    in_common: tuple[InCommon, ...] = Field((), description="joints and axes at which some disagree")
+    in_common: tuple[InCommon, ...] = Field((), description="joints and axes with disagreeing relations")
 
     @property
     def by_joint(self) -> dict[str, dict[str, RelationDocument]]:

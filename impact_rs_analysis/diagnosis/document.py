@@ -35,18 +35,18 @@ class EstimateDocument(Schema):
     """One estimated number."""
 
     estimate: float = Field(description="estimate, in its unit")
-    ci95: tuple[float, float] | None = Field(description="95 % interval, in its unit; null: known without one")
+    ci95: tuple[float, float] | None = Field(description="95 % interval, in its unit; null: no interval is known")
     unit: str = Field(description="unit, '-' where it has none")
     meaning: str = Field("", description="meaning of the parameter")
-    joint: str | None = Field(None, description="joint it belongs to; null: the effect as a whole")
-    arm: str | None = Field(None, description="arm it belongs to; null: arms share it")
-    verdict: DiagnosisVerdict | None = Field(None, description="verdict on this joint alone; null: none")
+    joint: str | None = Field(None, description="joint of the parameter; null: the effect as a whole")
+    arm: str | None = Field(None, description="arm of the parameter; null: arms share it")
+    verdict: DiagnosisVerdict | None = Field(None, description="verdict on this joint; null: no verdict")
     p_value: float | None = Field(None, description="p-value of this joint's parameter being nominal, given all others")
     error_before: float | None = Field(None, description="held-out error of the joint without it, in the joint's unit")
     error_after: float | None = Field(None, description="held-out error of the joint with it, in the joint's unit")
     nominal: float | None = Field(None, description="value at which the effect does nothing, in its unit")
-    scale: float | None = Field(None, description="a noticeable change, in its unit; null: it has none of its own")
-    range: tuple[float, float] | None = Field(None, description="range that was searched, in its unit")
+    scale: float | None = Field(None, description="a noticeable change, in its unit; null: a shape, which has none")
+    range: tuple[float, float] | None = Field(None, description="range of the search, in its unit")
     at_bound: bool = Field(
         False, description="whether the data put the estimate at an end of the range, away from nominal"
     )
@@ -112,7 +112,7 @@ class SizeDocument(Schema):
 
     phase: str = Field(description="phase of the motion")
     signal: str = Field(description="name of the signal")
-    value: float = Field(description="largest change of the signal that it causes, in the unit")
+    value: float = Field(description="largest change of the signal, in the unit")
     unit: str = Field(description="unit")
     floor: float = Field(description="relevance limit: smallest difference that matters, in the unit")
 
@@ -122,21 +122,21 @@ class EffectDocument(Schema):
 
     name: str = Field(description="effect")
     sentence: str = Field("", description="the effect in one sentence")
-    of_measurement: bool = omitted(False, description="whether it is a fault of a reading and no physics")
-    reading: str = omitted("", description="clause that says the fault of the reading, with places for its size")
+    of_measurement: bool = omitted(False, description="whether it is a fault of a reading, not physics")
+    reading: str = omitted("", description="clause on the fault of the reading, with placeholders for its size")
     calibration: str = omitted("", description="experiment that determines the fault of the reading")
     verdict: DiagnosisVerdict = Field(
         description="CONFIRMED, CONFUSABLE-WITH{...}, PRESENT-BUT-SMALL, NOT-IDENTIFIABLE, NO-IMPROVEMENT, AT-BOUND or "
         "TOO-FEW-REPEATS"
     )
-    reason: str = Field("", description="why, in words")
+    reason: str = Field("", description="reason of the verdict, in words")
     rivals: tuple[str, ...] = Field((), description="effects that these measurements cannot distinguish from it")
     measured: bool = Field(True, description="whether some measured signal depends on it")
     parameters: dict[str, EstimateDocument] = Field(description="estimates by name")
     held_out_error_before: float | None = Field(description="error on unseen clusters without it; null: not measured")
     held_out_error_after: float | None = Field(description="error on unseen clusters with it; null: not measured")
     held_out_error_alone: float | None = Field(
-        None, description="error on unseen clusters of the model with this effect and no other; null: not measured"
+        None, description="error on unseen clusters with this effect only; null: not measured"
     )
     held_out_error_others: float | None = Field(
         None,
@@ -144,9 +144,9 @@ class EffectDocument(Schema):
         "difference is the contribution of this effect; null: not measured",
     )
     p_value: float | None = Field(description="p-value, adjusted for testing all effects; null: not measured")
-    p_value_alone: float | None = Field(None, description="the same if it were tested alone; null: not measured")
-    sizes: tuple[SizeDocument, ...] = Field((), description="changes of signals that it causes, largest first")
-    chosen_in_folds: int | None = Field(None, description="folds of the hold-out whose search also found it")
+    p_value_alone: float | None = Field(None, description="p-value if this were the only test; null: not measured")
+    sizes: tuple[SizeDocument, ...] = Field((), description="changes of signals by the effect, largest first")
+    chosen_in_folds: int | None = Field(None, description="folds of the hold-out whose search also selected it")
 
     @property
     def held_out_error_without(self) -> float | None:
@@ -174,11 +174,11 @@ class CovariateDocument(Schema):
     tried: bool = Field(description="whether it varies enough to be tried")
     ways: tuple[str, ...] = omitted((), description="how effects were allowed to depend on it, in words")
     why_not: str = omitted(
-        "", description="why it could not be tried, in words; empty: it varies too little, or it was"
+        "", description="why it could not be tried, in words; empty: it was tried, or varies too little"
     )
     goes_with: dict[str, float] = Field(
         {},
-        description="other covariates, or the impact speed, that it hardly differs from, with the correlation [-]",
+        description="confounded covariates, or the impact speed, with the correlation [-]",
     )
 
 
@@ -190,7 +190,7 @@ class DependenceDocument(Schema):
     verdict: DiagnosisVerdict = Field(
         description="CONFIRMED, CONFUSABLE-WITH{...}, PRESENT-BUT-SMALL, or NO-IMPROVEMENT: it does not depend on it"
     )
-    reason: str = Field("", description="why, in words")
+    reason: str = Field("", description="reason of the verdict, in words")
     p_value: float | None = Field(
         description="p-value of the effect not depending on it, adjusted for all pairs; null: not tried"
     )
@@ -201,12 +201,14 @@ class DependenceDocument(Schema):
     )
     at_mean: dict[str, EstimateDocument] = Field({}, description="estimates at the mean of a number, by parameter")
     per_unit: dict[str, EstimateDocument] = Field({}, description="their changes per unit of the number, by parameter")
-    chosen_in_folds: int | None = Field(None, description="folds of the hold-out that also found it")
+    chosen_in_folds: int | None = Field(None, description="folds of the hold-out that also select it")
     folds: int = Field(0, description="folds of the hold-out")
     held_out_error_before: float | None = Field(
         None, description="error on unseen clusters with the effects alone; null: not held out"
     )
-    held_out_error_after: float | None = Field(None, description="the same with all dependences that were found")
+    held_out_error_after: float | None = Field(
+        None, description="error on unseen clusters with all accepted dependences; null: not held out"
+    )
 
     @property
     def accepted(self) -> bool:
@@ -252,9 +254,7 @@ class RunsIdentity(Schema):
     digest: str = Field(description="digest of the bags' names, scenarios and seeds; empty for recordings")
     trials: int = Field(description="usable trials, or recordings")
     conditions: tuple[str, ...] = Field(description="conditions that were measured, or files")
-    recorded: float | None = omitted(
-        None, description="when the last trial was recorded, seconds since 1970; null: not known"
-    )
+    recorded: float | None = omitted(None, description="time of the last recording, seconds since 1970; null: unknown")
 
 
 class ResidualDocument(Schema):
@@ -287,7 +287,7 @@ class UnexplainedDocument(Schema):
 class NextExperiment(Schema):
     """Experiment that distinguishes effects which these data cannot."""
 
-    advice: str = Field(description="what to do, in words")
+    advice: str = Field(description="instruction, in words")
     splits: tuple[str, ...] = Field((), description="effects that it distinguishes")
     scenario: str | None = Field(None, description="scenario to run")
     object: str | None = Field(None, description="its object")
@@ -302,7 +302,7 @@ class CalibrationExperiment(Schema):
     """Experiment that determines a fault of the readings."""
 
     effect: str = Field(description="effect of the measurement")
-    experiment: str = Field(description="what to do, in words")
+    experiment: str = Field(description="instruction, in words")
 
 
 class CorrelatedPair(Schema):
@@ -332,12 +332,12 @@ class HoldOutDocument(Schema):
     """How data were held out."""
 
     what: str = Field("", description="what was held out, in words")
-    folds: int = Field(0, description="how many times some of the data were predicted from the others")
-    searched: int | None = Field(None, description="in how many of them a search has found the effects; null: in all")
+    folds: int = Field(0, description="number of folds, each predicted from the other data")
+    searched: int | None = Field(None, description="folds with a search of their own; null: all")
 
 
 class DesignDocument(Schema):
-    """Amount of data, and what a verdict lacks."""
+    """Amount of data, and data that a verdict lacks."""
 
     clusters: int = Field(0, description="conditions, or stretches of recordings")
     freedom: int = Field(0, description="degrees of freedom of the noise")
@@ -349,7 +349,7 @@ class BudgetDocument(Schema):
     """Processor time that a diagnosis may take."""
 
     limit: float | None = Field(None, description="processor time [s]; null: no limit")
-    left_out: tuple[str, ...] = Field((), description="what was not tried because the time was spent")
+    left_out: tuple[str, ...] = Field((), description="steps that were not tried because the time was spent")
     stopped: bool = Field(False, description="whether a user has stopped the search before its end (Ctrl-C)")
 
 
@@ -367,11 +367,11 @@ class DriftDocument(Schema):
 
 
 class ProportionDocument(Schema):
-    """Size of the robot beside the Franka arm for which ranges and relevance limits are stated."""
+    """Size of the robot over the Franka arm, for which ranges and relevance limits are stated."""
 
-    mass: float = Field(1.0, description="of its links, or of links that its recorded torques would drive [-]")
-    length: float = Field(1.0, description="of its reach [-]")
-    time: float = Field(1.0, description="in which a body falls as far as it reaches [-]")
+    mass: float = Field(1.0, description="mass of its links, or of links that its recorded torques would drive [-]")
+    length: float = Field(1.0, description="length of its reach [-]")
+    time: float = Field(1.0, description="time of a free fall over its reach [-]")
 
 
 class LimitDocument(Schema):
@@ -394,16 +394,16 @@ class JointError(Schema):
 
 
 class ViewDocument(Schema):
-    """Verdict on the same measurements looked at in another way."""
+    """Verdict on a part of the measurements, or under another assumption (sensitivity analysis)."""
 
-    name: str = Field(description="what is looked at: joints or object of an arm alone, or another assumption")
-    option: str = Field("", description="option whose other value it is; empty: a part of the signals")
-    verdict: DiagnosisVerdict = Field(description="as that of the diagnosis")
+    name: str = Field(description="part of the measurements (joints or object of an arm), or other assumption")
+    option: str = Field("", description="option with the other value; empty: a part of the signals")
+    verdict: DiagnosisVerdict = Field(description="verdict, as in a diagnosis")
     named: tuple[str, ...] = Field(description="effects that it names")
     held_out_error_before: float = Field(description="held-out error of the model, in error_unit")
     held_out_error_after: float = Field(description="held-out error with the effects named, in error_unit")
-    of: str = Field("", description="what was given another value there; empty: nothing, or the points that touch")
-    value: float | None = Field(None, description="that value, in the unit; null: none")
+    of: str = Field("", description="uncertain quantity with another value; empty: none, or the contact points")
+    value: float | None = Field(None, description="its value, in the unit; null: no quantity")
     unit: str = Field("", description="unit")
     parameters: dict[str, dict[str, EstimateDocument]] = Field({}, description="estimates of the effects that it names")
     allowed: bool = Field(True, description="whether unseen data are predicted as well as with the best value")
@@ -415,7 +415,7 @@ class HeldOutRollouts(Schema):
     before: RolloutDocument = Field(description="of the model")
     after: RolloutDocument = Field(description="with the effects found on the other folds")
     horizon_s: float | None = Field(
-        None, description="at which they are compared: the longest one at which either predicts better than chance [s]"
+        None, description="horizon of the comparison: the longest at which either predicts better than chance [s]"
     )
     compared: int = Field(description="rollouts that do not overlap, paired")
     closer: int = Field(description="of these, rollouts that are closer to the measurement with the effects")
@@ -482,13 +482,13 @@ class DiagnosisDocument(Schema):
         "", description="how the measurements break a law of every impact, whatever the contact; empty: they do not"
     )
     summary: str = Field("", description="the verdict in words, with the largest residuals in units")
-    measurement: str = omitted("", description="what is wrong with the readings, in words; empty: nothing is named")
+    measurement: str = omitted("", description="faults of the readings, in words; empty: no fault is named")
     calibrate: tuple[CalibrationExperiment, ...] = omitted(
         (), description="experiments for the effects of the measurement that are named, tied or suspected"
     )
     named: tuple[str, ...] = Field((), description="effects that the diagnosis chose")
     required: tuple[str, ...] = omitted(
-        (), description="named effect without which replays of impacts hit nothing: all errors are with it"
+        (), description="named effect without which replays of impacts hit nothing; all errors include it"
     )
     suspected: tuple[str, ...] = Field(
         (), description="effects that lower the error of all data, and the held-out error by less than its interval"
@@ -498,12 +498,10 @@ class DiagnosisDocument(Schema):
     )
     effects: tuple[EffectDocument, ...] = Field(description="all effects, best first")
     confusable: tuple[tuple[str, ...], ...] = Field(description="effects that the data cannot distinguish")
-    unexplained: UnexplainedDocument = Field(default_factory=UnexplainedDocument, description="what stays")
+    unexplained: UnexplainedDocument = Field(default_factory=UnexplainedDocument, description="remaining residuals")
     next_experiment: NextExperiment | None = Field(None, description="experiment that distinguishes confusable effects")
     model: ModelIdentity = Field(description="diagnosed model")
-    calibration: CalibrationIdentity | None = omitted(
-        None, description="faults of the readings that were known; null: none"
-    )
+    calibration: CalibrationIdentity | None = omitted(None, description="known faults of the readings; null: none")
     runs: RunsIdentity = Field(description="measurements")
     error_unit: ErrorUnit = Field(TIMES, description="unit of all held-out errors")
     noise_floor: float = Field(description="held-out error of noise alone")
@@ -514,11 +512,15 @@ class DiagnosisDocument(Schema):
     )
     hold_out: HoldOutDocument = Field(default_factory=HoldOutDocument, description="how data were held out")
     lack_of_fit: LackOfFit = Field(default_factory=LackOfFit, description="p of the residuals being noise")
-    design: DesignDocument = Field(default_factory=DesignDocument, description="data, and what a verdict lacks")
-    discrepancy: DiscrepancyDocument = Field(
-        default_factory=DiscrepancyDocument, description="of the simulation itself"
+    design: DesignDocument = Field(
+        default_factory=DesignDocument, description="amount of data, and data that a verdict lacks"
     )
-    identifiability: Identifiability = Field(default_factory=Identifiability, description="how well it is determined")
+    discrepancy: DiscrepancyDocument = Field(
+        default_factory=DiscrepancyDocument, description="model discrepancy of the simulation"
+    )
+    identifiability: Identifiability = Field(
+        default_factory=Identifiability, description="how well the parameters are determined"
+    )
     joints: tuple[JointError, ...] = Field((), description="held-out error by joint, of recordings")
     rollouts: HeldOutRollouts | None = omitted(
         None, description="open-loop predictions of held-out motion; null: no effect found, or too little free motion"
@@ -530,14 +532,18 @@ class DiagnosisDocument(Schema):
     )
     limits: tuple[LimitDocument, ...] = Field((), description="relevance limits that were used")
     views: tuple[ViewDocument, ...] = Field((), description="verdicts on parts of the signals, or other contact points")
-    covariates: tuple[CovariateDocument, ...] = Field((), description="circumstances that were declared")
-    dependences: tuple[DependenceDocument, ...] = Field((), description="effects found by covariate, found ones first")
-    budget: BudgetDocument = Field(default_factory=BudgetDocument, description="processor time, and what it left out")
+    covariates: tuple[CovariateDocument, ...] = Field((), description="declared circumstances")
+    dependences: tuple[DependenceDocument, ...] = Field(
+        (), description="dependences of effects on covariates, accepted ones first"
+    )
+    budget: BudgetDocument = Field(
+        default_factory=BudgetDocument, description="processor time, and steps that were left out"
+    )
     remarks: tuple[str, ...] = Field((), description="remarks for the reader")
     formulas: tuple[FormulaSpec, ...] = Field((), description="user-defined effects that were considered")
     arms: dict[str, int] = Field({}, description="joints of arms with parameters of their own; empty: shared")
     options: dict[str, Any] = omitted(
-        {}, description="options of the command that say what was diagnosed, by name, with absolute paths"
+        {}, description="options of the command that select the measurements, by name, with absolute paths"
     )
 
     @property

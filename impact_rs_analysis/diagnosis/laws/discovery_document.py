@@ -23,12 +23,12 @@ class NumberDocument(Schema):
     """One estimated number of a law."""
 
     estimate: float = Field(description="estimate, in its unit")
-    ci95: tuple[float, float] | None = Field(description="95 % interval, in its unit; null: known without one")
+    ci95: tuple[float, float] | None = Field(description="95 % interval, in its unit; null: no interval is known")
     unit: str = Field(description="unit, '-' where it has none")
 
 
 class DomainDocument(Schema):
-    """Where a law was seen."""
+    """Range of a quantity in which a law was measured."""
 
     quantity: str = Field(description="the quantity that it depends on, in symbols of formulas")
     low: float = Field(description="smallest value that was measured, in the unit")
@@ -40,18 +40,18 @@ class PointDocument(Schema):
     """A value of a free curve in the place of a law, fitted to the same data."""
 
     at: float = Field(description="the quantity, in its unit")
-    force: float = Field(description="force or torque there, in the unit")
+    force: float = Field(description="force or torque at this value, in the unit")
     ci95: tuple[float, float] = Field(description="95 % interval, in the unit")
-    law: float = Field(description="what the law says there, in the unit")
+    law: float = Field(description="force or torque of the law at this value, in the unit")
 
 
 class CurveDocument(Schema):
-    """Force of a law over its quantity, beside that of a free curve."""
+    """Force of a law over its quantity, and of a free curve."""
 
     at: tuple[float, ...] = Field(description="values of the quantity, in its unit")
-    law: tuple[float, ...] = Field(description="force or torque of the law there, in the unit")
+    law: tuple[float, ...] = Field(description="force or torque of the law at these values, in the unit")
     law_ci95: tuple[tuple[float, float], ...] = Field(description="its 95 % band, in the unit")
-    points: tuple[PointDocument, ...] = Field(description="a free curve, where the data determine it")
+    points: tuple[PointDocument, ...] = Field(description="free curve, at knots that the data determine")
     unit: str = Field(description="unit of force or torque")
 
 
@@ -64,14 +64,14 @@ class LawDocument(Schema):
     formula: str = Field(description="the law")
     curved: bool = Field(False, description="whether it is a free curve, whose parameters are its values at knots")
     parameters: dict[str, NumberDocument] = Field(description="estimates by name")
-    verdict: DiagnosisVerdict = Field(description="verdict on it, as of an effect of a diagnosis")
+    verdict: DiagnosisVerdict = Field(description="verdict, as on an effect of a diagnosis")
     held_out_error_before: float = Field(description="error on unseen conditions without it")
     held_out_error_after: float = Field(description="error on unseen conditions with it")
-    p_value: float = Field(description="p-value, adjusted for all laws and effects that were looked at")
+    p_value: float = Field(description="p-value, adjusted for all tried laws and effects")
     tied_with: tuple[str, ...] = Field((), description="laws and effects that predict as well in its place")
-    tie: str = Field("", description="why these cannot be distinguished, and what would; empty: there is no tie")
-    valid: DomainDocument | None = Field(None, description="where it was seen; null: the quantity was not measured")
-    curve: CurveDocument | None = Field(None, description="the force without a form; null: not fitted")
+    tie: str = Field("", description="why they cannot be distinguished, and which measurement would; empty: no tie")
+    valid: DomainDocument | None = Field(None, description="measured range; null: the quantity was not measured")
+    curve: CurveDocument | None = Field(None, description="free curve in place of the law; null: not fitted")
 
 
 class DiscoveryDocument(Schema):
@@ -84,11 +84,11 @@ class DiscoveryDocument(Schema):
     )
     summary: str = Field(description="the verdict in words")
     laws: tuple[LawDocument, ...] = Field((), description="the law and those tied with it, best first")
-    others: tuple[LawDocument, ...] = Field((), description="other laws in place of the found one, best first")
-    looked_at: int = Field(0, description="laws and effects that were looked at")
-    starts: int = Field(0, description="the same, counted once for every start of a shape")
+    others: tuple[LawDocument, ...] = Field((), description="other laws in place of the first, best first")
+    looked_at: int = Field(0, description="number of tried laws and effects")
+    starts: int = Field(0, description="number of tried laws and effects, once per start of a shape")
     error_unit: str = Field(description="unit of the held-out errors")
-    diagnosis: DiagnosisDocument | None = Field(None, description="the search as a diagnosis; null: there was none")
+    diagnosis: DiagnosisDocument | None = Field(None, description="the search as a diagnosis; null: no search")
 
 
 def is_discovery(path: Path) -> bool:

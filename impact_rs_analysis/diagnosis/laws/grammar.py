@@ -70,13 +70,13 @@ class Quantity(Schema):
         description="in symbols of formulas; {joint} is the joint of the place, {before} the one before"
     )
     unit: str = Field(description="unit")
-    typical: float = Field(gt=0.0, description="its size, where it was not measured, in its unit")
-    words: str = Field(description="what it is, in a sentence")
+    typical: float = Field(gt=0.0, description="its size if it was not measured, in its unit")
+    words: str = Field(description="the quantity, in a sentence")
     opposes: bool = Field(False, description="whether a force that dissipates has the opposite sign")
-    along: str = Field("", description="the vector that it is the size of, with {axis} for an axis; empty: none")
+    along: str = Field("", description="vector of which it is the norm, with {axis} for an axis; empty: none")
     of_place: str = Field(
         "",
-        description="the place whose distance from a point it is, with {axis}; anchor_x, ... of the point are shapes",
+        description="position whose distance from an anchor it is, with {axis}; anchor_x, ... are shapes",
     )
     shapes: dict[str, QuantityShape] = Field({}, description="numbers in its formula, by name")
 
@@ -90,9 +90,11 @@ class Quantity(Schema):
 class Number(Schema):
     """A parameter of a form."""
 
-    power: int = Field(0, description="of an amplitude, whose unit is that of the place over the quantity's to it")
+    power: int = Field(
+        0, description="n of an amplitude; its unit is that of the place over the n-th power of that of the quantity"
+    )
     shape: Literal["", "limit", "width", "wave_number"] = Field(
-        "", description="what changes nothing while the amplitudes are 0; empty: this is an amplitude"
+        "", description="kind of a shape, which changes nothing while the amplitudes are 0; empty: an amplitude"
     )
     starts: tuple[float, ...] = Field(
         (),
@@ -105,7 +107,7 @@ class Form(Schema):
     """How a law depends on its quantity u."""
 
     law: str = Field(description="formula of u, the middle of its range, and the parameters")
-    along: str = Field("", description="the same over u, for a force along a vector; empty: there is none")
+    along: str = Field("", description="law over u, for a force along a vector; empty: not along a vector")
     numbers: dict[str, Number] = Field(min_length=1, description="its parameters")
     restores: bool = Field(False, description="whether it has the sign of a spring")
     words: str = Field(description="what it is, in a sentence")
@@ -117,15 +119,15 @@ class Place(Schema):
     formula: str = Field(description="key of a formula effect")
     each: Literal["joint", "pair", "opposed", "axis", "vector", "once"] | Coefficient = Field(
         "once",
-        description="what there is one law of; pair: two joints in a row with the same torque, opposed: the second one "
-        "has its reaction; a coefficient of formulas: that of a contact of a single impact",
+        description="element with a law of its own; pair: two joints in a row with the same torque; opposed: the second "
+        "joint has the reaction; a coefficient of formulas: coefficient of the contact of a single impact",
     )
     unit: str = Field(description="unit of the force or torque")
-    noticeable: float = Field(gt=0.0, description="amplitude at which it matters, in the unit")
+    noticeable: float = Field(gt=0.0, description="noticeable amplitude, in the unit")
     words: str = Field(description="what it is, in a sentence")
     contact: bool = Field(False, description="whether it acts in contact only")
     against: bool = Field(False, description="whether it is positive against the motion")
-    needs: str = Field("", description="signal of free motion that shows it; empty: none does")
+    needs: str = Field("", description="signal of free motion that shows the law; empty: no signal")
     laws: dict[str, tuple[str, ...]] = Field(description="forms by quantity")
 
 
