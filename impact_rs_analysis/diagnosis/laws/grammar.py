@@ -119,7 +119,7 @@ class Place(Schema):
     formula: str = Field(description="key of a formula effect")
     each: Literal["joint", "pair", "opposed", "axis", "vector", "once"] | Coefficient = Field(
         "once",
-        description="element with a law of its own; pair: two joints in a row with the same torque; opposed: the second "
+        description="element with its own law; pair: two joints in a row with the same torque; opposed: the second "
         "joint has the reaction; a coefficient of formulas: coefficient of the contact of a single impact",
     )
     unit: str = Field(description="unit of the force or torque")
