@@ -64,7 +64,7 @@ class JointMotion:
         return np.array([self.model.gravity_torque(q) for q in self.position])
 
     @functools.cached_property
-    def whole(self) -> Array:
+    def rigid_torque(self) -> Array:
         """M ddq + h, ``(k, n)`` [N m, N]."""
         states = zip(self.position, self.velocity, self.acceleration, strict=True)
         return np.array([self.model.inverse_dynamics(*state) for state in states])

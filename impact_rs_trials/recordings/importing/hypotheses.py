@@ -18,10 +18,10 @@ Its log likelihood ratio to *none* is, with the residuals r of least squares and
 
     sum_j  k_j / 2  log(sum r_none^2 / sum r^2)  -  log(k_j) / 2                             (Schwarz 1978)
 
-where k_j is the effective number of two autocorrelated signals (Bartlett 1946), for smooth motions resemble each other
-by chance. Its log prior holds the densities of the factors and the names. Both can be added and compared between
-streams, units and roles. A choice without evidence is assumed: the *margin* of a hypothesis is its log posterior
-less the next one's, and a margin below log(100) (Jeffreys 1961) is not decisive.
+where k_j is the effective number of samples of two autocorrelated signals (Bartlett 1946): smooth motions resemble each
+other by chance. The log prior holds the densities of the factors and the names. Both can be added, and compared between
+streams, units and roles. The *margin* of a hypothesis is its log posterior minus that of the next hypothesis. A margin
+below log(100) (Jeffreys 1961) is not decisive, and the choice is marked as assumed.
 """
 
 from __future__ import annotations
@@ -65,12 +65,13 @@ MIN_TORQUE_NM = 0.3  # of the largest robot's scale, about its mean and rms, fro
 MAX_OUTSIDE_SHARE = 0.01  # of the positions beyond the limits, as outliers
 MAX_EXCESS_SHARE = 0.05  # of a joint's range, by which positions may exceed it
 MIN_OPPOSITE_SHARE = 0.25  # of the range of a torque on the smaller side of zero, from which it has both signs
-MAIN_TRAVEL_SHARE, MIN_TRAVEL_SHARE = 0.5, 0.2  # of the farthest travel of a joint, from which others show a relation
+MAIN_TRAVEL_SHARE, MIN_TRAVEL_SHARE = 0.5, 0.2  # of the farthest travel of a joint, from which a joint is informative
 PRIOR: dict[str, float] = {  # of units and roles
     "rad": 0.8, "deg": 0.19, "mrad": 0.01, "rad/s": 0.8, "deg/s": 0.18, "mrad/s": 0.01, "rpm": 0.01,
     "N m": 0.75, "mN m": 0.05, "A": 0.2, "other": 1e-4, "copy": 0.2,
 }  # fmt: skip
 LOW_PASS_LOG_DENSITY = -float(np.log(np.log(SAME_UNIT_FACTORS[1] / SAME_UNIT_FACTORS[0])))  # of log a in one unit
+FREE_FACTOR_LOG_DENSITY = -float(np.log(2.0 * np.log(MAX_FACTOR_RATIO)))  # of log |b| of either sign, of any size
 PROBABILITY_OF_BROKEN_ORDER = 1e-3  # that the column of one joint holds another one
 SIGN_PRIOR = (0.9, 0.09, 0.01)  # all signals have the sign of the joints, all the opposite one, or they differ
 OUTLIERS = np.errstate(over="ignore", invalid="ignore", divide="ignore")  # of any size; what they spoil fits nothing
@@ -116,8 +117,8 @@ class RoleChoice:
 
     Attributes:
         best: The likeliest.
-        next: The second likeliest; None: there is no other.
-        margin: Log posterior odds of the best against the next one, or against no role.
+        next: The second likeliest; None: there is a single hypothesis.
+        margin: Log posterior odds of the best against the next hypothesis, or against no role.
     """
 
     best: RoleHypothesis
@@ -131,26 +132,25 @@ class RoleChoice:
 
     @property
     def evidence(self) -> str:
-        """Evidence for the best, and the next one if the margin is not decisive."""
+        """Evidence for the best, and the next hypothesis if the margin is not decisive."""
         if self.sure or self.next is None:
             return self.best.evidence
         return f"{self.best.evidence}; next: {self.next.name}, log odds {self.margin:.2g}"
 
 
-def choose(hypotheses: Iterable[RoleHypothesis], least: float = 0.0) -> RoleChoice | None:
+def choose(hypotheses: Iterable[RoleHypothesis], null_log_posterior: float = 0.0) -> RoleChoice | None:
     """Choose the likeliest hypothesis about one stream; None: there are no hypotheses.
 
     Args:
         hypotheses: Hypotheses about one stream.
-        least: Log posterior of having no role.
+        null_log_posterior: Log posterior of having no role.
     """
-    ordered = sorted(hypotheses, key=lambda one: one.log_posterior, reverse=True)
+    ordered = sorted(hypotheses, key=lambda hypothesis: hypothesis.log_posterior, reverse=True)
     if not ordered:
         return None
-    best, others = ordered[0], ordered[1:]
-    following = others[0] if others else None
-    last = least if following is None else max(least, following.log_posterior)
-    return RoleChoice(best, following, best.log_posterior - last)
+    best, second = ordered[0], ordered[1] if len(ordered) > 1 else None
+    rival = null_log_posterior if second is None else max(null_log_posterior, second.log_posterior)
+    return RoleChoice(best, second, best.log_posterior - rival)
 
 
 # ---- roles ----------------------------------------------------------------------------------------------------------
@@ -159,26 +159,27 @@ def choose(hypotheses: Iterable[RoleHypothesis], least: float = 0.0) -> RoleChoi
 def positions(raw: Array, facts: RobotFacts) -> list[RoleHypothesis]:
     """Units in which numbers ``(k, n)`` lie within the joints' limits, the likeliest first.
 
-    A position may be anywhere within its range, so that the density of its number is the unit over the range: numbers
-    that fill the range in one unit are unlikely where the unit makes it 57 times wider.
+    A position is uniform within its range, so that the density of its number is unit over range: numbers that fill the
+    range in rad are unlikely in deg, in which the range is 57 times wider.
     """
     low, high = np.array(facts.limits.position_min_rad), np.array(facts.limits.position_max_rad)
     margin = MAX_EXCESS_SHARE * (high - low)
-    span = ", ".join(f"{one:.3g} ... {other:.3g}" for one, other in zip(raw.min(axis=0), raw.max(axis=0), strict=True))
-    found: list[RoleHypothesis] = []
-    tried: list[str] = []
+    ends = zip(raw.min(axis=0), raw.max(axis=0), strict=True)
+    span = ", ".join(f"{lowest:.3g} ... {highest:.3g}" for lowest, highest in ends)
+    hypotheses: list[RoleHypothesis] = []
+    rejected_units: list[str] = []
     for turns, slide in (("rad", "m"), ("deg", "mm"), ("mrad", "mm")):
         unit = unit_of_joints(facts, turns, slide)
         factor = factors_of("position", unit)
-        inside = np.mean((raw * factor >= low - margin) & (raw * factor <= high + margin), axis=0)
-        if np.all(inside > 1.0 - MAX_OUTSIDE_SHARE):
+        share_inside = np.mean((raw * factor >= low - margin) & (raw * factor <= high + margin), axis=0)
+        if np.all(share_inside > 1.0 - MAX_OUTSIDE_SHARE):
             text = f"the joints reach {span}, which lies within their limits in {turns}"
-            text += f" and not in {' or '.join(tried)}" if tried else ""
+            text += f" and not in {' or '.join(rejected_units)}" if rejected_units else ""
             density = float(np.sum(np.log(np.broadcast_to(factor, low.shape))))
-            found.append(RoleHypothesis("position", unit, text, density, np.log(PRIOR[turns])))
-        elif not found:
-            tried.append(turns)
-    return found
+            hypotheses.append(RoleHypothesis("position", unit, text, density, np.log(PRIOR[turns])))
+        elif not hypotheses:
+            rejected_units.append(turns)
+    return hypotheses
 
 
 @OUTLIERS
@@ -189,72 +190,80 @@ def velocities(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
         motion: Of the joints.
         y: The stream, :meth:`JointMotion.sampled`, ``(k, n)``.
     """
-    shown = moves(motion.derivative, motion.facts)
-    shown = shown if np.any(shown) else travels(motion.position, MAIN_TRAVEL_SHARE)
+    informative = moves(motion.derivative, motion.facts)
+    informative = informative if np.any(informative) else travels(motion.position, MAIN_TRAVEL_SHARE)
     samples = effective_samples(motion.derivative, y)
-    plain = fit(motion.derivative, y)
-    found = []
+    unbounded = fit(motion.derivative, y, independent=samples)
+    hypotheses = []
     for turns, slide in (("rad/s", "m/s"), ("deg/s", "mm/s"), ("mrad/s", "mm/s"), ("rpm", "mm/s")):
         per_unit = 1.0 / TURNS["velocity"][turns]
         relation = fit(per_unit * motion.derivative, y, independent=samples, bounds=SAME_UNIT_FACTORS)
         text = (
-            f"{spread(plain.factor[shown] / per_unit)} times the derivative of the position in {turns} "
-            f"(correlation {spread(plain.correlation[shown])})"
+            f"{range_in_words(unbounded.factor[informative] / per_unit)} times the derivative of the position in "
+            f"{turns} (correlation {range_in_words(unbounded.correlation[informative])})"
         )
-        related = shown & (np.abs(plain.correlation) > MIN_CORRELATION)
-        signs = np.where(related, np.sign(relation.factor), usual_sign(relation.factor[shown]))
-        prior = float(np.log(PRIOR[turns])) + _signs_prior(signs[shown])
+        correlated = informative & (np.abs(unbounded.correlation) > MIN_CORRELATION)
+        signs = np.where(correlated, np.sign(relation.factor), usual_sign(relation.factor[informative]))
+        prior = float(np.log(PRIOR[turns])) + _signs_prior(signs[informative])
         further = {} if np.all(signs > 0.0) else {"factor": signs_of(signs)}
-        remarks = _contradictions(shown, plain)
+        remarks = _contradictions(informative, unbounded)
         unit = motion.unit(turns, slide)
-        found.append(RoleHypothesis("velocity", unit, text, _copied(relation, shown), prior, further, remarks))
-    usual = float(np.median(plain.factor[shown]))
-    relation = fit(usual * motion.derivative, y, independent=samples, bounds=SAME_UNIT_FACTORS)
+        hypotheses.append(
+            RoleHypothesis(
+                "velocity", unit, text, _log_likelihood_ratio_of_copy(relation, informative), prior, further, remarks
+            )
+        )
+    typical_factor = float(np.median(unbounded.factor[informative]))
+    relation = fit(typical_factor * motion.derivative, y, independent=samples, bounds=SAME_UNIT_FACTORS)
     prior = float(np.log(PRIOR["other"] / np.log(MAX_FACTOR_RATIO)))
-    text = f"{usual:.3g} times the derivative of the position: at another sampling rate?"
-    found.append(RoleHypothesis("other", "", text, _copied(relation, shown), prior, {"rate_": usual}))
-    free = fit(motion.derivative, y, independent=samples)
-    text = "a factor of its own times the derivative of every position: friction?"
-    prior = float(np.log(PRIOR["other"]))
-    found.append(
-        RoleHypothesis("other", "", text, _gains(free, shown, -float(np.log(2.0 * np.log(MAX_FACTOR_RATIO)))), prior)
+    text = f"{typical_factor:.3g} times the derivative of the position: at another sampling rate?"
+    hypotheses.append(
+        RoleHypothesis(
+            "other", "", text, _log_likelihood_ratio_of_copy(relation, informative), prior, {"rate_": typical_factor}
+        )
     )
-    return _ordered(found)
+    text = "a different factor times the derivative of the position in every joint: friction?"
+    log_ratio = _log_likelihood_ratio(unbounded, informative, FREE_FACTOR_LOG_DENSITY)
+    hypotheses.append(RoleHypothesis("other", "", text, log_ratio, float(np.log(PRIOR["other"]))))
+    return _ordered(hypotheses)
 
 
 @OUTLIERS
 def copies(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
     """Hypotheses that a stream repeats a part of the motion: one factor for all joints, a lag and an offset."""
-    shown = travels(motion.position, MIN_TRAVEL_SHARE)
+    informative = travels(motion.position, MIN_TRAVEL_SHARE)
     parts = motion.position, motion.velocity, motion.acceleration
     rates = (motion.velocity, motion.acceleration, None)
-    found = []
-    for what, part, rate in zip(("positions", "velocities", "accelerations"), parts, rates, strict=True):
+    hypotheses = []
+    for quantity, part, rate in zip(("positions", "velocities", "accelerations"), parts, rates, strict=True):
         further = [np.ones_like(part), *([] if rate is None else [rate])]
         samples = effective_samples(part, y)
         for unit, factor in TURNS["position"].items():
             relation = fit(part / factor, y, further, samples, SAME_UNIT_FACTORS)
-            text = f"repeats the {what}, in {unit}" if unit != "rad" else f"repeats the {what}"
-            prior = float(np.log(PRIOR["copy"] * PRIOR[unit])) + _signs_prior(np.sign(relation.factor[shown]))
-            found.append(RoleHypothesis("copy", unit, text, _copied(relation, shown), prior))
-    return _ordered(found)
+            text = f"repeats the {quantity}, in {unit}" if unit != "rad" else f"repeats the {quantity}"
+            prior = float(np.log(PRIOR["copy"] * PRIOR[unit])) + _signs_prior(np.sign(relation.factor[informative]))
+            hypotheses.append(
+                RoleHypothesis("copy", unit, text, _log_likelihood_ratio_of_copy(relation, informative), prior)
+            )
+    return _ordered(hypotheses)
 
 
 def is_magnitude(motion: JointMotion, y: Array) -> bool:
-    """Whether no joint of a stream ever changes its sign although the torque of some joint does, by more than friction.
+    """Whether a stream never changes its sign although the torque of some joint does, by more than friction.
 
-    A register of currents without sign holds such numbers: a joint that gravity does not load, as a vertical first
-    axis, is accelerated and braked by torques of both signs.
+    Registers of currents without sign hold magnitudes. A joint without gravity load, as a vertical first axis, is
+    accelerated and braked by torques of both signs.
 
     Args:
         motion: Of the joints.
         y: The stream, :meth:`JointMotion.sampled`, ``(k, n)``.
     """
-    needed, used = motion.whole, np.ptp(y, axis=0) > 0.0
-    both = np.minimum(np.max(needed, axis=0), -np.min(needed, axis=0)) > MIN_OPPOSITE_SHARE * np.ptp(needed, axis=0)
+    torque, changing = motion.rigid_torque, np.ptp(y, axis=0) > 0.0
+    smaller_side = np.minimum(np.max(torque, axis=0), -np.min(torque, axis=0))
+    two_signed = smaller_side > MIN_OPPOSITE_SHARE * np.ptp(torque, axis=0)
     reverses = np.minimum(np.max(motion.velocity, axis=0), -np.min(motion.velocity, axis=0)) > 0.0
     one_sided = np.all(y >= 0.0) or np.all(y <= 0.0)
-    return bool(one_sided and used.sum() > 1 and np.any(used & both & reverses))
+    return bool(one_sided and changing.sum() > 1 and np.any(changing & two_signed & reverses))
 
 
 @OUTLIERS
@@ -265,30 +274,31 @@ def motor_positions(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
         motion: Motion of the joints.
         y: The stream, :meth:`JointMotion.sampled`, ``(k, n)``.
     """
-    shown = travels(motion.position, MIN_TRAVEL_SHARE)
-    further = np.ones_like(y), motion.whole
+    informative = travels(motion.position, MIN_TRAVEL_SHARE)
+    further = np.ones_like(y), motion.rigid_torque
     samples = effective_samples(motion.position, y)
-    found = []
+    hypotheses = []
     for turns, slide in (("rad", "m"), ("deg", "mm")):
         factor = TURNS["position"][turns]
         relation = fit(motion.position / factor, y, further, samples)
-        if not np.all(np.abs(relation.correlation[shown]) > MIN_CORRELATION_OF_COLUMNS):
+        if not np.all(np.abs(relation.correlation[informative]) > MIN_CORRELATION_OF_COLUMNS):
             continue
-        usual = float(np.median(np.abs(relation.factor[shown])))
-        direct = SAME_UNIT_FACTORS[0] < usual < SAME_UNIT_FACTORS[1] and bool(np.all(relation.factor[shown] > 0.0))
-        if not direct and turns != "rad":  # the ratio of angles in radians says as much
+        typical_ratio = float(np.median(np.abs(relation.factor[informative])))
+        positive = bool(np.all(relation.factor[informative] > 0.0))
+        direct = SAME_UNIT_FACTORS[0] < typical_ratio < SAME_UNIT_FACTORS[1] and positive
+        if not direct and turns != "rad":  # another unit only changes the ratio
             continue
-        ratio = np.where(shown, relation.factor, usual)
-        apart = factor * y / (1.0 if direct else ratio) - motion.position
-        deflection = float(np.max(np.std(apart[:, shown], axis=0)))
-        if deflection == 0.0:  # the same signal once more
+        gear_ratios = np.where(informative, relation.factor, typical_ratio)
+        deviation = factor * y / (1.0 if direct else gear_ratios) - motion.position
+        deflection = float(np.max(np.std(deviation[:, informative], axis=0)))
+        if deflection == 0.0:  # a copy of the positions
             continue
         text = f"follows the positions, {deflection:.3g} rad rms away from them"
-        text += "" if direct else f", with gear ratios {spread(ratio[shown])}"
-        keys = {} if direct else {"factor": [float(f"{1.0 / one:.6g}") for one in ratio]}
+        text += "" if direct else f", with gear ratios {range_in_words(gear_ratios[informative])}"
+        keys = {} if direct else {"factor": [float(f"{1.0 / gear_ratio:.6g}") for gear_ratio in gear_ratios]}
         prior = float(np.log(PRIOR[turns])) - (0.0 if direct else float(np.log(MAX_GEAR_RATIO)))
-        found.append(RoleHypothesis("position", motion.unit(turns, slide), text, 0.0, prior, keys))
-    return _ordered(found)
+        hypotheses.append(RoleHypothesis("position", motion.unit(turns, slide), text, 0.0, prior, keys))
+    return _ordered(hypotheses)
 
 
 @OUTLIERS
@@ -299,118 +309,117 @@ def torques(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
         motion: Of the joints.
         y: The stream, :meth:`JointMotion.sampled`, ``(k, n)``.
     """
-    needed = motion.whole
-    shown = driven_joints(needed - needed.mean(axis=0), motion.model) & (np.ptp(y, axis=0) > 0.0)
-    if not np.any(shown):
+    rigid_torque = motion.rigid_torque
+    informative = driven_joints(rigid_torque - rigid_torque.mean(axis=0), motion.model) & (np.ptp(y, axis=0) > 0.0)
+    if not np.any(informative):
         return []
     friction = dry_friction(motion.velocity), motion.velocity, np.ones_like(y)
-    samples = effective_samples(needed, y)
-    free = fit(needed, y, friction, samples)
-    heavy = shown & (np.abs(free.correlation) > MIN_CORRELATION)
-    heavy = heavy if np.any(heavy) else shown
+    samples = effective_samples(rigid_torque, y)
+    unbounded = fit(rigid_torque, y, friction, samples)
+    heavy = informative & (np.abs(unbounded.correlation) > MIN_CORRELATION)
+    heavy = heavy if np.any(heavy) else informative
     listed = ", ".join(str(joint + 1) for joint in np.flatnonzero(heavy))
     text = (
-        f"{spread(free.factor[heavy])} times the torque that gravity and inertia of the arm take in joint"
+        f"{range_in_words(unbounded.factor[heavy])} times the torque that gravity and inertia of the arm take in joint"
         f"{'s' if np.sum(heavy) > 1 else ''} {listed}"
     )
-    text += "" if np.all(heavy) else "; the others show nothing and are taken like them"
-    signs = np.where(heavy, np.sign(free.factor), usual_sign(free.factor[heavy]))
+    text += "" if np.all(heavy) else "; the other joints show nothing, and are assumed to have the same unit"
+    signs = np.where(heavy, np.sign(unbounded.factor), usual_sign(unbounded.factor[heavy]))
     further: dict[str, Any] = {} if np.all(signs > 0.0) else {"factor": signs_of(signs)}
-    found = []
+    hypotheses = []
     for turns, slide in (("N m", "N"), ("mN m", "mN")):
         per_unit = 1.0 / TURNS["torque"][turns]
-        relation = fit(per_unit * needed, y, friction, samples, TORQUE_UNIT_FACTORS)
+        relation = fit(per_unit * rigid_torque, y, friction, samples, TORQUE_UNIT_FACTORS)
         size = np.log(np.abs(relation.factor)) / LOG_TORQUE_FACTOR_SIGMA
-        density = -0.5 * np.square(size) - np.log(LOG_TORQUE_FACTOR_SIGMA * np.sqrt(2.0 * np.pi))
+        log_density = -0.5 * np.square(size) - np.log(LOG_TORQUE_FACTOR_SIGMA * np.sqrt(2.0 * np.pi))
         prior = float(np.log(PRIOR[turns])) + _signs_prior(signs[heavy])
         unit = motion.unit(turns, slide)
-        found.append(RoleHypothesis("torque", unit, text, _gains(relation, shown, density), prior, further))
-    gravity_shown = heavy & (np.std(motion.gravity_torque, axis=0) > np.std(needed - motion.gravity_torque, axis=0))
+        log_ratio = _log_likelihood_ratio(relation, informative, log_density)
+        hypotheses.append(RoleHypothesis("torque", unit, text, log_ratio, prior, further))
+    inertial_rms = np.std(rigid_torque - motion.gravity_torque, axis=0)
     # Inertia shows no torque constant, because the motors' own inertia is unknown.
+    gravity_shown = heavy & (np.std(motion.gravity_torque, axis=0) > inertial_rms)
     gravity_shown = gravity_shown if np.any(gravity_shown) else heavy
-    usual = float(np.clip(np.median(np.abs(free.factor[gravity_shown])), *INVERSE_TORQUE_CONSTANTS))
-    sign = usual_sign(free.factor[heavy])
-    within = usual / np.sqrt(MAX_CONSTANT_RATIO), usual * np.sqrt(MAX_CONSTANT_RATIO)
-    relation = fit(sign * needed, y, friction, samples, within)
-    wrong = relation.factor < 0.0
-    constants = np.where(gravity_shown & ~wrong, 1.0 / np.maximum(np.abs(free.factor), 1e-12), 1.0 / usual)
-    own = {**({} if sign > 0.0 else {"factor": -1.0}), "torque_constant": [float(f"{one:.3g}") for one in constants]}
-    why = f"{text}: no unit of torque; taken for motor currents, or torques before gears, with constants by gravity"
-    # The first joint's constant is anywhere in the range, the others are near it.
-    each = float(np.log(np.log(MAX_CONSTANT_RATIO)))
-    prior = (
-        float(
-            np.log(
-                PRIOR["A"]
-                * SIGN_PRIOR[0 if sign > 0.0 else 1]
-                / np.log(INVERSE_TORQUE_CONSTANTS[1] / INVERSE_TORQUE_CONSTANTS[0])
-            )
-        )
-        + each
-    )
-    gains = _gains(relation, shown, np.where(wrong, -np.inf, -each))
-    found.append(RoleHypothesis("current", "A", why, gains, prior, own))
-    gains = _gains(free, shown, -float(np.log(2.0 * np.log(MAX_FACTOR_RATIO))))
-    found.append(RoleHypothesis("other", "", f"{text}: in no unit", gains, float(np.log(PRIOR["other"]))))
-    return _ordered(found)
+    typical_factor = float(np.clip(np.median(np.abs(unbounded.factor[gravity_shown])), *INVERSE_TORQUE_CONSTANTS))
+    sign = usual_sign(unbounded.factor[heavy])
+    bounds = typical_factor / np.sqrt(MAX_CONSTANT_RATIO), typical_factor * np.sqrt(MAX_CONSTANT_RATIO)
+    relation = fit(sign * rigid_torque, y, friction, samples, bounds)
+    opposite = relation.factor < 0.0
+    factors = np.where(gravity_shown & ~opposite, np.maximum(np.abs(unbounded.factor), 1e-12), typical_factor)
+    constants = {"torque_constant": [float(f"{constant:.3g}") for constant in 1.0 / factors]}
+    current_keys = constants if sign > 0.0 else {"factor": -1.0, **constants}
+    evidence = f"{text}: no unit of torque; assumed: currents, or torques before gears, with constants by gravity"
+    # The constant of the first joint is anywhere in the range, and the others are near it.
+    log_range = float(np.log(np.log(MAX_CONSTANT_RATIO)))
+    any_constant = np.log(INVERSE_TORQUE_CONSTANTS[1] / INVERSE_TORQUE_CONSTANTS[0])
+    prior = float(np.log(PRIOR["A"] * SIGN_PRIOR[0 if sign > 0.0 else 1] / any_constant)) + log_range
+    log_ratio = _log_likelihood_ratio(relation, informative, np.where(opposite, -np.inf, -log_range))
+    hypotheses.append(RoleHypothesis("current", "A", evidence, log_ratio, prior, current_keys))
+    log_ratio = _log_likelihood_ratio(unbounded, informative, FREE_FACTOR_LOG_DENSITY)
+    hypotheses.append(RoleHypothesis("other", "", f"{text}: in no unit", log_ratio, float(np.log(PRIOR["other"]))))
+    return _ordered(hypotheses)
 
 
-def driven_joints(needed: Array, model: RobotModel) -> NDArray[np.bool_]:
+def driven_joints(torque: Array, model: RobotModel) -> NDArray[np.bool_]:
     """Joints with a noticeable torque, by the torque ``(k, n)`` [N m] of the motion; ``(n,)``."""
-    size = Proportion.of_robots([model.facts], np.asarray(model.pinocchio.gravity.linear)).factor("N m")
-    return np.asarray(np.sqrt(np.mean(np.square(needed), axis=0)) > MIN_TORQUE_NM * size)
+    scale = Proportion.of_robots([model.facts], np.asarray(model.pinocchio.gravity.linear)).factor("N m")
+    return np.asarray(np.sqrt(np.mean(np.square(torque), axis=0)) > MIN_TORQUE_NM * scale)
 
 
-# ---- parts of them --------------------------------------------------------------------------------------------------
+# ---- likelihoods ----------------------------------------------------------------------------------------------------
 
 
-def _gains(relation: LinearRelation, shown: NDArray[np.bool_], log_density: Array | float) -> float:
-    """Log likelihood ratio of a role to no role, with the density of the factors, of the joints that show it.
+def _log_likelihood_ratio(
+    relation: LinearRelation, informative: NDArray[np.bool_], log_density: Array | float
+) -> float:
+    """Log likelihood ratio of a role to no role, with the density of the factors, summed over informative joints.
 
-    A joint's column is broken, or another joint's, with :data:`PROBABILITY_OF_BROKEN_ORDER`; one joint refutes nothing.
+    The column of a joint is broken, or holds another joint, with :data:`PROBABILITY_OF_BROKEN_ORDER`: a single joint
+    refutes no role.
     """
-    each = relation.log_likelihood_ratio - 0.5 * np.log(relation.independent) + log_density
-    return float(
-        np.sum(np.logaddexp(np.where(np.isfinite(each), each, -np.inf), np.log(PROBABILITY_OF_BROKEN_ORDER))[shown])
-    )
+    ratios = relation.log_likelihood_ratio - 0.5 * np.log(relation.independent) + log_density
+    ratios = np.where(np.isfinite(ratios), ratios, -np.inf)
+    return float(np.sum(np.logaddexp(ratios, np.log(PROBABILITY_OF_BROKEN_ORDER))[informative]))
 
 
-def _copied(relation: LinearRelation, shown: NDArray[np.bool_]) -> float:
-    """As :func:`_gains` for streams with less noise than signal: velocities and copies of the motion."""
+def _log_likelihood_ratio_of_copy(relation: LinearRelation, informative: NDArray[np.bool_]) -> float:
+    """:func:`_log_likelihood_ratio` of velocities and copies of the motion, which have less noise than signal."""
     noisy = relation.misfit > (1.0 - MIN_CORRELATION**2) * relation.unexplained
-    return _gains(relation, shown, np.where(noisy, -np.inf, LOW_PASS_LOG_DENSITY))
+    return _log_likelihood_ratio(relation, informative, np.where(noisy, -np.inf, LOW_PASS_LOG_DENSITY))
 
 
 def _signs_prior(signs: Array) -> float:
     if np.all(signs > 0.0):
         return float(np.log(SIGN_PRIOR[0]))
-    return (
-        float(np.log(SIGN_PRIOR[1])) if np.all(signs < 0.0) else float(np.log(SIGN_PRIOR[2]) - signs.size * np.log(2.0))
-    )
+    if np.all(signs < 0.0):
+        return float(np.log(SIGN_PRIOR[1]))
+    return float(np.log(SIGN_PRIOR[2]) - signs.size * np.log(2.0))
 
 
 def _contradictions(moving: NDArray[np.bool_], relation: LinearRelation) -> tuple[str, ...]:
     """Joints whose velocity has the opposite sign of the others, or is not the derivative of their position."""
-    ratio = relation.factor
-    related, turned = np.abs(relation.correlation) >= MIN_CORRELATION, np.sign(ratio) != usual_sign(ratio[moving])
-    apart, other = np.flatnonzero(moving & ~related), np.flatnonzero(moving & related & turned)
+    factors = relation.factor
+    correlated = np.abs(relation.correlation) >= MIN_CORRELATION
+    sign_differs = np.sign(factors) != usual_sign(factors[moving])
+    unrelated, opposite = np.flatnonzero(moving & ~correlated), np.flatnonzero(moving & correlated & sign_differs)
     text = []
-    if apart.size:
-        text.append(f"velocities of joints {_joints(apart)} are not the derivative of their positions: other columns?")
-    if other.size:
+    if unrelated.size:
+        joints = _joint_numbers(unrelated)
+        text.append(f"velocities of joints {joints} are not the derivative of their positions: other columns?")
+    if opposite.size:
         text.append(
-            f"velocities of joints {_joints(other)} have the opposite sign of the others: their positions or "
-            "their velocities are inverted, and nothing here shows which; taken that velocities are"
+            f"velocities of joints {_joint_numbers(opposite)} have the opposite sign of the others: their positions or "
+            "their velocities are inverted, and nothing here shows which; assumed: the velocities"
         )
     return tuple(text)
 
 
-def _joints(numbers: NDArray[np.signedinteger]) -> str:
+def _joint_numbers(numbers: NDArray[np.signedinteger]) -> str:
     return ", ".join(str(number + 1) for number in numbers)
 
 
 def _ordered(hypotheses: Sequence[RoleHypothesis]) -> list[RoleHypothesis]:
-    return sorted(hypotheses, key=lambda one: one.log_posterior, reverse=True)
+    return sorted(hypotheses, key=lambda hypothesis: hypothesis.log_posterior, reverse=True)
 
 
 def travels(position: Array, share: float) -> NDArray[np.bool_]:
@@ -420,12 +429,12 @@ def travels(position: Array, share: float) -> NDArray[np.bool_]:
 
 
 def usual_sign(ratio: Array) -> float:
-    """The sign of the majority; 1 if there is no majority."""
+    """Sign of the majority; 1 if there is no majority."""
     return -1.0 if np.sum(np.sign(ratio)) < 0.0 else 1.0
 
 
-def spread(values: Array) -> str:
-    """Smallest and largest of numbers, in words."""
+def range_in_words(values: Array) -> str:
+    """Smallest and largest number, in words."""
     low, high = float(np.min(values)), float(np.max(values))
     return f"{low:.3g}" if f"{low:.3g}" == f"{high:.3g}" else f"{low:.3g} ... {high:.3g}"
 

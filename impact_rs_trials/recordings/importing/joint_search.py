@@ -1,21 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Assignment of the streams of a recording to positions, velocities and torques of a robot's joints, by likelihood.
 
-Every candidate for the positions gives one assignment; the others are velocity, torque or neither in its motion
-(:mod:`hypotheses`). The log posterior of an assignment is the sum over its three streams; few streams are as wide as a
-robot has joints, so all are tried. Several streams may fit one role, as a measured and a commanded torque do. Only
-names show which of them was measured, for the other one is as likely in its own role: streams of one role are ordered
-by their names, and else torques in the order of the file, and velocities by how well they fit the positions.
+Every candidate for the positions gives one assignment, in whose motion the other streams are velocity, torque or
+neither (:mod:`hypotheses`). The log posterior of an assignment is the sum over its three streams. Few streams are as
+wide as a robot has joints, so all are tried. Several streams may fit one role, as a measured and a commanded torque do.
+Only names show which of them was measured. Streams of one role are therefore ordered by name. Ties: torques in the
+order of the file, velocities by how well they fit the positions.
 
-Commanded positions and velocities fit each other better than measured ones, because they have no noise, but do so in
-either role. An assignment therefore includes the likelihood of the pair that it leaves over, and the torque decides
-which pair moved the arm. Where one pair follows the other, tracking errors are small against the noise of measured
-accelerations, from which a command is free: then the lag of one pair behind the other decides in place of the torque,
-for a measured motion is late.
+Commanded positions and velocities fit each other better than measured ones, because they have no noise. An assignment
+therefore includes the likelihood of the second pair of positions and velocities, and the torque decides which pair
+moved the arm. Where one pair follows the other, tracking errors are small against the noise of measured accelerations,
+which commands do not have. Then the lag between the pairs decides in place of the torque, because a measured motion is
+late.
 
-Velocities and accelerations are a pair as well, and accelerations that a filter derived from them fit without noise. An
-assignment therefore includes the likelihood of the derivative of its velocities, which that pair has in its velocities:
-what decides between both are the positions, of which only one makes sense.
+Velocities and accelerations are a pair as well, and accelerations that a filter derived from velocities fit without
+noise. An assignment therefore includes the likelihood of the derivative of its velocities. Both assignments then have
+the same likelihood, up to the positions, which decide.
 """
 
 from __future__ import annotations
@@ -120,16 +120,17 @@ class Reading:
 
 
 def alternatives(readings: Iterable[tuple[Reading, float]]) -> tuple[PossibleReading, ...]:
-    """Readings with their log posteriors, and the next hypothesis of each: first the chosen one, then by likelihood."""
-    (first, most), *others = readings
-    following = [(one.stream, one.best, most - total) for one, total in others]
-    for one, total in ((first, most), *others):
-        if one.choice.next is not None:
-            following.append((one.stream, one.choice.next, most - total + one.choice.margin))
-    following.sort(key=lambda each: each[2])
+    """Readings with their log posteriors, and the next hypothesis of each: the chosen reading, then by likelihood."""
+    (chosen, best_log_posterior), *rivals = readings
+    possible = [(reading.stream, reading.best, best_log_posterior - log_posterior) for reading, log_posterior in rivals]
+    for reading, log_posterior in ((chosen, best_log_posterior), *rivals):
+        if reading.choice.next is not None:
+            log_odds = best_log_posterior - log_posterior + reading.choice.margin
+            possible.append((reading.stream, reading.choice.next, log_odds))
+    possible.sort(key=lambda entry: entry[2])
     return tuple(
-        PossibleReading(stream.label, dict(stream.candidate.source), own.unit, float(behind), own.evidence)
-        for stream, own, behind in ((first.stream, first.best, 0.0), *following)
+        PossibleReading(stream.label, dict(stream.candidate.source), best.unit, float(log_odds), best.evidence)
+        for stream, best, log_odds in ((chosen.stream, chosen.best, 0.0), *possible)
     )
 
 
@@ -140,12 +141,12 @@ class Assignment:
     Attributes:
         position: The positions.
         velocity: The velocities; None: derivatives of the positions.
-        torques: Streams that fit a torque, the chosen one first.
+        torques: Streams that fit a torque, the chosen stream first.
         no_torques: Why further streams are no torques, by label: copies of the motion, magnitudes.
-        alternatives: Alternatives by signal, the chosen one first.
-        beside: Log likelihood of the derivative of its velocities, and of a further pair of positions and velocities as
-            a command and its lead.
-        tracked: That pair, if one of both follows the other.
+        alternatives: Alternatives by signal, the chosen reading first.
+        further_log_likelihood: Log likelihood of the derivative of the velocities, and of a second pair of positions
+            and velocities as the command of this motion.
+        command: The second pair, if either pair follows the other; None: neither does.
     """
 
     position: Reading
@@ -153,8 +154,8 @@ class Assignment:
     torques: tuple[Reading, ...]
     no_torques: dict[str, str]
     alternatives: Mapping[str, tuple[PossibleReading, ...]] = field(default_factory=dict)
-    beside: float = 0.0
-    tracked: Assignment | None = None
+    further_log_likelihood: float = 0.0
+    command: Assignment | None = None
 
     @property
     def time(self) -> Array:
@@ -164,7 +165,7 @@ class Assignment:
     @property
     def streams(self) -> list[JointStream]:
         """Streams of positions and velocities."""
-        return [one.stream for one in (self.position, self.velocity) if one is not None]
+        return [reading.stream for reading in (self.position, self.velocity) if reading is not None]
 
     def motion(self, model: RobotModel) -> JointMotion:
         """The motion, with velocities where these were recorded."""
@@ -172,17 +173,17 @@ class Assignment:
 
     def with_torque(self, torque: Array, model: RobotModel) -> MotionTorque:
         """The motion, and a torque at its timestamps, ``(k, n)`` [N m]."""
-        return MotionTorque.seen(self.time, self.position.values, self.speeds, torque, model)
+        return MotionTorque.from_signals(self.time, self.position.values, self.speeds, torque, model)
 
     @property
     def log_posterior(self) -> float:
         """Log posterior of all its streams."""
-        return self.motion_log_posterior + self.beside + self.torque_log_posterior
+        return self.motion_log_posterior + self.further_log_likelihood + self.torque_log_posterior
 
     @property
     def torque_log_posterior(self) -> float:
         """Log posterior of its torque; 0: none fits."""
-        return max((one.log_posterior for one in self.torques), default=0.0)
+        return max((reading.log_posterior for reading in self.torques), default=0.0)
 
     @property
     def motion_log_posterior(self) -> float:
@@ -206,235 +207,231 @@ class JointSearch:
     """
 
     def __init__(self, streams: Sequence[JointStream], model: RobotModel) -> None:
-        self.streams, self.model = [one for one in streams if not holds_a_turn(one.series.values)], model
+        self.streams, self.model = [stream for stream in streams if not holds_a_turn(stream.series.values)], model
         self._averages: dict[tuple[int, int], Array] = {}
-        found = [
-            (stream, choose(positions(stream.series.values, self.model.facts), -np.inf)) for stream in self.streams
-        ]
-        self.places = [
+        self.position_readings = [
             Reading(stream, choice)
-            for stream, choice in found
-            if choice is not None and np.ptp(stream.series.values, axis=0).any()
+            for stream in self.streams
+            if (choice := choose(positions(stream.series.values, model.facts), -np.inf)) is not None
+            and np.ptp(stream.series.values, axis=0).any()
         ]
 
     def motions(self) -> list[Assignment]:
         """Positions with velocity streams, the likeliest first."""
-        found = [
-            Assignment(place, fitting[0], (), {})
-            for place in self.places
-            if (
-                fitting := self._velocities(
-                    place, JointMotion.of(place.stream.series.time, place.values, None, self.model)
-                )
-            )
-        ]
-        return sorted(found, key=lambda one: one.motion_log_posterior, reverse=True)
+        found: list[Assignment] = []
+        for position in self.position_readings:
+            motion = JointMotion.of(position.stream.series.time, position.values, None, self.model)
+            if velocity := self._velocities(position, motion):
+                found.append(Assignment(position, velocity[0], (), {}))
+        return sorted(found, key=lambda assignment: assignment.motion_log_posterior, reverse=True)
 
     def without_velocity(self) -> list[Assignment]:
         """Positions alone, from streams without the name of another signal."""
-        return [Assignment(place, None, (), {}) for place in self.places if place.by_name >= 0.0]
+        return [Assignment(position, None, (), {}) for position in self.position_readings if position.by_name >= 0.0]
 
     def best(self, motions: Sequence[Assignment]) -> Assignment:
         """The likeliest of motions, with its torques and the alternatives of its signals."""
         motions = with_commands(motions)
-        most = max(one.log_posterior for one in motions)
-        searched = [one for one in motions if one.velocity is None or one.log_posterior > most - MAX_LOG_POSTERIOR_LOSS]
-        tried = [self._with_torques(one) for one in searched]
-        found = [_with_shared_torque(one, tried) for one in tried]
-        found.sort(key=lambda one: one.log_posterior, reverse=True)
-        best, places = found[0], {id(one.position.stream): one for one in (*motions, *found)}
-        others = [one for one in places.values() if one.position.stream is not best.position.stream]
-        listed = {"position": alternatives((one.position, one.log_posterior) for one in (best, *others))}
+        least = max(motion.log_posterior for motion in motions) - MAX_LOG_POSTERIOR_LOSS
+        likely = [motion for motion in motions if motion.velocity is None or motion.log_posterior > least]
+        with_torques = [self._with_torques(motion) for motion in likely]
+        assignments = [_with_shared_torque(motion, with_torques) for motion in with_torques]
+        assignments.sort(key=lambda assignment: assignment.log_posterior, reverse=True)
+        best = assignments[0]
+        by_position = {id(rival.position.stream): rival for rival in (*motions, *assignments)}
+        rivals = [rival for rival in by_position.values() if rival.position.stream is not best.position.stream]
+        listed = {"position": alternatives((rival.position, rival.log_posterior) for rival in (best, *rivals))}
         if best.velocity is not None:
             motion = JointMotion.of(best.time, best.position.values, None, self.model)
             fitting = self._velocities(best.position, motion)
-            listed["velocity"] = alternatives((one, one.by_name) for one in fitting)
+            listed["velocity"] = alternatives((reading, reading.by_name) for reading in fitting)
         if best.torques:
-            listed["torque"] = alternatives((one, one.by_name) for one in best.torques)
+            listed["torque"] = alternatives((reading, reading.by_name) for reading in best.torques)
         return replace(best, alternatives=listed)
 
-    def motors(self, found: Assignment) -> Reading | None:
+    def motors(self, assignment: Assignment) -> Reading | None:
         """Angles of the motors, if a stream with such a name follows the positions; None: no stream does."""
-        motion = JointMotion.of(found.time, found.position.values, found.speeds, self.model)
-        for stream in self.free_of([*found.streams, *(one.stream for one in found.torques[:1])]):
+        motion = JointMotion.of(assignment.time, assignment.position.values, assignment.speeds, self.model)
+        for stream in self.free_of([*assignment.streams, *(torque.stream for torque in assignment.torques[:1])]):
             if stream.is_of_motors:
                 choice = choose(motor_positions(motion, self._sampled(motion, stream)), -np.inf)
                 if choice is not None:
                     return Reading(stream, choice)
         return None
 
-    def free_of(self, taken: Sequence[JointStream]) -> list[JointStream]:
-        """Streams that may belong to the joints of others, and share no column with them."""
-        return [one for one in self.streams if not any(one.stands_apart(other) for other in taken)]
+    def free_of(self, assigned: Sequence[JointStream]) -> list[JointStream]:
+        """Streams that may belong to the joints of the assigned streams, and share no column with them."""
+        return [stream for stream in self.streams if not any(stream.stands_apart(other) for other in assigned)]
 
     def velocities_at_other_rates(self) -> Iterator[tuple[JointStream, JointStream, float]]:
-        """Positions, streams proportional to their derivative with one positive factor, and the factor."""
-        for place in self.places:
-            time = place.stream.series.time
-            motion = JointMotion.of(time, place.values, None, self.model)
+        """Positions, a stream that is their derivative times one positive factor in all joints, and the factor."""
+        for position in self.position_readings:
+            time = position.stream.series.time
+            motion = JointMotion.of(time, position.values, None, self.model)
             for stream in self.streams:
-                if not stream.overlaps(place.stream):
+                if not stream.overlaps(position.stream):
                     choice = choose(velocities(motion, self._sampled(motion, stream)))
                     factor = 0.0 if choice is None or not choice.sure else choice.best.further.get("rate_", 0.0)
                     if factor > 0.0:
-                        yield place.stream, stream, factor
+                        yield position.stream, stream, factor
 
     def _sampled(self, motion: JointMotion, stream: JointStream) -> Array:
-        """A stream at the samples of a motion; many motions share timestamps."""
+        """A stream at the samples of a motion, kept because many motions share timestamps."""
         time = motion.time
         key = id(stream), hash(time.tobytes())
         if key not in self._averages:
             self._averages[key] = motion.sampled(stream.series.at(time))
         return self._averages[key]
 
-    def _velocities(self, place: Reading, motion: JointMotion) -> list[Reading]:
-        """Streams that are the derivative of the positions, by their names, and then by likelihood."""
-        found = [
+    def _velocities(self, position: Reading, motion: JointMotion) -> list[Reading]:
+        """Streams that are the derivative of the positions, sorted by their names, and then by likelihood."""
+        readings = [
             Reading(stream, choice)
-            for stream in self.free_of([place.stream])
+            for stream in self.free_of([position.stream])
             if (choice := choose(velocities(motion, self._sampled(motion, stream)))) is not None
             and choice.best.role == "velocity"
             and choice.best.log_posterior > DECISIVE_LOG_ODDS
         ]
-        return sorted(_exclusive(found), key=lambda one: (one.by_name, one.log_posterior), reverse=True)
+        return sorted(_exclusive(readings), key=lambda reading: (reading.by_name, reading.log_posterior), reverse=True)
 
     @OUTLIERS
-    def _with_torques(self, found: Assignment) -> Assignment:
-        """With the streams that fit the torque of a motion, or else by name."""
-        motion, free = found.motion(self.model), self.free_of(found.streams)
-        cut = found.position.stream.is_cut  # of another robot, perhaps, for which the torque must speak
+    def _with_torques(self, assignment: Assignment) -> Assignment:
+        """The assignment with the streams that fit the torque of its motion, or else have the name of a torque."""
+        motion, free = assignment.motion(self.model), self.free_of(assignment.streams)
+        cut = assignment.position.stream.is_cut  # perhaps of another robot: only a decisive torque is accepted
         fitting, weightless, no_torques = [], [], {}
         for stream in free:
-            raw = stream.series.at(found.time)
+            raw = stream.series.at(assignment.time)
             y = motion.sampled(raw)
             copy, torque = choose(copies(motion, y)), choose(torques(motion, y))
-            least = DECISIVE_LOG_ODDS if torque is None else max(DECISIVE_LOG_ODDS, torque.best.log_posterior)
-            if copy is not None and copy.best.log_posterior > least:
+            threshold = DECISIVE_LOG_ODDS if torque is None else max(DECISIVE_LOG_ODDS, torque.best.log_posterior)
+            if copy is not None and copy.best.log_posterior > threshold:
                 no_torques[stream.label] = copy.best.evidence
                 continue
             if is_magnitude(motion, y):
                 no_torques[stream.label] = MAGNITUDE
                 continue
-            if (lacking := self._without_gravity(stream, found)) is not None:
-                weightless.append(lacking)
+            if (inertial := self._without_gravity(stream, assignment)) is not None:
+                weightless.append(inertial)
                 continue
             if torque is None or torque.best.role == "other" or torque.best.log_posterior <= DECISIVE_LOG_ODDS:
                 continue
             if cut and not torque.sure:
                 continue
-            computed = self._is_computed(found.with_torque(raw, self.model), torque.best)
+            computed = self._is_computed(assignment.with_torque(raw, self.model), torque.best)
             fitting.append(Reading(stream, _named(stream, torque, motion, y), computed))
         fitting = _exclusive(fitting or weightless)
-        if all(one.computed for one in fitting) and not cut:  # a controller's target is no measurement, a current is
-            named = [one for one in free if _is_named(one) and one.label not in no_torques]
-            named = [
-                one for one in named if not fitting or one.log_prior("current") > max(one.log_prior("torque"), 0.0)
-            ]
-            fitting += [self._by_name(one, found, motion) for one in named]
-            fitting.sort(key=lambda one: one.rank, reverse=True)
-        return replace(found, torques=tuple(fitting), no_torques=no_torques)
+        # A controller's target is no measurement. A current is, also if the fit does not show it.
+        if all(reading.computed for reading in fitting) and not cut:
+            named = [stream for stream in free if _is_named(stream) and stream.label not in no_torques]
+            if fitting:
+                named = [
+                    stream for stream in named if stream.log_prior("current") > max(stream.log_prior("torque"), 0.0)
+                ]
+            fitting += [self._by_name(stream, assignment, motion) for stream in named]
+            fitting.sort(key=lambda reading: reading.rank, reverse=True)
+        return replace(assignment, torques=tuple(fitting), no_torques=no_torques)
 
     @OUTLIERS
-    def _without_gravity(self, stream: JointStream, found: Assignment) -> Reading | None:
+    def _without_gravity(self, stream: JointStream, assignment: Assignment) -> Reading | None:
         """A stream in N m or mN m that is a torque without gravity; None: no evidence."""
-        raw = stream.series.at(found.time)
+        raw = stream.series.at(assignment.time)
         for unit, slide in {"N m": "N", "mN m": "mN"}.items():
-            if (why := lacks_gravity(found.with_torque(TURNS["torque"][unit] * raw, self.model))) is not None:
+            if (evidence := lacks_gravity(assignment.with_torque(TURNS["torque"][unit] * raw, self.model))) is not None:
                 units = unit_of_joints(self.model.facts, unit, slide)
-                return replace(Reading.of(stream, "torque", units, why, np.inf), meaning="without_gravity")
+                return replace(Reading.of(stream, "torque", units, evidence, np.inf), meaning="without_gravity")
         return None
 
-    def _is_computed(self, seen: MotionTorque, hypothesis: RoleHypothesis) -> bool:
+    def _is_computed(self, motion: MotionTorque, hypothesis: RoleHypothesis) -> bool:
         """Whether a torque at motors was computed; torque sensors behind the gears measure no gear friction."""
         at_motor = hypothesis.role == "current" or not self.model.facts.joint_torque_loop
-        return at_motor and is_computed(seen)
+        return at_motor and is_computed(motion)
 
-    def _by_name(self, stream: JointStream, found: Assignment, motion: JointMotion) -> Reading:
+    def _by_name(self, stream: JointStream, assignment: Assignment, motion: JointMotion) -> Reading:
         """A torque or a current that only its name shows."""
-        raw = stream.series.at(found.time)
+        raw = stream.series.at(assignment.time)
         if stream.log_prior("current") > stream.log_prior("torque"):
-            for one in torques(motion, motion.sampled(raw)):
-                if one.role == "current":
-                    return Reading(stream, RoleChoice(one, None, 0.0))
-        seen = found.with_torque(raw, self.model)
+            for hypothesis in torques(motion, motion.sampled(raw)):
+                if hypothesis.role == "current":
+                    return Reading(stream, RoleChoice(hypothesis, None, 0.0))
+        measured = assignment.with_torque(raw, self.model)
         evidence = "the motion takes too little torque to show it"
-        if np.any(driven_joints(seen.whole, seen.model)):
-            most, left = (
-                np.sqrt(np.mean(np.square(seen.whole), axis=0)),
-                np.sqrt(seen.left(seen.whole) / len(seen.whole)),
-            )
-            joint = int(np.argmax(most))
+        if np.any(driven_joints(measured.rigid_torque, measured.model)):
+            rigid_rms = np.sqrt(np.mean(np.square(measured.rigid_torque), axis=0))
+            residual_rms = np.sqrt(measured.misfit(measured.rigid_torque) / len(measured.rigid_torque))
+            joint = int(np.argmax(rigid_rms))
             evidence = (
-                f"gravity and inertia of the arm take {most[joint]:.3g} N m rms in joint {joint + 1}, from which the "
-                f"signal is {left[joint]:.3g} N m away: another robot, other joints or another quantity?"
+                f"gravity and inertia of the arm take {rigid_rms[joint]:.3g} N m rms in joint {joint + 1}, from which "
+                f"the signal is {residual_rms[joint]:.3g} N m away: another robot, other joints or another quantity?"
             )
         unit = motion.unit("N m", "N")
-        if (external := is_external(seen, stream.is_external)) is not None:
+        if (external := is_external(measured, stream.is_external)) is not None:
             reading = Reading.of(stream, "torque", unit, external.evidence, external.margin)
             return replace(reading, meaning="external")
         return Reading.of(stream, "torque", unit, f"nothing but its name: {evidence}", 0.0)
 
 
 def with_commands(motions: Sequence[Assignment]) -> list[Assignment]:
-    """Motions with the likelihood of streams that each leaves over, without which they are of different streams."""
-    return [_with_command(one, motions) for one in motions]
+    """Motions with the likelihood of the streams that each leaves over, so that all are judged by the same streams."""
+    return [_with_command(motion, motions) for motion in motions]
 
 
-def _with_shared_torque(found: Assignment, tried: Sequence[Assignment]) -> Assignment:
-    """A motion with the likelihood of the torque for its command, if it is larger and one of both follows the other."""
-    if found.tracked is None:
-        return found
-    command = found.tracked.position.stream
-    other = max((one.torque_log_posterior for one in tried if one.position.stream is command), default=0.0)
-    return replace(found, beside=found.beside + max(other - found.torque_log_posterior, 0.0))
+def _with_shared_torque(assignment: Assignment, assignments: Sequence[Assignment]) -> Assignment:
+    """An assignment with the likelihood of the torque in the motion of its command, where that is larger."""
+    if assignment.command is None:
+        return assignment
+    stream = assignment.command.position.stream
+    of_command = [rival.torque_log_posterior for rival in assignments if rival.position.stream is stream]
+    gain = max(max(of_command, default=0.0) - assignment.torque_log_posterior, 0.0)
+    return replace(assignment, further_log_likelihood=assignment.further_log_likelihood + gain)
 
 
-def _disjoint(found: Assignment, other: Assignment) -> bool:
+def _disjoint(first: Assignment, second: Assignment) -> bool:
     """Whether two motions with velocities have no columns in common."""
-    pairs = (
-        (one.stream, two.stream)
-        for one in (found.position, found.velocity)
-        for two in (other.position, other.velocity)
-        if one is not None and two is not None
-    )
-    return found.velocity is not None and other.velocity is not None and not any(a.overlaps(b) for a, b in pairs)
+    if first.velocity is None or second.velocity is None:
+        return False
+    return not any(a.overlaps(b) for a in first.streams for b in second.streams)
 
 
-def _with_command(found: Assignment, motions: Sequence[Assignment]) -> Assignment:
+def _with_command(assignment: Assignment, motions: Sequence[Assignment]) -> Assignment:
     """A motion with the derivative of its velocities, and with the likeliest pair of other streams as its command.
 
-    Both by likelihood, without names.
+    Names are not used.
     """
 
-    def velocity(of: Assignment) -> float:
-        return 0.0 if of.velocity is None else of.velocity.best.log_posterior
+    def velocity(motion: Assignment) -> float:
+        return 0.0 if motion.velocity is None else motion.velocity.best.log_posterior
 
-    def derivative(of: Assignment) -> float:
-        return max(
-            (velocity(one) for one in motions if of.velocity and one.position.stream is of.velocity.stream), default=0.0
-        )
+    def derivative(motion: Assignment) -> float:
+        if motion.velocity is None:
+            return 0.0
+        stream = motion.velocity.stream
+        return max((velocity(second) for second in motions if second.position.stream is stream), default=0.0)
 
-    beside = derivative(found)
     pairs = [
-        (one.position.best.log_posterior + velocity(one) + derivative(one), one)
-        for one in motions
-        if _disjoint(found, one)
+        (pair.position.best.log_posterior + velocity(pair) + derivative(pair), pair)
+        for pair in motions
+        if _disjoint(assignment, pair)
     ]
     if not pairs:
-        return replace(found, beside=beside)
-    likelihood, command = max(pairs, key=lambda pair: pair[0])
-    lateness = _lateness(found, command)
-    return replace(found, beside=beside + likelihood + (lateness or 0.0), tracked=None if lateness is None else command)
+        return replace(assignment, further_log_likelihood=derivative(assignment))
+    log_likelihood, command = max(pairs, key=lambda entry: entry[0])
+    lateness = _lateness(assignment, command)
+    return replace(
+        assignment,
+        further_log_likelihood=derivative(assignment) + log_likelihood + (lateness or 0.0),
+        command=None if lateness is None else command,
+    )
 
 
-def _lateness(found: Assignment, other: Assignment) -> float | None:
-    """Log odds that a motion follows another one, by the sign of the lag L of q(t) = q_other(t - L) + c, all joints.
+def _lateness(follower: Assignment, leader: Assignment) -> float | None:
+    """Log odds that the first motion follows the second, by the sign of the lag L in q(t) = q_leader(t - L) + c.
 
-    None: it does not follow it, nor the other way around.
+    All joints share L. None: neither motion follows the other.
     """
-    series = other.position.stream.series
-    command = AveragedMotion.of(found.time, replace(series, values=other.position.values).at(found.time))
-    q = averaged(found.time, found.position.values)[1]
+    series = leader.position.stream.series
+    command = AveragedMotion.of(follower.time, replace(series, values=leader.position.values).at(follower.time))
+    q = averaged(follower.time, follower.position.values)[1]
     relation = fit(command.velocity, q - command.position, [np.ones_like(q)], command.independent)
     if np.sum(relation.misfit) > MAX_TRACKING_MISFIT_SHARE * np.sum(np.square(q - q.mean(axis=0))):
         return None
@@ -445,16 +442,14 @@ def _lateness(found: Assignment, other: Assignment) -> float | None:
 
 def _named(stream: JointStream, choice: RoleChoice, motion: JointMotion, y: Array) -> RoleChoice:
     """A choice between torque and current with the prior by the name."""
-    every = [
-        (one.log_posterior + stream.log_prior(one.role if one.role == "current" else "torque"), one)
-        for one in torques(motion, y)
-    ]
-    every.sort(key=lambda one: one[0], reverse=True)
-    (first, best), *others = every
-    following = others[0] if others else None
-    return RoleChoice(
-        best, following[1] if following else None, float(first - following[0]) if following else choice.margin
-    )
+
+    def log_posterior(hypothesis: RoleHypothesis) -> float:
+        return hypothesis.log_posterior + stream.log_prior("current" if hypothesis.role == "current" else "torque")
+
+    best, *rivals = sorted(torques(motion, y), key=log_posterior, reverse=True)
+    if not rivals:
+        return RoleChoice(best, None, choice.margin)
+    return RoleChoice(best, rivals[0], float(log_posterior(best) - log_posterior(rivals[0])))
 
 
 def _is_named(stream: JointStream) -> bool:
@@ -463,11 +458,10 @@ def _is_named(stream: JointStream) -> bool:
 
 
 def _exclusive(readings: Sequence[Reading]) -> list[Reading]:
-    """Readings without shared columns: the likeliest of several that share one; the chosen one first."""
-    kept: list[Reading] = []
-    for one in sorted(readings, key=lambda one: one.log_posterior, reverse=True):
-        if not any(one.stream.overlaps(other.stream) for other in kept):
-            kept.append(one)
-    return sorted(
-        (one for one in readings if any(one is other for other in kept)), key=lambda one: one.rank, reverse=True
-    )
+    """The likeliest readings that share no columns, sorted by rank."""
+    exclusive: list[Reading] = []
+    for reading in sorted(readings, key=lambda reading: reading.log_posterior, reverse=True):
+        if not any(reading.stream.overlaps(likelier.stream) for likelier in exclusive):
+            exclusive.append(reading)
+    in_order = [reading for reading in readings if any(reading is likeliest for likeliest in exclusive)]
+    return sorted(in_order, key=lambda reading: reading.rank, reverse=True)

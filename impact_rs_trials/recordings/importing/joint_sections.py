@@ -31,7 +31,7 @@ from impact_rs_trials.recordings.importing.candidates import (
     vector_width,
 )
 from impact_rs_trials.recordings.importing.flange_path import FlangePath
-from impact_rs_trials.recordings.importing.hypotheses import spread
+from impact_rs_trials.recordings.importing.hypotheses import range_in_words
 from impact_rs_trials.recordings.importing.import_texts import PossibleReading, flow
 from impact_rs_trials.recordings.importing.joint_search import (
     MAGNITUDE,
@@ -149,7 +149,7 @@ class JointSections:
     def _assignment(self, search: JointSearch, robot: str) -> Assignment:
         """The likeliest assignment of streams to the roles of the joints."""
         facts = search.model.facts
-        self._check_motion([place for place in search.places if place.by_name > 0.0], facts)
+        self._check_motion([place for place in search.position_readings if place.by_name > 0.0], facts)
         motions = self._motions(search)
         if not motions:
             raise self._nothing(search.streams, robot, facts.joint_count)
@@ -348,7 +348,7 @@ class JointSections:
         shown = inertia[inertia > 0.0]
         if gain < DECISIVE_LOG_LIKELIHOOD or not shown.size:
             return f"; no inertia of motors shows in it (log likelihood {gain:+.0f})"
-        size = f"{spread(shown)} kg m^2"
+        size = f"{range_in_words(shown)} kg m^2"
         if not at_motor:
             self._notes.remarks.append(
                 f"the torque accelerates {size} more than the links (log likelihood {gain:+.0f}): measured before the "

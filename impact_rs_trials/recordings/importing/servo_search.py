@@ -34,7 +34,7 @@ from impact_rs_trials.recordings.importing.hypotheses import (
     PRIOR,
     PROBABILITY_OF_BROKEN_ORDER,
     driven_joints,
-    spread,
+    range_in_words,
     travels,
 )
 from impact_rs_trials.recordings.importing.joint_search import Assignment, JointSearch, with_commands
@@ -88,7 +88,7 @@ class FoundServo:
     @property
     def log_posterior(self) -> float:
         """Log posterior of the motion, of a pair that is left over, and of the servos that drive it."""
-        return self.motion.motion_log_posterior + self.motion.beside + self.log_odds
+        return self.motion.motion_log_posterior + self.motion.further_log_likelihood + self.log_odds
 
     @property
     def reading(self) -> tuple[str, str]:
@@ -181,8 +181,8 @@ def _servos_of(search: JointSearch, found: Assignment, kp: Array | None, kd: Arr
     """Servos that may drive one motion."""
     motion = found.motion(search.model)
     needed: dict[TorqueMeaning, Array] = {
-        "whole": motion.whole,
-        "without_gravity": motion.whole - motion.gravity_torque,
+        "whole": motion.rigid_torque,
+        "without_gravity": motion.rigid_torque - motion.gravity_torque,
     }
     weight = driven_joints(motion.gravity_torque - motion.gravity_torque.mean(axis=0), search.model)
     for stream in search.free_of(found.streams):
@@ -243,10 +243,10 @@ def _servo(
     if meaning == "without_gravity":
         evidence += " without its gravity torque, which the controller adds"
     if kp is None:
-        evidence += f", with kp {spread(estimate)} N m/rad by gravity and inertia of the model"
+        evidence += f", with kp {range_in_words(estimate)} N m/rad by gravity and inertia of the model"
     else:
         ratio = estimate[shown] / kp[shown]
-        evidence += f", with {spread(ratio)} times the recorded gains by gravity and inertia of the model"
+        evidence += f", with {range_in_words(ratio)} times the recorded gains by gravity and inertia of the model"
     damps: Damps = "velocity"
     if kp is not None and kd is not None:
         damps = _damped(motion, error, torque, kp, kd)
@@ -272,10 +272,10 @@ def _estimated_gains(motion: JointMotion, error: Array, torque: Array) -> tuple[
     Where no gravity is carried the motor inertia, whose torque resembles the torque of the links, is taken as zero.
     """
     friction = [dry_friction(motion.velocity), motion.velocity, np.ones_like(error)]
-    inertia = np.std(motion.whole - motion.gravity_torque, axis=0)
+    inertia = np.std(motion.rigid_torque - motion.gravity_torque, axis=0)
     weighs = np.std(motion.gravity_torque, axis=0) > MIN_GRAVITY_SHARE * inertia
     free = fit(error, torque, [*friction, motion.acceleration])
-    carried = weighs & (free.factor > 0.0) & (torque is motion.whole)
+    carried = weighs & (free.factor > 0.0) & (torque is motion.rigid_torque)
     if not np.any(carried):
         free = fit(error, torque, friction)
         carried = free.factor > 0.0

@@ -182,5 +182,5 @@ def test_magnitudes_of_torques_are_told_from_torques_of_one_sign() -> None:
     assert is_magnitude(own, own.sampled(np.abs(effort)))
     assert not is_magnitude(own, own.sampled(effort))
     held = dataclasses.replace(own)
-    held.__dict__["whole"] = own.whole + weight + 80.0  # as if every joint held a load on one side
+    held.__dict__["rigid_torque"] = own.rigid_torque + weight + 80.0  # as if every joint held a load on one side
     assert not is_magnitude(held, held.sampled(effort + weight + 80.0))

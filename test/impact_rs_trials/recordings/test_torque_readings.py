@@ -55,7 +55,7 @@ def swing(robot: str, load: float = 0.0, friction: float = FRICTION, speed: floa
 
 
 def seen(robot: str, motion: Columns, torque: np.ndarray) -> MotionTorque:
-    return MotionTorque.seen(motion["time"], motion["position"], motion["velocity"], torque, model_of(robot))
+    return MotionTorque.from_signals(motion["time"], motion["position"], motion["velocity"], torque, model_of(robot))
 
 
 def write(path: Path, motion: Columns, **signals: np.ndarray) -> Path:
@@ -130,7 +130,7 @@ def test_a_controllers_own_target_is_never_taken_for_a_measurement(part: str, tm
     motion = swing("ur10e")
     draft, mapping = imported(tmp_path, "ur10e", motion, torque=motion[part])
     assert mapping.torque_meaning == "target"
-    assert "a controller's own target" in line_of(draft, "torque_meaning").evidence
+    assert "a target that a controller computed" in line_of(draft, "torque_meaning").evidence
     with pytest.raises(InputError, match="no measurement"):
         read_recordings(tmp_path / "run.csv", mapping)
     _, mapping = imported(tmp_path, "ur10e", motion, torque=motion[part], load=motion["effort"])
@@ -211,7 +211,7 @@ def test_where_gravity_takes_no_torque_nothing_can_lack_it(tmp_path: Path) -> No
     facts = slender_arm(("revolute",) * 3, FLAT)
     model = RobotModel(facts, mapping_of(tmp_path, facts).end_effector.build())
     motion = swinging(model, TIME, 0.2, (np.array([0.2, 0.3, 0.4]), np.array([0.5, 0.6, 0.7])), (0.4, 0.1))
-    found = MotionTorque.seen(TIME, motion["position"], motion["velocity"], motion["effort"], model)
+    found = MotionTorque.from_signals(TIME, motion["position"], motion["velocity"], motion["effort"], model)
     assert lacks_gravity(found) is None
 
 
